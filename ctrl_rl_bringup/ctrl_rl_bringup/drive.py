@@ -1,0 +1,112 @@
+"""Runs: one drive under the controller, many drives from random starts, drives to learn from."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import rclpy
+from ctrl_rl_core.errors import CtrlRlError
+from ctrl_rl_core.tasks import FOLDER as TASK_FOLDER
+from koopman_lqr_controller.policy_file import find_policy
+
+from ctrl_rl_bringup.monitor import Episode, Monitor
+from ctrl_rl_bringup.picture import draw_drive
+from ctrl_rl_bringup.processes import Processes
+from ctrl_rl_bringup.report import Drive, read_drive
+from ctrl_rl_bringup.stack import DriveOptions, NodeSpec, controller, recorder, scripted_driver, simulator
+from ctrl_rl_msgs.msg import TaskOutcome
+
+
+@dataclass(frozen=True)
+class Artifacts:
+    """What a drive leaves behind, besides its bag."""
+
+    report: Path
+    picture: Path
+
+
+def drive(options: DriveOptions) -> Drive:
+    """Drive once under the controller, record everything, and return what the bag says."""
+    with _running(options, controller(options), {"policy": find_policy(options.policy)}) as monitor:
+        monitor.run()
+        monitor.follow("driving")
+    return read_drive(options.bag)
+
+
+def write_artifacts(result: Drive, folder: Path) -> Artifacts:
+    """Write report and picture of a drive into a folder."""
+    out = Artifacts(folder / "report.json", folder / "path.png")
+    temporary = out.report.with_name(".report.json")
+    temporary.write_text(json.dumps(result.as_dict(), indent=2) + "\n", encoding="utf-8")
+    temporary.replace(out.report)
+    draw_drive(result, out.picture)
+    return out
+
+
+def follow_running() -> int:
+    """Follow a drive whose nodes somebody else has started, and return 0 if it reached the goal, else 1."""
+    with _ros():
+        monitor = Monitor(check=lambda: None)
+        try:
+            monitor.wait_until_ready()
+            monitor.run()
+            return 0 if monitor.follow("driving").outcome == TaskOutcome.GOAL else 1
+        finally:
+            monitor.close()
+
+
+def drive_seeds(options: DriveOptions, seeds: Sequence[int]) -> list[Episode]:
+    """Drive under the controller once for each seed, in one recorded session, and return how each drive ended."""
+    with _running(options, controller(options), {"policy": find_policy(options.policy)}) as monitor:
+        return _episodes(monitor, seeds, "seed")
+
+
+def record_scripted(options: DriveOptions, seeds: Sequence[int]) -> list[Episode]:
+    """Record the scripted driver, once for each seed: drives to learn from."""
+    with _running(options, scripted_driver(options.seed), {}) as monitor:
+        return _episodes(monitor, seeds, "drive")
+
+
+def _episodes(monitor: Monitor, seeds: Sequence[int], title: str) -> list[Episode]:
+    out = []
+    for index, seed in enumerate(seeds):
+        monitor.reset(seed)
+        if index == 0:
+            monitor.run()
+        out.append(monitor.follow(f"{title} {seed} ({index + 1} of {len(seeds)})"))
+    return out
+
+
+@contextmanager
+def _running(options: DriveOptions, driver: NodeSpec, digests: dict[str, Path]) -> Iterator[Monitor]:
+    """Start simulator, driver and recorder, and end them in an order in which the recorder misses nothing."""
+    try:
+        options.folder.mkdir(parents=True)
+    except FileExistsError:
+        raise CtrlRlError(f"{options.folder} exists: give another folder") from None
+    except OSError as error:
+        raise CtrlRlError(f"cannot make {options.folder}: {error.strerror}") from None
+    task = Path(options.task) if options.task.endswith(".yaml") else TASK_FOLDER / f"{options.task}.yaml"
+    with _ros(), Processes(options.folder) as processes:
+        processes.start([recorder(options, {"task": task, **digests}), simulator(options), driver])
+        monitor = Monitor(processes.check)
+        try:
+            monitor.wait_until_ready()
+            yield monitor
+        finally:
+            monitor.close()
+        for name in (driver.executable, "bridge", "recorder"):
+            processes.stop(name)
+
+
+@contextmanager
+def _ros() -> Iterator[None]:
+    rclpy.init()
+    try:
+        yield
+    finally:
+        rclpy.try_shutdown()

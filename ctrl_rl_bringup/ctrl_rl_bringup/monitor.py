@@ -1,0 +1,155 @@
+"""Follows a drive: waits until everyone listens, lets the simulation run, shows how far the robot is."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NoReturn
+
+import rclpy
+from ctrl_rl_core.errors import CtrlRlError
+from ctrl_rl_core.ros import RESULT
+from rclpy.node import Node
+from std_srvs.srv import SetBool
+from tqdm import tqdm
+
+from ctrl_rl_msgs.msg import EpisodeStatus, TaskOutcome
+from ctrl_rl_msgs.srv import ResetWorld
+
+OUTCOMES = {
+    TaskOutcome.RUNNING: "running",
+    TaskOutcome.GOAL: "goal reached",
+    TaskOutcome.COLLISION: "collision",
+    TaskOutcome.TRAP: "trapped",
+    TaskOutcome.TIMEOUT: "time-out",
+}
+_RECORDER = "recorder"
+_RECORDED = ("scan", "odom", "cmd_vel", "episode", "clock", "ground_truth")
+_READY_S = 30.0
+_SILENT_S = 20.0
+
+
+class MonitorError(CtrlRlError):
+    """The nodes of a run did not come up, or fell silent."""
+
+
+@dataclass(frozen=True)
+class Episode:
+    """How an episode stands: number, outcome, time since the reset [s], part of the way done, least clearance [m]."""
+
+    number: int
+    outcome: int
+    elapsed: float
+    progress: float
+    smallest_clearance: float
+
+    def show(self, bar: tqdm[NoReturn]) -> None:
+        """Put it on a progress bar."""
+        bar.set_postfix_str(f"{self.elapsed:5.1f} s, closest {self.smallest_clearance:.3f} m", refresh=False)
+        bar.update(max(0.0, min(1.0, self.progress) - bar.n))
+
+
+class Monitor:
+    """A node that follows the episodes of one robot.
+
+    Args:
+        check: called often; raises if a node of the run has died.
+    """
+
+    def __init__(self, check: Callable[[], None]) -> None:
+        self._node = Node("monitor")
+        self._check = check
+        self._episode: Episode | None = None
+        self._heard = time.monotonic()
+        self._node.create_subscription(EpisodeStatus, "episode", self._on_episode, RESULT)
+        self._pause = self._node.create_client(SetBool, "sim_bridge/pause")
+        self._reset = self._node.create_client(ResetWorld, "sim_bridge/reset")
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self._node.destroy_node()
+
+    def wait_until_ready(self) -> None:
+        """Return once simulator, driver and recorder have found each other.
+
+        Raises:
+            MonitorError: they have not after half a minute.
+        """
+        deadline = time.monotonic() + _READY_S
+        while missing := self._missing():
+            self._spin()
+            if time.monotonic() > deadline:
+                raise MonitorError(f"not ready after {_READY_S:g} s: {missing}")
+        settle = time.monotonic() + 0.5  # the last match is seen here before it is seen by both of its ends
+        while time.monotonic() < settle:
+            self._spin()
+
+    def run(self) -> None:
+        """Let the paused simulation go."""
+        self._call(self._pause, SetBool.Request(data=False))
+
+    def reset(self, seed: int) -> None:
+        """Start a new episode."""
+        self._call(self._reset, ResetWorld.Request(seed=seed))
+        self._episode = None
+
+    def follow(self, title: str) -> Episode:
+        """Show the robot's progress until the episode has an outcome, and return how it ended.
+
+        Raises:
+            MonitorError: nothing is heard of the episode any more.
+        """
+        self._heard = time.monotonic()
+        layout = "{desc}: {percentage:3.0f}% of the way |{bar}| {postfix}"
+        with tqdm(total=1.0, desc=title, bar_format=layout, disable=None) as bar:
+            while self._episode is None or self._episode.outcome == TaskOutcome.RUNNING:
+                self._spin()
+                if time.monotonic() - self._heard > _SILENT_S:
+                    raise MonitorError(f"no episode status for {_SILENT_S:g} s: does the simulator still run?")
+                if self._episode is not None:
+                    bar.set_postfix_str(
+                        f"{self._episode.elapsed:5.1f} s, closest {self._episode.smallest_clearance:.3f} m"
+                    )
+                    bar.update(max(0.0, min(1.0, self._episode.progress) - bar.n))
+        return self._episode
+
+    def _on_episode(self, message: EpisodeStatus) -> None:
+        self._heard = time.monotonic()
+        self._episode = Episode(
+            message.episode, message.outcome.value, message.elapsed, message.progress, message.smallest_clearance
+        )
+
+    def _missing(self) -> str:
+        """Return in words what is not there yet, empty if all is."""
+        for topic in _RECORDED:
+            subscribers = {info.node_name for info in self._node.get_subscriptions_info_by_topic(f"/{topic}")}
+            publishers = self._node.count_publishers(topic)
+            if publishers == 0:
+                return f"nobody publishes {topic}"
+            if publishers > 1:
+                raise MonitorError(f"{publishers} nodes publish {topic}: end the other run, or set ROS_DOMAIN_ID")
+            if _RECORDER not in subscribers:
+                return f"the recorder does not hear {topic}"
+            if topic in ("scan", "odom") and len(subscribers) < 2:
+                return f"no driver hears {topic}"
+            if topic == "cmd_vel" and len(subscribers) < 2:
+                return "the simulator does not hear cmd_vel"
+        return (
+            "" if self._pause.service_is_ready() and self._reset.service_is_ready() else "no pause and reset services"
+        )
+
+    def _call(self, client: rclpy.client.Client, request: object) -> None:
+        future = client.call_async(request)
+        deadline = time.monotonic() + _READY_S
+        while not future.done():
+            self._spin()
+            if time.monotonic() > deadline:
+                raise MonitorError(f"service {client.srv_name} does not answer")
+        answer = future.result()
+        if not answer.success:
+            raise MonitorError(f"service {client.srv_name}: {answer.message}")
+
+    def _spin(self) -> None:
+        self._check()
+        rclpy.spin_once(self._node, timeout_sec=0.05)

@@ -1,0 +1,120 @@
+"""Starts nodes as processes and ends them in order: what `ros2 launch` does, where there is none."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import tempfile
+from collections.abc import Iterable
+from pathlib import Path
+from types import TracebackType
+
+import yaml
+from ament_index_python.packages import PackageNotFoundError, get_package_prefix
+from ctrl_rl_core.errors import CtrlRlError
+
+from ctrl_rl_bringup.stack import NodeSpec
+
+_STOP_S = 5.0
+
+
+class ProcessError(CtrlRlError):
+    """A node cannot be started, or ended by itself."""
+
+
+def executable_path(spec: NodeSpec) -> Path:
+    """Return the file that `ros2 run` would start.
+
+    Raises:
+        ProcessError: package or executable are not built.
+    """
+    try:
+        path = Path(get_package_prefix(spec.package)) / "lib" / spec.package / spec.executable
+    except PackageNotFoundError:
+        raise ProcessError(
+            f"package '{spec.package}' is not built: run 'make build' and source the workspace"
+        ) from None
+    if not path.is_file():
+        raise ProcessError(f"{path} is missing: run 'make build' again")
+    return path
+
+
+class Processes:
+    """Running nodes, ended in the order in which they are given; a context that leaves none behind.
+
+    Each node's output goes to `<folder>/<executable>.log`.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._running: dict[str, subprocess.Popen[bytes]] = {}
+        self._parameters = tempfile.TemporaryDirectory(prefix="ctrl_rl_")
+
+    def start(self, specs: Iterable[NodeSpec]) -> None:
+        """Start nodes.
+
+        Raises:
+            ProcessError: one of them is not built.
+        """
+        for spec in specs:
+            with (self._folder / f"{spec.executable}.log").open("ab") as log:
+                self._running[spec.executable] = subprocess.Popen(
+                    [executable_path(spec), "--ros-args", "--params-file", self._parameter_file(spec)],
+                    stdin=subprocess.DEVNULL,
+                    stdout=log,
+                    stderr=subprocess.STDOUT,
+                    start_new_session=True,  # Ctrl-C in the terminal is ours to hand on, in order
+                )
+
+    def check(self) -> None:
+        """Raise ProcessError, with its last words, if a node has ended by itself."""
+        for name, process in self._running.items():
+            if process.poll() is not None:
+                raise ProcessError(f"{name} ended with exit code {process.returncode}: {self._last_words(name)}")
+
+    def stop(self, name: str) -> None:
+        """End one node by SIGINT and wait for it; kill it if it does not end.
+
+        Raises:
+            ProcessError: it had to be killed, or ended with another code than 0.
+        """
+        process = self._running.pop(name, None)
+        if process is None:
+            return
+        process.send_signal(signal.SIGINT)
+        try:
+            code = process.wait(_STOP_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+            raise ProcessError(
+                f"{name} did not stop within {_STOP_S:g} s and was killed: {self._last_words(name)}"
+            ) from None
+        if code != 0:
+            raise ProcessError(f"{name} ended with exit code {code}: {self._last_words(name)}")
+
+    def __enter__(self) -> Processes:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for process in self._running.values():
+            process.send_signal(signal.SIGINT)
+        for process in self._running.values():
+            try:
+                process.wait(_STOP_S)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+        self._running.clear()
+        self._parameters.cleanup()
+
+    def _parameter_file(self, spec: NodeSpec) -> str:
+        path = Path(self._parameters.name) / f"{spec.executable}.yaml"
+        path.write_text(yaml.safe_dump({"/**": {"ros__parameters": dict(spec.parameters)}}), encoding="utf-8")
+        return str(path)
+
+    def _last_words(self, name: str) -> str:
+        lines = (self._folder / f"{name}.log").read_text(errors="replace").strip().splitlines()
+        return lines[-1] if lines else "it said nothing"

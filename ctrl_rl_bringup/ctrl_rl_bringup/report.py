@@ -1,0 +1,192 @@
+"""What a bag says about a drive: reached or not, how close to a wall, how quickly the controller answered."""
+
+from __future__ import annotations
+
+import json
+from collections import defaultdict
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from ctrl_rl_core.bags import BagError, bag_info, read_messages
+from ctrl_rl_core.tasks import load_navigation_task
+from mcap.reader import make_reader
+from numpy.typing import NDArray
+
+from ctrl_rl_bringup.monitor import OUTCOMES
+from ctrl_rl_msgs.msg import TaskOutcome
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Drive:
+    """One drive as recorded; times are seconds of simulation since the start.
+
+    Attributes:
+        task: its name or file.
+        width: of the corridor [m], None for the task's own.
+        outcome: a constant of TaskOutcome.
+        duration: until the outcome [s].
+        collisions: episodes that ended in one.
+        smallest_clearance: from the body to the nearest wall or obstacle [m].
+        truth: (n, 3) time, x, y in the frame map [s, m, m].
+        odometry: (n, 3) the same by the robot's wheels, in its own frame odom.
+        clearance: (n, 2) time and clearance [s, m].
+        commands: (n, 3) time, speed, turn rate [s, m/s, rad/s].
+        latencies: from a scan to the command that answers it, both as they reach the recorder [s].
+        messages: recorded.
+        lost: published while the recorder listened, but not recorded.
+    """
+
+    task: str
+    width: float | None
+    outcome: int
+    duration: float
+    collisions: int
+    smallest_clearance: float
+    truth: Array
+    odometry: Array
+    clearance: Array
+    commands: Array
+    latencies: Array
+    messages: int
+    lost: int
+
+    @property
+    def reached(self) -> bool:
+        """Whether the goal was reached."""
+        return self.outcome == TaskOutcome.GOAL
+
+    def latency(self, percentile: float) -> float:
+        """Return a percentile of the latencies [s], NaN where no command answers a scan."""
+        return float(np.percentile(self.latencies, percentile)) if len(self.latencies) else float("nan")
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the figures as plain JSON values."""
+        return {
+            "task": self.task,
+            "outcome": OUTCOMES[self.outcome],
+            "time_s": self.duration,
+            "collisions": self.collisions,
+            "smallest_clearance_m": self.smallest_clearance,
+            "latency_median_ms": 1e3 * self.latency(50),
+            "latency_p99_ms": 1e3 * self.latency(99),
+            "messages_recorded": self.messages,
+            "messages_lost": self.lost,
+        }
+
+    def text(self) -> str:
+        """Return the figures for people."""
+        ms = [1e3 * self.latency(percentile) for percentile in (50, 99)]
+        return "\n".join(
+            (
+                f"outcome             {OUTCOMES[self.outcome]}",
+                f"time                {self.duration:.1f} s",
+                f"collisions          {self.collisions}",
+                f"smallest clearance  {self.smallest_clearance:.3f} m",
+                f"control latency     {ms[0]:.2f} ms median, {ms[1]:.2f} ms p99, {len(self.latencies)} scans",
+                f"messages            {self.messages} recorded, {self.lost} lost",
+            )
+        )
+
+
+def read_drive(bag: Path) -> Drive:
+    """Read the drive of one robot, in one episode, from a bag.
+
+    Raises:
+        BagError: the bag cannot be read, or holds no episode.
+    """
+    stamps: dict[str, list[float]] = defaultdict(list)
+    arrivals: dict[str, list[int]] = defaultdict(list)
+    rows: dict[str, list[tuple[float, ...]]] = defaultdict(list)
+    topics = ("/scan", "/odom", "/ground_truth", "/cmd_vel", "/episode")
+    info = bag_info(bag)
+    recorded = [topic for topic in topics if topic in info.topics]
+    if "/episode" not in recorded:
+        raise BagError(f"{bag}: no topic /episode: is it a drive in the simulator?")
+    for message in read_messages(bag, recorded):
+        stamps[message.topic].append(_stamp(message.data))
+        arrivals[message.topic].append(message.log_time)
+        rows[message.topic].append(_row(message.topic, message.data))
+    begin = stamps["/episode"][0] - rows["/episode"][0][1]
+    episode = np.array(rows["/episode"])
+    task, width = _task_of(info.custom_data)
+
+    def track(topic: str) -> Array:
+        return np.column_stack((np.array(stamps[topic]) - begin, np.array(rows[topic]).reshape(len(rows[topic]), -1)))
+
+    counts = _sequences(bag, info.files)
+    return Drive(
+        task=task,
+        width=width,
+        outcome=int(episode[-1, 3]),
+        duration=_duration(episode),
+        collisions=len({row[0] for row in episode if row[3] == TaskOutcome.COLLISION}),
+        smallest_clearance=float(episode[:, 2].min()),
+        truth=track("/ground_truth"),
+        odometry=track("/odom"),
+        clearance=np.column_stack((episode[:, 1], episode[:, 4])),
+        commands=track("/cmd_vel"),
+        latencies=_latencies(stamps, arrivals),
+        messages=info.message_count,
+        lost=counts,
+    )
+
+
+def _stamp(message: Any) -> float:
+    header = getattr(message, "header", None)
+    return float("nan") if header is None else header.stamp.sec + 1e-9 * header.stamp.nanosec
+
+
+def _row(topic: str, message: Any) -> tuple[float, ...]:
+    if topic == "/episode":
+        return (
+            message.episode,
+            message.elapsed,
+            message.smallest_clearance,
+            message.outcome.value,
+            message.clearance,
+        )
+    if topic in ("/odom", "/ground_truth"):
+        return message.pose.pose.position.x, message.pose.pose.position.y
+    if topic == "/cmd_vel":
+        twist = getattr(message, "twist", message)
+        return twist.linear.x, twist.angular.z
+    return ()
+
+
+def _duration(episode: Array) -> float:
+    ended = episode[episode[:, 3] != TaskOutcome.RUNNING]
+    return float(ended[0, 1] if len(ended) else episode[-1, 1])
+
+
+def _latencies(stamps: dict[str, list[float]], arrivals: dict[str, list[int]]) -> Array:
+    """Match commands with the scans that they answer by their equal stamps."""
+    scans = dict(zip(stamps["/scan"], arrivals["/scan"], strict=True))
+    pairs = zip(stamps["/cmd_vel"], arrivals["/cmd_vel"], strict=True)
+    return np.array([1e-9 * (arrival - scans[stamp]) for stamp, arrival in pairs if stamp in scans])
+
+
+def _sequences(bag: Path, files: tuple[str, ...]) -> int:
+    """Return how many messages are missing in the publishers' own count, on the topics that one node publishes."""
+    seen: dict[str, list[int]] = defaultdict(list)
+    for file in files:
+        with (bag / file).open("rb") as stream:
+            for _, channel, message in make_reader(stream).iter_messages(log_time_order=False):
+                seen[channel.topic].append(message.sequence)
+    missing = 0
+    for numbers in seen.values():
+        one_publisher = len(set(numbers)) == len(numbers)
+        if one_publisher and min(numbers) > 0:
+            missing += max(numbers) - min(numbers) + 1 - len(numbers)
+    return missing
+
+
+def _task_of(custom_data: Any) -> tuple[str, float | None]:
+    """Return task and corridor width of the simulator, from its parameters."""
+    parameters = json.loads(custom_data.get("parameters./sim_bridge", "{}"))
+    task = parameters.get("task", "curved_corridor")
+    width = float(parameters.get("corridor_width", 0.0))
+    return load_navigation_task(task).name if not str(task).endswith(".yaml") else task, width or None

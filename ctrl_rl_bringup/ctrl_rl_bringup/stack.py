@@ -1,0 +1,80 @@
+"""Which nodes make up a run, said once: `processes.py` starts them without ROS's launch, `demo.launch.py` with it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+
+@dataclass(frozen=True)
+class NodeSpec:
+    """One node of a run.
+
+    Attributes:
+        package: its package.
+        executable: as `ros2 run PACKAGE EXECUTABLE` names it.
+        parameters: by name.
+    """
+
+    package: str
+    executable: str
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class DriveOptions:
+    """What can be chosen about a drive.
+
+    Attributes:
+        folder: of the run, new; bag, logs, report and picture go there.
+        task: name of a task, or its file.
+        policy: name of a policy, or its file.
+        seed: of start pose and noise.
+        speed: simulation time per wall time; 0 for as fast as it goes.
+        width: of the corridor [m]; 0 for the task's own.
+        gui: whether PyBullet shows a window.
+    """
+
+    folder: Path
+    task: str = "curved_corridor"
+    policy: str = "curved_corridor_edmd"
+    seed: int = 0
+    speed: float = 1.0
+    width: float = 0.0
+    gui: bool = False
+
+    @property
+    def bag(self) -> Path:
+        """Where the bag is written."""
+        return self.folder / "bag"
+
+
+def simulator(options: DriveOptions) -> NodeSpec:
+    """Return the bridge; it starts paused, so that nothing happens before everyone listens."""
+    parameters = {
+        "task": options.task,
+        "seed": options.seed,
+        "speed_factor": float(options.speed),
+        "corridor_width": float(options.width),
+        "gui": options.gui,
+        "start_paused": True,
+    }
+    return NodeSpec("sim_bridge", "bridge", parameters)
+
+
+def recorder(options: DriveOptions, digests: Mapping[str, Path]) -> NodeSpec:
+    """Return the recorder of every topic; `digests` names the files whose SHA-256 the bag is to hold."""
+    files = [f"{name}={path}" for name, path in digests.items()]
+    return NodeSpec("ctrl_rl_core", "recorder", {"output": str(options.bag), "digest_files": files})
+
+
+def controller(options: DriveOptions) -> NodeSpec:
+    """Return the Koopman-LQR controller."""
+    return NodeSpec("koopman_lqr_controller", "controller", {"use_sim_time": True, "policy": options.policy})
+
+
+def scripted_driver(seed: int) -> NodeSpec:
+    """Return the driver whose drives are learned from."""
+    return NodeSpec("koopman_lqr_controller", "scripted_driver", {"use_sim_time": True, "seed": seed})

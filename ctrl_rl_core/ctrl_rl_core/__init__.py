@@ -1,0 +1,1 @@
+"""What every package shares: robot system models, tasks, value grids, bags, the recorder."""

@@ -1,0 +1,177 @@
+"""Reads rosbag2 folders, MCAP or the older sqlite3, without an installed ROS: the bag's own definitions are used."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rosbags.highlevel import AnyReader, AnyReaderError
+from rosbags.interfaces import Connection, ConnectionExtRosbag2
+from rosbags.rosbag2 import ReaderError
+from rosbags.rosbag2.metadata import dump_qos_v9
+from rosbags.serde import SerdeError
+from rosbags.typesys import Stores, get_typestore
+
+from ctrl_rl_core.bag_metadata import METADATA_FILE, BagError, Qos, read_metadata
+
+_UNREADABLE = (AnyReaderError, ReaderError, SerdeError, OSError, ValueError, KeyError, AssertionError, EOFError)
+
+
+@dataclass(frozen=True)
+class BagMessage:
+    """One message of a bag.
+
+    Attributes:
+        topic: full name.
+        type: `sensor_msgs/msg/LaserScan`.
+        log_time: when it was received [ns since the epoch].
+        data: the message, with NumPy arrays for arrays of numbers.
+    """
+
+    topic: str
+    type: str
+    log_time: int
+    data: Any
+
+
+@dataclass(frozen=True)
+class RawMessage:
+    """One message of a bag as it was on the wire: CDR bytes with their header."""
+
+    topic: str
+    type: str
+    log_time: int
+    data: bytes
+
+
+@dataclass(frozen=True)
+class TopicInfo:
+    """Type, number of messages, type hash and offered quality of service of one topic."""
+
+    type: str
+    message_count: int
+    type_hash: str
+    qos: tuple[Qos, ...]
+
+
+@dataclass(frozen=True)
+class BagInfo:
+    """What a bag holds: log times [ns], files, topics by name, custom data."""
+
+    folder: Path
+    start: int
+    end: int
+    message_count: int
+    files: tuple[str, ...]
+    topics: Mapping[str, TopicInfo]
+    custom_data: Mapping[str, str]
+
+
+@contextmanager
+def open_bag(bag: Path | str) -> Iterator[AnyReader]:
+    """Open a bag (its folder, or one .mcap or .db3 file) as a rosbags reader that knows the bag's message types.
+
+    Raises:
+        BagError: there is no such bag, it was cut off, or it is damaged.
+    """
+    path = Path(bag)
+    if not path.exists():
+        raise BagError(f"{path}: there is no such bag")
+    if path.is_dir() and not (path / METADATA_FILE).exists():
+        if any(path.glob("*.mcap")):
+            raise BagError(f"{path} was cut off: mend it with ros2 run ctrl_rl_core bag recover {path}")
+        raise BagError(f"{path} is no bag: it has no {METADATA_FILE}")
+    try:
+        # Bags from before MCAP name their types, but do not define them.
+        reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY))
+        reader.open()
+    except _UNREADABLE as error:
+        raise BagError(f"{path} cannot be read: {error}; try ros2 run ctrl_rl_core bag recover {path}") from None
+    try:
+        yield reader
+    finally:
+        reader.close()
+
+
+def read_messages(
+    bag: Path | str, topics: Iterable[str] = (), start: int | None = None, stop: int | None = None
+) -> Iterator[BagMessage]:
+    """Yield the messages of a bag in the order of their log time.
+
+    Args:
+        bag: folder or file.
+        topics: names to read; all if empty.
+        start: first log time [ns], included.
+        stop: last log time [ns], excluded.
+
+    Raises:
+        BagError: the bag has no such topic, or cannot be read.
+    """
+    with open_bag(bag) as reader:
+        for connection, log_time, raw in _raw(reader, bag, topics, start, stop):
+            try:
+                data = reader.deserialize(raw, connection.msgtype)
+            except _UNREADABLE as error:
+                raise BagError(f"{bag}: a message of {connection.topic} cannot be decoded: {error}") from None
+            yield BagMessage(connection.topic, connection.msgtype, log_time, data)
+
+
+def read_raw(
+    bag: Path | str, topics: Iterable[str] = (), start: int | None = None, stop: int | None = None
+) -> Iterator[RawMessage]:
+    """As `read_messages`, without decoding; three times as fast."""
+    with open_bag(bag) as reader:
+        for connection, log_time, raw in _raw(reader, bag, topics, start, stop):
+            yield RawMessage(connection.topic, connection.msgtype, log_time, bytes(raw))
+
+
+def bag_info(bag: Path | str) -> BagInfo:
+    """Return what a bag holds.
+
+    Raises:
+        BagError: there is no such bag, it was cut off, or it is damaged.
+    """
+    path = Path(bag)
+    with open_bag(path) as reader:
+        metadata = read_metadata(path) if path.is_dir() else {}
+        topics: dict[str, TopicInfo] = {}
+        for connection in sorted(reader.connections, key=lambda connection: connection.topic):
+            before = topics[connection.topic].message_count if connection.topic in topics else 0
+            topics[connection.topic] = TopicInfo(
+                connection.msgtype, before + connection.msgcount, connection.digest, _qos(connection)
+            )
+        empty = reader.message_count == 0
+        return BagInfo(
+            folder=path,
+            start=0 if empty else reader.start_time,
+            end=0 if empty else reader.end_time - 1,  # the reader's is one past the last
+            message_count=reader.message_count,
+            files=tuple(metadata.get("relative_file_paths", [path.name])),
+            topics=topics,
+            custom_data=metadata.get("custom_data") or {},
+        )
+
+
+def _raw(
+    reader: AnyReader, bag: Path | str, topics: Iterable[str], start: int | None, stop: int | None
+) -> Iterator[tuple[Connection, int, bytes]]:
+    wanted = set(topics)
+    missing = wanted - {connection.topic for connection in reader.connections}
+    if missing:
+        known = ", ".join(sorted({connection.topic for connection in reader.connections}))
+        raise BagError(f"{bag} has no topic {', '.join(sorted(missing))}; it has {known or 'none'}")
+    connections = [connection for connection in reader.connections if not wanted or connection.topic in wanted]
+    if not connections:
+        return
+    try:
+        yield from reader.messages(connections, start, stop)
+    except _UNREADABLE as error:
+        raise BagError(f"{bag} is damaged: {error}; mend it with ros2 run ctrl_rl_core bag recover {bag}") from None
+
+
+def _qos(connection: Connection) -> tuple[Qos, ...]:
+    extra = connection.ext
+    return tuple(dump_qos_v9(extra.offered_qos_profiles)) if isinstance(extra, ConnectionExtRosbag2) else ()

@@ -1,0 +1,190 @@
+"""Plane geometry of tasks: boxes, discs and curved corridors, with exact signed distances.
+
+Coordinates are those of the task's plane, (x, y) or (x, z), in metres in the frame `map`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Box:
+    """A rectangle.
+
+    Attributes:
+        centre: (2,) [m].
+        size: full side lengths along its own axes (2,) [m].
+        angle: rotation of its own axes, counter-clockwise [rad].
+    """
+
+    centre: tuple[float, float]
+    size: tuple[float, float]
+    angle: float = 0.0
+
+    def signed_distance(self, points: ArrayLike) -> Array:
+        """Return the distance of points (..., 2) to the boundary, negative inside (...) [m]."""
+        offset = np.asarray(points, dtype=float) - self.centre
+        c, s = np.cos(self.angle), np.sin(self.angle)
+        local = np.stack((c * offset[..., 0] + s * offset[..., 1], -s * offset[..., 0] + c * offset[..., 1]), axis=-1)
+        beyond = np.abs(local) - 0.5 * np.asarray(self.size)
+        outside = np.linalg.norm(np.maximum(beyond, 0.0), axis=-1)
+        return outside + np.minimum(beyond.max(axis=-1), 0.0)
+
+
+@dataclass(frozen=True)
+class Disc:
+    """A disc: centre (2,) [m] and radius [m]."""
+
+    centre: tuple[float, float]
+    radius: float
+
+    def signed_distance(self, points: ArrayLike) -> Array:
+        """Return the distance of points (..., 2) to the boundary, negative inside (...) [m]."""
+        return np.linalg.norm(np.asarray(points, dtype=float) - self.centre, axis=-1) - self.radius
+
+
+Shape = Box | Disc
+
+
+def signed_distance(shapes: tuple[Shape, ...], points: ArrayLike) -> Array:
+    """Return the distance of points (..., 2) to the nearest shape, negative inside one (...) [m]; +inf for none."""
+    points = np.asarray(points, dtype=float)
+    out = np.full(points.shape[:-1], np.inf)
+    for shape in shapes:
+        np.minimum(out, shape.signed_distance(points), out=out)
+    return out
+
+
+def frame_walls(x: tuple[float, float], y: tuple[float, float], thickness: float) -> tuple[Box, ...]:
+    """Return the four walls [m] that stand just outside the rectangle x by y."""
+    width, height = x[1] - x[0] + 2 * thickness, y[1] - y[0]
+    middle = (0.5 * (x[0] + x[1]), 0.5 * (y[0] + y[1]))
+    return (
+        Box((x[0] - 0.5 * thickness, middle[1]), (thickness, height)),
+        Box((x[1] + 0.5 * thickness, middle[1]), (thickness, height)),
+        Box((middle[0], y[0] - 0.5 * thickness), (width, thickness)),
+        Box((middle[0], y[1] + 0.5 * thickness), (width, thickness)),
+    )
+
+
+@dataclass(frozen=True)
+class Arc:
+    """A piece of a path with constant curvature.
+
+    Attributes:
+        length: [m].
+        curvature: turn per length, positive to the left [rad/m]; 0 for a straight piece.
+    """
+
+    length: float
+    curvature: float
+
+
+@dataclass(frozen=True)
+class Path:
+    """A smooth plane path of arcs, from `start` in direction `heading`.
+
+    Attributes:
+        arcs: the pieces, in order; tangents are continuous.
+        start: first point (2,) [m].
+        heading: direction at the first point [rad].
+    """
+
+    arcs: tuple[Arc, ...]
+    start: tuple[float, float] = (0.0, 0.0)
+    heading: float = 0.0
+
+    @property
+    def length(self) -> float:
+        """Arc length of the whole path [m]."""
+        return sum(arc.length for arc in self.arcs)
+
+    def pose(self, s: ArrayLike) -> Array:
+        """Return (x, y, heading) [m, m, rad] at arc lengths s (...) as (..., 3); beyond the ends straight on."""
+        s = np.asarray(s, dtype=float)
+        out = np.empty((*s.shape, 3))
+        x, y, heading, begin = *self.start, self.heading, 0.0
+        arcs = (*self.arcs, Arc(np.inf, 0.0))
+        for arc in arcs:
+            here = s >= begin if begin > 0.0 else np.ones(s.shape, dtype=bool)
+            curvature = np.where(s < 0.0, 0.0, arc.curvature)
+            out[here] = _along(x, y, heading, (s - begin)[here], curvature[here])
+            if np.isfinite(arc.length):
+                x, y, heading = _along(x, y, heading, np.asarray(arc.length), np.asarray(arc.curvature))
+                begin += arc.length
+        return out
+
+    def nearest(self, points: ArrayLike, step: float = 0.01) -> tuple[Array, Array]:
+        """Return arc length [m] and signed lateral offset [m], positive to the left, of the nearest path point.
+
+        Args:
+            points: (..., 2) [m].
+            step: resolution of the search [m]; the result is refined within it by projection on the tangent.
+        """
+        points = np.asarray(points, dtype=float)
+        s = np.linspace(0.0, self.length, max(2, int(np.ceil(self.length / step)) + 1))
+        poses = self.pose(s)
+        flat = points.reshape(-1, 2)
+        index = np.array([np.argmin(np.sum((poses[:, :2] - point) ** 2, axis=1)) for point in flat], dtype=int)
+        offset, heading = flat - poses[index, :2], poses[index, 2]
+        along = np.clip(offset[:, 0] * np.cos(heading) + offset[:, 1] * np.sin(heading), -step, step)
+        lateral = -offset[:, 0] * np.sin(heading) + offset[:, 1] * np.cos(heading)
+        arc_length = np.clip(s[index] + along, 0.0, self.length)
+        return arc_length.reshape(points.shape[:-1]), lateral.reshape(points.shape[:-1])
+
+    def walls(self, width: float, thickness: float = 0.05, largest_sag: float = 0.002) -> tuple[Box, ...]:
+        """Return boxes that line both sides of the path at distance width / 2, without gaps.
+
+        Args:
+            width: free width between the walls [m].
+            thickness: of the walls, outwards [m].
+            largest_sag: how far a straight box may cut into the free width at its middle or ends [m].
+
+        Raises:
+            ValueError: the path turns tighter than half the width.
+        """
+        boxes: list[Box] = []
+        begin = 0.0
+        for arc in self.arcs:
+            if abs(arc.curvature) * 0.5 * width >= 1.0:
+                raise ValueError(
+                    f"a turn of radius {1 / abs(arc.curvature):.3g} m is too tight for a width of {width:.3g} m"
+                )
+            count = _pieces(arc, width, largest_sag)
+            middles = begin + (np.arange(count) + 0.5) * arc.length / count
+            for x, y, heading in self.pose(middles):
+                piece = Arc(arc.length / count, arc.curvature)
+                boxes.extend(_wall_piece(x, y, heading, side, piece, width, thickness) for side in (1.0, -1.0))
+            begin += arc.length
+        return tuple(boxes)
+
+
+def _along(x: float, y: float, heading: float, s: Array, curvature: Array) -> Array:
+    """Return (..., 3): the pose after s metres of constant curvature (...)."""
+    turn = s * curvature
+    chord = s * np.sinc(turn / (2 * np.pi))  # 2 / k * sin(k s / 2), finite for k = 0
+    direction = heading + 0.5 * turn
+    return np.stack((x + chord * np.cos(direction), y + chord * np.sin(direction), heading + turn), axis=-1)
+
+
+def _pieces(arc: Arc, width: float, largest_sag: float) -> int:
+    if arc.curvature == 0.0:
+        return 1
+    outer = 1.0 / abs(arc.curvature) + 0.5 * width
+    half_angle = np.arccos(max(0.0, 1.0 - largest_sag / outer))
+    return max(1, int(np.ceil(abs(arc.curvature) * arc.length / (2 * half_angle))))
+
+
+def _wall_piece(x: float, y: float, heading: float, side: float, piece: Arc, width: float, thickness: float) -> Box:
+    """One straight box beside the piece of path with its middle at (x, y); a box on the outside of a turn is longer."""
+    inner_ratio = 1.0 - side * piece.curvature * 0.5 * width
+    outer_ratio = 1.0 - side * piece.curvature * (0.5 * width + thickness)
+    offset = side * 0.5 * (width + thickness)
+    centre = (float(x - offset * np.sin(heading)), float(y + offset * np.cos(heading)))
+    return Box(centre, (piece.length * max(inner_ratio, outer_ratio), thickness), float(heading))

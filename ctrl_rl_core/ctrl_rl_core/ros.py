@@ -1,0 +1,205 @@
+"""The little rclpy glue that all nodes share: quality of service, settings, diagnostics, life and death.
+
+A node of this suite is a class derived from `SuiteNode`, run by `run_node`:
+
+    class Controller(SuiteNode):
+        PARAMETERS = (Parameter("timeout", 0.5, "Age of a stale scan [s].", minimum=0.05, maximum=5.0),)
+
+        def __init__(self) -> None:
+            super().__init__("controller")
+            self.create_timer(self.settings["timeout"], self.stop)
+
+
+    def main() -> int:
+        return run_node(Controller)
+"""
+
+from __future__ import annotations
+
+import inspect
+import signal
+import sys
+from array import array
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import numpy as np
+import rclpy
+from builtin_interfaces.msg import Time as TimeMsg
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from numpy.typing import NDArray
+from rcl_interfaces.msg import SetParametersResult
+from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError
+from rclpy.clock import Clock, ClockType
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
+from rclpy.signals import SignalHandlerOptions
+
+from ctrl_rl_core.errors import CtrlRlError
+from ctrl_rl_core.parameters import Parameter, ParameterError, declare, help_text
+
+SENSOR = qos_profile_sensor_data
+"""Subscribers to scan and odom: best effort matches every publisher, the real robot's too."""
+SCAN_PUBLISHER = QoSProfile(depth=5)
+ODOM_PUBLISHER = QoSProfile(depth=10)
+COMMAND = QoSProfile(depth=1)
+RESULT = QoSProfile(depth=100)
+"""Rewards, values, latents, episode states: every message counts, bursts are buffered."""
+LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+EXIT_FAILURE = 1
+EXIT_USAGE = 2
+_POLL_S = 0.1
+
+Status = tuple[bytes, str, Mapping[str, object]]
+"""Level (a DiagnosticStatus constant), one line of text, key figures."""
+
+
+class SuiteNode(Node):
+    """A node with checked settings, diagnostics at 1 Hz of wall time, and a last word before it stops.
+
+    Attributes:
+        PARAMETERS: the table of the node's parameters.
+        settings: their values by name; kept up to date where `ros2 param set` changes them.
+    """
+
+    PARAMETERS: ClassVar[tuple[Parameter, ...]] = ()
+
+    def __init__(self, name: str, **kwargs: Any) -> None:
+        super().__init__(name, **kwargs)
+        self.settings = declare(self, self.PARAMETERS)
+        for given in self._parameter_overrides:
+            if not self.has_parameter(given):
+                self.get_logger().warning(f"parameter '{given}' is unknown to this node and has no effect: see --help")
+        self.add_on_set_parameters_callback(self._set_parameters)
+        self._diagnostics = self.create_publisher(DiagnosticArray, "diagnostics", 10)
+        self.create_timer(1.0, self._publish_diagnostics, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def status(self) -> Status:
+        """Return what `diagnostics` says; override it."""
+        return ok("running")
+
+    def setting_changed(self, name: str) -> None:
+        """Act on a live parameter that now has another value; override it where it matters."""
+
+    def stop(self) -> None:
+        """Say the last word (zero velocity, a finished file) while publishers still work; called once, override it."""
+
+    def _publish_diagnostics(self) -> None:
+        level, message, values = self.status()
+        status = DiagnosticStatus(
+            level=level,
+            name=self.get_fully_qualified_name(),
+            message=message,
+            hardware_id=self.get_namespace(),
+            values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
+        )
+        out = DiagnosticArray(status=[status])
+        out.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(out)
+
+    def _set_parameters(self, changes: list[Any]) -> SetParametersResult:
+        table = {parameter.name: parameter for parameter in self.PARAMETERS}
+        try:
+            for change in changes:
+                if change.name in table:
+                    table[change.name].check(change.value)
+        except ParameterError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        for change in changes:
+            if change.name in table:
+                self.settings[change.name] = change.value
+                self.setting_changed(change.name)
+        return SetParametersResult(successful=True)
+
+
+def run_node(kind: type[SuiteNode], arguments: list[str] | None = None) -> int:
+    """Run one node until SIGINT, SIGTERM or shutdown and return the process's exit code.
+
+    The signals are caught here rather than by rclpy, which would close the publishers before `SuiteNode.stop`
+    could send its zero velocity. 0: stopped in good order; 1: the work failed; 2: a wrong parameter or argument.
+    """
+    arguments = sys.argv if arguments is None else arguments
+    program = arguments[0].rsplit("/", 1)[-1]
+    if "-h" in arguments[1:] or "--help" in arguments[1:]:
+        _say(help_text(program, inspect.getdoc(kind) or "", kind.PARAMETERS), sys.stdout)
+        return 0
+    stopping = False
+
+    def request_stop(_signal: int, _frame: object) -> None:
+        nonlocal stopping
+        stopping = True
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, request_stop)
+    node: SuiteNode | None = None
+    try:
+        extra = _initialise(arguments)
+        if extra:
+            raise ParameterError(f"unknown argument '{extra[0]}': see --help")
+        node = kind()  # type: ignore[call-arg]
+        executor = SingleThreadedExecutor()
+        executor.add_node(node)
+        while not stopping and rclpy.ok():
+            executor.spin_once(timeout_sec=_POLL_S)
+    except CtrlRlError as error:
+        _say(f"{program}: {error}", sys.stderr)
+        return EXIT_USAGE if isinstance(error, ParameterError) else EXIT_FAILURE
+    except ExternalShutdownException:
+        pass
+    finally:
+        _close(node)
+    return 0
+
+
+def _initialise(arguments: list[str]) -> list[str]:
+    """Start rclpy with the process's signals left alone and return the arguments that are not ROS's."""
+    try:
+        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+        return list(rclpy.utilities.remove_ros_args(arguments))[1:]
+    except UnknownROSArgsError as error:
+        raise ParameterError(f"unknown ROS argument {error}: see --help") from None
+    except RCLError as error:
+        raise ParameterError(f"wrong ROS arguments ({str(error).split(', at ')[0]}): see --help") from None
+
+
+def _close(node: SuiteNode | None) -> None:
+    try:
+        if node is not None and rclpy.ok():
+            node.stop()
+    finally:
+        if node is not None:
+            node.destroy_node()
+        rclpy.try_shutdown()
+
+
+def ok(message: str, **values: object) -> Status:
+    """Return a healthy `SuiteNode.status`."""
+    return DiagnosticStatus.OK, message, values
+
+
+def warn(message: str, **values: object) -> Status:
+    """Return a `SuiteNode.status` that asks for attention."""
+    return DiagnosticStatus.WARN, message, values
+
+
+def seconds(stamp: TimeMsg) -> float:
+    """Return a time stamp in seconds."""
+    return stamp.sec + 1e-9 * stamp.nanosec
+
+
+def to_stamp(nanoseconds: int) -> TimeMsg:
+    """Return a time stamp from whole nanoseconds."""
+    return TimeMsg(sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9)
+
+
+def float32_array(values: NDArray[np.floating]) -> array[float]:
+    """Return `values` as the array that a float32[] field takes whole; an ndarray is copied element by element."""
+    out = array("f")
+    out.frombytes(np.ascontiguousarray(values, dtype=np.float32).tobytes())
+    return out
+
+
+def _say(text: str, stream: Any) -> None:
+    print(text, file=stream)

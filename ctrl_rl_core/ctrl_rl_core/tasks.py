@@ -1,0 +1,172 @@
+"""Tasks as validated YAML: one file says what solver, MPC, simulator, rewards and reports all need to know.
+
+    task = load_task("curved_corridor")     # a task of the suite, or a path to a file of your own
+    world = task.build_world(width=0.65)
+
+A file that has a wrong key, unit or shape is refused with one error that names file and key.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path as FilePath
+from typing import Annotated, Any, Literal
+
+import yaml
+from pydantic import Discriminator, Field, TypeAdapter, ValidationError, model_validator
+
+from ctrl_rl_core.errors import CtrlRlError
+from ctrl_rl_core.option_tasks import ToolDelivery, WaterFilling
+from ctrl_rl_core.task_parts import (
+    ArenaSpec,
+    CorridorSpec,
+    EpisodeSpec,
+    GridSpec,
+    LidarSpec,
+    ObstacleSpec,
+    OptimalControlSpec,
+    RegionSpec,
+    RewardSpec,
+    RobotSpec,
+    SystemSpec,
+    TaskHeader,
+    World,
+)
+
+FOLDER = FilePath(__file__).parent / "task_files"
+_PROSE = {"about", "source", "differences"}
+
+
+class TaskError(CtrlRlError):
+    """A task file is missing or wrong."""
+
+
+class NavigationTask(TaskHeader):
+    """A robot goes from a start set to a goal set in a plane, (x, y) or (x, z), among obstacles."""
+
+    kind: Literal["navigation"]
+    system: SystemSpec
+    robot: RobotSpec
+    arena: ArenaSpec | None = None
+    corridor: CorridorSpec | None = None
+    start: RegionSpec
+    goal: RegionSpec
+    trap: RegionSpec | None = None
+    obstacles: tuple[ObstacleSpec, ...] = ()
+    episode: EpisodeSpec
+    rewards: RewardSpec
+    lidar: LidarSpec
+    grid: dict[str, GridSpec] = Field(default_factory=dict)
+    optimal_control: OptimalControlSpec | None = None
+
+    @model_validator(mode="after")
+    def _one_place(self) -> NavigationTask:
+        if (self.arena is None) == (self.corridor is None):
+            raise ValueError("needs either 'arena' or 'corridor'")
+        names = {"s", "lateral", "heading"} if self.corridor else set(self.system.build().state_names)
+        for key in ("start", "goal", "trap"):
+            region: RegionSpec | None = getattr(self, key)
+            unknown = set() if region is None else set(region.intervals) - names
+            if unknown:
+                raise ValueError(f"{key}.{min(unknown)}: no such state component; there are {', '.join(sorted(names))}")
+        return self
+
+    @property
+    def plane(self) -> str:
+        """The coordinates of the plane: "xz" for a quadrotor, "xy" for what drives."""
+        return "xz" if "z" in self.system.build().state_names else "xy"
+
+    def build_world(self, width: float | None = None) -> World:
+        """Return walls and obstacles; `width` [m] replaces the corridor's nominal one.
+
+        Raises:
+            TaskError: there is no corridor, or its width range does not hold `width`.
+        """
+        shapes = tuple(obstacle.shape for obstacle in self.obstacles)
+        if self.corridor is None:
+            if width is not None:
+                raise TaskError(f"task '{self.name}' has no corridor: its width cannot be set")
+            assert self.arena is not None
+            return World(walls=self.arena.walls(), obstacles=shapes, path=None, width=None)
+        width = self.corridor.width if width is None else width
+        if width not in self.corridor.width_range:
+            low, high = self.corridor.width_range
+            raise TaskError(f"width {width:g} m: task '{self.name}' allows {low:g} to {high:g} m")
+        return World(walls=self.corridor.walls(width), obstacles=shapes, path=self.corridor.path, width=width)
+
+
+Task = NavigationTask | ToolDelivery | WaterFilling
+_READER: TypeAdapter[Task] = TypeAdapter(Annotated[Task, Discriminator("kind")])
+
+
+def task_names() -> tuple[str, ...]:
+    """Return the names of the suite's own tasks."""
+    return tuple(sorted(file.stem for file in FOLDER.glob("*.yaml")))
+
+
+def load_task(name_or_path: str | FilePath) -> Task:
+    """Read a task by name, or from a file.
+
+    Raises:
+        TaskError: no such task, or the file is wrong; the message names file and key.
+    """
+    path = FilePath(name_or_path)
+    if path.suffix not in (".yaml", ".yml"):
+        path = FOLDER / f"{name_or_path}.yaml"
+        if not path.is_file():
+            raise TaskError(f"no task '{name_or_path}': there are {', '.join(task_names())}, or give a .yaml file")
+    try:
+        content = yaml.load(path.read_text(encoding="utf-8"), _StrictLoader)
+    except OSError as error:
+        raise TaskError(f"{path}: {error.strerror}") from None
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise TaskError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from None
+    try:
+        task = _READER.validate_python(content)
+    except ValidationError as error:
+        raise TaskError(f"{path}: {_first_error(error)}") from None
+    if task.name != path.stem:
+        raise TaskError(f"{path}: name: is '{task.name}', must be the file's name '{path.stem}'")
+    return task
+
+
+def load_navigation_task(name_or_path: str | FilePath) -> NavigationTask:
+    """Read a task that must be a navigation task.
+
+    Raises:
+        TaskError: as `load_task`, or the task is of another kind.
+    """
+    task = load_task(name_or_path)
+    if not isinstance(task, NavigationTask):
+        raise TaskError(f"task '{task.name}' is of kind '{task.kind}': a navigation task is needed here")
+    return task
+
+
+def task_digest(task: Task) -> str:
+    """Return the SHA-256 (hex) of what the task says in SI units; prose and layout of the file do not count."""
+    return hashlib.sha256(task.model_dump_json(exclude=_PROSE).encode()).hexdigest()
+
+
+class _StrictLoader(yaml.SafeLoader):
+    """YAML without duplicate keys, which plain YAML lets the last one win."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        keys = [self.construct_object(key, deep=deep) for key, _ in node.value]
+        for index, key in enumerate(keys):
+            if key in keys[:index]:
+                raise yaml.YAMLError(
+                    f"key '{key}' stands twice, the second time in line {node.value[index][0].start_mark.line + 1}"
+                )
+        return super().construct_mapping(node, deep=deep)
+
+
+def _first_error(error: ValidationError) -> str:
+    """Return the first of the errors as `key.key: what is wrong`, and how many more there are."""
+    errors = error.errors(include_url=False)
+    first = errors[0]
+    kinds = ("navigation", "tool_delivery", "water_filling")
+    key = ".".join(str(part) for part in first["loc"] if part not in kinds)
+    text = {"extra_forbidden": "no such key", "missing": "is missing"}.get(first["type"], first["msg"])
+    text = text.removeprefix("Value error, ")
+    more = f" (and {len(errors) - 1} more)" if len(errors) > 1 else ""
+    return f"{key}: {text}{more}" if key else f"{text}{more}"

@@ -1,0 +1,74 @@
+"""`ros2 run koopman_lqr_controller train`: from bags of a drive to a policy file."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from ctrl_rl_core.errors import CtrlRlError
+from ctrl_rl_core.tasks import load_navigation_task, task_digest
+from tqdm import tqdm
+
+from koopman_lqr_controller.drives import snapshots_of
+from koopman_lqr_controller.edmd import Snapshots
+from koopman_lqr_controller.observables import CorridorObservables
+from koopman_lqr_controller.policy import KoopmanPolicy
+from koopman_lqr_controller.policy_file import save_policy
+from koopman_lqr_controller.training import train
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command and return its exit code."""
+    options = _parser().parse_args(arguments)
+    try:
+        policy = _train(options)
+        save_policy(policy, options.output, overwrite=options.overwrite)
+    except CtrlRlError as error:
+        print(f"train: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("train: interrupted, nothing written", file=sys.stderr)
+        return 130
+    _report(policy, options.output)
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="train",
+        description="Learn the two-stage Koopman controller (thesis 2.3.1): EDMD on recorded drives, then its LQR.",
+    )
+    parser.add_argument("bags", nargs="+", type=Path, help="rosbag2 folders with scan, odom and cmd_vel")
+    parser.add_argument("--output", type=Path, required=True, help="policy file to write (.safetensors)")
+    parser.add_argument(
+        "--task", default="curved_corridor", help="task that sets the command limits (default %(default)s)"
+    )
+    parser.add_argument("--robot", default="", help="namespace of the topics in the bags (default: none)")
+    parser.add_argument("--speed", type=float, default=0.18, help="speed to drive at [m/s] (default %(default)s)")
+    parser.add_argument(
+        "--held-out", type=float, default=0.2, help="part of the data to test the model on (default %(default)s)"
+    )
+    parser.add_argument("--overwrite", action="store_true", help="replace an existing policy file")
+    return parser
+
+
+def _train(options: argparse.Namespace) -> KoopmanPolicy:
+    task = load_navigation_task(options.task)
+    limits = (task.robot.commands["v"], task.robot.commands["omega"])
+    observables = CorridorObservables()
+    sequences: list[Snapshots] = []
+    for bag in tqdm(options.bags, desc="reading", unit="bag", disable=None):
+        sequences += snapshots_of(bag, observables, options.robot)
+    manifest = {"task": task.name, "task_digest": task_digest(task), "bags": [bag.name for bag in options.bags]}
+    return train(sequences, observables, options.speed, limits, held_out=options.held_out, manifest=manifest)
+
+
+def _report(policy: KoopmanPolicy, path: Path) -> None:
+    figures = policy.manifest
+    counts = figures["snapshots"]
+    print(f"snapshots            {counts['fitted']} fitted, {counts['held_out']} held out")
+    print(f"one-step error       {figures['error_over_persistence']:.2f} of that of 'nothing changes' (held out)")
+    print(f"closed loop          spectral radius {figures['spectral_radius']:.3f}")
+    print(f"Riccati residual     {figures['dare_residual']:.1e}")
+    print(f"policy               {path}")

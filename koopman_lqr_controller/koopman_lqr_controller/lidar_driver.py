@@ -1,0 +1,128 @@
+"""What every node that drives a robot from its lidar does: listen, decide, command, and stop when in doubt."""
+
+from __future__ import annotations
+
+import time
+from abc import abstractmethod
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+from ctrl_rl_core.parameters import Parameter
+from ctrl_rl_core.ros import COMMAND, SENSOR, Status, SuiteNode, ok, warn
+from geometry_msgs.msg import Twist, TwistStamped
+from nav_msgs.msg import Odometry
+from numpy.typing import NDArray
+from sensor_msgs.msg import LaserScan
+from std_msgs.msg import Header
+
+from koopman_lqr_controller.errors import KoopmanError
+from koopman_lqr_controller.lidar import ScanGeometry
+
+DRIVER_PARAMETERS = (
+    Parameter("enable_stamped_cmd_vel", True, "Publish cmd_vel as TwistStamped (Jazzy) instead of Twist (Humble)."),
+    Parameter("scan_timeout", 0.5, "Age of the last scan or odometry that stops the robot [s].", 0.05, 10.0),
+    Parameter("lidar_yaw", 0.0, "Direction of the scan's zero bearing in the robot's frame [rad].", -3.1416, 3.1416),
+    Parameter("base_frame", "base_link", "Frame of the commands."),
+)
+_RECENT = 1000
+
+
+class Sensed(NamedTuple):
+    """What a driver knows when it decides: ranges (beams,) [m] and their geometry, speed [m/s], turn rate [rad/s]."""
+
+    ranges: NDArray[np.float32]
+    scan: ScanGeometry
+    v: float
+    omega: float
+    header: Header
+
+
+class LidarDriver(SuiteNode):
+    """Publishes one clamped cmd_vel for each scan, zero velocity on stale or unusable input and when it stops."""
+
+    PARAMETERS: ClassVar[tuple[Parameter, ...]] = DRIVER_PARAMETERS
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name)
+        self._stamped: bool = self.settings["enable_stamped_cmd_vel"]
+        self._publisher = self.create_publisher(TwistStamped if self._stamped else Twist, "cmd_vel", COMMAND)
+        self._odometry: tuple[float, float] | None = None
+        self._odometry_at = self._scan_at = self.get_clock().now()
+        self._counts = {"scans": 0, "commands": 0, "unusable": 0, "stale": 0}
+        self._problem = "waiting for scan and odometry"
+        self._latencies: list[float] = []
+        self.create_subscription(Odometry, "odom", self._on_odometry, SENSOR)
+        self.create_subscription(LaserScan, "scan", self._on_scan, SENSOR)
+        self.create_timer(0.5 * self.settings["scan_timeout"], self._watch)
+
+    @abstractmethod
+    def decide(self, sensed: Sensed) -> NDArray[np.float64]:
+        """Return speed [m/s] and turn rate [rad/s] (2,) for one scan, within the robot's limits.
+
+        Raises:
+            KoopmanError: the input does not allow a command; the robot then stops.
+        """
+
+    def stop(self) -> None:
+        """Leave the robot standing."""
+        self._publish(np.zeros(2), self._now_header())
+
+    def status(self) -> Status:
+        """Say whether commands flow, and how quickly."""
+        figures: dict[str, object] = dict(self._counts)
+        if self._latencies:
+            p50, p99 = np.percentile(self._latencies, (50, 99)) * 1e3
+            figures |= {"decision p50 [ms]": f"{p50:.3f}", "decision p99 [ms]": f"{p99:.3f}"}
+        return warn(self._problem, **figures) if self._problem else ok("driving", **figures)
+
+    def _on_odometry(self, message: Odometry) -> None:
+        twist = message.twist.twist
+        self._odometry = (twist.linear.x, twist.angular.z)
+        self._odometry_at = self.get_clock().now()
+
+    def _on_scan(self, message: LaserScan) -> None:
+        begin = time.perf_counter()
+        self._counts["scans"] += 1
+        self._scan_at = self.get_clock().now()
+        if self._odometry is None or self._age(self._odometry_at) > self.settings["scan_timeout"]:
+            self._halt("no recent odometry")
+            return
+        try:
+            command = self.decide(self._sensed(message, *self._odometry))
+        except KoopmanError as error:
+            self._counts["unusable"] += 1
+            self._halt(str(error))
+            return
+        self._problem = ""
+        self._counts["commands"] += 1
+        self._publish(command, Header(stamp=message.header.stamp, frame_id=self.settings["base_frame"]))
+        self._latencies = [*self._latencies[-_RECENT:], time.perf_counter() - begin]
+
+    def _sensed(self, message: LaserScan, v: float, omega: float) -> Sensed:
+        ranges = np.frombuffer(message.ranges, np.float32)
+        bearing = message.angle_min + self.settings["lidar_yaw"]
+        scan = ScanGeometry(len(ranges), bearing, message.angle_increment, message.range_min, message.range_max)
+        return Sensed(ranges, scan, v, omega, message.header)
+
+    def _watch(self) -> None:
+        """Stop the robot when scans stay away; the clock is ROS's, so that a paused simulation is not stale."""
+        if self._age(self._scan_at) > self.settings["scan_timeout"]:
+            self._counts["stale"] += 1
+            self._halt("no recent scan")
+
+    def _halt(self, problem: str) -> None:
+        if problem != self._problem:
+            self.get_logger().warning(f"stopping: {problem}")
+        self._problem = problem
+        self._publish(np.zeros(2), self._now_header())
+
+    def _age(self, then: object) -> float:
+        return float((self.get_clock().now() - then).nanoseconds) * 1e-9
+
+    def _now_header(self) -> Header:
+        return Header(stamp=self.get_clock().now().to_msg(), frame_id=self.settings["base_frame"])
+
+    def _publish(self, command: NDArray[np.float64], header: Header) -> None:
+        twist = Twist()
+        twist.linear.x, twist.angular.z = float(command[0]), float(command[1])
+        self._publisher.publish(TwistStamped(header=header, twist=twist) if self._stamped else twist)

@@ -1,0 +1,103 @@
+"""A Koopman-LQR controller as it runs on the robot: lift, multiply, clamp. NumPy only."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from koopman_lqr_controller.edmd import LinearModel
+from koopman_lqr_controller.errors import KoopmanError
+from koopman_lqr_controller.lidar import ScanGeometry, Sectors
+from koopman_lqr_controller.observables import CorridorObservables
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Decision:
+    """One command and how it came about.
+
+    Attributes:
+        command: u clamped to the limits (2,): speed [m/s], turn rate [rad/s].
+        control: u before clamping (2,).
+        z: lifted state (n,).
+        z_next: the model's prediction of the next z under `command` (n,).
+        cost_to_go: (z - z_ref)^T P (z - z_ref).
+    """
+
+    command: Array
+    control: Array
+    z: Array
+    z_next: Array
+    cost_to_go: float
+
+
+@dataclass(frozen=True)
+class KoopmanPolicy:
+    """u = u_ref - K (z - z_ref), z = Psi(x).
+
+    Attributes:
+        observables: Psi.
+        model: of deviations from the reference.
+        K: gain (2, n).
+        P: cost-to-go (n, n).
+        z_ref: where to be (n,).
+        u_ref: what holds it there (2,): speed [m/s], turn rate [rad/s].
+        u_low: least command (2,).
+        u_high: largest command (2,).
+        manifest: what was learned from, and how well: plain JSON values.
+    """
+
+    observables: CorridorObservables
+    model: LinearModel
+    K: Array
+    P: Array
+    z_ref: Array
+    u_ref: Array
+    u_low: Array
+    u_high: Array
+    manifest: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        n, m = len(self.observables.names), 2
+        shapes = {
+            "A": (self.model.A, (n, n)),
+            "B": (self.model.B, (n, m)),
+            "K": (self.K, (m, n)),
+            "P": (self.P, (n, n)),
+            "z_ref": (self.z_ref, (n,)),
+            "u_ref": (self.u_ref, (m,)),
+            "u_low": (self.u_low, (m,)),
+            "u_high": (self.u_high, (m,)),
+        }
+        for name, (array, shape) in shapes.items():
+            if array.shape != shape:
+                raise KoopmanError(f"{name} has shape {array.shape}, must have {shape} for {n} observables")
+            if not np.isfinite(array).all():
+                raise KoopmanError(f"{name} holds values that are not finite")
+        if not (self.u_low < self.u_high).all():
+            raise KoopmanError("u_low must lie below u_high")
+
+    @property
+    def sectors(self) -> Sectors:
+        """What the policy takes from a scan."""
+        return self.observables.sectors
+
+    def decide(self, ranges: NDArray[np.float32], scan: ScanGeometry, v: float, omega: float) -> Decision:
+        """Return the command for one scan and the odometry's speed [m/s] and turn rate [rad/s].
+
+        Raises:
+            KoopmanError: nothing can be seen in the scan, or speed or turn rate are not finite.
+        """
+        if not (np.isfinite(v) and np.isfinite(omega)):
+            raise KoopmanError(f"odometry with speed {v} and turn rate {omega}")
+        z = self.observables.lift(self.sectors.distances(ranges, scan), v, omega)
+        deviation = z - self.z_ref
+        control = self.u_ref - self.K @ deviation
+        command = np.clip(control, self.u_low, self.u_high)
+        z_next = self.z_ref + self.model.predict(deviation, command - self.u_ref)
+        return Decision(command, control, z, z_next, float(deviation @ self.P @ deviation))

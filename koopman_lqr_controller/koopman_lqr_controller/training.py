@@ -1,0 +1,103 @@
+"""The two-stage, model-oriented Koopman controller (thesis 2.3.1): first the model by EDMD, then its LQR."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import reduce
+from operator import add
+from typing import Any
+
+import numpy as np
+from ctrl_rl_core.units import Interval
+
+from koopman_lqr_controller.edmd import Snapshots, fit, persistence_error
+from koopman_lqr_controller.errors import KoopmanError
+from koopman_lqr_controller.observables import CorridorObservables
+from koopman_lqr_controller.policy import KoopmanPolicy
+from koopman_lqr_controller.riccati import solve_lqr
+
+
+@dataclass(frozen=True)
+class Weights:
+    """The quadratic cost, chosen by hand: the step that task-oriented learning replaces.
+
+    Attributes:
+        side: on being off the middle (see `CorridorObservables.state_cost`).
+        ahead: on facing a wall.
+        speed: on the squared speed error [s^2/m^2].
+        acceleration: on the squared deviation of the commanded speed [s^2/m^2].
+        turning: on the squared turn rate [s^2/rad^2].
+    """
+
+    side: float = 1.0
+    ahead: float = 1.0
+    speed: float = 10.0
+    acceleration: float = 10.0
+    turning: float = 0.5
+
+
+def train(
+    sequences: Sequence[Snapshots],
+    observables: CorridorObservables,
+    speed: float,
+    limits: tuple[Interval, Interval],
+    weights: Weights | None = None,
+    held_out: float = 0.2,
+    manifest: dict[str, Any] | None = None,
+) -> KoopmanPolicy:
+    """Fit model and regulator and return the policy, with its figures in the manifest.
+
+    Args:
+        sequences: of one or more drives; the last part of them measures the model and is not fitted.
+        observables: Psi.
+        speed: to drive at [m/s].
+        limits: of the speed [m/s] and the turn rate [rad/s].
+        weights: of the cost; the defaults where left out.
+        held_out: part of the snapshots that is kept for the measure, 0 <= held_out < 1.
+        manifest: more to be kept in the policy.
+
+    Raises:
+        KoopmanError: too little data, or no stabilising regulator.
+    """
+    if not sequences:
+        raise KoopmanError("no snapshots: record a drive first")
+    weights = weights or Weights()
+    seen, unseen = _split(reduce(add, sequences), held_out)
+    z_ref = np.zeros(len(observables.names))
+    z_ref[-1] = speed
+    u_ref = np.array([speed, 0.0])
+    # What was driven left could have been driven right: the mirrored drive is as true, and makes the model symmetric.
+    data = seen.centred(z_ref, u_ref)
+    model = fit(data + data.mirrored(observables.mirror, np.array([1.0, -1.0])))
+    Q = np.diag(observables.state_cost(weights.side, weights.ahead, weights.speed))
+    R = np.diag([weights.acceleration, weights.turning])
+    regulator = solve_lqr(model, Q, R)
+    test = unseen.centred(z_ref, u_ref)
+    error, persistence = model.one_step_error(test), persistence_error(test)
+    figures = {
+        "method": "EDMD and infinite-horizon LQR, two stages (thesis 2.3.1)",
+        "speed": speed,
+        "weights": vars(weights),
+        "snapshots": {"fitted": len(seen), "held_out": len(unseen)},
+        "one_step_error": error.tolist(),
+        "persistence_error": persistence.tolist(),
+        "error_over_persistence": float(np.linalg.norm(error) / np.linalg.norm(persistence)),
+        "spectral_radius": regulator.spectral_radius,
+        "dare_residual": regulator.residual,
+    }
+    low, high = np.array(limits).T
+    return KoopmanPolicy(
+        observables, model, regulator.K, regulator.P, z_ref, u_ref, low, high, {**(manifest or {}), **figures}
+    )
+
+
+def _split(data: Snapshots, held_out: float) -> tuple[Snapshots, Snapshots]:
+    """Cut off the last part; where nothing is held out the measure is on what was fitted."""
+    cut = len(data) - int(held_out * len(data))
+    if cut == len(data):
+        return data, data
+    return (
+        Snapshots(data.z[:cut], data.u[:cut], data.z_next[:cut]),
+        Snapshots(data.z[cut:], data.u[cut:], data.z_next[cut:]),
+    )

@@ -1,0 +1,146 @@
+"""Observables, policies and their files."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from ctrl_rl_core.units import Interval
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from koopman_lqr_controller.edmd import Snapshots
+from koopman_lqr_controller.errors import KoopmanError
+from koopman_lqr_controller.lidar import ScanGeometry
+from koopman_lqr_controller.observables import CorridorObservables
+from koopman_lqr_controller.policy import KoopmanPolicy
+from koopman_lqr_controller.policy_file import find_policy, load_policy, save_policy, shipped_policies
+from koopman_lqr_controller.training import train
+from safetensors.numpy import load_file, save_file
+
+OBSERVABLES = CorridorObservables()
+LIMITS = (Interval(-0.22, 0.22), Interval(-2.84, 2.84))
+
+
+def some_policy() -> KoopmanPolicy:
+    random = np.random.default_rng(0)
+    n = len(OBSERVABLES.names)
+    z, u = random.normal(size=(600, n)), random.normal(size=(600, 2))
+    B = np.zeros((n, 2))
+    B[-2, 1] = B[-1, 0] = 0.9
+    B[: n - 2, 1] = -0.1
+    z_next = 0.9 * z + u @ B.T
+    return train([Snapshots(z, u, z_next)], OBSERVABLES, speed=0.18, limits=LIMITS)
+
+
+@pytest.fixture(scope="module")
+def policy() -> KoopmanPolicy:
+    return some_policy()
+
+
+def between_walls(width: float, offset: float, heading: float, beams: int = 360) -> np.ndarray:
+    """Ranges of a lidar between two endless straight walls; offset [m] to the left, heading [rad] to the left."""
+    bearing = np.arange(beams) * 2 * np.pi / beams + heading
+    with np.errstate(divide="ignore"):
+        ahead = np.where(np.sin(bearing) > 0, (width / 2 - offset), (width / 2 + offset)) / np.abs(np.sin(bearing))
+    return np.minimum(ahead, 3.5).astype(np.float32)
+
+
+def scan_of(ranges: np.ndarray) -> ScanGeometry:
+    return ScanGeometry(len(ranges), 0.0, 2 * np.pi / len(ranges), 0.12, 3.5)
+
+
+def lift(ranges: np.ndarray, v: float = 0.18, omega: float = 0.0) -> np.ndarray:
+    return OBSERVABLES.lift(OBSERVABLES.sectors.distances(ranges, scan_of(ranges)), v, omega)
+
+
+def test_the_middle_of_a_straight_corridor_is_the_reference(policy: KoopmanPolicy) -> None:
+    assert lift(between_walls(0.7, 0.0, 0.0)) == pytest.approx(policy.z_ref, abs=1e-6)
+
+
+@settings(deadline=None)
+@given(st.floats(-0.2, 0.2), st.floats(-0.5, 0.5), st.floats(-1, 1))
+def test_swapping_left_and_right_changes_the_signs_that_mirror_says(
+    offset: float, heading: float, omega: float
+) -> None:
+    one = lift(between_walls(0.7, offset, heading), omega=omega)
+    other = lift(between_walls(0.7, -offset, -heading), omega=-omega)
+    assert other == pytest.approx(OBSERVABLES.mirror * one, abs=1e-5)
+
+
+def test_nearer_to_the_left_wall_is_positive_and_grows() -> None:
+    index = OBSERVABLES.bearings_deg.index(90.0)
+    values = [lift(between_walls(0.7, offset, 0.0))[index] for offset in (0.0, 0.05, 0.1, 0.15)]
+    assert values == sorted(values)
+    assert values[1] > 0.05
+
+
+def test_commands_stay_within_limits_and_predictions_follow_the_model(policy: KoopmanPolicy) -> None:
+    ranges = between_walls(0.7, 0.15, 0.6)
+    decision = policy.decide(ranges, scan_of(ranges), v=0.1, omega=2.0)
+    assert (decision.command >= policy.u_low).all()
+    assert (decision.command <= policy.u_high).all()
+    assert decision.command == pytest.approx(np.clip(decision.control, policy.u_low, policy.u_high))
+    expected = (
+        policy.z_ref + policy.model.A @ (decision.z - policy.z_ref) + policy.model.B @ (decision.command - policy.u_ref)
+    )
+    assert decision.z_next == pytest.approx(expected)
+    assert decision.cost_to_go >= 0.0
+
+
+@pytest.mark.parametrize(("v", "omega"), [(float("nan"), 0.0), (0.0, float("inf"))])
+def test_odometry_that_is_not_finite_is_refused(policy: KoopmanPolicy, v: float, omega: float) -> None:
+    ranges = between_walls(0.7, 0.0, 0.0)
+    with pytest.raises(KoopmanError, match="odometry"):
+        policy.decide(ranges, scan_of(ranges), v, omega)
+
+
+def test_a_file_gives_the_same_policy_back(policy: KoopmanPolicy, tmp_path: Path) -> None:
+    path = tmp_path / "policy.safetensors"
+    save_policy(policy, path)
+    again = load_policy(path)
+    ranges = between_walls(0.65, 0.1, 0.2)
+    one, other = (p.decide(ranges, scan_of(ranges), 0.1, 0.3) for p in (policy, again))
+    assert (one.command == other.command).all()
+    assert again.manifest == json.loads(json.dumps(policy.manifest))
+    assert [file.name for file in tmp_path.iterdir()] == ["policy.safetensors"]
+    with pytest.raises(KoopmanError, match="exists"):
+        save_policy(policy, path)
+    save_policy(policy, path, overwrite=True)
+
+
+def test_a_broken_file_gives_one_clear_error(policy: KoopmanPolicy, tmp_path: Path) -> None:
+    path = tmp_path / "policy.safetensors"
+    save_policy(policy, path)
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(KoopmanError, match="not a readable policy file"):
+        load_policy(path)
+    path.write_bytes(whole)
+    tensors = load_file(path)
+    save_file(tensors, path)
+    with pytest.raises(KoopmanError, match="format is"):
+        load_policy(path)
+    with pytest.raises(KoopmanError, match="no policy 'missing'"):
+        find_policy("missing")
+
+
+def test_a_policy_with_a_wrong_shape_or_nan_is_refused(policy: KoopmanPolicy) -> None:
+    given = {name: getattr(policy, name) for name in ("observables", "model", "P", "z_ref", "u_ref", "u_low", "u_high")}
+    with pytest.raises(KoopmanError, match="K has shape"):
+        KoopmanPolicy(**given, K=policy.K[:, 1:])
+    with pytest.raises(KoopmanError, match="K holds values"):
+        KoopmanPolicy(**given, K=np.full_like(policy.K, np.nan))
+
+
+def test_the_shipped_policies_are_whole_stable_and_drive_straight_in_the_middle() -> None:
+    assert "curved_corridor_edmd" in shipped_policies()
+    for path in shipped_policies().values():
+        shipped = load_policy(path)
+        assert shipped.manifest["spectral_radius"] < 1.0
+        assert shipped.manifest["dare_residual"] < 1e-8
+        assert shipped.manifest["error_over_persistence"] < 1.0
+        ranges = between_walls(0.7, 0.0, 0.0)
+        middle = shipped.decide(ranges, scan_of(ranges), shipped.manifest["speed"], 0.0)
+        assert middle.command == pytest.approx([shipped.manifest["speed"], 0.0], abs=1e-3)
+        left = shipped.decide(between_walls(0.7, 0.1, 0.0), scan_of(ranges), shipped.manifest["speed"], 0.0)
+        assert left.command[1] < -0.05

@@ -1,0 +1,91 @@
+"""Any scan to fixed bearings: varying lengths, inf, NaN, zeros."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from koopman_lqr_controller.errors import KoopmanError
+from koopman_lqr_controller.lidar import ScanGeometry, Sectors
+
+FAR = 3.5
+SECTORS = Sectors(tuple(np.deg2rad([-90.0, -45.0, 0.0, 45.0, 90.0]).tolist()), float(np.deg2rad(5.0)), FAR)
+
+
+def scan_of(beams: int, angle_min: float = 0.0, range_max: float = FAR) -> ScanGeometry:
+    return ScanGeometry(beams, angle_min, 2 * np.pi / beams, 0.12, range_max)
+
+
+def distances(ranges: np.ndarray, scan: ScanGeometry) -> np.ndarray:
+    return SECTORS.distances(np.asarray(ranges, dtype=np.float32), scan)
+
+
+@settings(deadline=None)
+@given(st.integers(240, 720), st.floats(-np.pi, np.pi))
+def test_number_of_beams_and_first_bearing_do_not_matter(beams: int, angle_min: float) -> None:
+    scan = scan_of(beams, angle_min)
+    bearings = angle_min + np.arange(beams) * scan.angle_increment
+    smooth = 1.5 + np.cos(bearings)
+    assert distances(smooth, scan) == pytest.approx(1.5 + np.cos(SECTORS.bearings), abs=0.05)
+
+
+@settings(deadline=None)
+@given(st.integers(0, 2**32 - 1), st.floats(0.0, 0.3))
+def test_a_third_of_misses_moves_a_constant_scan_nowhere(seed: int, share: float) -> None:
+    random = np.random.default_rng(seed)
+    ranges = np.full(720, 1.25)
+    missed = random.random(720) < share
+    ranges[missed] = np.nan
+    assert distances(ranges, scan_of(720)) == pytest.approx(1.25)
+
+
+def test_each_special_value_means_what_rep_117_says() -> None:
+    ranges = np.full(360, 1.0)
+    at = {bearing: np.arange(bearing - 5, bearing + 6) % 360 for bearing in (0, 45, 90, 270, 315)}
+    ranges[at[0]] = np.inf
+    ranges[at[45]] = -np.inf
+    ranges[at[90]] = 0.0
+    ranges[at[270]] = 9.0
+    assert distances(ranges, scan_of(360)).tolist() == pytest.approx([FAR, 1.0, FAR, 0.12, FAR])
+
+
+def test_a_sector_without_measurement_takes_the_mean_of_its_neighbours() -> None:
+    ranges = np.full(360, np.nan)
+    for bearing, value in ((270, 1.0), (315, 2.0), (45, 4.0), (90, 5.0)):
+        ranges[bearing] = value
+    assert distances(ranges, scan_of(360, range_max=10.0)).tolist() == pytest.approx([1.0, 2.0, 2.75, FAR, FAR])
+
+
+def test_the_median_of_a_sector_ignores_one_stray_beam() -> None:
+    ranges = np.full(360, 2.0)
+    ranges[90] = 0.3
+    assert distances(ranges, scan_of(360))[-1] == 2.0
+
+
+@settings(deadline=None)
+@given(
+    st.lists(st.one_of(st.floats(width=32), st.sampled_from([np.nan, np.inf, -np.inf, 0.0])), min_size=1, max_size=600)
+)
+def test_whatever_comes_distances_are_finite_and_within_limits(ranges: list[float]) -> None:
+    try:
+        out = distances(np.array(ranges), scan_of(len(ranges)))
+    except KoopmanError:
+        return
+    assert np.isfinite(out).all()
+    assert (out >= 0.12 - 1e-6).all()
+    assert (out <= FAR).all()
+
+
+@pytest.mark.parametrize(
+    ("ranges", "scan"),
+    [
+        ([], ScanGeometry(0, 0.0, 0.1, 0.12, 3.5)),
+        ([np.nan] * 360, scan_of(360)),
+        ([1.0] * 10, scan_of(11)),
+        ([1.0] * 10, ScanGeometry(10, 0.0, 0.0, 0.12, 3.5)),
+        ([1.0] * 10, ScanGeometry(10, float("nan"), 0.1, 0.12, 3.5)),
+        ([1.0] * 10, ScanGeometry(10, 0.0, 0.1, 3.5, 0.12)),
+    ],
+)
+def test_a_scan_that_shows_nothing_is_refused(ranges: list[float], scan: ScanGeometry) -> None:
+    with pytest.raises(KoopmanError, match="scan with"):
+        distances(np.array(ranges), scan)

@@ -1,0 +1,1 @@
+"""Optimal-control return-to-go as a policy-gradient baseline (thesis 3.3)."""

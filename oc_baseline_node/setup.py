@@ -1,0 +1,18 @@
+from setuptools import setup
+
+NAME = "oc_baseline_node"
+
+setup(
+    name=NAME,
+    version="0.1.0",
+    description="Optimal-control return-to-go as a policy-gradient baseline (thesis 3.3).",
+    license="Apache-2.0",
+    packages=[NAME],
+    package_data={"oc_baseline_node": ["py.typed"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+        (f"share/{NAME}", ["package.xml"]),
+    ],
+    install_requires=["setuptools"],
+    zip_safe=False,
+)

@@ -1,0 +1,18 @@
+from setuptools import setup
+
+NAME = "option_coordinator"
+
+setup(
+    name=NAME,
+    version="0.1.0",
+    description="Grants options to robots that finish at different times (thesis 2.4 and 5).",
+    license="Apache-2.0",
+    packages=[NAME],
+    package_data={"option_coordinator": ["py.typed"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+        (f"share/{NAME}", ["package.xml"]),
+    ],
+    install_requires=["setuptools"],
+    zip_safe=False,
+)

@@ -1,0 +1,23 @@
+from setuptools import setup
+
+NAME = "sim_bridge"
+
+setup(
+    name=NAME,
+    version="0.1.0",
+    description="PyBullet worlds that stand in for the robots: the bridge node and Gymnasium environments.",
+    license="Apache-2.0",
+    packages=[NAME],
+    package_data={"sim_bridge": ["py.typed", "urdf/*"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+        (f"share/{NAME}", ["package.xml"]),
+    ],
+    install_requires=["setuptools"],
+    zip_safe=False,
+    entry_points={
+        "console_scripts": [
+            "bridge = sim_bridge.node:main",
+        ],
+    },
+)

@@ -1,0 +1,55 @@
+"""What happens to a command between the network and the motors: limits, and what real firmware does to it."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+
+class CommandChannel:
+    """The last command of one robot, as its motors see it. Times are counted in physics steps.
+
+    Attributes:
+        refused: how many commands were not finite numbers.
+    """
+
+    def __init__(self, bounds: Array, idle: Array, truncation: bool = False, delay: int = 0, timeout: int = 0) -> None:
+        """Begin with nobody commanding.
+
+        Args:
+            bounds: least and largest commands (2, 2).
+            idle: what the motors get before the first command and after a time-out (2,).
+            truncation: cut to whole hundredths towards zero, as the TurtleBot3 firmware does.
+            delay: steps from arrival to effect.
+            timeout: steps after which a command no longer holds; 0 for never.
+        """
+        self._bounds, self._idle = bounds, idle
+        self._truncation, self._delay, self._timeout = truncation, delay, timeout
+        self.refused = 0
+        self._waiting: deque[tuple[int, Array]] = deque()
+        self._current, self._expires = idle, -1
+
+    def send(self, command: ArrayLike, step: int) -> bool:
+        """Take a command (2,) that arrives before physics step `step`; return False where it is refused."""
+        values = np.array(command, dtype=float)
+        if values.shape != (2,) or not np.isfinite(values).all():
+            self.refused += 1
+            return False
+        values = np.clip(values, self._bounds[:, 0], self._bounds[:, 1])
+        if self._truncation:
+            values = np.trunc(values * 100.0) / 100.0
+        self._waiting.append((step + self._delay, values))
+        return True
+
+    def at(self, step: int) -> Array:
+        """Return the command (2,) that the motors get in physics step `step`; steps never go back."""
+        while self._waiting and self._waiting[0][0] <= step:
+            begin, self._current = self._waiting.popleft()
+            self._expires = begin + self._timeout if self._timeout else -1
+        if 0 <= self._expires <= step:
+            self._current, self._expires = self._idle, -1
+        return self._current

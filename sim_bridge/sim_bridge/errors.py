@@ -1,0 +1,7 @@
+"""The error of this package."""
+
+from ctrl_rl_core.errors import CtrlRlError
+
+
+class SimulationError(CtrlRlError):
+    """A world cannot be built or run as asked."""

@@ -1,0 +1,1 @@
+"""Time-to-reach rewards from Hamilton-Jacobi value functions (thesis 3.2)."""
