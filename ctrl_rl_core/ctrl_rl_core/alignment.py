@@ -277,20 +277,24 @@ def _runs(
     base = stamped[reference] if isinstance(reference, str) and reference in stamped else next(iter(stamped.values()))
     assert base.stamps is not None
     cuts = _resets(base.stamps)
-    runs: list[dict[str, Track]] = [{} for _ in range(len(cuts) + 1)]
+    clock_runs = np.split(np.arange(len(base.log)), cuts)
+    one_clock = abs(float(np.median(base.log - base.stamps))) < _SAME_CLOCK_NS
+    runs: list[dict[str, Track]] = [{} for _ in clock_runs]
     for topic, track in read.items():
-        times = _to_clock(track.log, base) if track.stamps is None else track.stamps
-        own = np.searchsorted(track.log, base.log[cuts]) if track.stamps is None else _resets(times)
-        if len(own) != len(cuts) and len(times):
+        own = np.searchsorted(track.log, base.log[cuts]) if track.stamps is None else _resets(track.stamps)
+        if len(own) != len(cuts):
             raise BagError(
                 f"{bag}: the clock of {topic} was set back {len(own)} times, that of the reference {len(cuts)} times; "
                 "align by clock='log'"
             )
-        for run, rows in zip(runs, np.split(np.arange(len(times)), own), strict=False):
-            run[topic] = _rising(times[rows], track.values[rows], track.angles)
-        if not len(times):
-            for run in runs:
-                run[topic] = Track(times, track.values, track.angles)
+        for run, rows, clock_run in zip(runs, np.split(np.arange(len(track.log)), own), clock_runs, strict=True):
+            if track.stamps is not None:
+                times = track.stamps[rows]
+            elif one_clock:
+                times = track.log[rows]
+            else:
+                times = _to_clock(track.log[rows], base.log[clock_run], base.stamps[clock_run])
+            run[topic] = _rising(times, track.values[rows], track.angles)
     return runs
 
 
@@ -341,11 +345,11 @@ def _resets(stamps: NDArray[np.int64]) -> NDArray[np.intp]:
     return np.flatnonzero(np.diff(stamps) < -_RESET_NS) + 1
 
 
-def _to_clock(log: NDArray[np.int64], base: _Read) -> NDArray[np.int64]:
-    """Bring log times onto the clock of a stamped topic; as they are where both are of one clock."""
-    assert base.stamps is not None
-    if abs(float(np.median(base.log - base.stamps))) < _SAME_CLOCK_NS:
-        return log
-    x, known = (log - base.log[0]).astype(np.float64), (base.log - base.log[0]).astype(np.float64)
-    turned = np.interp(x, known, (base.stamps - base.stamps[0]).astype(np.float64))
-    return base.stamps[0] + np.round(turned).astype(np.int64)
+def _to_clock(log: NDArray[np.int64], known: NDArray[np.int64], stamps: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Bring log times onto the clock of a stamped topic, given that topic's log times and stamps."""
+    x, at, value = ((times - origin).astype(np.float64) for times, origin in
+                    ((log, known[0]), (known, known[0]), (stamps, stamps[0])))  # fmt: skip
+    # Beyond the ends, the clock goes on at its mean pace; held still, it would let the future into the last row.
+    pace = value[-1] / at[-1] if at[-1] > 0.0 else 1.0
+    out = np.interp(x, at, value) + pace * (np.minimum(x, 0.0) + np.maximum(x - at[-1], 0.0))
+    return stamps[0] + np.round(out).astype(np.int64)

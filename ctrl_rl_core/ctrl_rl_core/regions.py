@@ -51,7 +51,7 @@ class Region:
         return inside
 
     def sample(self, names: Sequence[str], random: np.random.Generator) -> NDArray[np.float64]:
-        """Return one state (n,) drawn uniformly from the intervals (the disc's position from the disc); 0 where free."""
+        """Return one state (n,) drawn uniformly from intervals and disc; 0 where the region leaves it free."""
         state = np.array([random.uniform(*self.intervals.get(name, Interval(0.0, 0.0))) for name in names])
         if self.disc is not None:
             radius, angle = self.disc.radius * np.sqrt(random.uniform()), random.uniform(-np.pi, np.pi)

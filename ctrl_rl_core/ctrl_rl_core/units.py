@@ -66,7 +66,7 @@ def parse_scalar(text: object, unit: str) -> float:
         ValueError: no number, no unit or a unit of another kind.
     """
     number, factor = _split(text, unit)
-    return _number(number, text) * factor
+    return _number(number, text, factor)
 
 
 def parse_interval(text: object, unit: str) -> Interval:
@@ -78,9 +78,9 @@ def parse_interval(text: object, unit: str) -> Interval:
     body, factor = _split(text, unit)
     low, dots, high = body.partition("..")
     if not dots:
-        value = _number(body, text) * factor
+        value = _number(body, text, factor)
         return Interval(value, value)
-    out = Interval(_number(low, text) * factor, _number(high, text) * factor)
+    out = Interval(_number(low, text, factor), _number(high, text, factor))
     if out.low > out.high:
         raise ValueError(f"'{text}' runs backwards: write the lower bound first")
     return out
@@ -100,7 +100,7 @@ def parse_vector(text: object, unit: str, size: int) -> tuple[float, ...]:
     parts = body[1:-1].split(",")
     if len(parts) != size:
         raise ValueError(f"'{text}' has {len(parts)} numbers, must have {size}")
-    return tuple(_number(part, text) * factor for part in parts)
+    return tuple(_number(part, text, factor) for part in parts)
 
 
 def _split(text: object, unit: str) -> tuple[str, float]:
@@ -116,14 +116,15 @@ def _split(text: object, unit: str) -> tuple[str, float]:
     return body, _FACTORS[unit][given]
 
 
-def _number(part: str, whole: object) -> float:
+def _number(part: str, whole: object, factor: float) -> float:
     try:
         value = float(part)
     except ValueError:
         raise ValueError(f"'{whole}': '{part.strip()}' is not a number") from None
     if not math.isfinite(value):
         raise ValueError(f"'{whole}' is too large")
-    return value
+    # 70 cm is 0.7 m, not 0.7000000000000001 m: equal quantities give equal digests.
+    return value if factor == 1.0 else float(f"{value * factor:.15g}")
 
 
 def _scalar(unit: str, positive: bool = False) -> Callable[[Any], float]:

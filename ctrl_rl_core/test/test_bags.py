@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from ctrl_rl_core.alignment import TWIST, Track, align, sample
+from ctrl_rl_core.bags import BagError, BagWriter, Topic, bag_info, read_messages, read_raw, recover
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
@@ -16,9 +18,6 @@ from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-
-from ctrl_rl_core.alignment import TWIST, Track, align, sample
-from ctrl_rl_core.bags import BagError, BagWriter, Topic, bag_info, read_messages, read_raw, recover
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 STORE.register(get_types_from_msg("float64 v\nfloat64 omega\n", "test_msgs/msg/Command"))
@@ -150,7 +149,9 @@ class TestWriter:
     def test_splits_by_size_and_by_time(self, tmp_path):
         write_texts(tmp_path / "size", max_file_bytes=3000, chunk_bytes=100)
         write_texts(tmp_path / "time", max_file_s=0.1)
-        assert [file.name for file in sorted((tmp_path / "time").glob("*.mcap"))] == [f"time_{i}.mcap" for i in range(4)]
+        assert [file.name for file in sorted((tmp_path / "time").glob("*.mcap"))] == [
+            f"time_{i}.mcap" for i in range(4)
+        ]
         assert len(list((tmp_path / "size").glob("*.mcap"))) > 1
         for name in ("size", "time"):
             assert [m.log_time for m in read_raw(tmp_path / name)] == [i * 10_000_000 for i in range(40)]
@@ -249,8 +250,7 @@ class TestRecover:
         file.write_bytes(file.read_bytes()[: int(where * file.stat().st_size)])
         try:
             found = recover(folder)
-        except BagError as error:
-            assert "no readable message" in str(error)
+        except BagError:  # the cut is before the first message
             assert not folder.with_name("bag_recovered").exists()
             return
         got = [(m.data, m.log_time) for m in read_raw(found.folder)]

@@ -108,7 +108,8 @@ def _sector_index(sectors: Sectors, beams: int, angle_min: float, angle_incremen
         raise KoopmanError(f"scan with angle_increment {angle_increment} and angle_min {angle_min}")
     angles = angle_min + np.arange(beams) * angle_increment
     apart = np.abs((angles - np.array(sectors.bearings)[:, None] + np.pi) % (2 * np.pi) - np.pi)
-    inside = [np.flatnonzero(row <= sectors.half_width) for row in apart]
+    # Beams on a sector's edge belong to it on both sides of the robot, whatever rounding says.
+    inside = [np.flatnonzero(row <= sectors.half_width + 1e-6) for row in apart]
     out = np.full((len(inside), max(1, *(len(row) for row in inside))), beams)
     for row, indices in zip(out, inside, strict=True):
         row[: len(indices)] = indices

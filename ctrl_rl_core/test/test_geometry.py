@@ -1,0 +1,85 @@
+"""Boxes, discs and corridors against geometry that can be said by hand, or found by brute force."""
+
+import numpy as np
+import pytest
+from ctrl_rl_core.geometry import Arc, Box, Disc, Path, frame_walls, signed_distance
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+WIDTH = 0.7
+PATH = Path((Arc(1.0, 0.0), Arc(1.5, 1.0), Arc(0.4, 0.0), Arc(2.0, -1 / 0.9), Arc(1.0, 0.0)), (0.3, -0.2), 0.4)
+coordinates = st.floats(-3.0, 3.0)
+
+
+@given(coordinates, coordinates, st.floats(-np.pi, np.pi))
+def test_a_box_is_as_far_as_its_nearest_boundary_point(x: float, y: float, angle: float) -> None:
+    box = Box((0.5, -0.25), (2.0, 1.0), angle)
+    t = np.linspace(-1.0, 1.0, 2001)
+    edges = np.concatenate([np.column_stack((t, np.full_like(t, 0.5 * s))) for s in (-1, 1)])
+    edges = np.concatenate((edges, *[np.column_stack((np.full_like(t, 1.0 * s), 0.5 * t)) for s in (-1, 1)]))
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    nearest = np.linalg.norm(edges @ turn.T + box.centre - (x, y), axis=1).min()
+    local = turn.T @ (np.array([x, y]) - box.centre)
+    inside = abs(local[0]) < 1.0 and abs(local[1]) < 0.5
+    assert box.signed_distance((x, y)) == pytest.approx(-nearest if inside else nearest, abs=2e-3)
+
+
+def test_the_nearest_shape_counts_and_nothing_is_infinitely_far() -> None:
+    shapes = (Disc((0.0, 0.0), 1.0), Box((5.0, 0.0), (2.0, 2.0)))
+    assert signed_distance(shapes, [[2.0, 0.0], [3.9, 0.0], [0.0, 0.0]]) == pytest.approx([1.0, 0.1, -1.0])
+    assert np.isinf(signed_distance((), [0.0, 0.0]))
+
+
+def test_frame_walls_leave_the_inside_free_and_have_no_gap() -> None:
+    walls = frame_walls((-1.0, 2.0), (0.0, 1.0), 0.2)
+    inside = np.random.default_rng(0).uniform((-1.0, 0.0), (2.0, 1.0), (500, 2))
+    margin = np.minimum.reduce((inside[:, 0] + 1, 2 - inside[:, 0], inside[:, 1], 1 - inside[:, 1]))
+    assert signed_distance(walls, inside) == pytest.approx(margin)
+    corners = [[-1.1, -0.1], [2.1, -0.1], [-1.1, 1.1], [2.1, 1.1]]
+    assert (signed_distance(walls, corners) <= 0.0).all()
+
+
+def test_a_path_is_continuous_in_place_and_direction() -> None:
+    s = np.linspace(0.0, PATH.length, 5000)
+    pose = PATH.pose(s)
+    step = np.linalg.norm(np.diff(pose[:, :2], axis=0), axis=1)
+    assert step == pytest.approx(np.diff(s), rel=1e-4)
+    assert np.abs(np.diff(pose[:, 2])).max() < 1.2 * (s[1] - s[0])
+    assert pose[0] == pytest.approx([0.3, -0.2, 0.4])
+
+
+def test_a_quarter_circle_ends_where_it_must() -> None:
+    assert Path((Arc(np.pi, 0.5),)).pose(np.pi) == pytest.approx([2.0, 2.0, np.pi / 2])
+    assert Path((Arc(1.0, 0.0),)).pose([-1.0, 2.0]) == pytest.approx(np.array([[-1.0, 0.0, 0.0], [2.0, 0.0, 0.0]]))
+
+
+@settings(deadline=None)
+@given(st.floats(0.05, 0.95), st.floats(-0.3, 0.3))
+def test_nearest_finds_arc_length_and_offset_back(part: float, offset: float) -> None:
+    s = part * PATH.length
+    x, y, heading = PATH.pose(s)
+    found, lateral = PATH.nearest((x - offset * np.sin(heading), y + offset * np.cos(heading)))
+    assert found == pytest.approx(s, abs=0.01)
+    assert lateral == pytest.approx(offset, abs=2e-3)
+
+
+def test_walls_stand_at_half_the_width_all_along() -> None:
+    walls = PATH.walls(WIDTH, largest_sag=0.002)
+    s = np.linspace(0.05, PATH.length - 0.05, 400)
+    pose = PATH.pose(s)
+    assert signed_distance(walls, pose[:, :2]) == pytest.approx(WIDTH / 2, abs=2.5e-3)
+
+
+def test_walls_have_no_gap_that_a_beam_could_pass() -> None:
+    walls = PATH.walls(WIDTH)
+    s = np.linspace(0.01, PATH.length - 0.01, 4000)
+    x, y, heading = PATH.pose(s).T
+    for side in (-1.0, 1.0):
+        offset = side * (WIDTH / 2 + 0.02)
+        points = np.column_stack((x - offset * np.sin(heading), y + offset * np.cos(heading)))
+        assert (signed_distance(walls, points) < 0.0).all()
+
+
+def test_a_turn_tighter_than_half_the_width_is_refused() -> None:
+    with pytest.raises(ValueError, match="too tight"):
+        Path((Arc(1.0, 1 / 0.3),)).walls(WIDTH)
