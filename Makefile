@@ -2,7 +2,7 @@
 # A sourced ROS 2 Jazzy is used where there is one; else ROS comes from PyPI wheels (scripts/setup).
 
 SHELL := /bin/bash
-RUN := set -euo pipefail; source scripts/workspace.bash;
+RUN := set -eo pipefail; source scripts/workspace.bash;
 LINKED := ctrl_rl_core sim_bridge ttr_reward_node oc_baseline_node koopman_lqr_controller option_coordinator ctrl_rl_bringup
 
 .PHONY: help setup build demo trials train test test-all lint bench clean

@@ -66,13 +66,23 @@ def _parser(program: str, description: str, speed: float = 1.0) -> argparse.Argu
     parser.add_argument("--policy", default="curved_corridor_edmd", help="policy name or file (default %(default)s)")
     parser.add_argument("--speed", type=float, default=speed, help="times real time (default %(default)s)")
     parser.add_argument("--width", type=float, default=0.0, help="of the corridor [m] (default: the task's)")
+    parser.add_argument("--random-width", action="store_true", help="draw the width from the task's range")
     parser.add_argument("--gui", action="store_true", help="show PyBullet's window")
     return parser
 
 
 def _options(options: argparse.Namespace, name: str, seed: int) -> DriveOptions:
     folder = options.output or Path("runs") / f"{name}-{datetime.now():%Y%m%d-%H%M%S}"
-    return DriveOptions(folder, options.task, options.policy, seed, options.speed, options.width, options.gui)
+    return DriveOptions(
+        folder=folder,
+        task=options.task,
+        policy=options.policy,
+        seed=seed,
+        speed=options.speed,
+        width=options.width,
+        gui=options.gui,
+        randomise_width=options.random_width,
+    )
 
 
 def _run(program: str, work: Callable[[], int]) -> int:
@@ -126,6 +136,8 @@ def _trials(options: argparse.Namespace) -> int:
 
 
 def _record_drives(options: argparse.Namespace) -> int:
+    # A model of corridors wants corridors: each drive has a width of its own unless one is asked for.
+    options.random_width = options.random_width or not options.width
     run = _options(options, "drives", options.seed)
     episodes = record_scripted(run, range(options.seed, options.seed + options.episodes))
     seconds = sum(episode.elapsed for episode in episodes)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import rclpy
 from ctrl_rl_core.errors import CtrlRlError
@@ -61,6 +61,7 @@ class Monitor:
         self._node = Node("monitor")
         self._check = check
         self._episode: Episode | None = None
+        self._wanted = 0
         self._heard = time.monotonic()
         self._node.create_subscription(EpisodeStatus, "episode", self._on_episode, RESULT)
         self._pause = self._node.create_client(SetBool, "sim_bridge/pause")
@@ -91,7 +92,7 @@ class Monitor:
 
     def reset(self, seed: int) -> None:
         """Start a new episode."""
-        self._call(self._reset, ResetWorld.Request(seed=seed))
+        self._wanted = self._call(self._reset, ResetWorld.Request(seed=seed)).episode
         self._episode = None
 
     def follow(self, title: str) -> Episode:
@@ -116,6 +117,8 @@ class Monitor:
 
     def _on_episode(self, message: EpisodeStatus) -> None:
         self._heard = time.monotonic()
+        if message.episode != self._wanted:  # of the episode before the last reset, still under way
+            return
         self._episode = Episode(
             message.episode, message.outcome.value, message.elapsed, message.progress, message.smallest_clearance
         )
@@ -139,7 +142,7 @@ class Monitor:
             "" if self._pause.service_is_ready() and self._reset.service_is_ready() else "no pause and reset services"
         )
 
-    def _call(self, client: rclpy.client.Client, request: object) -> None:
+    def _call(self, client: rclpy.client.Client, request: object) -> Any:
         future = client.call_async(request)
         deadline = time.monotonic() + _READY_S
         while not future.done():
@@ -149,6 +152,7 @@ class Monitor:
         answer = future.result()
         if not answer.success:
             raise MonitorError(f"service {client.srv_name}: {answer.message}")
+        return answer
 
     def _spin(self) -> None:
         self._check()

@@ -35,6 +35,7 @@ class DriveOptions:
         speed: simulation time per wall time; 0 for as fast as it goes.
         width: of the corridor [m]; 0 for the task's own.
         gui: whether PyBullet shows a window.
+        randomise_width: whether each reset draws the corridor's width from the task's range.
     """
 
     folder: Path
@@ -44,6 +45,7 @@ class DriveOptions:
     speed: float = 1.0
     width: float = 0.0
     gui: bool = False
+    randomise_width: bool = False
 
     @property
     def bag(self) -> Path:
@@ -59,6 +61,7 @@ def simulator(options: DriveOptions) -> NodeSpec:
         "speed_factor": float(options.speed),
         "corridor_width": float(options.width),
         "gui": options.gui,
+        "randomise_width": options.randomise_width,
         "start_paused": True,
     }
     return NodeSpec("sim_bridge", "bridge", parameters)

@@ -8,16 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from rosbags.highlevel import AnyReader, AnyReaderError
+from rosbags.highlevel import AnyReader
 from rosbags.interfaces import Connection, ConnectionExtRosbag2
-from rosbags.rosbag2 import ReaderError
 from rosbags.rosbag2.metadata import dump_qos_v9
-from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 
 from ctrl_rl_core.bag_metadata import METADATA_FILE, BagError, Qos, read_metadata
-
-_UNREADABLE = (AnyReaderError, ReaderError, SerdeError, OSError, ValueError, KeyError, AssertionError, EOFError)
 
 
 @dataclass(frozen=True)
@@ -88,8 +84,10 @@ def open_bag(bag: Path | str) -> Iterator[AnyReader]:
         # Bags from before MCAP name their types, but do not define them.
         reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY))
         reader.open()
-    except _UNREADABLE as error:
-        raise BagError(f"{path} cannot be read: {error}; try ros2 run ctrl_rl_core bag recover {path}") from None
+    except Exception as error:  # on damaged bytes the parsers raise nearly anything
+        raise BagError(
+            f"{path} cannot be read: {str(error) or type(error).__name__}; try ros2 run ctrl_rl_core bag recover {path}"
+        ) from None
     try:
         yield reader
     finally:
@@ -114,7 +112,7 @@ def read_messages(
         for connection, log_time, raw in _raw(reader, bag, topics, start, stop):
             try:
                 data = reader.deserialize(raw, connection.msgtype)
-            except _UNREADABLE as error:
+            except Exception as error:
                 raise BagError(f"{bag}: a message of {connection.topic} cannot be decoded: {error}") from None
             yield BagMessage(connection.topic, connection.msgtype, log_time, data)
 
@@ -168,8 +166,9 @@ def _raw(
         return
     try:
         yield from reader.messages(connections, start, stop)
-    except _UNREADABLE as error:
-        raise BagError(f"{bag} is damaged: {error}; mend it with ros2 run ctrl_rl_core bag recover {bag}") from None
+    except Exception as error:
+        reason = str(error) or type(error).__name__
+        raise BagError(f"{bag} is damaged: {reason}; mend it with ros2 run ctrl_rl_core bag recover {bag}") from None
 
 
 def _qos(connection: Connection) -> tuple[Qos, ...]:

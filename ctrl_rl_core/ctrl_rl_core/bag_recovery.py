@@ -29,7 +29,7 @@ from rosbags.rosbag2.metadata import dump_qos_v9, parse_qos
 from tqdm import tqdm
 
 from ctrl_rl_core.bag_metadata import CUSTOM_DATA_RECORD, METADATA_FILE, BagError, Qos, Topic
-from ctrl_rl_core.bag_reader import bag_info
+from ctrl_rl_core.bag_reader import bag_info, read_raw
 from ctrl_rl_core.bag_writer import BagWriter
 from ctrl_rl_core.mcap_file import MAGIC
 
@@ -231,14 +231,13 @@ def _whole(source: Path, files: list[Path]) -> Recovery | None:
         return None
     try:
         info = bag_info(source)
+        by_index = sum(1 for _ in read_raw(source))
     except BagError:
         return None
-    for file in files:
-        scan = _Scan(file)
-        for _ in scan.records():
-            pass
-        if scan.dropped_bytes or not scan.finished:
-            return None
+    scans = [_Scan(file) for file in files]
+    count = sum(opcode == Opcode.MESSAGE for scan in scans for opcode, _ in scan.records())
+    if any(scan.dropped_bytes or not scan.finished for scan in scans) or not count == by_index == info.message_count:
+        return None
     empty = info.message_count == 0
     return Recovery(
         source,

@@ -17,8 +17,8 @@ class GridError(CtrlRlError):
 class Axis:
     """Evenly spaced nodes of one state component.
 
-    Nodes are lower + i * spacing, i = 0 .. count - 1. The last one is `upper`, except on a periodic axis, where `upper` is the same
-    point as `lower` and is not stored.
+    Nodes are lower + i * spacing, i = 0 .. count - 1. The last one is `upper`, except on a periodic axis, where `upper`
+    is the same point as `lower` and is not stored.
 
     Raises:
         GridError: bounds that are not finite or not in order, or fewer than two nodes.
@@ -35,7 +35,9 @@ class Axis:
         if not self.name:
             raise GridError("an axis has no name")
         if not (math.isfinite(self.lower) and math.isfinite(self.upper) and self.lower < self.upper):
-            raise GridError(f"axis '{self.name}': bounds are [{self.lower:g}, {self.upper:g}]; give finite lower < upper")
+            raise GridError(
+                f"axis '{self.name}': bounds are [{self.lower:g}, {self.upper:g}]; give finite lower < upper"
+            )
         if self.count < 2:
             raise GridError(f"axis '{self.name}' has {self.count} nodes; give at least 2")
 

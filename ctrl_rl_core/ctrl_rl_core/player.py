@@ -27,6 +27,7 @@ _DEPTH = 1000
 _LATCHED_DEPTH = 100
 """The middleware does not tell how many messages a latched topic kept: enough for every node's /tf_static."""
 _CLOCK_HZ = 100.0
+_SETTLE_S = 0.2
 _ACKNOWLEDGE_S = 2.0
 
 
@@ -151,6 +152,8 @@ class _Player:
         end = time.monotonic() + self._how.wait
         while time.monotonic() < end and not self._stop.is_set():
             if all(publisher.get_subscription_count() for publisher in self._publishers.values()):
+                # The other side finds out a little later; what is sent before that, it misses.
+                self._stop.wait(_SETTLE_S)
                 return
             self._stop.wait(0.02)
 

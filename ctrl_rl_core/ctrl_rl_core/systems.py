@@ -1,9 +1,9 @@
 """A robot system: a model of thesis Table 3.1 with its parameters and bounds, usable from NumPy, Numba and CasADi.
 
-    car = make_system("dubins_car", control_bounds={"v": (1.0, 1.0), "omega": (-1.0, 1.0)})
-    car.dynamics(x, u)                       # NumPy, x (..., 3), u (..., 2)
-    car.dynamics(x, u, math=casadi)          # CasADi, x (3, N), u (2, N)
-    f = car.numba_dynamics()                 # f((x, y, theta), (v, omega), (0., 0., 0.)) inside a jitted loop
+car = make_system("dubins_car", control_bounds={"v": (1.0, 1.0), "omega": (-1.0, 1.0)})
+car.dynamics(x, u)                       # NumPy, x (..., 3), u (..., 2)
+car.dynamics(x, u, math=casadi)          # CasADi, x (3, N), u (2, N)
+f = car.numba_dynamics()                 # f((x, y, theta), (v, omega), (0., 0., 0.)) inside a jitted loop
 """
 
 import math as scalar_math
@@ -96,7 +96,7 @@ class System:
     def step(self, x: Any, u: Any, d: Any = None, *, dt: Any, math: Any = np) -> Any:
         """State after `dt` seconds of constant u and d: one step of the classical Runge-Kutta method (fourth order).
 
-        Shapes and errors as for `dynamics`. Periodic states are not wrapped (an optimiser wants them smooth): see `wrap`.
+        Shapes and errors as for `dynamics`. Periodic states are not wrapped (an optimiser wants them smooth).
         """
         if math is np:
             x = np.asarray(x, dtype=np.float64)
@@ -107,7 +107,7 @@ class System:
         return x + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
 
     def wrap(self, x: ArrayLike) -> NDArray[np.float64]:
-        """A copy of the states (..., n) with each periodic one in [lower, upper)."""
+        """Return a copy of the states (..., n) with each periodic one in [lower, upper)."""
         wrapped = np.array(x, dtype=np.float64)
         _check_count(wrapped.shape[-1:], len(self.states), f"{self.name}: x")
         for i, state in enumerate(self.states):
@@ -118,9 +118,9 @@ class System:
         return wrapped
 
     def numba_dynamics(self) -> Dynamics:
-        """`f(x, u, d)` compiled by Numba with the parameters as constants; tuples (or arrays) in, a tuple of n floats out.
+        """Compile `f(x, u, d)` with the parameters as constants: tuples (or arrays) in, a tuple of n floats out.
 
-        Nothing is allocated, and a jitted caller that closes over the function inlines it. Equal systems share one function.
+        Nothing is allocated, and a jitted caller that closes over the function inlines it. Equal systems share one.
         """
         return _compile(self.equations, tuple(self.parameters.items()))
 
@@ -133,12 +133,12 @@ def make_system(
     control_bounds: Bounds | None = None,
     disturbance_bounds: Bounds | None = None,
 ) -> System:
-    """The system `name` of thesis Table 3.1 with some numbers replaced.
+    """Make the system `name` of thesis Table 3.1 with some numbers replaced.
 
     Args:
         name: dubins_car, extended_dubins_car, bicycle, planar_quadrotor, quadrotor_rotation or point_mass.
         parameters: constants by name, in the units that the model declares.
-        state_bounds: (lower, upper) by state name; infinite ones are allowed. A periodic state keeps the length of its period.
+        state_bounds: (lower, upper) by state name; may be infinite. A periodic state keeps the length of its period.
         control_bounds: (lower, upper) by control name; equal bounds hold the control at that number.
         disturbance_bounds: (lower, upper) by name, "d_" and the state's name; zero unless given.
 
@@ -166,7 +166,9 @@ def _with_values(defaults: tuple[Parameter, ...], values: Mapping[str, float], w
         value = _number(values.get(parameter.name, parameter.default), f"{what} '{parameter.name}'")
         if not scalar_math.isfinite(value) or value < 0 or (value == 0 and not parameter.may_be_zero):
             least = "zero or more" if parameter.may_be_zero else "more than zero"
-            raise SystemModelError(f"{what} '{parameter.name}' is {value:g}; it must be {least} and finite [{parameter.unit}]")
+            raise SystemModelError(
+                f"{what} '{parameter.name}' is {value:g}; it must be {least} and finite [{parameter.unit}]"
+            )
         result[parameter.name] = value
     return MappingProxyType(result)
 
@@ -174,7 +176,9 @@ def _with_values(defaults: tuple[Parameter, ...], values: Mapping[str, float], w
 def _with_bounds(defaults: tuple[Quantity, ...], bounds: Bounds, what: str, *, finite: bool) -> tuple[Quantity, ...]:
     _check_names(bounds, [quantity.name for quantity in defaults], what)
     return tuple(
-        _with_bound(quantity, bounds[quantity.name], f"{what} '{quantity.name}'", finite) if quantity.name in bounds else quantity
+        _with_bound(quantity, bounds[quantity.name], f"{what} '{quantity.name}'", finite)
+        if quantity.name in bounds
+        else quantity
         for quantity in defaults
     )
 
@@ -188,7 +192,9 @@ def _with_bound(quantity: Quantity, pair: Sequence[float], what: str, finite: bo
         raise SystemModelError(f"{what}: bounds are [{lower:g}, {upper:g}]; give two {kind} with lower <= upper")
     if quantity.periodic and not scalar_math.isclose(upper - lower, quantity.upper - quantity.lower, rel_tol=1e-6):
         period = quantity.upper - quantity.lower
-        raise SystemModelError(f"{what}: bounds are [{lower:g}, {upper:g}], but it is periodic; give one period of {period:.6g} rad")
+        raise SystemModelError(
+            f"{what}: bounds are [{lower:g}, {upper:g}], but it is periodic; give one period of {period:.6g} rad"
+        )
     return replace(quantity, lower=lower, upper=upper)
 
 
@@ -232,9 +238,12 @@ def _bounds_array(quantities: tuple[Quantity, ...]) -> NDArray[np.float64]:
 def _box_samples(quantities: tuple[Quantity, ...], counts: int | Sequence[int]) -> NDArray[np.float64]:
     each = [counts] * len(quantities) if isinstance(counts, int) else list(counts)
     if len(each) != len(quantities) or min(each) < 2:
-        raise SystemModelError(f"sample counts are {counts}; give at least 2 for each of {[q.name for q in quantities]}")
+        raise SystemModelError(
+            f"sample counts are {counts}; give at least 2 for each of {[q.name for q in quantities]}"
+        )
     ticks = [
-        np.linspace(q.lower, q.upper, 1 if q.lower == q.upper else count) for q, count in zip(quantities, each, strict=True)
+        np.linspace(q.lower, q.upper, 1 if q.lower == q.upper else count)
+        for q, count in zip(quantities, each, strict=True)
     ]
     return np.stack(np.meshgrid(*ticks, indexing="ij"), axis=-1).reshape(-1, len(quantities))
 

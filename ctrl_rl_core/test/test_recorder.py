@@ -23,7 +23,8 @@ from std_msgs.msg import String
 name, rate, count, reliability = sys.argv[1], float(sys.argv[2]), int(sys.argv[3]), sys.argv[4]
 rclpy.init()
 node = rclpy.create_node(name)
-latched = node.create_publisher(String, name + "/note", QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL))
+latch = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+latched = node.create_publisher(String, name + "/note", latch)
 latched.publish(String(data="note of " + name))
 scans = node.create_publisher(LaserScan, "scan", QoSProfile(depth=1000, reliability=ReliabilityPolicy[reliability]))
 while scans.get_subscription_count() == 0:

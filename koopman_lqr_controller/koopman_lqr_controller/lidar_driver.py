@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from abc import abstractmethod
+from collections import deque
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -50,7 +51,7 @@ class LidarDriver(SuiteNode):
         self._odometry_at = self._scan_at = self.get_clock().now()
         self._counts = {"scans": 0, "commands": 0, "unusable": 0, "stale": 0}
         self._problem = "waiting for scan and odometry"
-        self._latencies: list[float] = []
+        self._latencies: deque[float] = deque(maxlen=_RECENT)
         self.create_subscription(Odometry, "odom", self._on_odometry, SENSOR)
         self.create_subscription(LaserScan, "scan", self._on_scan, SENSOR)
         self.create_timer(0.5 * self.settings["scan_timeout"], self._watch)
@@ -84,19 +85,20 @@ class LidarDriver(SuiteNode):
         begin = time.perf_counter()
         self._counts["scans"] += 1
         self._scan_at = self.get_clock().now()
+        answer = Header(stamp=message.header.stamp, frame_id=self.settings["base_frame"])
         if self._odometry is None or self._age(self._odometry_at) > self.settings["scan_timeout"]:
-            self._halt("no recent odometry")
+            self._halt("no recent odometry", answer)
             return
         try:
             command = self.decide(self._sensed(message, *self._odometry))
         except KoopmanError as error:
             self._counts["unusable"] += 1
-            self._halt(str(error))
+            self._halt(str(error), answer)
             return
         self._problem = ""
         self._counts["commands"] += 1
-        self._publish(command, Header(stamp=message.header.stamp, frame_id=self.settings["base_frame"]))
-        self._latencies = [*self._latencies[-_RECENT:], time.perf_counter() - begin]
+        self._publish(command, answer)
+        self._latencies.append(time.perf_counter() - begin)
 
     def _sensed(self, message: LaserScan, v: float, omega: float) -> Sensed:
         ranges = np.frombuffer(message.ranges, np.float32)
@@ -108,13 +110,13 @@ class LidarDriver(SuiteNode):
         """Stop the robot when scans stay away; the clock is ROS's, so that a paused simulation is not stale."""
         if self._age(self._scan_at) > self.settings["scan_timeout"]:
             self._counts["stale"] += 1
-            self._halt("no recent scan")
+            self._halt("no recent scan", self._now_header())
 
-    def _halt(self, problem: str) -> None:
+    def _halt(self, problem: str, header: Header) -> None:
         if problem != self._problem:
             self.get_logger().warning(f"stopping: {problem}")
         self._problem = problem
-        self._publish(np.zeros(2), self._now_header())
+        self._publish(np.zeros(2), header)
 
     def _age(self, then: object) -> float:
         return float((self.get_clock().now() - then).nanoseconds) * 1e-9

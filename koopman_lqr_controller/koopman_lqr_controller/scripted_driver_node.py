@@ -23,7 +23,7 @@ class ScriptedDriverNode(LidarDriver):
         *DRIVER_PARAMETERS,
         Parameter("seed", 0, "Seed of the noise on the commands.", 0, 2**31 - 1),
         Parameter("speed", 0.15, "Mean speed [m/s].", 0.0, 0.22),
-        Parameter("turn_noise", 0.5, "Standard deviation of the noise on the turn rate [rad/s].", 0.0, 2.0),
+        Parameter("turn_noise", 0.3, "Standard deviation of the noise on the turn rate [rad/s].", 0.0, 2.0),
         Parameter("speed_noise", 0.04, "Standard deviation of the noise on the speed [m/s].", 0.0, 0.1),
         Parameter("largest_speed", 0.22, "Limit of the commanded speed [m/s].", 0.01, 2.0),
         Parameter("largest_turn_rate", 2.84, "Limit of the commanded turn rate [rad/s].", 0.01, 10.0),

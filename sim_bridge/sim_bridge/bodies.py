@@ -71,6 +71,7 @@ class Drive:
         lag: time constant of the wheel speed [s].
         bounds: least and largest v and omega, None for the task's command bounds.
         radius: of a circle around the origin that holds the body [m].
+        base_height: of base_link above base_footprint [m].
         lidar: position in base_footprint [m].
     """
 
@@ -81,6 +82,7 @@ class Drive:
     lag: float
     bounds: tuple[tuple[float, float], tuple[float, float]] | None
     radius: float
+    base_height: float
     lidar: tuple[float, float, float]
 
 
@@ -93,6 +95,7 @@ DRIVES: Mapping[str, Drive] = {
         lag=0.05,
         bounds=((-0.22, 0.22), (-2.84, 2.84)),
         radius=0.123,
+        base_height=0.010,
         lidar=(-0.032, 0.0, 0.182),
     ),
     "turtlebot2": Drive(
@@ -103,6 +106,7 @@ DRIVES: Mapping[str, Drive] = {
         lag=0.05,
         bounds=None,
         radius=0.177,
+        base_height=0.0102,
         lidar=(0.0, 0.0, 0.300),
     ),
 }
@@ -173,8 +177,8 @@ class DifferentialDrive:
 class PlanarQuadrotor:
     """Two rotor pairs in the x-z plane, thesis Eq. 3.10; see `Body`.
 
-    PyBullet's step is first order; forces here are the mean of this instant's and the last one's, which makes it the
-    second-order velocity Verlet scheme: PyBullet's joint speeds are then those half a step ago.
+    PyBullet's step alone is first order. Here its joint speeds are those of half a step ago (leapfrog, second
+    order): the first push lasts half a step, and where the command changes, old and new push for half a step each.
     """
 
     SIZE = (0.8, 0.8, 0.25)
@@ -191,6 +195,7 @@ class PlanarQuadrotor:
         self.bounds = system.control_bounds.T
         self.idle = np.clip(np.full(2, 0.5 * mass * system.parameters["g"]), self.bounds[:, 0], self.bounds[:, 1])
         self.radius = self.RADIUS
+        self._command: Array | None = None
         self._acceleration = np.zeros(3)
         self._free_joints(pose, velocity)
 
@@ -211,13 +216,20 @@ class PlanarQuadrotor:
     def act(self, command: Array) -> None:  # noqa: D102
         x, z, psi = self.pose().tolist()
         v_x, v_z, omega = self.velocity().tolist()
-        rates = self._rates((x, v_x, z, v_z, psi, omega), command.tolist(), (0.0,) * 6)
-        acceleration = np.array((rates[1], rates[3], rates[5]))
-        force = 0.5 * (self._acceleration + acceleration) * self._weight
-        self._acceleration = acceleration
+        state = (x, v_x, z, v_z, psi, omega)
+        now = self._accelerations(state, command)
+        before = now if command is self._command else self._accelerations(state, self._command)
+        self._command, self._acceleration = command, now
+        force = 0.5 * (before + now) * self._weight
         pybullet.setJointMotorControlArray(
             self.id, self._joints, pybullet.TORQUE_CONTROL, forces=force.tolist(), physicsClientId=self._client
         )
+
+    def _accelerations(self, state: tuple[float, ...], command: Array | None) -> Array:
+        if command is None:
+            return np.zeros(3)
+        rates = self._rates(state, command.tolist(), (0.0,) * 6)
+        return np.array((rates[1], rates[3], rates[5]))
 
     def pose(self) -> Array:  # noqa: D102
         return np.array([joint[0] for joint in self._states()])
@@ -269,7 +281,9 @@ def make_body(physics: Physics, task: NavigationTask, system: System, state: Arr
         return PlanarQuadrotor(physics, system, pose, np.array([named[name] for name in ("v_x", "v_z", "omega")]))
     _need(task, system, {"x", "y", "theta"})
     bounds = np.array([task.robot.commands[name] for name in ("v", "omega")])
-    return DifferentialDrive(physics, DRIVES[task.robot.body], bounds, np.array([named[n] for n in ("x", "y", "theta")]))
+    return DifferentialDrive(
+        physics, DRIVES[task.robot.body], bounds, np.array([named[n] for n in ("x", "y", "theta")])
+    )
 
 
 def _need(task: NavigationTask, system: System, needed: set[str]) -> None:

@@ -81,7 +81,7 @@ class PathCoordinates:
         self._poses = path.pose(self._s)
 
     def __call__(self, pose: ArrayLike) -> Array:
-        """Return s [m], lateral [m] and heading [rad] (3,) of a pose x, y, theta (3,), to first order between samples."""
+        """Return s [m], lateral [m] and heading [rad] (3,) of a pose x, y, theta (3,)."""
         x, y, theta = np.asarray(pose, dtype=float)
         dx, dy = x - self._poses[:, 0], y - self._poses[:, 1]
         nearest = int(np.argmin(dx * dx + dy * dy))

@@ -39,7 +39,7 @@ class Odometry:
         turn = (1.0 + self._turn) * step[2] + self._bend * abs(forward)
         middle = self.pose[2] + 0.5 * turn
         c, s = np.cos(middle), np.sin(middle)
-        self.pose = self.pose + (c * forward - s * sideways, s * forward + c * sideways, turn)
+        self.pose = np.add(self.pose, (c * forward - s * sideways, s * forward + c * sideways, turn))
         self._true = true_pose.copy()
         return self.pose
 

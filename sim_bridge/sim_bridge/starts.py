@@ -43,11 +43,13 @@ def draw_starts(
             if state is None:
                 state = task.start.region.sample(system.state_names, random)
             apart = all(np.linalg.norm(state[place] - other[place]) >= 2 * radius + _GAP for other in starts)
-            # The first robot is held only to the task's word: a long thin body may start nearer to a wall than its radius.
+            # The first robot starts where the task says: a long thin body may be nearer to a wall than its radius.
             if apart and (index == 0 or world.signed_distance(state[place]) >= radius):
                 break
         else:
-            raise SimulationError(f"task '{task.name}' has no room for {count} robots at its start: use {index} or fewer")
+            raise SimulationError(
+                f"task '{task.name}' has no room for {count} robots at its start: use {index} or fewer"
+            )
         starts.append(state)
     return starts
 

@@ -4,6 +4,8 @@
     world.command(0, (0.2, 0.0))
     world.step(48)
     world.scan(0), world.odometry(0), world.episode(0).outcome
+
+Robots are numbered from 0; (n,) is the task system's number of states.
 """
 
 from __future__ import annotations
@@ -94,8 +96,8 @@ class _Robot:
     scan_random: np.random.Generator
     start_s: float
     episode: Episode
-    measured_at: int = -1
-    """Physics step at which the clearance was last measured."""
+    measured_at: int = -1  # physics step of the last measured clearance
+    judged_at: int = -1
 
 
 class SimulatedWorld:
@@ -105,6 +107,7 @@ class SimulatedWorld:
 
     Attributes:
         task: what is simulated.
+        plane: "xy" or "xz".
         system: the task's model; it names and orders states.
         options: how it is simulated.
         geometry: walls and obstacles of this episode.
@@ -139,7 +142,8 @@ class SimulatedWorld:
         self.system: System = task.system.build()
         self.lidar = Lidar(task.lidar, self.options.scan_noise, self.options.scan_dropout, self.options.lost_beam)
         self._count, self._width = robots, width
-        self._sense = 1.0 if task.plane == "xy" else -1.0  # psi turns clockwise in the x-z plane
+        self.plane = task.plane
+        self._sense = 1.0 if self.plane == "xy" else -1.0  # psi turns clockwise in the x-z plane
         self._judge_every = max(1, self.options.rate // _JUDGED_PER_SECOND)
         self._robots: list[_Robot] = []
         self._physics = Physics(self.options.rate, self.options.gui)
@@ -158,10 +162,10 @@ class SimulatedWorld:
         geometry = self.task.build_world(self._draw_width(seed))
         random = np.random.default_rng((seed, 0, _Purpose.START))
         starts = draw_starts(self.task, self.system, geometry, self._count, body_radius(self.task), random)
-        self._physics.clear(GRAVITY if self.task.plane == "xy" else 0.0)
-        if self.task.plane == "xy":
+        self._physics.clear(GRAVITY if self.plane == "xy" else 0.0)
+        if self.plane == "xy":
             self._physics.add_floor()
-        self._physics.add_fixed((*geometry.walls, *geometry.obstacles), self.task.plane)
+        self._physics.add_fixed((*geometry.walls, *geometry.obstacles), self.plane)
         self.geometry: World = geometry
         self.seed = seed
         self.steps = 0
@@ -181,7 +185,7 @@ class SimulatedWorld:
         channel = CommandChannel(
             body.bounds,
             body.idle,
-            truncation=options.command_truncation and self.task.plane == "xy",
+            truncation=options.command_truncation and self.plane == "xy",
             delay=round(options.command_delay * rate),
             timeout=math.ceil(options.command_timeout * rate),
         )
@@ -272,7 +276,7 @@ class SimulatedWorld:
         frame = entry.body.sensor()
         buried = False
         if self.clearance(robot) <= 0.0:
-            place = frame.origin[[0, 1] if self.task.plane == "xy" else [0, 2]]
+            place = frame.origin[[0, 1] if self.plane == "xy" else [0, 2]]
             buried = bool(self.geometry.signed_distance(place) < 0.0)
         return self.lidar.scan(self._physics, frame, entry.body.mask, entry.scan_random, buried)
 
@@ -311,12 +315,15 @@ class SimulatedWorld:
 
     def _bring_up_to_date(self, robot: int) -> None:
         entry = self._robots[robot]
+        if entry.judged_at == self.steps:
+            return
+        entry.judged_at = self.steps
         self.clearance(robot)
         self._judge.judge(entry.episode, self.state(robot), entry.body.pose(), self.elapsed, entry.start_s)
 
     def _named(self, pose: Array, velocity: Array) -> Array:
         angle = float(wrap(pose[2]))
-        if self.task.plane == "xy":
+        if self.plane == "xy":
             values = {"x": pose[0], "y": pose[1], "theta": angle, "omega": velocity[2]}
             values["v"] = velocity[0] * math.cos(angle) + velocity[1] * math.sin(angle)
         else:

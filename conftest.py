@@ -1,0 +1,77 @@
+"""What tests with real ROS processes share: a domain of their own, and nodes that end with the test."""
+
+import os
+import signal
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent
+
+# Before any test imports rclpy. Domains up to 101 are safe on every system; one per run keeps runs apart.
+os.environ["ROS_DOMAIN_ID"] = str(1 + os.getpid() % 100)
+os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+
+
+class NodeProcess:
+    """A node as `ros2 run` starts it."""
+
+    def __init__(self, package: str, executable: str, arguments: tuple[str, ...], log: Path) -> None:
+        from ament_index_python.packages import get_package_prefix
+
+        self._log = log
+        path = Path(get_package_prefix(package)) / "lib" / package / executable
+        with log.open("wb") as stream:
+            self.process = subprocess.Popen([path, *arguments], stdout=stream, stderr=subprocess.STDOUT)
+
+    @property
+    def output(self) -> str:
+        """What it has said so far, the middleware's own complaints left out."""
+        return self._log.read_text(errors="replace")
+
+    def wait_for(self, words: str, timeout: float = 30.0) -> None:
+        """Return once it has said `words`."""
+        deadline = time.monotonic() + timeout
+        while words not in self.output:
+            assert self.process.poll() is None, f"ended with {self.process.returncode}: {self.output}"
+            assert time.monotonic() < deadline, f"never said '{words}': {self.output}"
+            time.sleep(0.02)
+
+    def stop(self, number: int = signal.SIGINT, timeout: float = 5.0) -> tuple[int, float]:
+        """Send a signal and return exit code and how long it took to end [s]."""
+        begin = time.monotonic()
+        self.process.send_signal(number)
+        code = self.process.wait(timeout)
+        return code, time.monotonic() - begin
+
+
+@pytest.fixture
+def run_node(tmp_path: Path) -> Iterator[Callable[..., NodeProcess]]:
+    """Give a function that starts a node of a package by executable, parameters ("speed:=1.0") and remappings."""
+    started: list[NodeProcess] = []
+
+    def run(package: str, executable: str, *parameters: str, remap: tuple[str, ...] = ()) -> NodeProcess:
+        options = [part for parameter in parameters for part in ("-p", parameter)]
+        options += [part for rule in remap for part in ("-r", rule)]
+        arguments = ("--ros-args", *options) if options else ()
+        node = NodeProcess(package, executable, arguments, tmp_path / f"{len(started)}-{executable}.log")
+        started.append(node)
+        return node
+
+    yield run
+    for node in started:
+        if node.process.poll() is None:
+            node.process.kill()
+            node.process.wait()
+
+
+@pytest.fixture(scope="session")
+def real_drive() -> Path:
+    """Give a recording of a real TurtleBot 4, which lies beside the repository on some machines only."""
+    folder = ROOT.parent / "shared" / "data" / "tb4_office"
+    if not folder.is_dir():
+        pytest.skip("the recording is not on this machine")
+    return folder

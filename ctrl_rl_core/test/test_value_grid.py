@@ -1,0 +1,410 @@
+import itertools
+import json
+import os
+import stat
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from ctrl_rl_core.value_grid import Axis, GridError, ValueGrid
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from safetensors import safe_open
+from safetensors.numpy import save_file
+from scipy.interpolate import RegularGridInterpolator
+
+DIGEST = "0123456789abcdef" * 4
+quickly = settings(max_examples=25, deadline=None, derandomize=True)
+
+
+def make_grid(values, axes, kind="oc_value", **changes) -> ValueGrid:
+    fields = {"task": "car_ttr", "task_digest": DIGEST, "solver": "a test", "residual": 1e-3, "notes": {"sweeps": "18"}}
+    return ValueGrid(values=np.asarray(values), axes=tuple(axes), kind=kind, **{**fields, **changes})
+
+
+def mesh(axes) -> np.ndarray:
+    return np.stack(np.meshgrid(*(axis.nodes for axis in axes), indexing="ij"), axis=-1)
+
+
+def random_axes(random: np.random.Generator, n: int, periodic: bool = False) -> list[Axis]:
+    lower = random.uniform(-5, 5, n)
+    upper = lower + random.uniform(0.5, 8, n)
+    counts = random.integers(2, 5 if n > 4 else 8, n)
+    wraps = random.random(n) < 0.5 if periodic else np.zeros(n, bool)
+    columns = zip(lower, upper, counts, wraps, strict=True)
+    return [
+        Axis(f"x{k}", "m", *map(float, ends), int(count), bool(wrap)) for k, (*ends, count, wrap) in enumerate(columns)
+    ]
+
+
+def random_states(random: np.random.Generator, axes, count: int) -> np.ndarray:
+    return random.uniform([a.lower for a in axes], [a.upper for a in axes], (count, len(axes)))
+
+
+def peer(grid: ValueGrid) -> RegularGridInterpolator:
+    """scipy on the same grid; a periodic axis is closed by its first node."""
+    values, nodes = np.asarray(grid.values, np.float64), []
+    for k, axis in enumerate(grid.axes):
+        nodes.append(np.append(axis.nodes, axis.upper) if axis.periodic else axis.nodes)
+        if axis.periodic:
+            values = np.concatenate([values, values.take([0], axis=k)], axis=k)
+    return RegularGridInterpolator(nodes, values)
+
+
+@pytest.mark.parametrize("n", range(1, 7))
+def test_exact_on_multilinear_functions_and_their_gradients(n):
+    @quickly
+    @given(st.integers(0, 2**32))
+    def check(seed):
+        random = np.random.default_rng(seed)
+        axes = random_axes(random, n)
+        subsets = list(itertools.product([0, 1], repeat=n))
+        coefficients = random.normal(size=len(subsets))
+
+        def f(x):
+            return sum(c * np.prod(x ** np.array(s), axis=-1) for c, s in zip(coefficients, subsets, strict=True))
+
+        def slope(x, k):
+            terms = zip(coefficients, subsets, strict=True)
+            return sum(c * np.prod(np.delete(x ** np.array(s), k, axis=-1), axis=-1) for c, s in terms if s[k])
+
+        grid = make_grid(f(mesh(axes)), axes)
+        states = random_states(random, axes, 20)
+        value, gradient = grid.value_and_gradient(states)
+        scale = np.abs(grid.values).max()
+        np.testing.assert_allclose(value, f(states), atol=1e-11 * scale)
+        for k in range(n):
+            np.testing.assert_allclose(gradient[:, k], slope(states, k), atol=1e-9 * scale)
+
+    check()
+
+
+@quickly
+@given(st.integers(0, 2**32), st.integers(1, 4), st.sampled_from([np.float32, np.float64]))
+def test_agrees_with_scipy_also_across_the_seam_of_periodic_axes(seed, n, dtype):
+    random = np.random.default_rng(seed)
+    axes = random_axes(random, n, periodic=True)
+    grid = make_grid(random.normal(size=[axis.count for axis in axes]).astype(dtype), axes)
+    states = random_states(random, axes, 50)
+    np.testing.assert_allclose(grid.value(states), peer(grid)(states), atol=1e-12)
+
+
+@quickly
+@given(st.integers(0, 2**32), st.integers(-1000, 1000))
+def test_periodic_axes_wrap_any_angle(seed, turns):
+    random = np.random.default_rng(seed)
+    axes = [Axis("x", "m", 0.0, 1.0, 3), Axis("theta", "rad", -np.pi, np.pi, 7, periodic=True)]
+    grid = make_grid(random.normal(size=(3, 7)), axes)
+    states = random_states(random, axes, 20)
+    value, gradient = grid.value_and_gradient(states)
+    value_turned, gradient_turned = grid.value_and_gradient(states + np.array([0, 2 * np.pi * turns]))
+    np.testing.assert_allclose(value_turned, value, atol=1e-10)
+    np.testing.assert_allclose(gradient_turned, gradient, atol=1e-9)
+
+
+@quickly
+@given(st.integers(0, 2**32), st.integers(1, 6), st.sampled_from([np.float32, np.float64]))
+def test_single_is_batch_and_gradient_brings_the_same_value(seed, n, dtype):
+    random = np.random.default_rng(seed)
+    axes = random_axes(random, n, periodic=True)
+    values = random.uniform(0, 9, [axis.count for axis in axes]).astype(dtype)
+    values[random.random(values.shape) < 0.2] = np.inf
+    grid = make_grid(values, axes, kind="time_to_reach")
+    states = random_states(random, axes, 12) + random.choice([0.0, 0.0, 100.0], (12, n))
+    value, gradient = grid.value_and_gradient(states)
+    np.testing.assert_array_equal(grid.value(states), value)
+    for row, state in enumerate(states):
+        np.testing.assert_equal(grid.at(state), value[row])
+        np.testing.assert_equal(float(grid.value(state)), value[row])
+        one_value, one_gradient = grid.value_and_gradient_at(state)
+        np.testing.assert_equal(one_value, value[row])
+        np.testing.assert_array_equal(one_gradient, gradient[row])
+        assert bool(grid.in_domain(state)) == (not np.isnan(value[row]))
+
+
+@quickly
+@given(st.integers(0, 2**32), st.integers(1, 4))
+def test_gradient_is_the_derivative_of_the_value_next_to_unreachable_nodes(seed, n):
+    random = np.random.default_rng(seed)
+    axes = random_axes(random, n)
+    values = random.uniform(0, 9, [axis.count for axis in axes])
+    values[random.random(values.shape) < 0.25] = np.inf
+    grid = make_grid(values, axes, kind="time_to_reach")
+    states = random_states(random, axes, 50)
+    value, gradient = grid.value_and_gradient(states)
+    h = 1e-6
+    for k, axis in enumerate(axes):
+        step = h * np.eye(n)[k]
+        above, below = grid.value(states + step), grid.value(states - step)
+        within = (np.floor((states[:, k] + [[-h], [h]] - axis.lower) / axis.spacing)).astype(int)
+        smooth = np.isfinite(above) & np.isfinite(below) & (within[0] == within[1])
+        np.testing.assert_allclose(gradient[smooth, k], (above[smooth] - below[smooth]) / (2 * h), rtol=1e-4, atol=1e-3)
+    assert np.isnan(gradient[~np.isfinite(value)]).all()
+    assert np.isfinite(gradient[np.isfinite(value)]).all()
+
+
+def test_the_edge_of_what_can_be_reached_lies_half_way_between_nodes():
+    grid = make_grid([0.0, 1.0, np.inf], [Axis("x", "m", 0.0, 2.0, 3)], kind="time_to_reach")
+    value, gradient = grid.value_and_gradient([[0.5], [1.0], [1.25], [1.5], [1.51], [2.0]])
+    np.testing.assert_array_equal(value, [0.5, 1, 1, 1, np.inf, np.inf])
+    np.testing.assert_array_equal(gradient.ravel(), [1, 0, 0, 0, np.nan, np.nan])
+    assert grid.in_domain([[1.9]]).all()
+
+
+def test_a_corridor_one_node_wide_stays_open():
+    values = np.full((4, 3), np.inf)
+    values[:, 1] = [0, 1, 2, 3]
+    grid = make_grid(values, [Axis("x", "m", 0.0, 3.0, 4), Axis("y", "m", 0.0, 2.0, 3)], kind="time_to_reach")
+    value, gradient = grid.value_and_gradient([[0.5, 1.0], [1.5, 0.7], [2.5, 1.4], [1.5, 0.4]])
+    np.testing.assert_allclose(value, [0.5, 1.5, 2.5, np.inf])
+    np.testing.assert_allclose(gradient[:3], [[1, 0]] * 3, atol=1e-12)
+
+
+def test_exact_at_every_node_with_unreachable_neighbours():
+    random = np.random.default_rng(0)
+    axes = [Axis("x", "m", 0.0, 4.0, 5), Axis("theta", "rad", 0.0, 8.0, 8, periodic=True), Axis("y", "m", -1.0, 1.0, 3)]
+    values = random.uniform(0, 5, (5, 8, 3))
+    values[random.random(values.shape) < 0.3] = np.inf
+    grid = make_grid(values, axes, kind="time_to_reach")
+    np.testing.assert_array_equal(grid.value(mesh(axes)), values)
+
+
+def test_outside_is_nan_and_the_edges_are_inside():
+    axes = [Axis("x", "m", -0.3, 0.7, 11), Axis("theta", "rad", -np.pi, np.pi, 8, periodic=True)]
+    grid = make_grid(np.ones((11, 8)), axes)
+    inside = [[-0.3, 0], [0.7, 0], [0.7, np.pi], [0, 1e6], [0, -1e300], [0, -1e-300], [0, -np.pi]]
+    beyond, before = np.nextafter(0.7, 1), np.nextafter(-0.3, -1)
+    outside = [[beyond, 0], [before, 0], [np.nan, 0], [np.inf, 0], [-np.inf, 0], [0, np.nan], [0, np.inf], [0, -np.inf]]
+    assert grid.in_domain(inside).all()
+    np.testing.assert_allclose(grid.value(inside), 1)
+    value, gradient = grid.value_and_gradient(outside)
+    assert np.isnan(value).all()
+    assert np.isnan(gradient).all()
+    assert not grid.in_domain(outside).any()
+    for state in np.array(outside):
+        assert np.isnan(grid.at(state))
+        assert np.isnan(grid.value_and_gradient_at(state)[1]).all()
+
+
+def test_on_a_face_the_gradient_is_that_of_the_upper_cell_and_at_the_end_of_the_last():
+    grid = make_grid([0.0, 1.0, 3.0], [Axis("x", "m", 0.0, 2.0, 3)])
+    np.testing.assert_allclose(grid.value_and_gradient([[0.0], [1.0], [2.0]])[1].ravel(), [1, 2, 2])
+
+
+def test_shapes_of_queries():
+    grid = make_grid(np.zeros((2, 3)), [Axis("x", "m", 0.0, 1.0, 2), Axis("y", "m", 0.0, 1.0, 3)])
+    value, gradient = grid.value_and_gradient(np.zeros((4, 5, 2)))
+    assert value.shape == (4, 5)
+    assert gradient.shape == (4, 5, 2)
+    assert grid.value(np.zeros((0, 2))).shape == (0,)
+    assert grid.value([0, 1]).shape == ()
+    transposed = np.linspace(0, 1, 6).reshape(2, 3).T
+    transposed.flags.writeable = False
+    assert grid.value(transposed).shape == (3,)
+    with pytest.raises(GridError, match=r"shape \(3,\); give \(..., 2\), one component per axis: x, y"):
+        grid.value([0, 0, 0])
+    with pytest.raises(GridError, match="not an array of numbers"):
+        grid.value([["a", "b"]])
+    with pytest.raises(GridError, match="as many components"):
+        grid.at(np.zeros(3))
+
+
+def test_values_are_a_private_copy():
+    values = np.zeros(3)
+    grid = make_grid(values, [Axis("x", "m", 0.0, 1.0, 3)])
+    values[:] = 7
+    assert grid.at(np.zeros(1)) == 0
+    with pytest.raises(ValueError, match="read-only"):
+        grid.values[0] = 1
+
+
+# ---- the file ----
+
+
+def small_grid(**changes) -> ValueGrid:
+    axes = [Axis("x", "m", -1.0, 1.0, 3), Axis("theta", "rad", -np.pi, np.pi, 4, periodic=True)]
+    values = np.arange(12, dtype=np.float32).reshape(3, 4)
+    values[1, 2] = np.inf
+    return make_grid(values, axes, kind="time_to_reach", **changes)
+
+
+@quickly
+@given(
+    st.integers(0, 2**32), st.integers(1, 6), st.sampled_from([np.float32, np.float64]), st.text(), st.floats(0, 1e9)
+)
+def test_round_trip(tmp_path_factory, seed, n, dtype, note, residual):
+    random = np.random.default_rng(seed)
+    axes = random_axes(random, n, periodic=True)
+    values = random.uniform(0, 1, [axis.count for axis in axes]).astype(dtype)
+    values[random.random(values.shape) < 0.1] = np.inf
+    grid = make_grid(values, axes, kind="time_to_reach", notes={"note": note}, residual=residual)
+    path = tmp_path_factory.mktemp("grids") / "grid.safetensors"
+    grid.save(path)
+    loaded = ValueGrid.load(path)
+    for name in ("axes", "kind", "task", "task_digest", "solver", "residual", "notes", "unit", "digest"):
+        assert getattr(loaded, name) == getattr(grid, name)
+    assert loaded.values.dtype == dtype
+    np.testing.assert_array_equal(loaded.values, grid.values)
+
+
+def test_digest_is_that_of_the_file_and_tells_grids_apart(tmp_path):
+    path = tmp_path / "grid.safetensors"
+    small_grid().save(path)
+    sha256sum = subprocess.run(["sha256sum", path], capture_output=True, text=True, check=True).stdout.split()[0]
+    assert small_grid().digest == sha256sum
+    assert small_grid(solver="another").digest != sha256sum
+    assert replace(small_grid(), values=small_grid().values * 2).digest != sha256sum
+
+
+def test_save_does_not_overwrite_unless_asked_and_leaves_no_debris(tmp_path):
+    path = tmp_path / "grid.safetensors"
+    small_grid().save(path)
+    with pytest.raises(GridError, match=r"grid.safetensors: exists already"):
+        small_grid(solver="new").save(path)
+    assert ValueGrid.load(path).solver == "a test"
+    small_grid(solver="new").save(path, overwrite=True)
+    assert ValueGrid.load(path).solver == "new"
+    assert os.listdir(tmp_path) == ["grid.safetensors"]
+    assert stat.S_IMODE(path.stat().st_mode) & stat.S_IRUSR
+
+
+def test_save_where_it_cannot(tmp_path):
+    with pytest.raises(GridError, match="cannot be written: No such file or directory"):
+        small_grid().save(tmp_path / "missing" / "grid.safetensors")
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(GridError, match="cannot be written"):
+        small_grid().save(tmp_path / "folder", overwrite=True)
+    assert os.listdir(tmp_path) == ["folder"]
+
+
+def test_every_truncation_is_refused(tmp_path):
+    path = tmp_path / "grid.safetensors"
+    small_grid().save(path)
+    content = path.read_bytes()
+    for length in [0, 4, 8, 40, *range(100, len(content), 97), len(content) - 1]:
+        path.write_bytes(content[:length])
+        with pytest.raises(GridError, match=r"grid\.safetensors: "):
+            ValueGrid.load(path)
+
+
+def test_flipped_values_are_refused(tmp_path):
+    path = tmp_path / "grid.safetensors"
+    small_grid().save(path)
+    content = bytearray(path.read_bytes())
+    content[-1] ^= 1
+    path.write_bytes(content)
+    with pytest.raises(GridError, match="do not match their checksum"):
+        ValueGrid.load(path)
+
+
+def edited(path, **changes) -> None:
+    """Rewrite the description of a saved grid; None removes a field."""
+    with safe_open(path, framework="numpy") as file:
+        description = json.loads(file.metadata()["value_grid"])
+        values = file.get_tensor("values")
+    description = {k: v for k, v in {**description, **changes}.items() if v is not None}
+    save_file({"values": values}, path, metadata={"value_grid": json.dumps(description)})
+
+
+AXIS = {"name": "x", "unit": "m", "lower": -1, "upper": 1, "count": 3, "periodic": False}
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"format": 2}, "this version reads format 1"),
+        ({"solver": None}, "metadata lacks solver"),
+        ({"axes": None}, "metadata lacks axes"),
+        ({"axes": 3}, "'axes' is not a list"),
+        ({"axes": [3]}, "entry that is not an axis"),
+        ({"axes": [AXIS]}, r"values have shape \(3, 4\), the axes \(3,\)"),
+        ({"axes": [AXIS, {**AXIS, "count": 4}]}, "names repeat: x, x"),
+        ({"axes": [AXIS, {**AXIS, "count": 4.0}]}, "'count' is 4.0; it must be of type int"),
+        ({"axes": [AXIS, {**AXIS, "periodic": 1}]}, "must be of type bool"),
+        ({"axes": [AXIS, {**AXIS, "upper": -1}]}, "give finite lower < upper"),
+        ({"axes": [AXIS, {**AXIS, "lower": float("nan")}]}, "give finite lower < upper"),
+        ({"kind": "speed"}, "'kind' is 'speed'; give one of time_to_reach, oc_value"),
+        ({"kind": "oc_value"}, "an optimal control value is infinite"),
+        ({"kind": 4}, "'kind' is 4; give a text"),
+        ({"task": ""}, "'task' is ''"),
+        ({"task_digest": "abc"}, "64 hexadecimal digits"),
+        ({"residual": float("nan")}, "finite number"),
+        ({"residual": "small"}, "give a number"),
+        ({"residual": -1}, "zero or more"),
+        ({"notes": {"a": 1}}, "map texts to texts"),
+    ],
+)
+def test_bad_metadata_is_refused_by_name(tmp_path, changes, message):
+    path = tmp_path / "grid.safetensors"
+    small_grid().save(path)
+    edited(path, **changes)
+    with pytest.raises(GridError, match=r"grid\.safetensors: .*" + message):
+        ValueGrid.load(path)
+
+
+def test_other_files_are_refused_by_name(tmp_path):
+    path = tmp_path / "grid.safetensors"
+    with pytest.raises(GridError, match=r"grid\.safetensors: there is no such file"):
+        ValueGrid.load(path)
+    path.write_text("x: 1\n" * 10)
+    with pytest.raises(GridError, match=r"grid\.safetensors: is not a whole safetensors file"):
+        ValueGrid.load(path)
+    save_file({"weights": np.zeros(3)}, path)
+    with pytest.raises(GridError, match="not a value grid"):
+        ValueGrid.load(path)
+    save_file({"values": np.zeros(3, np.int32)}, path, metadata={"value_grid": "{}"})
+    with pytest.raises(GridError, match="type I32; a value grid is F32 or F64"):
+        ValueGrid.load(path)
+    for text, message in (("{", "not JSON"), ("[]", "not a JSON object")):
+        save_file({"values": np.zeros(3)}, path, metadata={"value_grid": text})
+        with pytest.raises(GridError, match=message):
+            ValueGrid.load(path)
+    with pytest.raises(GridError, match=f"{tmp_path}: cannot be read"):
+        ValueGrid.load(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ([0, np.nan, 1], "NaN or -inf"),
+        ([0, -np.inf, 1], "NaN or -inf"),
+        ([0, -1.0, 1], r"a time to reach is negative \(-1 s\)"),
+        (np.array([0, 1, 2]), "of type int64"),
+        (np.zeros(3, np.float16), "of type float16"),
+        (np.zeros(4), "shape"),
+    ],
+)
+def test_bad_values_are_refused(values, message):
+    with pytest.raises(GridError, match=message):
+        make_grid(values, [Axis("x", "m", 0.0, 1.0, 3)], kind="time_to_reach")
+
+
+def test_bad_axes_are_refused():
+    with pytest.raises(GridError, match="give one to 6"):
+        make_grid(np.zeros((2,) * 7), [Axis(f"x{k}", "m", 0.0, 1.0, 2) for k in range(7)])
+    with pytest.raises(GridError, match="has 1 nodes"):
+        Axis("x", "m", 0.0, 1.0, 1)
+    with pytest.raises(GridError, match="no name"):
+        Axis("", "m", 0.0, 1.0, 2)
+
+
+def test_nodes():
+    np.testing.assert_allclose(Axis("x", "m", 0.0, 1.0, 5).nodes, [0, 0.25, 0.5, 0.75, 1])
+    axis = Axis("theta", "rad", 0.0, 1.0, 4, periodic=True)
+    np.testing.assert_allclose(axis.nodes, [0, 0.25, 0.5, 0.75])
+    assert axis.spacing == 0.25
+
+
+def test_works_without_a_writable_cache_folder(tmp_path):
+    """A read-only installation whose user has no home compiles in memory instead of failing at import."""
+    code = (
+        "import numba.core.caching as caching\n"
+        "caching.CacheImpl._locator_classes = []\n"
+        "import numpy as np\n"
+        "from ctrl_rl_core.value_grid import Axis, ValueGrid\n"
+        "grid = ValueGrid(np.array([0.0, 1.0]), (Axis('x', 'm', 0.0, 1.0, 2),), 'oc_value', 't', 'a' * 64, 's', 0.0)\n"
+        "assert grid.at(np.array([0.25])) == 0.25\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=tmp_path)

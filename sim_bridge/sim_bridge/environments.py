@@ -1,0 +1,169 @@
+"""The suite's worlds as Gymnasium environments, for training.
+
+    import gymnasium, sim_bridge.environments
+    environment = gymnasium.make("ctrl_rl/car_ttr-v0")
+    environments = gymnasium.make_vec("ctrl_rl/curved_corridor-v0", num_envs=4, vectorization_mode="sync")
+
+Each environment owns a PyBullet client; close it when done. Without an import of this module, write
+"sim_bridge.environments:ctrl_rl/car_ttr-v0".
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+from ctrl_rl_core.systems import System
+from ctrl_rl_core.tasks import NavigationTask, load_navigation_task, load_task, task_names
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from sim_bridge.episode import Outcome
+from sim_bridge.errors import SimulationError
+from sim_bridge.world import SimulatedWorld, SimulationOptions
+
+_FLIGHT_SPEED = 20.0
+_FLIGHT_TURN = 60.0
+_MARGIN = 5.0
+"""How far outside the arena or corridor a position may still be observed [m]."""
+_LARGEST_SEED = 2**32
+
+Vector = NDArray[np.float32]
+
+
+class NavigationEnv(gymnasium.Env[Vector, Vector]):
+    """One robot of a navigation task; an episode ends at goal, collision or trap and is cut at the step limit.
+
+    Observation, in SI units and this order (`observation_names`): the system's state by odometry, angles in [-pi, pi];
+    in a corridor also speed v and turn rate omega; then the lidar's beams, where nothing within reach reads the largest
+    range and what is too close the least. Action: [-1, 1] for each command of the task, mapped to its bounds. Reward:
+    what the task pays (thesis Eq. 3.9, 3.15, 3.17). Info: `outcome`, `state` (the true one), `clearance` [m] and, along
+    a corridor, `progress` from 0 to 1.
+
+    Attributes:
+        task: the task.
+        world: its simulated world.
+        observation_names: of the observation's components; beams as beam_0 and so on.
+    """
+
+    metadata = {"render_modes": []}  # noqa: RUF012 - gymnasium's own form
+
+    def __init__(
+        self,
+        task: NavigationTask | str | Path,
+        width: float | None = None,
+        options: SimulationOptions | None = None,
+        render_mode: str | None = None,
+    ) -> None:
+        """Build the world.
+
+        Args:
+            task: a task, its name, or its file.
+            width: free width of a corridor [m], None for the task's (or the options' random one).
+            options: how to simulate it.
+            render_mode: None; PyBullet's window is an option.
+
+        Raises:
+            SimulationError: the time step of the task is not a whole number of physics steps.
+            TaskError: there is no such task, or the width does not suit it.
+        """
+        self.render_mode = render_mode
+        self.task = task if isinstance(task, NavigationTask) else load_navigation_task(task)
+        options = options or SimulationOptions()
+        self._steps_per_action = _whole_steps(self.task, options.rate)
+        self._commands = np.array(list(self.task.robot.commands.values()))
+        self.world = SimulatedWorld(self.task, width=width, options=options)
+        names, low, high = _observed_state(self.task, self.world.system)
+        beams, reach = self.task.lidar.beams, self.task.lidar.range
+        self.observation_names = (*names, *(f"beam_{index}" for index in range(beams)))
+        self._low = np.array([*low, *[reach.low] * beams], dtype=np.float32)
+        self._high = np.array([*high, *[reach.high] * beams], dtype=np.float32)
+        self.observation_space = spaces.Box(self._low, self._high)
+        self.action_space = spaces.Box(-1.0, 1.0, (2,), dtype=np.float32)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Vector, dict[str, Any]]:
+        """Start an episode; the same seed gives the same start, noise and drift. `options` has no effect."""
+        super().reset(seed=seed, options=options)
+        self.world.reset(int(self.np_random.integers(_LARGEST_SEED)) if seed is None else seed)
+        return self._observation(), self._info()
+
+    def step(self, action: Vector) -> tuple[Vector, float, bool, bool, dict[str, Any]]:
+        """Hold an action (2,) for the task's time step."""
+        low, high = self._commands[:, 0], self._commands[:, 1]
+        share = 0.5 * (np.clip(np.asarray(action, dtype=float), -1.0, 1.0) + 1.0)
+        if not self.world.command(0, low + share * (high - low)):
+            raise SimulationError(f"action {np.asarray(action).tolist()} is not two finite numbers")
+        self.world.step(self._steps_per_action)
+        episode = self.world.episode(0)
+        truncated = episode.outcome is Outcome.TIMEOUT
+        terminated = episode.outcome is not Outcome.RUNNING and not truncated
+        return self._observation(), episode.reward(self.task.rewards), terminated, truncated, self._info()
+
+    def close(self) -> None:
+        """Give the physics client back."""
+        self.world.close()
+
+    def _observation(self) -> Vector:
+        world, reach = self.world, self.task.lidar.range
+        parts = [world.measured_state(0)]
+        if self.task.corridor is not None:
+            forward, _, turn = world.odometry(0).velocity
+            parts.append(np.array((forward, turn)))
+        ranges = np.nan_to_num(world.scan(0), nan=reach.high, posinf=reach.high, neginf=reach.low)
+        observation = np.concatenate((*parts, ranges)).astype(np.float32)
+        return np.clip(observation, self._low, self._high)
+
+    def _info(self) -> dict[str, Any]:
+        episode = self.world.episode(0)
+        info: dict[str, Any] = {
+            "outcome": episode.outcome.name,
+            "state": self.world.state(0),
+            "clearance": episode.clearance,
+        }
+        if self.task.corridor is not None:
+            info["progress"] = episode.progress
+        return info
+
+
+def _whole_steps(task: NavigationTask, rate: int) -> int:
+    steps = task.episode.time_step * rate
+    if abs(steps - round(steps)) > 1e-6 or steps < 0.5:
+        raise SimulationError(
+            f"task '{task.name}': its time step of {task.episode.time_step:g} s is {steps:g} physics steps "
+            f"at {rate} Hz: choose a rate at which it is a whole number"
+        )
+    return round(steps)
+
+
+def _observed_state(task: NavigationTask, system: System) -> tuple[list[str], list[float], list[float]]:
+    """Return names, least and largest values of the observation before the beams."""
+    names = list(system.state_names)
+    if task.corridor is not None:
+        names += ["v", "omega"]
+    bounds = {"theta": (-np.pi, np.pi), "psi": (-np.pi, np.pi)}
+    bounds |= dict.fromkeys(("v", "v_x", "v_z"), (-_FLIGHT_SPEED, _FLIGHT_SPEED))
+    bounds["omega"] = (-_FLIGHT_TURN, _FLIGHT_TURN)
+    if task.arena is not None:
+        places = [("x", tuple(task.arena.bounds[0])), (task.plane[1], tuple(task.arena.bounds[1]))]
+    else:
+        assert task.corridor is not None
+        path = task.corridor.path
+        points = path.pose(np.linspace(0.0, path.length, 200))
+        places = [(name, (points[:, axis].min(), points[:, axis].max())) for axis, name in enumerate(("x", "y"))]
+    bounds |= {name: (low - _MARGIN, high + _MARGIN) for name, (low, high) in places}
+    return names, [bounds[name][0] for name in names], [bounds[name][1] for name in names]
+
+
+def register_environments() -> tuple[str, ...]:
+    """Register each navigation task of the suite as ctrl_rl/NAME-v0 and return the ids."""
+    names = [name for name in task_names() if isinstance(load_task(name), NavigationTask)]
+    ids = tuple(f"ctrl_rl/{name}-v0" for name in names)
+    for name, identifier in zip(names, ids, strict=True):
+        if identifier not in gymnasium.registry:
+            gymnasium.register(identifier, "sim_bridge.environments:NavigationEnv", kwargs={"task": name})
+    return ids
+
+
+register_environments()

@@ -1,0 +1,78 @@
+"""Wall time and simulation time: how many physics steps are due now, and how fast the world really runs."""
+
+from __future__ import annotations
+
+import math
+
+LONGEST_GAP = 0.1
+"""Wall time [s] that is made up for at once: after a longer gap (a pause, a busy machine) the rest is let go."""
+
+
+class Pacer:
+    """Tells how many physics steps to do so that the world keeps a factor of wall time; it never rushes to catch up."""
+
+    def __init__(self, rate: int) -> None:
+        """Pace a world of `rate` physics steps per second [Hz]."""
+        self._rate = rate
+        self._last: float | None = None
+        self._owed = 0.0
+
+    def due(self, now: float, factor: float) -> int:
+        """Return the whole steps due.
+
+        Args:
+            now: steady wall time [s].
+            factor: simulation time per wall time.
+        """
+        gap = 0.0 if self._last is None else min(now - self._last, LONGEST_GAP)
+        self._last = now
+        self._owed += gap * factor * self._rate
+        steps = int(self._owed)
+        self._owed -= steps
+        return steps
+
+    def rest(self) -> None:
+        """Forget what is owed: the world is paused."""
+        self._last, self._owed = None, 0.0
+
+
+class SpeedMeter:
+    """Measures simulation time per wall time from one reading to the next."""
+
+    def __init__(self) -> None:
+        self._begin: tuple[float, float] | None = None
+
+    def read(self, now: float, simulated: float) -> float:
+        """Return the factor since the last reading; NaN for the first.
+
+        Args:
+            now: steady wall time [s].
+            simulated: simulation time [s].
+        """
+        begin, self._begin = self._begin, (now, simulated)
+        if begin is None or now <= begin[0]:
+            return math.nan
+        return (simulated - begin[1]) / (now - begin[0])
+
+
+class Schedule:
+    """Physics steps at which something that happens so many times per second of simulation time is due, from step 0."""
+
+    def __init__(self, frequency: float, rate: int) -> None:
+        """Begin at step 0.
+
+        Args:
+            frequency: [Hz]; at most `rate`.
+            rate: physics steps per second [Hz].
+        """
+        self._period = max(1.0, rate / frequency)
+        self._count = 0
+        self.next = 0
+
+    def due(self, step: int) -> bool:
+        """Return whether it is due at this step, and if so move on to the next time."""
+        if step < self.next:
+            return False
+        self._count += 1
+        self.next = math.ceil(self._count * self._period - 1e-9)
+        return True

@@ -1,0 +1,49 @@
+"""Run the benchmarks: each figure beside a peer or a floor that ran in the same run.
+
+python test/benchmarks [--output FILE] [--only NAME ...]
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import json
+import sys
+from pathlib import Path
+
+from tqdm import tqdm
+
+HERE = Path(__file__).parent
+NAMES = sorted(file.stem for file in HERE.glob("*.py") if not file.stem.startswith("_"))
+
+
+def main() -> int:
+    """Run them and print, and where asked write, their rows."""
+    parser = argparse.ArgumentParser(prog="benchmarks", description=__doc__)
+    parser.add_argument("--output", type=Path, help="JSON file to write the rows to")
+    parser.add_argument("--only", nargs="+", choices=NAMES, default=NAMES, help="some of them (default: all)")
+    options = parser.parse_args()
+    sys.path.insert(0, str(HERE))
+    rows = []
+    for name in tqdm(options.only, desc="benchmarks", disable=None):
+        rows += importlib.import_module(name).rows()
+    print(table(rows))
+    if options.output is not None:
+        options.output.parent.mkdir(parents=True, exist_ok=True)
+        temporary = options.output.with_name(f".{options.output.name}")
+        temporary.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+        temporary.replace(options.output)
+    return 0
+
+
+def table(rows: list[dict[str, object]]) -> str:
+    """Return the rows for people."""
+    lines = []
+    for row in rows:
+        ratio = "" if row["ratio"] is None else f"{row['ratio']:9.2f} x"
+        lines.append(f"{row['name']!s:<52} {row['value']:>12.4g} {row['unit']!s:<14}{ratio:>12}  {row['against']}")
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

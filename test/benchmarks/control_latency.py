@@ -1,0 +1,130 @@
+"""Control latency: from a scan's publication to the arrival of the command that answers it, against a bare echo.
+
+Both run as processes of their own and answer the same scans in turn; the echo is the least rclpy node that takes a
+LaserScan and publishes a TwistStamped.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import rclpy
+from ament_index_python.packages import get_package_prefix
+from ctrl_rl_core.ros import COMMAND, SCAN_PUBLISHER, SENSOR, float32_array, to_stamp
+from geometry_msgs.msg import TwistStamped
+from nav_msgs.msg import Odometry
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+from sensor_msgs.msg import LaserScan
+
+SCANS = 400
+PAUSE_S = 0.01
+
+
+def echo() -> None:
+    """Answer each scan with an empty command."""
+    rclpy.init()
+    node = Node("echo", namespace="echo")
+    publisher = node.create_publisher(TwistStamped, "cmd_vel", COMMAND)
+    node.create_subscription(
+        LaserScan, "scan", lambda scan: publisher.publish(TwistStamped(header=scan.header)), SENSOR
+    )
+    try:
+        rclpy.spin(node)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        rclpy.try_shutdown()
+
+
+class Prober:
+    """Publishes scans to one namespace and takes the time of the answers."""
+
+    def __init__(self, node: Node, namespace: str) -> None:
+        self._node = node
+        self._scan = node.create_publisher(LaserScan, f"/{namespace}/scan", SCAN_PUBLISHER)
+        self._odom = node.create_publisher(Odometry, f"/{namespace}/odom", 10)
+        self._answered = -1
+        self._sent = 0
+        node.create_subscription(TwistStamped, f"/{namespace}/cmd_vel", self._on_command, COMMAND)
+        deadline = time.monotonic() + 30.0
+        while self.ask() is None:
+            if time.monotonic() > deadline:
+                raise RuntimeError(f"no answer in /{namespace}")
+
+    def ask(self) -> float | None:
+        """Return the time to the answer of one scan [s], None after half a second."""
+        self._sent += 1
+        scan = LaserScan(
+            angle_increment=2 * np.pi / 360,
+            range_min=0.12,
+            range_max=3.5,
+            ranges=float32_array(np.linspace(0.3, 0.6, 360)),
+        )
+        scan.header.stamp = to_stamp(self._sent)
+        self._odom.publish(Odometry())
+        time.sleep(0.001)
+        begin = time.perf_counter()
+        self._scan.publish(scan)
+        while self._answered != self._sent:
+            rclpy.spin_once(self._node, timeout_sec=0.1)
+            if time.perf_counter() - begin > 0.5:
+                return None
+        return time.perf_counter() - begin
+
+    def _on_command(self, message: TwistStamped) -> None:
+        self._answered = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+
+
+def rows() -> list[dict[str, object]]:
+    """Return medians and 99th percentiles, with the ratio to the echo's."""
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    controller = Path(get_package_prefix("koopman_lqr_controller")) / "lib/koopman_lqr_controller/controller"
+    processes = [
+        subprocess.Popen([sys.executable, __file__, "echo"]),
+        subprocess.Popen(
+            [controller, "--ros-args", "-r", "__ns:=/controlled", "--log-level", "error"], stdout=subprocess.DEVNULL
+        ),
+    ]
+    rclpy.init()
+    node = Node("prober")
+    try:
+        probers = {name: Prober(node, name) for name in ("echo", "controlled")}
+        times: dict[str, list[float]] = {name: [] for name in probers}
+        for _ in range(SCANS):
+            for name, prober in probers.items():
+                answer = prober.ask()
+                if answer is not None:
+                    times[name].append(1e3 * answer)
+                time.sleep(PAUSE_S)
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
+        for process in processes:
+            process.send_signal(signal.SIGINT)
+            process.wait(5.0)
+    out: list[dict[str, object]] = []
+    for label, percentile in (("median", 50), ("p99", 99)):
+        mine, floor = (float(np.percentile(times[name], percentile)) for name in ("controlled", "echo"))
+        against = f"bare rclpy echo of the same scan, {floor:.3f} ms"
+        out.append(
+            {
+                "name": f"control latency, {label}",
+                "value": mine,
+                "unit": "ms",
+                "against": against,
+                "ratio": mine / floor,
+            }
+        )
+    return out
+
+
+if __name__ == "__main__":
+    if sys.argv[1:] == ["echo"]:
+        echo()
+    else:
+        print(*rows(), sep="\n")

@@ -1,0 +1,98 @@
+"""What every node of the suite promises, tried on real processes."""
+
+import signal
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import rclpy
+from ament_index_python.packages import get_package_prefix
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.node import Node
+
+NODES = {
+    "bridge": ("sim_bridge", ()),
+    "recorder": ("ctrl_rl_core", ("output:={folder}/bag",)),
+    "controller": ("koopman_lqr_controller", ()),
+    "scripted_driver": ("koopman_lqr_controller", ()),
+}
+BAD = {
+    "bridge": ("task:=nowhere", "no task 'nowhere'"),
+    "recorder": ("output:={folder}", "exists"),
+    "controller": ("scan_timeout:=-1.0", "parameter 'scan_timeout' is out of range: must be 0.05 to 10"),
+    "scripted_driver": ("speed:=fast", "parameter 'speed' is 'fast': must be a number"),
+}
+
+
+def start(run_node: Callable, name: str, folder: Path, *more: str):
+    package, parameters = NODES[name]
+    return run_node(package, name, *(parameter.format(folder=folder) for parameter in parameters), *more)
+
+
+@pytest.fixture
+def listener():
+    rclpy.init()
+    node = Node("listener")
+    heard: dict[str, DiagnosticArray] = {}
+
+    def keep(message: DiagnosticArray) -> None:
+        heard[message.status[0].name] = message
+
+    node.create_subscription(DiagnosticArray, "diagnostics", keep, 10)
+    yield node, heard
+    node.destroy_node()
+    rclpy.try_shutdown()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("name", NODES)
+def test_a_signal_ends_it_within_a_second_with_exit_code_0(
+    run_node: Callable, listener, tmp_path: Path, name: str, number: int
+) -> None:
+    node, heard = listener
+    process = start(run_node, name, tmp_path)
+    for _ in range(600):
+        rclpy.spin_once(node, timeout_sec=0.05)
+        if heard:
+            break
+    assert heard, f"says nothing on diagnostics: {process.output}"
+    code, seconds = process.stop(number)
+    assert code == 0, process.output
+    assert seconds < 1.0
+    assert "Traceback" not in process.output
+
+
+@pytest.mark.parametrize("name", NODES)
+def test_a_bad_parameter_ends_it_with_one_clear_message(run_node: Callable, tmp_path: Path, name: str) -> None:
+    parameter, words = BAD[name]
+    package, _ = NODES[name]
+    process = run_node(package, name, parameter.format(folder=tmp_path))
+    assert process.process.wait(20.0) in (1, 2)
+    assert words in process.output
+    assert "Traceback" not in process.output
+    assert len(process.output.strip().splitlines()) == 1
+
+
+@pytest.mark.parametrize("name", NODES)
+def test_help_names_every_parameter_with_default_and_range(name: str) -> None:
+    package, _ = NODES[name]
+    path = Path(get_package_prefix(package)) / "lib" / package / name
+    answer = subprocess.run([path, "--help"], capture_output=True, text=True, check=True)
+    assert "parameters:" in answer.stdout
+    assert answer.stdout.count("(default ") >= 3
+
+
+def test_diagnostics_carry_name_level_and_figures(run_node: Callable, listener, tmp_path: Path) -> None:
+    node, heard = listener
+    for name in NODES:
+        start(run_node, name, tmp_path)
+    for _ in range(800):
+        rclpy.spin_once(node, timeout_sec=0.05)
+        if len(heard) == len(NODES):
+            break
+    assert set(heard) == {"/sim_bridge", "/recorder", "/koopman_lqr_controller", "/scripted_driver"}
+    for message in heard.values():
+        assert message.header.stamp.sec > 0 or message.status[0].name != "/recorder"
+        assert message.status[0].message
+        assert message.status[0].values
