@@ -5,15 +5,15 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NoReturn
+from typing import Any
 
 import rclpy
 from ctrl_rl_core.errors import CtrlRlError
 from ctrl_rl_core.ros import RESULT
 from rclpy.node import Node
 from std_srvs.srv import SetBool
-from tqdm import tqdm
 
+from ctrl_rl_bringup.progress import ProgressDisplay
 from ctrl_rl_msgs.msg import EpisodeStatus, TaskOutcome
 from ctrl_rl_msgs.srv import ResetWorld
 
@@ -44,10 +44,10 @@ class Episode:
     progress: float
     smallest_clearance: float
 
-    def show(self, bar: tqdm[NoReturn]) -> None:
-        """Put it on a progress bar."""
-        bar.set_postfix_str(f"{self.elapsed:5.1f} s, closest {self.smallest_clearance:.3f} m", refresh=False)
-        bar.update(max(0.0, min(1.0, self.progress) - bar.n))
+    @property
+    def figures(self) -> str:
+        """Time and clearance, for people."""
+        return f"{self.elapsed:5.1f} s, closest {self.smallest_clearance:.3f} m"
 
 
 class Monitor:
@@ -102,17 +102,16 @@ class Monitor:
             MonitorError: nothing is heard of the episode any more.
         """
         self._heard = time.monotonic()
-        layout = "{desc}: {percentage:3.0f}% of the way |{bar}| {postfix}"
-        with tqdm(total=1.0, desc=title, bar_format=layout, disable=None) as bar:
+        display = ProgressDisplay(title)
+        try:
             while self._episode is None or self._episode.outcome == TaskOutcome.RUNNING:
                 self._spin()
                 if time.monotonic() - self._heard > _SILENT_S:
                     raise MonitorError(f"no episode status for {_SILENT_S:g} s: does the simulator still run?")
                 if self._episode is not None:
-                    bar.set_postfix_str(
-                        f"{self._episode.elapsed:5.1f} s, closest {self._episode.smallest_clearance:.3f} m"
-                    )
-                    bar.update(max(0.0, min(1.0, self._episode.progress) - bar.n))
+                    display.show(self._episode.progress, self._episode.figures)
+        finally:
+            display.close()
         return self._episode
 
     def _on_episode(self, message: EpisodeStatus) -> None:

@@ -3,25 +3,26 @@
 from __future__ import annotations
 
 import os
-from pathlib import Path
+from pathlib import Path as FilePath
 
 import matplotlib as mpl
 import numpy as np
 
 mpl.use("Agg")
-from ctrl_rl_core.geometry import Box
+from ctrl_rl_core.geometry import Box, Path
 from ctrl_rl_core.tasks import NavigationTask, load_navigation_task
+from ctrl_rl_core.units import Interval
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
-from matplotlib.patches import Circle, Rectangle
+from matplotlib.patches import Circle, Polygon, Rectangle
 from matplotlib.transforms import Affine2D
 
 from ctrl_rl_bringup.monitor import OUTCOMES
 from ctrl_rl_bringup.report import Drive
 
 
-def draw_drive(drive: Drive, path: Path) -> None:
+def draw_drive(drive: Drive, path: FilePath) -> None:
     """Write the picture as a PNG; the file is there whole or not at all."""
     task = load_navigation_task(drive.task)
     figure, axes = plt.subplot_mosaic(
@@ -43,10 +44,8 @@ def _draw_map(axes: Axes, task: NavigationTask, drive: Drive) -> None:
     world = task.build_world(drive.width)
     for shape in (*world.walls, *world.obstacles):
         axes.add_patch(_box(axes, shape) if isinstance(shape, Box) else Circle(shape.centre, shape.radius, color="0.3"))
-    if world.path is not None:
-        goal = task.goal.intervals["s"]
-        end = world.path.pose(np.linspace(goal.low, goal.high, 20))
-        axes.plot(end[:, 0], end[:, 1], color="tab:green", linewidth=14, alpha=0.35, label="goal")
+    if world.path is not None and world.width is not None:
+        axes.add_patch(_stretch(world.path, task.goal.intervals["s"], world.width))
     points = drive.truth[:, 1:3]
     if len(points) > 1:
         clearance = np.interp(drive.truth[:, 0], *drive.clearance.T)
@@ -55,9 +54,25 @@ def _draw_map(axes: Axes, task: NavigationTask, drive: Drive) -> None:
         axes.add_collection(line)
         plt.colorbar(line, ax=axes, location="bottom", shrink=0.6, label="clearance [m]")
         axes.plot(*points[0], "o", color="black", label="start")
+        _mark_times(axes, drive)
     axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
     axes.autoscale_view()
     axes.legend(loc="best", frameon=False)
+
+
+def _stretch(path: Path, along: Interval, width: float) -> Polygon:
+    """Return the part of a corridor between two arc lengths."""
+    x, y, heading = path.pose(np.linspace(along.low, along.high, 30)).T
+    sides = [np.column_stack((x - e * np.sin(heading), y + e * np.cos(heading))) for e in (0.5 * width, -0.5 * width)]
+    return Polygon(np.vstack((sides[0], sides[1][::-1])), color="tab:green", alpha=0.25, linewidth=0, label="goal")
+
+
+def _mark_times(axes: Axes, drive: Drive, step: float = 5.0) -> None:
+    """Write the time beside the path every few seconds."""
+    for time in np.arange(step, drive.duration, step):
+        x, y = (np.interp(time, drive.truth[:, 0], drive.truth[:, column]) for column in (1, 2))
+        axes.plot(x, y, ".", color="black", markersize=4)
+        axes.annotate(f"{time:g} s", (x, y), (4, 4), textcoords="offset points", fontsize=7)
 
 
 def _box(axes: Axes, box: Box) -> Rectangle:

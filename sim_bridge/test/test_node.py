@@ -1,0 +1,258 @@
+"""The bridge as a real process, over real ROS."""
+
+import math
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+rclpy = pytest.importorskip("rclpy")
+
+os.environ["ROS_DOMAIN_ID"] = str(10 + os.getpid() % 90)
+os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+
+from ctrl_rl_core.ros import RESULT, SENSOR, seconds  # noqa: E402
+from ctrl_rl_msgs.msg import EpisodeStatus, RotorThrusts, TaskOutcome  # noqa: E402
+from ctrl_rl_msgs.srv import ResetWorld, StepWorld  # noqa: E402
+from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
+from geometry_msgs.msg import Twist, TwistStamped  # noqa: E402
+from nav_msgs.msg import Odometry  # noqa: E402
+from rosgraph_msgs.msg import Clock  # noqa: E402
+from sensor_msgs.msg import LaserScan  # noqa: E402
+from std_srvs.srv import SetBool  # noqa: E402
+
+PROGRAM = [sys.executable, "-c", "import sys; from sim_bridge.node import main; sys.exit(main())", "--ros-args"]
+PATIENCE = 20.0
+
+
+def arguments(**parameters):
+    return [part for name, value in parameters.items() for part in ("-p", f"{name}:={value}")]
+
+
+class Client:
+    """Talks to one bridge process and keeps what it says."""
+
+    def __init__(self, kind=TwistStamped, namespace="", **parameters):
+        self.process = subprocess.Popen([*PROGRAM, *arguments(**parameters)])
+        self.node = rclpy.create_node("bridge_test")
+        self.heard = {}
+        topics = {"scan": LaserScan, "odom": Odometry, "ground_truth": Odometry, "episode": EpisodeStatus}
+        for topic, message in topics.items():
+            self.listen(message, f"{namespace}/{topic}" if namespace else topic, SENSOR if topic != "episode" else RESULT)
+        self.listen(Clock, "/clock", 1)
+        self.listen(DiagnosticArray, "diagnostics", 10)
+        topic = "rotor_thrusts" if kind is RotorThrusts else "cmd_vel"
+        self.commands = self.node.create_publisher(kind, f"{namespace}/{topic}" if namespace else topic, 1)
+        self.services = {
+            name: self.node.create_client(kind, f"sim_bridge/{name}")
+            for name, kind in (("reset", ResetWorld), ("pause", SetBool), ("step", StepWorld))
+        }
+        for service in self.services.values():
+            assert service.wait_for_service(PATIENCE)
+        self.until(lambda: self.commands.get_subscription_count() == 1)
+
+    def listen(self, kind, topic, qos):
+        self.heard[topic] = []
+        self.node.create_subscription(kind, topic, self.heard[topic].append, qos)
+
+    def until(self, condition):
+        end = time.monotonic() + PATIENCE
+        while not condition():
+            assert time.monotonic() < end, "waited in vain"
+            rclpy.spin_once(self.node, timeout_sec=0.05)
+
+    def call(self, name, **fields):
+        service = self.services[name]
+        future = service.call_async(service.srv_type.Request(**fields))
+        rclpy.spin_until_future_complete(self.node, future, timeout_sec=PATIENCE)
+        assert future.result() is not None
+        return future.result()
+
+    def speeds(self, v, omega):
+        message = TwistStamped()
+        message.twist.linear.x, message.twist.angular.z = v, omega
+        self.commands.publish(message)
+
+    def diagnostics(self):
+        """The key figures of the next report."""
+        self.heard["diagnostics"].clear()
+        self.until(lambda: self.heard["diagnostics"])
+        return {value.key: value.value for value in self.heard["diagnostics"][-1].status[0].values}
+
+    def close(self, number=signal.SIGINT):
+        self.process.send_signal(number)
+        try:
+            return self.process.wait(5.0)
+        finally:
+            self.process.kill()
+            self.node.destroy_node()
+
+
+@pytest.fixture(autouse=True)
+def _ros():
+    rclpy.init()
+    yield
+    rclpy.try_shutdown()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_running_bridge_moves_the_robot_reports_and_stops_in_good_order(number):
+    client = Client(speed_factor=5.0, seed=1)
+    client.until(lambda: client.heard["odom"] and client.heard["scan"] and client.heard["/clock"])
+    begin = client.heard["odom"][0].pose.pose.position.x
+    end = time.monotonic() + PATIENCE
+    while client.heard["odom"][-1].pose.pose.position.x < begin + 0.05:
+        assert time.monotonic() < end
+        client.speeds(0.2, 0.0)
+        rclpy.spin_once(client.node, timeout_sec=0.02)
+    scan, odom, truth = client.heard["scan"][-1], client.heard["odom"][-1], client.heard["ground_truth"][-1]
+    assert len(scan.ranges) == 360
+    assert (scan.header.frame_id, odom.header.frame_id, odom.child_frame_id) == ("base_scan", "odom", "base_footprint")
+    assert truth.header.frame_id == "map"
+    assert scan.range_min == pytest.approx(0.12)
+    assert scan.angle_increment == pytest.approx(math.tau / 360)
+    values = client.diagnostics()
+    assert values["episode"] == "0"
+    assert int(values["published./odom"]) == int(values["published./ground_truth"]) == int(values["published./episode"]) > 0
+    assert int(values["published./scan"]) > 0
+    assert int(values["published./clock"]) > 0
+    assert client.close(number) == 0
+
+
+def test_pause_step_and_reset():
+    client = Client(start_paused="true", seed=1)
+    assert client.call("reset", seed=5).episode == 1
+    client.until(lambda: client.heard["episode"] and client.heard["episode"][-1].seed == 5)
+    stamp = seconds(client.call("step", duration=0.5).stamp)
+    assert seconds(client.call("step", duration=1e-9).stamp) == pytest.approx(stamp + 1 / 240, abs=1e-6)
+    for duration in (0.0, -1.0, math.nan, 1e9):
+        answer = client.call("step", duration=duration)
+        assert not answer.success
+        assert "must be more than 0" in answer.message
+    client.until(lambda: client.heard["episode"][-1].elapsed >= 0.49)
+    status = client.heard["episode"][-1]
+    assert (status.episode, status.seed, status.outcome.value) == (1, 5, TaskOutcome.RUNNING)
+    assert status.clearance > 0.0
+    assert client.call("pause", data=False).success
+    assert "pause it first" in client.call("step", duration=0.1).message
+    client.until(lambda: client.heard["episode"][-1].elapsed > 0.7)
+    assert client.call("pause", data=True).success
+    begin = client.call("step", duration=0.1).stamp
+    assert seconds(client.call("step", duration=0.1).stamp) == pytest.approx(seconds(begin) + 0.1)
+    answer = client.call("reset", seed=2**63)
+    assert (answer.success, answer.episode) == (True, 2)
+    client.until(lambda: client.heard["episode"][-1].seed == 2**63)
+    stamps = [seconds(message.header.stamp) for message in client.heard["odom"]]
+    assert all(later > earlier for earlier, later in zip(stamps, stamps[1:], strict=False))
+    client.until(lambda: len(client.heard["/clock"]) > 1)
+    assert client.close() == 0
+
+
+def stepped_drive(**parameters):
+    """What a stepped bridge publishes for fixed commands, as bytes."""
+    client = Client(start_paused="true", odom_drift=0.05, scan_dropout=0.05, **parameters)
+    assert client.call("reset", seed=11).success
+    record = []
+    for step in range(15):
+        client.speeds(0.2, 0.6 * (-1) ** step)
+        target = client.call("step", duration=0.2).stamp
+        client.until(lambda stamp=target: client.heard["scan"] and client.heard["scan"][-1].header.stamp == stamp)
+        client.until(lambda stamp=target: client.heard["odom"] and client.heard["odom"][-1].header.stamp == stamp)
+        scan, pose = client.heard["scan"][-1], client.heard["odom"][-1].pose.pose
+        record.append(np.frombuffer(scan.ranges, np.float32).tobytes())
+        record.append(np.array((pose.position.x, pose.position.y, pose.orientation.z)).tobytes())
+    moved = pose.position.x
+    assert client.close() == 0
+    return b"".join(record), moved
+
+
+def test_stepped_runs_are_the_same_bit_by_bit():
+    first, moved = stepped_drive(seed=1)
+    second, _ = stepped_drive(seed=2)
+    assert first == second
+    assert moved > 0.5
+
+
+def test_robots_in_namespaces_see_each_other():
+    client = Client(namespace="second", robots="['first', 'second']", start_paused="true", scan_noise=0.0, seed=4)
+    client.listen(LaserScan, "first/scan", SENSOR)
+    client.listen(Odometry, "first/odom", SENSOR)
+    client.call("step", duration=0.4)
+    client.until(lambda: all(client.heard[f"{name}/{topic}"] for name in ("first", "second") for topic in ("scan", "odom")))
+    poses, lidars = {}, {}
+    for name in ("first", "second"):
+        pose = client.heard[f"{name}/odom"][-1].pose.pose
+        theta = 2 * math.atan2(pose.orientation.z, pose.orientation.w)
+        poses[name] = (pose.position.x, pose.position.y, theta)
+        lidars[name] = (pose.position.x - 0.032 * math.cos(theta), pose.position.y - 0.032 * math.sin(theta))
+        assert client.heard[f"{name}/scan"][-1].header.frame_id == f"{name}/base_scan"
+    gap = math.dist(lidars["first"], lidars["second"])
+    for name, other in (("first", "second"), ("second", "first")):
+        bearing = math.atan2(lidars[other][1] - lidars[name][1], lidars[other][0] - lidars[name][0]) - poses[name][2]
+        beam = round(math.degrees(bearing)) % 360
+        assert client.heard[f"{name}/scan"][-1].ranges[beam] == pytest.approx(gap - 0.035, abs=0.01)
+    client.speeds(0.2, 0.0)
+    client.call("step", duration=1.0)
+    client.until(lambda: client.heard["second/odom"][-1].header.stamp.sec >= 1)
+    assert abs(client.heard["second/odom"][-1].pose.pose.position.x - poses["second"][0]) > 0.05
+    assert client.heard["first/odom"][-1].twist.twist.linear.x == pytest.approx(0.0, abs=0.01)
+    assert client.close() == 0
+
+
+def test_commands_time_out_and_nonsense_is_refused_and_counted():
+    client = Client(kind=Twist, start_paused="true", enable_stamped_cmd_vel="false")
+    message = Twist()
+    message.linear.x = 0.2
+    client.commands.publish(message)
+    message.linear.x = math.nan
+    client.commands.publish(message)
+    client.call("step", duration=0.4)
+    client.until(lambda: client.heard["odom"] and seconds(client.heard["odom"][-1].header.stamp) > 0.39)
+    assert client.heard["odom"][-1].twist.twist.linear.x == pytest.approx(0.2, rel=0.05)
+    client.call("step", duration=1.0)
+    client.until(lambda: seconds(client.heard["odom"][-1].header.stamp) > 1.39)
+    assert client.heard["odom"][-1].twist.twist.linear.x == pytest.approx(0.0, abs=0.005)
+    assert client.diagnostics()["refused_commands"] == "1"
+    assert client.close() == 0
+
+
+def test_a_quadrotor_flies_by_rotor_thrusts():
+    client = Client(kind=RotorThrusts, task="quad_ttr", start_paused="true")
+    client.call("step", duration=0.1)
+    client.until(lambda: client.heard["odom"])
+    begin = client.heard["odom"][0].pose.pose.position
+    client.commands.publish(RotorThrusts(t1=7.0, t2=7.0))
+    client.call("step", duration=0.4)
+    client.until(lambda: seconds(client.heard["odom"][-1].header.stamp) > 0.49)
+    odom = client.heard["odom"][-1]
+    assert odom.pose.pose.position.z > begin.z + 0.05
+    assert odom.pose.pose.position.y == 0.0
+    assert odom.child_frame_id == "base_link"
+    assert len(client.heard["scan"][-1].ranges) == 8
+    assert client.close() == 0
+
+
+@pytest.mark.parametrize(
+    ("parameters", "complaint"),
+    [
+        ({"task": "nowhere"}, "no task 'nowhere'"),
+        ({"task": "water_filling"}, "a navigation task is needed"),
+        ({"speed_factor": "-1.0"}, "'speed_factor' is out of range"),
+        ({"physics_rate": "fast"}, "'physics_rate' is"),
+        ({"corridor_width": "3.0"}, "width 3 m"),
+        ({"corridor_width": "0.7", "randomise_width": "true"}, "contradict"),
+        ({"robots": "['a', 'a']"}, "each namespace"),
+        ({"robots": "['a b']"}, "no namespace"),
+        ({"task": "car_ttr", "robots": str([f"r{i}" for i in range(20)])}, "no room for 20 robots"),
+    ],
+)
+def test_a_bad_parameter_ends_with_one_message(parameters, complaint):
+    run = subprocess.run([*PROGRAM, *arguments(**parameters)], capture_output=True, text=True, timeout=30, check=False)
+    assert run.returncode not in (0, -signal.SIGINT)
+    assert complaint in run.stderr
+    assert "Traceback" not in run.stderr
+    assert len([line for line in run.stderr.splitlines() if line.strip()]) == 1
