@@ -5,7 +5,7 @@ SHELL := /bin/bash
 RUN := set -eo pipefail; source scripts/workspace.bash;
 LINKED := ctrl_rl_core sim_bridge ttr_reward_node oc_baseline_node koopman_lqr_controller option_coordinator ctrl_rl_bringup
 
-.PHONY: help setup build demo trials train test test-all lint bench clean
+.PHONY: help setup build demo trials train test test-all lint bench results clean
 
 help: ## say what there is
 	@grep -E '^[a-z-]+:.*##' Makefile | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 18
@@ -39,6 +39,9 @@ lint: setup ## ruff and mypy
 
 bench: build ## the benchmarks, into docs/results/bench.json
 	@$(RUN) python test/benchmarks --output docs/results/bench.json $(ARGS)
+
+results: build ## the page of results from the JSON files
+	@$(RUN) ros2 run ctrl_rl_bringup results docs/results docs/results.md
 
 clean: ## remove environment and build
 	rm -rf .venv build install log

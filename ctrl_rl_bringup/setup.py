@@ -25,6 +25,7 @@ setup(
             "monitor = ctrl_rl_bringup.cli:monitor",
             "record_drives = ctrl_rl_bringup.cli:record_drives",
             "report = ctrl_rl_bringup.cli:report",
+            "results = ctrl_rl_bringup.cli:results",
             "trials = ctrl_rl_bringup.cli:trials",
         ],
     },

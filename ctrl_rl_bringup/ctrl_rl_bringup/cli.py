@@ -10,7 +10,7 @@ from datetime import datetime
 from pathlib import Path
 
 from ctrl_rl_core.errors import CtrlRlError
-from ctrl_rl_core.results import Result, write_results
+from ctrl_rl_core.results import Result, as_markdown, read_results, write_results
 
 from ctrl_rl_bringup.drive import drive, drive_seeds, follow_running, record_scripted, write_artifacts
 from ctrl_rl_bringup.report import Drive, read_drive
@@ -57,6 +57,20 @@ def monitor() -> int:
     """Wait until the nodes of a drive listen to each other, let the simulation go, and follow it to its end."""
     argparse.ArgumentParser(prog="monitor", description=monitor.__doc__).parse_known_args()
     return _run("monitor", follow_running)
+
+
+def results() -> int:
+    """Write the page of results from their JSON files."""
+    parser = argparse.ArgumentParser(prog="results", description=results.__doc__)
+    parser.add_argument("folder", type=Path, help="folder of the JSON files")
+    parser.add_argument("page", type=Path, help="Markdown page to write")
+    options = parser.parse_args()
+
+    def work() -> int:
+        options.page.write_text(as_markdown(read_results(options.folder)), encoding="utf-8")
+        return 0
+
+    return _run("results", work)
 
 
 def _parser(program: str, description: str, speed: float = 1.0) -> argparse.ArgumentParser:

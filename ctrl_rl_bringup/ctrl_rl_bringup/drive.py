@@ -77,7 +77,7 @@ def _episodes(monitor: Monitor, seeds: Sequence[int], title: str) -> list[Episod
         monitor.reset(seed)
         if index == 0:
             monitor.run()
-        out.append(monitor.follow(f"{title} {seed} ({index + 1} of {len(seeds)})"))
+        out.append(monitor.follow(f"{title} {seed} ({index + 1} of {len(seeds)})", lines=1))
     return out
 
 

@@ -95,14 +95,18 @@ class Monitor:
         self._wanted = self._call(self._reset, ResetWorld.Request(seed=seed)).episode
         self._episode = None
 
-    def follow(self, title: str) -> Episode:
+    def follow(self, title: str, lines: int = 10) -> Episode:
         """Show the robot's progress until the episode has an outcome, and return how it ended.
+
+        Args:
+            title: what the drive is called.
+            lines: of progress, where no terminal shows a bar.
 
         Raises:
             MonitorError: nothing is heard of the episode any more.
         """
         self._heard = time.monotonic()
-        display = ProgressDisplay(title)
+        display = ProgressDisplay(title, lines)
         try:
             while self._episode is None or self._episode.outcome == TaskOutcome.RUNNING:
                 self._spin()

@@ -1,4 +1,4 @@
-"""How far a robot is: a bar in a terminal, a line at each tenth of the way in a log."""
+"""How far a robot is: a bar in a terminal, a few lines in a log."""
 
 from __future__ import annotations
 
@@ -13,9 +13,17 @@ _LAYOUT = "{desc}: {percentage:3.0f}% of the way |{bar}| {postfix}"
 class ProgressDisplay:
     """Shows one drive on standard error."""
 
-    def __init__(self, title: str) -> None:
+    def __init__(self, title: str, lines: int) -> None:
+        """Set it up.
+
+        Args:
+            title: what is going on.
+            lines: how many there shall be where no terminal shows a bar.
+        """
         self._title = title
-        self._tenth = -1
+        self._lines = lines
+        self._said = 0
+        self._last = ""
         self._bar = tqdm(total=1.0, desc=title, bar_format=_LAYOUT) if sys.stderr.isatty() else None
 
     def show(self, progress: float, figures: str) -> None:
@@ -24,12 +32,19 @@ class ProgressDisplay:
         if self._bar is not None:
             self._bar.set_postfix_str(figures, refresh=False)
             self._bar.update(max(0.0, progress - self._bar.n))
-        elif int(10 * progress) > self._tenth:
-            self._tenth = int(10 * progress)
-            sys.stderr.write(f"{self._title}: {100 * progress:3.0f}% of the way, {figures}\n")
-            sys.stderr.flush()
+            return
+        self._last = f"{self._title}: {100 * progress:3.0f}% of the way, {figures}\n"
+        if int(self._lines * progress) > self._said:
+            self._said = int(self._lines * progress)
+            self._say()
 
     def close(self) -> None:
-        """Leave the terminal as it was."""
+        """Say the last word and leave the terminal as it was."""
         if self._bar is not None:
             self._bar.close()
+        self._say()
+
+    def _say(self) -> None:
+        sys.stderr.write(self._last)
+        sys.stderr.flush()
+        self._last = ""

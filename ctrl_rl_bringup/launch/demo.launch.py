@@ -4,6 +4,7 @@ The demo under ROS's own launch: simulator, controller and recorder, a monitor t
 drive, then the report.
 """
 
+import signal
 from datetime import datetime
 from pathlib import Path
 
@@ -52,7 +53,7 @@ def _stack(context: LaunchContext) -> list[Action]:
     task = Path(options.task) if options.task.endswith(".yaml") else TASK_FOLDER / f"{options.task}.yaml"
     bag = _node(recorder(options, {"task": task, "policy": find_policy(options.policy)}))
     others = [_node(simulator(options)), _node(controller(options))]
-    monitor = Node(package="ctrl_rl_bringup", executable="monitor", output="screen", emulate_tty=True)
+    monitor = Node(package="ctrl_rl_bringup", executable="monitor", output="screen")
     command = [FindExecutable(name="ros2"), "run", "ctrl_rl_bringup", "report", str(options.folder)]
     report = ExecuteProcess(cmd=command, output="screen")
     ends = [EmitEvent(event=_interrupt(node)) for node in (*others, bag)]
@@ -71,4 +72,4 @@ def _node(spec: NodeSpec) -> Node:
 
 
 def _interrupt(node: Node) -> SignalProcess:
-    return SignalProcess(signal_number="SIGINT", process_matcher=matches_action(node))
+    return SignalProcess(signal_number=signal.SIGINT, process_matcher=matches_action(node))

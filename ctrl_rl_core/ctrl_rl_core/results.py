@@ -8,8 +8,15 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+
+from ctrl_rl_core.errors import CtrlRlError
+
+
+class ResultsError(CtrlRlError):
+    """A results file cannot be read."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +54,40 @@ def write_results(path: Path, experiment: str, seeds: Sequence[int], rows: Seque
     temporary = path.with_name(f".{path.name}")
     temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
     temporary.replace(path)
+
+
+def read_results(folder: Path) -> list[dict[str, Any]]:
+    """Return every experiment of a folder; benchmark rows, a list, are not one.
+
+    Raises:
+        ResultsError: a file is not valid JSON.
+    """
+    out = []
+    for file in sorted(folder.glob("*.json")):
+        try:
+            content = json.loads(file.read_text(encoding="utf-8"))
+        except ValueError as error:
+            raise ResultsError(f"{file}: not valid JSON ({error})") from None
+        if isinstance(content, dict) and "rows" in content:
+            out.append(content)
+    return out
+
+
+def as_markdown(experiments: Sequence[dict[str, Any]]) -> str:
+    """Return the experiments as a page of tables, each row beside the thesis's figure."""
+    lines = ["# Results", "", "Made from the JSON files in `docs/results/` by `make results`; do not edit."]
+    for experiment in experiments:
+        seeds = len(experiment["seeds"])
+        lines += ["", f"## {experiment['experiment']}", "", f"    {experiment['command']}", ""]
+        lines += [f"Commit {experiment['commit']}, {seeds} seeds, mean and standard deviation over them.", ""]
+        lines += ["| method | metric | ours | thesis |", "|---|---|---|---|"]
+        for row in experiment["rows"]:
+            unit = "" if row["unit"] == "1" else f" {row['unit']}"
+            thesis = "" if row["thesis"] is None else f"{row['thesis']:g}{unit}"
+            lines.append(
+                f"| {row['method']} | {row['metric']} | {row['mean']:.3g} ± {row['std']:.2g}{unit} | {thesis} |"
+            )
+    return "\n".join(lines) + "\n"
 
 
 def _commit() -> str:

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-import pybullet
 from ctrl_rl_core.systems import System
 from ctrl_rl_core.tasks import NavigationTask
 from numpy.typing import NDArray
 
+from sim_bridge.engine import pybullet
 from sim_bridge.errors import SimulationError
 from sim_bridge.lidar import SensorFrame
 from sim_bridge.physics import Physics

@@ -10,10 +10,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-import pybullet
 from ctrl_rl_core.geometry import Box, Shape
 from numpy.typing import NDArray
 
+from sim_bridge.engine import pybullet
 from sim_bridge.errors import SimulationError
 
 URDF_FOLDER = Path(__file__).parent / "urdf"

@@ -2,7 +2,6 @@ import numpy as np
 import pytest
 from ctrl_rl_core.regions import wrap
 from ctrl_rl_core.tasks import load_navigation_task
-
 from sim_bridge.world import SimulatedWorld, SimulationOptions
 
 

@@ -2,7 +2,6 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
-
 from sim_bridge.environments import NavigationEnv, register_environments
 from sim_bridge.errors import SimulationError
 from sim_bridge.world import SimulationOptions
@@ -48,7 +47,11 @@ def test_actions_span_the_command_bounds():
 
 @pytest.mark.parametrize(
     ("name", "action", "outcome"),
-    [("car_ttr", (1.0, 1.0), "COLLISION"), ("quad_ttr", (1.0, -1.0), "COLLISION"), ("car_ttr", (-0.4286, 0.0), "TIMEOUT")],
+    [
+        ("car_ttr", (1.0, 1.0), "COLLISION"),
+        ("quad_ttr", (1.0, -1.0), "COLLISION"),
+        ("car_ttr", (-0.4286, 0.0), "TIMEOUT"),
+    ],
 )
 def test_rewards_are_those_of_the_task(name, action, outcome):
     environment = NavigationEnv(name)

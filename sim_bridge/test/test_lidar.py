@@ -1,7 +1,6 @@
 import numpy as np
 import pytest
 from ctrl_rl_core.tasks import load_navigation_task
-
 from sim_bridge.world import SimulatedWorld, SimulationOptions
 
 
@@ -29,9 +28,12 @@ def test_ranges_meet_the_surfaces_of_the_task_geometry():
     ranges, frame = world.scan(0), world._robots[0].body.sensor()
     hit = np.isfinite(ranges)
     assert hit.sum() > 300
-    ends = frame.origin[:2] + ranges[hit, None] * np.stack(
-        (np.cos(world.lidar.bearings[hit]), np.sin(world.lidar.bearings[hit])), axis=1
-    ) @ frame.axes[:, :2]
+    ends = (
+        frame.origin[:2]
+        + ranges[hit, None]
+        * np.stack((np.cos(world.lidar.bearings[hit]), np.sin(world.lidar.bearings[hit])), axis=1)
+        @ frame.axes[:, :2]
+    )
     assert np.abs(world.geometry.signed_distance(ends)).max() < 2e-3
     world.close()
 

@@ -3,7 +3,6 @@ import math
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-
 from sim_bridge.pacing import LONGEST_GAP, Pacer, Schedule, SpeedMeter
 
 
@@ -27,10 +26,8 @@ def test_a_long_gap_is_not_made_up_for():
 
 @given(st.floats(0.5, 240.0))
 def test_a_schedule_keeps_its_frequency(frequency):
-    schedule, times = Schedule(frequency, 240), []
-    for step in range(2400):
-        if schedule.due(step):
-            times.append(step)
+    schedule = Schedule(frequency, 240)
+    times = [step for step in range(2400) if schedule.due(step)]
     assert times[0] == 0
     assert abs(len(times) - 10 * frequency) <= 1.0 + 1e-6
     assert all(abs(step - index * 240 / frequency) < 1.0 for index, step in enumerate(times))

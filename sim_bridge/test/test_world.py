@@ -4,10 +4,8 @@ import sys
 import numpy as np
 import pytest
 from ctrl_rl_core.tasks import TaskError, load_navigation_task
-
 from sim_bridge.errors import SimulationError
 from sim_bridge.world import SimulatedWorld, SimulationOptions
-
 
 
 def drive(world, steps=25):
@@ -135,7 +133,7 @@ def test_quadrotor_that_tilts_too_far_has_crashed():
     world.close()
 
 
-def test_doing_nothing_times_out(make_room):
+def test_doing_nothing_times_out():
     task = load_navigation_task("car_ttr")
     world = SimulatedWorld(task, seed=0)
     world.step(round(240 * task.episode.steps * task.episode.time_step) - 1)

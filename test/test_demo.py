@@ -1,0 +1,146 @@
+"""The main job, on real processes: drive, record, report; and the bag opens in every reader."""
+
+import json
+import os
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+from ament_index_python.packages import get_package_prefix
+from mcap.reader import make_reader
+from rosbags.highlevel import AnyReader
+
+
+def command(executable: str, *arguments: object) -> subprocess.CompletedProcess[str]:
+    path = Path(get_package_prefix("ctrl_rl_bringup")) / "lib" / "ctrl_rl_bringup" / executable
+    return subprocess.run(
+        [path, *map(str, arguments)], capture_output=True, text=True, env=os.environ, timeout=200, check=False
+    )
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, subprocess.CompletedProcess[str]]:
+    folder = tmp_path_factory.mktemp("demo") / "run"
+    return folder, command("demo", "--speed", 6, "--seed", 5, "--output", folder)
+
+
+def test_the_robot_reaches_the_goal_and_nothing_is_lost(run) -> None:
+    folder, answer = run
+    assert answer.returncode == 0, answer.stderr
+    assert "50% of the way" in answer.stderr
+    report = json.loads((folder / "report.json").read_text())
+    assert report["outcome"] == "goal reached"
+    assert report["collisions"] == 0
+    assert report["messages_lost"] == 0
+    assert report["smallest_clearance_m"] > 0.0
+    assert 0.0 < report["latency_median_ms"] <= report["latency_p99_ms"]
+    assert (folder / "path.png").read_bytes().startswith(b"\x89PNG")
+    for line in ("goal reached", "collisions          0", str(folder / "bag"), str(folder / "path.png")):
+        assert line in answer.stdout
+
+
+def test_every_scan_was_answered_once_and_within_limits(run) -> None:
+    folder, _ = run
+    scans, commands = [], {}
+    with AnyReader([folder / "bag"]) as reader:
+        for connection, _, raw in reader.messages():
+            if connection.topic in ("/scan", "/cmd_vel"):
+                message = reader.deserialize(raw, connection.msgtype)
+                stamp = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+                if connection.topic == "/scan":
+                    scans.append(stamp)
+                else:
+                    commands[stamp] = (message.twist.linear.x, message.twist.angular.z)
+    answered = [stamp for stamp in scans if stamp in commands]
+    assert len(answered) >= 0.98 * len(scans)
+    assert (np.abs(list(commands.values())) <= (0.22 + 1e-9, 2.84 + 1e-9)).all()
+
+
+def test_the_bag_opens_with_the_mcap_reader_schemas_and_quality_of_service_included(run) -> None:
+    folder, _ = run
+    with (folder / "bag" / "bag_0.mcap").open("rb") as stream:
+        reader = make_reader(stream)
+        assert reader.get_header().profile == "ros2"
+        summary = reader.get_summary()
+    assert summary is not None
+    channels = {channel.topic: channel for channel in summary.channels.values()}
+    assert {"/scan", "/odom", "/cmd_vel", "/clock", "/episode", "/koopman_lqr_controller/latent"} <= set(channels)
+    for channel in channels.values():
+        assert channel.message_encoding == "cdr"
+        assert "reliability" in channel.metadata["offered_qos_profiles"]
+        assert summary.schemas[channel.schema_id].encoding == "ros2msg"
+
+
+def test_the_bag_knows_task_policy_and_parameters(run) -> None:
+    folder, _ = run
+    metadata = (folder / "bag" / "metadata.yaml").read_text()
+    for key in ("digest.task", "digest.policy", "parameters./sim_bridge", "parameters./koopman_lqr_controller"):
+        assert key in metadata
+
+
+def test_the_report_can_be_made_again_from_the_bag_alone(run) -> None:
+    folder, first = run
+    (folder / "path.png").unlink()
+    again = command("report", folder)
+    assert again.returncode == 0, again.stderr
+    assert again.stdout.splitlines()[:6] == first.stdout.splitlines()[1:7]
+    assert (folder / "path.png").exists()
+
+
+def test_a_run_never_overwrites_another(run) -> None:
+    folder, _ = run
+    answer = command("demo", "--output", folder)
+    assert answer.returncode == 2
+    assert answer.stderr.strip() == f"demo: {folder} exists: give another folder"
+
+
+@pytest.mark.parametrize(
+    ("option", "words"),
+    [
+        (("--policy", "nowhere"), "no policy 'nowhere'"),
+        (("--task", "nowhere"), "no task 'nowhere'"),
+        (("--width", "3.0"), "allows 0.6 to 0.8 m"),
+    ],
+)
+def test_a_wrong_option_gives_one_clear_message(tmp_path: Path, option: tuple[str, str], words: str) -> None:
+    answer = command("demo", "--output", tmp_path / "run", *option)
+    assert answer.returncode == 2
+    assert words in answer.stderr
+    assert "Traceback" not in answer.stderr
+
+
+def test_random_starts_in_the_narrowest_corridor_reach_the_goal(tmp_path: Path) -> None:
+    results = tmp_path / "results.json"
+    answer = command(
+        "trials",
+        "--seeds",
+        3,
+        "--at-least",
+        3,
+        "--speed",
+        8,
+        "--width",
+        0.6,
+        "--output",
+        tmp_path / "r",
+        "--results",
+        results,
+    )
+    assert answer.returncode == 0, answer.stderr
+    rows = {row["metric"]: row for row in json.loads(results.read_text())["rows"]}
+    assert rows["goal reached"]["values"] == [1.0, 1.0, 1.0]
+    assert min(rows["smallest clearance"]["values"]) > 0.0
+
+
+@pytest.mark.slow
+def test_a_policy_learned_from_scratch_drives(tmp_path: Path) -> None:
+    answer = command("record_drives", "--episodes", 12, "--output", tmp_path / "drives", "--speed", 8)
+    assert answer.returncode == 0, answer.stderr
+    train = Path(get_package_prefix("koopman_lqr_controller")) / "lib" / "koopman_lqr_controller" / "train"
+    policy = tmp_path / "policy.safetensors"
+    subprocess.run([train, tmp_path / "drives" / "bag", "--output", policy], check=True)
+    answer = command(
+        "trials", "--seeds", 5, "--at-least", 5, "--speed", 8, "--policy", policy, "--output", tmp_path / "r"
+    )
+    assert answer.returncode == 0, answer.stdout + answer.stderr
