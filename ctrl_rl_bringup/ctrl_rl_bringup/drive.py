@@ -10,7 +10,7 @@ from pathlib import Path
 
 import rclpy
 from ctrl_rl_core.errors import CtrlRlError
-from ctrl_rl_core.tasks import FOLDER as TASK_FOLDER
+from ctrl_rl_core.tasks import load_navigation_task, task_file
 from koopman_lqr_controller.policy_file import find_policy
 
 from ctrl_rl_bringup.monitor import Episode, Monitor
@@ -84,19 +84,21 @@ def _episodes(monitor: Monitor, seeds: Sequence[int], title: str) -> list[Episod
 @contextmanager
 def _running(options: DriveOptions, driver: NodeSpec, digests: dict[str, Path]) -> Iterator[Monitor]:
     """Start simulator, driver and recorder, and end them in an order in which the recorder misses nothing."""
+    task = task_file(options.task)
+    load_navigation_task(task)
     try:
         options.folder.mkdir(parents=True)
     except FileExistsError:
         raise CtrlRlError(f"{options.folder} exists: give another folder") from None
     except OSError as error:
         raise CtrlRlError(f"cannot make {options.folder}: {error.strerror}") from None
-    task = Path(options.task) if options.task.endswith(".yaml") else TASK_FOLDER / f"{options.task}.yaml"
     with _ros(), Processes(options.folder) as processes:
         processes.start([recorder(options, {"task": task, **digests}), simulator(options), driver])
         monitor = Monitor(processes.check)
         try:
             monitor.wait_until_ready()
             yield monitor
+            monitor.pause()
         finally:
             monitor.close()
         for name in (driver.executable, "bridge", "recorder"):

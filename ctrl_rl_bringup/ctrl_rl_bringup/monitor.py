@@ -90,6 +90,10 @@ class Monitor:
         """Let the paused simulation go."""
         self._call(self._pause, SetBool.Request(data=False))
 
+    def pause(self) -> None:
+        """Let the simulation stand, so that what is under way is answered before the nodes end."""
+        self._call(self._pause, SetBool.Request(data=True))
+
     def reset(self, seed: int) -> None:
         """Start a new episode."""
         self._wanted = self._call(self._reset, ResetWorld.Request(seed=seed)).episode

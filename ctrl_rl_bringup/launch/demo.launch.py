@@ -9,7 +9,7 @@ from datetime import datetime
 from pathlib import Path
 
 from ctrl_rl_bringup.stack import DriveOptions, NodeSpec, controller, recorder, simulator
-from ctrl_rl_core.tasks import FOLDER as TASK_FOLDER
+from ctrl_rl_core.tasks import task_file
 from koopman_lqr_controller.policy_file import find_policy
 from launch import LaunchContext, LaunchDescription
 from launch.action import Action
@@ -50,8 +50,7 @@ def _stack(context: LaunchContext) -> list[Action]:
         gui=value["gui"].lower() == "true",
     )
     options.folder.mkdir(parents=True)
-    task = Path(options.task) if options.task.endswith(".yaml") else TASK_FOLDER / f"{options.task}.yaml"
-    bag = _node(recorder(options, {"task": task, "policy": find_policy(options.policy)}))
+    bag = _node(recorder(options, {"task": task_file(options.task), "policy": find_policy(options.policy)}))
     others = [_node(simulator(options)), _node(controller(options))]
     monitor = Node(package="ctrl_rl_bringup", executable="monitor", output="screen")
     command = [FindExecutable(name="ros2"), "run", "ctrl_rl_bringup", "report", str(options.folder)]

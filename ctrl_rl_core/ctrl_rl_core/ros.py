@@ -20,7 +20,7 @@ import inspect
 import signal
 import sys
 from array import array
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, ClassVar
 
 import numpy as np
@@ -139,10 +139,7 @@ def run_node(kind: type[SuiteNode], arguments: list[str] | None = None) -> int:
         if extra:
             raise ParameterError(f"unknown argument '{extra[0]}': see --help")
         node = kind()  # type: ignore[call-arg]
-        executor = SingleThreadedExecutor()
-        executor.add_node(node)
-        while not stopping and rclpy.ok():
-            executor.spin_once(timeout_sec=_POLL_S)
+        _spin(node, until=lambda: stopping)
     except CtrlRlError as error:
         _say(f"{program}: {error}", sys.stderr)
         return EXIT_USAGE if isinstance(error, ParameterError) else EXIT_FAILURE
@@ -162,6 +159,17 @@ def _initialise(arguments: list[str]) -> list[str]:
         raise ParameterError(f"unknown ROS argument {error}: see --help") from None
     except RCLError as error:
         raise ParameterError(f"wrong ROS arguments ({str(error).split(', at ')[0]}): see --help") from None
+
+
+def _spin(node: SuiteNode, until: Callable[[], bool]) -> None:
+    """Serve the node's callbacks until `until` or the middleware says stop."""
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    try:
+        while not until() and rclpy.ok():
+            executor.spin_once(timeout_sec=_POLL_S)
+    finally:
+        executor.shutdown()  # while its context lives: its finaliser would complain afterwards
 
 
 def _close(node: SuiteNode | None) -> None:

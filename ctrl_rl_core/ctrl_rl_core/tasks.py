@@ -17,6 +17,7 @@ from pydantic import Discriminator, Field, TypeAdapter, ValidationError, model_v
 
 from ctrl_rl_core.errors import CtrlRlError
 from ctrl_rl_core.option_tasks import ToolDelivery, WaterFilling
+from ctrl_rl_core.system_models import SYSTEM_MODELS
 from ctrl_rl_core.task_parts import (
     ArenaSpec,
     CorridorSpec,
@@ -74,7 +75,7 @@ class NavigationTask(TaskHeader):
     @property
     def plane(self) -> str:
         """The coordinates of the plane: "xz" for a quadrotor, "xy" for what drives."""
-        return "xz" if "z" in self.system.build().state_names else "xy"
+        return "xz" if "z" in (state.name for state in SYSTEM_MODELS[self.system.model].states) else "xy"
 
     def build_world(self, width: float | None = None) -> World:
         """Return walls and obstacles; `width` [m] replaces the corridor's nominal one.
@@ -104,17 +105,28 @@ def task_names() -> tuple[str, ...]:
     return tuple(sorted(file.stem for file in FOLDER.glob("*.yaml")))
 
 
+def task_file(name_or_path: str | FilePath) -> FilePath:
+    """Return the file of a task by name, or the path itself.
+
+    Raises:
+        TaskError: the suite has no task of that name.
+    """
+    path = FilePath(name_or_path)
+    if path.suffix in (".yaml", ".yml"):
+        return path
+    path = FOLDER / f"{name_or_path}.yaml"
+    if not path.is_file():
+        raise TaskError(f"no task '{name_or_path}': there are {', '.join(task_names())}, or give a .yaml file")
+    return path
+
+
 def load_task(name_or_path: str | FilePath) -> Task:
     """Read a task by name, or from a file.
 
     Raises:
         TaskError: no such task, or the file is wrong; the message names file and key.
     """
-    path = FilePath(name_or_path)
-    if path.suffix not in (".yaml", ".yml"):
-        path = FOLDER / f"{name_or_path}.yaml"
-        if not path.is_file():
-            raise TaskError(f"no task '{name_or_path}': there are {', '.join(task_names())}, or give a .yaml file")
+    path = task_file(name_or_path)
     try:
         content = yaml.load(path.read_text(encoding="utf-8"), _StrictLoader)
     except OSError as error:

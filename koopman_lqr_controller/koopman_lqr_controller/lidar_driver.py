@@ -13,6 +13,7 @@ from ctrl_rl_core.ros import COMMAND, SENSOR, Status, SuiteNode, ok, warn
 from geometry_msgs.msg import Twist, TwistStamped
 from nav_msgs.msg import Odometry
 from numpy.typing import NDArray
+from rclpy.duration import Duration
 from sensor_msgs.msg import LaserScan
 from std_msgs.msg import Header
 
@@ -26,6 +27,7 @@ DRIVER_PARAMETERS = (
     Parameter("base_frame", "base_link", "Frame of the commands."),
 )
 _RECENT = 1000
+_LAST_WORD = Duration(seconds=0.3)
 
 
 class Sensed(NamedTuple):
@@ -65,8 +67,9 @@ class LidarDriver(SuiteNode):
         """
 
     def stop(self) -> None:
-        """Leave the robot standing."""
+        """Leave the robot standing: the zero velocity has arrived before the publisher goes."""
         self._publish(np.zeros(2), self._now_header())
+        self._publisher.wait_for_all_acked(_LAST_WORD)
 
     def status(self) -> Status:
         """Say whether commands flow, and how quickly."""

@@ -52,7 +52,12 @@ class Robot:
             return min(listeners) > 0 and self.node.count_publishers("cmd_vel") > 0
 
         assert self.spin(20.0, found)
+        deadline = time.monotonic() + 20.0
+        while not self.spin(0.2, lambda: len(self.commands) > 0):  # both ends have matched once a scan is answered
+            assert time.monotonic() < deadline
+            self.send(corridor(0.0), 1, odometry=False)
         self.spin(0.3)
+        self.commands.clear()
 
     def send(self, ranges: np.ndarray, nanoseconds: int, odometry: bool = True) -> None:
         if odometry:
