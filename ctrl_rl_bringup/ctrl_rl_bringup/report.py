@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from ctrl_rl_core.bags import BagError, bag_info, read_messages
 from ctrl_rl_core.tasks import load_navigation_task
-from mcap.reader import make_reader
 from numpy.typing import NDArray
 
 from ctrl_rl_bringup.monitor import OUTCOMES
+from ctrl_rl_bringup.transport import answer_latencies, lost_messages, read_sent
 from ctrl_rl_msgs.msg import TaskOutcome
 
 Array = NDArray[np.float64]
@@ -35,7 +35,7 @@ class Drive:
         odometry: (n, 3) the same by the robot's wheels, in its own frame odom.
         clearance: (n, 2) time and clearance [s, m].
         commands: (n, 3) time, speed, turn rate [s, m/s, rad/s].
-        latencies: from a scan to the command that answers it, both as they reach the recorder [s].
+        latencies: from the publication of a scan to that of the command that answers it [s].
         messages: recorded.
         lost: published while the recorder listened, but not recorded.
     """
@@ -99,7 +99,6 @@ def read_drive(bag: Path) -> Drive:
         BagError: the bag cannot be read, or holds no episode.
     """
     stamps: dict[str, list[float]] = defaultdict(list)
-    arrivals: dict[str, list[int]] = defaultdict(list)
     rows: dict[str, list[tuple[float, ...]]] = defaultdict(list)
     topics = ("/scan", "/odom", "/ground_truth", "/cmd_vel", "/episode")
     info = bag_info(bag)
@@ -108,7 +107,6 @@ def read_drive(bag: Path) -> Drive:
         raise BagError(f"{bag}: no topic /episode: is it a drive in the simulator?")
     for message in read_messages(bag, recorded):
         stamps[message.topic].append(_stamp(message.data))
-        arrivals[message.topic].append(message.log_time)
         rows[message.topic].append(_row(message.topic, message.data))
     begin = stamps["/episode"][0] - rows["/episode"][0][1]
     episode = np.array(rows["/episode"])
@@ -117,7 +115,7 @@ def read_drive(bag: Path) -> Drive:
     def track(topic: str) -> Array:
         return np.column_stack((np.array(stamps[topic]) - begin, np.array(rows[topic]).reshape(len(rows[topic]), -1)))
 
-    counts = _sequences(bag, info.files)
+    sent = read_sent(bag, info.files)
     return Drive(
         task=task,
         width=width,
@@ -129,9 +127,9 @@ def read_drive(bag: Path) -> Drive:
         odometry=track("/odom"),
         clearance=np.column_stack((episode[:, 1], episode[:, 4])),
         commands=track("/cmd_vel"),
-        latencies=_latencies(stamps, arrivals),
+        latencies=answer_latencies(sent["/scan"], sent["/cmd_vel"]),
         messages=info.message_count,
-        lost=counts,
+        lost=lost_messages(sent),
     )
 
 
@@ -160,28 +158,6 @@ def _row(topic: str, message: Any) -> tuple[float, ...]:
 def _duration(episode: Array) -> float:
     ended = episode[episode[:, 3] != TaskOutcome.RUNNING]
     return float(ended[0, 1] if len(ended) else episode[-1, 1])
-
-
-def _latencies(stamps: dict[str, list[float]], arrivals: dict[str, list[int]]) -> Array:
-    """Match commands with the scans that they answer by their equal stamps."""
-    scans = dict(zip(stamps["/scan"], arrivals["/scan"], strict=True))
-    pairs = zip(stamps["/cmd_vel"], arrivals["/cmd_vel"], strict=True)
-    return np.array([1e-9 * (arrival - scans[stamp]) for stamp, arrival in pairs if stamp in scans])
-
-
-def _sequences(bag: Path, files: tuple[str, ...]) -> int:
-    """Return how many messages are missing in the publishers' own count, on the topics that one node publishes."""
-    seen: dict[str, list[int]] = defaultdict(list)
-    for file in files:
-        with (bag / file).open("rb") as stream:
-            for _, channel, message in make_reader(stream).iter_messages(log_time_order=False):
-                seen[channel.topic].append(message.sequence)
-    missing = 0
-    for numbers in seen.values():
-        one_publisher = len(set(numbers)) == len(numbers)
-        if one_publisher and min(numbers) > 0:
-            missing += max(numbers) - min(numbers) + 1 - len(numbers)
-    return missing
 
 
 def _task_of(custom_data: Any) -> tuple[str, float | None]:

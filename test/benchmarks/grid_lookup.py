@@ -1,64 +1,76 @@
-"""Look-up of a 101 x 101 x 73 value grid against scipy's RegularGridInterpolator, in one process."""
+"""Look-up in a value grid, many states at once and one at a time, against scipy's RegularGridInterpolator."""
 
-import statistics
-import sys
+from __future__ import annotations
+
 import time
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from ctrl_rl_core.value_grid import Axis, ValueGrid
 from scipy.interpolate import RegularGridInterpolator
 
-SHAPE = (101, 101, 73)
-BATCH = 1_000_000
-SINGLES = 2_000
+STATES = 200_000
+SINGLES = 20_000
 REPEATS = 5
 
 
-def rows() -> list[dict[str, Any]]:
-    """Measure; each ratio is this suite's rate over scipy's, both the median of repeats that alternate."""
+def rows() -> list[dict[str, object]]:
+    """Return rates of value, and of value with gradient; each ratio is to scipy's rate for the same states."""
+    axes = (
+        Axis("x", "m", -5.0, 5.0, 101),
+        Axis("y", "m", -5.0, 5.0, 101),
+        Axis("theta", "rad", -np.pi, np.pi, 73),
+    )
     random = np.random.default_rng(0)
-    axes = tuple(Axis(name, "m", -5.0, 5.0, count) for name, count in zip("xyz", SHAPE, strict=True))
-    values = random.uniform(0.0, 20.0, SHAPE).astype(np.float32)
-    grid = ValueGrid(values, axes, "time_to_reach", "benchmark", "0" * 64, "random", 0.0)
-    peer = RegularGridInterpolator([axis.nodes for axis in axes], values.astype(np.float64))
-    states = random.uniform(-5.0, 5.0, (BATCH, 3))
+    values = random.uniform(0.0, 20.0, (101, 101, 73))
+    grid = ValueGrid(values, axes, "time_to_reach", "benchmark", "0" * 64, "none", 0.0)
+    peer = RegularGridInterpolator([axis.nodes for axis in axes], values)
+    states = random.uniform([-5.0, -5.0, -np.pi], [5.0, 5.0, np.pi], (STATES, 3))
+    assert np.allclose(grid.value(states), peer(states), atol=1e-9)
+
+    batch = STATES / _seconds(lambda: grid.value(states))
+    gradient = STATES / _seconds(lambda: grid.value_and_gradient(states))
+    peer_batch = STATES / _seconds(lambda: peer(states))
     singles = list(states[:SINGLES])
-    against = "scipy RegularGridInterpolator"
-    batch, batch_peer = _rates(lambda: grid.value(states), lambda: peer(states), BATCH)
-    gradient, _ = _rates(lambda: grid.value_and_gradient(states), lambda: None, BATCH)
-    single, single_peer = _rates(lambda: _each(grid.at, singles), lambda: _each(peer, singles), SINGLES)
+    single = SINGLES / _seconds(lambda: [grid.at(state) for state in singles])
+    some = singles[: SINGLES // 20]
+    peer_single = len(some) / _seconds(lambda: [peer(state) for state in some])
+    name = "scipy RegularGridInterpolator"
     return [
-        _row("grid look-up, batch of 1e6", batch / 1e6, "M queries/s", against, batch / batch_peer),
-        _row("grid look-up with gradient, batch of 1e6", gradient / 1e6, "M queries/s", against, gradient / batch_peer),
-        _row("grid look-up, one state", 1e6 / single, "us", against, single / single_peer),
+        _row(
+            "grid look-up, many states",
+            1e-6 * batch,
+            "M states/s",
+            f"{name}, {1e-6 * peer_batch:.3g}",
+            batch / peer_batch,
+        ),
+        _row(
+            "grid look-up with gradient, many states",
+            1e-6 * gradient,
+            "M states/s",
+            f"{name} (value only), {1e-6 * peer_batch:.3g}",
+            gradient / peer_batch,
+        ),
+        _row(
+            "grid look-up, one state", 1e6 / single, "us", f"{name}, {1e6 / peer_single:.3g} us", single / peer_single
+        ),
     ]
 
 
-def _row(name: str, value: float, unit: str, against: str, ratio: float) -> dict[str, Any]:
-    return {"name": name, "value": round(value, 3), "unit": unit, "against": against, "ratio": round(ratio, 1)}
-
-
-def _each(query: Callable[[Any], Any], states: list[Any]) -> None:
-    for state in states:
-        query(state)
-
-
-def _rates(ours: Callable[[], Any], theirs: Callable[[], Any], queries: int) -> tuple[float, float]:
-    """Queries per second of both, after a warm-up that compiles."""
-    ours()
-    theirs()
-    seconds = [(_seconds(ours), _seconds(theirs)) for _ in range(REPEATS)]
-    return queries / statistics.median(s[0] for s in seconds), queries / statistics.median(s[1] for s in seconds)
-
-
-def _seconds(work: Callable[[], Any]) -> float:
-    start = time.perf_counter()
+def _seconds(work: Callable[[], object]) -> float:
+    """Return the least CPU time of some repeats [s], after one that compiles."""
     work()
-    return time.perf_counter() - start
+    times = []
+    for _ in range(REPEATS):
+        begin = time.process_time()
+        work()
+        times.append(time.process_time() - begin)
+    return min(times)
+
+
+def _row(name: str, value: float, unit: str, against: str, ratio: float) -> dict[str, object]:
+    return {"name": name, "value": value, "unit": unit, "against": against, "ratio": ratio}
 
 
 if __name__ == "__main__":
-    for row in rows():
-        sys.stdout.write("{name}: {value} {unit}, {ratio} x {against}\n".format(**row))
+    print(*rows(), sep="\n")
