@@ -1,0 +1,55 @@
+"""Nodes as processes: started, watched, ended in order."""
+
+import time
+from pathlib import Path
+
+import pytest
+from ctrl_rl_bringup.processes import ProcessError, Processes, executable_path
+from ctrl_rl_bringup.stack import DriveOptions, NodeSpec, controller, scripted_driver
+
+
+def wait_until(said: Path, words: str) -> None:
+    deadline = time.monotonic() + 20.0
+    while words not in said.read_text():
+        assert time.monotonic() < deadline, said.read_text()
+        time.sleep(0.05)
+
+
+def test_a_node_gets_its_parameters_and_ends_when_told(tmp_path: Path) -> None:
+    with Processes(tmp_path) as processes:
+        processes.start([controller(DriveOptions(tmp_path))])
+        wait_until(tmp_path / "controller.log", "policy curved_corridor_edmd.safetensors")
+        processes.check()
+        processes.stop("controller")
+        processes.stop("controller")  # it is gone already: nothing to do
+
+
+def test_a_node_that_ends_by_itself_is_found_with_its_last_words(tmp_path: Path) -> None:
+    with Processes(tmp_path) as processes:
+        processes.start([NodeSpec("koopman_lqr_controller", "controller", {"policy": "nowhere"})])
+        wait_until(tmp_path / "controller.log", "no policy 'nowhere'")
+        time.sleep(0.5)
+        with pytest.raises(ProcessError, match=r"controller ended with exit code 1: .*no policy 'nowhere'"):
+            processes.check()
+
+
+def test_leaves_none_behind_when_the_work_fails(tmp_path: Path) -> None:
+    running = []
+
+    def work() -> None:
+        with Processes(tmp_path) as processes:
+            processes.start([scripted_driver(0), controller(DriveOptions(tmp_path))])
+            running.extend(processes._running.values())
+            raise RuntimeError("on purpose")
+
+    with pytest.raises(RuntimeError, match="on purpose"):
+        work()
+    assert len(running) == 2
+    assert all(process.poll() is not None for process in running)
+
+
+def test_says_what_is_not_built() -> None:
+    with pytest.raises(ProcessError, match="package 'nowhere' is not built: run 'make build'"):
+        executable_path(NodeSpec("nowhere", "node"))
+    with pytest.raises(ProcessError, match="is missing: run 'make build' again"):
+        executable_path(NodeSpec("sim_bridge", "nothing"))

@@ -1,0 +1,36 @@
+"""Results as files and as a page."""
+
+import json
+from pathlib import Path
+
+import pytest
+from ctrl_rl_core.results import Result, ResultsError, as_markdown, read_results, write_results
+
+
+def test_a_row_carries_its_values_and_their_mean_and_spread(tmp_path: Path) -> None:
+    file = tmp_path / "new" / "corridor.json"
+    write_results(file, "corridor", [0, 1], [Result("edmd", "time", "s", [2.0, 4.0], thesis=3.5)])
+    content = json.loads(file.read_text())
+    assert content["experiment"] == "corridor"
+    assert content["seeds"] == [0, 1]
+    assert content["command"]
+    assert content["rows"] == [
+        {"method": "edmd", "metric": "time", "unit": "s", "values": [2.0, 4.0], "mean": 3.0, "std": 1.0, "thesis": 3.5}
+    ]
+    assert [path.name for path in file.parent.iterdir()] == ["corridor.json"]
+
+
+def test_the_page_sets_each_row_beside_the_thesis(tmp_path: Path) -> None:
+    rows = [Result("edmd", "time", "s", [2.0, 4.0], thesis=3.5), Result("edmd", "goal reached", "1", [1.0, 1.0])]
+    write_results(tmp_path / "corridor.json", "corridor", [0, 1], rows)
+    (tmp_path / "bench.json").write_text("[]")
+    page = as_markdown(read_results(tmp_path))
+    assert "## corridor" in page
+    assert "| edmd | time | 3 ± 1 s | 3.5 s |" in page
+    assert "| edmd | goal reached | 1 ± 0 |  |" in page
+
+
+def test_a_broken_file_is_named(tmp_path: Path) -> None:
+    (tmp_path / "half.json").write_text('{"rows": [')
+    with pytest.raises(ResultsError, match=r"half\.json: not valid JSON"):
+        read_results(tmp_path)
