@@ -81,7 +81,11 @@ class SuiteNode(Node):
         return ok("running")
 
     def setting_changed(self, name: str) -> None:
-        """Act on a live parameter that now has another value; override it where it matters."""
+        """Act on a live parameter that now has another value; override it where it matters.
+
+        Raises:
+            CtrlRlError: the value does not serve; the parameter keeps the one it had.
+        """
 
     def stop(self) -> None:
         """Say the last word (zero velocity, a finished file) while publishers still work; called once, override it."""
@@ -108,9 +112,14 @@ class SuiteNode(Node):
         except ParameterError as error:
             return SetParametersResult(successful=False, reason=str(error))
         for change in changes:
-            if change.name in table:
-                self.settings[change.name] = change.value
+            if change.name not in table:
+                continue
+            before, self.settings[change.name] = self.settings[change.name], change.value
+            try:
                 self.setting_changed(change.name)
+            except CtrlRlError as error:
+                self.settings[change.name] = before
+                return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
 

@@ -87,6 +87,16 @@ class ValueGrid:
         """Unit of the values: "s" or "1"."""
         return KIND_UNITS[self.kind]
 
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """Components of the state, in the order of the axes."""
+        return tuple(axis.name for axis in self.axes)
+
+    @property
+    def grids(self) -> tuple[Self, ...]:
+        """Itself: a value function may also consist of several grids."""
+        return (self,)
+
     @cached_property
     def digest(self) -> str:
         """SHA-256 of the file that `save` writes, 64 hexadecimal digits."""

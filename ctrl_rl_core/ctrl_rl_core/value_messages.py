@@ -1,0 +1,121 @@
+"""A value function as messages: the whole grid, a slice of it, answers to queries."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from nav_msgs.msg import OccupancyGrid
+from numpy.typing import NDArray
+from std_msgs.msg import Header
+
+from ctrl_rl_core.errors import CtrlRlError
+from ctrl_rl_core.grid_axis import Axis
+from ctrl_rl_core.regions import position_indices
+from ctrl_rl_core.ros import float32_array
+from ctrl_rl_core.value_function import ValueFunction
+from ctrl_rl_core.value_grid import ValueGrid
+from ctrl_rl_msgs.msg import GridAxis
+from ctrl_rl_msgs.msg import ValueGrid as ValueGridMsg
+from ctrl_rl_msgs.srv import QueryValues
+
+_UNKNOWN, _HIGHEST = -1, 100
+
+
+class ValueMessageError(CtrlRlError):
+    """A value function cannot be shown in the way that was asked for."""
+
+
+def grid_message(grid: ValueGrid, stamp: Time, frame: str) -> ValueGridMsg:
+    """Return the whole grid."""
+    out = ValueGridMsg(
+        header=Header(stamp=stamp, frame_id=frame),
+        kind=grid.kind,
+        unit=grid.unit,
+        task=grid.task,
+        task_digest=grid.task_digest,
+        grid_digest=grid.digest,
+        solver=grid.solver,
+        residual=float(grid.residual),
+        axes=[
+            GridAxis(
+                name=axis.name,
+                unit=axis.unit,
+                lower=axis.lower,
+                upper=axis.upper,
+                count=axis.count,
+                periodic=axis.periodic,
+            )
+            for axis in grid.axes
+        ],
+    )
+    out.values = float32_array(grid.values)
+    return out
+
+
+def slice_message(function: ValueFunction, at: Mapping[str, float], stamp: Time, frame: str) -> OccupancyGrid:
+    """Return the values over the plane of positions, as a map: 0 the least, 100 the largest, -1 unreachable.
+
+    Args:
+        function: over positions x, y or x, z and more.
+        at: the other components [their unit]; 0 where left out.
+        stamp: of the message.
+        frame: of the positions; a map lies in x-y, an x-z plane is shown lying down.
+
+    Raises:
+        ValueMessageError: there is no plane of positions, or `at` names what the state lacks.
+    """
+    names = function.state_names
+    plane = position_indices(names)
+    if len(plane) < 2:
+        raise ValueMessageError(f"the states {', '.join(names)} have no plane of positions to show")
+    unknown = [name for name in at if name not in names]
+    if unknown:
+        raise ValueMessageError(f"the slice names '{unknown[0]}': the state has {', '.join(names)}")
+    first, second = (_axis(function, names[index]) for index in plane)
+    resolution = min(first.spacing, second.spacing)
+    columns, rows = (int(np.floor((axis.upper - axis.lower) / resolution)) + 1 for axis in (first, second))
+    states = np.zeros((rows, columns, len(names)))
+    for name, value in at.items():
+        states[..., names.index(name)] = value
+    states[..., plane[0]] = np.minimum(first.lower + resolution * np.arange(columns), first.upper)
+    states[..., plane[1]] = np.minimum(second.lower + resolution * np.arange(rows), second.upper)[:, None]
+    out = OccupancyGrid(header=Header(stamp=stamp, frame_id=frame))
+    out.info.map_load_time = stamp
+    out.info.resolution, out.info.width, out.info.height = float(resolution), columns, rows
+    # A cell is drawn around the point at which the value was taken.
+    out.info.origin.position.x = first.lower - 0.5 * resolution
+    out.info.origin.position.y = second.lower - 0.5 * resolution
+    out.info.origin.orientation.w = 1.0
+    out.data = as_percent(function.value(states)).ravel().tolist()
+    return out
+
+
+def as_percent(values: NDArray[np.float64]) -> NDArray[np.int8]:
+    """Return values (...) scaled to 0 .. 100 over the finite ones; -1 for the others."""
+    finite = np.isfinite(values)
+    out = np.full(values.shape, _UNKNOWN, dtype=np.int8)
+    if finite.any():
+        low, high = values[finite].min(), values[finite].max()
+        out[finite] = np.round(_HIGHEST * (values[finite] - low) / max(high - low, 1e-12)).astype(np.int8)
+    return out
+
+
+def answer(function: ValueFunction, request: QueryValues.Request, response: QueryValues.Response) -> None:
+    """Fill the answer to a query."""
+    n = len(function.state_names)
+    states = np.asarray(request.states, dtype=float)
+    if len(states) % n:
+        response.success = False
+        response.message = f"{len(states)} numbers are no whole states of {n}: {', '.join(function.state_names)}"
+        return
+    values, gradients = function.value_and_gradient(states.reshape(-1, n))
+    response.success = True
+    response.values = values.tolist()
+    response.gradients = gradients.ravel().tolist()
+    response.in_domain = (~np.isnan(values)).tolist()
+
+
+def _axis(function: ValueFunction, name: str) -> Axis:
+    return next(axis for grid in function.grids for axis in grid.axes if axis.name == name)

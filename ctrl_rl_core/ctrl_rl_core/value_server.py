@@ -1,0 +1,157 @@
+"""What the nodes that serve a value function share: a value for each odometry message, grid, slice, queries, reload.
+
+The time-to-reach node and the optimal-control node each derive from `ValueServer` and say how their file is read.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from functools import partial
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+from nav_msgs.msg import OccupancyGrid, Odometry
+from numpy.typing import NDArray
+from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from std_srvs.srv import Trigger
+
+from ctrl_rl_core.errors import CtrlRlError
+from ctrl_rl_core.odometry import OdometryReader
+from ctrl_rl_core.parameters import Parameter, ParameterError
+from ctrl_rl_core.ros import LATCHED, RESULT, Status, SuiteNode, ok, warn
+from ctrl_rl_core.value_function import ValueFunction
+from ctrl_rl_core.value_messages import answer, grid_message, slice_message
+from ctrl_rl_msgs.msg import StateValue
+from ctrl_rl_msgs.msg import ValueGrid as ValueGridMsg
+from ctrl_rl_msgs.srv import QueryValues
+
+SERVER_PARAMETERS = (
+    Parameter("grid", "", "File of the value function (.safetensors); another one is loaded at once.", live=True),
+    Parameter("slice", [""], "NAME=VALUE: where ~/slice cuts, 0 for the components left out.", live=True),
+    Parameter("frame", "map", "Frame of the value function's positions; odometry is taken as given in it."),
+)
+_EVERY_MESSAGE = QoSProfile(depth=200, reliability=ReliabilityPolicy.BEST_EFFORT)
+"""Best effort matches every publisher of odometry; the depth outlasts a burst."""
+
+
+class ValueServer(SuiteNode):
+    """Publishes one StateValue for each odometry message, ~/grid and ~/slice latched; answers ~/query and ~/reload.
+
+    Attributes:
+        TOPIC: where the StateValue goes.
+        KIND: of the value functions that the node serves.
+    """
+
+    TOPIC: ClassVar[str]
+    KIND: ClassVar[str]
+    PARAMETERS: ClassVar[tuple[Parameter, ...]] = SERVER_PARAMETERS
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name)
+        self._counts = {"odometry": 0, "outside": 0, "unreachable": 0}
+        self._outside = False
+        self._grids: dict[str, Publisher] = {}
+        self._slice = self.create_publisher(OccupancyGrid, "~/slice", LATCHED)
+        self._values = self.create_publisher(StateValue, self.TOPIC, RESULT)
+        self._load(self.settings["grid"])
+        self.create_subscription(Odometry, "odom", self._on_odometry, _EVERY_MESSAGE)
+        self.create_service(QueryValues, "~/query", self._on_query)
+        self.create_service(Trigger, "~/reload", self._on_reload)
+
+    @abstractmethod
+    def read(self, path: Path) -> ValueFunction:
+        """Read a file.
+
+        Raises:
+            CtrlRlError: it is missing or wrong.
+        """
+
+    @abstractmethod
+    def valued(self, message: Odometry, state: NDArray[np.float64], value: float) -> None:
+        """Say more about a state (n,) and its value than the StateValue does."""
+
+    def status(self) -> Status:
+        """Say what is served, and how much of the odometry lies where the function says nothing."""
+        figures: dict[str, object] = {**self._counts, "file": self.settings["grid"], "digest": self._function.digest}
+        if not self._counts["odometry"]:
+            return warn("waiting for odometry", **figures)
+        if self._outside:
+            return warn("the robot is outside the grid", **figures)
+        return ok("serving", **figures)
+
+    def setting_changed(self, name: str) -> None:
+        """Load another file, or cut the slice elsewhere."""
+        if name == "grid":
+            self._load(self.settings["grid"])
+        elif name == "slice":
+            self._slice.publish(self._slice_of(self._function))
+
+    def _load(self, file: str) -> None:
+        if not file:
+            raise ParameterError("parameter 'grid' is empty: give the file of a value function")
+        function = self.read(Path(file))
+        if function.kind != self.KIND:
+            raise ParameterError(f"parameter 'grid': {file} holds '{function.kind}', not '{self.KIND}'")
+        reader, slice_ = OdometryReader(function.state_names), self._slice_of(function)
+        function.value_and_gradient_at(np.zeros(len(function.state_names)))  # compiles before it counts
+        # Only what is right in every respect takes the place of what is served.
+        self._function, self._reader = function, reader
+        self._publish_grids()
+        self._slice.publish(slice_)
+        counts = " + ".join(str(grid.values.size) for grid in function.grids)
+        self.get_logger().info(f"{Path(file).name} ({function.digest[:12]}): task '{function.task}', {counts} points")
+
+    def _publish_grids(self) -> None:
+        """Publish a single grid on ~/grid, each of several on ~/grid_<its states>."""
+        stamp, grids = self.get_clock().now().to_msg(), self._function.grids
+        for grid in grids:
+            name = "grid" if len(grids) == 1 else "_".join(("grid", *(axis.name for axis in grid.axes)))
+            if name not in self._grids:
+                self._grids[name] = self.create_publisher(ValueGridMsg, f"~/{name}", LATCHED)
+            self._grids[name].publish(grid_message(grid, stamp, self.settings["frame"]))
+
+    def _slice_of(self, function: ValueFunction) -> OccupancyGrid:
+        at = dict(map(partial(_named_value, "slice"), filter(None, self.settings["slice"])))
+        return slice_message(function, at, self.get_clock().now().to_msg(), self.settings["frame"])
+
+    def _on_odometry(self, message: Odometry) -> None:
+        self._counts["odometry"] += 1
+        state = self._reader(message)
+        value, gradient = self._function.value_and_gradient_at(state)
+        outside = bool(np.isnan(value))
+        if outside and not self._outside:
+            self.get_logger().warning(f"outside the grid: {self._where(state)}")
+        self._outside = outside
+        self._counts["outside"] += outside
+        self._counts["unreachable"] += bool(np.isposinf(value))
+        out = StateValue(header=message.header, value=value, in_domain=not outside)
+        out.header.frame_id = self.settings["frame"]
+        out.state, out.gradient = state.tolist(), gradient.tolist()
+        self._values.publish(out)
+        self.valued(message, state, value)
+
+    def _where(self, state: NDArray[np.float64]) -> str:
+        return ", ".join(f"{name} = {x:.3g}" for name, x in zip(self._function.state_names, state, strict=True))
+
+    def _on_query(self, request: QueryValues.Request, response: QueryValues.Response) -> QueryValues.Response:
+        answer(self._function, request, response)
+        return response
+
+    def _on_reload(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        try:
+            self._load(self.settings["grid"])
+        except CtrlRlError as error:
+            response.success, response.message = False, str(error)
+        else:
+            response.success, response.message = True, f"loaded {self._function.digest[:12]}"
+        return response
+
+
+def _named_value(parameter: str, text: str) -> tuple[str, float]:
+    name, _, value = text.partition("=")
+    try:
+        return name, float(value)
+    except ValueError:
+        raise ParameterError(f"parameter '{parameter}': '{text}' must be NAME=VALUE with a number") from None
