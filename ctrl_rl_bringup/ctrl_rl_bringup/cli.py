@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import argparse
 import os
-import sys
 from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
 
-from ctrl_rl_core.errors import CtrlRlError
+from ctrl_rl_core.command import run_command
 from ctrl_rl_core.results import Result, as_markdown, read_results, write_results
 
 from ctrl_rl_bringup.drive import drive, drive_seeds, follow_running, record_scripted, write_artifacts
@@ -102,14 +101,7 @@ def _options(options: argparse.Namespace, name: str, seed: int) -> DriveOptions:
 def _run(program: str, work: Callable[[], int]) -> int:
     # A demo is for this machine; whoever wants it on the network says so with ROS's own variable.
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    try:
-        return work()
-    except CtrlRlError as error:
-        print(f"{program}: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print(f"{program}: interrupted", file=sys.stderr)
-        return 130
+    return run_command(program, work, failure=2)
 
 
 def _demo(options: DriveOptions) -> int:

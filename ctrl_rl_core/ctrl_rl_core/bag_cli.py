@@ -9,19 +9,13 @@ from datetime import UTC, datetime
 
 from ctrl_rl_core.bag_reader import bag_info
 from ctrl_rl_core.bag_recovery import recover
-from ctrl_rl_core.errors import CtrlRlError
+from ctrl_rl_core.command import run_command
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code: 0 done, 1 failed, 2 wrong usage."""
     options = _parser().parse_args(arguments)
-    try:
-        return int(options.run(options))
-    except CtrlRlError as error:
-        print(f"bag {options.command}: {error}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        return 130
+    return run_command(f"bag {options.command}", lambda: int(options.run(options)))
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -187,6 +187,12 @@ def test_recover(bag, capsys):
     assert main(["info", str(bag.parent / "mended")]) == 0
 
 
+def test_a_reader_that_has_seen_enough_is_no_error(bag):
+    command = f"set -o pipefail; {sys.executable} -m ctrl_rl_core.bag_cli info {bag} | true"
+    answer = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
+    assert (answer.returncode, answer.stderr) == (0, "")
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 
-from ctrl_rl_core.errors import CtrlRlError
+from ctrl_rl_core.command import run_command
 from ctrl_rl_core.tasks import load_navigation_task, task_digest
 from tqdm import tqdm
 
@@ -21,17 +20,14 @@ from koopman_lqr_controller.training import train
 def main(arguments: list[str] | None = None) -> int:
     """Run the command and return its exit code."""
     options = _parser().parse_args(arguments)
-    try:
+
+    def work() -> int:
         policy = _train(options)
         save_policy(policy, options.output, overwrite=options.overwrite)
-    except CtrlRlError as error:
-        print(f"train: {error}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        print("train: interrupted, nothing written", file=sys.stderr)
-        return 130
-    _report(policy, options.output)
-    return 0
+        _report(policy, options.output)
+        return 0
+
+    return run_command("train", work)
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -1,0 +1,35 @@
+"""How every command of the suite ends: with its work done, one clear line of error, or quietly interrupted."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable
+
+from ctrl_rl_core.errors import CtrlRlError
+
+EXIT_INTERRUPTED = 130
+"""As a shell reports SIGINT."""
+
+
+def run_command(program: str, work: Callable[[], int], failure: int = 1) -> int:
+    """Run a command and return its exit code.
+
+    Args:
+        program: name that its errors begin with.
+        work: returns the exit code.
+        failure: exit code of an error that the suite explains.
+    """
+    try:
+        code = work()
+        sys.stdout.flush()
+    except CtrlRlError as error:
+        print(f"{program}: {error}", file=sys.stderr)
+        return failure
+    except KeyboardInterrupt:
+        print(f"{program}: interrupted", file=sys.stderr)
+        return EXIT_INTERRUPTED
+    except BrokenPipeError:  # the reader of a pipe (head, less) has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    return code
