@@ -43,6 +43,8 @@ STATE_UNITS: Mapping[str, str] = {
 }
 COMMAND_UNITS: Mapping[str, str] = {"v": "m/s", "omega": "rad/s", "T_1": "N", "T_2": "N"}
 """Commands of the bodies: speeds of a differential drive, thrusts of a planar quadrotor."""
+BODY_RADII: Mapping[str, float] = {"turtlebot3_burger": 0.123, "turtlebot2": 0.177, "planar_quadrotor": 0.4191}
+"""Circle around a body's origin that holds all of it [m]."""
 
 
 class Part(BaseModel):
@@ -138,6 +140,11 @@ class RobotSpec(Part):
     body: Literal["turtlebot3_burger", "turtlebot2", "planar_quadrotor"]
     commands: Annotated[dict[str, Interval], _intervals(COMMAND_UNITS)]
     tilt_limit: Angle | None = None
+
+    @property
+    def radius(self) -> float:
+        """Of a circle around the body's origin that holds all of it [m]."""
+        return BODY_RADII[self.body]
 
 
 class ArenaSpec(Part):

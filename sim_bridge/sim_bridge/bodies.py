@@ -70,7 +70,6 @@ class Drive:
         torque: largest of one wheel [N m].
         lag: time constant of the wheel speed [s].
         bounds: least and largest v and omega, None for the task's command bounds.
-        radius: of a circle around the origin that holds the body [m].
         base_height: of base_link above base_footprint [m].
         lidar: position in base_footprint [m].
     """
@@ -81,7 +80,6 @@ class Drive:
     torque: float
     lag: float
     bounds: tuple[tuple[float, float], tuple[float, float]] | None
-    radius: float
     base_height: float
     lidar: tuple[float, float, float]
 
@@ -94,7 +92,6 @@ DRIVES: Mapping[str, Drive] = {
         torque=0.5,
         lag=0.05,
         bounds=((-0.22, 0.22), (-2.84, 2.84)),
-        radius=0.123,
         base_height=0.010,
         lidar=(-0.032, 0.0, 0.182),
     ),
@@ -105,7 +102,6 @@ DRIVES: Mapping[str, Drive] = {
         torque=0.35,
         lag=0.05,
         bounds=None,
-        radius=0.177,
         base_height=0.0102,
         lidar=(0.0, 0.0, 0.300),
     ),
@@ -115,14 +111,14 @@ DRIVES: Mapping[str, Drive] = {
 class DifferentialDrive:
     """Two wheels on velocity motors with a first-order lag and limited torque, standing on a floor; see `Body`."""
 
-    def __init__(self, physics: Physics, drive: Drive, bounds: Array, pose: Array) -> None:
+    def __init__(self, physics: Physics, drive: Drive, bounds: Array, radius: float, pose: Array) -> None:
         self._client, self._drive = physics.client, drive
         self.id, self.mask = physics.load(drive.urdf, (pose[0], pose[1], 0.0), yaw=pose[2])
         joints = physics.joints(self.id)
         self._wheels = [joints["wheel_left_joint"], joints["wheel_right_joint"]]
         self.bounds = bounds if drive.bounds is None else np.array(drive.bounds)
         self.idle = np.zeros(2)
-        self.radius = drive.radius
+        self.radius = radius
         self._share = -math.expm1(-1.0 / (physics.rate * drive.lag))
         self._speeds = (0.0, 0.0)
         self._turn_motors()
@@ -181,10 +177,7 @@ class PlanarQuadrotor:
     order): the first push lasts half a step, and where the command changes, old and new push for half a step each.
     """
 
-    SIZE = (0.8, 0.8, 0.25)
-    RADIUS = 0.5 * math.hypot(SIZE[0], SIZE[2])
-
-    def __init__(self, physics: Physics, system: System, pose: Array, velocity: Array) -> None:
+    def __init__(self, physics: Physics, system: System, radius: float, pose: Array, velocity: Array) -> None:
         self._client, self._rate = physics.client, physics.rate
         self._rates = system.equations(math, system.parameters)
         mass, inertia = system.parameters["m"], system.parameters["I_yy"]
@@ -194,7 +187,7 @@ class PlanarQuadrotor:
         self._joints = [joints["x"], joints["z"], joints["psi"]]
         self.bounds = system.control_bounds.T
         self.idle = np.clip(np.full(2, 0.5 * mass * system.parameters["g"]), self.bounds[:, 0], self.bounds[:, 1])
-        self.radius = self.RADIUS
+        self.radius = radius
         self._command: Array | None = None
         self._acceleration = np.zeros(3)
         self._free_joints(pose, velocity)
@@ -261,12 +254,6 @@ class PlanarQuadrotor:
         )
 
 
-def body_radius(task: NavigationTask) -> float:
-    """Return the radius of a circle around the origin of the task's robot that holds all of it [m]."""
-    kind = task.robot.body
-    return PlanarQuadrotor.RADIUS if kind == "planar_quadrotor" else DRIVES[kind].radius
-
-
 def make_body(physics: Physics, task: NavigationTask, system: System, state: Array) -> Body:
     """Put the task's robot into the world at a start state (n,), ordered as its system names it.
 
@@ -278,12 +265,12 @@ def make_body(physics: Physics, task: NavigationTask, system: System, state: Arr
     if task.robot.body == "planar_quadrotor":
         _need(task, system, {"x", "v_x", "z", "v_z", "psi", "omega"})
         pose = np.array([named[name] for name in ("x", "z", "psi")])
-        return PlanarQuadrotor(physics, system, pose, np.array([named[name] for name in ("v_x", "v_z", "omega")]))
+        velocity = np.array([named[name] for name in ("v_x", "v_z", "omega")])
+        return PlanarQuadrotor(physics, system, task.robot.radius, pose, velocity)
     _need(task, system, {"x", "y", "theta"})
     bounds = np.array([task.robot.commands[name] for name in ("v", "omega")])
-    return DifferentialDrive(
-        physics, DRIVES[task.robot.body], bounds, np.array([named[n] for n in ("x", "y", "theta")])
-    )
+    pose = np.array([named[name] for name in ("x", "y", "theta")])
+    return DifferentialDrive(physics, DRIVES[task.robot.body], bounds, task.robot.radius, pose)
 
 
 def _need(task: NavigationTask, system: System, needed: set[str]) -> None:

@@ -8,11 +8,11 @@ from enum import IntEnum
 
 import numpy as np
 from ctrl_rl_core.geometry import Path
-from ctrl_rl_core.regions import wrap
 from ctrl_rl_core.systems import System
 from ctrl_rl_core.task_parts import RewardSpec
+from ctrl_rl_core.task_sets import PATH_NAMES, PathCoordinates
 from ctrl_rl_core.tasks import NavigationTask
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
@@ -71,34 +71,11 @@ class Episode:
         return rewards.intermediate
 
 
-class PathCoordinates:
-    """Positions along a corridor, from samples of its path that are made once."""
-
-    _STEP = 0.01
-
-    def __init__(self, path: Path) -> None:
-        self._s = np.linspace(0.0, path.length, max(2, math.ceil(path.length / self._STEP) + 1))
-        self._poses = path.pose(self._s)
-
-    def __call__(self, pose: ArrayLike) -> Array:
-        """Return s [m], lateral [m] and heading [rad] (3,) of a pose x, y, theta (3,)."""
-        x, y, theta = np.asarray(pose, dtype=float)
-        dx, dy = x - self._poses[:, 0], y - self._poses[:, 1]
-        nearest = int(np.argmin(dx * dx + dy * dy))
-        direction = self._poses[nearest, 2]
-        c, s = math.cos(direction), math.sin(direction)
-        along, lateral = c * dx[nearest] + s * dy[nearest], c * dy[nearest] - s * dx[nearest]
-        along = min(max(self._s[nearest] + along, 0.0), self._s[-1])
-        return np.array((along, lateral, float(wrap(theta - direction))))
-
-
 class Judge:
     """Decides by a task's sets how a robot's episode stands."""
 
-    _CORRIDOR_NAMES = ("s", "lateral", "heading")
-
     def __init__(self, task: NavigationTask, system: System, path: Path | None) -> None:
-        self._names = system.state_names if path is None else self._CORRIDOR_NAMES
+        self._names = system.state_names if path is None else PATH_NAMES
         self._goal = task.goal.region
         self._trap = None if task.trap is None else task.trap.region
         self._tilt_limit = math.inf if task.robot.tilt_limit is None else task.robot.tilt_limit

@@ -21,7 +21,7 @@ from ctrl_rl_core.task_parts import World
 from ctrl_rl_core.tasks import NavigationTask
 from numpy.typing import ArrayLike, NDArray
 
-from sim_bridge.bodies import Body, body_radius, make_body
+from sim_bridge.bodies import Body, make_body
 from sim_bridge.commands import CommandChannel
 from sim_bridge.episode import Episode, Judge
 from sim_bridge.lidar import Lidar
@@ -161,7 +161,7 @@ class SimulatedWorld:
         """
         geometry = self.task.build_world(self._draw_width(seed))
         random = np.random.default_rng((seed, 0, _Purpose.START))
-        starts = draw_starts(self.task, self.system, geometry, self._count, body_radius(self.task), random)
+        starts = draw_starts(self.task, self.system, geometry, self._count, self.task.robot.radius, random)
         self._physics.clear(GRAVITY if self.plane == "xy" else 0.0)
         if self.plane == "xy":
             self._physics.add_floor()
