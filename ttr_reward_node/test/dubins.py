@@ -1,0 +1,150 @@
+"""The independent reference: shortest Dubins paths (Dubins 1957, words as in Shkel and Lumelsky 2001) to a box of poses.
+
+The car drives at 1 m/s and turns at up to 1 rad/s, so lengths [m] are times [s]. The distance to a box is the least over its
+poses: first over a lattice of them, then by a compass search from the best few down to 1e-5.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+LSL, RSR, LSR, RSL, RLR, LRL = range(6)
+TURNS = np.array([[1, 0, 1], [-1, 0, -1], [1, 0, -1], [-1, 0, 1], [-1, 1, -1], [1, -1, 1]])
+
+
+@njit(cache=True)
+def _mod(angle):
+    angle = angle % (2 * math.pi)
+    return 0.0 if angle > 2 * math.pi - 1e-12 else angle
+
+
+@njit(cache=True)
+def word(kind, x, y, angle):
+    """Segments (t, p, q) of one word from the origin to (x, y, angle); inf where it does not exist."""
+    none = (math.inf, math.inf, math.inf)
+    d = math.hypot(x, y)
+    direction = math.atan2(y, x)
+    a, b = -direction, angle - direction
+    sa, ca, sb, cb, cab = math.sin(a), math.cos(a), math.sin(b), math.cos(b), math.cos(a - b)
+    if kind == 0 or kind == 1:
+        s = 1.0 if kind == 0 else -1.0
+        square = 2 + d * d - 2 * cab + 2 * s * d * (sa - sb)
+        if square < 0:
+            if square < -1e-12:
+                return none
+            square = 0.0
+        turn = math.atan2(s * (cb - ca), d + s * (sa - sb))
+        return _mod(s * (turn - a)), math.sqrt(square), _mod(s * (b - turn))
+    if kind == 2 or kind == 3:
+        s = 1.0 if kind == 2 else -1.0
+        square = -2 + d * d + 2 * cab + 2 * s * d * (sa + sb)
+        if square < 0:
+            return none
+        p = math.sqrt(square)
+        turn = math.atan2(-s * (ca + cb), d + s * (sa + sb)) - math.atan2(-s * 2.0, p)
+        return _mod(s * (turn - a)), p, _mod(s * (turn - b))
+    s = 1.0 if kind == 4 else -1.0
+    cosine = (6 - d * d + 2 * cab + 2 * s * d * (sa - sb)) / 8
+    if abs(cosine) > 1:
+        return none
+    p = _mod(2 * math.pi - math.acos(cosine))
+    t = _mod(s * a - math.atan2(s * (ca - cb), d - s * (sa - sb)) * s * s + p / 2) if kind == 4 else _mod(
+        -a - math.atan2(ca - cb, d + sa - sb) + p / 2
+    )
+    q = _mod(a - b - t + p) if kind == 4 else _mod(b - a - t + p)
+    return t, p, q
+
+
+@njit(cache=True)
+def end_of(kind, t, p, q, x, y, angle, s):
+    """Pose after s metres of the word with these segments."""
+    lengths = (t, p, q)
+    for i in range(3):
+        step = min(s, lengths[i])
+        turn = TURNS[kind, i]
+        if turn == 0:
+            x += step * math.cos(angle)
+            y += step * math.sin(angle)
+        else:
+            x += turn * (math.sin(angle + turn * step) - math.sin(angle))
+            y -= turn * (math.cos(angle + turn * step) - math.cos(angle))
+            angle += turn * step
+        s -= step
+    return x, y, angle
+
+
+@njit(cache=True)
+def distance(x0, y0, a0, x1, y1, a1):
+    """Length of the shortest path between two poses, and its word."""
+    c, s = math.cos(a0), math.sin(a0)
+    dx, dy = x1 - x0, y1 - y0
+    x, y = c * dx + s * dy, -s * dx + c * dy
+    best, kind = math.inf, -1
+    for k in range(6):
+        t, p, q = word(k, x, y, a1 - a0)
+        if t + p + q < best:
+            best, kind = t + p + q, k
+    return best, kind
+
+
+@njit(cache=True)
+def to_box(states, box, lattice, starts):
+    """Shortest paths from states (N, 3) to box (3, 2).
+
+    Returns lengths (N,) and poses (N, 3) of arrival. `lattice` poses a side are tried, `starts` of them refined.
+    """
+    out, poses = np.empty(len(states)), np.empty((len(states), 3))
+    candidates = np.empty((lattice**3, 3))
+    size = box[:, 1] - box[:, 0]
+    for i in range(lattice**3):
+        for k, digit in enumerate((i % lattice, i // lattice % lattice, i // lattice**2)):
+            candidates[i, k] = box[k, 0] + size[k] * digit / (lattice - 1)
+    lengths = np.empty(len(candidates))
+    for n in range(len(states)):
+        x, y, a = states[n]
+        inside = (a - box[2, 0]) % (2 * math.pi) <= size[2]
+        if box[0, 0] <= x <= box[0, 1] and box[1, 0] <= y <= box[1, 1] and inside:
+            out[n], poses[n] = 0.0, states[n]
+            continue
+        for i in range(len(candidates)):
+            lengths[i] = distance(x, y, a, candidates[i, 0], candidates[i, 1], candidates[i, 2])[0]
+        order = np.argsort(lengths)[:starts]
+        out[n] = math.inf
+        for i in order:
+            pose, best = candidates[i].copy(), lengths[i]
+            step = 1.0 / (lattice - 1)
+            while step > 1e-5:
+                better = False
+                for k in range(3):
+                    for sign in (-1.0, 1.0):
+                        old = pose[k]
+                        pose[k] = min(max(old + sign * step * size[k], box[k, 0]), box[k, 1])
+                        length = distance(x, y, a, pose[0], pose[1], pose[2])[0]
+                        if length < best - 1e-12:
+                            best, better = length, True
+                        else:
+                            pose[k] = old
+                if not better:
+                    step /= 2
+            if best < out[n]:
+                out[n], poses[n] = best, pose
+    return out, poses
+
+
+@njit(cache=True)
+def stays_in(states, poses, low, high):
+    """Whether the shortest path from each state to its pose keeps x and y in [low, high], (N,)."""
+    out = np.ones(len(states), np.bool_)
+    for n in range(len(states)):
+        x, y, a = states[n]
+        c, s = math.cos(a), math.sin(a)
+        dx, dy = poses[n, 0] - x, poses[n, 1] - y
+        length, kind = distance(x, y, a, poses[n, 0], poses[n, 1], poses[n, 2])
+        t, p, q = word(kind, c * dx + s * dy, -s * dx + c * dy, poses[n, 2] - a)
+        for i in range(int(length / 0.01) + 1):
+            px, py, _ = end_of(kind, t, p, q, x, y, a, i * 0.01)
+            if not (low <= px <= high and low <= py <= high):
+                out[n] = False
+                break
+    return out

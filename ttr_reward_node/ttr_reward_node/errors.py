@@ -1,0 +1,7 @@
+"""The errors of this package."""
+
+from ctrl_rl_core.errors import CtrlRlError
+
+
+class TimeToReachError(CtrlRlError):
+    """A problem, decomposition or file does not allow what was asked; the message says why and what to do."""

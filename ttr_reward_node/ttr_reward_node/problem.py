@@ -1,0 +1,234 @@
+"""A time-to-reach problem (thesis Eq. 2.17-2.20): a system on a grid, a target, and what is in the way.
+
+    problem = problem_from_task("car_ttr")
+    problem = Problem(system, axes, target=Region({"x": Interval(-0.1, 0.1)}))
+
+Between the nodes the target is exact: it is kept as intervals and a disc, not as marked nodes. Obstacles are kept as the
+clearance at the nodes and interpolated between them. What leaves the grid on an axis that is not periodic has failed.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from ctrl_rl_core.geometry import signed_distance
+from ctrl_rl_core.grid_axis import Axis
+from ctrl_rl_core.regions import Region, position_indices
+from ctrl_rl_core.systems import System
+from ctrl_rl_core.task_parts import STATE_UNITS
+from ctrl_rl_core.tasks import NavigationTask, load_navigation_task, task_digest
+from ctrl_rl_core.units import parse_interval
+from numpy.typing import NDArray
+
+from ttr_reward_node.errors import TimeToReachError
+
+# A step ends one or two cells away, and the table of steps has to stay small beside the values.
+_MOST_DIMENSIONS = 6
+
+
+@dataclass(frozen=True, eq=False)
+class Clearance:
+    """Distance to the nearest obstacle at the nodes of some of the axes.
+
+    Attributes:
+        axes: indices of those axes, ascending; at most two.
+        values: shape (count of the first of them, ...) [m], negative inside an obstacle.
+    """
+
+    axes: tuple[int, ...]
+    values: NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """Find phi(x), the shortest time from x to the target.
+
+    Attributes:
+        system: x' = f(x, u, d); u shortens the time, d prolongs it.
+        axes: one for each state of the system, in its order.
+        target: Gamma of Eq. 2.17; state components that it does not bound are free.
+        clearance: of the obstacles, None for none.
+        control_counts: samples of each control between its bounds. Two are enough for the Hamiltonian of a system that
+            is affine in u; the third, the middle, saves switching to and fro between the bounds.
+        name: of the task.
+        digest: SHA-256 of the task; of system, axes and target where left out.
+
+    Raises:
+        TimeToReachError: anything that contradicts the above.
+    """
+
+    system: System
+    axes: tuple[Axis, ...]
+    target: Region
+    clearance: Clearance | None = None
+    control_counts: int | tuple[int, ...] = 3
+    name: str = "custom"
+    digest: str = field(default="")
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "axes", tuple(self.axes))
+        names = self.system.state_names
+        if tuple(axis.name for axis in self.axes) != names:
+            raise TimeToReachError(
+                f"the axes are {[axis.name for axis in self.axes]}; {self.system.name} needs one for each of {list(names)}"
+            )
+        if not 1 <= len(names) <= _MOST_DIMENSIONS:
+            raise TimeToReachError(f"{self.system.name} has {len(names)} states; the solvers take 1 to {_MOST_DIMENSIONS}")
+        for axis, state in zip(self.axes, self.system.states, strict=True):
+            if axis.periodic and not state.periodic:
+                raise TimeToReachError(f"axis '{axis.name}' is periodic, but the state is not")
+        unknown = set(self.target.intervals) - set(names)
+        if unknown:
+            raise TimeToReachError(f"the target bounds '{min(unknown)}'; the states are {', '.join(names)}")
+        if self.target.disc is not None and len(position_indices(names)) < 2:
+            raise TimeToReachError(f"the target is a disc, but {self.system.name} has no plane of two positions")
+        if self.clearance is not None:
+            _check_clearance(self.clearance, self.axes)
+        if not self.digest:
+            object.__setattr__(self, "digest", self._own_digest())
+
+    @cached_property
+    def counts(self) -> tuple[int, ...]:
+        """Number of nodes on each axis."""
+        return tuple(axis.count for axis in self.axes)
+
+    @cached_property
+    def points(self) -> int:
+        """Number of nodes."""
+        return int(np.prod(self.counts, dtype=np.int64))
+
+    def along(self, axis: int, values: NDArray[np.generic]) -> NDArray[np.generic]:
+        """Values (count,) at the nodes of one axis, shaped to broadcast over the grid."""
+        shape = [1] * len(self.axes)
+        shape[axis] = -1
+        return values.reshape(shape)
+
+    def in_target(self) -> NDArray[np.bool_]:
+        """Which nodes lie in the target, shape of the grid."""
+        names = self.system.state_names
+        inside = np.ones((1,) * len(names), dtype=bool)
+        for k, axis in enumerate(self.axes):
+            if axis.name in self.target.intervals:
+                only = Region({axis.name: self.target.intervals[axis.name]})
+                inside = inside & self.along(k, only.contains([axis.name], axis.nodes[:, None]))
+        if self.target.disc is not None:
+            i, j = position_indices(names)
+            first, second = (self.along(k, self.axes[k].nodes) for k in (i, j))
+            points = np.stack(np.broadcast_arrays(first, second), axis=-1)
+            inside = inside & (self.target.disc.signed_distance(points) <= 0.0)
+        return np.broadcast_to(inside, self.counts)
+
+    def blocked(self) -> NDArray[np.bool_]:
+        """Which nodes lie in an obstacle, shape of the grid."""
+        if self.clearance is None:
+            return np.broadcast_to(np.False_, self.counts)
+        return np.broadcast_to(self.spread(self.clearance.values) <= 0.0, self.counts)
+
+    def spread(self, values: NDArray[np.generic]) -> NDArray[np.generic]:
+        """Values on the axes of the clearance, shaped to broadcast over the grid."""
+        assert self.clearance is not None
+        return values.reshape([axis.count if k in self.clearance.axes else 1 for k, axis in enumerate(self.axes)])
+
+    def _own_digest(self) -> str:
+        system = self.system
+        content = {
+            "system": [system.name, dict(system.parameters), system.control_bounds.tolist()],
+            "disturbances": system.disturbance_bounds.tolist(),
+            "axes": [asdict(axis) for axis in self.axes],
+            "target": [dict(self.target.intervals), None if self.target.disc is None else asdict(self.target.disc)],
+        }
+        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
+def problem_from_task(
+    task: NavigationTask | str | Path,
+    *,
+    counts: Sequence[int] | Mapping[str, int] | None = None,
+    inflation: float = 0.0,
+    disturbances: Mapping[str, Sequence[float]] | None = None,
+    control_counts: int | tuple[int, ...] = 3,
+) -> Problem:
+    """Make the problem that a navigation task describes.
+
+    Args:
+        task: a task, its name or its file; it must say which `grid` it wants.
+        counts: nodes by state name, or one for each state, in place of the task's.
+        inflation: by how much walls and obstacles are widened [m], e.g. the robot's radius; 0 for a point.
+        disturbances: bounds by name ("d_" and the state's name); none unless given.
+        control_counts: see `Problem`.
+
+    Raises:
+        TimeToReachError: the task has no grid or plans along a corridor.
+        TaskError, SystemModelError: the task or the disturbance is wrong.
+    """
+    if not isinstance(task, NavigationTask):
+        task = load_navigation_task(task)
+    if not task.grid or task.corridor is not None:
+        raise TimeToReachError(f"task '{task.name}' has no value grid: add 'grid' with an axis for each state")
+    system = task.system.build()
+    if disturbances:
+        system = with_disturbances(system, disturbances)
+    axes = _axes(task, system, counts)
+    plane = tuple(position_indices(system.state_names))
+    world = task.build_world()
+    points = np.stack(np.meshgrid(*(axes[k].nodes for k in plane), indexing="ij"), axis=-1)
+    distance = signed_distance((*world.walls, *world.obstacles), points) - inflation
+    return Problem(
+        system=system,
+        axes=axes,
+        target=task.goal.region,
+        clearance=Clearance(plane, distance.astype(np.float32)),
+        control_counts=control_counts,
+        name=task.name,
+        digest=task_digest(task),
+    )
+
+
+def with_disturbances(system: System, bounds: Mapping[str, Sequence[float]]) -> System:
+    """Return the system with disturbance bounds by name ("d_" and the state's name).
+
+    Raises:
+        TimeToReachError: an unknown name, or a lower bound above the upper one.
+    """
+    known = {disturbance.name for disturbance in system.disturbances}
+    for name, (lower, upper) in bounds.items():
+        if name not in known or not lower <= upper:
+            raise TimeToReachError(f"disturbance '{name}' in [{lower:g}, {upper:g}]: choose from {sorted(known)}, lower <= upper")
+    changed = tuple(
+        replace(d, lower=float(bounds[d.name][0]), upper=float(bounds[d.name][1])) if d.name in bounds else d
+        for d in system.disturbances
+    )
+    return replace(system, disturbances=changed)
+
+
+def _axes(task: NavigationTask, system: System, counts: Sequence[int] | Mapping[str, int] | None) -> tuple[Axis, ...]:
+    names = system.state_names
+    if set(task.grid) != set(names):
+        raise TimeToReachError(f"task '{task.name}': grid has {sorted(task.grid)}; the states are {', '.join(names)}")
+    if counts is None:
+        counts = {}
+    elif not isinstance(counts, Mapping):
+        if len(counts) != len(names):
+            raise TimeToReachError(f"{len(counts)} counts are given; the states are {', '.join(names)}")
+        counts = dict(zip(names, counts, strict=True))
+    axes = []
+    for state in system.states:
+        spec = task.grid[state.name]
+        interval = parse_interval(spec.interval, STATE_UNITS[state.name])
+        count = counts.get(state.name, spec.count)
+        axes.append(Axis(state.name, state.unit, interval.low, interval.high, count, state.periodic))
+    return tuple(axes)
+
+
+def _check_clearance(clearance: Clearance, axes: tuple[Axis, ...]) -> None:
+    if not 1 <= len(clearance.axes) <= 2 or list(clearance.axes) != sorted(set(clearance.axes)):
+        raise TimeToReachError(f"the clearance spans axes {clearance.axes}; give one or two, ascending")
+    counts = tuple(axes[k].count for k in clearance.axes)
+    if clearance.values.shape != counts:
+        raise TimeToReachError(f"the clearance has shape {clearance.values.shape}; its axes have {counts}")

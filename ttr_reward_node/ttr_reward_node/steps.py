@@ -1,0 +1,184 @@
+"""Where each control takes the system from each node: the steps of the semi-Lagrangian scheme.
+
+Robots move the same way wherever they are: f does not depend on the position, on some axes at all. So the steps are
+tabulated over the other axes alone (the 72 headings of a car, not its 734,472 nodes), with NumPy, from the one definition
+of f; and the compiled sweep needs to know no system.
+
+A step lasts until the axis that moves fastest, in cells, has moved `cells` whole cells. So it ends on a plane of the grid:
+there is nothing to interpolate along that axis, and a node never refers to itself.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from ctrl_rl_core.grid_axis import Axis
+from ctrl_rl_core.systems import System
+from numpy.typing import NDArray
+
+from ttr_reward_node.problem import Problem
+
+_BLOCK = 1 << 16  # steps that are computed at once
+_TO_PLANE = 4  # corrections of a step's duration until it ends on the plane
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """The order of the axes in memory: first those that f depends on (`outer`), then the others (`inner`).
+
+    Attributes:
+        outer, inner: indices of the problem's axes.
+        counts: nodes on each axis in this order.
+        periodic: whether each of them is.
+    """
+
+    outer: tuple[int, ...]
+    inner: tuple[int, ...]
+    counts: NDArray[np.int64]
+    periodic: NDArray[np.bool_]
+
+    @property
+    def order(self) -> tuple[int, ...]:
+        """All axes."""
+        return self.outer + self.inner
+
+    @property
+    def slabs(self) -> int:
+        """Number of nodes of the outer axes: f is the same all over the inner ones."""
+        return int(np.prod(self.counts[: len(self.outer)], dtype=np.int64))
+
+
+@dataclass(frozen=True, eq=False)
+class Steps:
+    """Steps of each slab under each pair of disturbance and control, axes in the layout's order.
+
+    Attributes:
+        durations: shape (slabs, pairs) [s]; disturbances are the slower index of the pairs; 0 where nothing moves.
+        moves: shape (slabs, pairs, 2, n) [cells]: after half of the duration and after all of it.
+        controls: number of controls; pairs is a multiple of it.
+    """
+
+    durations: NDArray[np.float64]
+    moves: NDArray[np.float32]
+    controls: int
+
+
+def make_layout(problem: Problem) -> Layout:
+    """Find out which axes f depends on."""
+    depends = _dependence(problem.system, problem.axes)
+    outer = tuple(int(k) for k in np.flatnonzero(depends))
+    inner = tuple(int(k) for k in np.flatnonzero(~depends))
+    axes = [problem.axes[k] for k in outer + inner]
+    return Layout(outer, inner, np.array([a.count for a in axes]), np.array([a.periodic for a in axes]))
+
+
+def slab_states(problem: Problem, layout: Layout) -> NDArray[np.float64]:
+    """States (slabs, n) of the outer nodes, in the problem's order; inner components stand at their axis's lower end."""
+    states = np.empty((layout.slabs, len(problem.axes)))
+    states[:] = [axis.lower for axis in problem.axes]
+    if layout.outer:
+        nodes = np.meshgrid(*(problem.axes[k].nodes for k in layout.outer), indexing="ij")
+        states[:, layout.outer] = np.stack(nodes, axis=-1).reshape(layout.slabs, -1)
+    return states
+
+
+def pairs(problem: Problem) -> tuple[NDArray[np.float64], NDArray[np.float64], int]:
+    """Controls (p, m) and disturbances (p, n) of all pairs, and the number of controls, the faster index."""
+    controls = problem.system.control_samples(problem.control_counts) if problem.system.controls else np.zeros((1, 0))
+    disturbances = problem.system.disturbance_samples(2)
+    u = np.tile(controls, (len(disturbances), 1))
+    d = np.repeat(disturbances, len(controls), axis=0)
+    return u, d, len(controls)
+
+
+def make_steps(problem: Problem, layout: Layout, cells: float) -> Steps:
+    """Tabulate the steps; `cells` is how far they go."""
+    u, d, controls = pairs(problem)
+    states = slab_states(problem, layout)
+    durations = np.empty((len(states), len(u)))
+    moves = np.empty((len(states), len(u), 2, len(problem.axes)), dtype=np.float32)
+    spacings = np.array([axis.spacing for axis in problem.axes])
+    longest = _longest(problem.system, states, u, d, spacings, cells)
+    size = max(1, _BLOCK // len(u))
+    for begin in range(0, len(states), size):
+        block = slice(begin, begin + size)
+        x = states[block, None]
+        h = _durations(problem, layout, x, u, d, spacings, cells, longest)
+        durations[block] = h
+        for part in (0, 1):
+            dt = (0.5 * (part + 1) * h)[..., None]
+            move = (problem.system.step(x, u, d, dt=dt) - x) / spacings
+            moves[block, :, part] = _snap(move)[..., layout.order]
+    return Steps(durations, moves, controls)
+
+
+def _dependence(system: System, axes: tuple[Axis, ...], samples: int = 64) -> NDArray[np.bool_]:
+    """Which state components f depends on, found by changing one at a time at random states."""
+    random = np.random.default_rng(0)
+    lower, upper = np.array([(axis.lower, axis.upper) for axis in axes]).T
+    x = random.uniform(lower, upper, (samples, len(axes)))
+    u = random.uniform(*system.control_bounds, (samples, len(system.controls)))
+    rates = system.dynamics(x, u)
+    depends = np.zeros(len(axes), dtype=bool)
+    for k in range(len(axes)):
+        other = x.copy()
+        other[:, k] = random.uniform(lower[k], upper[k], samples)
+        depends[k] = not np.array_equal(rates, system.dynamics(other, u))
+    return depends
+
+
+def _longest(
+    system: System,
+    states: NDArray[np.float64],
+    u: NDArray[np.float64],
+    d: NDArray[np.float64],
+    spacings: NDArray[np.float64],
+    cells: float,
+) -> float:
+    """How long a step may last: until the slowest axis at its top speed has moved that many cells [s]."""
+    top = np.zeros(len(spacings))
+    size = max(1, _BLOCK // len(u))
+    for begin in range(0, len(states), size):
+        rates = np.abs(system.dynamics(states[begin : begin + size, None], u, d))
+        top = np.maximum(top, rates.max(axis=(0, 1)))
+    top /= spacings
+    return float(cells / top[top > 0].min()) if top.any() else 0.0
+
+
+def _durations(
+    problem: Problem,
+    layout: Layout,
+    x: NDArray[np.float64],
+    u: NDArray[np.float64],
+    d: NDArray[np.float64],
+    spacings: NDArray[np.float64],
+    cells: float,
+    longest: float,
+) -> NDArray[np.float64]:
+    """Durations (block, pairs) of steps that end `cells` away, or at the edge of the grid on an outer axis."""
+    rates = np.abs(problem.system.dynamics(x, u, d)) / spacings
+    with np.errstate(divide="ignore"):
+        h = np.minimum(cells / rates.max(axis=-1), longest)
+    # How far it is to the edges; without limit on periodic and inner axes.
+    room = np.full((2, len(x), 1, len(spacings)), np.inf)
+    for k in layout.outer:
+        axis = problem.axes[k]
+        if not axis.periodic:
+            room[0, ..., k] = (x[..., k] - axis.lower) / spacings[k]
+            room[1, ..., k] = (axis.upper - x[..., k]) / spacings[k]
+    for _ in range(_TO_PLANE):
+        move = (problem.system.step(x, u, d, dt=h[..., None]) - x) / spacings
+        limit = np.minimum(np.where(move < 0, room[0], room[1]), cells)
+        # From the edge outwards there is no room at all: the step stays too long, and is refused later.
+        limit = np.where(limit < 1e-6, cells, limit)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            scale = np.nanmin(np.where(move == 0, np.inf, limit / np.abs(move)), axis=-1)
+        h = np.minimum(h * scale, longest)
+    return h
+
+
+def _snap(moves: NDArray[np.float64], tolerance: float = 1e-4) -> NDArray[np.float64]:
+    """Round moves that are within `tolerance` of whole cells."""
+    whole = np.round(moves)
+    return np.where(np.abs(moves - whole) < tolerance, whole, moves)
