@@ -115,7 +115,7 @@ def read_drive(bag: Path) -> Drive:
     def track(topic: str) -> Array:
         return np.column_stack((np.array(stamps[topic]) - begin, np.array(rows[topic]).reshape(len(rows[topic]), -1)))
 
-    sent = read_sent(bag, info.files)
+    sent = read_sent(bag)
     return Drive(
         task=task,
         width=width,

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from mcap.reader import make_reader
+from ctrl_rl_core.bag_copy import read_wire
 from numpy.typing import NDArray
 
 _CDR_HEADER = 4
@@ -27,13 +27,11 @@ class Sent(NamedTuple):
     stamp: int
 
 
-def read_sent(bag: Path, files: Iterable[str]) -> dict[str, list[Sent]]:
-    """Return the messages of a bag's .mcap files, by topic."""
+def read_sent(bag: Path) -> dict[str, list[Sent]]:
+    """Return the messages of a bag, by topic."""
     out: dict[str, list[Sent]] = defaultdict(list)
-    for file in files:
-        with (bag / file).open("rb") as stream:
-            for _, channel, message in make_reader(stream).iter_messages(log_time_order=False):
-                out[channel.topic].append(Sent(message.sequence, message.publish_time, _stamp(message.data)))
+    for message in read_wire(bag):
+        out[message.topic].append(Sent(message.sequence, message.publish_time, _stamp(message.data)))
     return out
 
 

@@ -20,7 +20,7 @@ def test_reads_stamp_sequence_and_publication_from_the_wire(tmp_path: Path) -> N
         writer.add_topic(Topic("/scan", "std_msgs/msg/Header", "", "", ()))
         writer.write("/scan", stamped(3_000_000_007), log_time=50, publish_time=40, sequence=9)
         writer.write("/scan", b"\x00\x01\x00\x00", log_time=60, publish_time=55, sequence=10)
-    sent = read_sent(tmp_path / "bag", ["bag_0.mcap"])
+    sent = read_sent(tmp_path / "bag")
     assert sent == {"/scan": [Sent(9, 40, 3_000_000_007), Sent(10, 55, 0)]}
 
 

@@ -1,0 +1,120 @@
+"""Copies a bag message by message, as it was on the wire, and lets somebody add to it on the way."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import NamedTuple
+
+from mcap.exceptions import McapError
+from mcap.reader import make_reader
+from tqdm import tqdm
+
+from ctrl_rl_core.bag_metadata import BagError, Topic
+from ctrl_rl_core.bag_reader import bag_info, open_bag, read_raw
+from ctrl_rl_core.bag_writer import BagWriter
+
+
+class WireMessage(NamedTuple):
+    """One message with all that the bag knows: times [ns since the epoch], the publisher's count, CDR bytes."""
+
+    topic: str
+    type: str
+    log_time: int
+    publish_time: int
+    sequence: int
+    data: bytes
+
+
+def read_wire(bag: Path | str) -> Iterator[WireMessage]:
+    """Yield every message of a bag in the order of its files.
+
+    An sqlite3 bag knows neither publication times nor counts: there they are the log time and 0.
+
+    Raises:
+        BagError: the bag cannot be read.
+    """
+    folder, files = Path(bag), bag_info(bag).files
+    if not all(file.endswith(".mcap") for file in files):
+        for raw in read_raw(bag):
+            yield WireMessage(raw.topic, raw.type, raw.log_time, raw.log_time, 0, raw.data)
+        return
+    for file in files:
+        path = folder / file if folder.is_dir() else folder
+        try:
+            with path.open("rb") as stream:
+                for schema, channel, message in make_reader(stream).iter_messages(log_time_order=False):
+                    name = schema.name if schema is not None else ""
+                    times = message.log_time, message.publish_time
+                    yield WireMessage(channel.topic, name, *times, message.sequence, message.data)
+        except (McapError, OSError) as error:
+            raise BagError(f"{path} cannot be read ({error}); try ros2 run ctrl_rl_core bag recover {bag}") from None
+
+
+def bag_topics(bag: Path | str) -> list[Topic]:
+    """Return the topics of a bag with their definitions and quality of service.
+
+    Raises:
+        BagError: the bag cannot be read.
+    """
+    out = {}
+    info = bag_info(bag)
+    with open_bag(bag) as reader:
+        for connection in reader.connections:
+            known = info.topics[connection.topic]
+            definition = connection.msgdef.data
+            if not definition:  # a bag from before MCAP names its types, but does not define them
+                definition = reader.typestore.generate_msgdef(connection.msgtype, ros_version=2)[0]
+            out[connection.topic] = Topic(connection.topic, known.type, definition, known.type_hash, known.qos)
+    return list(out.values())
+
+
+def copy_bag(
+    bag: Path | str,
+    output: Path | str,
+    added: Sequence[Topic],
+    add: Callable[[WireMessage], Iterable[tuple[str, bytes]]],
+    custom_data: Mapping[str, str] | None = None,
+    progress: str = "",
+) -> int:
+    """Write a bag again with more topics in it; messages of the old ones stay as they are, byte for byte.
+
+    Args:
+        bag: folder or file.
+        output: folder of the new bag; it must not exist.
+        added: the new topics.
+        add: returns, for each message copied, the messages (topic, CDR bytes) that follow it, at its times.
+        custom_data: texts that the new bag keeps beside the old one's.
+        progress: what a bar on a terminal is called; empty for none.
+
+    Returns:
+        How many messages were added.
+
+    Raises:
+        BagError: the bag cannot be read, it has one of the topics already, or the output exists.
+    """
+    topics, info = bag_topics(bag), bag_info(bag)
+    twice = {topic.name for topic in topics} & {topic.name for topic in added}
+    if twice:
+        raise BagError(f"{bag} has a topic {min(twice)} already")
+    count = 0
+    with BagWriter(output) as writer:
+        try:
+            for topic in (*topics, *added):
+                writer.add_topic(topic)
+            for key, value in (*info.custom_data.items(), *(custom_data or {}).items()):
+                writer.set_custom_data(key, value)
+            messages = tqdm(read_wire(bag), progress, info.message_count, disable=None if progress else True)
+            for message in messages:
+                writer.write(message.topic, message.data, message.log_time, message.publish_time, message.sequence)
+                for name, data in add(message):
+                    writer.write(name, data, message.log_time, message.publish_time)
+                    count += 1
+        except BaseException:
+            with suppress(BagError):
+                writer.close()
+            shutil.rmtree(writer.folder, ignore_errors=True)
+            raise
+    return count
