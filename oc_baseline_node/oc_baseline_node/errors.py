@@ -1,0 +1,7 @@
+"""The errors of this package."""
+
+from ctrl_rl_core.errors import CtrlRlError
+
+
+class OcError(CtrlRlError):
+    """Task, data, fit or file do not allow what was asked for; the message says why and what to do."""

@@ -1,0 +1,60 @@
+"""Obstacles as smooth constraints: superellipses that hold a box, or a disc, grown by the robot's clearance d_min.
+
+A box grown by d_min is a rectangle with rounded corners. The superellipse around it has the same proportions and is
+scaled until it touches the corners: it covers the rounded box wholly, so a position that keeps out of it keeps d_min
+from the real box. The p-norm grows like the distance, which a solver likes better than its p-th power.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import cos, pi, sin
+from typing import Any
+
+import numpy as np
+from ctrl_rl_core.geometry import Box, Shape
+
+EXPONENT = 6
+"""Of the superellipse around a box: the higher, the closer to the box and the slower to solve."""
+_ROUNDED = 1e-9
+"""Rounds the norm's tip off, so that its derivative is finite in the middle of an obstacle."""
+
+
+@dataclass(frozen=True)
+class Superellipse:
+    """The set |a / semi_axes[0]|^p + |b / semi_axes[1]|^p < 1, with (a, b) along its own axes.
+
+    Attributes:
+        centre: (2,) [m].
+        semi_axes: (2,) [m].
+        exponent: p, an even number.
+        angle: of its own axes, counter-clockwise [rad].
+    """
+
+    centre: tuple[float, float]
+    semi_axes: tuple[float, float]
+    exponent: int
+    angle: float = 0.0
+
+    def outside(self, x: Any, y: Any) -> Any:
+        """Return how far outside (x, y) lies, about in metres: negative inside. Smooth, for arrays and for CasADi."""
+        c, s = cos(self.angle), sin(self.angle)
+        dx, dy = x - self.centre[0], y - self.centre[1]
+        a = (c * dx + s * dy) / self.semi_axes[0]
+        b = (c * dy - s * dx) / self.semi_axes[1]
+        norm = (a**self.exponent + b**self.exponent + _ROUNDED) ** (1.0 / self.exponent)
+        return min(self.semi_axes) * (norm - 1.0)
+
+
+def cover(shape: Shape, clearance: float, exponent: int = EXPONENT) -> Superellipse:
+    """Return a superellipse that holds all points nearer to `shape` than `clearance` [m]; for a disc exactly those."""
+    if not isinstance(shape, Box):
+        radius = shape.radius + clearance
+        return Superellipse(shape.centre, (radius, radius), 2)
+    half = 0.5 * np.asarray(shape.size)
+    corner = np.linspace(0.0, 0.5 * pi, 91)
+    rounded = half + clearance * np.column_stack((np.cos(corner), np.sin(corner)))
+    scale = float(np.max(np.sum((rounded / (half + clearance)) ** exponent, axis=1) ** (1.0 / exponent)))
+    # Between two of the corner's points the norm is at most this much larger.
+    semi_axes = max(scale, 1.0) * (1.0 + 1e-4) * (half + clearance)
+    return Superellipse(shape.centre, (float(semi_axes[0]), float(semi_axes[1])), exponent, shape.angle)

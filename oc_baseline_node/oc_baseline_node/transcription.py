@@ -1,0 +1,170 @@
+"""A problem as a nonlinear program: multiple shooting, stage by stage, the order that fatrop needs and ipopt takes.
+
+Variables x_0, u_0, x_1, ..., u_{H-1}, x_H; controls that are held are no variables, a free time step is one more state.
+Constraints of a stage: the next state, then (at k = 0) the start, the obstacles, (at k = H) the terminal disc.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import casadi
+import numpy as np
+from numpy.typing import NDArray
+
+from oc_baseline_node.obstacles import cover
+from oc_baseline_node.problem import TIME_STEP_RANGE, Problem
+
+Array = NDArray[np.float64]
+SolverName = Literal["ipopt", "fatrop"]
+_COST_RANGE = 1e3
+"""The largest weight of a squared distance [1/m^2] after scaling: gamma^H alone is 6e5."""
+
+
+class Layout:
+    """Where states, controls and the time step of a problem stand in the vector of variables."""
+
+    def __init__(self, problem: Problem) -> None:
+        low, high = problem.system.control_bounds
+        self.problem = problem
+        self.n = len(problem.system.states)
+        self.free_controls = np.flatnonzero(low < high)
+        self.held = low.copy()
+        self.free_time = problem.form == "free_time"
+        self.width = self.n + self.free_time + len(self.free_controls)
+        self.size = problem.horizon * self.width + self.n + self.free_time
+
+    def pack(self, states: Array, controls: Array, time_step: float) -> Array:
+        """Return the variables (size,) of states (H+1, n), controls (H, m) and a time step [s]."""
+        H, n = self.problem.horizon, self.n
+        rows = np.zeros((H + 1, self.width))
+        rows[:, :n] = states
+        if self.free_time:
+            rows[:, n] = time_step
+        rows[:H, n + self.free_time :] = controls[:, self.free_controls]
+        return rows.ravel()[: self.size]
+
+    def unpack(self, variables: Array) -> tuple[Array, Array, float]:
+        """Return states (H+1, n), controls (H, m) and the time step [s]."""
+        H, n = self.problem.horizon, self.n
+        rows = np.zeros((H + 1) * self.width)
+        rows[: self.size] = variables
+        rows = rows.reshape(H + 1, self.width)
+        controls = np.tile(self.held, (H, 1))
+        controls[:, self.free_controls] = rows[:H, n + self.free_time :]
+        time_step = float(rows[0, n]) if self.free_time else self.problem.time_step
+        return rows[:, :n].copy(), controls, time_step
+
+
+@dataclass(frozen=True)
+class Program:
+    """A nonlinear program with its solver.
+
+    Attributes:
+        layout: of its variables.
+        solver: the CasADi function; its parameter is the start x_0.
+        bounds: lbx, ubx, lbg, ubg.
+        cost_scale: what the objective was multiplied by.
+    """
+
+    layout: Layout
+    solver: Any
+    bounds: dict[str, Array]
+    cost_scale: float
+
+
+def transcribe(problem: Problem, solver: SolverName, max_iterations: int) -> Program:
+    """Return the problem's program with its solver (which compiles nothing, but takes about a second to set up)."""
+    layout = Layout(problem)
+    H, n = problem.horizon, layout.n
+    start = casadi.SX.sym("x0", n)
+    X = [casadi.SX.sym(f"x_{k}", n + layout.free_time) for k in range(H + 1)]
+    U = [casadi.SX.sym(f"u_{k}", len(layout.free_controls)) for k in range(H)]
+    covers = [cover(shape, problem.clearance) for shape in problem.obstacles]
+    scale = min(1.0, _COST_RANGE / (problem.state_weight * problem.gamma**H))
+    g: list[Any] = []
+    low: list[float] = []
+    high: list[float] = []
+
+    def constrain(expression: Any, least: float, most: float) -> None:
+        count = expression.numel()
+        g.append(expression)
+        low.extend([least] * count)
+        high.extend([most] * count)
+
+    cost = 0.0
+    for k in range(H + 1):
+        p = X[k][problem.positions]
+        if k < H:
+            u = _controls(layout, U[k])
+            step = X[k][n] if layout.free_time else problem.time_step
+            x_next = problem.system.step(X[k][:n], u, dt=step, math=casadi)
+            if layout.free_time:
+                x_next = casadi.vertcat(x_next, X[k][n])
+            constrain(X[k + 1] - x_next, 0.0, 0.0)
+            cost += scale * stage_cost(problem, p, u, k) * (step / problem.time_step)
+        if k == 0:
+            constrain(X[0][:n] - start, 0.0, 0.0)
+        else:
+            for ellipse in covers:
+                constrain(ellipse.outside(p[0], p[1]), 0.0, math.inf)
+    if problem.terminal.disc is not None:
+        disc = problem.terminal.disc
+        offset = X[H][problem.positions] - casadi.DM(disc.centre)
+        constrain(casadi.sumsqr(offset), 0.0, disc.radius**2)
+    variables = [piece for pair in zip(X, [*U, casadi.SX(0, 1)], strict=True) for piece in pair]
+    nlp = {"x": casadi.vertcat(*variables), "f": cost, "g": casadi.vertcat(*g), "p": start}
+    options = _options(solver, max_iterations, [least == most for least, most in zip(low, high, strict=True)])
+    bounds = {"lbg": np.array(low), "ubg": np.array(high), **_variable_bounds(layout)}
+    return Program(layout, casadi.nlpsol("mpc", solver, nlp, options), bounds, scale)
+
+
+def stage_cost(problem: Problem, p: Any, u: Any, k: int) -> Any:
+    """Return c(x_k, u_k) of Eq. 3.16 with the trap's term; for arrays and for CasADi."""
+    growth = problem.gamma ** (k + 1)
+    goal = (p[0] - problem.goal[0]) ** 2 + (p[1] - problem.goal[1]) ** 2
+    cost = growth * problem.state_weight * goal
+    if problem.trap is not None and problem.trap_weight > 0.0:
+        trap = (p[0] - problem.trap[0]) ** 2 + (p[1] - problem.trap[1]) ** 2
+        cost -= growth * problem.trap_weight * trap
+    return cost + problem.control_weight * sum(u[i] ** 2 for i in range(len(problem.system.controls)))
+
+
+def _controls(layout: Layout, free: Any) -> Any:
+    """Return the whole u of a stage: variables where free, numbers where held."""
+    u = casadi.SX(layout.held)
+    for index, control in enumerate(layout.free_controls.tolist()):
+        u[control] = free[index]
+    return u
+
+
+def _variable_bounds(layout: Layout) -> dict[str, Array]:
+    """Return lbx and ubx; the start is bound by a constraint alone."""
+    problem, H = layout.problem, layout.problem.horizon
+    out = {}
+    for name, row in (("lbx", 0), ("ubx", 1)):
+        states = np.tile(problem.state_bounds[row], (H + 1, 1))
+        for state, interval in problem.terminal.intervals.items():
+            index = problem.system.state_names.index(state)
+            bound = (max, min)[row](states[H, index], interval[row])
+            states[H, index] = bound
+        states[0] = (-np.inf, np.inf)[row]
+        controls = np.tile(problem.system.control_bounds[row], (H, 1))
+        out[name] = layout.pack(states, controls, TIME_STEP_RANGE[row] * problem.time_step)
+    return out
+
+
+def _options(solver: SolverName, max_iterations: int, equality: list[bool]) -> dict[str, Any]:
+    if solver == "fatrop":
+        return {
+            "structure_detection": "auto",
+            "equality": equality,
+            "fatrop": {"print_level": 0, "max_iter": max_iterations, "tol": 1e-6},
+            "print_time": False,
+        }
+    return {
+        "ipopt": {"print_level": 0, "sb": "yes", "max_iter": max_iterations, "tol": 1e-6},
+        "print_time": False,
+    }

@@ -1,0 +1,256 @@
+"""Value data: many solved trajectories in a folder of chunks, made in parallel and resumed after a kill (Eq. 3.13).
+
+A chunk draws starts from its own generator until it has its share of solved trajectories, so that the data depend on
+seed and chunk size alone, not on how many processes made them or how often they were stopped.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import zipfile
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from ctrl_rl_core.regions import Region
+from numpy.typing import NDArray
+
+from oc_baseline_node.errors import OcError
+from oc_baseline_node.mpc import Mpc
+from oc_baseline_node.problem import Problem
+from oc_baseline_node.returns import DISCOUNT, returns, rewards, step_discount
+from oc_baseline_node.starts import draw_start
+
+Array = NDArray[np.float64]
+FORMAT = "oc-value-data-1"
+_LOOK_AHEAD_S = 1.0
+_MOST_STARTS = 20
+"""Starts tried for each trajectory wanted, before a chunk gives up."""
+
+
+@dataclass(frozen=True)
+class DataSettings:
+    """What value data depend on.
+
+    Attributes:
+        trajectories: how many solved ones.
+        chunk: of them to a file.
+        seed: of the starts.
+    """
+
+    trajectories: int
+    chunk: int = 25
+    seed: int = 0
+
+    @property
+    def chunks(self) -> int:
+        """How many files."""
+        return -(-self.trajectories // self.chunk)
+
+    def size(self, index: int) -> int:
+        """How many trajectories chunk `index` holds."""
+        return min(self.chunk, self.trajectories - index * self.chunk)
+
+
+@dataclass(frozen=True)
+class ValueData:
+    """Solved trajectories and the starts from which there was none.
+
+    Attributes:
+        states: (N, H+1, n).
+        controls: (N, H, m).
+        time_steps: (N,) [s].
+        cpu_seconds: of each solved trajectory (N,).
+        unsolved: starts without a trajectory (K, n).
+        reasons: the solver's, for each of them.
+        doomed: whether such a start cannot even keep clear of obstacles and bounds for a second, goal or not (K,).
+        wasted_seconds: CPU seconds spent on them (K,).
+    """
+
+    states: Array
+    controls: Array
+    time_steps: Array
+    cpu_seconds: Array
+    unsolved: Array
+    reasons: tuple[str, ...]
+    doomed: NDArray[np.bool_]
+    wasted_seconds: Array
+
+    @property
+    def success_rate(self) -> float:
+        """Part of the random starts from which a trajectory was found."""
+        return len(self.states) / (len(self.states) + len(self.unsolved))
+
+    @property
+    def success_rate_of_viable(self) -> float:
+        """The same without the starts that are doomed."""
+        return len(self.states) / (len(self.states) + int(np.sum(~self.doomed)))
+
+    def values(self, problem: Problem, discount: float = DISCOUNT, whole_horizon: bool = False) -> Array:
+        """Return V(x_m) (N, H+1) by Eq. 3.13.
+
+        Args:
+            problem: whose task pays the rewards.
+            discount: of a step of the task's policy.
+            whole_horizon: whether the sum goes on after arrival, to the horizon's end, as the thesis may be read.
+        """
+        paid, ended = rewards(problem.task, self.states)
+        return returns(paid, ended & (not whole_horizon), step_discount(problem.task, discount, self.time_steps))
+
+
+class ChunkSolver:
+    """Makes chunks of a problem's value data; its programs are set up once."""
+
+    def __init__(self, problem: Problem, settings: DataSettings) -> None:
+        self._problem = problem
+        self._settings = settings
+        self._mpc = Mpc(problem)
+        look_ahead = max(1, round(_LOOK_AHEAD_S / problem.time_step))
+        clear = replace(problem, horizon=look_ahead, terminal=Region(), gamma=1.0, trap_weight=0.0)
+        self._keeps_clear = Mpc(clear, ("ipopt",))
+
+    def solve(self, index: int) -> ValueData:
+        """Return chunk `index`.
+
+        Raises:
+            OcError: hardly any start has a trajectory.
+        """
+        random = np.random.default_rng([self._settings.seed, index])
+        wanted = self._settings.size(index)
+        solved, unsolved, doomed = [], [], []
+        while len(solved) < wanted:
+            trajectory = self._mpc.solve(draw_start(self._problem, random))
+            if trajectory.solved:
+                solved.append(trajectory)
+                continue
+            unsolved.append(trajectory)
+            doomed.append(not self._keeps_clear.solve(trajectory.states[0]).solved)
+            if len(unsolved) >= _MOST_STARTS * wanted:
+                raise OcError(f"only {len(solved)} of {len(solved) + len(unsolved)} random starts have a trajectory; "
+                              f"the solver's last word was '{trajectory.reason}'")  # fmt: skip
+        n = len(self._problem.system.states)
+        return ValueData(
+            states=np.array([t.states for t in solved]),
+            controls=np.array([t.controls for t in solved]),
+            time_steps=np.array([t.time_step for t in solved]),
+            cpu_seconds=np.array([t.cpu_seconds for t in solved]),
+            unsolved=np.array([t.states[0] for t in unsolved]).reshape(-1, n),
+            reasons=tuple(t.reason for t in unsolved),
+            doomed=np.array(doomed, dtype=bool),
+            wasted_seconds=np.array([t.cpu_seconds for t in unsolved]),
+        )
+
+
+def description(problem: Problem, settings: DataSettings) -> dict[str, Any]:
+    """Return what a folder of value data says about itself: other settings need another folder."""
+    return {
+        "format": FORMAT,
+        "task": problem.task.name,
+        "task_digest": problem.digest,
+        "form": problem.form,
+        "clearance": problem.clearance,
+        "trajectories": settings.trajectories,
+        "chunk": settings.chunk,
+        "seed": settings.seed,
+    }
+
+
+def chunk_file(folder: Path, index: int) -> Path:
+    """Return the file of a chunk."""
+    return folder / f"chunk-{index:04d}.npz"
+
+
+def write_chunk(folder: Path, index: int, data: ValueData) -> None:
+    """Write a chunk, whole or not at all."""
+    buffer = io.BytesIO()
+    arrays = {name: np.asarray(getattr(data, name)) for name in ValueData.__annotations__}
+    arrays["reasons"] = np.array(data.reasons, dtype=np.str_)
+    np.savez(buffer, allow_pickle=False, **arrays)
+    write_whole(chunk_file(folder, index), buffer.getvalue())
+
+
+def write_whole(path: Path, content: bytes) -> None:
+    """Write a file through a temporary one, so that no reader sees half of it.
+
+    Raises:
+        OcError: it cannot be written.
+    """
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary.write_bytes(content)
+        os.replace(temporary, path)
+    except OSError as error:
+        temporary.unlink(missing_ok=True)
+        raise OcError(f"cannot write {path}: {error.strerror}") from None
+
+
+def open_folder(folder: Path, problem: Problem, settings: DataSettings) -> list[int]:
+    """Make or take up a folder of value data and return the chunks that it still lacks.
+
+    Raises:
+        OcError: the folder holds data of other settings, or something else.
+    """
+    wanted, file = description(problem, settings), folder / "settings.json"
+    if folder.exists() and any(folder.iterdir()) and not file.exists():
+        raise OcError(f"{folder} holds something else than value data: give another folder")
+    if file.exists():
+        there = read_description(folder)
+        other = [name for name, value in wanted.items() if there.get(name) != value]
+        if other:
+            name = other[0]
+            raise OcError(
+                f"{folder} holds data with {name} = {there.get(name)}, not {wanted[name]}: give another folder"
+            )
+    else:
+        write_whole(file, (json.dumps(wanted, indent=1) + "\n").encode())
+    return [index for index in range(settings.chunks) if not chunk_file(folder, index).exists()]
+
+
+def read_description(folder: Path) -> dict[str, Any]:
+    """Return what a folder of value data says about itself.
+
+    Raises:
+        OcError: there is none.
+    """
+    file = folder / "settings.json"
+    try:
+        content = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        raise OcError(f"{folder} holds no value data: make them with 'oc data'") from None
+    if not isinstance(content, dict) or content.get("format") != FORMAT:
+        raise OcError(f"{file}: format is not '{FORMAT}': make the data again")
+    return content
+
+
+def load_data(folder: Path, problem: Problem) -> ValueData:
+    """Read a whole folder of value data.
+
+    Raises:
+        OcError: it belongs to another problem, chunks are missing, or one cannot be read.
+    """
+    there = read_description(folder)
+    settings = DataSettings(*(int(there[name]) for name in ("trajectories", "chunk", "seed")))
+    lacking = open_folder(folder, problem, settings)
+    if lacking:
+        raise OcError(f"{folder} lacks {len(lacking)} of {settings.chunks} chunks: run the same 'oc data' again")
+    return join([_read_chunk(chunk_file(folder, index)) for index in range(settings.chunks)])
+
+
+def join(parts: list[ValueData]) -> ValueData:
+    """Return several chunks as one."""
+    names = [name for name in ValueData.__annotations__ if name != "reasons"]
+    arrays: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+    return ValueData(reasons=tuple(reason for part in parts for reason in part.reasons), **arrays)
+
+
+def _read_chunk(file: Path) -> ValueData:
+    try:
+        with np.load(file, allow_pickle=False) as content:
+            arrays = {name: content[name] for name in ValueData.__annotations__}
+    except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+        raise OcError(f"{file} is not a whole chunk ({error}): delete it and run 'oc data' again") from None
+    return ValueData(**{**arrays, "reasons": tuple(arrays["reasons"].tolist())})
