@@ -15,4 +15,10 @@ setup(
     ],
     install_requires=["setuptools"],
     zip_safe=False,
+    entry_points={
+        "console_scripts": [
+            "baseline = oc_baseline_node.node:main",
+            "oc = oc_baseline_node.cli:main",
+        ],
+    },
 )

@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 
 
 def straight_line(problem: Problem, start: Array) -> tuple[Array, Array]:
-    """Return states (H+1, n) that slide from `start` (n,) to the goal while rates die out, and resting controls (H, m)."""
+    """Return states (H+1, n) that slide from `start` (n,) to the goal, rates dying out, and resting controls (H, m)."""
     names, H = problem.system.state_names, problem.horizon
     share = np.linspace(0.0, 1.0, H + 1)[:, None]
     states = np.tile(start, (H + 1, 1))
@@ -30,7 +30,7 @@ def moved_on(states: Array, controls: Array, steps: int) -> tuple[Array, Array]:
 
 
 def resting_control(system: System) -> Array:
-    """Return the control (m,) within bounds that comes nearest to rest at the origin: zero for a car, hover for a quad."""
+    """Return the control (m,) within bounds that comes nearest to rest at the origin: zero, or hover in flight."""
     n, m = len(system.states), len(system.controls)
     drift = system.dynamics(np.zeros(n), np.zeros(m))
     effect = system.dynamics(np.zeros(n), np.eye(m)) - drift  # models are affine in u: row i is the effect of u_i

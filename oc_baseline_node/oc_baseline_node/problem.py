@@ -81,7 +81,7 @@ class Problem:
         return task_digest(self.task)
 
     def margin(self, states: ArrayLike) -> Array:
-        """Return for states (..., n) how far (...) they keep from breaking d_min or the map's edge [m]; negative: broken."""
+        """Return how far (...) states (..., n) are from breaking d_min or the map's edge [m]; negative: broken."""
         states = np.asarray(states, dtype=float)
         points = states[..., self.positions]
         low, high = self.state_bounds[:, self.positions]
@@ -100,7 +100,9 @@ class Problem:
                 return f"start: {name} = {value:.3g} is out of bounds, {least:.4g} .. {most:.4g}"
         margin = float(self.margin(state))
         if margin < -1e-9:
-            return f"start: {self.clearance + margin:.3g} m from an obstacle, less than d_min = {self.clearance:g} m"
+            gap = self.clearance + margin
+            where = f"{gap:.3g} m from an obstacle" if gap >= 0.0 else f"{-gap:.3g} m inside an obstacle"
+            return f"start: {where}, d_min is {self.clearance:g} m"
         return ""
 
     def terminal_violation(self, state: ArrayLike) -> float:

@@ -28,9 +28,14 @@ def rewards(task: NavigationTask, states: ArrayLike) -> tuple[Array, NDArray[np.
     for outcome, reward in ((GOAL, pays.goal), (COLLISION, pays.collision), (TRAP, pays.trap or 0.0)):
         paid[outcomes == outcome] = reward
     limit, names = task.robot.tilt_limit, task.system.build().state_names
-    if limit is not None and pays.tilt is not None and "psi" in names:
-        paid[np.abs(wrap(states[..., names.index("psi")])) > limit] = pays.tilt
+    if limit is not None and "psi" in names:
+        paid[np.abs(wrap(states[..., names.index("psi")])) > limit] = tilt_reward(task)
     return paid, outcomes != INTERMEDIATE
+
+
+def tilt_reward(task: NavigationTask) -> float:
+    """Return what a task pays for too much tilt: that of a collision where it names nothing else."""
+    return task.rewards.collision if task.rewards.tilt is None else task.rewards.tilt
 
 
 def returns(paid: ArrayLike, ended: ArrayLike, discount: ArrayLike) -> Array:

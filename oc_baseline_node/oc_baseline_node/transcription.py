@@ -49,9 +49,9 @@ class Layout:
     def unpack(self, variables: Array) -> tuple[Array, Array, float]:
         """Return states (H+1, n), controls (H, m) and the time step [s]."""
         H, n = self.problem.horizon, self.n
-        rows = np.zeros((H + 1) * self.width)
-        rows[: self.size] = variables
-        rows = rows.reshape(H + 1, self.width)
+        padded = np.zeros((H + 1) * self.width)
+        padded[: self.size] = variables
+        rows = padded.reshape(H + 1, self.width)
         controls = np.tile(self.held, (H, 1))
         controls[:, self.free_controls] = rows[:H, n + self.free_time :]
         time_step = float(rows[0, n]) if self.free_time else self.problem.time_step

@@ -1,34 +1,27 @@
-"""Value data: many solved trajectories in a folder of chunks, made in parallel and resumed after a kill (Eq. 3.13).
+"""Value data: a folder of chunks, each some solved trajectories, and their values (thesis Eq. 3.13).
 
-A chunk draws starts from its own generator until it has its share of solved trajectories, so that the data depend on
-seed and chunk size alone, not on how many processes made them or how often they were stopped.
+Reading them needs no solver; `oc_baseline_node.chunk_solver` makes them.
 """
 
 from __future__ import annotations
 
 import io
 import json
-import os
 import zipfile
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.regions import Region
 from numpy.typing import NDArray
 
 from oc_baseline_node.errors import OcError
-from oc_baseline_node.mpc import Mpc
 from oc_baseline_node.problem import Problem
 from oc_baseline_node.returns import DISCOUNT, returns, rewards, step_discount
-from oc_baseline_node.starts import draw_start
+from oc_baseline_node.value_file import write_whole
 
 Array = NDArray[np.float64]
 FORMAT = "oc-value-data-1"
-_LOOK_AHEAD_S = 1.0
-_MOST_STARTS = 20
-"""Starts tried for each trajectory wanted, before a chunk gives up."""
 
 
 @dataclass(frozen=True)
@@ -101,49 +94,6 @@ class ValueData:
         return returns(paid, ended & (not whole_horizon), step_discount(problem.task, discount, self.time_steps))
 
 
-class ChunkSolver:
-    """Makes chunks of a problem's value data; its programs are set up once."""
-
-    def __init__(self, problem: Problem, settings: DataSettings) -> None:
-        self._problem = problem
-        self._settings = settings
-        self._mpc = Mpc(problem)
-        look_ahead = max(1, round(_LOOK_AHEAD_S / problem.time_step))
-        clear = replace(problem, horizon=look_ahead, terminal=Region(), gamma=1.0, trap_weight=0.0)
-        self._keeps_clear = Mpc(clear, ("ipopt",))
-
-    def solve(self, index: int) -> ValueData:
-        """Return chunk `index`.
-
-        Raises:
-            OcError: hardly any start has a trajectory.
-        """
-        random = np.random.default_rng([self._settings.seed, index])
-        wanted = self._settings.size(index)
-        solved, unsolved, doomed = [], [], []
-        while len(solved) < wanted:
-            trajectory = self._mpc.solve(draw_start(self._problem, random))
-            if trajectory.solved:
-                solved.append(trajectory)
-                continue
-            unsolved.append(trajectory)
-            doomed.append(not self._keeps_clear.solve(trajectory.states[0]).solved)
-            if len(unsolved) >= _MOST_STARTS * wanted:
-                raise OcError(f"only {len(solved)} of {len(solved) + len(unsolved)} random starts have a trajectory; "
-                              f"the solver's last word was '{trajectory.reason}'")  # fmt: skip
-        n = len(self._problem.system.states)
-        return ValueData(
-            states=np.array([t.states for t in solved]),
-            controls=np.array([t.controls for t in solved]),
-            time_steps=np.array([t.time_step for t in solved]),
-            cpu_seconds=np.array([t.cpu_seconds for t in solved]),
-            unsolved=np.array([t.states[0] for t in unsolved]).reshape(-1, n),
-            reasons=tuple(t.reason for t in unsolved),
-            doomed=np.array(doomed, dtype=bool),
-            wasted_seconds=np.array([t.cpu_seconds for t in unsolved]),
-        )
-
-
 def description(problem: Problem, settings: DataSettings) -> dict[str, Any]:
     """Return what a folder of value data says about itself: other settings need another folder."""
     return {
@@ -170,22 +120,6 @@ def write_chunk(folder: Path, index: int, data: ValueData) -> None:
     arrays["reasons"] = np.array(data.reasons, dtype=np.str_)
     np.savez(buffer, allow_pickle=False, **arrays)
     write_whole(chunk_file(folder, index), buffer.getvalue())
-
-
-def write_whole(path: Path, content: bytes) -> None:
-    """Write a file through a temporary one, so that no reader sees half of it.
-
-    Raises:
-        OcError: it cannot be written.
-    """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        temporary.write_bytes(content)
-        os.replace(temporary, path)
-    except OSError as error:
-        temporary.unlink(missing_ok=True)
-        raise OcError(f"cannot write {path}: {error.strerror}") from None
 
 
 def open_folder(folder: Path, problem: Problem, settings: DataSettings) -> list[int]:

@@ -10,11 +10,13 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 
+from ctrl_rl_core.tasks import NavigationTask
 from tqdm import tqdm
 
+from oc_baseline_node.chunk_solver import ChunkSolver
 from oc_baseline_node.errors import OcError
-from oc_baseline_node.problem import Problem
-from oc_baseline_node.value_data import ChunkSolver, DataSettings, ValueData, load_data, open_folder, write_chunk
+from oc_baseline_node.problem import Form, Problem, formulate
+from oc_baseline_node.value_data import DataSettings, ValueData, load_data, open_folder, write_chunk
 
 _solver: ChunkSolver
 """One to a worker process: setting up the programs takes as long as a chunk does."""
@@ -26,7 +28,7 @@ def make_data(
     """Make what a folder of value data still lacks and return all of it, with the wall and CPU seconds that it took.
 
     Args:
-        problem: to solve.
+        problem: to solve, as `formulate` made it.
         settings: how many, from which seed.
         folder: holds one file a chunk; what lies there is not made again.
         workers: processes; with one everything happens in this one.
@@ -61,7 +63,8 @@ def _finished(
         return
     # Spawned: a forked copy of threads and of CasADi's state is no safe place to solve in.
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, context, _prepare, (problem, settings)) as pool:
+    terms = (problem.task, problem.form, problem.clearance, settings)
+    with ProcessPoolExecutor(workers, context, _prepare, terms) as pool:
         waiting: set[Future[int]] = {pool.submit(_make, folder, index) for index in lacking}
         try:
             while waiting:
@@ -75,9 +78,9 @@ def _finished(
             pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _prepare(problem: Problem, settings: DataSettings) -> None:
+def _prepare(task: NavigationTask, form: Form, clearance: float, settings: DataSettings) -> None:
     global _solver
-    _solver = ChunkSolver(problem, settings)
+    _solver = ChunkSolver(formulate(task, form, clearance), settings)
 
 
 def _make(folder: Path, index: int) -> int:

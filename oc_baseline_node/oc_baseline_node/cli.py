@@ -1,0 +1,225 @@
+"""`ros2 run oc_baseline_node oc`: from a task to its optimal control values, step by step.
+
+oc extract car_navigation                       what the optimal control problem is, and why
+oc solve car_navigation --output one.png        one trajectory
+oc data car_navigation --output runs/car        hundreds of them, in parallel; run it again after a kill
+oc fit runs/car --output runs/car.safetensors   V_oc as a network, and as a grid where asked
+oc map runs/car.safetensors --output map.png    its heat map
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from ctrl_rl_core.command import run_command
+from ctrl_rl_core.tasks import NavigationTask, load_navigation_task
+from ctrl_rl_core.value_function import ValueFunction
+from numpy.typing import NDArray
+
+from oc_baseline_node.errors import OcError
+from oc_baseline_node.extraction import extract
+from oc_baseline_node.problem import FORMS, Form, Problem, formulate
+from oc_baseline_node.returns import DISCOUNT
+from oc_baseline_node.starts import draw_start
+from oc_baseline_node.value_data import DataSettings, ValueData, load_data, read_description
+from oc_baseline_node.value_file import load_value, save_value
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command and return its exit code."""
+    options = _parser().parse_args(arguments)
+    work: Callable[[argparse.Namespace], int] = options.work
+    return run_command("oc", lambda: work(options))
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="oc", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
+    command = _command(commands, "extract", _extract, "say which problem follows from a task, and which models do not")
+    _add_problem(command)
+    command = _command(commands, "solve", _solve, "solve one trajectory; exit code 1 and the solver's reason if none")
+    _add_problem(command)
+    command.add_argument("--start", type=_numbers, help="x_0, e.g. 0,-3.5,1.57 (default: a random one)")
+    command.add_argument("--seed", type=int, default=0, help="of the random start (default %(default)s)")
+    command.add_argument("--solver", choices=("ipopt", "fatrop"), help="one only (default: fatrop, else ipopt)")
+    command.add_argument("--output", type=Path, help="picture to write")
+    command = _command(commands, "data", _data, "solve many trajectories from random starts, goes on where it ended")
+    _add_problem(command)
+    command.add_argument("--output", type=Path, required=True, help="folder, one file a chunk of trajectories")
+    command.add_argument("--trajectories", type=int, help="how many solved ones (default: the task's)")
+    command.add_argument("--seed", type=int, default=0, help="of the starts (default %(default)s)")
+    command.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes (default %(default)s)")
+    command = _command(commands, "fit", _fit, "fit V_oc to value data: a 64 x 64 tanh network")
+    command.add_argument("data", type=Path, help="folder that 'oc data' made")
+    command.add_argument("--task", help="its task file, where the task is not one of the suite's")
+    command.add_argument("--output", type=Path, required=True, help="network to write (.safetensors)")
+    command.add_argument("--grid", type=Path, help="value grid to write as well (.safetensors)")
+    command.add_argument("--discount", type=float, default=DISCOUNT, help="of a policy's step (default %(default)s)")
+    command.add_argument("--whole-horizon", action="store_true", help="sum Eq. 3.13 on after arrival")
+    command.add_argument("--epochs", type=int, default=40, help="passes over the data (default %(default)s)")
+    command.add_argument("--seed", type=int, default=0, help="of split, weights, order (default %(default)s)")
+    command.add_argument("--overwrite", action="store_true", help="replace existing files")
+    command = _command(commands, "map", _map, "draw a value's heat map (thesis Fig. 3.11)")
+    command.add_argument("value", type=Path, help="file of a network or a value grid")
+    command.add_argument("--task", help="its task file, where the task is not one of the suite's")
+    command.add_argument("--output", type=Path, required=True, help="picture to write")
+    command.add_argument("--at", nargs="*", default=[], metavar="NAME=VALUE", help="other components (default 0)")
+    return parser
+
+
+def _command(
+    commands: argparse._SubParsersAction[argparse.ArgumentParser],
+    name: str,
+    work: Callable[[argparse.Namespace], int],
+    text: str,
+) -> argparse.ArgumentParser:
+    parser = commands.add_parser(name, help=text, description=text)
+    parser.set_defaults(work=work)
+    return parser
+
+
+def _add_problem(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("task", help="a task of the suite (car_navigation, quad_navigation, quad_trap) or its file")
+    parser.add_argument(
+        "--form",
+        choices=FORMS,
+        default=FORMS[0],
+        help="free_speed: speed is a control; free_time: constant speed, free time step; letter: Eq. 3.16 as printed, "
+        "constant speed and fixed horizon, infeasible from most starts (default %(default)s)",
+    )
+    parser.add_argument("--clearance", type=float, help="d_min [m] (default: the task's, more than the body's radius)")
+
+
+def _terms(options: argparse.Namespace) -> tuple[NavigationTask, Form, float | None]:
+    """Return what a problem is made from."""
+    if options.clearance is not None and not 0.0 <= options.clearance < np.inf:
+        raise OcError(f"--clearance is {options.clearance:g}: give metres, zero or more")
+    return load_navigation_task(options.task), options.form, options.clearance
+
+
+def _extract(options: argparse.Namespace) -> int:
+    print(extract(*_terms(options)).report())
+    return 0
+
+
+def _solve(options: argparse.Namespace) -> int:
+    from oc_baseline_node.mpc import Mpc
+
+    problem = formulate(*_terms(options))
+    mpc = Mpc(problem) if options.solver is None else Mpc(problem, (options.solver,))
+    start = draw_start(problem, np.random.default_rng(options.seed)) if options.start is None else options.start
+    trajectory = mpc.solve(start)
+    print(f"start         {_named(problem, start)}")
+    print(f"answer        {trajectory.reason}, {trajectory.iterations} iterations, {trajectory.cpu_seconds:.3f} CPU s")
+    if not trajectory.solved:
+        print("trajectory    none")
+        return 1
+    print(f"end           {_named(problem, trajectory.states[-1])}")
+    print(f"cost          {trajectory.cost:.6g} (Eq. 3.16), {problem.horizon} steps of {trajectory.time_step:.3g} s")
+    least = float(problem.margin(trajectory.states).min())
+    print(f"clearance     at least {problem.clearance + least:.3f} m from the real obstacles and walls")
+    if options.output is not None:
+        from oc_baseline_node.pictures import trajectories
+
+        trajectories(problem.task, [trajectory.states], options.output)
+        print(f"picture       {options.output}")
+    return 0
+
+
+def _data(options: argparse.Namespace) -> int:
+    from oc_baseline_node.value_data_workers import make_data
+
+    problem = formulate(*_terms(options))
+    oc = problem.task.optimal_control
+    wanted = options.trajectories or (oc.trajectories if oc is not None else 0)
+    if wanted < 1 or options.workers < 1:
+        raise OcError("--trajectories and --workers must be at least 1")
+    data, wall, cpu = make_data(problem, DataSettings(wanted, seed=options.seed), options.output, options.workers)
+    print(_report(data))
+    print(f"this run      {wall:.1f} s with {options.workers} processes, {cpu:.1f} CPU s in all")
+    print(f"data          {options.output}")
+    return 0
+
+
+def _report(data: ValueData) -> str:
+    solved, tried = len(data.states), len(data.states) + len(data.unsolved)
+    doomed = int(data.doomed.sum())
+    rest = [reason for reason, hopeless in zip(data.reasons, data.doomed, strict=True) if not hopeless]
+    lines = [
+        f"trajectories  {solved} of {data.states.shape[1] - 1} steps",
+        f"success       {data.success_rate:.1%} of {tried} random starts",
+        f"no trajectory {doomed} starts cannot keep clear for a second, goal or not; without them "
+        f"{data.success_rate_of_viable:.1%}",
+        *(f"              {rest.count(reason)} times {reason}" for reason in sorted(set(rest))),
+        f"CPU seconds   {data.cpu_seconds.mean():.3f} mean, {np.percentile(data.cpu_seconds, 95):.3f} p95 "
+        f"per trajectory; {(data.cpu_seconds.sum() + data.wasted_seconds.sum()) / solved:.3f} with the starts in vain",
+    ]
+    return "\n".join(lines)
+
+
+def _fit(options: argparse.Namespace) -> int:
+    from oc_baseline_node.value_fit import FitSettings, fit
+
+    if not 0.0 < options.discount <= 1.0 or options.epochs < 1:
+        raise OcError("--discount must lie in (0, 1], --epochs be at least 1")
+    for path in (options.output, options.grid):
+        if path is not None and path.exists() and not options.overwrite:
+            raise OcError(f"{path} exists: give another name, or --overwrite")
+    there = read_description(options.data)
+    task = load_navigation_task(options.task or there["task"])
+    problem = formulate(task, there["form"], there["clearance"])
+    settings = FitSettings(options.discount, options.whole_horizon, epochs=options.epochs, seed=options.seed)
+    value = fit(problem, load_data(options.data, problem), settings)
+    save_value(value, options.output, options.overwrite)
+    unseen, seen = value.manifest["held_out"], value.manifest["fitted"]
+    print(
+        f"held out      error {unseen['mae']:.3g} mean, {unseen['p95']:.3g} p95, {unseen['rmse']:.3g} root mean square"
+    )
+    print(f"values        spread by {unseen['std_of_values']:.3g} (their standard deviation)")
+    print(f"fitted        error {seen['mae']:.3g} mean, {seen['p95']:.3g} p95, {seen['rmse']:.3g} root mean square")
+    print(f"network       {options.output}")
+    if options.grid is not None:
+        value.grids[0].save(options.grid, overwrite=options.overwrite)
+        print(f"grid          {options.grid}, {' x '.join(map(str, value.grids[0].values.shape))}")
+    return 0
+
+
+def _map(options: argparse.Namespace) -> int:
+    from oc_baseline_node.pictures import heat_map
+
+    value = load_value(options.value)
+    values = heat_map(value, _task_of(value, options.task), options.output, dict(map(_setting, options.at)))
+    free = values[np.isfinite(values)]
+    print(f"values        {free.min():.4g} .. {free.max():.4g}")
+    print(f"picture       {options.output}")
+    return 0
+
+
+def _task_of(value: ValueFunction, given: str | None) -> NavigationTask:
+    return load_navigation_task(given or value.task)
+
+
+def _named(problem: Problem, state: NDArray[np.float64]) -> str:
+    names = problem.system.state_names
+    return ", ".join(f"{name} = {x:.3g}" for name, x in zip(names, state, strict=False))
+
+
+def _numbers(text: str) -> NDArray[np.float64]:
+    try:
+        return np.array([float(part) for part in text.split(",")])
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"'{text}' must be numbers with commas between") from None
+
+
+def _setting(text: str) -> tuple[str, float]:
+    name, _, number = text.partition("=")
+    try:
+        return name, float(number)
+    except ValueError:
+        raise OcError(f"--at: '{text}' must be NAME=VALUE with a number") from None

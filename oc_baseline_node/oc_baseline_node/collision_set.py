@@ -1,0 +1,88 @@
+"""Where V_oc needs no regression: in collision the episode ends, and Eq. 3.13 is what the task pays for it.
+
+A network that had to learn these steps of 1400 between neighbouring states would be wrong by hundreds everywhere else,
+where values differ by tens. NumPy only; a file of values carries its collision set.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from ctrl_rl_core.geometry import Box, Disc, Shape, signed_distance
+from ctrl_rl_core.regions import position_indices, wrap
+from ctrl_rl_core.tasks import NavigationTask
+from numpy.typing import NDArray
+
+from oc_baseline_node.returns import tilt_reward as tilt_reward_of
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class CollisionSet:
+    """States in which the body, a disc, touches a wall or an obstacle, or tilts too far.
+
+    Attributes:
+        shapes: walls and obstacles.
+        radius: of the body [m].
+        reward: paid for a collision.
+        tilt_limit: largest |psi| [rad], infinite for none.
+        tilt_reward: paid beyond it.
+    """
+
+    shapes: tuple[Shape, ...]
+    radius: float
+    reward: float
+    tilt_limit: float
+    tilt_reward: float
+
+    @classmethod
+    def of(cls, task: NavigationTask) -> CollisionSet:
+        """Return that of a task."""
+        world = task.build_world()
+        limit = np.inf if task.robot.tilt_limit is None else task.robot.tilt_limit
+        return cls(
+            (*world.walls, *world.obstacles), task.robot.radius, task.rewards.collision, limit, tilt_reward_of(task)
+        )
+
+    def rewards(self, names: tuple[str, ...], states: Array) -> Array:
+        """Return what is paid (N,) at states (N, n) with components `names`; NaN outside the set."""
+        out = np.full(len(states), np.nan)
+        out[signed_distance(self.shapes, states[:, position_indices(names)]) <= self.radius] = self.reward
+        if "psi" in names:
+            out[np.abs(wrap(states[:, names.index("psi")])) > self.tilt_limit] = self.tilt_reward
+        return out
+
+    def as_json(self) -> dict[str, Any]:
+        """Return it as plain JSON values."""
+        shapes = [
+            {"box": [*shape.centre, *shape.size, shape.angle]}
+            if isinstance(shape, Box)
+            else {"disc": [*shape.centre, shape.radius]}
+            for shape in self.shapes
+        ]
+        limit = self.tilt_limit if np.isfinite(self.tilt_limit) else None
+        return {"shapes": shapes, "radius": self.radius, "reward": self.reward, "tilt_limit": limit,
+                "tilt_reward": self.tilt_reward}  # fmt: skip
+
+    @classmethod
+    def from_json(cls, content: Mapping[str, Any]) -> CollisionSet:
+        """Read what `as_json` wrote.
+
+        Raises:
+            KeyError, TypeError, ValueError: it is something else.
+        """
+        shapes: list[Shape] = []
+        for shape in content["shapes"]:
+            if "box" in shape:
+                x, y, width, height, angle = map(float, shape["box"])
+                shapes.append(Box((x, y), (width, height), angle))
+            else:
+                x, y, radius = map(float, shape["disc"])
+                shapes.append(Disc((x, y), radius))
+        limit = np.inf if content["tilt_limit"] is None else float(content["tilt_limit"])
+        radius, reward, tilt_reward = (float(content[name]) for name in ("radius", "reward", "tilt_reward"))
+        return cls(tuple(shapes), radius, reward, limit, tilt_reward)

@@ -1,0 +1,40 @@
+"""The baseline node: odometry in, optimal control value out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from ctrl_rl_core.ros import run_node
+from ctrl_rl_core.value_function import ValueFunction
+from ctrl_rl_core.value_server import ValueServer
+from nav_msgs.msg import Odometry
+from numpy.typing import NDArray
+
+from oc_baseline_node.value_file import load_value
+
+
+class OcBaselineNode(ValueServer):
+    """Serves an optimal control value function V_oc (thesis Eq. 3.13), a baseline for policy gradients.
+
+    Subscribes to odom; publishes oc_value for each message, ~/grid and ~/slice latched; answers ~/query and ~/reload.
+    The file is a network that `oc fit` wrote, or a value grid.
+    """
+
+    TOPIC = "oc_value"
+    KIND = "oc_value"
+
+    def __init__(self) -> None:
+        super().__init__("oc_baseline_node")
+
+    def read(self, path: Path) -> ValueFunction:
+        """Read a network or a value grid."""
+        return load_value(path)
+
+    def valued(self, message: Odometry, state: NDArray[np.float64], value: float) -> None:
+        """Say nothing more: the StateValue tells all."""
+
+
+def main() -> int:
+    """Run the node."""
+    return run_node(OcBaselineNode)

@@ -1,0 +1,125 @@
+"""Files of optimal control values: a network in safetensors with a JSON manifest, or a value grid. No pickles."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from ctrl_rl_core.errors import CtrlRlError
+from ctrl_rl_core.grid_axis import Axis
+from ctrl_rl_core.value_function import ValueFunction
+from ctrl_rl_core.value_grid import ValueGrid
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save
+
+from oc_baseline_node.collision_set import CollisionSet
+from oc_baseline_node.errors import OcError
+from oc_baseline_node.mlp_value import MlpValue
+
+FORMAT = "oc-value-mlp-1"
+_HEADER_KEY = "oc_value"
+
+
+def encode(value: MlpValue) -> bytes:
+    """Return the bytes of a network's file: the same for the same network."""
+    tensors = {}
+    for index, (weight, bias) in enumerate(value.layers):
+        tensors[f"weight_{index}"] = np.ascontiguousarray(weight, dtype=np.float32)
+        tensors[f"bias_{index}"] = np.ascontiguousarray(bias, dtype=np.float32)
+    header = {
+        "format": FORMAT,
+        "task": value.task,
+        "task_digest": value.task_digest,
+        "axes": [asdict(axis) for axis in value.axes],
+        "activation": "tanh",
+        "offset": value.offset,
+        "scale": value.scale,
+        "collisions": None if value.collisions is None else value.collisions.as_json(),
+        "manifest": dict(value.manifest),
+    }
+    return save(tensors, metadata={_HEADER_KEY: json.dumps(header, sort_keys=True, allow_nan=False)})
+
+
+def save_value(value: MlpValue, path: Path, overwrite: bool = False) -> None:
+    """Write a network; the file is there whole or not at all.
+
+    Raises:
+        OcError: the file exists and `overwrite` is false, or it cannot be written.
+    """
+    if path.exists() and not overwrite:
+        raise OcError(f"{path} exists: give another name, or ask to overwrite it")
+    write_whole(path, encode(value))
+
+
+def write_whole(path: Path, content: bytes) -> None:
+    """Write a file through a temporary one, so that no reader sees half of it.
+
+    Raises:
+        OcError: it cannot be written.
+    """
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary.write_bytes(content)
+        os.replace(temporary, path)
+    except OSError as error:
+        temporary.unlink(missing_ok=True)
+        raise OcError(f"cannot write {path}: {error.strerror}") from None
+
+
+def load_value(path: Path) -> ValueFunction:
+    """Read a network or a value grid, whichever the file holds.
+
+    Raises:
+        CtrlRlError: no such file, or it is neither; the message names it.
+    """
+    try:
+        with safe_open(path, framework="numpy") as file:
+            text = (file.metadata() or {}).get(_HEADER_KEY)
+            if text is None:
+                return ValueGrid.load(path)
+            header = json.loads(text)
+            tensors = {name: file.get_tensor(name).astype(np.float64) for name in file.keys()}  # noqa: SIM118
+    except FileNotFoundError:
+        raise OcError(f"{path}: there is no such file: make one with 'oc fit', or correct the path") from None
+    except (OSError, SafetensorError, ValueError) as error:
+        raise OcError(f"{path}: not a readable value file ({error})") from None
+    return _network(path, header, tensors)
+
+
+def load_network(path: Path) -> MlpValue:
+    """Read a network.
+
+    Raises:
+        CtrlRlError: as `load_value`, or the file holds a grid.
+    """
+    value = load_value(path)
+    if not isinstance(value, MlpValue):
+        raise OcError(f"{path} holds a value grid: give the network's file")
+    return value
+
+
+def _network(path: Path, header: Any, tensors: dict[str, Any]) -> MlpValue:
+    found = header.get("format") if isinstance(header, dict) else None
+    if found != FORMAT:
+        raise OcError(f"{path}: format is '{found}', must be '{FORMAT}': fit it again")
+    try:
+        layers = tuple((tensors[f"weight_{i}"], tensors[f"bias_{i}"]) for i in range(len(tensors) // 2))
+        return MlpValue(
+            layers=layers,
+            axes=tuple(Axis(**axis) for axis in header["axes"]),
+            offset=float(header["offset"]),
+            scale=float(header["scale"]),
+            task=header["task"],
+            task_digest=header["task_digest"],
+            collisions=None if header["collisions"] is None else CollisionSet.from_json(header["collisions"]),
+            manifest=header["manifest"],
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise OcError(f"{path}: wrong header ({error}): fit it again") from None
+    except CtrlRlError as error:
+        raise OcError(f"{path}: {error}") from None

@@ -1,0 +1,166 @@
+"""Fitting V_oc to value data: an MLP of 64 x 64 tanh units, tested on whole trajectories it has not seen (3.3.2)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from ctrl_rl_core.value_grid import Axis
+from numpy.typing import NDArray
+from torch import nn
+from tqdm import tqdm
+
+from oc_baseline_node.collision_set import CollisionSet
+from oc_baseline_node.errors import OcError
+from oc_baseline_node.mlp_value import MlpValue, features
+from oc_baseline_node.problem import Problem
+from oc_baseline_node.returns import DISCOUNT
+from oc_baseline_node.starts import state_space
+from oc_baseline_node.value_data import ValueData
+
+Array = NDArray[np.float64]
+_FINE = {"position": 81, "angle": 36, "rate": 21}
+_COARSE = {"position": 21, "angle": 18, "rate": 7}
+_LARGE = 3
+"""State components up to which the sampled grid is fine."""
+
+
+@dataclass(frozen=True)
+class FitSettings:
+    """How to fit.
+
+    Attributes:
+        discount: of a step of the task's policy, in Eq. 3.13.
+        whole_horizon: whether Eq. 3.13 sums on after arrival.
+        hidden: units of each hidden layer.
+        epochs: passes over the data.
+        batch: samples to a step.
+        learning_rate: the largest; it falls along a cosine.
+        held_out: part of the trajectories kept for the test.
+        seed: of split, weights and order.
+    """
+
+    discount: float = DISCOUNT
+    whole_horizon: bool = False
+    hidden: tuple[int, ...] = (64, 64)
+    epochs: int = 40
+    batch: int = 512
+    learning_rate: float = 5e-3
+    held_out: float = 0.1
+    seed: int = 0
+
+
+def fit(problem: Problem, data: ValueData, settings: FitSettings | None = None, progress: bool = True) -> MlpValue:
+    """Return V_oc fitted to value data; its manifest tells the error on held-out trajectories.
+
+    Args:
+        problem: that the data solve.
+        data: trajectories; the first H states of each are samples (the last one only ends the sum of Eq. 3.13).
+        settings: how.
+        progress: whether to show a bar.
+
+    Raises:
+        OcError: too few trajectories to hold some out.
+    """
+    settings = settings or FitSettings()
+    random = np.random.default_rng(settings.seed)
+    states, values = data.states[:, :-1], data.values(problem, settings.discount, settings.whole_horizon)[:, :-1]
+    count = len(states)
+    unseen = random.permutation(count)[: round(settings.held_out * count)]
+    if not 0 < len(unseen) < count:
+        raise OcError(f"{count} trajectories: too few to hold {settings.held_out:.0%} out; make more")
+    axes = domain(problem, data)
+    seen = np.setdiff1d(np.arange(count), unseen)
+    x, y = _flat(states[seen]), values[seen].ravel()
+    offset, scale = float(y.mean()), float(max(y.std(), 1e-9))
+    inputs = features(axes, x)
+    middle, spread = inputs.mean(axis=0), np.maximum(inputs.std(axis=0), 1e-6)
+    (weight, bias), *rest = _train((inputs - middle) / spread, (y - offset) / scale, settings, progress)
+    # The standardisation of the inputs becomes part of the first layer.
+    layers = ((weight / spread, bias - (weight / spread) @ middle), *rest)
+    manifest: dict[str, Any] = {
+        "discount": settings.discount,
+        "fit": {**asdict(settings), "hidden": list(settings.hidden)},
+        "data": {"trajectories": count, "states": int(states[..., 0].size)},
+        "clearance": problem.clearance,
+        "form": problem.form,
+    }
+    network = MlpValue(
+        layers, axes, offset, scale, problem.task.name, problem.digest, CollisionSet.of(problem.task), manifest
+    )
+    manifest["held_out"] = _errors(network, _flat(states[unseen]), values[unseen].ravel())
+    manifest["fitted"] = _errors(network, _flat(states[seen]), values[seen].ravel())
+    return network
+
+
+def domain(problem: Problem, data: ValueData) -> tuple[Axis, ...]:
+    """Return the axes of V_oc: the arena, whole turns, and rates as far as the trajectories reach."""
+    assert problem.task.arena is not None
+    space = state_space(problem)
+    reached = data.states.reshape(-1, data.states.shape[-1])
+    counts = _FINE if len(problem.system.states) <= _LARGE else _COARSE
+    walls = dict(zip(problem.positions, problem.task.arena.bounds, strict=True))
+    axes = []
+    for index, state in enumerate(problem.system.states):
+        kind = "position" if index in walls else "angle" if state.periodic else "rate"
+        if index in walls:
+            low, high = walls[index]
+        elif state.periodic:
+            low, high = state.lower, state.upper
+        else:
+            low = min(float(space[0, index]), math.floor(float(reached[:, index].min())))
+            high = max(float(space[1, index]), math.ceil(float(reached[:, index].max())))
+        asked = problem.task.grid.get(state.name)
+        count = counts[kind] if asked is None else asked.count
+        axes.append(Axis(state.name, state.unit, low, high, count, state.periodic))
+    return tuple(axes)
+
+
+def _flat(states: Array) -> Array:
+    return states.reshape(-1, states.shape[-1])
+
+
+def _train(x: Array, y: Array, settings: FitSettings, progress: bool) -> tuple[tuple[Array, Array], ...]:
+    """Return weights and biases of the layers trained to give y (N,) at x (N, F), both standardised."""
+    torch.set_num_threads(1)  # on small layers more threads only get into each other's way
+    generator = torch.Generator().manual_seed(settings.seed)
+    linears = [nn.Linear(a, b) for a, b in zip((x.shape[1], *settings.hidden), (*settings.hidden, 1), strict=True)]
+    with torch.no_grad():
+        for linear in linears:
+            nn.init.xavier_uniform_(linear.weight, generator=generator)
+            linear.bias.zero_()
+    network = nn.Sequential(*(part for linear in linears for part in (linear, nn.Tanh())))[:-1]
+    samples, targets = torch.tensor(x, dtype=torch.float32), torch.tensor(y, dtype=torch.float32)[:, None]
+    optimiser = torch.optim.Adam(network.parameters(), lr=settings.learning_rate)
+    steps = settings.epochs * math.ceil(len(samples) / settings.batch)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, steps)
+    bar = tqdm(range(settings.epochs), desc="fitting", unit="epoch", disable=None if progress else True)
+    for _ in bar:
+        order = torch.randperm(len(samples), generator=generator)
+        total = 0.0
+        for part in torch.split(order, settings.batch):
+            loss = nn.functional.mse_loss(network(samples[part]), targets[part])
+            optimiser.zero_grad()
+            loss.backward()  # type: ignore[no-untyped-call]
+            optimiser.step()
+            schedule.step()
+            total += float(loss.detach()) * len(part)
+        bar.set_postfix(loss=f"{total / len(samples):.2g}")
+    return tuple(
+        (linear.weight.detach().numpy().astype(np.float64), linear.bias.detach().numpy().astype(np.float64))
+        for linear in linears
+    )
+
+
+def _errors(network: MlpValue, states: Array, values: Array) -> dict[str, float]:
+    """Return root mean square, mean absolute and 95th percentile error [reward], and the values' own spread."""
+    error = np.abs(network.without_collisions().value(network.clipped(states)) - values)
+    return {
+        "rmse": float(np.sqrt(np.mean(error**2))),
+        "mae": float(error.mean()),
+        "p95": float(np.percentile(error, 95)),
+        "std_of_values": float(values.std()),
+    }
