@@ -1,0 +1,63 @@
+"""The oc command: each step, and one clear line where it cannot."""
+
+from pathlib import Path
+
+import pytest
+from oc_baseline_node.cli import main
+
+
+def test_it_goes_from_a_task_to_a_map(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    data, value, grid = tmp_path / "data", tmp_path / "v.safetensors", tmp_path / "g.safetensors"
+    assert main(["extract", "car_navigation"]) == 0
+    assert "dubins_car (x, y, theta): meets both criteria, chosen" in capsys.readouterr().out
+    making = ["data", "car_navigation", "--output", str(data), "--trajectories", "25", "--workers", "1"]
+    assert main(making) == 0
+    said = capsys.readouterr().out
+    for words in ("25 of 140 steps", "100.0% of 25 random starts", "CPU seconds"):
+        assert words in said
+    assert main(["fit", str(data), "--output", str(value), "--grid", str(grid), "--epochs", "3"]) == 0
+    assert "held out" in capsys.readouterr().out
+    for file in (value, grid):
+        assert main(["map", str(file), "--output", str(tmp_path / "map.png"), "--at", "theta=0.5"]) == 0
+    assert (tmp_path / "map.png").exists()
+    assert main(["fit", str(data), "--output", str(value)]) == 1
+    assert "exists: give another name, or --overwrite" in capsys.readouterr().err
+
+
+def test_a_trajectory_is_solved_and_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    picture = tmp_path / "one.png"
+    assert main(["solve", "car_navigation", "--start=-3,0,1", "--solver", "fatrop", "--output", str(picture)]) == 0
+    assert "answer        fatrop: SUCCESS" in capsys.readouterr().out
+    assert picture.exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["solve", "car_navigation", "--start", "0,0,0"], "inside an obstacle"),
+        (["solve", "car_navigation", "--form", "letter", "--start=-4.5,-4.5,0"], "ipopt: "),
+        (["extract", "curved_corridor"], "oc: task 'curved_corridor' has no arena"),
+        (["extract", "nowhere"], "oc: no task 'nowhere'"),
+        (["extract", "car_navigation", "--clearance", "-1"], "oc: --clearance is -1"),
+        (["data", "car_navigation", "--output", "x", "--trajectories", "-3"], "oc: --trajectories and --workers"),
+        (["fit", "nowhere", "--output", "x"], "oc: nowhere holds no value data"),
+        (["fit", "nowhere", "--output", "x", "--discount", "1.5"], "oc: --discount must lie in"),
+        (["map", "nowhere.safetensors", "--output", "x.png"], "oc: nowhere.safetensors: there is no such file"),
+    ],
+)
+def test_what_it_cannot_do_it_says_in_one_line(
+    arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(arguments) == 1
+    out, err = capsys.readouterr()
+    assert words in out + err
+    assert "Traceback" not in err
+    assert len(err.splitlines()) <= 1
+
+
+@pytest.mark.parametrize("command", [[], ["extract"], ["solve"], ["data"], ["fit"], ["map"]])
+def test_help_helps(command: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main([*command, "--help"])
+    assert ended.value.code == 0
+    assert "usage: oc" in capsys.readouterr().out

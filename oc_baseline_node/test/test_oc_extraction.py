@@ -1,0 +1,105 @@
+"""From RL task to optimal control problem: candidates, criteria, constants."""
+
+import numpy as np
+import pytest
+from ctrl_rl_core.regions import Region
+from ctrl_rl_core.task_sets import COLLISION, GOAL, TaskSets
+from ctrl_rl_core.tasks import load_navigation_task
+from oc_baseline_node.errors import OcError
+from oc_baseline_node.extraction import CANDIDATES, assess, extract, rl_info
+from oc_baseline_node.problem import formulate
+
+
+def test_the_car_is_a_dubins_car_as_in_the_thesis() -> None:
+    found = extract(load_navigation_task("car_navigation"))
+    assert found.info.robot_type == "car"
+    assert found.info.state[:5] == ("x", "y", "theta", "v", "omega")
+    assert found.info.state[5:] == tuple(f"d_{i}" for i in range(1, 9))
+    assert found.chosen == "dubins_car"
+    refused = {candidate.model: candidate.reasons for candidate in found.candidates}
+    assert set(refused) == set(CANDIDATES["car"])
+    assert refused["dubins_car"] == ()
+    assert "delta" in refused["bicycle"][0]
+
+
+@pytest.mark.parametrize("name", ["quad_navigation", "quad_trap"])
+def test_the_quadrotor_is_the_planar_one_as_in_the_thesis(name: str) -> None:
+    found = extract(load_navigation_task(name))
+    assert found.chosen == "planar_quadrotor"
+    reasons = {candidate.model: " ".join(candidate.reasons) for candidate in found.candidates}
+    assert "criterion 1" in reasons["quadrotor_rotation"]
+    assert "criterion 2: the reward's 'goal' needs psi" in reasons["point_mass"]
+
+
+def test_a_reward_on_what_the_model_lacks_refuses_it() -> None:
+    task = load_navigation_task("car_navigation")
+    goal = task.goal.model_copy(update={"intervals": {"v": task.optimal_control.controls["v"]}})
+    info = rl_info(task.model_copy(update={"goal": goal}))
+    assert assess("extended_dubins_car", info).reasons == ()
+    (reason,) = assess("dubins_car", info).reasons
+    assert reason == "criterion 2: the reward's 'goal' needs v, which it lacks"
+
+
+def test_the_report_names_every_part() -> None:
+    report = extract(load_navigation_task("quad_trap")).report()
+    for words in ("quadrotor", "d_1 .. d_8", "+100 trap", "refused, criterion 1", "p_trap = (-2.5, 0.5)", "1.1^(k+1)"):
+        assert words in report
+
+
+@pytest.mark.parametrize(
+    ("name", "words"), [("curved_corridor", "has no arena"), ("car_ttr", "has no part 'optimal_control'")]
+)
+def test_a_task_without_what_it_takes_is_refused(name: str, words: str) -> None:
+    with pytest.raises(OcError, match=words):
+        extract(load_navigation_task(name))
+
+
+@pytest.mark.parametrize("name", ["car_navigation", "quad_navigation", "quad_trap"])
+def test_a_state_within_the_constraints_is_not_in_collision(name: str) -> None:
+    problem = formulate(load_navigation_task(name))
+    sets = TaskSets(problem.task)
+    low, high = np.where(np.isfinite(problem.state_bounds), problem.state_bounds, [[-3.0], [3.0]])
+    states = low + (high - low) * np.random.default_rng(0).random((5000, len(low)))
+    allowed = states[problem.margin(states) >= 0.0]
+    assert len(allowed) > 2000
+    assert not (sets.outcomes(allowed) == COLLISION).any()
+
+
+@pytest.mark.parametrize("name", ["car_navigation", "quad_navigation", "quad_trap"])
+def test_the_terminal_set_lies_within_the_goal(name: str) -> None:
+    problem = formulate(load_navigation_task(name))
+    sets, random = TaskSets(problem.task), np.random.default_rng(0)
+    ends = np.array([problem.terminal.sample(problem.system.state_names, random) for _ in range(500)])
+    free = ends[problem.margin(ends) >= 0.0]
+    assert len(free) > 100
+    assert (sets.outcomes(free) == GOAL).all()
+    assert all(problem.terminal_violation(state) <= 0.0 for state in ends)
+
+
+def test_the_trap_form_has_the_trap_and_the_others_have_none() -> None:
+    assert formulate(load_navigation_task("quad_trap")).trap_weight == 1000.0
+    assert formulate(load_navigation_task("quad_navigation")).trap is None
+
+
+def test_forms_differ_in_the_speed() -> None:
+    task = load_navigation_task("car_navigation")
+    assert formulate(task).system.control_bounds[:, 0].tolist() == [-2.0, 2.0]
+    for form in ("letter", "free_time"):
+        assert formulate(task, form).system.control_bounds[:, 0].tolist() == [1.0, 1.0]
+    with pytest.raises(OcError, match="no form 'other'"):
+        formulate(task, "other")  # type: ignore[arg-type]
+
+
+def test_a_clearance_that_leaves_no_room_is_refused() -> None:
+    with pytest.raises(OcError, match="no state is 6 m from the walls"):
+        formulate(load_navigation_task("car_navigation"), clearance=6.0)
+
+
+def test_terminal_set_and_goal_that_do_not_meet_are_refused() -> None:
+    task = load_navigation_task("quad_trap")
+    spec = task.optimal_control
+    apart = task.start.model_copy(update={"intervals": {"psi": type(task.arena.x)(-1.0, -0.5)}})
+    assert isinstance(apart.region, Region)
+    update = {"optimal_control": spec.model_copy(update={"terminal_set": apart})}
+    with pytest.raises(OcError, match="do not meet in 'psi'"):
+        formulate(task.model_copy(update=update))

@@ -1,0 +1,202 @@
+"""Trajectories against closed forms and against what the task says, on the real solvers."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from ctrl_rl_core.geometry import signed_distance
+from ctrl_rl_core.regions import Region
+from ctrl_rl_core.systems import make_system
+from ctrl_rl_core.task_sets import COLLISION, GOAL, TaskSets
+from ctrl_rl_core.tasks import load_navigation_task
+from oc_baseline_node.guesses import moved_on, resting_control
+from oc_baseline_node.mpc import Mpc, RecedingHorizon, Trajectory
+from oc_baseline_node.problem import Problem, formulate
+from oc_baseline_node.starts import draw_start
+from oc_baseline_node.transcription import Layout, stage_cost
+from scipy.linalg import solve_discrete_are
+
+TASKS = ("car_navigation", "quad_navigation", "quad_trap")
+AT_REST = {
+    "car_navigation": (-4.0, -4.0, 1.0),
+    "quad_navigation": (3.75, 0.0, 2.0, 0.0, 0.0, 0.0),
+    "quad_trap": (0.0, 0.0, 4.0, 0.0, 0.0, 0.0),
+}
+
+
+@pytest.fixture(scope="module")
+def mpcs() -> dict[str, Mpc]:
+    return {name: Mpc(formulate(load_navigation_task(name))) for name in TASKS}
+
+
+def linear_problem(horizon: int, gamma: float) -> Problem:
+    """Return a point mass among no obstacles: linear dynamics, quadratic cost, nothing that binds."""
+    base = formulate(load_navigation_task("car_navigation"))
+    bounds = dict.fromkeys(("v_x", "v_y", "v_z"), (-1000.0, 1000.0))
+    free = np.array([[-np.inf] * 3, [np.inf] * 3])
+    return replace(
+        base,
+        system=make_system("point_mass", control_bounds=bounds),
+        horizon=horizon,
+        gamma=gamma,
+        terminal=Region(),
+        obstacles=(),
+        state_bounds=free,
+    )
+
+
+@pytest.mark.parametrize("solver", ["ipopt", "fatrop"])
+def test_a_linear_quadratic_problem_has_its_least_squares_solution(solver: str) -> None:
+    problem = linear_problem(horizon=15, gamma=1.1)
+    start, dt, H = np.array([1.0, -2.0, 0.5]), problem.time_step, problem.horizon
+    trajectory = Mpc(problem, (solver,)).solve(start)
+    assert trajectory.solved, trajectory.reason
+    for axis in (0, 1):
+        # p_k = p_0 + dt * (u_0 + ... + u_{k-1}): the cost is |A u - b|^2.
+        weight = np.sqrt(problem.state_weight * problem.gamma ** np.arange(1, H + 1))
+        A = np.vstack((weight[:, None] * dt * np.tri(H, H, -1), np.sqrt(problem.control_weight) * np.eye(H)))
+        b = np.concatenate((weight * (problem.goal[axis] - start[axis]), np.zeros(H)))
+        u = np.linalg.lstsq(A, b, rcond=None)[0]
+        assert trajectory.controls[:, axis] == pytest.approx(u, abs=1e-4)
+    assert trajectory.controls[:, 2] == pytest.approx(np.zeros(H), abs=1e-6)
+
+
+def test_a_long_horizon_has_the_gain_of_the_riccati_equation() -> None:
+    problem = linear_problem(horizon=200, gamma=1.0)
+    start, dt = np.array([1.0, -2.0, 0.0]), problem.time_step
+    P = solve_discrete_are(np.eye(2), dt * np.eye(2), problem.state_weight * np.eye(2), np.eye(2))
+    K = np.linalg.solve(np.eye(2) + dt * P * dt, dt * P)
+    trajectory = Mpc(problem).solve(start)
+    error = start[:2] - np.array(problem.goal)
+    assert trajectory.controls[0, :2] == pytest.approx(-K @ error, rel=1e-4)
+    assert trajectory.cost == pytest.approx(float(error @ P @ error), rel=1e-4)
+
+
+def check(problem: Problem, trajectory: Trajectory, start: np.ndarray) -> None:
+    """Check a trajectory by other means than the solver's."""
+    states, controls = trajectory.states, trajectory.controls
+    x = np.asarray(start, dtype=float)
+    for k, u in enumerate(controls):
+        x = problem.system.step(x, u, dt=trajectory.time_step)
+        assert x == pytest.approx(states[k + 1], abs=2e-3), f"step {k}"
+    points = states[1:, problem.positions]
+    assert signed_distance(problem.obstacles, points).min() >= problem.clearance - 1e-4
+    low, high = problem.state_bounds
+    assert (states[1:] >= low - 1e-4).all()
+    assert (states[1:] <= high + 1e-4).all()
+    u_low, u_high = problem.system.control_bounds
+    assert (controls >= u_low - 1e-4).all()
+    assert (controls <= u_high + 1e-4).all()
+    outcomes = TaskSets(problem.task).outcomes(states)
+    assert outcomes[-1] == GOAL
+    assert not (outcomes[1:] == COLLISION).any()
+    p = states[:-1, problem.positions]
+    cost = sum(stage_cost(problem, p[k], controls[k], k) for k in range(problem.horizon))
+    assert trajectory.cost == pytest.approx(cost * trajectory.time_step / problem.time_step, rel=1e-6)
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_every_trajectory_keeps_what_the_problem_asks(mpcs: dict[str, Mpc], name: str) -> None:
+    mpc, random = mpcs[name], np.random.default_rng(3)
+    starts = [np.array(AT_REST[name]), *(draw_start(mpc.problem, random) for _ in range(8))]
+    solved = 0
+    for start in starts:
+        trajectory = mpc.solve(start)
+        if trajectory.solved:
+            check(mpc.problem, trajectory, start)
+            solved += 1
+    assert solved >= 7
+
+
+def test_ipopt_and_fatrop_find_the_same_trajectory() -> None:
+    problem = formulate(load_navigation_task("car_navigation"))
+    costs = [Mpc(problem, (solver,)).solve((2.0, 4.0, 0.0)).cost for solver in ("ipopt", "fatrop")]
+    assert costs[0] == pytest.approx(costs[1], rel=1e-4)
+
+
+def test_a_warm_start_takes_fewer_iterations(mpcs: dict[str, Mpc]) -> None:
+    mpc = mpcs["car_navigation"]
+    cold = mpc.solve(AT_REST["car_navigation"])
+    warm = mpc.solve(cold.states[1], moved_on(cold.states, cold.controls, 1))
+    again = mpc.solve(cold.states[1])
+    assert warm.solved
+    assert warm.iterations < again.iterations
+    assert warm.cost <= again.cost * (1 + 1e-3)
+
+
+@pytest.mark.parametrize("form", ["free_time", "letter"])
+def test_the_other_forms_keep_the_speed(form: str) -> None:
+    problem = formulate(load_navigation_task("car_navigation"), form)
+    trajectory = Mpc(problem).solve((1.0, 3.5, 0.0) if form == "free_time" else (-1.9, 0.0, 0.5))
+    assert trajectory.solved, trajectory.reason
+    assert (trajectory.controls[:, 0] == 1.0).all()
+    check(problem, trajectory, trajectory.states[0])
+    if form == "letter":
+        assert trajectory.time_step == 0.05
+    else:
+        assert 0.01 - 1e-6 <= trajectory.time_step < 0.05
+
+
+def test_a_start_without_a_trajectory_gets_a_reason_and_no_traceback(mpcs: dict[str, Mpc]) -> None:
+    car = mpcs["car_navigation"]
+    assert "0.35 m inside an obstacle" in car.solve((0.0, 0.0, 0.0)).reason
+    assert "x = 4.9 is out of bounds" in car.solve((4.9, 0.0, 0.0)).reason
+    assert "3 finite numbers" in car.solve((np.nan, 0.0, 0.0)).reason
+    assert "3 finite numbers" in car.solve((0.0, 0.0)).reason
+    falling = mpcs["quad_trap"].solve((0.0, 0.0, 0.6, -2.0, 0.0, 0.0))
+    assert not falling.solved
+    assert falling.reason == "ipopt: Infeasible_Problem_Detected"
+    assert np.isnan(falling.cost)
+    far = Mpc(formulate(load_navigation_task("car_navigation"), "letter")).solve((-4.5, -4.5, 0.0))
+    assert not far.solved, "7 s at 1 m/s do not lead 11 m away"
+    assert far.reason.startswith("ipopt: ")
+
+
+def test_the_receding_horizon_drives_the_car_to_the_goal(mpcs: dict[str, Mpc]) -> None:
+    mpc = mpcs["car_navigation"]
+    sets, controller = TaskSets(mpc.problem.task), RecedingHorizon(mpc)
+    state = np.array([1.0, -2.5, 1.5])
+    for _ in range(100):
+        state = mpc.problem.system.step(state, controller.control(state), dt=mpc.problem.time_step)
+        outcome = sets.outcomes(state)
+        assert outcome != COLLISION
+        if outcome == GOAL:
+            break
+    assert outcome == GOAL
+
+
+def test_without_a_trajectory_the_controller_follows_its_plan_and_says_so(mpcs: dict[str, Mpc]) -> None:
+    mpc = mpcs["car_navigation"]
+    controller = RecedingHorizon(mpc)
+    in_a_wall = (9.0, 9.0, 0.0)
+    assert controller.control(in_a_wall) == pytest.approx([0.0, 0.0])
+    assert not controller.solved
+    controller.control(AT_REST["car_navigation"])
+    assert controller.solved
+    plan = controller.plan
+    assert controller.control(in_a_wall) == pytest.approx(plan.controls[1])
+    assert controller.control(in_a_wall) == pytest.approx(plan.controls[2])
+    assert not controller.solved
+    assert controller.reason
+
+
+def test_the_resting_control_hovers(mpcs: dict[str, Mpc]) -> None:
+    system = mpcs["quad_trap"].problem.system
+    u = resting_control(system)
+    assert u == pytest.approx([1.25 * 9.81 / 2] * 2)
+    assert system.dynamics(np.zeros(6), u) == pytest.approx(np.zeros(6))
+
+
+@pytest.mark.parametrize("form", ["free_speed", "free_time", "letter"])
+def test_packing_is_undone_by_unpacking(form: str) -> None:
+    problem = formulate(load_navigation_task("car_navigation"), form)
+    layout, random = Layout(problem), np.random.default_rng(0)
+    states = random.normal(size=(problem.horizon + 1, 3))
+    controls = random.normal(size=(problem.horizon, 2))
+    if form != "free_speed":
+        controls[:, 0] = 1.0
+    time_step = 0.03 if form == "free_time" else 0.05
+    variables = layout.pack(states, controls, time_step)
+    assert variables.shape == (layout.size,)
+    for ours, theirs in zip(layout.unpack(variables), (states, controls, time_step), strict=True):
+        assert np.array_equal(ours, theirs)

@@ -1,0 +1,62 @@
+"""Superellipses cover what they stand for."""
+
+import casadi
+import numpy as np
+import pytest
+from ctrl_rl_core.geometry import Box, Disc
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from oc_baseline_node.obstacles import cover
+
+lengths = st.floats(0.05, 5.0)
+
+
+def near(shape: Box | Disc, clearance: float) -> np.ndarray:
+    """Return points at the edge of the shape grown by the clearance, and inside."""
+    reach = 8.0
+    random = np.random.default_rng(0)
+    points = np.asarray(shape.centre) + random.uniform(-reach, reach, (4000, 2))
+    return points[shape.signed_distance(points) <= clearance]
+
+
+@settings(max_examples=40, deadline=None)
+@given(lengths, lengths, st.floats(0.0, 1.0), st.floats(-3.0, 3.0), st.sampled_from([4, 6, 8]))
+def test_every_point_within_the_clearance_of_a_box_is_inside(
+    width: float, height: float, clearance: float, angle: float, exponent: int
+) -> None:
+    box = Box((1.0, -2.0), (width, height), angle)
+    points = near(box, clearance)
+    # The rounded corner itself, where a superellipse is nearest to cutting in.
+    turn = np.linspace(0.0, np.pi / 2, 200)
+    corner = 0.5 * np.array([width, height]) + clearance * np.column_stack((np.cos(turn), np.sin(turn)))
+    c, s = np.cos(angle), np.sin(angle)
+    corner = np.asarray(box.centre) + corner @ np.array([[c, s], [-s, c]])
+    assert np.allclose(box.signed_distance(corner), clearance, atol=1e-9)
+    for some in (points, corner):
+        assert (cover(box, clearance, exponent).outside(*some.T) <= 1e-9).all()
+
+
+def test_a_disc_is_covered_exactly() -> None:
+    ellipse = cover(Disc((1.0, 2.0), 0.5), 0.25)
+    points = np.random.default_rng(0).uniform(-2.0, 4.0, (1000, 2))
+    distance = np.linalg.norm(points - (1.0, 2.0), axis=1) - 0.75
+    assert ellipse.outside(*points.T) == pytest.approx(distance, abs=1e-8)
+
+
+def test_a_cover_wastes_little_of_the_room() -> None:
+    """The cubes of car_navigation: a superellipse leaves a robot centimetres more than it needs, a disc decimetres."""
+    box, clearance = Box((0.0, 0.0), (0.7, 0.7)), 0.277
+    ellipse = cover(box, clearance)
+    assert ellipse.semi_axes[0] < 0.5 * 0.7 + clearance + 0.01
+    assert np.hypot(0.35, 0.35) + clearance > ellipse.semi_axes[0] + 0.1
+
+
+def test_casadi_and_numpy_agree_and_the_middle_has_a_finite_gradient() -> None:
+    ellipse = cover(Box((0.5, -0.5), (1.0, 2.0), 0.3), 0.2)
+    x, y = casadi.SX.sym("x"), casadi.SX.sym("y")
+    value = ellipse.outside(x, y)
+    f = casadi.Function("f", [x, y], [value, casadi.gradient(value, casadi.vertcat(x, y))])
+    for point in ((0.0, 0.0), (0.5, -0.5), (3.0, 1.0)):
+        ours, gradient = f(*point)
+        assert float(ours) == pytest.approx(ellipse.outside(*point))
+        assert np.isfinite(np.asarray(gradient)).all()
