@@ -1,0 +1,61 @@
+"""Whole trajectories of the optimal control problems: ipopt, fatrop, both in turn, warm starts, the letter of Eq. 3.16.
+
+Every way of solving gets the same random starts in the same run; times are CPU seconds without setting up.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from ctrl_rl_core.tasks import load_navigation_task
+from oc_baseline_node.guesses import moved_on
+from oc_baseline_node.mpc import Mpc, Trajectory
+from oc_baseline_node.problem import formulate
+from oc_baseline_node.starts import draw_start
+
+STARTS = {"car_navigation": 40, "quad_navigation": 25, "quad_trap": 25}
+LETTER_STARTS = 15
+
+
+def rows() -> list[dict[str, object]]:
+    """Return CPU seconds per start and success rates, beside ipopt's from a cold start."""
+    out = []
+    for name, count in STARTS.items():
+        problem = formulate(load_navigation_task(name))
+        random = np.random.default_rng(0)
+        starts = [draw_start(problem, random) for _ in range(count)]
+        ipopt, fatrop, both = (Mpc(problem, solvers) for solvers in (("ipopt",), ("fatrop",), ("fatrop", "ipopt")))
+        peer = [ipopt.solve(start) for start in starts]
+        ours = [fatrop.solve(start) for start in starts]
+        out.append(_time(f"MPC {name}, fatrop", ours, "ipopt", peer))
+        out.append(_time(f"MPC {name}, fatrop, ipopt where it fails", [both.solve(s) for s in starts], "ipopt", peer))
+        warm = [_next(fatrop, trajectory) for trajectory in ours if trajectory.solved]
+        cold = [trajectory for trajectory in ours if trajectory.solved]
+        out.append(_time(f"MPC {name}, fatrop, warm start one step on", warm, "cold", cold))
+        if name == "car_navigation":
+            letter = Mpc(formulate(problem.task, "letter"), ("ipopt",))
+            some = [letter.solve(start) for start in starts[:LETTER_STARTS]]
+            out.append(_rate("MPC car_navigation, Eq. 3.16 to the letter, success", some, "free speed", ours))
+    return out
+
+
+def _next(mpc: Mpc, trajectory: Trajectory) -> Trajectory:
+    return mpc.solve(trajectory.states[1], moved_on(trajectory.states, trajectory.controls, 1))
+
+
+def _time(name: str, ours: list[Trajectory], other: str, theirs: list[Trajectory]) -> dict[str, object]:
+    mine, peer = (float(np.mean([t.cpu_seconds for t in some])) for some in (ours, theirs))
+    against = f"{other}, {peer:.3f} CPU s; solved {_solved(ours):.0%}, {other} {_solved(theirs):.0%}"
+    return {"name": name, "value": mine, "unit": "CPU s", "against": against, "ratio": mine / peer}
+
+
+def _rate(name: str, ours: list[Trajectory], other: str, theirs: list[Trajectory]) -> dict[str, object]:
+    mine, peer = _solved(ours), _solved(theirs)
+    return {"name": name, "value": mine, "unit": "of starts", "against": f"{other}, {peer:.2f}", "ratio": mine / peer}
+
+
+def _solved(some: list[Trajectory]) -> float:
+    return float(np.mean([t.solved for t in some]))
+
+
+if __name__ == "__main__":
+    print(*rows(), sep="\n")
