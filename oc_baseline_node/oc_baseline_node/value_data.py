@@ -35,7 +35,7 @@ class DataSettings:
     """
 
     trajectories: int
-    chunk: int = 25
+    chunk: int = 10
     seed: int = 0
 
     @property

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import signal
+import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from multiprocessing.connection import wait as wait_for_any
 from pathlib import Path
 
 from ctrl_rl_core.tasks import NavigationTask
@@ -65,7 +69,8 @@ def _finished(
     context = multiprocessing.get_context("spawn")
     terms = (problem.task, problem.form, problem.clearance, settings)
     with ProcessPoolExecutor(workers, context, _prepare, terms) as pool:
-        waiting: set[Future[int]] = {pool.submit(_make, folder, index) for index in lacking}
+        with _workers_deaf_to_interrupts():
+            waiting: set[Future[int]] = {pool.submit(_make, folder, index) for index in lacking}
         try:
             while waiting:
                 finished, waiting = wait(waiting, return_when=FIRST_COMPLETED)
@@ -78,8 +83,30 @@ def _finished(
             pool.shutdown(wait=True, cancel_futures=True)
 
 
+@contextmanager
+def _workers_deaf_to_interrupts() -> Iterator[None]:
+    """Let processes that start meanwhile inherit that SIGINT is ignored: Ctrl-C is for this one, it ends the others."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        wait_for_any([parent.sentinel])
+        os._exit(1)
+
+
 def _prepare(task: NavigationTask, form: Form, clearance: float, settings: DataSettings) -> None:
     global _solver
+    # A worker whose parent was killed must not go on writing into a folder that the next run takes up.
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     _solver = ChunkSolver(formulate(task, form, clearance), settings)
 
 
