@@ -8,7 +8,7 @@ setup(
     description="Optimal-control return-to-go as a policy-gradient baseline (thesis 3.3).",
     license="Apache-2.0",
     packages=[NAME],
-    package_data={"oc_baseline_node": ["py.typed"]},
+    package_data={"oc_baseline_node": ["py.typed", "values/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),

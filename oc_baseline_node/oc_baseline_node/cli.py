@@ -16,17 +16,19 @@ from pathlib import Path
 
 import numpy as np
 from ctrl_rl_core.command import run_command
+from ctrl_rl_core.results import write_results
 from ctrl_rl_core.tasks import NavigationTask, load_navigation_task
 from ctrl_rl_core.value_function import ValueFunction
 from numpy.typing import NDArray
 
 from oc_baseline_node.errors import OcError
 from oc_baseline_node.extraction import extract
+from oc_baseline_node.figures import value_rows
 from oc_baseline_node.problem import FORMS, Form, Problem, formulate
 from oc_baseline_node.returns import DISCOUNT
 from oc_baseline_node.starts import draw_start
 from oc_baseline_node.value_data import DataSettings, ValueData, load_data, read_description
-from oc_baseline_node.value_file import load_value, save_value
+from oc_baseline_node.value_file import find_value, load_value, save_value
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -65,8 +67,9 @@ def _parser() -> argparse.ArgumentParser:
     command.add_argument("--epochs", type=int, default=40, help="passes over the data (default %(default)s)")
     command.add_argument("--seed", type=int, default=0, help="of split, weights, order (default %(default)s)")
     command.add_argument("--overwrite", action="store_true", help="replace existing files")
+    command.add_argument("--results", type=Path, help="JSON file for the figures of data and fit")
     command = _command(commands, "map", _map, "draw a value's heat map (thesis Fig. 3.11)")
-    command.add_argument("value", type=Path, help="file of a network or a value grid")
+    command.add_argument("value", type=Path, help="file of a network or a value grid, or the task of a shipped one")
     command.add_argument("--task", help="its task file, where the task is not one of the suite's")
     command.add_argument("--output", type=Path, required=True, help="picture to write")
     command.add_argument("--at", nargs="*", default=[], metavar="NAME=VALUE", help="other components (default 0)")
@@ -175,7 +178,8 @@ def _fit(options: argparse.Namespace) -> int:
     task = load_navigation_task(options.task or there["task"])
     problem = formulate(task, there["form"], there["clearance"])
     settings = FitSettings(options.discount, options.whole_horizon, epochs=options.epochs, seed=options.seed)
-    value = fit(problem, load_data(options.data, problem), settings)
+    data = load_data(options.data, problem)
+    value = fit(problem, data, settings)
     save_value(value, options.output, options.overwrite)
     unseen, seen = value.manifest["held_out"], value.manifest["fitted"]
     print(
@@ -187,13 +191,17 @@ def _fit(options: argparse.Namespace) -> int:
     if options.grid is not None:
         value.grids[0].save(options.grid, overwrite=options.overwrite)
         print(f"grid          {options.grid}, {' x '.join(map(str, value.grids[0].values.shape))}")
+    if options.results is not None:
+        seeds = [int(there["seed"])]
+        write_results(options.results, f"optimal control values, {task.name}", seeds, value_rows(data, value))
+        print(f"figures       {options.results}")
     return 0
 
 
 def _map(options: argparse.Namespace) -> int:
     from oc_baseline_node.pictures import heat_map
 
-    value = load_value(options.value)
+    value = load_value(find_value(options.value))
     values = heat_map(value, _task_of(value, options.task), options.output, dict(map(_setting, options.at)))
     free = values[np.isfinite(values)]
     print(f"values        {free.min():.4g} .. {free.max():.4g}")

@@ -11,14 +11,15 @@ from ctrl_rl_core.value_server import ValueServer
 from nav_msgs.msg import Odometry
 from numpy.typing import NDArray
 
-from oc_baseline_node.value_file import load_value
+from oc_baseline_node.value_file import find_value, load_value
 
 
 class OcBaselineNode(ValueServer):
     """Serves an optimal control value function V_oc (thesis Eq. 3.13), a baseline for policy gradients.
 
     Subscribes to odom; publishes oc_value for each message, ~/grid and ~/slice latched; answers ~/query and ~/reload.
-    The file is a network that `oc fit` wrote, or a value grid.
+    The file is a network that `oc fit` wrote, or a value grid; car_navigation, quad_navigation and quad_trap name the
+    networks that come with the package.
     """
 
     TOPIC = "oc_value"
@@ -28,8 +29,8 @@ class OcBaselineNode(ValueServer):
         super().__init__("oc_baseline_node")
 
     def read(self, path: Path) -> ValueFunction:
-        """Read a network or a value grid."""
-        return load_value(path)
+        """Read a network or a value grid: a file, or by task one that comes with the package."""
+        return load_value(find_value(path))
 
     def valued(self, message: Odometry, state: NDArray[np.float64], value: float) -> None:
         """Say nothing more: the StateValue tells all."""

@@ -118,7 +118,7 @@ def write_chunk(folder: Path, index: int, data: ValueData) -> None:
     buffer = io.BytesIO()
     arrays = {name: np.asarray(getattr(data, name)) for name in ValueData.__annotations__}
     arrays["reasons"] = np.array(data.reasons, dtype=np.str_)
-    np.savez(buffer, allow_pickle=False, **arrays)
+    np.savez(buffer, **arrays)
     write_whole(chunk_file(folder, index), buffer.getvalue())
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from dataclasses import asdict
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -71,6 +72,27 @@ def write_whole(path: Path, content: bytes) -> None:
         raise OcError(f"cannot write {path}: {error.strerror}") from None
 
 
+def shipped_values() -> dict[str, Path]:
+    """Return the networks that come with the package, by the name of their task."""
+    folder = Path(str(files("oc_baseline_node"))) / "values"
+    return {file.stem: file for file in sorted(folder.glob("*.safetensors"))}
+
+
+def find_value(name_or_path: str | Path) -> Path:
+    """Return the file of a network that comes with the package, or the path itself.
+
+    Raises:
+        OcError: there is no such file.
+    """
+    shipped = shipped_values()
+    path = shipped.get(str(name_or_path), Path(name_or_path))
+    if not path.is_file():
+        raise OcError(
+            f"no value '{name_or_path}': there are {', '.join(shipped) or 'none'}, or give a file of 'oc fit'"
+        )
+    return path
+
+
 def load_value(path: Path) -> ValueFunction:
     """Read a network or a value grid, whichever the file holds.
 
@@ -84,8 +106,6 @@ def load_value(path: Path) -> ValueFunction:
                 return ValueGrid.load(path)
             header = json.loads(text)
             tensors = {name: file.get_tensor(name).astype(np.float64) for name in file.keys()}  # noqa: SIM118
-    except FileNotFoundError:
-        raise OcError(f"{path}: there is no such file: make one with 'oc fit', or correct the path") from None
     except (OSError, SafetensorError, ValueError) as error:
         raise OcError(f"{path}: not a readable value file ({error})") from None
     return _network(path, header, tensors)

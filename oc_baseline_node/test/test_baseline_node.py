@@ -121,7 +121,7 @@ def test_it_ends_within_a_second(run_node: Callable, tmp_path: Path, number: int
 def test_without_a_value_it_ends_with_one_clear_message(run_node: Callable, file: str) -> None:
     node = run_node("oc_baseline_node", "baseline", f"grid:='{file}'")
     assert node.process.wait(20.0) in (1, 2)
-    words = "there is no such file: make one with 'oc fit'" if file else "parameter 'grid' is empty"
+    words = "no value 'nowhere.safetensors': there are car_navigation, quad" if file else "parameter 'grid' is empty"
     assert words in node.output
     assert len(node.output.strip().splitlines()) == 1
 

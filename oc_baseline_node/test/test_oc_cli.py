@@ -1,5 +1,6 @@
 """The oc command: each step, and one clear line where it cannot."""
 
+import json
 from pathlib import Path
 
 import pytest
@@ -15,8 +16,13 @@ def test_it_goes_from_a_task_to_a_map(tmp_path: Path, capsys: pytest.CaptureFixt
     said = capsys.readouterr().out
     for words in ("25 of 140 steps", "100.0% of 25 random starts", "CPU seconds"):
         assert words in said
-    assert main(["fit", str(data), "--output", str(value), "--grid", str(grid), "--epochs", "3"]) == 0
+    results = tmp_path / "results.json"
+    fitting = ["fit", str(data), "--output", str(value), "--grid", str(grid), "--epochs", "3"]
+    assert main([*fitting, "--results", str(results)]) == 0
     assert "held out" in capsys.readouterr().out
+    rows = {row["metric"]: row for row in json.loads(results.read_text())["rows"]}
+    assert rows["states"]["values"] == [25 * 140]
+    assert rows["starts with a trajectory"]["values"] == [1.0]
     for file in (value, grid):
         assert main(["map", str(file), "--output", str(tmp_path / "map.png"), "--at", "theta=0.5"]) == 0
     assert (tmp_path / "map.png").exists()
@@ -42,7 +48,10 @@ def test_a_trajectory_is_solved_and_drawn(tmp_path: Path, capsys: pytest.Capture
         (["data", "car_navigation", "--output", "x", "--trajectories", "-3"], "oc: --trajectories and --workers"),
         (["fit", "nowhere", "--output", "x"], "oc: nowhere holds no value data"),
         (["fit", "nowhere", "--output", "x", "--discount", "1.5"], "oc: --discount must lie in"),
-        (["map", "nowhere.safetensors", "--output", "x.png"], "oc: nowhere.safetensors: there is no such file"),
+        (
+            ["map", "nowhere.safetensors", "--output", "x.png"],
+            "oc: no value 'nowhere.safetensors': there are",
+        ),
     ],
 )
 def test_what_it_cannot_do_it_says_in_one_line(

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 from ctrl_rl_core.errors import CtrlRlError
-from ctrl_rl_core.tasks import load_navigation_task
+from ctrl_rl_core.tasks import load_navigation_task, task_digest
 from ctrl_rl_core.value_function import ValueFunction
 from ctrl_rl_core.value_grid import Axis, ValueGrid
 from oc_baseline_node.collision_set import CollisionSet
@@ -19,7 +19,7 @@ from oc_baseline_node.pictures import heat_map, trajectories
 from oc_baseline_node.problem import Problem, formulate
 from oc_baseline_node.value_data import DataSettings, ValueData
 from oc_baseline_node.value_data_workers import make_data
-from oc_baseline_node.value_file import load_network, load_value, save_value
+from oc_baseline_node.value_file import find_value, load_network, load_value, save_value
 from oc_baseline_node.value_fit import FitSettings, fit
 
 Made = tuple[Problem, ValueData, MlpValue]
@@ -162,6 +162,17 @@ def test_a_wrong_file_is_refused_by_name(tmp_path: Path, content: bytes | None) 
         path.write_bytes(content)
     with pytest.raises(CtrlRlError, match=r"wrong\.safetensors"):
         load_value(path)
+
+
+@pytest.mark.parametrize("name", ["car_navigation", "quad_navigation", "quad_trap"])
+def test_the_shipped_networks_belong_to_the_tasks_as_they_are(name: str) -> None:
+    value = load_network(find_value(name))
+    assert value.task_digest == task_digest(load_navigation_task(name)), "the task has changed: make the value again"
+    assert value.manifest["data"] == {"trajectories": 800, "states": 112_000}
+    unseen = value.manifest["held_out"]
+    assert unseen["rmse"] < (0.15 if name == "car_navigation" else 0.75) * unseen["std_of_values"]
+    with pytest.raises(OcError, match="no value 'nothing'"):
+        find_value("nothing")
 
 
 def test_layers_that_do_not_fit_are_refused() -> None:
