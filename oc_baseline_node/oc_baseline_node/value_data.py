@@ -116,7 +116,7 @@ def chunk_file(folder: Path, index: int) -> Path:
 def write_chunk(folder: Path, index: int, data: ValueData) -> None:
     """Write a chunk, whole or not at all."""
     buffer = io.BytesIO()
-    arrays = {name: np.asarray(getattr(data, name)) for name in ValueData.__annotations__}
+    arrays: dict[str, Any] = {name: getattr(data, name) for name in ValueData.__annotations__}
     arrays["reasons"] = np.array(data.reasons, dtype=np.str_)
     np.savez(buffer, **arrays)
     write_whole(chunk_file(folder, index), buffer.getvalue())
