@@ -54,7 +54,9 @@ def follow_running() -> int:
         try:
             monitor.wait_until_ready()
             monitor.run()
-            return 0 if monitor.follow("driving").outcome == TaskOutcome.GOAL else 1
+            outcome = monitor.follow("driving").outcome
+            monitor.pause()
+            return 0 if outcome == TaskOutcome.GOAL else 1
         finally:
             monitor.close()
 

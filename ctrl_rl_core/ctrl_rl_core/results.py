@@ -73,8 +73,22 @@ def read_results(folder: Path) -> list[dict[str, Any]]:
     return out
 
 
-def as_markdown(experiments: Sequence[dict[str, Any]]) -> str:
-    """Return the experiments as a page of tables, each row beside the thesis's figure."""
+def read_benchmarks(file: Path) -> list[dict[str, Any]]:
+    """Return the rows that `make bench` wrote; none where it has not run.
+
+    Raises:
+        ResultsError: the file is not valid JSON.
+    """
+    try:
+        return list(json.loads(file.read_text(encoding="utf-8")))
+    except FileNotFoundError:
+        return []
+    except ValueError as error:
+        raise ResultsError(f"{file}: not valid JSON ({error})") from None
+
+
+def as_markdown(experiments: Sequence[dict[str, Any]], benchmarks: Sequence[dict[str, Any]] = ()) -> str:
+    """Return experiments and benchmarks as a page of tables, each figure beside the thesis's or a peer's."""
     lines = ["# Results", "", "Made from the JSON files in `docs/results/` by `make results`; do not edit."]
     for experiment in experiments:
         seeds = len(experiment["seeds"])
@@ -87,6 +101,12 @@ def as_markdown(experiments: Sequence[dict[str, Any]]) -> str:
             lines.append(
                 f"| {row['method']} | {row['metric']} | {row['mean']:.3g} ± {row['std']:.2g}{unit} | {thesis} |"
             )
+    if benchmarks:
+        lines += ["", "## Benchmarks", "", "    make bench", "", "Each figure and its peer were measured in one run."]
+        lines += ["", "| what | ours | against | ratio |", "|---|---|---|---|"]
+        for row in benchmarks:
+            ratio = "" if row["ratio"] is None else f"{row['ratio']:.3g}"
+            lines.append(f"| {row['name']} | {row['value']:.4g} {row['unit']} | {row['against']} | {ratio} |")
     return "\n".join(lines) + "\n"
 
 
