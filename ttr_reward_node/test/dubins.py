@@ -49,8 +49,10 @@ def word(kind, x, y, angle):
     if abs(cosine) > 1:
         return none
     p = _mod(2 * math.pi - math.acos(cosine))
-    t = _mod(s * a - math.atan2(s * (ca - cb), d - s * (sa - sb)) * s * s + p / 2) if kind == 4 else _mod(
-        -a - math.atan2(ca - cb, d + sa - sb) + p / 2
+    t = (
+        _mod(s * a - math.atan2(s * (ca - cb), d - s * (sa - sb)) * s * s + p / 2)
+        if kind == 4
+        else _mod(-a - math.atan2(ca - cb, d + sa - sb) + p / 2)
     )
     q = _mod(a - b - t + p) if kind == 4 else _mod(b - a - t + p)
     return t, p, q

@@ -79,7 +79,9 @@ class Problem:
                 f"the axes are {[axis.name for axis in self.axes]}; {self.system.name} needs one for each of {list(names)}"
             )
         if not 1 <= len(names) <= _MOST_DIMENSIONS:
-            raise TimeToReachError(f"{self.system.name} has {len(names)} states; the solvers take 1 to {_MOST_DIMENSIONS}")
+            raise TimeToReachError(
+                f"{self.system.name} has {len(names)} states; the solvers take 1 to {_MOST_DIMENSIONS}"
+            )
         for axis, state in zip(self.axes, self.system.states, strict=True):
             if axis.periodic and not state.periodic:
                 raise TimeToReachError(f"axis '{axis.name}' is periodic, but the state is not")
@@ -199,7 +201,9 @@ def with_disturbances(system: System, bounds: Mapping[str, Sequence[float]]) -> 
     known = {disturbance.name for disturbance in system.disturbances}
     for name, (lower, upper) in bounds.items():
         if name not in known or not lower <= upper:
-            raise TimeToReachError(f"disturbance '{name}' in [{lower:g}, {upper:g}]: choose from {sorted(known)}, lower <= upper")
+            raise TimeToReachError(
+                f"disturbance '{name}' in [{lower:g}, {upper:g}]: choose from {sorted(known)}, lower <= upper"
+            )
     changed = tuple(
         replace(d, lower=float(bounds[d.name][0]), upper=float(bounds[d.name][1])) if d.name in bounds else d
         for d in system.disturbances

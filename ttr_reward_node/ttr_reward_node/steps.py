@@ -10,6 +10,7 @@ there is nothing to interpolate along that axis, and a node never refers to itse
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -44,6 +45,11 @@ class Layout:
         return self.outer + self.inner
 
     @property
+    def shown(self) -> tuple[int, ...]:
+        """The problem's axes in this order, to transpose with."""
+        return self.outer + self.inner
+
+    @property
     def slabs(self) -> int:
         """Number of nodes of the outer axes: f is the same all over the inner ones."""
         return int(np.prod(self.counts[: len(self.outer)], dtype=np.int64))
@@ -56,12 +62,14 @@ class Steps:
     Attributes:
         durations: shape (slabs, pairs) [s]; disturbances are the slower index of the pairs; 0 where nothing moves.
         moves: shape (slabs, pairs, 2, n) [cells]: after half of the duration and after all of it.
-        controls: number of controls; pairs is a multiple of it.
+        controls: number of controls, each with each length of step; pairs is a multiple of it.
+        longest: time to cross a cell along the slowest axis at its top speed [s].
     """
 
     durations: NDArray[np.float64]
     moves: NDArray[np.float32]
     controls: int
+    longest: float
 
 
 def make_layout(problem: Problem) -> Layout:
@@ -70,7 +78,10 @@ def make_layout(problem: Problem) -> Layout:
     outer = tuple(int(k) for k in np.flatnonzero(depends))
     inner = tuple(int(k) for k in np.flatnonzero(~depends))
     axes = [problem.axes[k] for k in outer + inner]
-    return Layout(outer, inner, np.array([a.count for a in axes]), np.array([a.periodic for a in axes]))
+    counts, periodic = [axis.count for axis in axes], [axis.periodic for axis in axes]
+    if not inner:
+        counts, periodic = [*counts, 1], [*periodic, False]
+    return Layout(outer, inner, np.array(counts, dtype=np.int64), np.array(periodic))
 
 
 def slab_states(problem: Problem, layout: Layout) -> NDArray[np.float64]:
@@ -92,25 +103,32 @@ def pairs(problem: Problem) -> tuple[NDArray[np.float64], NDArray[np.float64], i
     return u, d, len(controls)
 
 
-def make_steps(problem: Problem, layout: Layout, cells: float) -> Steps:
-    """Tabulate the steps; `cells` is how far they go."""
+def make_steps(problem: Problem, layout: Layout, cells: Sequence[float]) -> Steps:
+    """Tabulate the steps; `cells` is how far they go: every control with every one of these lengths."""
     u, d, controls = pairs(problem)
     states = slab_states(problem, layout)
-    durations = np.empty((len(states), len(u)))
-    moves = np.empty((len(states), len(u), 2, len(problem.axes)), dtype=np.float32)
+    lengths, disturbances, n = len(cells), len(u) // controls, len(layout.counts)
+    durations = np.empty((len(states), disturbances, lengths, controls))
+    moves = np.zeros((len(states), disturbances, lengths, controls, 2, n), dtype=np.float32)
     spacings = np.array([axis.spacing for axis in problem.axes])
-    longest = _longest(problem.system, states, u, d, spacings, cells)
+    longest = _longest(problem.system, states, u, d, spacings)
     size = max(1, _BLOCK // len(u))
     for begin in range(0, len(states), size):
         block = slice(begin, begin + size)
         x = states[block, None]
-        h = _durations(problem, layout, x, u, d, spacings, cells, longest)
-        durations[block] = h
-        for part in (0, 1):
-            dt = (0.5 * (part + 1) * h)[..., None]
-            move = (problem.system.step(x, u, d, dt=dt) - x) / spacings
-            moves[block, :, part] = _snap(move)[..., layout.order]
-    return Steps(durations, moves, controls)
+        for i, length in enumerate(cells):
+            h = _durations(problem, layout, x, u, d, spacings, length, length * longest)
+            durations[block, :, i] = h.reshape(-1, disturbances, controls)
+            for half in (0, 1):
+                dt = (0.5 * (half + 1) * h)[..., None]
+                move = _snap((problem.system.step(x, u, d, dt=dt) - x) / spacings)[..., layout.order]
+                moves[block, :, i, :, half, : len(layout.order)] = move.reshape(
+                    -1, disturbances, controls, len(layout.order)
+                )
+    pairs_ = disturbances * lengths * controls
+    return Steps(
+        durations.reshape(len(states), pairs_), moves.reshape(len(states), pairs_, 2, n), lengths * controls, longest
+    )
 
 
 def _dependence(system: System, axes: tuple[Axis, ...], samples: int = 64) -> NDArray[np.bool_]:
@@ -134,16 +152,15 @@ def _longest(
     u: NDArray[np.float64],
     d: NDArray[np.float64],
     spacings: NDArray[np.float64],
-    cells: float,
 ) -> float:
-    """How long a step may last: until the slowest axis at its top speed has moved that many cells [s]."""
+    """How long the slowest axis takes to cross a cell at its top speed [s]."""
     top = np.zeros(len(spacings))
     size = max(1, _BLOCK // len(u))
     for begin in range(0, len(states), size):
         rates = np.abs(system.dynamics(states[begin : begin + size, None], u, d))
         top = np.maximum(top, rates.max(axis=(0, 1)))
     top /= spacings
-    return float(cells / top[top > 0].min()) if top.any() else 0.0
+    return float(1.0 / top[top > 0].min()) if top.any() else 0.0
 
 
 def _durations(
