@@ -15,4 +15,12 @@ setup(
     ],
     install_requires=["setuptools"],
     zip_safe=False,
+    entry_points={
+        "console_scripts": [
+            "relabel = ttr_reward_node.cli:relabel_bag",
+            "reward = ttr_reward_node.node:main",
+            "slices = ttr_reward_node.cli:slices",
+            "solve = ttr_reward_node.cli:solve_value",
+        ],
+    },
 )

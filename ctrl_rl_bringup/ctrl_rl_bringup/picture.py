@@ -19,9 +19,9 @@ def draw_drive(drive: Drive, path: Path) -> None:
     """Write the picture as a PNG; the file is there whole or not at all."""
     task = load_navigation_task(drive.task)
     figure, axes = plt.subplot_mosaic(
-        [["map", "clearance"], ["map", "speed"], ["map", "turn"]],
+        [["map", "clearance"], ["map", "speed"], ["map", "turn"], ["map", "reach"]],
         width_ratios=(1.5, 1),
-        figsize=(12, 5),
+        figsize=(12, 6),
         layout="constrained",
     )
     _draw_map(axes["map"], task, drive)
@@ -57,11 +57,17 @@ def _mark_times(axes: Axes, drive: Drive, step: float = 5.0) -> None:
 def _draw_over_time(axes: dict[str, Axes], drive: Drive) -> None:
     axes["clearance"].plot(*drive.clearance.T, color="tab:blue")
     axes["clearance"].axhline(0.0, color="tab:red", linewidth=1)
-    axes["clearance"].set_ylabel("clearance [m]")
+    axes["clearance"].set_ylabel("clearance\n[m]")
     axes["speed"].step(drive.commands[:, 0], drive.commands[:, 1], where="post", color="tab:green")
-    axes["speed"].set_ylabel("speed [m/s]")
+    axes["speed"].set_ylabel("speed\n[m/s]")
     axes["turn"].step(drive.commands[:, 0], drive.commands[:, 2], where="post", color="tab:orange")
-    axes["turn"].set(xlabel="time [s]", ylabel="turn rate [rad/s]")
-    for name in ("clearance", "speed", "turn"):
+    axes["turn"].set_ylabel("turn rate\n[rad/s]")
+    axes["reach"].set(xlabel="time [s]", ylabel="time to\nreach [s]")
+    if len(drive.rewards):
+        best = drive.time_to_reach
+        axes["reach"].plot(drive.rewards[:, 0], drive.rewards[:, 2], color="tab:purple", label="on the way")
+        axes["reach"].plot((0.0, best), (best, 0.0), "--", color="0.5", linewidth=1, label="at best")
+        axes["reach"].legend(fontsize=7, frameon=False)
+    for name in ("clearance", "speed", "turn", "reach"):
         axes[name].grid(alpha=0.3)
         axes[name].set_xlim(0.0, max(drive.duration, 1e-3))

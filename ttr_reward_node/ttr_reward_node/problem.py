@@ -21,15 +21,16 @@ from ctrl_rl_core.geometry import signed_distance
 from ctrl_rl_core.grid_axis import Axis
 from ctrl_rl_core.regions import Region, position_indices
 from ctrl_rl_core.systems import System
-from ctrl_rl_core.task_parts import STATE_UNITS
+from ctrl_rl_core.task_parts import STATE_UNITS, CorridorSpec
 from ctrl_rl_core.tasks import NavigationTask, load_navigation_task, task_digest
-from ctrl_rl_core.units import parse_interval
+from ctrl_rl_core.units import Interval, parse_interval
 from numpy.typing import NDArray
 
 from ttr_reward_node.errors import TimeToReachError
 
 # A step ends one or two cells away, and the table of steps has to stay small beside the values.
 _MOST_DIMENSIONS = 6
+_STRAIGHT = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,6 +154,7 @@ def problem_from_task(
     *,
     counts: Sequence[int] | Mapping[str, int] | None = None,
     inflation: float = 0.0,
+    width: float | None = None,
     disturbances: Mapping[str, Sequence[float]] | None = None,
     control_counts: int | tuple[int, ...] = 3,
 ) -> Problem:
@@ -162,29 +164,30 @@ def problem_from_task(
         task: a task, its name or its file; it must say which `grid` it wants.
         counts: nodes by state name, or one for each state, in place of the task's.
         inflation: by how much walls and obstacles are widened [m], e.g. the robot's radius; 0 for a point.
+        width: of the task's corridor [m]; None for the task's own.
         disturbances: bounds by name ("d_" and the state's name); none unless given.
         control_counts: see `Problem`.
 
     Raises:
-        TimeToReachError: the task has no grid or plans along a corridor.
+        TimeToReachError: the task has no grid, or its corridor's goal is not a box along the axes.
         TaskError, SystemModelError: the task or the disturbance is wrong.
     """
     if not isinstance(task, NavigationTask):
         task = load_navigation_task(task)
-    if not task.grid or task.corridor is not None:
+    if not task.grid:
         raise TimeToReachError(f"task '{task.name}' has no value grid: add 'grid' with an axis for each state")
     system = task.system.build()
     if disturbances:
         system = with_disturbances(system, disturbances)
     axes = _axes(task, system, counts)
     plane = tuple(position_indices(system.state_names))
-    world = task.build_world()
+    world = task.build_world(width)
     points = np.stack(np.meshgrid(*(axes[k].nodes for k in plane), indexing="ij"), axis=-1)
     distance = signed_distance((*world.walls, *world.obstacles), points) - inflation
     return Problem(
         system=system,
         axes=axes,
-        target=task.goal.region,
+        target=task.goal.region if task.corridor is None else _corridor_goal(task, task.corridor, width),
         clearance=Clearance(plane, distance.astype(np.float32)),
         control_counts=control_counts,
         name=task.name,
@@ -209,6 +212,25 @@ def with_disturbances(system: System, bounds: Mapping[str, Sequence[float]]) -> 
         for d in system.disturbances
     )
     return replace(system, disturbances=changed)
+
+
+def _corridor_goal(task: NavigationTask, corridor: CorridorSpec, width: float | None) -> Region:
+    """Return the goal of a corridor, given along its path, as a box of positions."""
+    goal, path = task.goal.intervals, corridor.path
+    along = goal.get("s", Interval(0.0, path.length))
+    (x, y, heading), (_, _, end) = path.pose((along.low, along.high))
+    if abs(end - heading) > _STRAIGHT or abs(np.sin(2.0 * heading)) > _STRAIGHT:
+        raise TimeToReachError(
+            f"task '{task.name}': its goal lies on a turn or askew; it must be on a straight piece along x or y"
+        )
+    half = 0.5 * (corridor.width if width is None else width)
+    aside = goal.get("lateral", Interval(-half, half))
+    s, lateral = np.meshgrid((0.0, along.length), aside)
+    xs, ys = x + s * np.cos(heading) - lateral * np.sin(heading), y + s * np.sin(heading) + lateral * np.cos(heading)
+    intervals = {"x": Interval(xs.min(), xs.max()), "y": Interval(ys.min(), ys.max())}
+    if "heading" in goal:
+        intervals["theta"] = Interval(heading + goal["heading"].low, heading + goal["heading"].high)
+    return Region(intervals)
 
 
 def _axes(task: NavigationTask, system: System, counts: Sequence[int] | Mapping[str, int] | None) -> tuple[Axis, ...]:
