@@ -1,14 +1,14 @@
-"""`ros2 run ttr_reward_node solve|slices|relabel`: time-to-reach functions from tasks, pictures of them, rewards for bags."""
+"""The commands `solve`, `slices` and `relabel`: time-to-reach functions, pictures of them, rewards for bags."""
 
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 from ctrl_rl_core.command import run_command
 from ctrl_rl_core.tasks import load_navigation_task
+from tqdm import tqdm
 
 from ttr_reward_node.errors import TimeToReachError
 from ttr_reward_node.labels import Labeller
@@ -54,13 +54,8 @@ def slices(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("file", type=Path, help="the function (.safetensors)")
     parser.add_argument("--task", help="task to draw with it (default: the one it was made for)")
     parser.add_argument("--output", type=Path, help="picture to write (default: beside the file)")
-    parser.add_argument(
-        "--at",
-        nargs="+",
-        default=(),
-        metavar="STATE=VALUE,...",
-        help="where to cut, e.g. theta=0,1.57 (default: Fig. 3.1)",
-    )
+    cut = "where to cut, e.g. theta=0,1.57 (default: as Fig. 3.1)"
+    parser.add_argument("--at", nargs="+", default=(), metavar="STATE=VALUE,...", help=cut)
     options = parser.parse_args(arguments)
     return run_command("slices", lambda: _slices(options))
 
@@ -100,9 +95,14 @@ def _solve(options: argparse.Namespace) -> int:
         raise TimeToReachError(f"{output} exists: name another file with --output, or add --overwrite")
     megabytes = memory_needed(problem, options.method) / 1e6
     print(f"problem    {problem.system.name}, {' x '.join(map(str, problem.counts))} nodes, at most {megabytes:.0f} MB")
-    with _SweepDisplay() as display:
+    with tqdm(desc="solving", unit=" sweeps", disable=None) as bar:
+
+        def show(_sweep: int, change: float) -> None:
+            bar.set_postfix_str(f"largest change {change:.2g} s", refresh=False)
+            bar.update()
+
         limits = {"tolerance": options.tolerance, "max_sweeps": options.max_sweeps}
-        solution = solve(problem, options.method, **limits, progress=display)
+        solution = solve(problem, options.method, **limits, progress=show)
     solution.grid.save(output, overwrite=options.overwrite)
     state = "converged" if solution.converged else "NOT converged"
     print(f"solved     {state} after {solution.sweeps} sweeps, {solution.cpu_seconds:.2f} s CPU")
@@ -130,23 +130,6 @@ def _relabel(options: argparse.Namespace) -> int:
     print(f"labelled   {count} odometry messages")
     print(f"bag        {options.output}")
     return 0
-
-
-class _SweepDisplay:
-    """Shows sweeps and the change of the last one: in a terminal as they come, else nothing."""
-
-    def __enter__(self) -> _SweepDisplay:
-        self._shows = sys.stderr.isatty()
-        return self
-
-    def __call__(self, sweep: int, residual: float) -> None:
-        if self._shows:
-            sys.stderr.write(f"\rsweep {sweep}: largest change {residual:8.2g} s ")
-            sys.stderr.flush()
-
-    def __exit__(self, *_: object) -> None:
-        if self._shows:
-            sys.stderr.write("\n")
 
 
 def _pair(text: str) -> tuple[str, str]:
