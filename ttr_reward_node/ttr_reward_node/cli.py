@@ -8,6 +8,7 @@ from pathlib import Path
 
 from ctrl_rl_core.command import run_command
 from ctrl_rl_core.tasks import load_navigation_task
+from ctrl_rl_core.value_grid import ValueGrid
 from tqdm import tqdm
 
 from ttr_reward_node.errors import TimeToReachError
@@ -15,7 +16,6 @@ from ttr_reward_node.labels import Labeller
 from ttr_reward_node.problem import Problem, problem_from_task
 from ttr_reward_node.relabel import relabel
 from ttr_reward_node.solver import METHODS, memory_needed, solve
-from ttr_reward_node.value_file import load_value
 
 
 def solve_value(arguments: Sequence[str] | None = None) -> int:
@@ -115,7 +115,7 @@ def _solve(options: argparse.Namespace) -> int:
 def _slices(options: argparse.Namespace) -> int:
     from ttr_reward_node.pictures import draw_slices  # matplotlib is not for robots
 
-    function = load_value(options.file)
+    function = ValueGrid.load(options.file)
     at = {name: [_number(part) for part in values.split(",")] for name, values in map(_pair, options.at)}
     output = options.output or options.file.with_suffix(".png")
     draw_slices(function, load_navigation_task(options.task or function.task), output, at)
@@ -124,7 +124,7 @@ def _slices(options: argparse.Namespace) -> int:
 
 
 def _relabel(options: argparse.Namespace) -> int:
-    function = load_value(options.grid)
+    function = ValueGrid.load(options.grid)
     label = Labeller(load_navigation_task(options.task or function.task), options.width)
     count = relabel(options.bag, options.output, function, label, options.robot, progress=True)
     print(f"labelled   {count} odometry messages")
