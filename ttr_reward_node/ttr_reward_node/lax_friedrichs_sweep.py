@@ -13,7 +13,7 @@ _OPTIONS = {"error_model": "numpy"}
 
 @njit(**_OPTIONS)
 def sweep(
-    v: NDArray[np.float32],
+    v: NDArray[np.float64],
     fixed: NDArray[np.bool_],
     grid: Grid,
     spacings: NDArray[np.float64],
@@ -26,7 +26,7 @@ def sweep(
     """Update every node once.
 
     v = 1 - exp(-lambda phi) (Kruzhkov) lies between 0 and 1 and solves max over d, min over u of grad v . f = lambda (v - 1),
-    so a node that is not known yet (1) cannot leak into the domain more than an unreachable one. With central differences p,
+    so a node that is not known yet (1) weighs no more than an unreachable one. With central differences p,
     viscosity s and the mean m of the two neighbours along each axis,
 
         v = (sum of s/dx m + lambda + max_d min_u p . f) / (sum of s/dx + lambda).
@@ -34,8 +34,9 @@ def sweep(
     Args:
         v: flat, in the layout's order.
         fixed: nodes that stay, in target and obstacles.
-        spacings, viscosity: (n,) dx and s [unit of the axis, and per second].
+        spacings: dx (n,) [unit of the axis].
         rates: f in each slab under each pair (slabs, pairs, n), controls the faster index.
+        viscosity: s, the largest speed along each axis in each slab (slabs, n): local Lax-Friedrichs.
         rate: lambda [1/s].
         bits: bit k: go down axis k.
 
@@ -47,9 +48,6 @@ def sweep(
     slabs, pairs, _ = rates.shape
     inner_size = v.size // slabs
     index, p = np.zeros(n, np.int64), np.zeros(n)
-    scale = rate
-    for k in range(n):
-        scale += viscosity[k] / spacings[k]
     largest = 0.0
     for turn in range(v.size):
         rest, node = turn, 0
@@ -60,19 +58,19 @@ def sweep(
             node += index[k] * strides[k]
         if fixed[node]:
             continue
-        total = rate
+        slab = node // inner_size
+        total, scale = rate, rate
         for k in range(n):
             i = index[k]
             if periodic[k]:
                 below = v[node + ((i - 1) % counts[k] - i) * strides[k]]
                 above = v[node + ((i + 1) % counts[k] - i) * strides[k]]
             else:
-                # Outside nothing reaches the target.
-                below = v[node - strides[k]] if i > 0 else np.float32(1.0)
-                above = v[node + strides[k]] if i < counts[k] - 1 else np.float32(1.0)
+                below = v[node - strides[k]] if i > 0 else _beyond(v[node], v[node + strides[k]])
+                above = v[node + strides[k]] if i < counts[k] - 1 else _beyond(v[node], v[node - strides[k]])
             p[k] = (above - below) / (2.0 * spacings[k])
-            total += viscosity[k] / spacings[k] * 0.5 * (above + below)
-        slab = node // inner_size
+            total += viscosity[slab, k] / spacings[k] * 0.5 * (above + below)
+            scale += viscosity[slab, k] / spacings[k]
         worst = -np.inf
         for first in range(0, pairs, controls):
             best = np.inf
@@ -82,7 +80,13 @@ def sweep(
                     drift += p[k] * rates[slab, q, k]
                 best = min(best, drift)
             worst = max(worst, best)
-        new = np.float32(min(max((total + worst) / scale, 0.0), 1.0))
+        new = min(max((total + worst) / scale, 0.0), 1.0)
         largest = max(largest, abs(new - v[node]))
         v[node] = new
     return largest
+
+
+@njit(forceinline=True, **_OPTIONS)
+def _beyond(edge: float, inner: float) -> float:
+    """Value of the node that would lie outside: extrapolated, but never so that time flows in (Kao, Osher, Qian)."""
+    return min(max(edge + edge - inner, inner), 1.0)

@@ -148,13 +148,16 @@ def make_reward(name: str, task: NavigationTask, value: Value | None = None) -> 
     if name == "ttr" and value is None:
         raise TimeToReachError("the reward 'ttr' needs the task's time to reach: solve the task first")
     used = value if name == "ttr" else None
-    return Reward(name, task, used, _domain(used, len(task.system.build().state_names)))
+    return Reward(name, task, used, _domain(used, task.system.build().state_names))
 
 
-def _domain(value: Value | None, n: int) -> Array:
-    """Return the bounds (2, n) of a value that has axes; a periodic axis has none."""
-    domain = np.tile([[-np.inf], [np.inf]], (1, n))
-    for index, axis in enumerate(getattr(value, "axes", ())):
-        if not axis.periodic:
-            domain[:, index] = axis.lower, axis.upper
+def _domain(value: Value | None, names: Sequence[str]) -> Array:
+    """Return the bounds (2, n) of the grids that a value consists of; a periodic axis has none."""
+    domain = np.tile([[-np.inf], [np.inf]], (1, len(names)))
+    for grid in getattr(value, "grids", ()):
+        for axis in grid.axes:
+            if not axis.periodic:
+                index = names.index(axis.name)
+                domain[0, index] = max(domain[0, index], axis.lower)
+                domain[1, index] = min(domain[1, index], axis.upper)
     return domain

@@ -1,9 +1,9 @@
 """Interpolation where the steps from one row end; a row is the nodes along the last axis. Compiled.
 
-Linear interpolation, with two exceptions. Where a cell holds unreachable corners, or a jump, the corners on the heavier side
-count alone (the rule of `ctrl_rl_core.interpolation`), so that edges stay sharp. Where all is smooth, the curvature is added
-that linear interpolation leaves out: the smaller of the two neighbouring second differences, as in ENO schemes, and none
-where they differ in sign.
+Linear interpolation, with two exceptions. In a cell with unreachable corners the others count alone, if they weigh enough (much
+as in `ctrl_rl_core.interpolation`), so that no number is made up at the edge of what can be reached. Where all is smooth, the
+curvature is added that linear interpolation leaves out: the smaller of the two neighbouring second differences, as in ENO
+schemes, and none where they differ in sign.
 
 What the nodes j of a row look at is kept in two tables, one line a pair. `plan` (integers): number of corners; the range of j
 for which all of them lie within their rows; whether one lies in this very row; number of curves; then BASE + c, so that corner
@@ -32,6 +32,7 @@ WEIGHTS = DISCOUNT + 1
 
 _OPTIONS = {"error_model": "numpy"}
 _INLINE = {"error_model": "numpy", "forceinline": True}
+_ENOUGH = 0.75  # weight of the corners that must be reachable; errors add up over the steps, so half is too little
 Floats = NDArray[np.float32]
 Integers = NDArray[np.int64]
 
@@ -170,7 +171,7 @@ def interpolate_node(
             low, high = min(low, v), max(high, v)
     if jump == np.inf:
         return total
-    if reachable == 0.0 or (reachable < 0.5 and not past):
+    if reachable == 0.0 or (reachable < _ENOUGH and not past):
         return np.float32(0.0)
     if high - low > jump * high:
         middle = np.float32(0.5) * (high + low)

@@ -41,7 +41,8 @@ class Rule(NamedTuple):
 
     Attributes:
         rate: lambda [1/s].
-        jump: the least difference of phi [s] across a cell that is a jump.
+        jump: a difference of phi [s] across a cell that no slope makes: the corners on the heavier side count alone. Infinite:
+            unreachable corners count as what they are, w = 0.
         quiet: the largest change of phi [s] that does not count as one.
         curved: whether to add the curvature.
     """
