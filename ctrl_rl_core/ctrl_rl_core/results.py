@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -30,9 +30,23 @@ class Result:
     thesis: float | None = None
 
 
-def write_results(path: Path, experiment: str, seeds: Sequence[int], rows: Sequence[Result]) -> None:
-    """Write an experiment's rows, with the command and commit that gave them; the file is there whole or not at all."""
-    content = {
+def write_results(
+    path: Path,
+    experiment: str,
+    seeds: Sequence[int],
+    rows: Sequence[Result],
+    figures: Mapping[str, Any] | None = None,
+) -> None:
+    """Write an experiment's rows, with the command and commit that gave them; the file is there whole or not at all.
+
+    Args:
+        path: of the file; replaced if it exists.
+        experiment: its name.
+        seeds: that it ran with.
+        rows: the table.
+        figures: what its pictures are drawn from, as JSON.
+    """
+    content: dict[str, Any] = {
         "experiment": experiment,
         "command": " ".join([Path(sys.argv[0]).name, *sys.argv[1:]]),
         "commit": _commit(),
@@ -50,9 +64,11 @@ def write_results(path: Path, experiment: str, seeds: Sequence[int], rows: Seque
             for row in rows
         ],
     }
+    if figures is not None:
+        content["figures"] = dict(figures)
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.name}")
-    temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    temporary.write_text(_dump(content), encoding="utf-8")
     temporary.replace(path)
 
 
@@ -108,6 +124,13 @@ def as_markdown(experiments: Sequence[dict[str, Any]], benchmarks: Sequence[dict
             ratio = "" if row["ratio"] is None else f"{row['ratio']:.3g}"
             lines.append(f"| {row['name']} | {row['value']:.4g} {row['unit']} | {row['against']} | {ratio} |")
     return "\n".join(lines) + "\n"
+
+
+def _dump(content: Mapping[str, Any]) -> str:
+    """Return the JSON: a line for each field and row; figures, which are long, on one line."""
+    figures = content.get("figures")
+    text = json.dumps({key: value for key, value in content.items() if key != "figures"}, indent=1)
+    return f"{text}\n" if figures is None else f'{text[:-2]},\n "figures": {json.dumps(figures)}\n}}\n'
 
 
 def _commit() -> str:

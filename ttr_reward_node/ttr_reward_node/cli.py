@@ -8,14 +8,16 @@ from pathlib import Path
 
 from ctrl_rl_core.command import run_command
 from ctrl_rl_core.tasks import load_navigation_task
-from ctrl_rl_core.value_grid import ValueGrid
 from tqdm import tqdm
 
+from ttr_reward_node.decomposition import DECOMPOSITIONS, find_decomposition, join, split
 from ttr_reward_node.errors import TimeToReachError
 from ttr_reward_node.labels import Labeller
 from ttr_reward_node.problem import Problem, problem_from_task
 from ttr_reward_node.relabel import relabel
+from ttr_reward_node.solution import Solution
 from ttr_reward_node.solver import METHODS, memory_needed, solve
+from ttr_reward_node.value_file import load_value
 
 
 def solve_value(arguments: Sequence[str] | None = None) -> int:
@@ -42,6 +44,11 @@ def solve_value(arguments: Sequence[str] | None = None) -> int:
     inflation.add_argument("--inflation", type=float, default=0.0, help="widen obstacles by this much [m]")
     inflation.add_argument("--robot-size", action="store_true", help="widen obstacles by the robot's radius")
     parser.add_argument("--width", type=float, help="of the task's corridor [m] (default: the task's)")
+    parser.add_argument(
+        "--decomposition",
+        choices=sorted({name for choices in DECOMPOSITIONS.values() for name in choices}),
+        help="split the system; the maximum of the parts is a lower bound (4d+4d is the thesis's for the quadrotor)",
+    )
     parser.add_argument("--tolerance", type=float, help="change of a sweep at which it stops [s]")
     parser.add_argument("--max-sweeps", type=int, help="after how many it gives up")
     options = parser.parse_args(arguments)
@@ -93,6 +100,19 @@ def _solve(options: argparse.Namespace) -> int:
     output = options.output or Path(f"{problem.name}.safetensors")
     if output.exists() and not options.overwrite:
         raise TimeToReachError(f"{output} exists: name another file with --output, or add --overwrite")
+    if options.decomposition is None:
+        solutions = [_solve_one(problem, options)]
+        solutions[0].grid.save(output, overwrite=options.overwrite)
+    else:
+        decomposition = find_decomposition(problem.system, options.decomposition)
+        subsystems = split(problem, decomposition)
+        solutions = [_solve_one(part.problem, options) for part in subsystems]
+        join(decomposition, problem, subsystems, solutions).save(output, overwrite=options.overwrite)
+    print(f"file       {output}")
+    return 0 if all(solution.converged for solution in solutions) else 1
+
+
+def _solve_one(problem: Problem, options: argparse.Namespace) -> Solution:
     megabytes = memory_needed(problem, options.method) / 1e6
     print(f"problem    {problem.system.name}, {' x '.join(map(str, problem.counts))} nodes, at most {megabytes:.0f} MB")
     with tqdm(desc="solving", unit=" sweeps", disable=None) as bar:
@@ -103,19 +123,17 @@ def _solve(options: argparse.Namespace) -> int:
 
         limits = {"tolerance": options.tolerance, "max_sweeps": options.max_sweeps}
         solution = solve(problem, options.method, **limits, progress=show)
-    solution.grid.save(output, overwrite=options.overwrite)
     state = "converged" if solution.converged else "NOT converged"
     print(f"solved     {state} after {solution.sweeps} sweeps, {solution.cpu_seconds:.2f} s CPU")
     print(f"residual   {solution.residual:.2g} s")
     print(f"reachable  {100 * solution.reachable:.1f} % of the nodes")
-    print(f"file       {output}")
-    return 0 if solution.converged else 1
+    return solution
 
 
 def _slices(options: argparse.Namespace) -> int:
     from ttr_reward_node.pictures import draw_slices  # matplotlib is not for robots
 
-    function = ValueGrid.load(options.file)
+    function = load_value(options.file)
     at = {name: [_number(part) for part in values.split(",")] for name, values in map(_pair, options.at)}
     output = options.output or options.file.with_suffix(".png")
     draw_slices(function, load_navigation_task(options.task or function.task), output, at)
@@ -124,7 +142,7 @@ def _slices(options: argparse.Namespace) -> int:
 
 
 def _relabel(options: argparse.Namespace) -> int:
-    function = ValueGrid.load(options.grid)
+    function = load_value(options.grid)
     label = Labeller(load_navigation_task(options.task or function.task), options.width)
     count = relabel(options.bag, options.output, function, label, options.robot, progress=True)
     print(f"labelled   {count} odometry messages")

@@ -10,7 +10,6 @@ from ctrl_rl_core.parameters import Parameter
 from ctrl_rl_core.ros import RESULT, run_node
 from ctrl_rl_core.tasks import load_navigation_task, task_digest
 from ctrl_rl_core.value_function import ValueFunction
-from ctrl_rl_core.value_grid import ValueGrid
 from ctrl_rl_core.value_server import SERVER_PARAMETERS, ValueServer
 from nav_msgs.msg import Odometry
 from numpy.typing import NDArray
@@ -40,7 +39,7 @@ class RewardNode(ValueServer):
 
     def read(self, path: Path) -> ValueFunction:
         """Read a time-to-reach file and the task that it belongs to."""
-        function = ValueGrid.load(path)
+        function = load_value(path)
         task = load_navigation_task(self.settings["task"] or function.task)
         self._label = Labeller(task, self.settings["corridor_width"] or None)
         if task_digest(task) != function.task_digest:

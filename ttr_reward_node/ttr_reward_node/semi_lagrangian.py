@@ -33,6 +33,7 @@ lattice of headings the headings, that the first one cannot reach."""
 # All in units of the time that the slowest axis takes to cross a cell at its top speed.
 _TOLERANCE = 0.05
 _SETTLED = 30.0  # a phase hands over to the next when changes are below this
+_CUT = 0.95
 _CROSSINGS = 30.0  # 1 / lambda, in crossings of the grid
 
 
@@ -84,7 +85,7 @@ def solve(
     phases += [Rule(rate, crossing, 0.1 * tolerance, curved) for curved in (False, True)]
     residual, number, in_phase = math.inf, 0, 0
     while number < max_sweeps:
-        bits = in_phase % (1 << len(layout.counts))
+        bits = _order(in_phase, len(layout.counts))
         residual, _ = kernels().sweep(
             values, flags, grid, steps.durations, steps.moves, steps.controls, outcomes, row_near, memory, phases[0], bits
         )
@@ -93,7 +94,7 @@ def solve(
             progress(number, residual)
         if len(phases) > 1 and residual <= _SETTLED * unit and in_phase > 1:
             if math.isinf(phases[0].jump):
-                values[values < 0.5] = 0.0
+                values[values < _CUT] = 0.0
             phases.pop(0)
             memory.seen[:] = 0
             in_phase = 0
@@ -104,6 +105,12 @@ def solve(
     values *= np.float32(-1.0 / rate)
     phi = np.abs(values).reshape([problem.counts[k] for k in layout.order]).transpose(np.argsort(layout.order))
     return Sweeps(np.ascontiguousarray(phi), number, residual, len(phases) == 1 and residual <= tolerance)
+
+
+def _order(number: int, n: int) -> int:
+    """Return which axes a sweep goes down: each sweep against the one before, all combinations in turn."""
+    all_ = (1 << n) - 1
+    return (number // 2 & all_) ^ (all_ if number % 2 else 0)
 
 
 def make_grid(layout: Layout) -> Grid:

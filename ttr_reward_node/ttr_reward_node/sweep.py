@@ -131,6 +131,7 @@ def sweep(
             )
             largest = max(largest, change)
             if change > quiet:
+                clock[0] += 1  # later than `seen`: a row that looks at itself is done again
                 changed[here] = clock[0]
     return largest / rule.rate, done
 
@@ -196,6 +197,8 @@ def _do_row(
             new = _near_value(values, plan, weights, found, outcomes, near, controls, j, jump, periodic)
         if new < _TINY:
             new = np.float32(0.0)
+        elif new < values[offset + j]:
+            continue
         old = values[offset + j]
         if new != old:
             values[offset + j] = new

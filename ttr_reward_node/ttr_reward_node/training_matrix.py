@@ -29,6 +29,12 @@ REWARD_ORDER = ("ttr", "sparse", "distance_10", "distance_1", "distance_0.1", "d
 _LOOK_EVERY = 1.0
 
 
+def ordered(rewards: Sequence[str]) -> list[str]:
+    """Return rewards in the order in which they are learnt."""
+    return sorted(rewards, key=REWARD_ORDER.index)
+
+
+
 @dataclass(frozen=True)
 class MatrixOptions:
     """What to run.
