@@ -21,8 +21,8 @@ setup(
             "reward = ttr_reward_node.node:main",
             "slices = ttr_reward_node.cli:slices",
             "solve = ttr_reward_node.cli:solve_value",
-            "train = ttr_reward_node.cli_training:train",
-            "training_figures = ttr_reward_node.cli_training:training_figures",
+            "train = ttr_reward_node.training_cli:train",
+            "training_figures = ttr_reward_node.training_cli:training_figures",
         ],
     },
 )

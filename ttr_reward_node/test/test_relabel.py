@@ -41,7 +41,7 @@ def bag(tmp_path: Path) -> Path:
 def test_every_odometry_message_gets_a_reward_and_nothing_else_changes(bag: Path, tmp_path: Path) -> None:
     function = solve_task("car_ttr", counts=(41, 41, 24))
     output = tmp_path / "labelled"
-    count = relabel(bag, output, function, Labeller(load_navigation_task("car_ttr")), robot="robot")
+    count = relabel(bag, output, function, Labeller(load_navigation_task("car_ttr"), function), robot="robot")
     assert count == 100
     kept = [message for message in read_wire(output) if message.topic in ("/robot/odom", "/said")]
     assert kept == list(read_wire(bag))
@@ -61,7 +61,7 @@ def test_every_odometry_message_gets_a_reward_and_nothing_else_changes(bag: Path
 
 def test_says_what_is_missing(bag: Path, tmp_path: Path) -> None:
     function = solve_task("car_ttr", counts=(21, 21, 12))
-    label = Labeller(load_navigation_task("car_ttr"))
+    label = Labeller(load_navigation_task("car_ttr"), function)
     with pytest.raises(TimeToReachError, match="no topic /odom of type nav_msgs/msg/Odometry; it has /robot/odom"):
         relabel(bag, tmp_path / "labelled", function, label)
     assert not (tmp_path / "labelled").exists()

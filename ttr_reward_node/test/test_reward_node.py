@@ -16,6 +16,9 @@ from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from rclpy.node import Node
 from std_srvs.srv import Trigger
+from ttr_reward_node.decomposed_value import DecomposedValue
+from ttr_reward_node.decomposition import PLANAR_QUADROTOR_FIVE, solve_decomposed
+from ttr_reward_node.rewards import longest_time
 from ttr_reward_node.solver import solve_task
 
 from ctrl_rl_msgs.msg import StateValue, TaskOutcome, TaskReward
@@ -113,7 +116,7 @@ def test_outside_the_grid_it_says_so(peer: Peer, run_node: Callable, grid: Path)
     node = run_node(NODE, "reward", f"grid:={grid}")
     reward, value = peer.ask((4.5, -4.5, -0.8), 1)  # inside, but too close to the wall to turn away
     assert math.isinf(value.value)
-    assert reward.reward == -30.0
+    assert reward.reward == pytest.approx(-longest_time(ValueGrid.load(grid)), abs=1e-9)
     _, value = peer.ask(OUTSIDE, 2)
     assert not value.in_domain
     assert math.isnan(value.value)
@@ -183,3 +186,19 @@ def test_a_bad_parameter_ends_it_with_one_clear_message(run_node: Callable, para
     assert node.process.wait(20.0) != 0
     assert words in node.output
     assert "Traceback" not in node.output
+
+
+def test_a_decomposed_function_is_served_like_a_single_one(peer: Peer, run_node: Callable, tmp_path: Path) -> None:
+    file = tmp_path / "quad.safetensors"
+    counts = {"x": 41, "z": 41, "v_x": 21, "v_z": 21, "psi": 24, "omega": 11}
+    solve_decomposed("quad_ttr", PLANAR_QUADROTOR_FIVE, counts=counts).save(file)
+    function = DecomposedValue.load(file)
+    heard = {name: peer.listen(ValueGridMsg, f"{NODE}/{name}", LATCHED) for name in ("grid_x", "grid_v_z_psi")}
+    run_node(NODE, "reward", f"grid:={file}")
+    states = np.array([[3.0, 0.0, 3.0, 0.0, 0.1, 0.0], [0.0, 1.0, 8.0, -1.0, 0.0, 0.5], [9.0, 0.0, 3.0, 0.0, 0.0, 0.0]])
+    answer = peer.call(QueryValues, "query", states=states.ravel().tolist())
+    np.testing.assert_allclose(answer.values, function.value(states))
+    np.testing.assert_allclose(answer.gradients, function.value_and_gradient(states)[1].ravel())
+    assert list(answer.in_domain) == [True, True, False]
+    peer.until(lambda: all(heard.values()))
+    assert list(heard["grid_v_z_psi"][0].values) == pytest.approx(function.grids[4].values.ravel())

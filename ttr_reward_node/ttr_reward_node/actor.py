@@ -1,7 +1,7 @@
 """A learnt policy, deployed: a small network in NumPy, and its file.
 
-    actor = Actor.load("policy.safetensors")
-    command = actor.command(observation)      # what the task's sensors say, in SI units -> v, omega or T_1, T_2
+actor = Actor.load("policy.safetensors")
+command = actor.command(observation)      # what the task's sensors say, in SI units -> v, omega or T_1, T_2
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ Array = NDArray[np.float32]
 
 FORMAT = "ttr-actor-1"
 _HEADER_KEY = "actor"
+_LAYER_NORM_EPSILON = np.float32(1e-5)  # torch's
 
 
 @dataclass(frozen=True)
@@ -33,7 +34,8 @@ class Actor:
     Attributes:
         weights: of each layer (out, in).
         biases: of each layer (out,).
-        activation: after each layer but the last, "tanh" or "relu".
+        activation: after each layer but the last, "normalized_tanh" or "normalized_relu": the layer's outputs are
+            brought to mean 0 and variance 1 over its units, then go through it.
         squashed: whether the last layer ends in tanh; else actions are cut at -1 and 1.
         middle: what becomes 0 in the network's input, in the observation's units (n,).
         unit: what becomes 1 above it (n,).
@@ -58,7 +60,8 @@ class Actor:
         for index, (W, b) in enumerate(zip(self.weights, self.biases, strict=True)):
             x = W @ x + b
             if index < len(self.weights) - 1:
-                x = np.tanh(x) if self.activation == "tanh" else np.maximum(x, 0.0)
+                x = (x - x.mean()) / np.sqrt(x.var() + _LAYER_NORM_EPSILON)
+                x = np.tanh(x) if self.activation == "normalized_tanh" else np.maximum(x, 0.0)
         return np.tanh(x) if self.squashed else np.clip(x, -1.0, 1.0)
 
     def command(self, observation: ArrayLike) -> Array:

@@ -143,7 +143,7 @@ def _slices(options: argparse.Namespace) -> int:
 
 def _relabel(options: argparse.Namespace) -> int:
     function = load_value(options.grid)
-    label = Labeller(load_navigation_task(options.task or function.task), options.width)
+    label = Labeller(load_navigation_task(options.task or function.task), function, options.width)
     count = relabel(options.bag, options.output, function, label, options.robot, progress=True)
     print(f"labelled   {count} odometry messages")
     print(f"bag        {options.output}")

@@ -1,8 +1,8 @@
 """Entry points of the kernels, whose machine code is kept on disk between processes.
 
-Numba keeps code as long as the file of the function itself is unchanged; at the functions that it calls it does not look. But
-it compares what a function closes over. So each entry point closes over a checksum of all kernels, and is compiled again when
-one of them has changed.
+Numba keeps code as long as the file of the function itself is unchanged; at the functions that it calls it does not
+look. But it compares what a function closes over. So each entry point closes over a checksum of all kernels, and is
+compiled again when one of them has changed.
 """
 
 from __future__ import annotations

@@ -78,7 +78,7 @@ class DecomposedValue:
         return hashlib.sha256(self._encode()).hexdigest()
 
     def value(self, states: ArrayLike) -> Array:
-        """Values (...) at states (..., n) [s]; NaN outside the domain, +inf where a subsystem cannot reach its target."""
+        """Values (...) at states (..., n) [s]; NaN outside the domain, +inf where a part cannot reach its target."""
         return self._values(np.asarray(states, dtype=np.float64)).max(axis=0)
 
     def value_and_gradient(self, states: ArrayLike) -> tuple[Array, Array]:

@@ -3,10 +3,10 @@
     value = solve_decomposed("quad_ttr", PLANAR_QUADROTOR_4D)
     value.value(states), value.free                 # same questions as to a ValueGrid; who may do what he likes
 
-A subsystem keeps some states. Another state that its dynamics need but that it does not keep becomes one more control, within
-that state's grid axis; and each subsystem chooses controls that others share as if it were alone. Each has thus more freedom
-than the whole, and its target and obstacles are the shadows of the whole's. So every sub-value, and their maximum, is a lower
-bound of the true time to reach; `gap` measures by how much.
+A subsystem keeps some states. Another state that its dynamics need but that it does not keep becomes one more control,
+within that state's grid axis; and each subsystem chooses controls that others share as if it were alone. Each has thus
+more freedom than the whole, and its target and obstacles are the shadows of the whole's. So every sub-value, and their
+maximum, is a lower bound of the true time to reach; `gap` measures by how much.
 """
 
 from __future__ import annotations
@@ -58,8 +58,8 @@ class Subsystem:
 
     Attributes:
         problem: of the kept states.
-        free: what it chooses for itself though in the whole something else decides: states that it needs but does not keep,
-            and controls that it shares with another subsystem.
+        free: what it chooses for itself though in the whole something else decides: states that it needs but does not
+            keep, and controls that it shares with another subsystem.
     """
 
     problem: Problem
@@ -94,9 +94,7 @@ def split(problem: Problem, decomposition: Decomposition) -> tuple[Subsystem, ..
         raise TimeToReachError("a decomposition's maximum is no bound under a disturbance: solve the system as a whole")
     needs = _needs(problem)
     controls = problem.system.control_names
-    wanted = [
-        {name for state in states for name in needs[names.index(state)]} for states in decomposition.subsystems
-    ]
+    wanted = [{name for state in states for name in needs[names.index(state)]} for states in decomposition.subsystems]
     subsystems = []
     for i, states in enumerate(decomposition.subsystems):
         ordered = tuple(name for name in names if name in states)
@@ -118,9 +116,11 @@ def solve_decomposed(
     """Solve each subsystem; the maximum of the solutions is a lower bound of the time to reach.
 
     Args:
-        problem: a problem, or a task with `counts` as for `problem_from_task`.
+        problem: a problem, or a task.
         decomposition: the subsystems.
-        method, progress: see `solve`.
+        method: see `solve`.
+        counts: of a task's nodes, see `problem_from_task`.
+        progress: see `solve`.
 
     Raises:
         TimeToReachError: see `split` and `solve`.
@@ -156,7 +156,7 @@ def join(
 
 
 def _needs(problem: Problem) -> list[set[str]]:
-    """For each state, the names of states and controls that its derivative depends on, found by changing them one by one."""
+    """Return for each state which states and controls its derivative depends on, found by changing them one by one."""
     random, samples, system = np.random.default_rng(0), 64, problem.system
     lower, upper = np.array([(axis.lower, axis.upper) for axis in problem.axes]).T
     # Beyond the bounds too: a control that is held still counts as needed.
@@ -176,12 +176,10 @@ def _needs(problem: Problem) -> list[set[str]]:
 
 
 def _part(problem: Problem, states: tuple[str, ...], borrowed: tuple[str, ...], used: tuple[str, ...]) -> Problem:
-    """The problem of the kept states, with borrowed states as controls."""
+    """Return the problem of the kept states, with borrowed states as controls."""
     whole, names = problem.system, problem.system.state_names
     kept = [names.index(name) for name in states]
-    lent = [
-        Quantity(axis.name, axis.unit, axis.lower, axis.upper) for axis in problem.axes if axis.name in borrowed
-    ]
+    lent = [Quantity(axis.name, axis.unit, axis.lower, axis.upper) for axis in problem.axes if axis.name in borrowed]
     own = [control for control in whole.controls if control.name in used]
     sources: list[tuple[int, int]] = []
     for name in names:
@@ -189,8 +187,7 @@ def _part(problem: Problem, states: tuple[str, ...], borrowed: tuple[str, ...], 
             sources.append((0, states.index(name)))
         else:
             sources.append((1, borrowed.index(name)) if name in borrowed else (2, 0))
-    for name in whole.control_names:
-        sources.append((1, len(lent) + used.index(name)) if name in used else (2, 0))
+    sources.extend((1, len(lent) + used.index(name)) if name in used else (2, 0) for name in whole.control_names)
     system = System(
         name=f"{whole.name}[{','.join(states)}]",
         states=tuple(whole.states[k] for k in kept),
@@ -212,7 +209,7 @@ def _part(problem: Problem, states: tuple[str, ...], borrowed: tuple[str, ...], 
 def _sub_equations(
     whole: Equations, sources: tuple[tuple[int, int], ...], kept: tuple[int, ...], states: int
 ) -> Equations:
-    """The whole's equations for some of its states; `sources` says where each state and control of the whole comes from."""
+    """Return the whole's equations for some states; `sources`: where each state and control of the whole comes from."""
 
     def equations(math: Any, parameters: Mapping[str, float]) -> Dynamics:
         f: Callable[..., Any] = whole(math, parameters)

@@ -9,9 +9,10 @@ import numpy as np
 from ctrl_rl_core.outcome import Outcome
 from ctrl_rl_core.task_sets import TaskSets
 from ctrl_rl_core.tasks import NavigationTask
+from ctrl_rl_core.value_function import ValueFunction
 from numpy.typing import NDArray
 
-from ttr_reward_node.rewards import end_reward, time_to_reach_reward
+from ttr_reward_node.rewards import end_reward, longest_time, time_to_reach_reward
 
 
 class Label(NamedTuple):
@@ -26,16 +27,17 @@ class Labeller:
 
     Args:
         task: what is paid, and the sets G and C.
+        function: the task's time to reach.
         width: of the task's corridor [m], None for its own.
 
     Raises:
         TaskError: the width does not suit the task.
     """
 
-    def __init__(self, task: NavigationTask, width: float | None = None) -> None:
+    def __init__(self, task: NavigationTask, function: ValueFunction, width: float | None = None) -> None:
         self._sets = TaskSets(task, width)
         self._rewards = task.rewards
-        self._longest = task.episode.steps * task.episode.time_step
+        self._longest = longest_time(function)
 
     def __call__(self, state: NDArray[np.float64], phi: float) -> Label:
         """Return the label of a state (n,) whose time to reach is phi [s], +inf or NaN."""

@@ -25,17 +25,20 @@ def sweep(
 ) -> float:
     """Update every node once.
 
-    v = 1 - exp(-lambda phi) (Kruzhkov) lies between 0 and 1 and solves max over d, min over u of grad v . f = lambda (v - 1),
-    so a node that is not known yet (1) weighs no more than an unreachable one. With central differences p,
+    v = 1 - exp(-lambda phi) (Kruzhkov) lies between 0 and 1 and solves max over d, min over u of
+    grad v . f = lambda (v - 1), so a node that is not known yet (1) weighs no more than an unreachable one. With
+    central differences p,
     viscosity s and the mean m of the two neighbours along each axis,
 
         v = (sum of s/dx m + lambda + max_d min_u p . f) / (sum of s/dx + lambda).
 
     Args:
         v: flat, in the layout's order.
+        grid: the axes.
         fixed: nodes that stay, in target and obstacles.
         spacings: dx (n,) [unit of the axis].
         rates: f in each slab under each pair (slabs, pairs, n), controls the faster index.
+        controls: how many of them there are.
         viscosity: s, the largest speed along each axis in each slab (slabs, n): local Lax-Friedrichs.
         rate: lambda [1/s].
         bits: bit k: go down axis k.

@@ -8,7 +8,7 @@ from ttr_reward_node.errors import TimeToReachError
 
 
 def available() -> float:
-    """Bytes that can be allocated now: what the system has to give, or less where this process's group may take less."""
+    """Bytes that can be allocated: what the system has to give, or less where this process's group may take less."""
     bytes_ = float("inf")
     try:
         for line in Path("/proc/meminfo").read_text(encoding="ascii").splitlines():

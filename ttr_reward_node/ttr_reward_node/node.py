@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from ctrl_rl_msgs.msg import TaskOutcome, TaskReward
 from ttr_reward_node.labels import Labeller
+from ttr_reward_node.value_file import load_value
 
 
 class RewardNode(ValueServer):
@@ -41,7 +42,7 @@ class RewardNode(ValueServer):
         """Read a time-to-reach file and the task that it belongs to."""
         function = load_value(path)
         task = load_navigation_task(self.settings["task"] or function.task)
-        self._label = Labeller(task, self.settings["corridor_width"] or None)
+        self._label = Labeller(task, function, self.settings["corridor_width"] or None)
         if task_digest(task) != function.task_digest:
             self.get_logger().warning(f"{path.name} was made for another version of task '{task.name}': solve it again")
         return function

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from ctrl_rl_core.drawing import draw_world, save_figure
@@ -54,7 +55,7 @@ def draw_slices(
     figure, axes = plt.subplots(
         1, len(values), figsize=(4.2 * len(values) + 0.8, 4.4), sharey=True, squeeze=False, layout="constrained"
     )
-    image = None
+    image: Any = None
     for panel, layer, ax in zip(values, slices, axes[0], strict=True):
         levels = np.linspace(0.0, top, 25)
         image = ax.contourf(x, y, np.ma.masked_invalid(layer), levels, cmap="viridis_r", extend="max")

@@ -3,8 +3,9 @@
     problem = problem_from_task("car_ttr")
     problem = Problem(system, axes, target=Region({"x": Interval(-0.1, 0.1)}))
 
-Between the nodes the target is exact: it is kept as intervals and a disc, not as marked nodes. Obstacles are kept as the
-clearance at the nodes and interpolated between them. What leaves the grid on an axis that is not periodic has failed.
+Between the nodes the target is exact: it is kept as intervals and a disc, not as marked nodes. Obstacles are kept as
+the clearance at the nodes and interpolated between them. What leaves the grid on an axis that is not periodic has
+failed.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from ctrl_rl_core.geometry import signed_distance
@@ -77,7 +79,8 @@ class Problem:
         names = self.system.state_names
         if tuple(axis.name for axis in self.axes) != names:
             raise TimeToReachError(
-                f"the axes are {[axis.name for axis in self.axes]}; {self.system.name} needs one for each of {list(names)}"
+                f"the axes are {[axis.name for axis in self.axes]}; "
+                f"{self.system.name} needs one for each of {list(names)}"
             )
         if not 1 <= len(names) <= _MOST_DIMENSIONS:
             raise TimeToReachError(
@@ -106,7 +109,7 @@ class Problem:
         """Number of nodes."""
         return int(np.prod(self.counts, dtype=np.int64))
 
-    def along(self, axis: int, values: NDArray[np.generic]) -> NDArray[np.generic]:
+    def along(self, axis: int, values: NDArray[Any]) -> NDArray[Any]:
         """Values (count,) at the nodes of one axis, shaped to broadcast over the grid."""
         shape = [1] * len(self.axes)
         shape[axis] = -1
@@ -133,7 +136,7 @@ class Problem:
             return np.broadcast_to(np.False_, self.counts)
         return np.broadcast_to(self.spread(self.clearance.values) <= 0.0, self.counts)
 
-    def spread(self, values: NDArray[np.generic]) -> NDArray[np.generic]:
+    def spread(self, values: NDArray[Any]) -> NDArray[Any]:
         """Values on the axes of the clearance, shaped to broadcast over the grid."""
         assert self.clearance is not None
         return values.reshape([axis.count if k in self.clearance.axes else 1 for k, axis in enumerate(self.axes)])

@@ -70,7 +70,7 @@ class _Answer:
     def __call__(self, message: WireMessage) -> Iterator[tuple[str, bytes]]:
         if message.topic != self._odom:
             return
-        odometry = self._store.deserialize_cdr(message.data, _ODOMETRY)
+        odometry: Any = self._store.deserialize_cdr(message.data, _ODOMETRY)
         state = self._read(odometry)
         value, gradient = self._function.value_and_gradient_at(state)
         outcome, reward = self._label(state, value)

@@ -5,23 +5,23 @@
 
 An intermediate state pays -phi(x), 0 or -d(x); how an episode ends pays what the task file says, the same for each.
 
-Two rules complete Eq. 3.9. A state that is not in the domain of the value function (a quadrotor that flies faster than
-the grid goes) is looked up at the nearest state that is. And no state is further from the goal than an episode lasts:
-phi is cut at steps * time_step, and that is what a state pays from which the goal cannot be reached (phi = +inf) and
-one for which there is no value (NaN).
+Two rules complete Eq. 3.9. A state that is not in the domain of the value function (a quadrotor that flies faster
+than the grid goes) is looked up at the nearest state that is. And a state from which the goal cannot be reached
+(phi = +inf), or for which there is no value (NaN), counts as the furthest from which it can: to pay more for it, as for a
+whole episode, makes robots stop short of a goal that has such states beside it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from ctrl_rl_core.outcome import Outcome
 from ctrl_rl_core.regions import ANGLES, Region, wrap
 from ctrl_rl_core.task_parts import RewardSpec
 from ctrl_rl_core.tasks import NavigationTask
+from ctrl_rl_core.value_function import ValueFunction
 from numpy.typing import ArrayLike, NDArray
 
 from ttr_reward_node.errors import TimeToReachError
@@ -31,14 +31,6 @@ Array = NDArray[np.float64]
 DISTANCE_WEIGHTS = {"distance_0": 0.0, "distance_0.1": 0.1, "distance_1": 1.0, "distance_10": 10.0}
 """lambda, the weight of the squared angle [m^2/rad^2], by the reward's name."""
 REWARDS = ("sparse", *DISTANCE_WEIGHTS, "ttr")
-
-
-class Value(Protocol):
-    """A value function: a value grid, or a decomposition of one."""
-
-    def value(self, states: Array, /) -> Array:
-        """Return phi (N,) [s] at the states (N, n)."""
-        ...
 
 
 def time_to_reach_reward(phi: ArrayLike, longest: float) -> Array:
@@ -104,17 +96,14 @@ class Reward:
         task: what it is paid for.
         value: of the time to reach; None for the others.
         domain: least and largest states (2, n) that the value is asked for, infinite where there is no bound.
+        longest: the largest time to reach that there is [s].
     """
 
     name: str
     task: NavigationTask
-    value: Value | None
+    value: ValueFunction | None
     domain: Array
-
-    @property
-    def longest(self) -> float:
-        """Where the time to reach is cut [s]."""
-        return self.task.episode.steps * self.task.episode.time_step
+    longest: float
 
     def intermediate(self, states: ArrayLike) -> Array:
         """Return what the states (N, n) pay while an episode goes on (N,)."""
@@ -132,7 +121,7 @@ class Reward:
         return np.where(running, self.intermediate(states), end_reward(outcomes, self.task.rewards, tilted))
 
 
-def make_reward(name: str, task: NavigationTask, value: Value | None = None) -> Reward:
+def make_reward(name: str, task: NavigationTask, value: ValueFunction | None = None) -> Reward:
     """Return a reward of Table 3.3.
 
     Args:
@@ -148,13 +137,19 @@ def make_reward(name: str, task: NavigationTask, value: Value | None = None) -> 
     if name == "ttr" and value is None:
         raise TimeToReachError("the reward 'ttr' needs the task's time to reach: solve the task first")
     used = value if name == "ttr" else None
-    return Reward(name, task, used, _domain(used, task.system.build().state_names))
+    return Reward(name, task, used, _domain(used, task.system.build().state_names), longest_time(used))
 
 
-def _domain(value: Value | None, names: Sequence[str]) -> Array:
+def longest_time(value: ValueFunction | None) -> float:
+    """Return the largest finite time of the grids that a value consists of [s]."""
+    grids = () if value is None else value.grids
+    return max((float(grid.values.max(initial=0.0, where=np.isfinite(grid.values))) for grid in grids), default=0.0)
+
+
+def _domain(value: ValueFunction | None, names: Sequence[str]) -> Array:
     """Return the bounds (2, n) of the grids that a value consists of; a periodic axis has none."""
     domain = np.tile([[-np.inf], [np.inf]], (1, len(names)))
-    for grid in getattr(value, "grids", ()):
+    for grid in () if value is None else value.grids:
         for axis in grid.axes:
             if not axis.periodic:
                 index = names.index(axis.name)

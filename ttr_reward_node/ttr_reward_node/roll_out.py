@@ -3,8 +3,9 @@
     outcome = roll_out(solution.grid, problem, states, world=task.build_world())
     outcome.reached.mean(), np.median(outcome.ratio)
 
-The control is greedy: of a few samples, the one that leads to the least time to reach a short while ahead (the minimiser of
-thesis Eq. 3.4, by the values themselves rather than by their gradient, which is not defined where they jump).
+The control is greedy: of a few samples, the one that leads to the least time to reach a short while ahead (the
+minimiser of thesis Eq. 3.4, by the values themselves rather than by their gradient, which is not defined where they
+jump).
 """
 
 from __future__ import annotations
@@ -133,8 +134,8 @@ def roll_out(
 def crossing_time(problem: Problem) -> float:
     """Return how long the slowest axis takes to cross a cell at its top speed [s]."""
     random = np.random.default_rng(0)
-    bounds = np.array([(axis.lower, axis.upper) for axis in problem.axes])
-    x = random.uniform(*bounds.T, (1000, len(bounds)))
+    lower, upper = np.array([(axis.lower, axis.upper) for axis in problem.axes]).T
+    x = random.uniform(lower, upper, (1000, len(lower)))
     u = problem.system.control_samples(2)
     top = np.abs(problem.system.dynamics(x[:, None], u)).max(axis=(0, 1)) / [axis.spacing for axis in problem.axes]
     return float(1.0 / top[top > 0].min())

@@ -1,15 +1,15 @@
 """Interpolation where the steps from one row end; a row is the nodes along the last axis. Compiled.
 
-Linear interpolation, with two exceptions. In a cell with unreachable corners the others count alone, if they weigh enough (much
-as in `ctrl_rl_core.interpolation`), so that no number is made up at the edge of what can be reached. Where all is smooth, the
-curvature is added that linear interpolation leaves out: the smaller of the two neighbouring second differences, as in ENO
-schemes, and none where they differ in sign.
+Linear interpolation, with two exceptions. In a cell with unreachable corners the others count alone, if they weigh
+enough (much as in `ctrl_rl_core.interpolation`), so that no number is made up at the edge of what can be reached. Where
+all is smooth, the curvature is added that linear interpolation leaves out: the smaller of the two neighbouring second
+differences, as in ENO schemes, and none where they differ in sign.
 
-What the nodes j of a row look at is kept in two tables, one line a pair. `plan` (integers): number of corners; the range of j
-for which all of them lie within their rows; whether one lies in this very row; number of curves; then BASE + c, so that corner
-c is node plan[p, BASE + c] + j, and SHIFT + c, how far along the row that is; then for each curve its range of j and four
-nodes. `weights`: of corners and curves, and the discount exp(-lambda h). (Tables, because Numba counts references for every
-array that it takes out of a tuple, which costs more than the arithmetic.)
+What the nodes j of a row look at is kept in two tables, one line a pair. `plan` (integers): number of corners; the
+range of j for which all of them lie within their rows; whether one lies in this very row; number of curves; then BASE +
+c, so that corner c is node plan[p, BASE + c] + j, and SHIFT + c, how far along the row that is; then for each curve its
+range of j and four nodes. `weights`: of corners and curves, and the discount exp(-lambda h). (Tables, because Numba
+counts references for every array that it takes out of a tuple, which costs more than the arithmetic.)
 """
 
 from __future__ import annotations
@@ -39,7 +39,14 @@ Integers = NDArray[np.int64]
 
 @njit(**_OPTIONS)
 def place_row(
-    grid: Grid, index: Integers, offset: int, corners: Corners, curves: Curves, plan: Integers, weights: Floats, rows: Integers
+    grid: Grid,
+    index: Integers,
+    offset: int,
+    corners: Corners,
+    curves: Curves,
+    plan: Integers,
+    weights: Floats,
+    rows: Integers,
 ) -> int:
     """Fill in the tables for the row at `index` (n,), whose first node has that offset.
 
@@ -74,7 +81,9 @@ def place_row(
             first = CURVE + 6 * plan[p, CURVES]
             begin, end, fits = plan[p, BEGIN], plan[p, END], True
             for i in range(4):
-                at = _row_of(counts, periodic, strides, n_outer, index, curve_outer[p, 4 * q + i], curve_shift, p, 4 * q + i)
+                at = _row_of(
+                    counts, periodic, strides, n_outer, index, curve_outer[p, 4 * q + i], curve_shift, p, 4 * q + i
+                )
                 if at < 0:
                     fits = False
                     break
@@ -104,6 +113,17 @@ def interpolate_row(
     total, low, high, result = buffers[0, :m], buffers[1, :m], buffers[2, :m], out[p, begin:end]
     out[p, :begin] = 0.0
     out[p, end:] = 0.0
+    if jump == np.inf:
+        total[:] = 0.0
+        for c in range(plan[p, SIZE]):
+            at, weight = plan[p, BASE + c] + begin, weights[p, c]
+            line = values[at : at + m]
+            for j in range(m):
+                total[j] += weight * line[j]
+        for j in range(m):
+            result[j] = discount * total[j]
+        _fill_round(values, plan, weights, p, jump, periodic, out)
+        return
     for c in range(plan[p, SIZE]):
         at, weight = plan[p, BASE + c] + begin, weights[p, c]
         line = values[at : at + m]
@@ -138,24 +158,34 @@ def interpolate_row(
         for j in range(begin, end):
             if out[p, j] < 0.0:
                 out[p, j] = discount * interpolate_node(values, plan, weights, p, j, jump, periodic, last, False)
+    _fill_round(values, plan, weights, p, jump, periodic, out)
+
+
+@njit(**_OPTIONS)
+def _fill_round(
+    values: Floats, plan: Integers, weights: Floats, p: int, jump: float, periodic: bool, out: Floats
+) -> None:
+    """Fill in the nodes of a periodic row from which the step goes round."""
+    last = out.shape[1]
     if periodic:
         for j in range(last):
-            if j < begin or j >= end:
-                out[p, j] = discount * interpolate_node(values, plan, weights, p, j, jump, periodic, last, False)
+            if j < plan[p, BEGIN] or j >= plan[p, END]:
+                w = interpolate_node(values, plan, weights, p, j, jump, periodic, last, False)
+                out[p, j] = weights[p, DISCOUNT] * w
 
 
 @njit(**_INLINE)
-def _curvature(v0: float, v1: float, v2: float, v3: float) -> float:
+def _curvature(v0: float, v1: float, v2: float, v3: float) -> np.float32:
     """Second difference between the middle two of four nodes, 0 where it is not clear or a node is unreachable."""
     a, b = v0 - v1 - v1 + v2, v1 - v2 - v2 + v3
     smaller = a if abs(a) < abs(b) else b
-    return smaller if a * b > 0.0 and v0 > 0.0 and v3 > 0.0 else np.float32(0.0)
+    return np.float32(smaller if a * b > 0.0 and v0 > 0.0 and v3 > 0.0 else 0.0)
 
 
 @njit(**_INLINE)
 def interpolate_node(
     values: Floats, plan: Integers, weights: Floats, p: int, j: int, jump: float, periodic: bool, last: int, past: bool
-) -> float:
+) -> np.float32:
     """W where pair p's step from one node j ends; 0 if that is unreachable or outside.
 
     `past`: the step passes by the target; its nodes, the only ones with w = 1, do not count.
@@ -196,7 +226,7 @@ def interpolate_node(
 
 
 @njit(**_INLINE)
-def _corner(values: Floats, plan: Integers, p: int, c: int, j: int, periodic: bool, last: int) -> float:
+def _corner(values: Floats, plan: Integers, p: int, c: int, j: int, periodic: bool, last: int) -> np.float32:
     if periodic:
         s = plan[p, SHIFT + c]
         return values[plan[p, BASE + c] - s + (j + s) % last]

@@ -1,10 +1,10 @@
-"""The semi-Lagrangian solver: from each node to where the controls take it in a step of a few cells, until nothing changes.
+"""The semi-Lagrangian solver: from each node to where the controls take it in a few cells, until nothing changes.
 
-It sweeps in three phases. First without any judgement of what is unreachable: w only grows, towards the one solution of a
-monotone scheme, so no node can come to lean on others that lean on it. Nodes from which less than half of the weight ever
-reaches the target are unreachable. Then the edge of what can be reached is made sharp, and at last the curvature is added (see
-`row`). Finite jumps stay as wide as linear interpolation makes them, a few cells, on the side of longer times: sharpened ones
-are nearer the truth on average, but who steers by them drives over the edge.
+It sweeps in three phases. First without any judgement of what is unreachable: w only grows, towards the one solution of
+a monotone scheme, so no node can come to lean on others that lean on it. Nodes from which less than half of the weight
+ever reaches the target are unreachable. Then the edge of what can be reached is made sharp, and at last the curvature
+is added (see `row`). Finite jumps stay as wide as linear interpolation makes them, a few cells, on the side of longer
+times: sharpened ones are nearer the truth on average, but who steers by them drives over the edge.
 """
 
 from __future__ import annotations
@@ -21,19 +21,20 @@ from ttr_reward_node.compiled import kernels
 from ttr_reward_node.memory import require
 from ttr_reward_node.problem import Problem
 from ttr_reward_node.solution import Progress, Sweeps
-from ttr_reward_node.steps import Layout, Steps, make_layout, make_steps, pairs
 from ttr_reward_node.stencil import Grid
+from ttr_reward_node.steps import Layout, Steps, make_layout, make_steps, pairs
 from ttr_reward_node.surroundings import FIXED, NEAR, Surroundings
 from ttr_reward_node.sweep import Memory, Rule
 
 CELLS = (2.0, 3.0)
-"""How far steps go [cells]. Under about one a node refers to itself; the second length makes up for the end points, and on a
-lattice of headings the headings, that the first one cannot reach."""
+"""How far steps go [cells]. Under about one a node refers to itself; the second length makes up for the end points, and
+on a lattice of headings the headings, that the first one cannot reach."""
 
 # All in units of the time that the slowest axis takes to cross a cell at its top speed.
-_TOLERANCE = 0.05
-_SETTLED = 30.0  # a phase hands over to the next when changes are below this
-_CUT = 0.95
+_TOLERANCE = 0.1
+_SETTLED = 100.0  # a phase hands over to the next when changes are below this
+_QUIET = (10.0, 0.1, 0.01)  # in each phase: a row whose changes are below this does not wake those that look at it
+_CUT = 0.95  # w of a node that the first phase leaves standing; the others have to be reached anew
 _CROSSINGS = 30.0  # 1 / lambda, in crossings of the grid
 
 
@@ -41,7 +42,7 @@ def memory_needed(problem: Problem) -> float:
     """Return the bytes that `solve` will take at most, with those of the value grid."""
     layout = make_layout(problem)
     n = len(layout.counts)
-    n_pairs = len(CELLS) * len(pairs(problem)[0])
+    n_pairs = len(CELLS) * len(pairs(problem, problem.control_counts)[0])
     steps = layout.slabs * n_pairs * (8.0 + 8.0 * n)
     near_target = _near_target(problem, np.full(len(problem.axes), max(CELLS) + 1.0)).mean()
     near_obstacle = 0.0
@@ -81,13 +82,24 @@ def solve(
     )
     n_rows = len(row_near) - 1
     memory = Memory(np.zeros(n_rows, np.int64), np.zeros(n_rows, np.int64), np.zeros(1, np.int64))
-    phases = [Rule(rate, math.inf, 0.1 * tolerance, False)]
-    phases += [Rule(rate, crossing, 0.1 * tolerance, curved) for curved in (False, True)]
+    quiet = [q * unit for q in _QUIET[:2]] + [min(_QUIET[2] * unit, 0.1 * tolerance)]
+    phases = [Rule(rate, math.inf, quiet[0], False)]
+    phases += [Rule(rate, crossing, q, curved) for q, curved in zip(quiet[1:], (False, True), strict=True)]
     residual, number, in_phase = math.inf, 0, 0
     while number < max_sweeps:
-        bits = _order(in_phase, len(layout.counts))
+        bits = in_phase % (1 << len(layout.counts))
         residual, _ = kernels().sweep(
-            values, flags, grid, steps.durations, steps.moves, steps.controls, outcomes, row_near, memory, phases[0], bits
+            values,
+            flags,
+            grid,
+            steps.durations,
+            steps.moves,
+            steps.controls,
+            outcomes,
+            row_near,
+            memory,
+            phases[0],
+            bits,
         )
         number, in_phase = number + 1, in_phase + 1
         if progress is not None:
@@ -105,12 +117,6 @@ def solve(
     values *= np.float32(-1.0 / rate)
     phi = np.abs(values).reshape([problem.counts[k] for k in layout.order]).transpose(np.argsort(layout.order))
     return Sweeps(np.ascontiguousarray(phi), number, residual, len(phases) == 1 and residual <= tolerance)
-
-
-def _order(number: int, n: int) -> int:
-    """Return which axes a sweep goes down: each sweep against the one before, all combinations in turn."""
-    all_ = (1 << n) - 1
-    return (number // 2 & all_) ^ (all_ if number % 2 else 0)
 
 
 def make_grid(layout: Layout) -> Grid:
@@ -145,13 +151,15 @@ def _surroundings(problem: Problem, layout: Layout) -> Surroundings:
 
 
 def _flags(problem: Problem, layout: Layout, steps: Steps) -> NDArray[np.uint8]:
-    """Flag the nodes (grid shape): those within a step, and a cell, of the target, or within a step of an obstacle, are near."""
+    """Flag the nodes (grid shape): within a step, and a cell, of the target, or within a step of an obstacle: near."""
     reach = np.empty(len(problem.axes))
     reach[list(layout.order)] = np.abs(steps.moves).max(axis=(0, 1, 2))[: len(reach)]
     flags = np.where(_near_target(problem, reach + 1.0), np.uint8(NEAR), np.uint8(0))
     flags = np.array(np.broadcast_to(flags, problem.counts))
     if problem.clearance is not None:
-        squares = sum((steps.moves[..., layout.order.index(k)] * problem.axes[k].spacing) ** 2 for k in problem.clearance.axes)
+        squares = sum(
+            (steps.moves[..., layout.order.index(k)] * problem.axes[k].spacing) ** 2 for k in problem.clearance.axes
+        )
         near = problem.clearance.values <= 1.01 * math.sqrt(np.max(squares))
         flags[np.broadcast_to(problem.spread(near), problem.counts)] = NEAR
     flags[problem.blocked() | problem.in_target()] = FIXED
@@ -159,7 +167,7 @@ def _flags(problem: Problem, layout: Layout, steps: Steps) -> NDArray[np.uint8]:
 
 
 def _near_target(problem: Problem, cells: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Which nodes lie within that many cells (n,) of the target along every axis; a shape that broadcasts to the grid."""
+    """Which nodes lie within that many cells (n,) of the target along every axis; broadcasts to the grid."""
     near = np.ones((1,) * len(problem.axes), dtype=bool)
     for k, axis in enumerate(problem.axes):
         if axis.name in problem.target.intervals:

@@ -15,7 +15,7 @@ Progress = Callable[[int, float], None]
 
 @dataclass(frozen=True, eq=False)
 class Sweeps:
-    """Outcome of a method: phi (grid shape) [s], +inf where unreachable; sweeps done; last change [s]; whether it is small."""
+    """Outcome of a method: phi (grid shape) [s], +inf where unreachable; sweeps; last change [s]; whether small."""
 
     phi: NDArray[np.float32]
     number: int

@@ -1,8 +1,8 @@
 """Solve a time-to-reach problem.
 
-    solution = solve(problem_from_task("car_ttr"))
-    grid = solve_task("car_ttr")
-    phi = grid.value(states)
+solution = solve(problem_from_task("car_ttr"))
+grid = solve_task("car_ttr")
+phi = grid.value(states)
 """
 
 from __future__ import annotations
@@ -45,7 +45,8 @@ def solve(
     Args:
         problem: what to solve.
         method: "semi_lagrangian", or "lax_friedrichs" as the thesis does (section 3.2), which is less exact.
-        tolerance: largest change of phi in a sweep at which it stops [s]; a twentieth of the time to cross a cell unless given.
+        tolerance: largest change of phi in a sweep at which it stops [s]; unless given a tenth of the time to
+            cross a cell, and a thousandth for Lax-Friedrichs, which creeps.
         max_sweeps: after how many sweeps it gives up; the result then says that it has not converged.
         progress: called after each sweep with its number and the largest change [s].
 

@@ -1,7 +1,7 @@
 """The nodes that a step ends between, their weights, and the curvature that linear interpolation misses; compiled.
 
-All nodes of a slab (see `steps`) take the same steps, so a step's end lies the same way between the nodes for all of them:
-corners and weights are found once a slab, and the sweep only adds up products.
+All nodes of a slab (see `steps`) take the same steps, so a step's end lies the same way between the nodes for all of
+them: corners and weights are found once a slab, and the sweep only adds up products.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ class Grid(NamedTuple):
 class Corners(NamedTuple):
     """The 2^n or fewer nodes around the end of each pair's step from a slab: where they are and what they weigh.
 
-    `outer` (pairs, c) is the offset of the corner's slab, `shift` (pairs, c, inner axes) its cells along each inner axis,
-    `weight` (pairs, c), `number` (pairs,); 0 where the step leaves the grid. Corners come in an order in which the second
-    half repeats the first, a cell further along the last axis, wherever that axis is interpolated.
+    `outer` (pairs, c) is the offset of the corner's slab, `shift` (pairs, c, inner axes) its cells along each inner
+    axis, `weight` (pairs, c), `number` (pairs,); 0 where the step leaves the grid. Corners come in an order in which
+    the second half repeats the first, a cell further along the last axis, wherever that axis is interpolated.
     """
 
     number: NDArray[np.int64]
@@ -85,7 +85,7 @@ def place_corners(grid: Grid, index: NDArray[np.int64], move: NDArray[np.float32
         if k < grid.n_outer:
             position += index[k]
         lower = int(np.floor(position))
-        upper_weight = position - lower
+        upper_weight = float(position - lower)
         upper = lower + 1
         if k < grid.n_outer:
             if grid.periodic[k]:

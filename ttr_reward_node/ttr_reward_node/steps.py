@@ -1,11 +1,11 @@
 """Where each control takes the system from each node: the steps of the semi-Lagrangian scheme.
 
 Robots move the same way wherever they are: f does not depend on the position, on some axes at all. So the steps are
-tabulated over the other axes alone (the 72 headings of a car, not its 734,472 nodes), with NumPy, from the one definition
-of f; and the compiled sweep needs to know no system.
+tabulated over the other axes alone (the 72 headings of a car, not its 734,472 nodes), with NumPy, from the one
+definition of f; and the compiled sweep needs to know no system.
 
-A step lasts until the axis that moves fastest, in cells, has moved `cells` whole cells. So it ends on a plane of the grid:
-there is nothing to interpolate along that axis, and a node never refers to itself.
+A step lasts until the axis that moves fastest, in cells, has moved `cells` whole cells. So it ends on a plane of the
+grid: there is nothing to interpolate along that axis, and a node never refers to itself.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from ttr_reward_node.problem import Problem
 
 _BLOCK = 1 << 16  # steps that are computed at once
 _TO_PLANE = 4  # corrections of a step's duration until it ends on the plane
+_STIFF = 0.2  # of the longest step: in shorter ones nothing but the fastest axis moves
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +86,7 @@ def make_layout(problem: Problem) -> Layout:
 
 
 def slab_states(problem: Problem, layout: Layout) -> NDArray[np.float64]:
-    """States (slabs, n) of the outer nodes, in the problem's order; inner components stand at their axis's lower end."""
+    """States (slabs, n) of the outer nodes, in the problem's order; inner components are at their axis's lower end."""
     states = np.empty((layout.slabs, len(problem.axes)))
     states[:] = [axis.lower for axis in problem.axes]
     if layout.outer:
@@ -94,9 +95,12 @@ def slab_states(problem: Problem, layout: Layout) -> NDArray[np.float64]:
     return states
 
 
-def pairs(problem: Problem) -> tuple[NDArray[np.float64], NDArray[np.float64], int]:
-    """Controls (p, m) and disturbances (p, n) of all pairs, and the number of controls, the faster index."""
-    controls = problem.system.control_samples(problem.control_counts) if problem.system.controls else np.zeros((1, 0))
+def pairs(problem: Problem, counts: int | tuple[int, ...]) -> tuple[NDArray[np.float64], NDArray[np.float64], int]:
+    """Return controls (p, m) and disturbances (p, n) of all pairs, and the number of controls, the faster index.
+
+    `counts` is how many samples of each control there are; two are the vertices of the box.
+    """
+    controls = problem.system.control_samples(counts) if problem.system.controls else np.zeros((1, 0))
     disturbances = problem.system.disturbance_samples(2)
     u = np.tile(controls, (len(disturbances), 1))
     d = np.repeat(disturbances, len(controls), axis=0)
@@ -105,7 +109,7 @@ def pairs(problem: Problem) -> tuple[NDArray[np.float64], NDArray[np.float64], i
 
 def make_steps(problem: Problem, layout: Layout, cells: Sequence[float]) -> Steps:
     """Tabulate the steps; `cells` is how far they go: every control with every one of these lengths."""
-    u, d, controls = pairs(problem)
+    u, d, controls = pairs(problem, problem.control_counts)
     states = slab_states(problem, layout)
     lengths, disturbances, n = len(cells), len(u) // controls, len(layout.counts)
     durations = np.empty((len(states), disturbances, lengths, controls))
@@ -125,10 +129,28 @@ def make_steps(problem: Problem, layout: Layout, cells: Sequence[float]) -> Step
                 moves[block, :, i, :, half, : len(layout.order)] = move.reshape(
                     -1, disturbances, controls, len(layout.order)
                 )
-    pairs_ = disturbances * lengths * controls
+    useful = np.flatnonzero(_useful(problem, durations, cells, longest))
+    durations, moves = durations[..., useful], moves[:, :, :, useful]
+    pairs_ = disturbances * lengths * len(useful)
     return Steps(
-        durations.reshape(len(states), pairs_), moves.reshape(len(states), pairs_, 2, n), lengths * controls, longest
+        durations=np.ascontiguousarray(durations.reshape(len(states), pairs_)),
+        moves=np.ascontiguousarray(moves.reshape(len(states), pairs_, 2, n)),
+        controls=lengths * len(useful),
+        longest=longest,
     )
+
+
+def _useful(
+    problem: Problem, durations: NDArray[np.float64], cells: Sequence[float], longest: float
+) -> NDArray[np.bool_]:
+    """Which controls to keep: the vertices, and those between that do not always make for very short steps.
+
+    Half of a torque that turns a quadrotor's pitch rate round in milliseconds leads nowhere that the whole of it does
+    not.
+    """
+    vertex = np.isin(problem.system.control_samples(problem.control_counts), problem.system.control_bounds)
+    short = durations < _STIFF * longest * np.asarray(cells)[:, None]
+    return np.asarray(vertex.all(axis=-1) | ~short.all(axis=(0, 1, 2)))
 
 
 def _dependence(system: System, axes: tuple[Axis, ...], samples: int = 64) -> NDArray[np.bool_]:
@@ -136,7 +158,8 @@ def _dependence(system: System, axes: tuple[Axis, ...], samples: int = 64) -> ND
     random = np.random.default_rng(0)
     lower, upper = np.array([(axis.lower, axis.upper) for axis in axes]).T
     x = random.uniform(lower, upper, (samples, len(axes)))
-    u = random.uniform(*system.control_bounds, (samples, len(system.controls)))
+    low, high = system.control_bounds
+    u = random.uniform(low, high, (samples, len(system.controls)))
     rates = system.dynamics(x, u)
     depends = np.zeros(len(axes), dtype=bool)
     for k in range(len(axes)):

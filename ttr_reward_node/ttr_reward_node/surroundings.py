@@ -1,4 +1,4 @@
-"""What becomes of steps near the target and near obstacles, between the nodes; found once, before the sweeps; compiled."""
+"""What becomes of steps near target and obstacles, between the nodes; found once, before the sweeps; compiled."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ FREE, NEAR, FIXED = 0, 1, 2
 """Flags of nodes: far from everything; within reach of target or obstacle; in one of them."""
 
 PLAIN, BLOCKED, PAST = 0.0, -1.0, -2.0
-"""Outcomes of a step: interpolate where it ends; it hits an obstacle; it passes by the target, whose nodes do not count."""
+"""Outcomes of a step: interpolate where it ends; it hits an obstacle; it passes by the target, so skip its nodes."""
 
 _OPTIONS = {"error_model": "numpy"}
 
@@ -48,8 +48,8 @@ def find_outcomes(
 ) -> None:
     """Fill outcomes (near nodes in order, pairs): the discount exp(-rate t) of hitting the target, or one of the codes.
 
-    A step that ends in a cell which the target's edge cuts is followed by a second one to find the hit: interpolating there
-    would lengthen every path by a part of a cell.
+    A step that ends in a cell which the target's edge cuts is followed by a second one to find the hit: interpolating
+    there would lengthen every path by a part of a cell.
     """
     n = grid.counts.size
     slabs, pairs = durations.shape
@@ -88,7 +88,7 @@ def _best_hit(
     rate: float,
     surroundings: Surroundings,
 ) -> float:
-    """Discount of hitting the target within a step from a point between nodes; 0 if none does, whatever the disturbance."""
+    """Discount of hitting the target within a step from between nodes; 0 if none does, whatever the disturbance."""
     slab, stride = 0, 1
     for k in range(grid.n_outer - 1, -1, -1):
         i = int(np.round(start[k]))

@@ -1,7 +1,7 @@
 """One sweep of the semi-Lagrangian scheme over the nodes, in place, compiled once for all systems.
 
-The values are w = exp(-lambda phi), which is Kruzhkov's transform v = 1 - w seen from the other end: 1 in the target, exactly
-0 where nothing leads to it, and in single precision as exact at large times as at small ones. A node becomes
+The values are w = exp(-lambda phi), which is Kruzhkov's transform v = 1 - w seen from the other end: 1 in the target,
+exactly 0 where nothing leads to it, and in single precision as exact at large times as at small ones. A node becomes
 
     w(x) = min over d, max over u of exp(-lambda h) w(x(h)),    phi(x) = max over d, min over u of h + phi(x(h)),
 
@@ -41,8 +41,8 @@ class Rule(NamedTuple):
 
     Attributes:
         rate: lambda [1/s].
-        jump: a difference of phi [s] across a cell that no slope makes: the corners on the heavier side count alone. Infinite:
-            unreachable corners count as what they are, w = 0.
+        jump: a difference of phi [s] across a cell that no slope makes: the corners on the heavier side count alone.
+            Infinite: unreachable corners count as what they are, w = 0.
         quiet: the largest change of phi [s] that does not count as one.
         curved: whether to add the curvature.
     """
@@ -66,14 +66,12 @@ def sweep(
     memory: Memory,
     rule: Rule,
     bits: int,
-) -> tuple[float, int]:
+) -> tuple[np.float32, int]:
     """Do every row (the nodes along the last axis) whose surroundings have changed.
 
-    Args:
-        values, flags: all nodes, flat, in the layout's order; values are changed.
-        durations, moves, controls: see `steps.Steps`.
-        outcomes, row_near: see `surroundings.find_outcomes`; row_near (rows + 1,) counts the near nodes before each row.
-        bits: bit k: go down axis k, where the motion does not say which way to go.
+    `values`, `flags`: all nodes, flat, in the layout's order; values are changed. `durations`, `moves`, `controls`: see
+    `steps.Steps`. `outcomes`, `row_near`: see `surroundings.find_outcomes`; row_near (rows + 1,) counts the near nodes
+    before each row. `bits`: bit k says to go down axis k, where the motion does not say which way to go.
 
     Returns:
         The largest change of phi [s], infinite where a node became reachable or unreachable; how many rows were done.
@@ -126,8 +124,20 @@ def sweep(
             seen[here] = clock[0]
             near = row_near[here + 1] if down[n - 1] else row_near[here] - 1
             change = _do_row(
-                values, flags, controls, outcomes, near, plan, weights, offset, down[n - 1], jump, grid.periodic[n - 1],
-                buffers, found, own,
+                values,
+                flags,
+                controls,
+                outcomes,
+                near,
+                plan,
+                weights,
+                offset,
+                down[n - 1],
+                jump,
+                grid.periodic[n - 1],
+                buffers,
+                found,
+                own,
             )
             largest = max(largest, change)
             if change > quiet:
@@ -164,10 +174,10 @@ def _do_row(
     buffers: Floats,
     found: Floats,
     own: NDArray[np.int64],
-) -> float:
+) -> np.float32:
     """Update the nodes of a row and return the largest relative change."""
     pairs, last = found.shape
-    # Steps along the row use what has just been found there. In a game all pairs are needed at once: these rows take longer.
+    # Steps along the row use what has just been found there. In a game all pairs are needed at once: that takes longer.
     n_own = 0
     for p in range(pairs):
         if plan[p, SIZE] == 0:
@@ -190,7 +200,9 @@ def _do_row(
         new = news[j]
         for i in range(n_own):
             p = own[i]
-            found[p, j] = weights[p, DISCOUNT] * interpolate_node(values, plan, weights, p, j, jump, periodic, last, False)
+            found[p, j] = weights[p, DISCOUNT] * interpolate_node(
+                values, plan, weights, p, j, jump, periodic, last, False
+            )
             new = max(new, found[p, j])
         if flag == NEAR:
             near += step
@@ -234,8 +246,8 @@ def _near_value(
     j: int,
     jump: float,
     periodic: bool,
-) -> float:
-    """New value of a node near target or obstacles."""
+) -> np.float32:
+    """Return the new value of a node near target or obstacles."""
     pairs, last = found.shape
     worst = np.float32(1.0)
     for first in range(0, pairs, controls):

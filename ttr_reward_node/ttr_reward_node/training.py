@@ -3,7 +3,7 @@
     outcome = train_one(Cell("car_ttr", "ppo", "ttr", 0), Options(Path("runs/ttr_learning"), value=value))
 
 It goes in iterations of `ITERATION` samples. Each begins with fresh episodes and draws its random numbers from the seed
-and its own number, so that a run that was cut off and goes on from its last checkpoint ends exactly as if it had not been.
+and its own number, so that a run that goes on from its last checkpoint ends exactly as if it had not been cut off.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ class Options:
     samples: int = ITERATION
     evaluations: int = 20
     final_evaluations: int = 50
-    report: Callable[[Cell, int, float], None] = field(default=lambda cell, done, success: None, compare=False)
+    report: Callable[[Cell, int, float], None] = field(default=lambda *_: None, compare=False)
 
 
 def result_file(folder: Path, cell: Cell) -> Path:
@@ -167,7 +167,9 @@ def _iterate(model: BaseAlgorithm, seed: int, samples: int, visits: Visits) -> l
     if isinstance(model, DDPG) and model.replay_buffer is not None:
         # What comes next in the replay is another episode: returns over several steps must end here.
         last = model.replay_buffer.pos - 1
-        model.replay_buffer.timeouts[last] |= model.replay_buffer.dones[last] == 0.0
+        model.replay_buffer.timeouts[last] = np.maximum(
+            model.replay_buffer.timeouts[last], model.replay_buffer.dones[last] == 0.0
+        )
     return recorder.outcomes
 
 
@@ -222,6 +224,7 @@ def _finish(
     result = {
         "cell": asdict(cell),
         "task_digest": task_digest(task),
+        "grid_digest": None if reward.value is None else reward.value.digest,
         "curve": curve,
         "success": _rate(outcomes),
         "ended": {outcome.name: outcomes.count(outcome.name) for outcome in Outcome if outcome},

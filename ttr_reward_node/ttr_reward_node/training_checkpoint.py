@@ -1,4 +1,4 @@
-"""What learning goes on from: networks, optimisers and replay in one safetensors file, whole or not at all; no pickle."""
+"""What learning goes on from: networks, optimisers and replay in one safetensors file, whole or not at all."""
 
 from __future__ import annotations
 

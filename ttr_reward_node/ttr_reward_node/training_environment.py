@@ -1,6 +1,6 @@
-"""The simulated tasks with another reward, as Gymnasium wrappers: the learning algorithm is left alone (thesis Fig. 3.2).
+"""The simulated tasks with another reward, as Gymnasium wrappers: the algorithm is left alone (thesis Fig. 3.2).
 
-    environment = make_environment(make_reward("sparse", load_navigation_task("car_ttr")))
+environment = make_environment(make_reward("sparse", load_navigation_task("car_ttr")))
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from ttr_reward_node.rewards import Reward
 Vector = NDArray[np.float32]
 
 TRAINING_RATE = {"xy": 60, "xz": 120}
-"""Physics steps per second while learning [Hz], by plane: steps a hundredth as exact as the nodes' 240 Hz, in a third of the time."""
+"""Physics steps per second while learning [Hz], by plane: a third of the nodes' work, and hardly less exact."""
 _TYPICAL = {"theta": 0.5 * math.pi, "psi": 0.25 * math.pi, "v_x": 2.0, "v_z": 2.0, "v": 1.0, "omega": 2.0}
 """What counts as 1 of an observed angle or speed [rad, m/s, rad/s]."""
 

@@ -1,6 +1,6 @@
 """Every algorithm with every reward from every seed, as many at a time as there are cores; may be cut off at any time.
 
-    run_matrix(MatrixOptions("car_ttr", Path("runs/ttr_learning"), value=Path("car_ttr.safetensors")))
+run_matrix(MatrixOptions("car_ttr", Path("runs/ttr_learning"), value=Path("car_ttr.safetensors")))
 """
 
 from __future__ import annotations
@@ -32,7 +32,6 @@ _LOOK_EVERY = 1.0
 def ordered(rewards: Sequence[str]) -> list[str]:
     """Return rewards in the order in which they are learnt."""
     return sorted(rewards, key=REWARD_ORDER.index)
-
 
 
 @dataclass(frozen=True)
@@ -115,7 +114,7 @@ def _show(bar: tqdm[Any], reports: Any) -> None:
             cell, done, success = reports.get_nowait()
         except Empty:
             return
-        bar.update(1 if bar.n < bar.total else 0)
+        bar.update(min(1, int(bar.total or 0) - bar.n))
         bar.set_postfix_str(f"{cell} {done}: {100 * success:.0f} %")
 
 

@@ -1,6 +1,6 @@
 """What the runs of a task amount to: the table of all rewards and algorithms, and what the figures are drawn from.
 
-    content = collect(MatrixOptions("quad_ttr", Path("runs/ttr_learning")))
+content = collect(MatrixOptions("quad_ttr", Path("runs/ttr_learning")))
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ def samples_to(curve: Sequence[dict[str, Any]]) -> float | None:
 
 
 def _curve(results: Sequence[dict[str, Any]]) -> dict[str, list[Any]]:
-    """Samples (iterations,), and success of the evaluations (seeds, iterations)."""
+    """Return samples (iterations,) and success of the evaluations (seeds, iterations)."""
     length = min(len(result["curve"]) for result in results)
     return {
         "samples": [point["samples"] for point in results[0]["curve"][:length]],
@@ -93,6 +93,6 @@ def _stages(counts: NDArray[Any]) -> NDArray[np.int64]:
 
 
 def _paths(results: Sequence[dict[str, Any]]) -> list[Any]:
-    """The first seed's paths, those of an evaluation after learning."""
+    """Return the first seed's paths, those of an evaluation after learning."""
     paths: list[Any] = results[0]["paths"]
     return paths

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from os import PathLike
 
-from ctrl_rl_core.grid_axis import GridError
 from ctrl_rl_core.value_grid import ValueGrid
 from safetensors import SafetensorError, safe_open
 
