@@ -11,7 +11,7 @@ from ttr_reward_node.memory import require
 from ttr_reward_node.problem import Problem
 from ttr_reward_node.semi_lagrangian import flat, make_grid
 from ttr_reward_node.solution import Progress, Sweeps
-from ttr_reward_node.steps import make_layout, pairs, slab_states
+from ttr_reward_node.steps import all_rates, make_layout, pairs, slab_states
 
 _TOLERANCE = 1e-3  # of the time to cross a cell
 _CROSSINGS = 0.25  # 1 / lambda, in crossings of the grid
@@ -38,7 +38,7 @@ def solve(
     # f is affine in control and disturbance: their vertices give the Hamiltonian exactly.
     u, d, controls = pairs(problem, 2)
     states = slab_states(problem, layout)
-    rates = problem.system.dynamics(states[:, None], u, d)[..., layout.order].astype(np.float32)
+    rates = all_rates(problem.system, states, u, d)[..., layout.order].astype(np.float32)
     spacings = np.array([problem.axes[k].spacing for k in layout.order])
     viscosity = np.abs(rates).max(axis=1).astype(np.float64)
     top = viscosity.max(axis=0)

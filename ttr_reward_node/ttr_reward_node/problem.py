@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
@@ -107,7 +108,7 @@ class Problem:
     @cached_property
     def points(self) -> int:
         """Number of nodes."""
-        return int(np.prod(self.counts, dtype=np.int64))
+        return math.prod(self.counts)
 
     def along(self, axis: int, values: NDArray[Any]) -> NDArray[Any]:
         """Values (count,) at the nodes of one axis, shaped to broadcast over the grid."""

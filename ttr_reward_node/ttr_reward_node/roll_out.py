@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ttr_reward_node.errors import TimeToReachError
 from ttr_reward_node.problem import Problem
+from ttr_reward_node.steps import all_rates
 
 Array = NDArray[np.float64]
 
@@ -137,5 +138,6 @@ def crossing_time(problem: Problem) -> float:
     lower, upper = np.array([(axis.lower, axis.upper) for axis in problem.axes]).T
     x = random.uniform(lower, upper, (1000, len(lower)))
     u = problem.system.control_samples(2)
-    top = np.abs(problem.system.dynamics(x[:, None], u)).max(axis=(0, 1)) / [axis.spacing for axis in problem.axes]
+    rates = all_rates(problem.system, x, u, np.zeros((len(u), x.shape[-1])))
+    top = np.abs(rates).max(axis=(0, 1)) / [axis.spacing for axis in problem.axes]
     return float(1.0 / top[top > 0].min())

@@ -10,7 +10,7 @@ times: sharpened ones are nearer the truth on average, but who steers by them dr
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -44,7 +44,9 @@ def memory_needed(problem: Problem) -> float:
     n = len(layout.counts)
     n_pairs = len(CELLS) * len(pairs(problem, problem.control_counts)[0])
     steps = layout.slabs * n_pairs * (8.0 + 8.0 * n)
-    near_target = _near_target(problem, np.full(len(problem.axes), max(CELLS) + 1.0)).mean()
+    # Without the grid itself, which may be what does not fit.
+    conditions = _near_conditions(problem, np.full(len(problem.axes), max(CELLS) + 1.0))
+    near_target = math.prod(float(condition.mean()) for condition in conditions)
     near_obstacle = 0.0
     if problem.clearance is not None:
         far = max(CELLS) * math.hypot(*(problem.axes[k].spacing for k in problem.clearance.axes))
@@ -169,16 +171,22 @@ def _flags(problem: Problem, layout: Layout, steps: Steps) -> NDArray[np.uint8]:
 def _near_target(problem: Problem, cells: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Which nodes lie within that many cells (n,) of the target along every axis; broadcasts to the grid."""
     near = np.ones((1,) * len(problem.axes), dtype=bool)
+    for condition in _near_conditions(problem, cells):
+        near = near & condition
+    return near
+
+
+def _near_conditions(problem: Problem, cells: NDArray[np.float64]) -> Iterator[NDArray[np.bool_]]:
+    """Yield what `_near_target` consists of: one condition an axis, and the disc's; each broadcasts to the grid."""
     for k, axis in enumerate(problem.axes):
         if axis.name in problem.target.intervals:
             low, high = problem.target.intervals[axis.name]
             offset = axis.nodes - 0.5 * (low + high)
             if axis.periodic:
                 offset -= np.round(offset / (axis.upper - axis.lower)) * (axis.upper - axis.lower)
-            near = near & problem.along(k, np.abs(offset) <= 0.5 * (high - low) + cells[k] * axis.spacing)
+            yield problem.along(k, np.abs(offset) <= 0.5 * (high - low) + cells[k] * axis.spacing)
     if problem.target.disc is not None:
         i, j = position_indices(problem.system.state_names)
         points = np.stack(np.broadcast_arrays(*(problem.along(k, problem.axes[k].nodes) for k in (i, j))), axis=-1)
         far = math.hypot(*(cells[k] * problem.axes[k].spacing for k in (i, j)))
-        near = near & (problem.target.disc.signed_distance(points) <= far)
-    return near
+        yield problem.target.disc.signed_distance(points) <= far

@@ -10,6 +10,7 @@ grid: there is nothing to interpolate along that axis, and a node never refers t
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -53,7 +54,7 @@ class Layout:
     @property
     def slabs(self) -> int:
         """Number of nodes of the outer axes: f is the same all over the inner ones."""
-        return int(np.prod(self.counts[: len(self.outer)], dtype=np.int64))
+        return math.prod(self.counts[: len(self.outer)].tolist())
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,6 +106,14 @@ def pairs(problem: Problem, counts: int | tuple[int, ...]) -> tuple[NDArray[np.f
     u = np.tile(controls, (len(disturbances), 1))
     d = np.repeat(disturbances, len(controls), axis=0)
     return u, d, len(controls)
+
+
+def all_rates(
+    system: System, states: NDArray[np.float64], u: NDArray[np.float64], d: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return f at every state (k, n) under every pair (p, ...), shape (k, p, n), also where f depends on no state."""
+    rates = system.dynamics(states[:, None], u, d)
+    return np.broadcast_to(rates, (len(states), len(u), states.shape[-1]))
 
 
 def make_steps(problem: Problem, layout: Layout, cells: Sequence[float]) -> Steps:
@@ -180,7 +189,7 @@ def _longest(
     top = np.zeros(len(spacings))
     size = max(1, _BLOCK // len(u))
     for begin in range(0, len(states), size):
-        rates = np.abs(system.dynamics(states[begin : begin + size, None], u, d))
+        rates = np.abs(all_rates(system, states[begin : begin + size], u, d))
         top = np.maximum(top, rates.max(axis=(0, 1)))
     top /= spacings
     return float(1.0 / top[top > 0].min()) if top.any() else 0.0
@@ -197,7 +206,7 @@ def _durations(
     longest: float,
 ) -> NDArray[np.float64]:
     """Durations (block, pairs) of steps that end `cells` away, or at the edge of the grid on an outer axis."""
-    rates = np.abs(problem.system.dynamics(x, u, d)) / spacings
+    rates = np.abs(all_rates(problem.system, x[:, 0], u, d)) / spacings
     with np.errstate(divide="ignore"):
         h = np.minimum(cells / rates.max(axis=-1), longest)
     # How far it is to the edges; without limit on periodic and inner axes.

@@ -1,264 +1,96 @@
-"""One run of learning: an algorithm with a reward on a task, from one seed (thesis 3.2.3).
+"""What is learnt in thesis 3.2.3: each algorithm with each reward of Table 3.3 on a task, from several seeds.
 
-    outcome = train_one(Cell("car_ttr", "ppo", "ttr", 0), Options(Path("runs/ttr_learning"), value=value))
-
-It goes in iterations of `ITERATION` samples. Each begins with fresh episodes and draws its random numbers from the seed
-and its own number, so that a run that goes on from its last checkpoint ends exactly as if it had not been cut off.
+train_one(RewardRun("car_ttr", "ppo", "ttr", 0, Path("car_ttr.safetensors")), Options(Path("runs/ttr_training")))
 """
 
 from __future__ import annotations
 
-import json
-import time
-from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-import gymnasium
-import numpy as np
-import torch
-from ctrl_rl_core.outcome import Outcome
-from ctrl_rl_core.tasks import NavigationTask, load_navigation_task, task_digest
-from ctrl_rl_core.value_function import ValueFunction
-from numpy.typing import NDArray
-from stable_baselines3 import DDPG
+from ctrl_rl_core.tasks import NavigationTask, load_navigation_task
+from ctrl_rl_training.algorithms import ALGORITHMS, make_algorithm
+from ctrl_rl_training.environment import Environment
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.callbacks import BaseCallback
 
-from ttr_reward_node.actor import Actor
-from ttr_reward_node.rewards import Reward, make_reward
-from ttr_reward_node.training_algorithms import (
-    ALGORITHMS,
-    REWARD_SCALE,
-    ROLL_OUT,
-    extract_actor,
-    make_algorithm,
-    number_of_environments,
-)
-from ttr_reward_node.training_checkpoint import load_checkpoint, save_checkpoint
-from ttr_reward_node.training_environment import make_environment
-from ttr_reward_node.training_visits import Visits
+from ttr_reward_node.rewards import REWARDS, Reward, make_reward
+from ttr_reward_node.training_environment import make_rewarded
+from ttr_reward_node.value_file import load_value
 
-ITERATION = 5 * ROLL_OUT
-"""Samples of an iteration."""
-DEPLOYED_RATE = 240
-"""Physics steps per second of the last evaluation [Hz]: those of the simulated robots that nodes drive."""
-_EVALUATION_SEED = 1_000_000
-_SUCCESS = Outcome.GOAL.name
+_FIRST = ("ttr", "sparse", "distance_10")
+"""What is learnt first if time should run out."""
 
 
 @dataclass(frozen=True)
-class Cell:
-    """One run: a cell of the table and a seed."""
+class RewardRun:
+    """One run: a cell of the table and a seed (a `ctrl_rl_training.training.Run`).
 
-    task: str
+    Attributes:
+        task_name: of the task.
+        algorithm: one of `ALGORITHMS`.
+        reward: one of `REWARDS`.
+        seed: of everything random.
+        grid: file of the task's time to reach; needed for the reward "ttr" alone.
+    """
+
+    task_name: str
     algorithm: str
     reward: str
     seed: int
+    grid: Path | None = None
 
-    def __str__(self) -> str:
-        """Return its name, which is that of its folder too."""
-        return f"{self.task}-{self.algorithm}-{self.reward}-s{self.seed}"
+    @property
+    def name(self) -> str:
+        """Its name, which is that of its folder too."""
+        return f"{self.task_name}-{self.algorithm}-{self.reward}-s{self.seed}"
 
+    @property
+    def task(self) -> NavigationTask:
+        """The task."""
+        return load_navigation_task(self.task_name)
 
-@dataclass(frozen=True)
-class Options:
-    """How runs go.
+    @property
+    def description(self) -> dict[str, Any]:
+        """What the results say about it."""
+        value = _reward(self).value
+        return {
+            "task": self.task_name,
+            "algorithm": self.algorithm,
+            "reward": self.reward,
+            "seed": self.seed,
+            "grid_digest": None if value is None else value.digest,
+        }
 
-    Attributes:
-        folder: where each has a folder of its own.
-        value: time to reach of the task; needed for the reward "ttr" alone.
-        iterations: how many.
-        samples: of an iteration.
-        evaluations: episodes after each iteration.
-        final_evaluations: episodes after the last one.
-        report: called after each iteration with the cell, the iterations done and the success rate of the evaluation.
-    """
+    def environment(self, rate: int | None = None) -> Environment:
+        """Return the task's environment that pays the reward."""
+        return make_rewarded(_reward(self), rate)
 
-    folder: Path
-    value: ValueFunction | None = None
-    iterations: int = 20
-    samples: int = ITERATION
-    evaluations: int = 20
-    final_evaluations: int = 50
-    report: Callable[[Cell, int, float], None] = field(default=lambda *_: None, compare=False)
-
-
-def result_file(folder: Path, cell: Cell) -> Path:
-    """Return the file that says that a run is finished, and how it went."""
-    return folder / str(cell) / "result.json"
-
-
-def train_one(cell: Cell, options: Options) -> dict[str, Any]:
-    """Learn, or go on where an earlier call was cut off; a finished run is read, never computed again.
-
-    The folder of the run then holds result.json (what is returned), policy.safetensors (an `Actor`) and
-    visits.safetensors (how often states were met, see `Visits`).
-
-    Returns:
-        cell, digest of the task, `curve` (for each iteration: samples, episodes and how they ended, success of the
-        evaluation, seconds), `success` (of the last evaluation) and `paths` (states of its first episodes).
-
-    Raises:
-        TimeToReachError: no such algorithm or reward, no value for "ttr", or a checkpoint that cannot be used.
-    """
-    finished = result_file(options.folder, cell)
-    if finished.is_file():
-        result: dict[str, Any] = json.loads(finished.read_text(encoding="utf-8"))
-        return result
-    torch.set_num_threads(1)
-    task = load_navigation_task(cell.task)
-    reward = make_reward(cell.reward, task, options.value)
-    samples = options.samples * options.iterations
-    number_of_environments(cell.algorithm)  # refuses an unknown algorithm before anything is made
-    model = make_algorithm(cell.algorithm, lambda: _scaled(make_environment(reward)), cell.seed, samples)
-    test_environment = make_environment(reward)
-    try:
-        curve, visits = _learn(cell, options, model, test_environment, Visits(task))
-    finally:
-        test_environment.close()
-        if model.env is not None:
-            model.env.close()
-    return _finish(cell, options, reward, extract_actor(model, task, _manifest(cell, task)), curve, visits)
+    def model(self, samples: int) -> BaseAlgorithm:
+        """Return the untrained algorithm with its own environments, for so many samples."""
+        return make_algorithm(self.algorithm, self.environment, self.seed, samples)
 
 
-def _learn(
-    cell: Cell,
-    options: Options,
-    model: BaseAlgorithm,
-    test_environment: gymnasium.Env[Any, Any],
-    visits: Visits,
-) -> tuple[list[dict[str, Any]], Visits]:
-    checkpoint = options.folder / str(cell) / "checkpoint.safetensors"
-    checkpoint.parent.mkdir(parents=True, exist_ok=True)
-    curve: list[dict[str, Any]] = []
-    if checkpoint.is_file():
-        progress, arrays = load_checkpoint(checkpoint, model)
-        curve, visits = progress["curve"], visits.with_counts(arrays)
-    while len(curve) < options.iterations:
-        begin = time.perf_counter()
-        seed = _seed_of(cell.seed, len(curve))
-        outcomes = _iterate(model, seed, options.samples, visits)
-        actor = extract_actor(model, load_navigation_task(cell.task), {})
-        states = evaluate(actor, test_environment, options.evaluations, _EVALUATION_SEED)
-        success = _rate([outcome for outcome, _ in states])
-        curve.append(
-            {
-                "samples": model.num_timesteps,
-                "episodes": len(outcomes),
-                "ended": {outcome.name: outcomes.count(outcome.name) for outcome in Outcome if outcome},
-                "evaluation": success,
-                "seconds": round(time.perf_counter() - begin, 2),
-            }
-        )
-        visits.end_iteration()
-        save_checkpoint(checkpoint, model, {"curve": curve}, visits.counts())
-        options.report(cell, len(curve), success)
-    return curve, visits
+def reward_runs(
+    task_name: str,
+    algorithms: Sequence[str] = ALGORITHMS,
+    rewards: Sequence[str] = REWARDS,
+    seeds: int = 5,
+    grid: Path | None = None,
+) -> list[RewardRun]:
+    """Return all runs of a task, those that matter most first."""
+    ordered = sorted(rewards, key=lambda reward: _FIRST.index(reward) if reward in _FIRST else len(_FIRST))
+    return [
+        RewardRun(task_name, algorithm, reward, seed, grid if reward == "ttr" else None)
+        for reward in ordered
+        for seed in range(seeds)
+        for algorithm in algorithms
+    ]
 
 
-def _iterate(model: BaseAlgorithm, seed: int, samples: int, visits: Visits) -> list[str]:
-    """Learn from so many samples of fresh episodes and return how those ended that did."""
-    model.set_random_seed(seed)
-    model._last_obs = None  # makes `learn` reset the environments
-    recorder = _Recorder(visits)
-    model.learn(samples, callback=recorder, reset_num_timesteps=False)
-    if isinstance(model, DDPG) and model.replay_buffer is not None:
-        # What comes next in the replay is another episode: returns over several steps must end here.
-        last = model.replay_buffer.pos - 1
-        model.replay_buffer.timeouts[last] = np.maximum(
-            model.replay_buffer.timeouts[last], model.replay_buffer.dones[last] == 0.0
-        )
-    return recorder.outcomes
-
-
-class _Recorder(BaseCallback):
-    """Notes how episodes end and which states they meet."""
-
-    def __init__(self, visits: Visits) -> None:
-        super().__init__()
-        self.outcomes: list[str] = []
-        self._visits = visits
-
-    def _on_step(self) -> bool:
-        infos = self.locals["infos"]
-        self._visits.add([info["state"] for info in infos])
-        self.outcomes += [info["outcome"] for info, done in zip(infos, self.locals["dones"], strict=True) if done]
-        return True
-
-
-def evaluate(
-    actor: Actor, environment: gymnasium.Env[Any, Any], episodes: int, seed: int
-) -> list[tuple[str, NDArray[np.float64]]]:
-    """Return outcome and states (steps + 1, n) of episodes from the seeds `seed`, `seed` + 1 and so on."""
-    found = []
-    for episode in range(episodes):
-        observation, info = environment.reset(seed=seed + episode)
-        states, over = [info["state"]], False
-        while not over:
-            observation, _, terminated, truncated, info = environment.step(actor.scaled_action(observation))
-            states.append(info["state"])
-            over = terminated or truncated
-        found.append((info["outcome"], np.array(states)))
-    return found
-
-
-def _finish(
-    cell: Cell,
-    options: Options,
-    reward: Reward,
-    actor: Actor,
-    curve: list[dict[str, Any]],
-    visits: Visits,
-) -> dict[str, Any]:
-    """Evaluate at the rate of the deployed robots, write everything, the result last, and drop the checkpoint."""
-    environment = make_environment(reward, DEPLOYED_RATE)
-    try:
-        episodes = evaluate(actor, environment, options.final_evaluations, 2 * _EVALUATION_SEED)
-    finally:
-        environment.close()
-    outcomes = [outcome for outcome, _ in episodes]
-    lasted = [len(states) - 1 for outcome, states in episodes if outcome == _SUCCESS]
-    task = reward.task
-    result = {
-        "cell": asdict(cell),
-        "task_digest": task_digest(task),
-        "grid_digest": None if reward.value is None else reward.value.digest,
-        "curve": curve,
-        "success": _rate(outcomes),
-        "ended": {outcome.name: outcomes.count(outcome.name) for outcome in Outcome if outcome},
-        "seconds_to_goal": float(np.mean(lasted)) * task.episode.time_step if lasted else None,
-        "paths": [{"outcome": outcome, "states": states.round(4).tolist()} for outcome, states in episodes[:3]],
-    }
-    file = result_file(options.folder, cell)
-    actor.save(file.with_name("policy.safetensors"))
-    visits.save(file.with_name("visits.safetensors"))
-    temporary = file.with_name(".result.json")
-    temporary.write_text(json.dumps(result) + "\n", encoding="utf-8")
-    temporary.replace(file)
-    file.with_name("checkpoint.safetensors").unlink(missing_ok=True)
-    return result
-
-
-def _scaled(environment: gymnasium.Env[Any, Any]) -> gymnasium.Env[Any, Any]:
-    return gymnasium.wrappers.TransformReward(environment, lambda reward: REWARD_SCALE * float(reward))
-
-
-def _manifest(cell: Cell, task: NavigationTask) -> dict[str, Any]:
-    beams = [f"beam_{index}" for index in range(task.lidar.beams)]
-    return {
-        **asdict(cell),
-        "task_digest": task_digest(task),
-        "observation": [*task.system.build().state_names, *beams],
-        "commands": list(task.robot.commands),
-        "algorithms": list(ALGORITHMS),
-    }
-
-
-def _rate(outcomes: list[str]) -> float:
-    return outcomes.count(_SUCCESS) / len(outcomes) if outcomes else 0.0
-
-
-def _seed_of(seed: int, iteration: int) -> int:
-    return int(np.random.SeedSequence((seed, iteration)).generate_state(1)[0]) % 2**31
+@lru_cache(maxsize=4)
+def _reward(run: RewardRun) -> Reward:
+    value = load_value(run.grid) if run.grid is not None else None
+    return make_reward(run.reward, run.task, value)

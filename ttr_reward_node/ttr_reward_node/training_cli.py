@@ -46,7 +46,10 @@ def training_figures(arguments: Sequence[str] | None = None) -> int:
 
 def _train(options: argparse.Namespace) -> int:
     # Torch takes seconds to import: not before the arguments are right.
-    from ttr_reward_node.training_matrix import MatrixOptions, ordered, run_matrix
+    from ctrl_rl_training.matrix import train_all
+    from ctrl_rl_training.training import Options
+
+    from ttr_reward_node.training import reward_runs
     from ttr_reward_node.training_results import collect
 
     if "ttr" in options.rewards and options.grid is None:
@@ -54,18 +57,10 @@ def _train(options: argparse.Namespace) -> int:
     for name in ("seeds", "iterations"):
         if getattr(options, name) < 1:
             raise TimeToReachError(f"--{name} must be at least 1")
-    matrix = MatrixOptions(
-        task=options.task,
-        folder=options.folder,
-        value=options.grid,
-        algorithms=options.algorithms,
-        rewards=ordered(options.rewards),
-        seeds=options.seeds,
-        iterations=options.iterations,
-        workers=options.workers,
-    )
-    run_matrix(matrix)
-    rows, figures = collect(matrix)
+    load_navigation_task(options.task)  # refuses an unknown one before workers start
+    runs = reward_runs(options.task, options.algorithms, options.rewards, options.seeds, options.grid)
+    train_all(runs, Options(options.folder, options.iterations), options.workers, options.task)
+    rows, figures = collect(runs, options.folder)
     for row in rows:
         if row.metric == "success":
             values = " ".join(f"{100 * value:4.0f}" for value in row.values)

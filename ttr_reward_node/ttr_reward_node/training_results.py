@@ -7,15 +7,16 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from ctrl_rl_core.results import Result
+from ctrl_rl_training.training import result_file
+from ctrl_rl_training.visits import load_visits
 from numpy.typing import NDArray
 
-from ttr_reward_node.training import Cell, result_file
-from ttr_reward_node.training_matrix import MatrixOptions, cells
-from ttr_reward_node.training_visits import load_visits
+from ttr_reward_node.training import RewardRun
 
 GOOD = 0.9
 """Success that counts as learnt (thesis 3.2.3)."""
@@ -23,22 +24,22 @@ THESIS_SAMPLES = {"quad_ttr": 90_000.0}
 """After how many samples the thesis's quadrotor is that good with the time-to-reach reward."""
 STAGES = 3
 """Parts of the training that Fig. 3.7 shows one by one."""
-Runs = dict[str, list[tuple[Cell, dict[str, Any]]]]
+Finished = list[tuple[RewardRun, dict[str, Any]]]
 
 
-def collect(options: MatrixOptions) -> tuple[list[Result], dict[str, Any]]:
+def collect(todo: Sequence[RewardRun], folder: Path) -> tuple[list[Result], dict[str, Any]]:
     """Return the table and the figures' data of all runs that are finished.
 
     Returns:
         For each algorithm and reward the success of the last evaluation and the samples to `GOOD`, one value a seed
         (seeds that never get there are left out and counted); and `curves`, `visits` and `paths` by method.
     """
-    runs: Runs = {}
-    for cell in cells(options):
-        file = result_file(options.folder, cell)
+    runs: dict[str, Finished] = {}
+    for run in todo:
+        file = result_file(folder, run)
         if file.is_file():
             result = json.loads(file.read_text(encoding="utf-8"))
-            runs.setdefault(f"{cell.algorithm}, {cell.reward}", []).append((cell, result))
+            runs.setdefault(f"{run.algorithm}, {run.reward}", []).append((run, result))
     rows: list[Result] = []
     for method, finished in runs.items():
         results = [result for _, result in finished]
@@ -46,13 +47,13 @@ def collect(options: MatrixOptions) -> tuple[list[Result], dict[str, Any]]:
         learnt = [samples for result in results if (samples := samples_to(result["curve"])) is not None]
         rows.append(Result(method, f"seeds that reach {GOOD:.0%}", "1", [float(len(learnt))], None))
         if learnt:
-            thesis = THESIS_SAMPLES.get(options.task) if finished[0][0].reward == "ttr" else None
+            thesis = THESIS_SAMPLES.get(finished[0][0].task_name) if finished[0][0].reward == "ttr" else None
             rows.append(Result(method, f"samples to {GOOD:.0%}", "1", learnt, thesis))
     figures = {
-        "task": options.task,
-        "seeds": {method: [cell.seed for cell, _ in finished] for method, finished in runs.items()},
+        "task": todo[0].task_name,
+        "seeds": {method: [run.seed for run, _ in finished] for method, finished in runs.items()},
         "curves": {method: _curve([result for _, result in finished]) for method, finished in runs.items()},
-        "visits": {method: _visits(options, finished) for method, finished in runs.items()},
+        "visits": {method: _visits(folder, finished) for method, finished in runs.items()},
         "paths": {method: _paths([result for _, result in finished]) for method, finished in runs.items()},
     }
     return rows, figures
@@ -76,12 +77,12 @@ def _curve(results: Sequence[dict[str, Any]]) -> dict[str, list[Any]]:
     }
 
 
-def _visits(options: MatrixOptions, finished: Sequence[tuple[Cell, dict[str, Any]]]) -> dict[str, list[Any]]:
+def _visits(folder: Path, finished: Finished) -> dict[str, list[Any]]:
     """How often states were met in each third of the training, all seeds together: places and angles."""
     places: list[NDArray[np.int64]] = []
     turns: list[NDArray[np.int64]] = []
-    for cell, _ in finished:
-        counts = load_visits(result_file(options.folder, cell).with_name("visits.safetensors"))
+    for run, _ in finished:
+        counts = load_visits(result_file(folder, run).with_name("visits.safetensors"))
         places.append(_stages(counts["places"]))
         turns.append(_stages(counts["turns"]))
     return {"places": np.sum(places, axis=0).tolist(), "turns": np.sum(turns, axis=0).tolist()}

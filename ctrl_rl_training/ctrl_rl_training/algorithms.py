@@ -18,9 +18,9 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.noise import OrnsteinUhlenbeckActionNoise
 from stable_baselines3.common.vec_env import DummyVecEnv
 
-from ttr_reward_node.actor import Actor
-from ttr_reward_node.errors import TimeToReachError
-from ttr_reward_node.training_environment import observation_scales
+from ctrl_rl_training.actor import Actor
+from ctrl_rl_training.environment import observation_scales
+from ctrl_rl_training.errors import TrainingError
 
 ALGORITHMS = ("ppo", "trpo", "ddpg")
 REWARD_SCALE = 0.01
@@ -54,10 +54,10 @@ def number_of_environments(algorithm: str) -> int:
     """Return how many environments an algorithm steps in turn.
 
     Raises:
-        TimeToReachError: there is no such algorithm.
+        TrainingError: there is no such algorithm.
     """
     if algorithm not in ALGORITHMS:
-        raise TimeToReachError(f"no algorithm '{algorithm}': there are {', '.join(ALGORITHMS)}")
+        raise TrainingError(f"no algorithm '{algorithm}': there are {', '.join(ALGORITHMS)}")
     return 1 if algorithm == "ddpg" else _ON_POLICY_ENVIRONMENTS
 
 
@@ -73,9 +73,9 @@ def make_algorithm(
         samples: how many it will see at most.
 
     Raises:
-        TimeToReachError: there is no such algorithm.
+        TrainingError: there is no such algorithm.
     """
-    environments = DummyVecEnv([make] * number_of_environments(algorithm))
+    environments = DummyVecEnv([lambda: scaled_reward(make())] * number_of_environments(algorithm))
     common: dict[str, Any] = {"gamma": _GAMMA, "seed": seed, "device": "cpu"}
     network: dict[str, Any] = {"net_arch": list(_HIDDEN), "optimizer_kwargs": {"fused": True}}
     if algorithm == "ddpg":
@@ -116,6 +116,11 @@ def make_algorithm(
         policy_kwargs=network,
         **common,
     )
+
+
+def scaled_reward(environment: gymnasium.Env[Any, Any]) -> gymnasium.Env[Any, Any]:
+    """Return the environment with its rewards multiplied by `REWARD_SCALE`."""
+    return gymnasium.wrappers.TransformReward(environment, lambda reward: REWARD_SCALE * float(reward))
 
 
 def extract_actor(model: BaseAlgorithm, task: NavigationTask, manifest: Mapping[str, Any]) -> Actor:

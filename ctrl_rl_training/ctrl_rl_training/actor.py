@@ -18,11 +18,11 @@ from numpy.typing import ArrayLike, NDArray
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
-from ttr_reward_node.errors import TimeToReachError
+from ctrl_rl_training.errors import TrainingError
 
 Array = NDArray[np.float32]
 
-FORMAT = "ttr-actor-1"
+FORMAT = "actor-1"
 _HEADER_KEY = "actor"
 _LAYER_NORM_EPSILON = np.float32(1e-5)  # torch's
 
@@ -95,13 +95,13 @@ class Actor:
         """Read a policy.
 
         Raises:
-            TimeToReachError: the file is missing or is not such a policy; the message names it.
+            TrainingError: the file is missing or is not such a policy; the message names it.
         """
         try:
             with safe_open(path, framework="np") as file:
                 header = json.loads((file.metadata() or {}).get(_HEADER_KEY, "{}"))
                 if header.get("format") != FORMAT:
-                    raise TimeToReachError(f"{path}: is not a policy of format {FORMAT}: learn it again")
+                    raise TrainingError(f"{path}: is not a policy of format {FORMAT}: learn it again")
                 layers = range(header["layers"])
                 return cls(
                     weights=tuple(file.get_tensor(f"weight_{index}") for index in layers),
@@ -112,7 +112,7 @@ class Actor:
                     **{name: file.get_tensor(name) for name in _VECTORS},
                 )
         except (OSError, SafetensorError, ValueError, KeyError) as error:
-            raise TimeToReachError(f"{path}: cannot be read as a policy ({error})") from None
+            raise TrainingError(f"{path}: cannot be read as a policy ({error})") from None
 
 
 _VECTORS = ("middle", "unit", "low", "high")

@@ -16,7 +16,7 @@ from safetensors.numpy import save
 from stable_baselines3 import DDPG
 from stable_baselines3.common.base_class import BaseAlgorithm
 
-from ttr_reward_node.errors import TimeToReachError
+from ctrl_rl_training.errors import TrainingError
 
 _HEADER_KEY = "checkpoint"
 _REPLAY = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
@@ -55,7 +55,7 @@ def load_checkpoint(path: Path, model: BaseAlgorithm) -> tuple[dict[str, Any], d
     """Bring a new model to where a checkpoint was and return progress and history.
 
     Raises:
-        TimeToReachError: the file cannot be read, or is of another algorithm or network.
+        TrainingError: the file cannot be read, or is of another algorithm or network.
     """
     try:
         with safe_open(path, framework="np") as file:
@@ -65,7 +65,7 @@ def load_checkpoint(path: Path, model: BaseAlgorithm) -> tuple[dict[str, Any], d
         model.num_timesteps = header["samples"]
         progress: dict[str, Any] = header["progress"]
     except (OSError, SafetensorError, ValueError, KeyError, RuntimeError) as error:
-        raise TimeToReachError(f"{path}: cannot go on from it ({error}); delete it to begin anew") from None
+        raise TrainingError(f"{path}: cannot go on from it ({error}); delete it to begin anew") from None
     history = {name.removeprefix(_HISTORY): array for name, array in tensors.items() if name.startswith(_HISTORY)}
     return progress, history
 
