@@ -62,7 +62,7 @@ class Solids:
         boxes = [shape for shape in shapes if isinstance(shape, Box)]
         discs = [shape for shape in shapes if isinstance(shape, Disc)]
         self._count = len(shapes)
-        self._centres = np.array([shape.centre for shape in (*boxes, *discs)]).reshape(-1, 2)
+        self._centres = np.array([box.centre for box in boxes] + [disc.centre for disc in discs]).reshape(-1, 2)
         self._boxes = len(boxes)
         self._half = 0.5 * np.array([box.size for box in boxes]).reshape(-1, 2)
         angles = np.array([box.angle for box in boxes])

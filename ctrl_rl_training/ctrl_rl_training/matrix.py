@@ -6,22 +6,19 @@ results = train_all(runs, Options(Path("runs/mine")))
 from __future__ import annotations
 
 import fcntl
-import multiprocessing
 import os
 from collections.abc import Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from queue import Empty
 from typing import Any
 
+from ctrl_rl_core.workers import CONTEXT, in_processes
 from tqdm import tqdm
 
 from ctrl_rl_training.errors import TrainingError
 from ctrl_rl_training.training import Options, Run, result_file, train_one
-
-_LOOK_EVERY = 1.0
 
 
 def train_all(runs: Sequence[Run], options: Options, workers: int = 0, title: str = "training") -> list[dict[str, Any]]:
@@ -36,8 +33,8 @@ def train_all(runs: Sequence[Run], options: Options, workers: int = 0, title: st
         title: of the progress bar, and of the lock that keeps a second call with it out of the folder.
 
     Raises:
-        TrainingError: another call works in the folder, or a worker was killed.
-        CtrlRlError: a run refuses.
+        TrainingError: another call works in the folder.
+        CtrlRlError: a run refuses, or a worker was killed.
     """
     todo = [run for run in runs if not result_file(options.folder, run).is_file()]
     options.folder.mkdir(parents=True, exist_ok=True)
@@ -48,23 +45,11 @@ def train_all(runs: Sequence[Run], options: Options, workers: int = 0, title: st
 
 
 def _run(todo: Sequence[Run], options: Options, workers: int, title: str) -> None:
-    context = multiprocessing.get_context("spawn")
-    reports: Any = context.Queue()
-    pool = ProcessPoolExecutor(workers, context, _begin_worker, (reports,))
-    bar = tqdm(total=len(todo) * options.iterations, desc=title, unit="iteration", mininterval=5.0)
-    try:
-        waiting: set[Future[None]] = {pool.submit(_train, run, _picklable(options)) for run in todo}
-        while waiting:
-            done, waiting = wait(waiting, _LOOK_EVERY, FIRST_COMPLETED)
-            _show(bar, reports)
-            for future in done:
-                future.result()
-        _show(bar, reports)
-    except BrokenProcessPool:
-        raise TrainingError("a worker was killed: run the same command again to go on") from None
-    finally:
-        bar.close()
-        pool.shutdown(wait=False, cancel_futures=True)
+    reports: Any = CONTEXT.Queue()
+    with tqdm(total=len(todo) * options.iterations, desc=title, unit="iteration", mininterval=5.0) as bar:
+        work, show = partial(_train, options=_picklable(options)), partial(_show, bar, reports)
+        for _ in in_processes(work, todo, workers, _begin_worker, (reports,), show):
+            show()
 
 
 def _picklable(options: Options) -> dict[str, Any]:
