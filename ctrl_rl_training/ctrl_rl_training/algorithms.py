@@ -28,7 +28,7 @@ REWARD_SCALE = 0.01
 ROLL_OUT = 2048
 """Samples between two updates of PPO and TRPO."""
 
-_GAMMA = 0.99
+_GAMMA = 0.98
 _HIDDEN = (64, 64)
 _NOISE = 0.5
 _ON_POLICY_ENVIRONMENTS = 8
