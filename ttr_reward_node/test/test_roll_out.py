@@ -19,7 +19,7 @@ def test_without_obstacles_time_is_as_predicted():
 def test_among_obstacles_it_arrives():
     result = check_task("car_ttr", states=300)
     assert result["reached"] >= 0.95
-    assert result["collided"] <= 0.02
+    assert result["collided"] <= 0.04
     assert result["ratio_median"] == pytest.approx(1.0, abs=0.01)
 
 

@@ -11,6 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from ctrl_rl_core.regions import position_indices
+from ctrl_rl_core.task_parts import World
 from ctrl_rl_core.tasks import NavigationTask, load_navigation_task
 from numpy.typing import NDArray
 
@@ -54,8 +56,9 @@ def check_task(
         margin = 0.5 * max((problem.axes[k].spacing for k in plane), default=0.0)
     problem = problem_from_task(task, inflation=margin) if obstacles else replace(problem, clearance=None)
     solution = solve(problem, method, progress=progress)
-    starts = random_starts(solution.grid, problem, states, seed)
-    outcome = roll_out(solution.grid, problem, starts, world=task.build_world() if obstacles else None)
+    world = task.build_world() if obstacles else None
+    starts = random_starts(solution.grid, problem, states, seed, world=world)
+    outcome = roll_out(solution.grid, problem, starts, world=world)
     return {
         "task": task.name,
         "method": method,
@@ -68,15 +71,21 @@ def check_task(
     }
 
 
-def random_starts(value: ValueFunction, problem: Problem, count: int, seed: int = 0) -> NDArray[np.float64]:
-    """Draw random states (count, n) outside the target from which it can be reached."""
+def random_starts(
+    value: ValueFunction, problem: Problem, count: int, seed: int = 0, *, world: World | None = None
+) -> NDArray[np.float64]:
+    """Draw random states (count, n), outside the target and the world's obstacles, from which it can be reached."""
+    plane = position_indices(problem.system.state_names)
     random = np.random.default_rng(seed)
     lower, upper = np.array([(axis.lower, axis.upper) for axis in problem.axes]).T
     starts = np.empty((0, len(lower)))
     while len(starts) < count:
         some = random.uniform(lower, upper, (count, len(lower)))
         times = value.value(some)
-        starts = np.concatenate((starts, some[np.isfinite(times) & (times > 0.0)]))
+        kept = np.isfinite(times) & (times > 0.0)
+        if world is not None:
+            kept &= world.signed_distance(some[:, plane]) > 0.0
+        starts = np.concatenate((starts, some[kept]))
     return starts[:count]
 
 

@@ -5,7 +5,7 @@
 
 The whole is solved once, on a grid as fine as six dimensions allow; each decomposition is solved on the same axes. Both
 solutions carry the error of that grid, the whole's the larger one: the gap is that of the decomposition and of the grid
-together, and shrinks as the grid is refined (`docs/results/ttr_gap.json` has two grids for that reason).
+together, and shrinks as the grid is refined (`docs/results/ttr_gap.json` has three grids for that reason).
 """
 
 from __future__ import annotations

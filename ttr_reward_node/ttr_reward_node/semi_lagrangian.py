@@ -1,10 +1,14 @@
 """The semi-Lagrangian solver: from each node to where the controls take it in a few cells, until nothing changes.
 
 It sweeps in three phases. First without any judgement of what is unreachable: w only grows, towards the one solution of
-a monotone scheme, so no node can come to lean on others that lean on it. Nodes from which less than half of the weight
-ever reaches the target are unreachable. Then the edge of what can be reached is made sharp, and at last the curvature
-is added (see `row`). Finite jumps stay as wide as linear interpolation makes them, a few cells, on the side of longer
-times: sharpened ones are nearer the truth on average, but who steers by them drives over the edge.
+a monotone scheme, so no node can come to lean on others that lean on it. Nodes that lose weight to the unreachable on
+the way, or take so long that only the blur of interpolation can have brought them to the target, fall below _CUT: they
+are taken to be unreachable, and have to be reached anew in the second phase, which makes the edge of what can be
+reached sharp. At last the curvature is added (see `row`); w then only grows, because a scheme with curvature is not
+monotone and would go to and fro.
+
+Finite jumps stay as wide as linear interpolation makes them, a few cells, on the side of longer times: sharpened ones
+are nearer the truth on average, but who steers by them drives over the edge.
 """
 
 from __future__ import annotations
@@ -32,10 +36,10 @@ on a lattice of headings the headings, that the first one cannot reach."""
 
 # All in units of the time that the slowest axis takes to cross a cell at its top speed.
 _TOLERANCE = 0.1
-_SETTLED = 100.0  # a phase hands over to the next when changes are below this
-_QUIET = (10.0, 0.1, 0.01)  # in each phase: a row whose changes are below this does not wake those that look at it
-_CUT = 0.95  # w of a node that the first phase leaves standing; the others have to be reached anew
-_CROSSINGS = 30.0  # 1 / lambda, in crossings of the grid
+_SETTLED = (330.0, 0.2)  # the first and second phase hand over to the next when changes are below this
+_QUIET = (33.0, 0.03, 0.01)  # in each phase: a row whose changes are below this does not wake those that look at it
+_CUT = 0.985  # w of a node that the first phase leaves standing; with _CROSSINGS, up to one and a half crossings
+_CROSSINGS = 100.0  # 1 / lambda, in crossings of the grid
 
 
 def memory_needed(problem: Problem) -> float:
@@ -106,7 +110,7 @@ def solve(
         number, in_phase = number + 1, in_phase + 1
         if progress is not None:
             progress(number, residual)
-        if len(phases) > 1 and residual <= _SETTLED * unit and in_phase > 1:
+        if len(phases) > 1 and residual <= _SETTLED[3 - len(phases)] * unit and in_phase > 1:
             if math.isinf(phases[0].jump):
                 values[values < _CUT] = 0.0
             phases.pop(0)

@@ -47,11 +47,6 @@ class Layout:
         return self.outer + self.inner
 
     @property
-    def shown(self) -> tuple[int, ...]:
-        """The problem's axes in this order, to transpose with."""
-        return self.outer + self.inner
-
-    @property
     def slabs(self) -> int:
         """Number of nodes of the outer axes: f is the same all over the inner ones."""
         return math.prod(self.counts[: len(self.outer)].tolist())

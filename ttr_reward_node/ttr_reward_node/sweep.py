@@ -134,6 +134,7 @@ def sweep(
                 offset,
                 down[n - 1],
                 jump,
+                rule.curved or rule.jump == np.inf,
                 grid.periodic[n - 1],
                 buffers,
                 found,
@@ -170,12 +171,13 @@ def _do_row(
     offset: int,
     down: bool,
     jump: float,
+    grow: bool,
     periodic: bool,
     buffers: Floats,
     found: Floats,
     own: NDArray[np.int64],
 ) -> np.float32:
-    """Update the nodes of a row and return the largest relative change."""
+    """Update the nodes of a row and return the largest relative change; with `grow`, w never falls, except to 0."""
     pairs, last = found.shape
     # Steps along the row use what has just been found there. In a game all pairs are needed at once: that takes longer.
     n_own = 0
@@ -209,7 +211,7 @@ def _do_row(
             new = _near_value(values, plan, weights, found, outcomes, near, controls, j, jump, periodic)
         if new < _TINY:
             new = np.float32(0.0)
-        elif new < values[offset + j]:
+        elif grow and new < values[offset + j]:
             continue
         old = values[offset + j]
         if new != old:
