@@ -76,7 +76,7 @@ class Options:
     """
 
     folder: Path
-    iterations: int = 12
+    iterations: int = 10
     samples: int = ITERATION
     evaluations: int = 20
     final_evaluations: int = 50

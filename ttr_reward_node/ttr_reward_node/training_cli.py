@@ -27,7 +27,7 @@ def train(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--algorithms", nargs="+", choices=ALGORITHMS, default=ALGORITHMS, help="default: all")
     parser.add_argument("--rewards", nargs="+", choices=REWARDS, default=REWARDS, help="default: all")
     parser.add_argument("--seeds", type=int, default=5, help="how many, from 0 (default %(default)s)")
-    parser.add_argument("--iterations", type=int, default=12, help="of 10240 samples each (default %(default)s)")
+    parser.add_argument("--iterations", type=int, default=10, help="of 10240 samples each (default %(default)s)")
     parser.add_argument("--workers", type=int, default=0, help="runs at a time (default: one for each core)")
     parser.add_argument("--results", type=Path, help="JSON file to write table and curves to")
     options = parser.parse_args(arguments)
