@@ -3,9 +3,9 @@
 
 SHELL := /bin/bash
 RUN := set -eo pipefail; source scripts/workspace.bash;
-LINKED := ctrl_rl_core sim_bridge ttr_reward_node oc_baseline_node koopman_lqr_controller option_coordinator ctrl_rl_bringup
+LINKED := ctrl_rl_core sim_bridge ctrl_rl_training ttr_reward_node oc_baseline_node koopman_lqr_controller option_coordinator ctrl_rl_bringup
 
-.PHONY: help setup build demo trials train test test-all lint bench results clean
+.PHONY: help setup build demo trials train ttr test test-all lint bench results clean
 
 help: ## say what there is
 	@grep -E '^[a-z-]+:.*##' Makefile | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 18
@@ -27,6 +27,12 @@ train: build ## record drives of the scripted driver and learn the corridor's po
 	ros2 run ctrl_rl_bringup record_drives --output $$run $(ARGS); \
 	ros2 run koopman_lqr_controller train $$run/bag --output $$run/policy.safetensors; \
 	echo "try it:              make demo ARGS=\"--policy $$run/policy.safetensors\""
+
+ttr: build ## learn TASK=car_ttr (or quad_ttr) with every reward and algorithm; hours, may be cut off
+	@$(RUN) mkdir -p runs; task=$${TASK:-car_ttr}; how="--robot-size"; [[ $$task != quad_ttr ]] || how="--decomposition 4d+4d"; \
+	[[ -e runs/$$task.safetensors ]] || ros2 run ttr_reward_node solve --task $$task $$how --output runs/$$task.safetensors; \
+	ros2 run ttr_reward_node train --task $$task --grid runs/$$task.safetensors --results docs/results/ttr_training_$$task.json $(ARGS); \
+	ros2 run ttr_reward_node training_figures docs/results/ttr_training_$$task.json
 
 test: build lint ## the tests, in about ten minutes
 	@$(RUN) python -m pytest -m "not slow" $(ARGS)

@@ -10,24 +10,38 @@ import rclpy
 from ament_index_python.packages import get_package_prefix
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
+from ttr_reward_node.solver import solve_task
 
 NODES = {
     "bridge": ("sim_bridge", ()),
     "recorder": ("ctrl_rl_core", ("output:={folder}/bag",)),
     "controller": ("koopman_lqr_controller", ()),
     "scripted_driver": ("koopman_lqr_controller", ()),
+    "reward": ("ttr_reward_node", ("grid:={grid}",)),
 }
 BAD = {
     "bridge": ("task:=nowhere", "no task 'nowhere'"),
     "recorder": ("output:={folder}", "exists"),
     "controller": ("scan_timeout:=-1.0", "parameter 'scan_timeout' is out of range: must be 0.05 to 10"),
     "scripted_driver": ("speed:=fast", "parameter 'speed' is 'fast': must be a number"),
+    "reward": ("grid:={folder}/none.safetensors", "none.safetensors: there is no such file"),
 }
 
 
-def start(run_node: Callable, name: str, folder: Path, *more: str):
-    package, parameters = NODES[name]
-    return run_node(package, name, *(parameter.format(folder=folder) for parameter in parameters), *more)
+@pytest.fixture(scope="module")
+def grid(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("grids") / "car.safetensors"
+    solve_task("car_ttr", counts=(31, 31, 24)).save(path)
+    return path
+
+
+@pytest.fixture
+def start(run_node: Callable, tmp_path: Path, grid: Path) -> Callable:
+    def run(name: str, *more: str):
+        package, parameters = NODES[name]
+        return run_node(package, name, *(text.format(folder=tmp_path, grid=grid) for text in parameters), *more)
+
+    return run
 
 
 @pytest.fixture
@@ -47,11 +61,9 @@ def listener():
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.parametrize("name", NODES)
-def test_a_signal_ends_it_within_a_second_with_exit_code_0(
-    run_node: Callable, listener, tmp_path: Path, name: str, number: int
-) -> None:
+def test_a_signal_ends_it_within_a_second_with_exit_code_0(start: Callable, listener, name: str, number: int) -> None:
     node, heard = listener
-    process = start(run_node, name, tmp_path)
+    process = start(name)
     for _ in range(600):
         rclpy.spin_once(node, timeout_sec=0.05)
         if heard:
@@ -83,15 +95,15 @@ def test_help_names_every_parameter_with_default_and_range(name: str) -> None:
     assert answer.stdout.count("(default ") >= 3
 
 
-def test_diagnostics_carry_name_level_and_figures(run_node: Callable, listener, tmp_path: Path) -> None:
+def test_diagnostics_carry_name_level_and_figures(start: Callable, listener) -> None:
     node, heard = listener
     for name in NODES:
-        start(run_node, name, tmp_path)
+        start(name)
     for _ in range(800):
         rclpy.spin_once(node, timeout_sec=0.05)
         if len(heard) == len(NODES):
             break
-    assert set(heard) == {"/sim_bridge", "/recorder", "/koopman_lqr_controller", "/scripted_driver"}
+    assert set(heard) == {"/sim_bridge", "/recorder", "/koopman_lqr_controller", "/scripted_driver", "/ttr_reward_node"}
     for message in heard.values():
         assert message.header.stamp.sec > 0 or message.status[0].name != "/recorder"
         assert message.status[0].message

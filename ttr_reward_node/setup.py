@@ -15,4 +15,14 @@ setup(
     ],
     install_requires=["setuptools"],
     zip_safe=False,
+    entry_points={
+        "console_scripts": [
+            "relabel = ttr_reward_node.cli:relabel_bag",
+            "reward = ttr_reward_node.node:main",
+            "slices = ttr_reward_node.cli:slices",
+            "solve = ttr_reward_node.cli:solve_value",
+            "train = ttr_reward_node.training_cli:train",
+            "training_figures = ttr_reward_node.training_cli:training_figures",
+        ],
+    },
 )

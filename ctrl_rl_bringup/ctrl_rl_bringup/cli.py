@@ -9,7 +9,7 @@ from datetime import datetime
 from pathlib import Path
 
 from ctrl_rl_core.command import run_command
-from ctrl_rl_core.results import Result, as_markdown, read_results, write_results
+from ctrl_rl_core.results import Result, as_markdown, read_benchmarks, read_results, write_results
 
 from ctrl_rl_bringup.drive import drive, drive_seeds, follow_running, record_scripted, write_artifacts
 from ctrl_rl_bringup.report import Drive, read_drive
@@ -66,7 +66,8 @@ def results() -> int:
     options = parser.parse_args()
 
     def work() -> int:
-        options.page.write_text(as_markdown(read_results(options.folder)), encoding="utf-8")
+        page = as_markdown(read_results(options.folder), read_benchmarks(options.folder / "bench.json"))
+        options.page.write_text(page, encoding="utf-8")
         return 0
 
     return _run("results", work)

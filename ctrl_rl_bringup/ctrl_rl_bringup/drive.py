@@ -9,15 +9,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import rclpy
-from ctrl_rl_core.errors import CtrlRlError
 from ctrl_rl_core.tasks import load_navigation_task, task_file
 from koopman_lqr_controller.policy_file import find_policy
 
 from ctrl_rl_bringup.monitor import Episode, Monitor
 from ctrl_rl_bringup.picture import draw_drive
+from ctrl_rl_bringup.prepare import new_folder, solve_time_to_reach
 from ctrl_rl_bringup.processes import Processes
 from ctrl_rl_bringup.report import Drive, read_drive
-from ctrl_rl_bringup.stack import DriveOptions, NodeSpec, controller, recorder, scripted_driver, simulator
+from ctrl_rl_bringup.stack import DriveOptions, NodeSpec, controller, recorder, reward, scripted_driver, simulator
 from ctrl_rl_msgs.msg import TaskOutcome
 
 
@@ -30,8 +30,12 @@ class Artifacts:
 
 
 def drive(options: DriveOptions) -> Drive:
-    """Drive once under the controller, record everything, and return what the bag says."""
-    with _running(options, controller(options), {"policy": find_policy(options.policy)}) as monitor:
+    """Drive once under the controller, with its reward, record everything, and return what the bag says."""
+    policy = find_policy(options.policy)
+    load_navigation_task(options.task)
+    new_folder(options)
+    grid = solve_time_to_reach(options)
+    with _running(options, [controller(options), reward(options, grid)], {"policy": policy, "grid": grid}) as monitor:
         monitor.run()
         monitor.follow("driving")
     return read_drive(options.bag)
@@ -50,24 +54,31 @@ def write_artifacts(result: Drive, folder: Path) -> Artifacts:
 def follow_running() -> int:
     """Follow a drive whose nodes somebody else has started, and return 0 if it reached the goal, else 1."""
     with _ros():
-        monitor = Monitor(check=lambda: None)
+        monitor = Monitor(check=lambda: None, rewarded=True)
         try:
             monitor.wait_until_ready()
             monitor.run()
-            return 0 if monitor.follow("driving").outcome == TaskOutcome.GOAL else 1
+            outcome = monitor.follow("driving").outcome
+            monitor.pause()
+            return 0 if outcome == TaskOutcome.GOAL else 1
         finally:
             monitor.close()
 
 
 def drive_seeds(options: DriveOptions, seeds: Sequence[int]) -> list[Episode]:
     """Drive under the controller once for each seed, in one recorded session, and return how each drive ended."""
-    with _running(options, controller(options), {"policy": find_policy(options.policy)}) as monitor:
+    policy = find_policy(options.policy)
+    load_navigation_task(options.task)
+    new_folder(options)
+    with _running(options, [controller(options)], {"policy": policy}) as monitor:
         return _episodes(monitor, seeds, "seed")
 
 
 def record_scripted(options: DriveOptions, seeds: Sequence[int]) -> list[Episode]:
     """Record the scripted driver, once for each seed: drives to learn from."""
-    with _running(options, scripted_driver(options.seed), {}) as monitor:
+    load_navigation_task(options.task)
+    new_folder(options)
+    with _running(options, [scripted_driver(options.seed)], {}) as monitor:
         return _episodes(monitor, seeds, "drive")
 
 
@@ -82,26 +93,18 @@ def _episodes(monitor: Monitor, seeds: Sequence[int], title: str) -> list[Episod
 
 
 @contextmanager
-def _running(options: DriveOptions, driver: NodeSpec, digests: dict[str, Path]) -> Iterator[Monitor]:
-    """Start simulator, driver and recorder, and end them in an order in which the recorder misses nothing."""
-    task = task_file(options.task)
-    load_navigation_task(task)
-    try:
-        options.folder.mkdir(parents=True)
-    except FileExistsError:
-        raise CtrlRlError(f"{options.folder} exists: give another folder") from None
-    except OSError as error:
-        raise CtrlRlError(f"cannot make {options.folder}: {error.strerror}") from None
+def _running(options: DriveOptions, nodes: Sequence[NodeSpec], digests: dict[str, Path]) -> Iterator[Monitor]:
+    """Start simulator, recorder and nodes, and end them in an order in which the recorder misses nothing."""
     with _ros(), Processes(options.folder) as processes:
-        processes.start([recorder(options, {"task": task, **digests}), simulator(options), driver])
-        monitor = Monitor(processes.check)
+        processes.start([recorder(options, {"task": task_file(options.task), **digests}), simulator(options), *nodes])
+        monitor = Monitor(processes.check, rewarded=any(node.executable == "reward" for node in nodes))
         try:
             monitor.wait_until_ready()
             yield monitor
             monitor.pause()
         finally:
             monitor.close()
-        for name in (driver.executable, "bridge", "recorder"):
+        for name in (*(node.executable for node in nodes), "bridge", "recorder"):
             processes.stop(name)
 
 

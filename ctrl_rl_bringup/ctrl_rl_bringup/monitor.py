@@ -26,6 +26,7 @@ OUTCOMES = {
 }
 _RECORDER = "recorder"
 _RECORDED = ("scan", "odom", "cmd_vel", "episode", "clock", "ground_truth")
+_REWARDED = ("reward", "time_to_reach")
 _READY_S = 30.0
 _SILENT_S = 20.0
 
@@ -55,10 +56,12 @@ class Monitor:
 
     Args:
         check: called often; raises if a node of the run has died.
+        rewarded: whether a reward node belongs to the run.
     """
 
-    def __init__(self, check: Callable[[], None]) -> None:
+    def __init__(self, check: Callable[[], None], rewarded: bool = False) -> None:
         self._node = Node("monitor")
+        self._topics = (*_RECORDED, *(_REWARDED if rewarded else ()))
         self._check = check
         self._episode: Episode | None = None
         self._wanted = 0
@@ -132,7 +135,7 @@ class Monitor:
 
     def _missing(self) -> str:
         """Return in words what is not there yet, empty if all is."""
-        for topic in _RECORDED:
+        for topic in self._topics:
             subscribers = {info.node_name for info in self._node.get_subscriptions_info_by_topic(f"/{topic}")}
             publishers = self._node.count_publishers(topic)
             if publishers == 0:

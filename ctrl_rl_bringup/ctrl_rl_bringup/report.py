@@ -35,6 +35,7 @@ class Drive:
         odometry: (n, 3) the same by the robot's wheels, in its own frame odom.
         clearance: (n, 2) time and clearance [s, m].
         commands: (n, 3) time, speed, turn rate [s, m/s, rad/s].
+        rewards: (n, 3) time, reward, time to reach [s, 1, s]; no rows where none was recorded.
         latencies: from the publication of a scan to that of the command that answers it [s].
         messages: recorded.
         lost: published while the recorder listened, but not recorded.
@@ -50,6 +51,7 @@ class Drive:
     odometry: Array
     clearance: Array
     commands: Array
+    rewards: Array
     latencies: Array
     messages: int
     lost: int
@@ -58,6 +60,11 @@ class Drive:
     def reached(self) -> bool:
         """Whether the goal was reached."""
         return self.outcome == TaskOutcome.GOAL
+
+    @property
+    def time_to_reach(self) -> float:
+        """At the start [s]; NaN where no reward was recorded."""
+        return float(self.rewards[0, 2]) if len(self.rewards) else float("nan")
 
     def latency(self, percentile: float) -> float:
         """Return a percentile of the latencies [s], NaN where no command answers a scan."""
@@ -71,6 +78,8 @@ class Drive:
             "time_s": self.duration,
             "collisions": self.collisions,
             "smallest_clearance_m": self.smallest_clearance,
+            "time_to_reach_at_start_s": self.time_to_reach if np.isfinite(self.time_to_reach) else None,
+            "rewards": len(self.rewards),
             "latency_median_ms": 1e3 * self.latency(50),
             "latency_p99_ms": 1e3 * self.latency(99),
             "messages_recorded": self.messages,
@@ -80,10 +89,12 @@ class Drive:
     def text(self) -> str:
         """Return the figures for people."""
         ms = [1e3 * self.latency(percentile) for percentile in (50, 99)]
+        best = self.time_to_reach
+        share = f", {self.duration / best:.2f} of the time to reach, {best:.1f} s" if np.isfinite(best) else ""
         return "\n".join(
             (
                 f"outcome             {OUTCOMES[self.outcome]}",
-                f"time                {self.duration:.1f} s",
+                f"time                {self.duration:.1f} s{share if self.reached else ''}",
                 f"collisions          {self.collisions}",
                 f"smallest clearance  {self.smallest_clearance:.3f} m",
                 f"control latency     {ms[0]:.2f} ms median, {ms[1]:.2f} ms p99, {len(self.latencies)} scans",
@@ -100,7 +111,7 @@ def read_drive(bag: Path) -> Drive:
     """
     stamps: dict[str, list[float]] = defaultdict(list)
     rows: dict[str, list[tuple[float, ...]]] = defaultdict(list)
-    topics = ("/scan", "/odom", "/ground_truth", "/cmd_vel", "/episode")
+    topics = ("/scan", "/odom", "/ground_truth", "/cmd_vel", "/episode", "/reward")
     info = bag_info(bag)
     recorded = [topic for topic in topics if topic in info.topics]
     if "/episode" not in recorded:
@@ -113,6 +124,8 @@ def read_drive(bag: Path) -> Drive:
     task, width = _task_of(info.custom_data)
 
     def track(topic: str) -> Array:
+        if topic not in rows:
+            return np.empty((0, 3))
         return np.column_stack((np.array(stamps[topic]) - begin, np.array(rows[topic]).reshape(len(rows[topic]), -1)))
 
     sent = read_sent(bag)
@@ -127,6 +140,7 @@ def read_drive(bag: Path) -> Drive:
         odometry=track("/odom"),
         clearance=np.column_stack((episode[:, 1], episode[:, 4])),
         commands=track("/cmd_vel"),
+        rewards=track("/reward"),
         latencies=answer_latencies(sent["/scan"], sent["/cmd_vel"]),
         messages=info.message_count,
         lost=lost_messages(sent),
@@ -152,6 +166,8 @@ def _row(topic: str, message: Any) -> tuple[float, ...]:
     if topic == "/cmd_vel":
         twist = getattr(message, "twist", message)
         return twist.linear.x, twist.angular.z
+    if topic == "/reward":
+        return message.reward, message.time_to_reach
     return ()
 
 

@@ -8,7 +8,8 @@ import signal
 from datetime import datetime
 from pathlib import Path
 
-from ctrl_rl_bringup.stack import DriveOptions, NodeSpec, controller, recorder, simulator
+from ctrl_rl_bringup.prepare import new_folder, solve_time_to_reach
+from ctrl_rl_bringup.stack import DriveOptions, NodeSpec, controller, recorder, reward, simulator
 from ctrl_rl_core.tasks import task_file
 from koopman_lqr_controller.policy_file import find_policy
 from launch import LaunchContext, LaunchDescription
@@ -49,9 +50,11 @@ def _stack(context: LaunchContext) -> list[Action]:
         speed=float(value["speed"]),
         gui=value["gui"].lower() == "true",
     )
-    options.folder.mkdir(parents=True)
-    bag = _node(recorder(options, {"task": task_file(options.task), "policy": find_policy(options.policy)}))
-    others = [_node(simulator(options)), _node(controller(options))]
+    files = {"task": task_file(options.task), "policy": find_policy(options.policy)}
+    new_folder(options)
+    grid = solve_time_to_reach(options)
+    bag = _node(recorder(options, {**files, "grid": grid}))
+    others = [_node(spec) for spec in (simulator(options), controller(options), reward(options, grid))]
     monitor = Node(package="ctrl_rl_bringup", executable="monitor", output="screen")
     command = [FindExecutable(name="ros2"), "run", "ctrl_rl_bringup", "report", str(options.folder)]
     report = ExecuteProcess(cmd=command, output="screen")

@@ -23,6 +23,7 @@ _DISCOVERY_S = 0.2
 class RecorderNode(SuiteNode):
     """Records every topic, the parameters of all nodes and the digests of the files they work with, as one bag."""
 
+    QUICK = False
     PARAMETERS = (
         Parameter("output", "", "Folder of the bag; empty: bag_<date>-<time> in the working folder."),
         Parameter("topics", [""], "Topics to record; empty: all, also those that appear later."),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -30,9 +30,23 @@ class Result:
     thesis: float | None = None
 
 
-def write_results(path: Path, experiment: str, seeds: Sequence[int], rows: Sequence[Result]) -> None:
-    """Write an experiment's rows, with the command and commit that gave them; the file is there whole or not at all."""
-    content = {
+def write_results(
+    path: Path,
+    experiment: str,
+    seeds: Sequence[int],
+    rows: Sequence[Result],
+    figures: Mapping[str, Any] | None = None,
+) -> None:
+    """Write an experiment's rows, with the command and commit that gave them; the file is there whole or not at all.
+
+    Args:
+        path: of the file; replaced if it exists.
+        experiment: its name.
+        seeds: that it ran with.
+        rows: the table.
+        figures: what its pictures are drawn from, as JSON.
+    """
+    content: dict[str, Any] = {
         "experiment": experiment,
         "command": " ".join([Path(sys.argv[0]).name, *sys.argv[1:]]),
         "commit": _commit(),
@@ -50,9 +64,11 @@ def write_results(path: Path, experiment: str, seeds: Sequence[int], rows: Seque
             for row in rows
         ],
     }
+    if figures is not None:
+        content["figures"] = dict(figures)
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.name}")
-    temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    temporary.write_text(_dump(content), encoding="utf-8")
     temporary.replace(path)
 
 
@@ -73,8 +89,22 @@ def read_results(folder: Path) -> list[dict[str, Any]]:
     return out
 
 
-def as_markdown(experiments: Sequence[dict[str, Any]]) -> str:
-    """Return the experiments as a page of tables, each row beside the thesis's figure."""
+def read_benchmarks(file: Path) -> list[dict[str, Any]]:
+    """Return the rows that `make bench` wrote; none where it has not run.
+
+    Raises:
+        ResultsError: the file is not valid JSON.
+    """
+    try:
+        return list(json.loads(file.read_text(encoding="utf-8")))
+    except FileNotFoundError:
+        return []
+    except ValueError as error:
+        raise ResultsError(f"{file}: not valid JSON ({error})") from None
+
+
+def as_markdown(experiments: Sequence[dict[str, Any]], benchmarks: Sequence[dict[str, Any]] = ()) -> str:
+    """Return experiments and benchmarks as a page of tables, each figure beside the thesis's or a peer's."""
     lines = ["# Results", "", "Made from the JSON files in `docs/results/` by `make results`; do not edit."]
     for experiment in experiments:
         seeds = len(experiment["seeds"])
@@ -87,7 +117,20 @@ def as_markdown(experiments: Sequence[dict[str, Any]]) -> str:
             lines.append(
                 f"| {row['method']} | {row['metric']} | {row['mean']:.3g} ± {row['std']:.2g}{unit} | {thesis} |"
             )
+    if benchmarks:
+        lines += ["", "## Benchmarks", "", "    make bench", "", "Each figure and its peer were measured in one run."]
+        lines += ["", "| what | ours | against | ratio |", "|---|---|---|---|"]
+        for row in benchmarks:
+            ratio = "" if row["ratio"] is None else f"{row['ratio']:.3g}"
+            lines.append(f"| {row['name']} | {row['value']:.4g} {row['unit']} | {row['against']} | {ratio} |")
     return "\n".join(lines) + "\n"
+
+
+def _dump(content: Mapping[str, Any]) -> str:
+    """Return the JSON: a line for each field and row; figures, which are long, on one line."""
+    figures = content.get("figures")
+    text = json.dumps({key: value for key, value in content.items() if key != "figures"}, indent=1)
+    return f"{text}\n" if figures is None else f'{text[:-2]},\n "figures": {json.dumps(figures)}\n}}\n'
 
 
 def _commit() -> str:

@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
-from ctrl_rl_core.geometry import Arc, Box, Disc, Path, Shape, frame_walls, signed_distance
+from ctrl_rl_core.geometry import Arc, Box, Disc, Path, Shape, Solids, frame_walls
 from ctrl_rl_core.regions import Region
 from ctrl_rl_core.system_models import SYSTEM_MODELS
 from ctrl_rl_core.systems import System, SystemModelError, make_system
@@ -387,4 +388,8 @@ class World:
 
     def signed_distance(self, points: Any) -> Any:
         """Return the distance of points (..., 2) to the nearest wall or obstacle, negative inside one (...) [m]."""
-        return signed_distance((*self.walls, *self.obstacles), points)
+        return self._solids.signed_distance(points)
+
+    @cached_property
+    def _solids(self) -> Solids:
+        return Solids((*self.walls, *self.obstacles))

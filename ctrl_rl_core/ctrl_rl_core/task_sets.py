@@ -11,11 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ctrl_rl_core.geometry import Path
+from ctrl_rl_core.outcome import Outcome
 from ctrl_rl_core.regions import Region, position_indices, wrap
 from ctrl_rl_core.tasks import NavigationTask
 
-INTERMEDIATE, GOAL, COLLISION, TRAP, TIMEOUT = range(5)
-"""As in ctrl_rl_msgs/TaskOutcome."""
 PATH_NAMES = ("s", "lateral", "heading")
 """Components in which the regions of a task with a corridor are given."""
 
@@ -71,13 +70,13 @@ class TaskSets:
     def outcomes(self, states: ArrayLike) -> NDArray[np.uint8]:
         """Return for states (..., n) in which set (...) they lie; collision goes before goal, goal before trap."""
         states = np.asarray(states, dtype=float)
-        out = np.full(states.shape[:-1], INTERMEDIATE, dtype=np.uint8)
+        out = np.full(states.shape[:-1], Outcome.RUNNING, dtype=np.uint8)
         if self._trap is not None:
-            out[self._contains(self._trap, states)] = TRAP
-        out[self._contains(self._goal, states)] = GOAL
-        out[self.clearance(states) <= 0.0] = COLLISION
+            out[self._contains(self._trap, states)] = Outcome.TRAP
+        out[self._contains(self._goal, states)] = Outcome.GOAL
+        out[self.clearance(states) <= 0.0] = Outcome.COLLISION
         if self._tilt is not None:
-            out[np.abs(wrap(states[..., self._tilt])) > self._tilt_limit] = COLLISION
+            out[np.abs(wrap(states[..., self._tilt])) > self._tilt_limit] = Outcome.COLLISION
         return out
 
     def _contains(self, region: Region, states: NDArray[np.float64]) -> NDArray[np.bool_]:

@@ -126,11 +126,11 @@ class ValueServer(SuiteNode):
         self._outside = outside
         self._counts["outside"] += outside
         self._counts["unreachable"] += bool(np.isposinf(value))
+        message.header.frame_id = self.settings["frame"]
+        self.valued(message, state, value)
         out = StateValue(header=message.header, value=value, in_domain=not outside)
-        out.header.frame_id = self.settings["frame"]
         out.state, out.gradient = state.tolist(), gradient.tolist()
         self._values.publish(out)
-        self.valued(message, state, value)
 
     def _where(self, state: NDArray[np.float64]) -> str:
         return ", ".join(f"{name} = {x:.3g}" for name, x in zip(self._function.state_names, state, strict=True))

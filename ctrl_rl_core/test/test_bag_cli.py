@@ -99,7 +99,8 @@ def play(bag, *arguments):
 
 def test_plays_the_bytes_in_their_rhythm(bag, listener):
     listener.listen("/tick", 1000)
-    process = play(bag, "--wait-for-subscribers", "1")
+    listener.listen("/map", LATCHED)
+    process = play(bag, "--wait-for-subscribers", "20")
     listener.spin(lambda: len(listener.heard["/tick"]) == 100)
     output, errors = process.communicate(timeout=10)
     assert process.returncode == 0
@@ -128,6 +129,7 @@ def test_latched_topics_are_played_latched(bag, listener):
 
 def test_rate_remap_topics_offset_and_clock(bag, listener):
     listener.listen("/tock", 1000)
+    listener.listen("/map", LATCHED)
     listener.listen("/clock", 1000, Clock)
     arguments = (
         "--topics",
@@ -140,6 +142,8 @@ def test_rate_remap_topics_offset_and_clock(bag, listener):
         "--start-offset",
         "1",
         "--clock",
+        "--wait-for-subscribers",
+        "20",
     )
     process = play(bag, *arguments)
     listener.spin(lambda: len(listener.heard["/tock"]) == 50)
@@ -155,7 +159,7 @@ def test_rate_remap_topics_offset_and_clock(bag, listener):
 
 def test_loops_until_stopped(bag, listener):
     listener.listen("/tick", 1000)
-    process = play(bag, "--topics", "/tick", "--rate", "20", "--loop")
+    process = play(bag, "--topics", "/tick", "--rate", "20", "--loop", "--wait-for-subscribers", "20")
     listener.spin(lambda: len(listener.heard["/tick"]) > 250)
     process.send_signal(signal.SIGTERM)
     output, _ = process.communicate(timeout=5)

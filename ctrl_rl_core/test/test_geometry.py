@@ -83,3 +83,17 @@ def test_walls_have_no_gap_that_a_beam_could_pass() -> None:
 def test_a_turn_tighter_than_half_the_width_is_refused() -> None:
     with pytest.raises(ValueError, match="too tight"):
         Path((Arc(1.0, 1 / 0.3),)).walls(WIDTH)
+
+
+@given(st.integers(0, 2**32))
+def test_many_shapes_at_once_are_the_nearest_of_each(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    boxes = [
+        Box(tuple(random.uniform(-3, 3, 2)), tuple(random.uniform(0.1, 2, 2)), random.uniform(-3, 3)) for _ in range(3)
+    ]
+    discs = [Disc(tuple(random.uniform(-3, 3, 2)), random.uniform(0.1, 1)) for _ in range(2)]
+    points = random.uniform(-5, 5, (4, 7, 2))
+    shapes = [*boxes, *discs][: random.integers(1, 6)]
+    expected = np.min([shape.signed_distance(points) for shape in shapes], axis=0)
+    np.testing.assert_allclose(signed_distance(shapes, points), expected, atol=1e-12)
+    np.testing.assert_allclose(signed_distance(shapes, points[0, 0]), expected[0, 0], atol=1e-12)

@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 
 import pytest
-from ctrl_rl_core.results import Result, ResultsError, as_markdown, read_results, write_results
+from ctrl_rl_core.results import Result, ResultsError, as_markdown, read_benchmarks, read_results, write_results
 
 
 def test_a_row_carries_its_values_and_their_mean_and_spread(tmp_path: Path) -> None:
@@ -23,11 +23,14 @@ def test_a_row_carries_its_values_and_their_mean_and_spread(tmp_path: Path) -> N
 def test_the_page_sets_each_row_beside_the_thesis(tmp_path: Path) -> None:
     rows = [Result("edmd", "time", "s", [2.0, 4.0], thesis=3.5), Result("edmd", "goal reached", "1", [1.0, 1.0])]
     write_results(tmp_path / "corridor.json", "corridor", [0, 1], rows)
-    (tmp_path / "bench.json").write_text("[]")
-    page = as_markdown(read_results(tmp_path))
+    row = {"name": "look-up", "value": 0.286, "unit": "us", "against": "scipy, 42 us", "ratio": 148.0}
+    (tmp_path / "bench.json").write_text(json.dumps([row]))
+    page = as_markdown(read_results(tmp_path), read_benchmarks(tmp_path / "bench.json"))
     assert "## corridor" in page
     assert "| edmd | time | 3 ± 1 s | 3.5 s |" in page
     assert "| edmd | goal reached | 1 ± 0 |  |" in page
+    assert "| look-up | 0.286 us | scipy, 42 us | 148 |" in page
+    assert read_benchmarks(tmp_path / "missing.json") == []
 
 
 def test_a_broken_file_is_named(tmp_path: Path) -> None:

@@ -2,10 +2,13 @@
 
 import numpy as np
 import pytest
-from ctrl_rl_core.task_sets import COLLISION, GOAL, INTERMEDIATE, TRAP, PathCoordinates, TaskSets
+from ctrl_rl_core.outcome import Outcome
+from ctrl_rl_core.task_sets import PathCoordinates, TaskSets
 from ctrl_rl_core.tasks import load_navigation_task
 from hypothesis import given
 from hypothesis import strategies as st
+
+RUNNING, GOAL, COLLISION, TRAP = Outcome.RUNNING, Outcome.GOAL, Outcome.COLLISION, Outcome.TRAP
 
 
 def test_goal_obstacles_walls_and_the_rest_of_a_car():
@@ -13,7 +16,7 @@ def test_goal_obstacles_walls_and_the_rest_of_a_car():
     states = np.array(
         [(4.0, 4.0, 0.75), (4.0, 4.0, 2.0), (0.0, 0.0, 0.0), (0.5, 0.0, 0.0), (4.7, 0.0, 0.0), (0, -3, 1)]
     )
-    outcomes = [GOAL, INTERMEDIATE, COLLISION, COLLISION, COLLISION, INTERMEDIATE]
+    outcomes = [GOAL, RUNNING, COLLISION, COLLISION, COLLISION, RUNNING]
     assert sets.outcomes(states).tolist() == outcomes
     assert sets.outcomes(states[0]).tolist() == GOAL
     assert sets.clearance((0.55, 0.0, 0.0)) == pytest.approx(0.55 - 0.35 - 0.177)
@@ -36,10 +39,10 @@ def test_a_corridor_ends_where_its_path_says():
     task = load_navigation_task("curved_corridor")
     sets, path = TaskSets(task), task.corridor.path
     states = path.pose([0.4, 5.0, 6.7])
-    assert sets.outcomes(states).tolist() == [INTERMEDIATE, INTERMEDIATE, GOAL]
+    assert sets.outcomes(states).tolist() == [RUNNING, RUNNING, GOAL]
     aside = states + 0.24 * np.column_stack((-np.sin(states[:, 2]), np.cos(states[:, 2]), np.zeros(3)))
     assert sets.outcomes(aside).tolist() == [COLLISION] * 3
-    assert TaskSets(task, width=0.8).outcomes(aside).tolist() == [INTERMEDIATE, INTERMEDIATE, GOAL]
+    assert TaskSets(task, width=0.8).outcomes(aside).tolist() == [RUNNING, RUNNING, GOAL]
 
 
 @given(st.floats(0.05, 6.9), st.floats(-0.3, 0.3), st.floats(-3.0, 3.0))

@@ -92,7 +92,7 @@ def test_the_lidar_of_the_burger_has_a_beam_per_degree() -> None:
         ("car_ttr", "omega: -1.0 .. 1.0 rad/s", "omga: -1.0 .. 1.0 rad/s", "system: 'omga': no such name"),
         ("quad_ttr", "m: 1.25 kg", "m: 1.25 m", "system: .*unit 'm'"),
         ("quad_ttr", "m: 1.25 kg", "m: -1.25 kg", "system: planar_quadrotor"),
-        ("car_ttr", "steps: 300", "steps: 0", "episode.steps: .*greater than 0"),
+        ("car_ttr", "steps: 75", "steps: 0", "episode.steps: .*greater than 0"),
         ("car_ttr", "body: turtlebot2", "body: turtlebot9", "robot.body: "),
         ("car_ttr", "theta: 0.45 .. 1.05 rad", "psi: 0.45 .. 1.05 rad", "goal.psi: no such state"),
         ("curved_corridor", "width: 0.7 m", "width: 0.9 m", "corridor: width: lies outside width_range"),

@@ -15,12 +15,12 @@ from typing import Any
 
 import gymnasium
 import numpy as np
+from ctrl_rl_core.outcome import Outcome
 from ctrl_rl_core.systems import System
 from ctrl_rl_core.tasks import NavigationTask, load_navigation_task, load_task, task_names
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from sim_bridge.episode import Outcome
 from sim_bridge.errors import SimulationError
 from sim_bridge.world import SimulatedWorld, SimulationOptions
 

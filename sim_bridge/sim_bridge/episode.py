@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from enum import IntEnum
 
 import numpy as np
 from ctrl_rl_core.geometry import Path
+from ctrl_rl_core.outcome import Outcome
 from ctrl_rl_core.systems import System
 from ctrl_rl_core.task_parts import RewardSpec
 from ctrl_rl_core.task_sets import PATH_NAMES, PathCoordinates
@@ -15,16 +15,6 @@ from ctrl_rl_core.tasks import NavigationTask
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-
-
-class Outcome(IntEnum):
-    """How an episode stands, numbered as in ctrl_rl_msgs/TaskOutcome."""
-
-    RUNNING = 0
-    GOAL = 1
-    COLLISION = 2
-    TRAP = 3
-    TIMEOUT = 4
 
 
 @dataclass

@@ -2,7 +2,6 @@
 
 import itertools
 import math
-import os
 import signal
 import subprocess
 import sys
@@ -10,22 +9,18 @@ import time
 
 import numpy as np
 import pytest
+import rclpy
+from ctrl_rl_core.ros import RESULT, SENSOR, seconds
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import Twist, TwistStamped
+from nav_msgs.msg import Odometry
+from rclpy.duration import Duration
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import LaserScan
+from std_srvs.srv import SetBool
 
-rclpy = pytest.importorskip("rclpy")
-
-os.environ["ROS_DOMAIN_ID"] = str(10 + os.getpid() % 90)
-os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-
-from ctrl_rl_core.ros import RESULT, SENSOR, seconds  # noqa: E402
-from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
-from geometry_msgs.msg import Twist, TwistStamped  # noqa: E402
-from nav_msgs.msg import Odometry  # noqa: E402
-from rosgraph_msgs.msg import Clock  # noqa: E402
-from sensor_msgs.msg import LaserScan  # noqa: E402
-from std_srvs.srv import SetBool  # noqa: E402
-
-from ctrl_rl_msgs.msg import EpisodeStatus, RotorThrusts, TaskOutcome  # noqa: E402
-from ctrl_rl_msgs.srv import ResetWorld, StepWorld  # noqa: E402
+from ctrl_rl_msgs.msg import EpisodeStatus, RotorThrusts, TaskOutcome
+from ctrl_rl_msgs.srv import ResetWorld, StepWorld
 
 PROGRAM = [sys.executable, "-c", "import sys; from sim_bridge.node import main; sys.exit(main())", "--ros-args"]
 PATIENCE = 20.0
@@ -80,6 +75,7 @@ class Client:
         message = TwistStamped()
         message.twist.linear.x, message.twist.angular.z = v, omega
         self.commands.publish(message)
+        assert self.commands.wait_for_all_acked(Duration(seconds=10))  # so that a step asked for next obeys it
 
     def diagnostics(self):
         """The key figures of the next report."""

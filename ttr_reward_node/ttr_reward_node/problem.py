@@ -3,33 +3,37 @@
     problem = problem_from_task("car_ttr")
     problem = Problem(system, axes, target=Region({"x": Interval(-0.1, 0.1)}))
 
-Between the nodes the target is exact: it is kept as intervals and a disc, not as marked nodes. Obstacles are kept as the
-clearance at the nodes and interpolated between them. What leaves the grid on an axis that is not periodic has failed.
+Between the nodes the target is exact: it is kept as intervals and a disc, not as marked nodes. Obstacles are kept as
+the clearance at the nodes and interpolated between them. What leaves the grid on an axis that is not periodic has
+failed.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from ctrl_rl_core.geometry import signed_distance
 from ctrl_rl_core.grid_axis import Axis
 from ctrl_rl_core.regions import Region, position_indices
 from ctrl_rl_core.systems import System
-from ctrl_rl_core.task_parts import STATE_UNITS
+from ctrl_rl_core.task_parts import STATE_UNITS, CorridorSpec
 from ctrl_rl_core.tasks import NavigationTask, load_navigation_task, task_digest
-from ctrl_rl_core.units import parse_interval
+from ctrl_rl_core.units import Interval, parse_interval
 from numpy.typing import NDArray
 
 from ttr_reward_node.errors import TimeToReachError
 
 # A step ends one or two cells away, and the table of steps has to stay small beside the values.
 _MOST_DIMENSIONS = 6
+_STRAIGHT = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,10 +80,13 @@ class Problem:
         names = self.system.state_names
         if tuple(axis.name for axis in self.axes) != names:
             raise TimeToReachError(
-                f"the axes are {[axis.name for axis in self.axes]}; {self.system.name} needs one for each of {list(names)}"
+                f"the axes are {[axis.name for axis in self.axes]}; "
+                f"{self.system.name} needs one for each of {list(names)}"
             )
         if not 1 <= len(names) <= _MOST_DIMENSIONS:
-            raise TimeToReachError(f"{self.system.name} has {len(names)} states; the solvers take 1 to {_MOST_DIMENSIONS}")
+            raise TimeToReachError(
+                f"{self.system.name} has {len(names)} states; the solvers take 1 to {_MOST_DIMENSIONS}"
+            )
         for axis, state in zip(self.axes, self.system.states, strict=True):
             if axis.periodic and not state.periodic:
                 raise TimeToReachError(f"axis '{axis.name}' is periodic, but the state is not")
@@ -101,9 +108,9 @@ class Problem:
     @cached_property
     def points(self) -> int:
         """Number of nodes."""
-        return int(np.prod(self.counts, dtype=np.int64))
+        return math.prod(self.counts)
 
-    def along(self, axis: int, values: NDArray[np.generic]) -> NDArray[np.generic]:
+    def along(self, axis: int, values: NDArray[Any]) -> NDArray[Any]:
         """Values (count,) at the nodes of one axis, shaped to broadcast over the grid."""
         shape = [1] * len(self.axes)
         shape[axis] = -1
@@ -130,7 +137,7 @@ class Problem:
             return np.broadcast_to(np.False_, self.counts)
         return np.broadcast_to(self.spread(self.clearance.values) <= 0.0, self.counts)
 
-    def spread(self, values: NDArray[np.generic]) -> NDArray[np.generic]:
+    def spread(self, values: NDArray[Any]) -> NDArray[Any]:
         """Values on the axes of the clearance, shaped to broadcast over the grid."""
         assert self.clearance is not None
         return values.reshape([axis.count if k in self.clearance.axes else 1 for k, axis in enumerate(self.axes)])
@@ -151,6 +158,7 @@ def problem_from_task(
     *,
     counts: Sequence[int] | Mapping[str, int] | None = None,
     inflation: float = 0.0,
+    width: float | None = None,
     disturbances: Mapping[str, Sequence[float]] | None = None,
     control_counts: int | tuple[int, ...] = 3,
 ) -> Problem:
@@ -160,29 +168,30 @@ def problem_from_task(
         task: a task, its name or its file; it must say which `grid` it wants.
         counts: nodes by state name, or one for each state, in place of the task's.
         inflation: by how much walls and obstacles are widened [m], e.g. the robot's radius; 0 for a point.
+        width: of the task's corridor [m]; None for the task's own.
         disturbances: bounds by name ("d_" and the state's name); none unless given.
         control_counts: see `Problem`.
 
     Raises:
-        TimeToReachError: the task has no grid or plans along a corridor.
+        TimeToReachError: the task has no grid, or its corridor's goal is not a box along the axes.
         TaskError, SystemModelError: the task or the disturbance is wrong.
     """
     if not isinstance(task, NavigationTask):
         task = load_navigation_task(task)
-    if not task.grid or task.corridor is not None:
+    if not task.grid:
         raise TimeToReachError(f"task '{task.name}' has no value grid: add 'grid' with an axis for each state")
     system = task.system.build()
     if disturbances:
         system = with_disturbances(system, disturbances)
     axes = _axes(task, system, counts)
     plane = tuple(position_indices(system.state_names))
-    world = task.build_world()
+    world = task.build_world(width)
     points = np.stack(np.meshgrid(*(axes[k].nodes for k in plane), indexing="ij"), axis=-1)
     distance = signed_distance((*world.walls, *world.obstacles), points) - inflation
     return Problem(
         system=system,
         axes=axes,
-        target=task.goal.region,
+        target=task.goal.region if task.corridor is None else _corridor_goal(task, task.corridor, width),
         clearance=Clearance(plane, distance.astype(np.float32)),
         control_counts=control_counts,
         name=task.name,
@@ -199,12 +208,33 @@ def with_disturbances(system: System, bounds: Mapping[str, Sequence[float]]) -> 
     known = {disturbance.name for disturbance in system.disturbances}
     for name, (lower, upper) in bounds.items():
         if name not in known or not lower <= upper:
-            raise TimeToReachError(f"disturbance '{name}' in [{lower:g}, {upper:g}]: choose from {sorted(known)}, lower <= upper")
+            raise TimeToReachError(
+                f"disturbance '{name}' in [{lower:g}, {upper:g}]: choose from {sorted(known)}, lower <= upper"
+            )
     changed = tuple(
         replace(d, lower=float(bounds[d.name][0]), upper=float(bounds[d.name][1])) if d.name in bounds else d
         for d in system.disturbances
     )
     return replace(system, disturbances=changed)
+
+
+def _corridor_goal(task: NavigationTask, corridor: CorridorSpec, width: float | None) -> Region:
+    """Return the goal of a corridor, given along its path, as a box of positions."""
+    goal, path = task.goal.intervals, corridor.path
+    along = goal.get("s", Interval(0.0, path.length))
+    (x, y, heading), (_, _, end) = path.pose((along.low, along.high))
+    if abs(end - heading) > _STRAIGHT or abs(np.sin(2.0 * heading)) > _STRAIGHT:
+        raise TimeToReachError(
+            f"task '{task.name}': its goal lies on a turn or askew; it must be on a straight piece along x or y"
+        )
+    half = 0.5 * (corridor.width if width is None else width)
+    aside = goal.get("lateral", Interval(-half, half))
+    s, lateral = np.meshgrid((0.0, along.length), aside)
+    xs, ys = x + s * np.cos(heading) - lateral * np.sin(heading), y + s * np.sin(heading) + lateral * np.cos(heading)
+    intervals = {"x": Interval(xs.min(), xs.max()), "y": Interval(ys.min(), ys.max())}
+    if "heading" in goal:
+        intervals["theta"] = Interval(heading + goal["heading"].low, heading + goal["heading"].high)
+    return Region(intervals)
 
 
 def _axes(task: NavigationTask, system: System, counts: Sequence[int] | Mapping[str, int] | None) -> tuple[Axis, ...]:

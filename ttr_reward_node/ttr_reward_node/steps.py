@@ -1,15 +1,17 @@
 """Where each control takes the system from each node: the steps of the semi-Lagrangian scheme.
 
 Robots move the same way wherever they are: f does not depend on the position, on some axes at all. So the steps are
-tabulated over the other axes alone (the 72 headings of a car, not its 734,472 nodes), with NumPy, from the one definition
-of f; and the compiled sweep needs to know no system.
+tabulated over the other axes alone (the 72 headings of a car, not its 734,472 nodes), with NumPy, from the one
+definition of f; and the compiled sweep needs to know no system.
 
-A step lasts until the axis that moves fastest, in cells, has moved `cells` whole cells. So it ends on a plane of the grid:
-there is nothing to interpolate along that axis, and a node never refers to itself.
+A step lasts until the axis that moves fastest, in cells, has moved `cells` whole cells. So it ends on a plane of the
+grid: there is nothing to interpolate along that axis, and a node never refers to itself.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +23,7 @@ from ttr_reward_node.problem import Problem
 
 _BLOCK = 1 << 16  # steps that are computed at once
 _TO_PLANE = 4  # corrections of a step's duration until it ends on the plane
+_STIFF = 0.2  # of the longest step: in shorter ones nothing but the fastest axis moves
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +49,7 @@ class Layout:
     @property
     def slabs(self) -> int:
         """Number of nodes of the outer axes: f is the same all over the inner ones."""
-        return int(np.prod(self.counts[: len(self.outer)], dtype=np.int64))
+        return math.prod(self.counts[: len(self.outer)].tolist())
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,12 +59,14 @@ class Steps:
     Attributes:
         durations: shape (slabs, pairs) [s]; disturbances are the slower index of the pairs; 0 where nothing moves.
         moves: shape (slabs, pairs, 2, n) [cells]: after half of the duration and after all of it.
-        controls: number of controls; pairs is a multiple of it.
+        controls: number of controls, each with each length of step; pairs is a multiple of it.
+        longest: time to cross a cell along the slowest axis at its top speed [s].
     """
 
     durations: NDArray[np.float64]
     moves: NDArray[np.float32]
     controls: int
+    longest: float
 
 
 def make_layout(problem: Problem) -> Layout:
@@ -70,11 +75,14 @@ def make_layout(problem: Problem) -> Layout:
     outer = tuple(int(k) for k in np.flatnonzero(depends))
     inner = tuple(int(k) for k in np.flatnonzero(~depends))
     axes = [problem.axes[k] for k in outer + inner]
-    return Layout(outer, inner, np.array([a.count for a in axes]), np.array([a.periodic for a in axes]))
+    counts, periodic = [axis.count for axis in axes], [axis.periodic for axis in axes]
+    if not inner:
+        counts, periodic = [*counts, 1], [*periodic, False]
+    return Layout(outer, inner, np.array(counts, dtype=np.int64), np.array(periodic))
 
 
 def slab_states(problem: Problem, layout: Layout) -> NDArray[np.float64]:
-    """States (slabs, n) of the outer nodes, in the problem's order; inner components stand at their axis's lower end."""
+    """States (slabs, n) of the outer nodes, in the problem's order; inner components are at their axis's lower end."""
     states = np.empty((layout.slabs, len(problem.axes)))
     states[:] = [axis.lower for axis in problem.axes]
     if layout.outer:
@@ -83,34 +91,70 @@ def slab_states(problem: Problem, layout: Layout) -> NDArray[np.float64]:
     return states
 
 
-def pairs(problem: Problem) -> tuple[NDArray[np.float64], NDArray[np.float64], int]:
-    """Controls (p, m) and disturbances (p, n) of all pairs, and the number of controls, the faster index."""
-    controls = problem.system.control_samples(problem.control_counts) if problem.system.controls else np.zeros((1, 0))
+def pairs(problem: Problem, counts: int | tuple[int, ...]) -> tuple[NDArray[np.float64], NDArray[np.float64], int]:
+    """Return controls (p, m) and disturbances (p, n) of all pairs, and the number of controls, the faster index.
+
+    `counts` is how many samples of each control there are; two are the vertices of the box.
+    """
+    controls = problem.system.control_samples(counts) if problem.system.controls else np.zeros((1, 0))
     disturbances = problem.system.disturbance_samples(2)
     u = np.tile(controls, (len(disturbances), 1))
     d = np.repeat(disturbances, len(controls), axis=0)
     return u, d, len(controls)
 
 
-def make_steps(problem: Problem, layout: Layout, cells: float) -> Steps:
-    """Tabulate the steps; `cells` is how far they go."""
-    u, d, controls = pairs(problem)
+def all_rates(
+    system: System, states: NDArray[np.float64], u: NDArray[np.float64], d: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return f at every state (k, n) under every pair (p, ...), shape (k, p, n), also where f depends on no state."""
+    rates = system.dynamics(states[:, None], u, d)
+    return np.broadcast_to(rates, (len(states), len(u), states.shape[-1]))
+
+
+def make_steps(problem: Problem, layout: Layout, cells: Sequence[float]) -> Steps:
+    """Tabulate the steps; `cells` is how far they go: every control with every one of these lengths."""
+    u, d, controls = pairs(problem, problem.control_counts)
     states = slab_states(problem, layout)
-    durations = np.empty((len(states), len(u)))
-    moves = np.empty((len(states), len(u), 2, len(problem.axes)), dtype=np.float32)
+    lengths, disturbances, n = len(cells), len(u) // controls, len(layout.counts)
+    durations = np.empty((len(states), disturbances, lengths, controls))
+    moves = np.zeros((len(states), disturbances, lengths, controls, 2, n), dtype=np.float32)
     spacings = np.array([axis.spacing for axis in problem.axes])
-    longest = _longest(problem.system, states, u, d, spacings, cells)
+    longest = _longest(problem.system, states, u, d, spacings)
     size = max(1, _BLOCK // len(u))
     for begin in range(0, len(states), size):
         block = slice(begin, begin + size)
         x = states[block, None]
-        h = _durations(problem, layout, x, u, d, spacings, cells, longest)
-        durations[block] = h
-        for part in (0, 1):
-            dt = (0.5 * (part + 1) * h)[..., None]
-            move = (problem.system.step(x, u, d, dt=dt) - x) / spacings
-            moves[block, :, part] = _snap(move)[..., layout.order]
-    return Steps(durations, moves, controls)
+        for i, length in enumerate(cells):
+            h = _durations(problem, layout, x, u, d, spacings, length, length * longest)
+            durations[block, :, i] = h.reshape(-1, disturbances, controls)
+            for half in (0, 1):
+                dt = (0.5 * (half + 1) * h)[..., None]
+                move = _snap((problem.system.step(x, u, d, dt=dt) - x) / spacings)[..., layout.order]
+                moves[block, :, i, :, half, : len(layout.order)] = move.reshape(
+                    -1, disturbances, controls, len(layout.order)
+                )
+    useful = np.flatnonzero(_useful(problem, durations, cells, longest))
+    durations, moves = durations[..., useful], moves[:, :, :, useful]
+    pairs_ = disturbances * lengths * len(useful)
+    return Steps(
+        durations=np.ascontiguousarray(durations.reshape(len(states), pairs_)),
+        moves=np.ascontiguousarray(moves.reshape(len(states), pairs_, 2, n)),
+        controls=lengths * len(useful),
+        longest=longest,
+    )
+
+
+def _useful(
+    problem: Problem, durations: NDArray[np.float64], cells: Sequence[float], longest: float
+) -> NDArray[np.bool_]:
+    """Which controls to keep: the vertices, and those between that do not always make for very short steps.
+
+    Half of a torque that turns a quadrotor's pitch rate round in milliseconds leads nowhere that the whole of it does
+    not.
+    """
+    vertex = np.isin(problem.system.control_samples(problem.control_counts), problem.system.control_bounds)
+    short = durations < _STIFF * longest * np.asarray(cells)[:, None]
+    return np.asarray(vertex.all(axis=-1) | ~short.all(axis=(0, 1, 2)))
 
 
 def _dependence(system: System, axes: tuple[Axis, ...], samples: int = 64) -> NDArray[np.bool_]:
@@ -118,7 +162,8 @@ def _dependence(system: System, axes: tuple[Axis, ...], samples: int = 64) -> ND
     random = np.random.default_rng(0)
     lower, upper = np.array([(axis.lower, axis.upper) for axis in axes]).T
     x = random.uniform(lower, upper, (samples, len(axes)))
-    u = random.uniform(*system.control_bounds, (samples, len(system.controls)))
+    low, high = system.control_bounds
+    u = random.uniform(low, high, (samples, len(system.controls)))
     rates = system.dynamics(x, u)
     depends = np.zeros(len(axes), dtype=bool)
     for k in range(len(axes)):
@@ -134,16 +179,15 @@ def _longest(
     u: NDArray[np.float64],
     d: NDArray[np.float64],
     spacings: NDArray[np.float64],
-    cells: float,
 ) -> float:
-    """How long a step may last: until the slowest axis at its top speed has moved that many cells [s]."""
+    """How long the slowest axis takes to cross a cell at its top speed [s]."""
     top = np.zeros(len(spacings))
     size = max(1, _BLOCK // len(u))
     for begin in range(0, len(states), size):
-        rates = np.abs(system.dynamics(states[begin : begin + size, None], u, d))
+        rates = np.abs(all_rates(system, states[begin : begin + size], u, d))
         top = np.maximum(top, rates.max(axis=(0, 1)))
     top /= spacings
-    return float(cells / top[top > 0].min()) if top.any() else 0.0
+    return float(1.0 / top[top > 0].min()) if top.any() else 0.0
 
 
 def _durations(
@@ -157,7 +201,7 @@ def _durations(
     longest: float,
 ) -> NDArray[np.float64]:
     """Durations (block, pairs) of steps that end `cells` away, or at the edge of the grid on an outer axis."""
-    rates = np.abs(problem.system.dynamics(x, u, d)) / spacings
+    rates = np.abs(all_rates(problem.system, x[:, 0], u, d)) / spacings
     with np.errstate(divide="ignore"):
         h = np.minimum(cells / rates.max(axis=-1), longest)
     # How far it is to the edges; without limit on periodic and inner axes.

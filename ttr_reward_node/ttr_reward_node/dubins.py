@@ -1,27 +1,73 @@
-"""The independent reference: shortest Dubins paths (Dubins 1957, words as in Shkel and Lumelsky 2001) to a box of poses.
+"""The independent reference: shortest Dubins paths (Dubins 1957; words as in Shkel, Lumelsky 2001) to a box of poses.
 
-The car drives at 1 m/s and turns at up to 1 rad/s, so lengths [m] are times [s]. The distance to a box is the least over its
-poses: first over a lattice of them, then by a compass search from the best few down to 1e-5.
+The car drives at 1 m/s and turns at up to 1 rad/s, so lengths [m] are times [s]. The distance to a box is the least
+over its poses: first over a lattice of them, then by a compass search from the best few down to 1e-5.
 """
 
+from __future__ import annotations
+
 import math
+from dataclasses import dataclass
 
 import numpy as np
+from ctrl_rl_core.units import Interval
 from numba import njit
+from numpy.typing import NDArray
 
+from ttr_reward_node.errors import TimeToReachError
+from ttr_reward_node.problem import Problem
+
+Array = NDArray[np.float64]
 LSL, RSR, LSR, RSL, RLR, LRL = range(6)
 TURNS = np.array([[1, 0, 1], [-1, 0, -1], [1, 0, -1], [-1, 0, 1], [-1, 1, -1], [1, -1, 1]])
 
 
+@dataclass(frozen=True, eq=False)
+class Reference:
+    """States (N, 3) and their exact times to reach (N,) [s]."""
+
+    states: Array
+    times: Array
+
+
+def reference(problem: Problem, count: int = 5000, seed: int = 0) -> Reference:
+    """Draw random states outside the target from which the shortest path stays on the grid, with their exact times.
+
+    Args:
+        problem: a Dubins car at 1 m/s and up to 1 rad/s, a box as the target; obstacles do not count.
+        count: how many states.
+        seed: of the random states.
+
+    Raises:
+        TimeToReachError: another system or target.
+    """
+    names, target = problem.system.state_names, problem.target.intervals
+    bounds = problem.system.control_bounds.T.tolist()
+    if names != ("x", "y", "theta") or bounds != [[1.0, 1.0], [-1.0, 1.0]] or set(target) != set(names):
+        raise TimeToReachError("exact times are known for the Dubins car of 1 m/s and 1 rad/s to a box of poses")
+    sides: list[Interval] = [target[name] for name in names]
+    box = np.array([(side.low, side.high) for side in sides])
+    lower, upper = np.array([(axis.lower, axis.upper) for axis in problem.axes]).T
+    low, high = float(max(lower[:2])), float(min(upper[:2]))
+    random = np.random.default_rng(seed)
+    states, times = np.empty((0, 3)), np.empty(0)
+    while len(times) < count:
+        some = random.uniform(lower, upper, (count, 3))
+        lengths, poses = to_box(some, box, 9, 6)
+        kept = stays_in(some, poses, low, high) & (lengths > 0.0)
+        states, times = np.concatenate((states, some[kept])), np.concatenate((times, lengths[kept]))
+    return Reference(states[:count], times[:count])
+
+
 @njit(cache=True)
-def _mod(angle):
+def _mod(angle: float) -> float:
     angle = angle % (2 * math.pi)
     return 0.0 if angle > 2 * math.pi - 1e-12 else angle
 
 
 @njit(cache=True)
-def word(kind, x, y, angle):
-    """Segments (t, p, q) of one word from the origin to (x, y, angle); inf where it does not exist."""
+def word(kind: int, x: float, y: float, angle: float) -> tuple[float, float, float]:
+    """Return segments (t, p, q) of one word from the origin to (x, y, angle); inf where it does not exist."""
     none = (math.inf, math.inf, math.inf)
     d = math.hypot(x, y)
     direction = math.atan2(y, x)
@@ -49,16 +95,20 @@ def word(kind, x, y, angle):
     if abs(cosine) > 1:
         return none
     p = _mod(2 * math.pi - math.acos(cosine))
-    t = _mod(s * a - math.atan2(s * (ca - cb), d - s * (sa - sb)) * s * s + p / 2) if kind == 4 else _mod(
-        -a - math.atan2(ca - cb, d + sa - sb) + p / 2
+    t = (
+        _mod(s * a - math.atan2(s * (ca - cb), d - s * (sa - sb)) * s * s + p / 2)
+        if kind == 4
+        else _mod(-a - math.atan2(ca - cb, d + sa - sb) + p / 2)
     )
     q = _mod(a - b - t + p) if kind == 4 else _mod(b - a - t + p)
     return t, p, q
 
 
 @njit(cache=True)
-def end_of(kind, t, p, q, x, y, angle, s):
-    """Pose after s metres of the word with these segments."""
+def end_of(
+    kind: int, t: float, p: float, q: float, x: float, y: float, angle: float, s: float
+) -> tuple[float, float, float]:
+    """Return the pose after s metres of the word with these segments."""
     lengths = (t, p, q)
     for i in range(3):
         step = min(s, lengths[i])
@@ -75,8 +125,8 @@ def end_of(kind, t, p, q, x, y, angle, s):
 
 
 @njit(cache=True)
-def distance(x0, y0, a0, x1, y1, a1):
-    """Length of the shortest path between two poses, and its word."""
+def distance(x0: float, y0: float, a0: float, x1: float, y1: float, a1: float) -> tuple[float, int]:
+    """Return the length of the shortest path between two poses, and its word."""
     c, s = math.cos(a0), math.sin(a0)
     dx, dy = x1 - x0, y1 - y0
     x, y = c * dx + s * dy, -s * dx + c * dy
@@ -89,8 +139,8 @@ def distance(x0, y0, a0, x1, y1, a1):
 
 
 @njit(cache=True)
-def to_box(states, box, lattice, starts):
-    """Shortest paths from states (N, 3) to box (3, 2).
+def to_box(states: Array, box: Array, lattice: int, starts: int) -> tuple[Array, Array]:
+    """Find the shortest paths from states (N, 3) to box (3, 2).
 
     Returns lengths (N,) and poses (N, 3) of arrival. `lattice` poses a side are tried, `starts` of them refined.
     """
@@ -133,8 +183,8 @@ def to_box(states, box, lattice, starts):
 
 
 @njit(cache=True)
-def stays_in(states, poses, low, high):
-    """Whether the shortest path from each state to its pose keeps x and y in [low, high], (N,)."""
+def stays_in(states: Array, poses: Array, low: float, high: float) -> NDArray[np.bool_]:
+    """Tell whether the shortest path from each state to its pose keeps x and y in [low, high], (N,)."""
     out = np.ones(len(states), np.bool_)
     for n in range(len(states)):
         x, y, a = states[n]

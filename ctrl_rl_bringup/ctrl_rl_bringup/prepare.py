@@ -1,0 +1,40 @@
+"""What a drive needs before its nodes start: a folder of its own, and the time to reach that the reward is made of."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from ctrl_rl_core.errors import CtrlRlError
+from ctrl_rl_core.tasks import load_navigation_task
+from ttr_reward_node.solver import solve_task
+
+from ctrl_rl_bringup.stack import DriveOptions
+
+
+def new_folder(options: DriveOptions) -> None:
+    """Make the folder of a run.
+
+    Raises:
+        CtrlRlError: it exists, or cannot be made.
+    """
+    try:
+        options.folder.mkdir(parents=True)
+    except FileExistsError:
+        raise CtrlRlError(f"{options.folder} exists: give another folder") from None
+    except OSError as error:
+        raise CtrlRlError(f"cannot make {options.folder}: {error.strerror}") from None
+
+
+def solve_time_to_reach(options: DriveOptions) -> Path:
+    """Solve the task's time to reach for the robot's own size, write it beside the bag, and return the file.
+
+    Raises:
+        CtrlRlError: the task has no time to reach.
+    """
+    task = load_navigation_task(options.task)
+    sys.stderr.write("solving the time to reach ...\n")
+    grid = solve_task(task, width=options.width or None, inflation=task.robot.radius)
+    path = options.folder / "time_to_reach.safetensors"
+    grid.save(path)
+    return path

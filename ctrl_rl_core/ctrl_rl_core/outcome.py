@@ -1,0 +1,13 @@
+"""How an episode stands."""
+
+from enum import IntEnum
+
+
+class Outcome(IntEnum):
+    """Numbered as in ctrl_rl_msgs/TaskOutcome: intermediate I, goal G, collision C, trap Tr (thesis Eq. 3.9, 3.17)."""
+
+    RUNNING = 0
+    GOAL = 1
+    COLLISION = 2
+    TRAP = 3
+    TIMEOUT = 4

@@ -1,0 +1,144 @@
+"""PPO, TRPO and DDPG of Stable-Baselines3 with one set of numbers each, the same for every reward and task.
+
+Every hidden layer is normalised (as the published code does for DDPG): with it all three learn from half the samples.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import gymnasium
+import numpy as np
+import torch
+from ctrl_rl_core.tasks import NavigationTask
+from sb3_contrib import TRPO
+from stable_baselines3 import DDPG, PPO
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.noise import OrnsteinUhlenbeckActionNoise
+from stable_baselines3.common.vec_env import DummyVecEnv
+
+from ctrl_rl_training.actor import Actor
+from ctrl_rl_training.environment import observation_scales
+from ctrl_rl_training.errors import TrainingError
+
+ALGORITHMS = ("ppo", "trpo", "ddpg")
+REWARD_SCALE = 0.01
+"""Every reward is multiplied by it before learning, so that values are of the order of 1 to 10."""
+ROLL_OUT = 2048
+"""Samples between two updates of PPO and TRPO."""
+
+_GAMMA = 0.98
+_HIDDEN = (64, 64)
+_NOISE = 0.5
+_ON_POLICY_ENVIRONMENTS = 8
+
+
+class NormalizedTanh(torch.nn.Module):
+    """A layer's outputs, normalised over its units, then tanh."""
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        """Return the outputs (N, units)."""
+        return torch.tanh(torch.nn.functional.layer_norm(x, x.shape[-1:]))
+
+
+class NormalizedRelu(torch.nn.Module):
+    """A layer's outputs, normalised over its units, then what is positive of them."""
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        """Return the outputs (N, units)."""
+        return torch.relu(torch.nn.functional.layer_norm(x, x.shape[-1:]))
+
+
+def number_of_environments(algorithm: str) -> int:
+    """Return how many environments an algorithm steps in turn.
+
+    Raises:
+        TrainingError: there is no such algorithm.
+    """
+    if algorithm not in ALGORITHMS:
+        raise TrainingError(f"no algorithm '{algorithm}': there are {', '.join(ALGORITHMS)}")
+    return 1 if algorithm == "ddpg" else _ON_POLICY_ENVIRONMENTS
+
+
+def make_algorithm(
+    algorithm: str, make: Callable[[], gymnasium.Env[Any, Any]], seed: int, samples: int
+) -> BaseAlgorithm:
+    """Return an untrained algorithm with its own environments.
+
+    Args:
+        algorithm: one of `ALGORITHMS`.
+        make: makes an environment.
+        seed: of networks, actions and environments.
+        samples: how many it will see at most.
+
+    Raises:
+        TrainingError: there is no such algorithm.
+    """
+    environments = DummyVecEnv([lambda: scaled_reward(make())] * number_of_environments(algorithm))
+    common: dict[str, Any] = {"gamma": _GAMMA, "seed": seed, "device": "cpu"}
+    network: dict[str, Any] = {"net_arch": list(_HIDDEN), "optimizer_kwargs": {"fused": True}}
+    if algorithm == "ddpg":
+        return DDPG(
+            "MlpPolicy",
+            environments,
+            learning_rate=1e-3,
+            buffer_size=samples,
+            learning_starts=min(2000, samples // 4),
+            batch_size=128,
+            tau=0.02,
+            n_steps=5,
+            train_freq=(8, "step"),
+            gradient_steps=4,
+            action_noise=OrnsteinUhlenbeckActionNoise(np.zeros(2), np.full(2, _NOISE)),
+            policy_kwargs={**network, "activation_fn": NormalizedRelu},
+            **common,
+        )
+    network |= {"activation_fn": NormalizedTanh, "log_std_init": -0.5}
+    steps = ROLL_OUT // _ON_POLICY_ENVIRONMENTS
+    if algorithm == "trpo":
+        return TRPO(
+            "MlpPolicy",
+            environments,
+            n_steps=steps // 2,
+            batch_size=64,
+            target_kl=0.02,
+            n_critic_updates=20,
+            policy_kwargs=network,
+            **common,
+        )
+    return PPO(
+        "MlpPolicy",
+        environments,
+        learning_rate=1e-3,
+        n_steps=steps,
+        batch_size=256,
+        policy_kwargs=network,
+        **common,
+    )
+
+
+def scaled_reward(environment: gymnasium.Env[Any, Any]) -> gymnasium.Env[Any, Any]:
+    """Return the environment with its rewards multiplied by `REWARD_SCALE`."""
+    return gymnasium.wrappers.TransformReward(environment, lambda reward: REWARD_SCALE * float(reward))
+
+
+def extract_actor(model: BaseAlgorithm, task: NavigationTask, manifest: Mapping[str, Any]) -> Actor:
+    """Return the deterministic policy of an algorithm, as it stands."""
+    on_policy = not isinstance(model, DDPG)
+    policy: Any = model.policy
+    layers = [*policy.mlp_extractor.policy_net, policy.action_net] if on_policy else list(policy.actor.mu)
+    linear = [layer for layer in layers if isinstance(layer, torch.nn.Linear)]
+    middle, unit = observation_scales(task)
+    commands = np.array(list(task.robot.commands.values()), dtype=np.float32)
+    return Actor(
+        weights=tuple(layer.weight.detach().numpy().copy() for layer in linear),
+        biases=tuple(layer.bias.detach().numpy().copy() for layer in linear),
+        activation="normalized_tanh" if on_policy else "normalized_relu",
+        squashed=not on_policy,
+        middle=middle,
+        unit=unit,
+        low=commands[:, 0],
+        high=commands[:, 1],
+        manifest=manifest,
+    )

@@ -1,0 +1,98 @@
+"""What learning goes on from: networks, optimisers and replay in one safetensors file, whole or not at all."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save
+from stable_baselines3 import DDPG
+from stable_baselines3.common.base_class import BaseAlgorithm
+
+from ctrl_rl_training.errors import TrainingError
+
+_HEADER_KEY = "checkpoint"
+_REPLAY = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
+_HISTORY = "history."
+
+
+def save_checkpoint(
+    path: Path, model: BaseAlgorithm, progress: Mapping[str, Any], history: Mapping[str, NDArray[Any]]
+) -> None:
+    """Write a checkpoint.
+
+    Args:
+        path: of the file; replaced if it exists.
+        model: between two calls of its `learn`.
+        progress: what else to go on with, as JSON.
+        history: the same as arrays.
+    """
+    tensors = {f"policy.{name}": tensor.numpy() for name, tensor in model.policy.state_dict().items()}
+    for name, optimizer in _optimizers(model).items():
+        for index, state in optimizer.state_dict()["state"].items():
+            tensors |= {f"{name}.{index}.{key}": tensor.numpy() for key, tensor in state.items()}
+    if isinstance(model, DDPG) and model.replay_buffer is not None:
+        end = model.replay_buffer.pos
+        tensors |= {f"replay.{name}": getattr(model.replay_buffer, name)[:end] for name in _REPLAY}
+    tensors |= {f"{_HISTORY}{name}": array for name, array in history.items()}
+    header = json.dumps({"samples": model.num_timesteps, "progress": dict(progress)})
+    content = save(
+        {name: np.ascontiguousarray(tensor) for name, tensor in tensors.items()}, metadata={_HEADER_KEY: header}
+    )
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    temporary.write_bytes(content)
+    temporary.replace(path)
+
+
+def load_checkpoint(path: Path, model: BaseAlgorithm) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """Bring a new model to where a checkpoint was and return progress and history.
+
+    Raises:
+        TrainingError: the file cannot be read, or is of another algorithm or network.
+    """
+    try:
+        with safe_open(path, framework="np") as file:
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - not a dictionary
+            header = json.loads((file.metadata() or {})[_HEADER_KEY])
+        _restore(model, tensors)
+        model.num_timesteps = header["samples"]
+        progress: dict[str, Any] = header["progress"]
+    except (OSError, SafetensorError, ValueError, KeyError, RuntimeError) as error:
+        raise TrainingError(f"{path}: cannot go on from it ({error}); delete it to begin anew") from None
+    history = {name.removeprefix(_HISTORY): array for name, array in tensors.items() if name.startswith(_HISTORY)}
+    return progress, history
+
+
+def _restore(model: BaseAlgorithm, tensors: Mapping[str, NDArray[Any]]) -> None:
+    def part(prefix: str) -> dict[str, torch.Tensor]:
+        return {
+            name.removeprefix(prefix): torch.from_numpy(array.copy())
+            for name, array in tensors.items()
+            if name.startswith(prefix)
+        }
+
+    model.policy.load_state_dict(part("policy."))
+    for name, optimizer in _optimizers(model).items():
+        state: dict[int, dict[str, torch.Tensor]] = {}
+        for key, tensor in part(f"{name}.").items():
+            index, _, field = key.partition(".")
+            state.setdefault(int(index), {})[field] = tensor
+        optimizer.load_state_dict({"state": state, "param_groups": optimizer.state_dict()["param_groups"]})
+    if isinstance(model, DDPG) and model.replay_buffer is not None:
+        end = len(tensors["replay.rewards"])
+        for name in _REPLAY:
+            getattr(model.replay_buffer, name)[:end] = tensors[f"replay.{name}"]
+        model.replay_buffer.pos = end
+
+
+def _optimizers(model: BaseAlgorithm) -> dict[str, torch.optim.Optimizer]:
+    if isinstance(model, DDPG):
+        return {"actor_optimizer": model.actor.optimizer, "critic_optimizer": model.critic.optimizer}
+    return {"optimizer": model.policy.optimizer}

@@ -1,0 +1,244 @@
+"""One run of learning: an algorithm on a task, from one seed; may be cut off at any time.
+
+    result = train_one(run, Options(Path("runs/mine")))        # run: see `Run`
+
+It goes in iterations of `ITERATION` samples. Each begins with fresh episodes and draws its random numbers from the seed
+and its own number, so that a run that goes on from its last checkpoint ends exactly as if it had not been cut off.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+import torch
+from ctrl_rl_core.outcome import Outcome
+from ctrl_rl_core.tasks import NavigationTask, task_digest
+from numpy.typing import NDArray
+from stable_baselines3 import DDPG
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import BaseCallback
+
+from ctrl_rl_training.actor import Actor
+from ctrl_rl_training.algorithms import ROLL_OUT, extract_actor
+from ctrl_rl_training.checkpoint import load_checkpoint, save_checkpoint
+from ctrl_rl_training.environment import DEPLOYED_RATE, Environment, observation_names
+from ctrl_rl_training.visits import Visits
+
+ITERATION = 5 * ROLL_OUT
+"""Samples of an iteration."""
+_EVALUATION_SEED = 1_000_000
+_SUCCESS = Outcome.GOAL.name
+
+
+class Run(Protocol):
+    """What is learnt: everything about it, and nothing that cannot be sent to another process."""
+
+    @property
+    def name(self) -> str:
+        """Name of it, and of its folder."""
+
+    @property
+    def seed(self) -> int:
+        """Of everything random."""
+
+    @property
+    def task(self) -> NavigationTask:
+        """The task."""
+
+    @property
+    def description(self) -> dict[str, Any]:
+        """What results and policy say about it, as JSON."""
+
+    def environment(self, rate: int | None = None) -> Environment:
+        """Return the environment, see `ctrl_rl_training.environment.make_environment`."""
+
+    def model(self, samples: int) -> BaseAlgorithm:
+        """Return the untrained algorithm with its own environments, for so many samples."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """How runs go.
+
+    Attributes:
+        folder: where each has a folder of its own.
+        iterations: how many.
+        samples: of an iteration.
+        evaluations: episodes after each iteration.
+        final_evaluations: episodes after the last one.
+        report: called after each iteration with the run, the iterations done and the success rate of the evaluation.
+    """
+
+    folder: Path
+    iterations: int = 10
+    samples: int = ITERATION
+    evaluations: int = 20
+    final_evaluations: int = 50
+    report: Callable[[Run, int, float], None] = field(default=lambda *_: None, compare=False)
+
+
+def result_file(folder: Path, run: Run) -> Path:
+    """Return the file that says that a run is finished, and how it went."""
+    return folder / run.name / "result.json"
+
+
+def train_one(run: Run, options: Options) -> dict[str, Any]:
+    """Learn, or go on where an earlier call was cut off; a finished run is read, never computed again.
+
+    The folder of the run then holds result.json (what is returned), policy.safetensors (an `Actor`) and
+    visits.safetensors (how often states were met, see `Visits`).
+
+    Returns:
+        description, digest of the task, `curve` (for each iteration: samples, episodes and how they ended, success of
+        the evaluation, seconds), `success` (of the last evaluation) and `paths` (states of its first episodes).
+
+    Raises:
+        CtrlRlError: the run asks for what is not there, or its checkpoint cannot be used.
+    """
+    finished = result_file(options.folder, run)
+    if finished.is_file():
+        result: dict[str, Any] = json.loads(finished.read_text(encoding="utf-8"))
+        return result
+    torch.set_num_threads(1)
+    model = run.model(options.samples * options.iterations)
+    test_environment = run.environment()
+    try:
+        curve, visits = _learn(run, options, model, test_environment, Visits(run.task))
+    finally:
+        test_environment.close()
+        if model.env is not None:
+            model.env.close()
+    manifest = {
+        **run.description,
+        "task_digest": task_digest(run.task),
+        "observation": observation_names(run.task),
+        "commands": list(run.task.robot.commands),
+    }
+    return _finish(run, options, extract_actor(model, run.task, manifest), curve, visits)
+
+
+def _learn(
+    run: Run,
+    options: Options,
+    model: BaseAlgorithm,
+    test_environment: Environment,
+    visits: Visits,
+) -> tuple[list[dict[str, Any]], Visits]:
+    checkpoint = options.folder / run.name / "checkpoint.safetensors"
+    checkpoint.parent.mkdir(parents=True, exist_ok=True)
+    curve: list[dict[str, Any]] = []
+    if checkpoint.is_file():
+        progress, arrays = load_checkpoint(checkpoint, model)
+        curve, visits = progress["curve"], visits.with_counts(arrays)
+    while len(curve) < options.iterations:
+        begin = time.perf_counter()
+        seed = _seed_of(run.seed, len(curve))
+        outcomes = _iterate(model, seed, options.samples, visits)
+        actor = extract_actor(model, run.task, {})
+        states = evaluate(actor, test_environment, options.evaluations, _EVALUATION_SEED)
+        success = _rate([outcome for outcome, _ in states])
+        curve.append(
+            {
+                "samples": model.num_timesteps,
+                "episodes": len(outcomes),
+                "ended": {outcome.name: outcomes.count(outcome.name) for outcome in Outcome if outcome},
+                "evaluation": success,
+                "seconds": round(time.perf_counter() - begin, 2),
+            }
+        )
+        visits.end_iteration()
+        save_checkpoint(checkpoint, model, {"curve": curve}, visits.counts())
+        options.report(run, len(curve), success)
+    return curve, visits
+
+
+def _iterate(model: BaseAlgorithm, seed: int, samples: int, visits: Visits) -> list[str]:
+    """Learn from so many samples of fresh episodes and return how those ended that did."""
+    model.set_random_seed(seed)
+    model._last_obs = None  # makes `learn` reset the environments
+    recorder = _Recorder(visits)
+    model.learn(samples, callback=recorder, reset_num_timesteps=False)
+    if isinstance(model, DDPG) and model.replay_buffer is not None:
+        # What comes next in the replay is another episode: returns over several steps must end here.
+        last = model.replay_buffer.pos - 1
+        model.replay_buffer.timeouts[last] = np.maximum(
+            model.replay_buffer.timeouts[last], model.replay_buffer.dones[last] == 0.0
+        )
+    return recorder.outcomes
+
+
+class _Recorder(BaseCallback):
+    """Notes how episodes end and which states they meet."""
+
+    def __init__(self, visits: Visits) -> None:
+        super().__init__()
+        self.outcomes: list[str] = []
+        self._visits = visits
+
+    def _on_step(self) -> bool:
+        infos = self.locals["infos"]
+        self._visits.add([info["state"] for info in infos])
+        self.outcomes += [info["outcome"] for info, done in zip(infos, self.locals["dones"], strict=True) if done]
+        return True
+
+
+def evaluate(actor: Actor, environment: Environment, episodes: int, seed: int) -> list[tuple[str, NDArray[np.float64]]]:
+    """Return outcome and states (steps + 1, n) of episodes from the seeds `seed`, `seed` + 1 and so on."""
+    found = []
+    for episode in range(episodes):
+        observation, info = environment.reset(seed=seed + episode)
+        states, over = [info["state"]], False
+        while not over:
+            observation, _, terminated, truncated, info = environment.step(actor.scaled_action(observation))
+            states.append(info["state"])
+            over = terminated or truncated
+        found.append((info["outcome"], np.array(states)))
+    return found
+
+
+def _finish(
+    run: Run,
+    options: Options,
+    actor: Actor,
+    curve: list[dict[str, Any]],
+    visits: Visits,
+) -> dict[str, Any]:
+    """Evaluate at the rate of the deployed robots, write everything, the result last, and drop the checkpoint."""
+    environment = run.environment(DEPLOYED_RATE)
+    try:
+        episodes = evaluate(actor, environment, options.final_evaluations, 2 * _EVALUATION_SEED)
+    finally:
+        environment.close()
+    outcomes = [outcome for outcome, _ in episodes]
+    lasted = [len(states) - 1 for outcome, states in episodes if outcome == _SUCCESS]
+    result = {
+        "run": run.description,
+        "task_digest": task_digest(run.task),
+        "curve": curve,
+        "success": _rate(outcomes),
+        "ended": {outcome.name: outcomes.count(outcome.name) for outcome in Outcome if outcome},
+        "seconds_to_goal": float(np.mean(lasted)) * run.task.episode.time_step if lasted else None,
+        "paths": [{"outcome": outcome, "states": states.round(4).tolist()} for outcome, states in episodes[:3]],
+    }
+    file = result_file(options.folder, run)
+    actor.save(file.with_name("policy.safetensors"))
+    visits.save(file.with_name("visits.safetensors"))
+    temporary = file.with_name(".result.json")
+    temporary.write_text(json.dumps(result) + "\n", encoding="utf-8")
+    temporary.replace(file)
+    file.with_name("checkpoint.safetensors").unlink(missing_ok=True)
+    return result
+
+
+def _rate(outcomes: list[str]) -> float:
+    return outcomes.count(_SUCCESS) / len(outcomes) if outcomes else 0.0
+
+
+def _seed_of(seed: int, iteration: int) -> int:
+    return int(np.random.SeedSequence((seed, iteration)).generate_state(1)[0]) % 2**31

@@ -1,0 +1,18 @@
+from setuptools import setup
+
+NAME = "ctrl_rl_training"
+
+setup(
+    name=NAME,
+    version="0.1.0",
+    description="Learning with Stable-Baselines3 in the simulated tasks: resumable runs, deployable policies.",
+    license="Apache-2.0",
+    packages=[NAME],
+    package_data={NAME: ["py.typed"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+        (f"share/{NAME}", ["package.xml"]),
+    ],
+    install_requires=["setuptools"],
+    zip_safe=False,
+)

@@ -1,0 +1,148 @@
+"""Learning with the real library in the real simulator: it resumes exactly, and its policies need no torch."""
+
+import json
+import subprocess
+import sys
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from ctrl_rl_core.tasks import load_navigation_task
+from ctrl_rl_training.actor import Actor
+from ctrl_rl_training.algorithms import ALGORITHMS, ROLL_OUT, extract_actor, make_algorithm
+from ctrl_rl_training.environment import make_environment
+from ctrl_rl_training.errors import TrainingError
+from ctrl_rl_training.matrix import train_all
+from ctrl_rl_training.training import Options, evaluate, result_file, train_one
+from ctrl_rl_training.visits import load_visits
+
+TASK = load_navigation_task("quad_ttr")
+SHORT = {"iterations": 2, "samples": ROLL_OUT, "evaluations": 1, "final_evaluations": 2}
+
+
+@dataclass(frozen=True)
+class PlainRun:
+    """Learns the quadrotor's task with the task's own reward."""
+
+    algorithm: str
+    seed: int
+    task = TASK
+
+    @property
+    def name(self):
+        return f"{self.algorithm}-{self.seed}"
+
+    @property
+    def description(self):
+        return {"algorithm": self.algorithm, "seed": self.seed}
+
+    def environment(self, rate=None):
+        return make_environment(TASK, rate)
+
+    def model(self, samples):
+        return make_algorithm(self.algorithm, self.environment, self.seed, samples)
+
+
+class CutOffError(Exception):
+    """Stands for a kill between two iterations."""
+
+
+def cut_off(*_):
+    """A report that ends the run."""
+    raise CutOffError
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_a_run_that_was_cut_off_ends_as_if_it_had_not_been(tmp_path, algorithm):
+    run = PlainRun(algorithm, 3)
+    whole, cut = tmp_path / "whole", tmp_path / "cut"
+    train_one(run, Options(whole, **SHORT))
+    with pytest.raises(CutOffError):
+        train_one(run, Options(cut, **SHORT, report=cut_off))
+    assert not result_file(cut, run).exists()
+    train_one(run, Options(cut, **SHORT))
+
+    def learnt(folder):
+        result = json.loads(result_file(folder, run).read_text(encoding="utf-8"))
+        for point in result["curve"]:
+            del point["seconds"]
+        return result
+
+    assert learnt(cut) == learnt(whole)
+    one, other = (Actor.load(folder / run.name / "policy.safetensors") for folder in (whole, cut))
+    assert all(np.array_equal(a, b) for a, b in zip(one.weights, other.weights, strict=True))
+    counts = load_visits(cut / run.name / "visits.safetensors")
+    assert counts["places"].shape[0] == 2
+    assert counts["turns"].sum(axis=1).tolist() == [ROLL_OUT, ROLL_OUT]
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_the_deployed_policy_acts_like_the_learnt_one(tmp_path, algorithm):
+    run = PlainRun(algorithm, 0)
+    model = run.model(ROLL_OUT)
+    file = tmp_path / "policy.safetensors"
+    extract_actor(model, TASK, {"task": TASK.name}).save(file)
+    actor = Actor.load(file)
+    environment = run.environment()
+    observation, _ = environment.reset(seed=1)
+    for _ in range(5):
+        expected, _ = model.predict(observation, deterministic=True)
+        assert actor.scaled_action(observation) == pytest.approx(expected, abs=1e-5)
+        observation, *_ = environment.step(expected)
+    command = actor.command(environment.unwrapped._observation())
+    low, high = np.array(list(TASK.robot.commands.values())).T
+    assert (command >= low - 1e-5).all()
+    assert (command <= high + 1e-5).all()
+    environment.close()
+    model.env.close()
+
+
+def test_evaluations_are_the_same_for_all():
+    run = PlainRun("ppo", 0)
+    model = run.model(ROLL_OUT)
+    actor = extract_actor(model, TASK, {})
+    environment = run.environment()
+    first, second = (evaluate(actor, environment, 2, 7) for _ in range(2))
+    for (outcome, states), (again, same) in zip(first, second, strict=True):
+        assert outcome == again
+        assert np.array_equal(states, same)
+    environment.close()
+    model.env.close()
+
+
+def test_many_runs_on_several_cores_and_never_twice(tmp_path):
+    runs = [PlainRun("ppo", seed) for seed in range(2)]
+    options = Options(tmp_path, 1, ROLL_OUT, 1, 1)
+    results = train_all(runs, options, workers=2)
+    assert [result["run"]["seed"] for result in results] == [0, 1]
+    before = [result_file(tmp_path, run).stat().st_mtime_ns for run in runs]
+    assert train_all(runs, options) == results
+    assert before == [result_file(tmp_path, run).stat().st_mtime_ns for run in runs]
+
+
+def test_a_broken_checkpoint_is_named(tmp_path):
+    run = PlainRun("ppo", 0)
+    checkpoint = tmp_path / run.name / "checkpoint.safetensors"
+    checkpoint.parent.mkdir()
+    checkpoint.write_bytes(b"half a file")
+    with pytest.raises(TrainingError, match=r"checkpoint\.safetensors: cannot go on from it .* delete it"):
+        train_one(run, Options(tmp_path, **SHORT))
+
+
+def test_an_unknown_algorithm_is_named():
+    with pytest.raises(TrainingError, match="no algorithm 'sac': there are ppo, trpo, ddpg"):
+        PlainRun("sac", 0).model(ROLL_OUT)
+
+
+def test_a_file_that_is_no_policy_is_named(tmp_path):
+    file = tmp_path / "policy.safetensors"
+    with pytest.raises(TrainingError, match="policy"):
+        Actor.load(file)
+    file.write_bytes(b"{}")
+    with pytest.raises(TrainingError, match="cannot be read as a policy"):
+        Actor.load(file)
+
+
+def test_the_deployed_policy_needs_no_torch():
+    program = "import sys, ctrl_rl_training.actor; sys.exit('torch' in sys.modules or 'gymnasium' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0

@@ -1,0 +1,114 @@
+"""Systems from small ones: free names, joined by the maximum, a lower bound; the gap to the whole."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from ctrl_rl_core.tasks import load_navigation_task
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from ttr_reward_node.cost import make_problem
+from ttr_reward_node.decomposition import (
+    DECOMPOSITIONS,
+    PLANAR_QUADROTOR_4D,
+    PLANAR_QUADROTOR_FIVE,
+    Decomposition,
+    solve_decomposed,
+    split,
+)
+from ttr_reward_node.errors import TimeToReachError
+from ttr_reward_node.gap import as_table, measure_gap
+from ttr_reward_node.gap_picture import draw_gap
+from ttr_reward_node.problem import problem_from_task
+from ttr_reward_node.roll_out import crossing_time
+from ttr_reward_node.solver import solve
+
+from ttr_reward_node import dubins
+
+COARSE = {"x": 11, "v_x": 7, "z": 11, "v_z": 7, "psi": 11, "omega": 5}
+CAR = Decomposition("car", (("x", "theta"), ("y", "theta")))
+BOX = np.array([[3.7, 4.3], [3.7, 4.3], [0.45, 1.05]])
+
+
+@pytest.fixture(scope="module")
+def quadrotor():
+    return problem_from_task("quad_ttr", counts=COARSE)
+
+
+@cache
+def car_bound():
+    return solve_decomposed(replace(problem_from_task("car_ttr", counts=(51, 51, 36)), clearance=None), CAR)
+
+
+def test_who_may_do_what_he_likes(quadrotor):
+    assert [part.free for part in split(quadrotor, PLANAR_QUADROTOR_4D)] == [("T_1", "T_2")] * 2
+    free = [set(part.free) for part in split(quadrotor, PLANAR_QUADROTOR_FIVE)]
+    assert free == [{"v_x"}, {"v_z"}, {"T_1", "T_2"}, {"omega", "T_1", "T_2"}, {"omega", "T_1", "T_2"}]
+
+
+def test_shadows_of_target_and_obstacles(quadrotor):
+    half = split(quadrotor, PLANAR_QUADROTOR_4D)[0].problem
+    assert set(half.target.intervals) == {"x", "psi"}
+    assert half.clearance is not None
+    np.testing.assert_array_equal(half.clearance.values, quadrotor.clearance.values.max(axis=1))
+
+
+def test_joined_by_the_maximum(quadrotor):
+    value = solve_decomposed(quadrotor, PLANAR_QUADROTOR_4D)
+    states = np.random.default_rng(0).uniform([-4, -2, 1, -2, -3, -1.5], [4, 2, 9, 2, 3, 1.5], (500, 6))
+    parts = np.stack(
+        [grid.value(states[:, [0, 1, 4, 5] if grid.axes[0].name == "x" else [2, 3, 4, 5]]) for grid in value.grids]
+    )
+    np.testing.assert_array_equal(value.value(states), parts.max(axis=0))
+    assert value.free == (("T_1", "T_2"), ("T_1", "T_2"))
+
+
+@settings(max_examples=200, deadline=None, derandomize=True)
+@given(x=st.floats(-4.5, 4.5), y=st.floats(-4.5, 4.5), theta=st.floats(-3.1, 3.1))
+def test_lower_bound_of_the_exact_time(x, y, theta):
+    state = np.array([[x, y, theta]])
+    exact, pose = dubins.to_box(state, BOX, 9, 6)
+    assume(dubins.stays_in(state, pose, -5.0, 5.0)[0])
+    assert car_bound().value(state)[0] <= exact[0] + 0.1
+
+
+def test_independent_parts_lose_nothing():
+    """Each axis of the point mass has its own control: the maximum is the solution."""
+    whole = make_problem("3D point mass", 2e4)
+    parts = Decomposition("axes", (("x",), ("y",), ("z",)))
+    (gap,) = measure_gap(whole, [parts])
+    assert np.median(np.abs(gap.differences)) < 0.01
+    assert np.abs(gap.differences).max() < 1.1 * crossing_time(whole)
+
+
+def test_gap_of_the_quadrotor(quadrotor, tmp_path):
+    told = []
+    gaps = measure_gap(quadrotor, DECOMPOSITIONS["planar_quadrotor"].values(), progress=lambda *args: told.append(args))
+    four, five = (gap.summary() for gap in gaps)
+    assert four["converged"]
+    assert four["reachable_bound"] >= four["reachable_whole"] > 0.02
+    assert four["lower_bound"] > 0.9
+    assert five["lower_bound"] > 0.9
+    assert 0.0 < four["mean_s"] < five["mean_s"]
+    assert {name for name, _, _ in told} == {"whole", "4d+4d", "five"}
+    assert "4d+4d" in as_table(gaps)
+    draw_gap(gaps, load_navigation_task("quad_ttr"), tmp_path / "gap.png")
+    assert (tmp_path / "gap.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_refusals(quadrotor):
+    with pytest.raises(TimeToReachError, match="height"):
+        split(quadrotor, Decomposition("wrong", (("x", "v_x", "z", "v_z", "psi", "omega"), ("height",))))
+    with pytest.raises(TimeToReachError, match="omega"):
+        split(quadrotor, Decomposition("lacking", (("x", "v_x", "z", "v_z", "psi"),)))
+    windy = problem_from_task("quad_ttr", counts=COARSE, disturbances={"d_v_x": (-0.1, 0.1)})
+    with pytest.raises(TimeToReachError, match="disturbance"):
+        split(windy, PLANAR_QUADROTOR_4D)
+
+
+def test_pieces_are_solved_like_any_problem(quadrotor):
+    for part in split(quadrotor, PLANAR_QUADROTOR_FIVE):
+        solution = solve(part.problem)
+        assert solution.converged
+        assert solution.grid.state_names == part.problem.system.state_names

@@ -1,0 +1,67 @@
+"""Rewards for a recorded bag."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from ctrl_rl_core.bag_copy import read_wire
+from ctrl_rl_core.bags import BagWriter, Topic, bag_info, read_messages
+from ctrl_rl_core.message_types import message_definition
+from ctrl_rl_core.tasks import load_navigation_task
+from nav_msgs.msg import Odometry
+from rclpy.serialization import serialize_message
+from std_msgs.msg import String
+from ttr_reward_node.errors import TimeToReachError
+from ttr_reward_node.labels import Labeller
+from ttr_reward_node.relabel import relabel
+from ttr_reward_node.solver import solve_task
+
+KIND = "nav_msgs/msg/Odometry"
+
+
+def odometry(k: int) -> bytes:
+    message = Odometry()
+    message.header.stamp.sec = k
+    message.pose.pose.position.x, message.pose.pose.position.y = -0.2, -4.5 + 0.05 * k
+    return bytes(serialize_message(message))
+
+
+@pytest.fixture
+def bag(tmp_path: Path) -> Path:
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.add_topic(Topic("/robot/odom", KIND, message_definition(KIND)))
+        writer.add_topic(Topic("/said", "std_msgs/msg/String", message_definition("std_msgs/msg/String")))
+        for k in range(100):
+            writer.write("/robot/odom", odometry(k), 10**9 + k, 10**9 + k - 1, k + 1)
+            if k % 10 == 0:
+                writer.write("/said", bytes(serialize_message(String(data=str(k)))), 10**9 + k)
+    return tmp_path / "bag"
+
+
+def test_every_odometry_message_gets_a_reward_and_nothing_else_changes(bag: Path, tmp_path: Path) -> None:
+    function = solve_task("car_ttr", counts=(41, 41, 24))
+    output = tmp_path / "labelled"
+    count = relabel(bag, output, function, Labeller(load_navigation_task("car_ttr"), function), robot="robot")
+    assert count == 100
+    kept = [message for message in read_wire(output) if message.topic in ("/robot/odom", "/said")]
+    assert kept == list(read_wire(bag))
+    rewards = [message.data for message in read_messages(output, ["/robot/reward"])]
+    states = np.column_stack((np.full(100, -0.2), -4.5 + 0.05 * np.arange(100), np.zeros(100)))
+    phi = function.value(states)
+    np.testing.assert_array_equal([reward.time_to_reach for reward in rewards], phi)
+    running = np.array([reward.outcome.value == 0 for reward in rewards])
+    paid = np.array([reward.reward for reward in rewards])
+    np.testing.assert_allclose(paid[running], -np.minimum(phi[running], 30.0))
+    assert set(paid[~running]) == {-400.0}  # the wall below and the cube in the middle
+    assert [reward.header.stamp.sec for reward in rewards] == list(range(100))
+    values = [message.data for message in read_messages(output, ["/robot/time_to_reach"])]
+    np.testing.assert_allclose([value.state for value in values], states, atol=1e-12)
+    assert bag_info(output).custom_data["digest.grid"] == function.digest
+
+
+def test_says_what_is_missing(bag: Path, tmp_path: Path) -> None:
+    function = solve_task("car_ttr", counts=(21, 21, 12))
+    label = Labeller(load_navigation_task("car_ttr"), function)
+    with pytest.raises(TimeToReachError, match="no topic /odom of type nav_msgs/msg/Odometry; it has /robot/odom"):
+        relabel(bag, tmp_path / "labelled", function, label)
+    assert not (tmp_path / "labelled").exists()

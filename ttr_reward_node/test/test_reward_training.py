@@ -1,0 +1,101 @@
+"""Learning with the rewards of Table 3.3: the wrapper pays them, runs are collected into table and pictures."""
+
+import json
+
+import gymnasium
+import numpy as np
+import pytest
+from ctrl_rl_core.outcome import Outcome
+from ctrl_rl_core.tasks import load_navigation_task
+from ctrl_rl_training.algorithms import ROLL_OUT
+from ctrl_rl_training.training import Options, train_one
+from ttr_reward_node.errors import TimeToReachError
+from ttr_reward_node.rewards import make_reward
+from ttr_reward_node.training import RewardRun, reward_runs
+from ttr_reward_node.training_cli import train, training_figures
+from ttr_reward_node.training_environment import make_rewarded
+from ttr_reward_node.training_results import collect, samples_to
+
+
+def test_the_wrapper_pays_the_reward_and_leaves_the_rest_alone():
+    reward = make_reward("distance_10", load_navigation_task("car_ttr"))
+    environment = make_rewarded(reward)
+    bare = gymnasium.make("sim_bridge.environments:ctrl_rl/car_ttr-v0", options=environment.unwrapped.world.options)
+    scaled, _ = environment.reset(seed=4)
+    observation, _ = bare.reset(seed=4)
+    action = np.array([1.0, 0.3], dtype=np.float32)
+    over = False
+    while not over:
+        assert scaled == pytest.approx((observation - environment.middle) / environment.unit, abs=1e-5)
+        scaled, paid, terminated, truncated, info = environment.step(action)
+        observation, own, bare_terminated, bare_truncated, _ = bare.step(action)
+        assert (terminated, truncated) == (bare_terminated, bare_truncated)
+        over = terminated or truncated
+        expected = own if over else reward(info["state"][None], [Outcome.RUNNING])[0]
+        assert paid == pytest.approx(expected)
+    assert info["outcome"] == "COLLISION"
+    environment.close()
+    bare.close()
+
+
+def test_runs_become_a_table_and_pictures(tmp_path, capsys):
+    runs = reward_runs("quad_ttr", ("ppo",), ("sparse", "distance_10"), 2)
+    for run in runs:
+        train_one(run, Options(tmp_path, 2, ROLL_OUT, 1, 2))
+    rows, figures = collect(runs, tmp_path)
+    assert [(row.method, row.metric, len(row.values)) for row in rows if row.metric == "success"] == [
+        ("ppo, sparse", "success", 2),
+        ("ppo, distance_10", "success", 2),
+    ]
+    assert np.array(figures["curves"]["ppo, sparse"]["success"]).shape == (2, 2)
+    assert np.sum(figures["visits"]["ppo, sparse"]["turns"]) == 2 * 2 * ROLL_OUT
+    results = tmp_path / "results.json"
+    known = ["--rewards", "sparse", "distance_10", "--algorithms", "ppo", "--seeds", "2", "--iterations", "2"]
+    assert train(["--task", "quad_ttr", "--folder", str(tmp_path), *known, "--results", str(results)]) == 0
+    assert json.loads(results.read_text(encoding="utf-8"))["figures"]["task"] == "quad_ttr"
+    assert training_figures([str(results), "--output", str(tmp_path / "pictures")]) == 0
+    assert sorted(file.name for file in (tmp_path / "pictures").iterdir()) == [
+        "quad_ttr_success.png",
+        "quad_ttr_visits.png",
+    ]
+    assert "ppo, sparse" in capsys.readouterr().out
+
+
+def test_learnt_means_good_twice():
+    curve = [{"samples": 10 * k, "evaluation": success} for k, success in enumerate((0.0, 0.95, 0.5, 0.9, 1.0), 1)]
+    assert samples_to(curve) == 40.0
+    assert samples_to(curve[:3]) is None
+
+
+def test_what_matters_most_is_learnt_first():
+    runs = reward_runs("car_ttr", grid="some.safetensors")
+    assert len(runs) == 3 * 6 * 5
+    assert {run.reward for run in runs[:15]} == {"ttr"}
+    assert {run.grid for run in runs[15:]} == {None}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--task", "car_ttr"], "the reward ttr needs --grid: make it with `solve --task car_ttr`"),
+        (["--task", "car_ttr", "--rewards", "sparse", "--seeds", "0"], "--seeds must be at least 1"),
+        (["--task", "nowhere", "--rewards", "sparse"], "nowhere"),
+    ],
+)
+def test_what_is_wrong_is_said_in_one_line(arguments, message, capsys, tmp_path):
+    assert train([*arguments, "--folder", str(tmp_path)]) == 1
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+
+
+def test_figures_of_another_file_are_refused(tmp_path, capsys):
+    file = tmp_path / "results.json"
+    file.write_text("[]", encoding="utf-8")
+    assert training_figures([str(file)]) == 1
+    assert "is not a file that `train --results` wrote" in capsys.readouterr().err
+
+
+def test_a_run_with_time_to_reach_but_no_grid_is_refused():
+    with pytest.raises(TimeToReachError, match="solve the task first"):
+        RewardRun("car_ttr", "ppo", "ttr", 0).environment()

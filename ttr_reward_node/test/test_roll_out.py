@@ -1,0 +1,31 @@
+"""Driving by the solution: executed against predicted time."""
+
+import numpy as np
+import pytest
+from ttr_reward_node.check import check_task, random_starts
+from ttr_reward_node.errors import TimeToReachError
+from ttr_reward_node.problem import problem_from_task
+from ttr_reward_node.roll_out import roll_out
+from ttr_reward_node.solver import solve
+
+
+def test_without_obstacles_time_is_as_predicted():
+    result = check_task("car_ttr", obstacles=False, states=400)
+    assert result["reached"] >= 0.98
+    assert result["ratio_median"] == pytest.approx(1.0, abs=0.01)
+    assert result["ratio_p95"] <= 1.02
+
+
+def test_among_obstacles_it_arrives():
+    result = check_task("car_ttr", states=300)
+    assert result["reached"] >= 0.95
+    assert result["collided"] <= 0.04
+    assert result["ratio_median"] == pytest.approx(1.0, abs=0.01)
+
+
+def test_start_without_a_time_is_refused():
+    problem = problem_from_task("car_ttr", counts=(31, 31, 24))
+    grid = solve(problem).grid
+    with pytest.raises(TimeToReachError, match="no time to reach"):
+        roll_out(grid, problem, [[0.0, 0.0, 0.0]])
+    assert np.isfinite(grid.value(random_starts(grid, problem, 50))).all()

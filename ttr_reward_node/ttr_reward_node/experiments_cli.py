@@ -1,0 +1,165 @@
+"""The command `ttr_experiments`: figures about the solvers, printed, and written as JSON and pictures.
+
+ttr_experiments convergence | check | gap | cost [--output FILE.json] [--picture FILE.png]
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from ctrl_rl_core.command import run_command
+from ctrl_rl_core.results import Result, write_results
+from ctrl_rl_core.tasks import load_navigation_task
+from tqdm import tqdm
+
+from ttr_reward_node import convergence, cost, gap
+from ttr_reward_node.check import check_task
+from ttr_reward_node.decomposition import DECOMPOSITIONS
+from ttr_reward_node.problem import problem_from_task
+
+_COARSER = {"x": 11, "v_x": 7, "z": 11, "v_z": 7, "psi": 11, "omega": 5}
+_FINER = {"x": 17, "v_x": 9, "z": 17, "v_z": 9, "psi": 17, "omega": 5}
+_STARTS = 1000
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one of the experiments."""
+    parser = argparse.ArgumentParser(prog="ttr_experiments", description="Figures about the time-to-reach solvers.")
+    parser.add_argument("experiment", choices=tuple(_EXPERIMENTS))
+    parser.add_argument("--output", type=Path, help="JSON file for the figures")
+    parser.add_argument("--picture", type=Path, help="picture to draw (gap and cost)")
+    options = parser.parse_args(arguments)
+    return run_command("ttr_experiments", lambda: _run(options))
+
+
+def _run(options: argparse.Namespace) -> int:
+    title, measure = _EXPERIMENTS[options.experiment]
+    with tqdm(desc=options.experiment, unit=" steps", disable=None) as bar:
+
+        def show(name: str, *_figures: float) -> None:
+            bar.set_postfix_str(name, refresh=False)
+            bar.update()
+
+        results = measure(show, options.picture)
+    if options.output is not None:
+        write_results(options.output, title, [0], results)
+        print(f"figures    {options.output}")
+    if options.picture is not None and options.picture.exists():
+        print(f"picture    {options.picture}")
+    return 0
+
+
+def _convergence(show: Callable[..., None], _picture: Path | None) -> list[Result]:
+    rows = convergence.convergence_table(progress=show)
+    print(convergence.as_table(rows))
+    metrics = {
+        "median_s": ("median error", "s"),
+        "mean_s": ("mean error", "s"),
+        "mean_relative": ("mean relative error", "1"),
+        "median_to_best_s": ("median difference to semi-Lagrangian on the finest grid", "s"),
+        "missed": ("states held unreachable", "1"),
+        "cpu_s": ("CPU time", "s"),
+    }
+    return [
+        Result(f"{row['method']}, {' x '.join(map(str, row['counts']))}", metric, unit, [row[key]])
+        for row in rows
+        for key, (metric, unit) in metrics.items()
+    ]
+
+
+def _check(show: Callable[..., None], _picture: Path | None) -> list[Result]:
+    results = []
+    cases = (
+        ("no obstacles", False, None),
+        ("six cubes, margin 0.05 m", True, None),
+        ("six cubes, no margin", True, 0.0),
+    )
+    for name, obstacles, margin in cases:
+        row = check_task("car_ttr", obstacles=obstacles, margin=margin, states=_STARTS)
+        show(name)
+        print(
+            f"{name:<26} reached {100 * row['reached']:5.1f} %  collided {100 * row['collided']:4.1f} %  "
+            f"executed/predicted median {row['ratio_median']:.4f}, 95 % {row['ratio_p95']:.4f}"
+        )
+        for key, metric in (
+            ("reached", "fraction that reaches the goal"),
+            ("collided", "fraction that collides"),
+            ("ratio_median", "executed / predicted time, median"),
+            ("ratio_p95", "executed / predicted time, 95 %"),
+        ):
+            results.append(Result(f"car, {name}", metric, "1", [row[key]]))
+    return results
+
+
+def _gap(show: Callable[..., None], picture: Path | None) -> list[Result]:
+    task = load_navigation_task("quad_ttr")
+    results = []
+    for counts in (_COARSER, gap.COARSE_QUADROTOR, _FINER):
+        problem = problem_from_task(task, counts=counts)
+        for obstacles in (False, True):
+            used = problem if obstacles else replace(problem, clearance=None)
+            gaps = gap.measure_gap(used, DECOMPOSITIONS["planar_quadrotor"].values(), progress=show)
+            print(gap.as_table(gaps))
+            results += [result for one in gaps for result in _gap_results(one.summary())]
+            if picture is not None and obstacles:
+                from ttr_reward_node.gap_picture import draw_gap  # matplotlib is not for robots
+
+                draw_gap(gaps, task, picture)
+    return results
+
+
+def _gap_results(row: dict[str, Any]) -> list[Result]:
+    where = "obstacles" if row["obstacles"] else "no obstacles"
+    name = f"{row['decomposition']}, {' x '.join(map(str, row['counts']))}, {where}"
+    metrics = {
+        "mean_time_s": ("mean time to reach of the whole", "s"),
+        "mean_s": ("mean gap", "s"),
+        "median_s": ("median gap", "s"),
+        "p95_s": ("95 % of the gaps", "s"),
+        "mean_relative": ("gap relative to the whole", "1"),
+        "lower_bound": (f"lower bound within {row['tolerance_s']:.2g} s", "1"),
+        "lower_bound_exactly": ("lower bound exactly", "1"),
+        "equal": (f"equal within {row['tolerance_s']:.2g} s", "1"),
+        "reachable_whole": ("nodes that the whole reaches", "1"),
+        "reachable_bound": ("nodes that the decomposition reaches", "1"),
+        "whole_cpu_s": ("CPU time of the whole", "s"),
+        "parts_cpu_s": ("CPU time of the parts", "s"),
+    }
+    return [Result(name, metric, unit, [row[key]]) for key, (metric, unit) in metrics.items()]
+
+
+def _cost(show: Callable[..., None], picture: Path | None) -> list[Result]:
+    rows = cost.measure_cost(progress=show)
+    print(cost.as_table(rows))
+    if picture is not None:
+        from ttr_reward_node.cost_picture import draw_cost  # matplotlib is not for robots
+
+        draw_cost(rows, picture)
+    results = [
+        result
+        for row in rows
+        for result in (
+            Result(f"{row['system']}, {row['points']:,} points", "CPU time", "s", [row["cpu_s"]]),
+            Result(f"{row['system']}, {row['points']:,} points", "sweeps", "1", [row["sweeps"]]),
+        )
+    ]
+    for name in dict.fromkeys(row["system"] for row in rows):
+        mine = [row for row in rows if row["system"] == name]
+        if sum(row["points"] >= 9e3 for row in mine) > 1:
+            results.append(Result(name, "exponent of the points, 1 is linear", "1", [cost.exponent(mine)]))
+    return results
+
+
+_EXPERIMENTS: dict[str, tuple[str, Callable[[Callable[..., None], Path | None], list[Result]]]] = {
+    "convergence": ("Time to reach of the car: error against exact Dubins paths as the grid is refined", _convergence),
+    "check": ("Time to reach of the car: greedy roll-outs", _check),
+    "gap": ("Time to reach of the quadrotor: what the decomposition costs", _gap),
+    "cost": ("Time to reach: cost as the grid grows", _cost),
+}
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,61 @@
+"""The reward node: odometry in, time to reach and reward out (thesis Fig. 3.2)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+from ctrl_rl_core.parameters import Parameter
+from ctrl_rl_core.ros import RESULT, run_node
+from ctrl_rl_core.tasks import load_navigation_task, task_digest
+from ctrl_rl_core.value_function import ValueFunction
+from ctrl_rl_core.value_server import SERVER_PARAMETERS, ValueServer
+from nav_msgs.msg import Odometry
+from numpy.typing import NDArray
+
+from ctrl_rl_msgs.msg import TaskOutcome, TaskReward
+from ttr_reward_node.labels import Labeller
+from ttr_reward_node.value_file import load_value
+
+
+class RewardNode(ValueServer):
+    """Serves a time-to-reach function and the reward made of it.
+
+    Subscribes to odom; publishes reward and time_to_reach, one message of each for each odometry message, and ~/grid
+    and ~/slice latched. Answers ~/query for many states. Outside the grid it says NaN, never an extrapolation.
+    """
+
+    TOPIC = "time_to_reach"
+    KIND = "time_to_reach"
+    PARAMETERS: ClassVar[tuple[Parameter, ...]] = (
+        *SERVER_PARAMETERS,
+        Parameter("task", "", "Name or .yaml file of the task; empty for the one that the grid was made for."),
+        Parameter("corridor_width", 0.0, "Of the task's corridor [m]; 0.0 for the task's own.", 0.0, 100.0),
+    )
+
+    def __init__(self) -> None:
+        super().__init__("ttr_reward_node")
+        self._rewards = self.create_publisher(TaskReward, "reward", RESULT)
+
+    def read(self, path: Path) -> ValueFunction:
+        """Read a time-to-reach file and the task that it belongs to."""
+        function = load_value(path)
+        task = load_navigation_task(self.settings["task"] or function.task)
+        self._label = Labeller(task, function, self.settings["corridor_width"] or None)
+        if task_digest(task) != function.task_digest:
+            self.get_logger().warning(f"{path.name} was made for another version of task '{task.name}': solve it again")
+        return function
+
+    def valued(self, message: Odometry, state: NDArray[np.float64], value: float) -> None:
+        """Publish the reward of a state."""
+        outcome, reward = self._label(state, value)
+        out = TaskReward(
+            header=message.header, outcome=TaskOutcome(value=int(outcome)), reward=reward, time_to_reach=value
+        )
+        self._rewards.publish(out)
+
+
+def main() -> int:
+    """Run the node."""
+    return run_node(RewardNode)

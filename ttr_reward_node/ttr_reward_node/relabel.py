@@ -1,0 +1,85 @@
+"""Adds the time-to-reach reward to a recorded bag, so that it can be learned from offline."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from ctrl_rl_core.bag_copy import WireMessage, copy_bag
+from ctrl_rl_core.bag_metadata import Topic
+from ctrl_rl_core.bag_reader import bag_info, open_bag
+from ctrl_rl_core.message_types import message_definition
+from ctrl_rl_core.odometry import OdometryReader
+from ctrl_rl_core.value_function import ValueFunction
+from rosbags.typesys import get_types_from_msg
+from rosbags.typesys.store import Typestore
+
+from ttr_reward_node.errors import TimeToReachError
+from ttr_reward_node.labels import Labeller
+
+REWARD, VALUE = "ctrl_rl_msgs/msg/TaskReward", "ctrl_rl_msgs/msg/StateValue"
+_ODOMETRY = "nav_msgs/msg/Odometry"
+
+
+def relabel(
+    bag: Path, output: Path, function: ValueFunction, label: Labeller, robot: str = "", progress: bool = False
+) -> int:
+    """Write a bag again with the topics `reward` and `time_to_reach`, one message of each per odometry message.
+
+    Args:
+        bag: with odometry in the frame of the value function.
+        output: the new bag; it must not exist.
+        function: the time to reach.
+        label: what a state pays.
+        robot: namespace of the topics.
+        progress: show a bar on a terminal.
+
+    Returns:
+        How many odometry messages were labelled.
+
+    Raises:
+        TimeToReachError: the bag has no odometry.
+        BagError: the bag cannot be read, has these topics already, or the output exists.
+    """
+    prefix = f"/{robot.strip('/')}" if robot else ""
+    odom = f"{prefix}/odom"
+    topics = bag_info(bag).topics
+    if odom not in topics or topics[odom].type != _ODOMETRY:
+        raise TimeToReachError(f"{bag}: no topic {odom} of type {_ODOMETRY}; it has {', '.join(sorted(topics))}")
+    with open_bag(bag) as reader:
+        answer = _Answer(reader.typestore, odom, prefix, function, label)
+        added = [Topic(f"{prefix}/reward", REWARD, message_definition(REWARD))]
+        added.append(Topic(f"{prefix}/time_to_reach", VALUE, message_definition(VALUE)))
+        digests = {"digest.grid": function.digest}
+        return copy_bag(bag, output, added, answer, digests, "relabelling" if progress else "") // len(added)
+
+
+class _Answer:
+    """Answers each odometry message of a bag with a reward and a value, serialized."""
+
+    def __init__(self, store: Typestore, odom: str, prefix: str, function: ValueFunction, label: Labeller) -> None:
+        self._store, self._odom, self._prefix = store, odom, prefix
+        self._function, self._label = function, label
+        self._read = OdometryReader(function.state_names)
+        for kind in (REWARD, VALUE):
+            store.register({name: fields for name, fields in get_types_from_msg(message_definition(kind), kind).items()
+                            if name not in store.fielddefs})  # fmt: skip
+
+    def __call__(self, message: WireMessage) -> Iterator[tuple[str, bytes]]:
+        if message.topic != self._odom:
+            return
+        odometry: Any = self._store.deserialize_cdr(message.data, _ODOMETRY)
+        state = self._read(odometry)
+        value, gradient = self._function.value_and_gradient_at(state)
+        outcome, reward = self._label(state, value)
+        types = self._store.types
+        out = types["ctrl_rl_msgs/msg/TaskOutcome"](value=int(outcome))
+        header = odometry.header
+        yield self._serialized("reward", types[REWARD](header, out, reward, value), REWARD)
+        in_domain = not np.isnan(value)
+        yield self._serialized("time_to_reach", types[VALUE](header, state, value, gradient, in_domain), VALUE)
+
+    def _serialized(self, topic: str, message: Any, kind: str) -> tuple[str, bytes]:
+        return f"{self._prefix}/{topic}", bytes(self._store.serialize_cdr(message, kind))

@@ -1,0 +1,131 @@
+"""Pictures of learning, drawn from results: success (thesis Fig. 3.4, 3.6), visits (Fig. 3.7) and paths (Fig. 3.5)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from ctrl_rl_core.drawing import draw_world, save_figure
+from ctrl_rl_core.regions import ANGLES, position_indices
+from ctrl_rl_core.tasks import NavigationTask
+from matplotlib import pyplot as plt
+from matplotlib.axes import Axes
+
+from ttr_reward_node.rewards import REWARDS
+from ttr_reward_node.training_results import STAGES
+
+_COLOURS = dict(zip(REWARDS, ("0.45", "tab:blue", "tab:cyan", "tab:purple", "tab:orange", "tab:red"), strict=True))
+_LABELS = {
+    "sparse": "sparse",
+    "distance_0": "distance, λ = 0",
+    "distance_0.1": "distance, λ = 0.1",
+    "distance_1": "distance, λ = 1",
+    "distance_10": "distance, λ = 10",
+    "ttr": "time to reach",
+}
+_COMPARED = ("sparse", "distance_10", "ttr")
+"""Rewards of Fig. 3.7."""
+_SNAPSHOTS = 9
+_ARM = 0.4
+
+
+def draw_curves(figures: Mapping[str, Any], path: Path) -> None:
+    """Draw success against samples, a panel for each algorithm: mean and standard deviation over the seeds."""
+    curves: Mapping[str, Any] = figures["curves"]
+    algorithms = list(dict.fromkeys(method.split(", ")[0] for method in curves))
+    figure, axes = plt.subplots(
+        1, len(algorithms), figsize=(4.2 * len(algorithms), 3.6), sharey=True, squeeze=False, layout="constrained"
+    )
+    for algorithm, ax in zip(algorithms, axes[0], strict=True):
+        for reward in REWARDS:
+            curve = curves.get(f"{algorithm}, {reward}")
+            if curve is not None:
+                _draw_curve(ax, curve, reward)
+        ax.set_title(algorithm.upper())
+        ax.set_xlabel("samples [thousands]")
+        ax.set_ylim(-0.02, 1.02)
+        ax.grid(alpha=0.3)
+    axes[0, 0].set_ylabel("success rate")
+    axes[0, -1].legend(fontsize=8)
+    seeds = max(len(seeds) for seeds in figures["seeds"].values())
+    figure.suptitle(f"{figures['task']}: success while learning, mean and standard deviation of {seeds} seeds")
+    save_figure(figure, path)
+
+
+def _draw_curve(ax: Axes, curve: Mapping[str, Any], reward: str) -> None:
+    samples = np.concatenate(([0.0], np.array(curve["samples"]) / 1000.0))
+    success = np.array(curve["success"])
+    success = np.column_stack((np.zeros(len(success)), success))
+    mean, spread = success.mean(axis=0), success.std(axis=0)
+    width = 2.2 if reward == "ttr" else 1.3
+    ax.plot(samples, mean, color=_COLOURS[reward], label=_LABELS[reward], linewidth=width)
+    ax.fill_between(samples, mean - spread, mean + spread, color=_COLOURS[reward], alpha=0.12, linewidth=0)
+
+
+def draw_visits(figures: Mapping[str, Any], task: NavigationTask, algorithm: str, path: Path) -> None:
+    """Draw which states learning met in each third of the training: where, and at which angle, as Fig. 3.7 does."""
+    assert task.arena is not None
+    rewards = [reward for reward in _COMPARED if f"{algorithm}, {reward}" in figures["visits"]]
+    figure, axes = plt.subplots(
+        2, STAGES * len(rewards), figsize=(2.3 * STAGES * len(rewards), 4.6), squeeze=False, layout="constrained"
+    )
+    sides = task.arena.bounds
+    angle = next(name for name in task.system.build().state_names if name in ANGLES)
+    target = task.goal.region.intervals.get(angle)
+    names = [task.system.build().state_names[index] for index in position_indices(task.system.build().state_names)]
+    for column, (reward, stage) in enumerate((reward, stage) for reward in rewards for stage in range(STAGES)):
+        visits = figures["visits"][f"{algorithm}, {reward}"]
+        turns = np.array(visits["turns"][stage], dtype=float)
+        edges = np.linspace(-np.pi, np.pi, len(turns) + 1)
+        density = turns / max(turns.sum(), 1.0) / (edges[1] - edges[0])
+        above = axes[0, column]
+        above.stairs(density, edges, fill=True, color=_COLOURS[reward], baseline=1e-4)
+        above.set_yscale("log")
+        above.set_ylim(1e-4, 10.0)
+        if target is not None:
+            above.axvspan(target.low, target.high, color="tab:green", alpha=0.25, linewidth=0)
+        above.set_title(f"{_LABELS[reward]}\n{('first', 'second', 'last')[stage]} third", fontsize=8)
+        below = axes[1, column]
+        places = np.log1p(np.array(visits["places"][stage], dtype=float)).T
+        extent = (sides[0].low, sides[0].high, sides[1].low, sides[1].high)
+        below.imshow(places, origin="lower", extent=extent, cmap="magma_r", aspect="auto")
+        draw_world(below, task)
+        below.set_xlim(sides[0])
+        below.set_ylim(sides[1])
+        for ax in (above, below):
+            ax.tick_params(labelsize=6)
+            ax.label_outer()
+    axes[0, 0].set_ylabel(f"density of {angle}")
+    axes[1, 0].set_ylabel(f"{names[1]} over {names[0]} [m]")
+    figure.suptitle(f"{figures['task']}, {algorithm.upper()}: states met while learning")
+    save_figure(figure, path)
+
+
+def draw_paths(paths: Sequence[Mapping[str, Any]], task: NavigationTask, title: str, path: Path) -> None:
+    """Draw learnt paths, with the body's angle at a few moments, as Fig. 3.5 does."""
+    assert task.arena is not None
+    names = task.system.build().state_names
+    plane = position_indices(names)
+    angle = next(index for index, name in enumerate(names) if name in ANGLES)
+    flies = names[plane[1]] == "z"
+    figure, ax = plt.subplots(figsize=(5.0, 5.0), layout="constrained")
+    draw_world(ax, task)
+    for entry in paths:
+        states = np.array(entry["states"])
+        x, y = states[:, plane[0]], states[:, plane[1]]
+        (line,) = ax.plot(x, y, linewidth=1.2, label=entry["outcome"].lower())
+        for index in np.linspace(0, len(states) - 1, _SNAPSHOTS).astype(int):
+            turn = states[index, angle]
+            # A quadrotor's bar lies across its thrust, at pitch psi clockwise; a car points along theta.
+            reach = _ARM * np.array([np.cos(turn), -np.sin(turn)] if flies else [np.cos(turn), np.sin(turn)])
+            ends = np.array([-reach, reach]) if flies else np.array([0.0 * reach, reach])
+            ax.plot(x[index] + ends[:, 0], y[index] + ends[:, 1], color=line.get_color(), linewidth=2.5)
+    ax.set_xlim(task.arena.bounds[0])
+    ax.set_ylim(task.arena.bounds[1])
+    ax.set_xlabel(f"{names[plane[0]]} [m]")
+    ax.set_ylabel(f"{names[plane[1]]} [m]")
+    ax.set_title(title, fontsize=10)
+    ax.legend(fontsize=8)
+    save_figure(figure, path)
