@@ -62,7 +62,12 @@ def number_of_environments(algorithm: str) -> int:
 
 
 def make_algorithm(
-    algorithm: str, make: Callable[[], gymnasium.Env[Any, Any]], seed: int, samples: int
+    algorithm: str,
+    make: Callable[[], gymnasium.Env[Any, Any]],
+    seed: int,
+    samples: int,
+    kind: type[BaseAlgorithm] | None = None,
+    **changes: Any,
 ) -> BaseAlgorithm:
     """Return an untrained algorithm with its own environments.
 
@@ -71,51 +76,63 @@ def make_algorithm(
         make: makes an environment.
         seed: of networks, actions and environments.
         samples: how many it will see at most.
+        kind: a class derived from the algorithm's own, to be made in its place.
+        changes: of the arguments of Stable-Baselines3, e.g. `gamma`; those of `policy_kwargs` are added to the others.
 
     Raises:
         TrainingError: there is no such algorithm.
     """
     environments = DummyVecEnv([lambda: scaled_reward(make())] * number_of_environments(algorithm))
-    common: dict[str, Any] = {"gamma": _GAMMA, "seed": seed, "device": "cpu"}
-    network: dict[str, Any] = {"net_arch": list(_HIDDEN), "optimizer_kwargs": {"fused": True}}
-    if algorithm == "ddpg":
-        return DDPG(
-            "MlpPolicy",
-            environments,
-            learning_rate=1e-3,
-            buffer_size=samples,
-            learning_starts=min(2000, samples // 4),
-            batch_size=128,
-            tau=0.02,
-            n_steps=5,
-            train_freq=(8, "step"),
-            gradient_steps=4,
-            action_noise=OrnsteinUhlenbeckActionNoise(np.zeros(2), np.full(2, _NOISE)),
-            policy_kwargs={**network, "activation_fn": NormalizedRelu},
-            **common,
-        )
-    network |= {"activation_fn": NormalizedTanh, "log_std_init": -0.5}
-    steps = ROLL_OUT // _ON_POLICY_ENVIRONMENTS
-    if algorithm == "trpo":
-        return TRPO(
-            "MlpPolicy",
-            environments,
-            n_steps=steps // 2,
-            batch_size=64,
-            target_kl=0.02,
-            n_critic_updates=20,
-            policy_kwargs=network,
-            **common,
-        )
-    return PPO(
-        "MlpPolicy",
-        environments,
-        learning_rate=1e-3,
-        n_steps=steps,
-        batch_size=256,
-        policy_kwargs=network,
-        **common,
-    )
+    numbers = _NUMBERS[algorithm](samples)
+    numbers["policy_kwargs"] |= changes.pop("policy_kwargs", {})
+    policy = changes.pop("policy", "MlpPolicy")
+    own: Any = kind or {"ppo": PPO, "trpo": TRPO, "ddpg": DDPG}[algorithm]
+    made: BaseAlgorithm = own(policy, environments, seed=seed, device="cpu", **{**numbers, **changes})
+    return made
+
+
+def _ppo(_: int) -> dict[str, Any]:
+    return {
+        "gamma": _GAMMA,
+        "learning_rate": 1e-3,
+        "n_steps": ROLL_OUT // _ON_POLICY_ENVIRONMENTS,
+        "batch_size": 256,
+        "policy_kwargs": {**_network(), "activation_fn": NormalizedTanh, "log_std_init": -0.5},
+    }
+
+
+def _trpo(_: int) -> dict[str, Any]:
+    return {
+        "gamma": _GAMMA,
+        "n_steps": ROLL_OUT // _ON_POLICY_ENVIRONMENTS // 2,
+        "batch_size": 64,
+        "target_kl": 0.02,
+        "n_critic_updates": 20,
+        "policy_kwargs": {**_network(), "activation_fn": NormalizedTanh, "log_std_init": -0.5},
+    }
+
+
+def _ddpg(samples: int) -> dict[str, Any]:
+    return {
+        "gamma": _GAMMA,
+        "learning_rate": 1e-3,
+        "buffer_size": samples,
+        "learning_starts": min(2000, samples // 4),
+        "batch_size": 128,
+        "tau": 0.02,
+        "n_steps": 5,
+        "train_freq": (8, "step"),
+        "gradient_steps": 4,
+        "action_noise": OrnsteinUhlenbeckActionNoise(np.zeros(2), np.full(2, _NOISE)),
+        "policy_kwargs": {**_network(), "activation_fn": NormalizedRelu},
+    }
+
+
+def _network() -> dict[str, Any]:
+    return {"net_arch": list(_HIDDEN), "optimizer_kwargs": {"fused": True}}
+
+
+_NUMBERS = {"ppo": _ppo, "trpo": _trpo, "ddpg": _ddpg}
 
 
 def scaled_reward(environment: gymnasium.Env[Any, Any]) -> gymnasium.Env[Any, Any]:

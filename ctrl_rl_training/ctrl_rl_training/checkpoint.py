@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +14,8 @@ import torch
 from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
-from stable_baselines3 import DDPG
 from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.buffers import ReplayBuffer
 
 from ctrl_rl_training.errors import TrainingError
 
@@ -34,13 +35,15 @@ def save_checkpoint(
         progress: what else to go on with, as JSON.
         history: the same as arrays.
     """
-    tensors = {f"policy.{name}": tensor.numpy() for name, tensor in model.policy.state_dict().items()}
+    tensors: dict[str, NDArray[Any]] = {}
+    for module, network in _networks(model).items():
+        tensors |= {f"{module}.{name}": tensor.numpy() for name, tensor in network.state_dict().items()}
     for name, optimizer in _optimizers(model).items():
         for index, state in optimizer.state_dict()["state"].items():
             tensors |= {f"{name}.{index}.{key}": tensor.numpy() for key, tensor in state.items()}
-    if isinstance(model, DDPG) and model.replay_buffer is not None:
-        end = model.replay_buffer.pos
-        tensors |= {f"replay.{name}": getattr(model.replay_buffer, name)[:end] for name in _REPLAY}
+    replay = _replay(model)
+    if replay is not None:
+        tensors |= {f"replay.{name}": getattr(replay, name)[: replay.pos] for name in _REPLAY}
     tensors |= {f"{_HISTORY}{name}": array for name, array in history.items()}
     header = json.dumps({"samples": model.num_timesteps, "progress": dict(progress)})
     content = save(
@@ -78,21 +81,38 @@ def _restore(model: BaseAlgorithm, tensors: Mapping[str, NDArray[Any]]) -> None:
             if name.startswith(prefix)
         }
 
-    model.policy.load_state_dict(part("policy."))
+    for module, network in _networks(model).items():
+        network.load_state_dict(part(f"{module}."))
     for name, optimizer in _optimizers(model).items():
         state: dict[int, dict[str, torch.Tensor]] = {}
         for key, tensor in part(f"{name}.").items():
             index, _, field = key.partition(".")
             state.setdefault(int(index), {})[field] = tensor
         optimizer.load_state_dict({"state": state, "param_groups": optimizer.state_dict()["param_groups"]})
-    if isinstance(model, DDPG) and model.replay_buffer is not None:
+    replay = _replay(model)
+    if replay is not None:
         end = len(tensors["replay.rewards"])
         for name in _REPLAY:
-            getattr(model.replay_buffer, name)[:end] = tensors[f"replay.{name}"]
-        model.replay_buffer.pos = end
+            getattr(replay, name)[:end] = tensors[f"replay.{name}"]
+        replay.pos = end
+
+
+def _networks(model: BaseAlgorithm) -> dict[str, torch.nn.Module]:
+    """Return the networks that the algorithm itself names as part of it."""
+    return {path: getattr(model, path) for path in _parts(model) if not path.endswith("optimizer")}
 
 
 def _optimizers(model: BaseAlgorithm) -> dict[str, torch.optim.Optimizer]:
-    if isinstance(model, DDPG):
-        return {"actor_optimizer": model.actor.optimizer, "critic_optimizer": model.critic.optimizer}
-    return {"optimizer": model.policy.optimizer}
+    """Return its optimisers, by names without dots."""
+    paths = [path for path in _parts(model) if path.endswith("optimizer")]
+    return {path.removeprefix("policy.").replace(".", "_"): attrgetter(path)(model) for path in paths}
+
+
+def _parts(model: BaseAlgorithm) -> list[str]:
+    parts: list[str] = model._get_torch_save_params()[0]
+    return parts
+
+
+def _replay(model: BaseAlgorithm) -> ReplayBuffer | None:
+    """Return the samples of earlier roll-outs that the algorithm still learns from."""
+    return getattr(model, "replay_buffer", None)

@@ -61,6 +61,9 @@ class Run(Protocol):
     def model(self, samples: int) -> BaseAlgorithm:
         """Return the untrained algorithm with its own environments, for so many samples."""
 
+    def notes(self, model: BaseAlgorithm) -> dict[str, Any]:
+        """Return what else the curve shall say, as JSON; called after each iteration."""
+
 
 @dataclass(frozen=True)
 class Options:
@@ -96,7 +99,7 @@ def train_one(run: Run, options: Options) -> dict[str, Any]:
 
     Returns:
         description, digest of the task, `curve` (for each iteration: samples, episodes and how they ended, success of
-        the evaluation, seconds), `success` (of the last evaluation) and `paths` (states of its first episodes).
+        the evaluation and how its episodes ended, the run's own notes, seconds), `success` (of the last evaluation) and `paths` (states of its first episodes).
 
     Raises:
         CtrlRlError: the run asks for what is not there, or its checkpoint cannot be used.
@@ -141,14 +144,16 @@ def _learn(
         seed = _seed_of(run.seed, len(curve))
         outcomes = _iterate(model, seed, options.samples, visits)
         actor = extract_actor(model, run.task, {})
-        states = evaluate(actor, test_environment, options.evaluations, _EVALUATION_SEED)
-        success = _rate([outcome for outcome, _ in states])
+        tested = [outcome for outcome, _ in evaluate(actor, test_environment, options.evaluations, _EVALUATION_SEED)]
+        success = _rate(tested)
         curve.append(
             {
                 "samples": model.num_timesteps,
                 "episodes": len(outcomes),
-                "ended": {outcome.name: outcomes.count(outcome.name) for outcome in Outcome if outcome},
+                "ended": _count(outcomes),
                 "evaluation": success,
+                "evaluation_ended": _count(tested),
+                "notes": run.notes(model),
                 "seconds": round(time.perf_counter() - begin, 2),
             }
         )
@@ -222,7 +227,7 @@ def _finish(
         "task_digest": task_digest(run.task),
         "curve": curve,
         "success": _rate(outcomes),
-        "ended": {outcome.name: outcomes.count(outcome.name) for outcome in Outcome if outcome},
+        "ended": _count(outcomes),
         "seconds_to_goal": float(np.mean(lasted)) * run.task.episode.time_step if lasted else None,
         "paths": [{"outcome": outcome, "states": states.round(4).tolist()} for outcome, states in episodes[:3]],
     }
@@ -238,6 +243,10 @@ def _finish(
 
 def _rate(outcomes: list[str]) -> float:
     return outcomes.count(_SUCCESS) / len(outcomes) if outcomes else 0.0
+
+
+def _count(outcomes: list[str]) -> dict[str, int]:
+    return {outcome.name: outcomes.count(outcome.name) for outcome in Outcome if outcome}
 
 
 def _seed_of(seed: int, iteration: int) -> int:

@@ -42,6 +42,9 @@ class PlainRun:
     def model(self, samples):
         return make_algorithm(self.algorithm, self.environment, self.seed, samples)
 
+    def notes(self, model):
+        return {"samples": model.num_timesteps}
+
 
 class CutOffError(Exception):
     """Stands for a kill between two iterations."""

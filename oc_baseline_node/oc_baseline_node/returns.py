@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+from ctrl_rl_core.outcome import Outcome
 from ctrl_rl_core.regions import wrap
-from ctrl_rl_core.task_sets import COLLISION, GOAL, INTERMEDIATE, TRAP, TaskSets
+from ctrl_rl_core.task_sets import TaskSets
 from ctrl_rl_core.tasks import NavigationTask
 from numpy.typing import ArrayLike, NDArray
 
@@ -25,12 +26,16 @@ def rewards(task: NavigationTask, states: ArrayLike) -> tuple[Array, NDArray[np.
     pays = task.rewards
     outcomes = TaskSets(task).outcomes(states)
     paid = np.full(outcomes.shape, pays.intermediate)
-    for outcome, reward in ((GOAL, pays.goal), (COLLISION, pays.collision), (TRAP, pays.trap or 0.0)):
+    for outcome, reward in (
+        (Outcome.GOAL, pays.goal),
+        (Outcome.COLLISION, pays.collision),
+        (Outcome.TRAP, pays.trap or 0.0),
+    ):
         paid[outcomes == outcome] = reward
     limit, names = task.robot.tilt_limit, task.system.build().state_names
     if limit is not None and "psi" in names:
         paid[np.abs(wrap(states[..., names.index("psi")])) > limit] = tilt_reward(task)
-    return paid, outcomes != INTERMEDIATE
+    return paid, outcomes != Outcome.RUNNING
 
 
 def tilt_reward(task: NavigationTask) -> float:

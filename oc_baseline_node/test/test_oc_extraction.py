@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 from ctrl_rl_core.regions import Region
-from ctrl_rl_core.task_sets import COLLISION, GOAL, TaskSets
+from ctrl_rl_core.outcome import Outcome
+from ctrl_rl_core.task_sets import TaskSets
 from ctrl_rl_core.tasks import load_navigation_task
 from oc_baseline_node.errors import OcError
 from oc_baseline_node.extraction import CANDIDATES, assess, extract, rl_info
@@ -62,7 +63,7 @@ def test_a_state_within_the_constraints_is_not_in_collision(name: str) -> None:
     states = low + (high - low) * np.random.default_rng(0).random((5000, len(low)))
     allowed = states[problem.margin(states) >= 0.0]
     assert len(allowed) > 2000
-    assert not (sets.outcomes(allowed) == COLLISION).any()
+    assert not (sets.outcomes(allowed) == Outcome.COLLISION).any()
 
 
 @pytest.mark.parametrize("name", ["car_navigation", "quad_navigation", "quad_trap"])
@@ -72,7 +73,7 @@ def test_the_terminal_set_lies_within_the_goal(name: str) -> None:
     ends = np.array([problem.terminal.sample(problem.system.state_names, random) for _ in range(500)])
     free = ends[problem.margin(ends) >= 0.0]
     assert len(free) > 100
-    assert (sets.outcomes(free) == GOAL).all()
+    assert (sets.outcomes(free) == Outcome.GOAL).all()
     assert all(problem.terminal_violation(state) <= 0.0 for state in ends)
 
 

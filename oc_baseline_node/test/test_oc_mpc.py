@@ -7,7 +7,8 @@ import pytest
 from ctrl_rl_core.geometry import signed_distance
 from ctrl_rl_core.regions import Region
 from ctrl_rl_core.systems import make_system
-from ctrl_rl_core.task_sets import COLLISION, GOAL, TaskSets
+from ctrl_rl_core.outcome import Outcome
+from ctrl_rl_core.task_sets import TaskSets
 from ctrl_rl_core.tasks import load_navigation_task
 from oc_baseline_node.guesses import moved_on, resting_control
 from oc_baseline_node.mpc import Mpc, RecedingHorizon, Trajectory
@@ -88,8 +89,8 @@ def check(problem: Problem, trajectory: Trajectory, start: np.ndarray) -> None:
     assert (controls >= u_low - 1e-4).all()
     assert (controls <= u_high + 1e-4).all()
     outcomes = TaskSets(problem.task).outcomes(states)
-    assert outcomes[-1] == GOAL
-    assert not (outcomes[1:] == COLLISION).any()
+    assert outcomes[-1] == Outcome.GOAL
+    assert not (outcomes[1:] == Outcome.COLLISION).any()
     p = states[:-1, problem.positions]
     cost = sum(stage_cost(problem, p[k], controls[k], k) for k in range(problem.horizon))
     assert trajectory.cost == pytest.approx(cost * trajectory.time_step / problem.time_step, rel=1e-6)
@@ -159,10 +160,10 @@ def test_the_receding_horizon_drives_the_car_to_the_goal(mpcs: dict[str, Mpc]) -
     for _ in range(100):
         state = mpc.problem.system.step(state, controller.control(state), dt=mpc.problem.time_step)
         outcome = sets.outcomes(state)
-        assert outcome != COLLISION
-        if outcome == GOAL:
+        assert outcome != Outcome.COLLISION
+        if outcome == Outcome.GOAL:
             break
-    assert outcome == GOAL
+    assert outcome == Outcome.GOAL
 
 
 def test_without_a_trajectory_the_controller_follows_its_plan_and_says_so(mpcs: dict[str, Mpc]) -> None:
