@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import torch
@@ -61,7 +61,7 @@ class Run(Protocol):
     def model(self, samples: int) -> BaseAlgorithm:
         """Return the untrained algorithm with its own environments, for so many samples."""
 
-    def notes(self, model: BaseAlgorithm) -> dict[str, Any]:
+    def notes(self, model: BaseAlgorithm, /) -> dict[str, Any]:
         """Return what else the curve shall say, as JSON; called after each iteration."""
 
 
@@ -99,7 +99,8 @@ def train_one(run: Run, options: Options) -> dict[str, Any]:
 
     Returns:
         description, digest of the task, `curve` (for each iteration: samples, episodes and how they ended, success of
-        the evaluation and how its episodes ended, the run's own notes, seconds), `success` (of the last evaluation) and `paths` (states of its first episodes).
+        the evaluation and its mean undiscounted return, the run's own notes, seconds), `success`, `returns` and how
+        they `ended` (of the last evaluation) and `paths` (states of its first episodes).
 
     Raises:
         CtrlRlError: the run asks for what is not there, or its checkpoint cannot be used.
@@ -144,15 +145,15 @@ def _learn(
         seed = _seed_of(run.seed, len(curve))
         outcomes = _iterate(model, seed, options.samples, visits)
         actor = extract_actor(model, run.task, {})
-        tested = [outcome for outcome, _ in evaluate(actor, test_environment, options.evaluations, _EVALUATION_SEED)]
-        success = _rate(tested)
+        tested = evaluate(actor, test_environment, options.evaluations, _EVALUATION_SEED)
+        success = _rate([episode.outcome for episode in tested])
         curve.append(
             {
                 "samples": model.num_timesteps,
                 "episodes": len(outcomes),
                 "ended": _count(outcomes),
                 "evaluation": success,
-                "evaluation_ended": _count(tested),
+                "return": float(np.mean([episode.total for episode in tested])) if tested else 0.0,
                 "notes": run.notes(model),
                 "seconds": round(time.perf_counter() - begin, 2),
             }
@@ -193,17 +194,32 @@ class _Recorder(BaseCallback):
         return True
 
 
-def evaluate(actor: Actor, environment: Environment, episodes: int, seed: int) -> list[tuple[str, NDArray[np.float64]]]:
-    """Return outcome and states (steps + 1, n) of episodes from the seeds `seed`, `seed` + 1 and so on."""
+class EvaluatedEpisode(NamedTuple):
+    """An episode of a deterministic policy.
+
+    Attributes:
+        outcome: how it ended.
+        states: that it went through (steps + 1, n).
+        total: its undiscounted return.
+    """
+
+    outcome: str
+    states: NDArray[np.float64]
+    total: float
+
+
+def evaluate(actor: Actor, environment: Environment, episodes: int, seed: int) -> list[EvaluatedEpisode]:
+    """Return episodes from the seeds `seed`, `seed` + 1 and so on."""
     found = []
     for episode in range(episodes):
         observation, info = environment.reset(seed=seed + episode)
-        states, over = [info["state"]], False
+        states, total, over = [info["state"]], 0.0, False
         while not over:
-            observation, _, terminated, truncated, info = environment.step(actor.scaled_action(observation))
+            observation, paid, terminated, truncated, info = environment.step(actor.scaled_action(observation))
             states.append(info["state"])
+            total += float(paid)
             over = terminated or truncated
-        found.append((info["outcome"], np.array(states)))
+        found.append(EvaluatedEpisode(info["outcome"], np.array(states), total))
     return found
 
 
@@ -220,8 +236,8 @@ def _finish(
         episodes = evaluate(actor, environment, options.final_evaluations, 2 * _EVALUATION_SEED)
     finally:
         environment.close()
-    outcomes = [outcome for outcome, _ in episodes]
-    lasted = [len(states) - 1 for outcome, states in episodes if outcome == _SUCCESS]
+    outcomes = [episode.outcome for episode in episodes]
+    lasted = [len(episode.states) - 1 for episode in episodes if episode.outcome == _SUCCESS]
     result = {
         "run": run.description,
         "task_digest": task_digest(run.task),
@@ -229,7 +245,8 @@ def _finish(
         "success": _rate(outcomes),
         "ended": _count(outcomes),
         "seconds_to_goal": float(np.mean(lasted)) * run.task.episode.time_step if lasted else None,
-        "paths": [{"outcome": outcome, "states": states.round(4).tolist()} for outcome, states in episodes[:3]],
+        "returns": [episode.total for episode in episodes],
+        "paths": [{"outcome": one.outcome, "states": one.states.round(4).tolist()} for one in episodes[:3]],
     }
     file = result_file(options.folder, run)
     actor.save(file.with_name("policy.safetensors"))

@@ -106,9 +106,9 @@ def test_evaluations_are_the_same_for_all():
     actor = extract_actor(model, TASK, {})
     environment = run.environment()
     first, second = (evaluate(actor, environment, 2, 7) for _ in range(2))
-    for (outcome, states), (again, same) in zip(first, second, strict=True):
-        assert outcome == again
-        assert np.array_equal(states, same)
+    for one, other in zip(first, second, strict=True):
+        assert (one.outcome, one.total) == (other.outcome, other.total)
+        assert np.array_equal(one.states, other.states)
     environment.close()
     model.env.close()
 

@@ -1,7 +1,7 @@
 """PPO with a baseline that depends on the action too: what the thesis compares with (Fig. 3.13).
 
-Such a baseline c(s, a) does shift the gradient's mean, so that what it takes away is given back through the policy, with
-a = f_theta(s, xi) = mu_theta(s) + sigma_theta xi (Stein's identity, Liu et al. 2018; Gu et al. 2017 with c linear in a):
+Such a baseline c(s, a) does shift the gradient's mean, so that what it takes away is given back through the policy,
+with a = f_theta(s, xi) = mu_theta(s) + sigma_theta xi (Stein's identity; in Q-Prop c is linear in a):
 
     grad J = E[ grad log pi(a|s) (A(s, a) - c(s, a)) + grad_a c(s, a) grad_theta f_theta(s, xi) ]
 """
@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any
 
 import torch
@@ -44,7 +45,7 @@ class ControlVariatePpo(PPO):
 
     @abstractmethod
     def variate(
-        self, observations: torch.Tensor, actions: torch.Tensor, advantages: torch.Tensor
+        self, observations: torch.Tensor, actions: torch.Tensor, advantages: torch.Tensor, /
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """Return c (N,) and its slope grad_a c (N, m), without gradients."""
 
@@ -66,7 +67,7 @@ class ControlVariatePpo(PPO):
             before: Any = self.policy.get_distribution(data.observations).distribution
             noise = (data.actions - before.mean) / before.stddev
         for _ in range(self.n_epochs):
-            for part in torch.randperm(len(c)).split(self.batch_size):
+            for part in torch.split(torch.randperm(len(c)), self.batch_size):
                 values, log_probability, entropy = self.policy.evaluate_actions(
                     data.observations[part], data.actions[part]
                 )
@@ -85,7 +86,7 @@ class ControlVariatePpo(PPO):
                     + self.vf_coef * nn.functional.mse_loss(values.flatten(), data.returns[part])
                 )
                 self.policy.optimizer.zero_grad()
-                loss.backward()  # type: ignore[no-untyped-call]
+                loss.backward()
                 nn.utils.clip_grad_norm_(self.policy.parameters(), self.max_grad_norm)
                 self.policy.optimizer.step()
         self._n_updates += self.n_epochs
@@ -99,7 +100,7 @@ class ControlVariatePpo(PPO):
 def make_critic(inputs: int) -> nn.Sequential:
     """Return a network of the policy's shape with one output."""
     sizes: Sequence[int] = (inputs, *HIDDEN)
-    layers = [part for a, b in zip(sizes, sizes[1:], strict=False) for part in (nn.Linear(a, b), NormalizedTanh())]
+    layers = [part for a, b in pairwise(sizes) for part in (nn.Linear(a, b), NormalizedTanh())]
     return nn.Sequential(*layers, nn.Linear(HIDDEN[-1], 1))
 
 

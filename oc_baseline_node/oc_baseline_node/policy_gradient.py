@@ -73,6 +73,6 @@ class BaselinePolicy(ActorCriticPolicy):
         actions, _, log_probabilities = super().forward(obs, deterministic)
         return actions, self.predict_values(obs), log_probabilities
 
-    def predict_values(self, obs: torch.Tensor) -> torch.Tensor:
+    def predict_values(self, obs: Any) -> torch.Tensor:
         """Return b (N, 1)."""
         return torch.from_numpy(self.baseline(obs.numpy()))[:, None]

@@ -1,6 +1,7 @@
-"""Q-Prop (Gu et al., "Q-Prop: Sample-Efficient Policy Gradient with An Off-Policy Critic", ICLR 2017), conservative.
+"""Q-Prop, the conservative one: a Taylor expansion of an off-policy critic as control variate.
 
-An off-policy critic Q_w, learnt from a replay of all samples so far, is expanded around mu(s):
+Gu et al., "Q-Prop: Sample-Efficient Policy Gradient with An Off-Policy Critic", ICLR 2017. An
+off-policy critic Q_w, learnt from a replay of all samples so far, is expanded around mu(s):
 c(s, a) = eta(s) grad_a Q_w(s, mu) (a - mu), where eta = 1 where A and grad_a Q_w (a - mu) agree in sign, else 0.
 """
 

@@ -1,8 +1,8 @@
-"""The Stein control variate (Liu et al., "Action-dependent Control Variates for Policy Optimization via Stein's
-Identity", ICLR 2018): c(s, a) = psi_w(s, a) beside the learnt V(s), fitted to the advantages (their FitQ).
+"""The Stein control variate: c(s, a) = psi_w(s, a) beside the learnt V(s), fitted to the advantages ("FitQ").
 
-psi is fitted after the policy has learnt from a roll-out, to be used on the next: fitted before, it would know the very
-actions that it is subtracted for, and Stein's identity would not hold.
+Liu et al., "Action-dependent Control Variates for Policy Optimization via Stein's Identity", ICLR 2018.
+psi is fitted after the policy has learnt from a roll-out, to be used on the next: fitted before, it would know the
+very actions that it is subtracted for, and Stein's identity would not hold.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ class SteinPpo(ControlVariatePpo):
     """PPO with the Stein control variate."""
 
     def variate(
-        self, observations: torch.Tensor, actions: torch.Tensor, advantages: torch.Tensor
+        self, observations: torch.Tensor, actions: torch.Tensor, _: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """Return psi (N,) and its slope (N, m)."""
         return value_and_slope(self.critic, observations, actions)

@@ -7,65 +7,130 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from ctrl_rl_core.tasks import NavigationTask, load_navigation_task
+from ctrl_rl_core.tasks import NavigationTask, load_navigation_task, task_digest
 from ctrl_rl_training.algorithms import make_algorithm
 from ctrl_rl_training.environment import Environment, make_environment
 from stable_baselines3.common.base_class import BaseAlgorithm
 
 from oc_baseline_node.baselines import OcBaseline
+from oc_baseline_node.errors import OcError
+from oc_baseline_node.methods import METHODS, Method
 from oc_baseline_node.mlp_value import MlpValue
 from oc_baseline_node.policy_gradient import BaselineBuffer, BaselinePolicy
+from oc_baseline_node.q_prop import QPropPpo
+from oc_baseline_node.returns import DISCOUNT
+from oc_baseline_node.stein import SteinPpo
+from oc_baseline_node.training_environment import PaidTimeOut
 from oc_baseline_node.value_file import find_value, load_network
 
 
 @dataclass(frozen=True)
 class OcRun:
+    """One run: a method, a task and a seed (a `ctrl_rl_training.training.Run`).
+
+    Attributes:
+        task_name: of the task.
+        method_name: one of `METHODS`.
+        seed: of everything random.
+        value: file of V_oc; the network that comes with the package unless given.
+    """
+
     task_name: str
-    method: str
+    method_name: str
     seed: int
-    value_file: Path | None = None
-    gae_lambda: float = 0.95
-    gamma: float = 0.98
-    log_std: float = -0.5
-    ent: float = 0.0
-    noise: float = 0.0
-    bootstrap: bool = True
-    lr: float = 1e-3
-    tag: str = ""
+    value: Path | None = None
 
     @property
     def name(self) -> str:
-        return f"{Path(self.task_name).stem}-{self.method}{self.tag}-s{self.seed}"
+        """Its name, which is that of its folder too."""
+        return f"{self.task_name}-{self.method_name}-s{self.seed}"
 
     @property
     def task(self) -> NavigationTask:
+        """The task."""
         return load_navigation_task(self.task_name)
 
     @property
+    def method(self) -> Method:
+        """The method.
+
+        Raises:
+            OcError: there is no such method.
+        """
+        try:
+            return METHODS[self.method_name]
+        except KeyError:
+            raise OcError(f"no method '{self.method_name}': there are {', '.join(METHODS)}") from None
+
+    @property
     def description(self) -> dict[str, Any]:
-        return {"task": self.task_name, "method": self.method, "seed": self.seed}
+        """What the results say about it."""
+        value = self.network.digest if self.method.needs_value else None
+        return {
+            "task": self.task_name,
+            "method": self.method_name,
+            "seed": self.seed,
+            "discount": DISCOUNT,
+            "value_digest": value,
+        }
+
+    @property
+    def network(self) -> MlpValue:
+        """V_oc of the task.
+
+        Raises:
+            OcError: the file is missing, or V_oc is of another task or discount.
+        """
+        file = find_value(self.value or self.task_name)
+        value = load_network(file)
+        if value.task_digest != task_digest(self.task):
+            raise OcError(f"{file}: is not of task '{self.task_name}' as it is: make it with 'oc data' and 'oc fit'")
+        found = value.manifest.get("discount")
+        if found != DISCOUNT:
+            raise OcError(f"{file}: has discount {found}, learning has {DISCOUNT}: fit it again")
+        return value
+
+    def baseline(self) -> OcBaseline:
+        """Return b(s) = V_oc(x). Errors as for `network`."""
+        return OcBaseline(self.network, self.task, self.method.noise)
 
     def environment(self, rate: int | None = None) -> Environment:
-        return make_environment(self.task, rate)
+        """Return the task's environment, which pays what the task says."""
+        return make_environment(self.task, rate, PaidTimeOut)
 
     def model(self, samples: int) -> BaseAlgorithm:
-        changes: dict[str, Any] = {"gamma": self.gamma, "gae_lambda": self.gae_lambda, "rollout_buffer_class": BaselineBuffer,
-            "policy_kwargs": {"log_std_init": self.log_std}, "learning_rate": self.lr}
-        algorithm = self.method.split("_")[-1]
-        if algorithm == "ppo": changes["ent_coef"] = self.ent
-        if self.method.startswith("oc"):
-            b = OcBaseline(load_network(self.value_file), self.task, self.noise)
-            if self.bootstrap:
-                changes["policy"] = BaselinePolicy
-                changes["policy_kwargs"]["baseline"] = b
-                changes |= {"vf_coef": 0.0} if algorithm == "ppo" else {"n_critic_updates": 0}
-            else:
-                changes["rollout_buffer_kwargs"] = {"baseline": b}
-        return make_algorithm(algorithm, self.environment, self.seed, samples, **changes)
+        """Return the untrained algorithm with its own environments, for so many samples. Errors as for `network`."""
+        method = self.method
+        changes: dict[str, Any] = {
+            "gamma": DISCOUNT,
+            "gae_lambda": method.gae_lambda,
+            "rollout_buffer_class": BaselineBuffer,
+        }
+        if method.entropy > 0.0:
+            changes["ent_coef"] = method.entropy
+        if method.baseline == "stein":
+            changes["kind"] = SteinPpo
+        elif method.baseline == "q_prop":
+            changes |= {"kind": QPropPpo, "replay_size": samples}
+        elif method.baseline == "oc" and method.end == "oc":
+            changes |= {"policy": BaselinePolicy, "policy_kwargs": {"baseline": self.baseline()}}
+            changes |= {"n_critic_updates": 0} if method.algorithm == "trpo" else {"vf_coef": 0.0}
+        elif method.baseline == "oc":
+            changes["rollout_buffer_kwargs"] = {"baseline": self.baseline()}
+        return make_algorithm(method.algorithm, self.environment, self.seed, samples, **changes)
 
-    def notes(self, model):
-        return {"advantages": model.rollout_buffer.take_ranges()}
+    def notes(self, model: BaseAlgorithm) -> dict[str, Any]:
+        """Return the `advantages` of each roll-out since the last call, see `BaselineBuffer.ranges`."""
+        buffer: Any = model.rollout_buffer  # type: ignore[attr-defined]
+        return {"advantages": buffer.take_ranges()}
+
+
+def oc_runs(
+    task_name: str, methods: Sequence[str] = tuple(METHODS), seeds: int = 5, value: Path | None = None
+) -> list[OcRun]:
+    """Return all runs of a task, those that matter most first."""
+    ordered = sorted(methods, key=list(METHODS).index)
+    return [OcRun(task_name, method, seed, value) for method in ordered for seed in range(seeds)]

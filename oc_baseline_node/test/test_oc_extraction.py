@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from ctrl_rl_core.regions import Region
 from ctrl_rl_core.outcome import Outcome
+from ctrl_rl_core.regions import Region
 from ctrl_rl_core.task_sets import TaskSets
 from ctrl_rl_core.tasks import load_navigation_task
 from oc_baseline_node.errors import OcError

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from ctrl_rl_core.geometry import signed_distance
+from ctrl_rl_core.outcome import Outcome
 from ctrl_rl_core.regions import Region
 from ctrl_rl_core.systems import make_system
-from ctrl_rl_core.outcome import Outcome
 from ctrl_rl_core.task_sets import TaskSets
 from ctrl_rl_core.tasks import load_navigation_task
 from oc_baseline_node.guesses import moved_on, resting_control

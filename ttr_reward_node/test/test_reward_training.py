@@ -8,13 +8,14 @@ import pytest
 from ctrl_rl_core.outcome import Outcome
 from ctrl_rl_core.tasks import load_navigation_task
 from ctrl_rl_training.algorithms import ROLL_OUT
+from ctrl_rl_training.results import samples_to
 from ctrl_rl_training.training import Options, train_one
 from ttr_reward_node.errors import TimeToReachError
 from ttr_reward_node.rewards import make_reward
 from ttr_reward_node.training import RewardRun, reward_runs
 from ttr_reward_node.training_cli import train, training_figures
 from ttr_reward_node.training_environment import make_rewarded
-from ttr_reward_node.training_results import collect, samples_to
+from ttr_reward_node.training_results import collect
 
 
 def test_the_wrapper_pays_the_reward_and_leaves_the_rest_alone():

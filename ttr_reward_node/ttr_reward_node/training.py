@@ -72,7 +72,7 @@ class RewardRun:
         """Return the untrained algorithm with its own environments, for so many samples."""
         return make_algorithm(self.algorithm, self.environment, self.seed, samples)
 
-    def notes(self, model: BaseAlgorithm) -> dict[str, Any]:
+    def notes(self, _: BaseAlgorithm) -> dict[str, Any]:
         """Return nothing: the curve says enough."""
         return {}
 

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Sequence
 from pathlib import Path
 
 from ctrl_rl_core.command import run_command
-from ctrl_rl_core.results import ResultsError, write_results
+from ctrl_rl_core.results import write_results
 from ctrl_rl_core.tasks import load_navigation_task
 
 from ttr_reward_node.errors import TimeToReachError
@@ -72,14 +71,12 @@ def _train(options: argparse.Namespace) -> int:
 
 
 def _figures(options: argparse.Namespace) -> int:
-    from ttr_reward_node.training_pictures import draw_curves, draw_paths, draw_visits  # matplotlib is not for robots
+    from ctrl_rl_training.pictures import draw_paths  # matplotlib is not for robots
+    from ctrl_rl_training.results import read_figures
 
-    try:
-        figures = json.loads(options.results.read_text(encoding="utf-8"))["figures"]
-    except FileNotFoundError:
-        raise ResultsError(f"{options.results}: there is no such file; make it with `train --results`") from None
-    except (OSError, ValueError, KeyError, TypeError):
-        raise ResultsError(f"{options.results}: is not a file that `train --results` wrote") from None
+    from ttr_reward_node.training_pictures import draw_curves, draw_visits
+
+    figures = read_figures(options.results)
     name, method = figures["task"], f"{options.algorithm}, ttr"
     task = load_navigation_task(name)
     options.output.mkdir(parents=True, exist_ok=True)

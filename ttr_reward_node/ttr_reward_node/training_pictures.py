@@ -1,8 +1,8 @@
-"""Pictures of learning, drawn from results: success (thesis Fig. 3.4, 3.6), visits (Fig. 3.7) and paths (Fig. 3.5)."""
+"""Pictures of learning, drawn from results: success (thesis Fig. 3.4, 3.6) and visits (Fig. 3.7)."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -10,8 +10,8 @@ import numpy as np
 from ctrl_rl_core.drawing import draw_world, save_figure
 from ctrl_rl_core.regions import ANGLES, position_indices
 from ctrl_rl_core.tasks import NavigationTask
+from ctrl_rl_training.pictures import draw_curve
 from matplotlib import pyplot as plt
-from matplotlib.axes import Axes
 
 from ttr_reward_node.rewards import REWARDS
 from ttr_reward_node.training_results import STAGES
@@ -27,8 +27,6 @@ _LABELS = {
 }
 _COMPARED = ("sparse", "distance_10", "ttr")
 """Rewards of Fig. 3.7."""
-_SNAPSHOTS = 9
-_ARM = 0.4
 
 
 def draw_curves(figures: Mapping[str, Any], path: Path) -> None:
@@ -42,7 +40,8 @@ def draw_curves(figures: Mapping[str, Any], path: Path) -> None:
         for reward in REWARDS:
             curve = curves.get(f"{algorithm}, {reward}")
             if curve is not None:
-                _draw_curve(ax, curve, reward)
+                width = 2.2 if reward == "ttr" else 1.3
+                draw_curve(ax, curve["samples"], curve["success"], _LABELS[reward], _COLOURS[reward], width)
         ax.set_title(algorithm.upper())
         ax.set_xlabel("samples [thousands]")
         ax.set_ylim(-0.02, 1.02)
@@ -52,16 +51,6 @@ def draw_curves(figures: Mapping[str, Any], path: Path) -> None:
     seeds = max(len(seeds) for seeds in figures["seeds"].values())
     figure.suptitle(f"{figures['task']}: success while learning, mean and standard deviation of {seeds} seeds")
     save_figure(figure, path)
-
-
-def _draw_curve(ax: Axes, curve: Mapping[str, Any], reward: str) -> None:
-    samples = np.concatenate(([0.0], np.array(curve["samples"]) / 1000.0))
-    success = np.array(curve["success"])
-    success = np.column_stack((np.zeros(len(success)), success))
-    mean, spread = success.mean(axis=0), success.std(axis=0)
-    width = 2.2 if reward == "ttr" else 1.3
-    ax.plot(samples, mean, color=_COLOURS[reward], label=_LABELS[reward], linewidth=width)
-    ax.fill_between(samples, mean - spread, mean + spread, color=_COLOURS[reward], alpha=0.12, linewidth=0)
 
 
 def draw_visits(figures: Mapping[str, Any], task: NavigationTask, algorithm: str, path: Path) -> None:
@@ -100,32 +89,4 @@ def draw_visits(figures: Mapping[str, Any], task: NavigationTask, algorithm: str
     axes[0, 0].set_ylabel(f"density of {angle}")
     axes[1, 0].set_ylabel(f"{names[1]} over {names[0]} [m]")
     figure.suptitle(f"{figures['task']}, {algorithm.upper()}: states met while learning")
-    save_figure(figure, path)
-
-
-def draw_paths(paths: Sequence[Mapping[str, Any]], task: NavigationTask, title: str, path: Path) -> None:
-    """Draw learnt paths, with the body's angle at a few moments, as Fig. 3.5 does."""
-    assert task.arena is not None
-    names = task.system.build().state_names
-    plane = position_indices(names)
-    angle = next(index for index, name in enumerate(names) if name in ANGLES)
-    flies = names[plane[1]] == "z"
-    figure, ax = plt.subplots(figsize=(5.0, 5.0), layout="constrained")
-    draw_world(ax, task)
-    for entry in paths:
-        states = np.array(entry["states"])
-        x, y = states[:, plane[0]], states[:, plane[1]]
-        (line,) = ax.plot(x, y, linewidth=1.2, label=entry["outcome"].lower())
-        for index in np.linspace(0, len(states) - 1, _SNAPSHOTS).astype(int):
-            turn = states[index, angle]
-            # A quadrotor's bar lies across its thrust, at pitch psi clockwise; a car points along theta.
-            reach = _ARM * np.array([np.cos(turn), -np.sin(turn)] if flies else [np.cos(turn), np.sin(turn)])
-            ends = np.array([-reach, reach]) if flies else np.array([0.0 * reach, reach])
-            ax.plot(x[index] + ends[:, 0], y[index] + ends[:, 1], color=line.get_color(), linewidth=2.5)
-    ax.set_xlim(task.arena.bounds[0])
-    ax.set_ylim(task.arena.bounds[1])
-    ax.set_xlabel(f"{names[plane[0]]} [m]")
-    ax.set_ylabel(f"{names[plane[1]]} [m]")
-    ax.set_title(title, fontsize=10)
-    ax.legend(fontsize=8)
     save_figure(figure, path)

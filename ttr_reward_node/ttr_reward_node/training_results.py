@@ -5,21 +5,19 @@ content = collect(MatrixOptions("quad_ttr", Path("runs/ttr_learning")))
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from ctrl_rl_core.results import Result
+from ctrl_rl_training.results import GOOD, curves, finished_runs, samples_to
 from ctrl_rl_training.training import result_file
 from ctrl_rl_training.visits import load_visits
 from numpy.typing import NDArray
 
 from ttr_reward_node.training import RewardRun
 
-GOOD = 0.9
-"""Success that counts as learnt (thesis 3.2.3)."""
 THESIS_SAMPLES = {"quad_ttr": 90_000.0}
 """After how many samples the thesis's quadrotor is that good with the time-to-reach reward."""
 STAGES = 3
@@ -34,12 +32,7 @@ def collect(todo: Sequence[RewardRun], folder: Path) -> tuple[list[Result], dict
         For each algorithm and reward the success of the last evaluation and the samples to `GOOD`, one value a seed
         (seeds that never get there are left out and counted); and `curves`, `visits` and `paths` by method.
     """
-    runs: dict[str, Finished] = {}
-    for run in todo:
-        file = result_file(folder, run)
-        if file.is_file():
-            result = json.loads(file.read_text(encoding="utf-8"))
-            runs.setdefault(f"{run.algorithm}, {run.reward}", []).append((run, result))
+    runs = finished_runs(todo, folder, lambda run: f"{run.algorithm}, {run.reward}")
     rows: list[Result] = []
     for method, finished in runs.items():
         results = [result for _, result in finished]
@@ -52,29 +45,14 @@ def collect(todo: Sequence[RewardRun], folder: Path) -> tuple[list[Result], dict
     figures = {
         "task": todo[0].task_name,
         "seeds": {method: [run.seed for run, _ in finished] for method, finished in runs.items()},
-        "curves": {method: _curve([result for _, result in finished]) for method, finished in runs.items()},
+        "curves": {
+            method: curves([result for _, result in finished], success="evaluation")
+            for method, finished in runs.items()
+        },
         "visits": {method: _visits(folder, finished) for method, finished in runs.items()},
         "paths": {method: _paths([result for _, result in finished]) for method, finished in runs.items()},
     }
     return rows, figures
-
-
-def samples_to(curve: Sequence[dict[str, Any]]) -> float | None:
-    """Return after how many samples the evaluation first was `GOOD` and the next one too; None if it never was."""
-    good = [point["evaluation"] >= GOOD for point in curve]
-    for index, point in enumerate(curve):
-        if good[index] and (index + 1 == len(curve) or good[index + 1]):
-            return float(point["samples"])
-    return None
-
-
-def _curve(results: Sequence[dict[str, Any]]) -> dict[str, list[Any]]:
-    """Return samples (iterations,) and success of the evaluations (seeds, iterations)."""
-    length = min(len(result["curve"]) for result in results)
-    return {
-        "samples": [point["samples"] for point in results[0]["curve"][:length]],
-        "success": [[point["evaluation"] for point in result["curve"][:length]] for result in results],
-    }
 
 
 def _visits(folder: Path, finished: Finished) -> dict[str, list[Any]]:

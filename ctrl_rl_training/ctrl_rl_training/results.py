@@ -1,0 +1,61 @@
+"""What finished runs amount to: tables, curves and paths, as JSON, from which pictures are drawn."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+from ctrl_rl_core.results import ResultsError
+
+from ctrl_rl_training.training import Run, result_file
+
+AnyRun = TypeVar("AnyRun", bound=Run)
+GOOD = 0.9
+"""Success that counts as learnt (thesis 3.2.3)."""
+
+
+def finished_runs(
+    todo: Sequence[AnyRun], folder: Path, label: Callable[[AnyRun], str]
+) -> dict[str, list[tuple[AnyRun, dict[str, Any]]]]:
+    """Return the runs that are finished and their results (see `train_one`), by method."""
+    runs: dict[str, list[tuple[AnyRun, dict[str, Any]]]] = {}
+    for run in todo:
+        file = result_file(folder, run)
+        if file.is_file():
+            runs.setdefault(label(run), []).append((run, json.loads(file.read_text(encoding="utf-8"))))
+    return runs
+
+
+def samples_to(curve: Sequence[Mapping[str, Any]]) -> float | None:
+    """Return after how many samples the evaluation first was `GOOD` and the next one too; None if it never was."""
+    good = [point["evaluation"] >= GOOD for point in curve]
+    for index, point in enumerate(curve):
+        if good[index] and (index + 1 == len(curve) or good[index + 1]):
+            return float(point["samples"])
+    return None
+
+
+def curves(results: Sequence[Mapping[str, Any]], **names: str) -> dict[str, list[Any]]:
+    """Return `samples` (iterations,) and, for each keyword, what the curves call by its value (seeds, iterations)."""
+    length = min(len(result["curve"]) for result in results)
+    out: dict[str, list[Any]] = {"samples": [point["samples"] for point in results[0]["curve"][:length]]}
+    for name, key in names.items():
+        out[name] = [[point[key] for point in result["curve"][:length]] for result in results]
+    return out
+
+
+def read_figures(file: Path) -> dict[str, Any]:
+    """Return the figures' data of a results file.
+
+    Raises:
+        ResultsError: there is no such file, or it holds none.
+    """
+    try:
+        figures: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))["figures"]
+    except FileNotFoundError:
+        raise ResultsError(f"{file}: there is no such file; make it with `train --results`") from None
+    except (OSError, ValueError, KeyError, TypeError):
+        raise ResultsError(f"{file}: is not a file that `train --results` wrote") from None
+    return figures

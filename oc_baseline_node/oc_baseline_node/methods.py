@@ -1,0 +1,59 @@
+"""The policy gradients that thesis 3.3.3 compares: the same network, observations and samples, another baseline."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Literal
+
+ENTROPIES = (0.01, 0.02, 0.05, 0.1)
+"""Coefficients of thesis Table 3.6."""
+NOISES = (0.05, 0.1, 0.2)
+"""Standard deviations of thesis Fig. 3.16 [m, rad, ...]."""
+
+
+@dataclass(frozen=True)
+class Method:
+    """A policy gradient.
+
+    Attributes:
+        label: for tables and pictures.
+        algorithm: "ppo" or "trpo".
+        baseline: b of Eq. 3.14: "value", the on-policy V; "oc", V_oc; with a part that depends on the action, "stein"
+            and "q_prop".
+        end: what the n-step returns in G^lambda end on: V_oc ("oc") or the on-policy V ("value").
+        gae_lambda: lambda of G^lambda.
+        entropy: coefficient of the entropy bonus.
+        noise: standard deviation of what is added to the state before V_oc is asked.
+    """
+
+    label: str
+    algorithm: Literal["ppo", "trpo"] = "ppo"
+    baseline: Literal["value", "oc", "stein", "q_prop"] = "value"
+    end: Literal["value", "oc"] = "value"
+    gae_lambda: float = 0.95
+    entropy: float = 0.0
+    noise: float = 0.0
+
+    @property
+    def needs_value(self) -> bool:
+        """Whether it asks V_oc."""
+        return self.baseline == "oc"
+
+
+METHODS: Mapping[str, Method] = MappingProxyType(
+    {
+        "oc_ppo": Method("PPO, OC baseline", baseline="oc", end="oc"),
+        "ppo": Method("PPO"),
+        "oc_trpo": Method("TRPO, OC baseline", "trpo", baseline="oc", end="oc"),
+        "trpo": Method("TRPO", "trpo"),
+        "stein": Method("PPO, Stein", baseline="stein"),
+        "q_prop": Method("PPO, Q-Prop", baseline="q_prop"),
+        **{f"entropy_{c:g}": Method(f"PPO, entropy {c:g}", entropy=c) for c in ENTROPIES},
+        **{f"noise_{s:g}": Method(f"PPO, OC baseline, noise {s:g}", "ppo", "oc", "oc", noise=s) for s in NOISES},
+        "oc_lambda_1": Method("PPO, OC baseline, λ = 1", baseline="oc", end="oc", gae_lambda=1.0),
+        "oc_own_end": Method("PPO, OC baseline, G on own V", baseline="oc", end="value"),
+    }
+)
+"""All methods by name, those that matter most first."""

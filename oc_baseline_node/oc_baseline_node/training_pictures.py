@@ -1,0 +1,84 @@
+"""Pictures of learning: success (thesis Fig. 3.14), return (3.10, 3.13, 3.16), advantages (3.12), paths (3.9, 3.15)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from ctrl_rl_core.drawing import save_figure
+from ctrl_rl_core.tasks import load_navigation_task
+from ctrl_rl_training.pictures import draw_curve, draw_paths
+from matplotlib import pyplot as plt
+
+from oc_baseline_node.methods import METHODS
+
+_COLOURS = ("tab:red", "0.45", "tab:blue", "tab:orange", "tab:green", "tab:purple", "tab:brown", "tab:cyan")
+_GROUPS = {
+    "ablation": ("oc_ppo", "ppo", "oc_trpo", "trpo"),
+    "baselines": ("oc_ppo", "ppo", "stein", "q_prop"),
+    "noise": ("oc_ppo", "noise_0.05", "noise_0.1", "noise_0.2"),
+    "entropy": ("oc_ppo", "ppo", "entropy_0.01", "entropy_0.02", "entropy_0.05", "entropy_0.1"),
+    "ends": ("oc_ppo", "oc_lambda_1", "oc_own_end", "ppo"),
+}
+"""Which methods a picture compares; those that were not run are left out."""
+_WITH_AND_WITHOUT = ("oc_ppo", "ppo")
+
+
+def draw_all(figures: Mapping[str, Any], folder: Path) -> Iterator[Path]:
+    """Draw what the results hold and return the files."""
+    task = load_navigation_task(figures["task"])
+    for group, methods in _GROUPS.items():
+        there = [name for name in methods if name in figures["curves"]]
+        if len(there) > 1:
+            yield draw_curves(figures, there, folder / f"{task.name}_oc_{group}.png")
+    if any(name in figures["advantages"] for name in _WITH_AND_WITHOUT):
+        yield draw_advantages(figures, folder / f"{task.name}_oc_advantages.png")
+    for name in _WITH_AND_WITHOUT:
+        if name in figures["paths"]:
+            path = folder / f"{task.name}_{name}_paths.png"
+            draw_paths(figures["paths"][name], task, f"{task.name}: learnt with {METHODS[name].label}", path)
+            yield path
+
+
+def draw_curves(figures: Mapping[str, Any], methods: Sequence[str], path: Path) -> Path:
+    """Draw success and return of some methods against samples: mean and standard deviation over the seeds."""
+    figure, axes = plt.subplots(1, 2, figsize=(9.0, 3.6), layout="constrained")
+    for name, colour in zip(methods, _COLOURS, strict=False):
+        curve = figures["curves"][name]
+        for ax, key, start in ((axes[0], "success", 0.0), (axes[1], "total", None)):
+            draw_curve(
+                ax, curve["samples"], curve[key], METHODS[name].label, colour, 2.2 if name == "oc_ppo" else 1.3, start
+            )
+    for ax, label in zip(axes, ("success rate", "return"), strict=True):
+        ax.set_xlabel("samples [thousands]")
+        ax.set_ylabel(label)
+        ax.grid(alpha=0.3)
+    axes[0].set_ylim(-0.02, 1.02)
+    axes[0].legend(fontsize=7)
+    seeds = max(len(figures["curves"][name]["success"]) for name in methods)
+    figure.suptitle(f"{figures['task']}: evaluations while learning, mean and standard deviation of {seeds} seeds")
+    save_figure(figure, path)
+    return path
+
+
+def draw_advantages(figures: Mapping[str, Any], path: Path) -> Path:
+    """Draw the range of advantages, 5 to 95 % of each roll-out, with and without V_oc (Fig. 3.12)."""
+    figure, ax = plt.subplots(figsize=(5.6, 3.6), layout="constrained")
+    for name, colour in zip(_WITH_AND_WITHOUT, _COLOURS, strict=False):
+        seeds = figures["advantages"].get(name)
+        if seeds is None:
+            continue
+        length = min(len(seed) for seed in seeds)
+        low, middle, high = np.mean([np.concatenate(seed[:length]) for seed in seeds], axis=0).T
+        updates = np.arange(1, len(low) + 1)
+        ax.plot(updates, middle, color=colour, label=METHODS[name].label)
+        ax.fill_between(updates, low, high, color=colour, alpha=0.25, linewidth=0)
+    ax.set_xlabel("update of the policy")
+    ax.set_ylabel("advantage, before standardising")
+    ax.legend(fontsize=8)
+    ax.grid(alpha=0.3)
+    ax.set_title(f"{figures['task']}: median and 5 to 95 % of the advantages", fontsize=10)
+    save_figure(figure, path)
+    return path
