@@ -1,0 +1,57 @@
+"""An early policy that meets goal and trap about equally often: where thesis Table 3.7 looks at gradients."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from ctrl_rl_training.algorithms import ROLL_OUT
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import BaseCallback
+
+from oc_baseline_node.errors import OcError
+from oc_baseline_node.training import OcRun
+
+_LIMIT = 150
+"""Roll-outs after which the search ends."""
+_FEWEST = 3
+"""Of goals and traps in a roll-out."""
+
+
+class _Outcomes(BaseCallback):
+    def __init__(self) -> None:
+        super().__init__()
+        self.seen: list[str] = []
+
+    def _on_step(self) -> bool:
+        infos = self.locals["infos"]
+        self.seen += [info["outcome"] for info, done in zip(infos, self.locals["dones"], strict=True) if done]
+        return True
+
+
+def find_early_policy(
+    run: OcRun, progress: Callable[[], object] = lambda: None
+) -> tuple[BaseAlgorithm, dict[str, int]]:
+    """Learn until a roll-out meets goal and trap about equally often, the rarer at least half as often.
+
+    Args:
+        run: what learns; its task has a trap.
+        progress: called after each roll-out.
+
+    Returns:
+        The algorithm, as it then is, and how the last roll-out's episodes ended.
+
+    Raises:
+        OcError: it never does.
+    """
+    model: Any = run.model(ROLL_OUT * _LIMIT)
+    model.set_random_seed(run.seed)
+    for _ in range(_LIMIT):
+        outcomes = _Outcomes()
+        model.learn(ROLL_OUT, callback=outcomes, reset_num_timesteps=False)
+        goals, traps = outcomes.seen.count("GOAL"), outcomes.seen.count("TRAP")
+        progress()
+        if min(goals, traps) >= _FEWEST and 2 * min(goals, traps) >= max(goals, traps):
+            return model, {name: outcomes.seen.count(name) for name in sorted(set(outcomes.seen))}
+    model.env.close()
+    raise OcError(f"no early policy of {run.name} meets goal and trap about equally often: try another seed")
