@@ -17,8 +17,11 @@ setup(
     zip_safe=False,
     entry_points={
         "console_scripts": [
+            "analyse = oc_baseline_node.analysis_cli:main",
             "baseline = oc_baseline_node.node:main",
             "oc = oc_baseline_node.cli:main",
+            "train = oc_baseline_node.training_cli:train",
+            "training_figures = oc_baseline_node.training_cli:training_figures",
         ],
     },
 )

@@ -57,3 +57,15 @@ METHODS: Mapping[str, Method] = MappingProxyType(
     }
 )
 """All methods by name, those that matter most first."""
+
+GROUPS: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {
+        "ablation": ("oc_ppo", "ppo", "oc_trpo", "trpo"),
+        "baselines": ("oc_ppo", "ppo", "stein", "q_prop"),
+        "noise": ("oc_ppo", *(f"noise_{s:g}" for s in NOISES)),
+        "entropy": ("oc_ppo", "ppo", *(f"entropy_{c:g}" for c in ENTROPIES)),
+        "ends": ("oc_ppo", "oc_lambda_1", "oc_own_end", "ppo"),
+    }
+)
+"""Which methods are compared with each other: Fig. 3.10, 3.12 and 3.14, Fig. 3.13, Fig. 3.16, Table 3.6, and what
+G^lambda ends on."""

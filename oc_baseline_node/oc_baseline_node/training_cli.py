@@ -11,7 +11,7 @@ from ctrl_rl_core.results import write_results
 from ctrl_rl_core.tasks import load_navigation_task
 
 from oc_baseline_node.errors import OcError
-from oc_baseline_node.methods import METHODS
+from oc_baseline_node.methods import GROUPS, METHODS
 
 FOLDER = Path("runs/oc_training")
 ITERATIONS = 15
@@ -22,7 +22,9 @@ def train(arguments: Sequence[str] | None = None) -> int:
     """Learn a task's sparse reward with policy gradients, from several seeds; go on where it was cut off."""
     parser = argparse.ArgumentParser(prog="train", description=train.__doc__)
     parser.add_argument("--task", required=True, help="car_navigation, quad_navigation or quad_trap")
-    parser.add_argument("--methods", nargs="+", choices=METHODS, default=_MAIN, help="default: oc_ppo ppo")
+    which = parser.add_mutually_exclusive_group()
+    which.add_argument("--methods", nargs="+", choices=METHODS, help="default: oc_ppo ppo")
+    which.add_argument("--compare", nargs="+", choices=[*GROUPS, "all"], help="the methods of a figure or table")
     parser.add_argument("--value", type=Path, help="file of V_oc ('oc fit'); default: what comes with the package")
     parser.add_argument("--folder", type=Path, default=FOLDER, help="of the runs (default %(default)s)")
     parser.add_argument("--seeds", type=int, default=5, help="how many, from 0 (default %(default)s)")
@@ -54,7 +56,7 @@ def _train(options: argparse.Namespace) -> int:
         if getattr(options, name) < 1:
             raise OcError(f"--{name} must be at least 1")
     load_navigation_task(options.task)  # refuses an unknown one before workers start
-    runs = oc_runs(options.task, options.methods, options.seeds, options.value)
+    runs = oc_runs(options.task, _methods(options), options.seeds, options.value)
     for run in runs:
         run.description  # noqa: B018 - refuses a missing or wrong V_oc before workers start
     train_all(runs, Options(options.folder, options.iterations), options.workers, options.task)
@@ -64,6 +66,13 @@ def _train(options: argparse.Namespace) -> int:
         write_results(options.results, f"oc_training_{options.task}", range(options.seeds), rows, figures)
         print(f"results    {options.results}")
     return 0
+
+
+def _methods(options: argparse.Namespace) -> Sequence[str]:
+    if options.compare is None:
+        return options.methods or _MAIN
+    groups = GROUPS if "all" in options.compare else options.compare
+    return list(dict.fromkeys(name for group in groups for name in GROUPS[group]))
 
 
 def _figures(options: argparse.Namespace) -> int:

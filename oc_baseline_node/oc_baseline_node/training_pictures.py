@@ -12,24 +12,16 @@ from ctrl_rl_core.tasks import load_navigation_task
 from ctrl_rl_training.pictures import draw_curve, draw_paths
 from matplotlib import pyplot as plt
 
-from oc_baseline_node.methods import METHODS
+from oc_baseline_node.methods import GROUPS, METHODS
 
 _COLOURS = ("tab:red", "0.45", "tab:blue", "tab:orange", "tab:green", "tab:purple", "tab:brown", "tab:cyan")
-_GROUPS = {
-    "ablation": ("oc_ppo", "ppo", "oc_trpo", "trpo"),
-    "baselines": ("oc_ppo", "ppo", "stein", "q_prop"),
-    "noise": ("oc_ppo", "noise_0.05", "noise_0.1", "noise_0.2"),
-    "entropy": ("oc_ppo", "ppo", "entropy_0.01", "entropy_0.02", "entropy_0.05", "entropy_0.1"),
-    "ends": ("oc_ppo", "oc_lambda_1", "oc_own_end", "ppo"),
-}
-"""Which methods a picture compares; those that were not run are left out."""
 _WITH_AND_WITHOUT = ("oc_ppo", "ppo")
 
 
 def draw_all(figures: Mapping[str, Any], folder: Path) -> Iterator[Path]:
-    """Draw what the results hold and return the files."""
+    """Draw what the results hold and return the files; methods that were not run are left out."""
     task = load_navigation_task(figures["task"])
-    for group, methods in _GROUPS.items():
+    for group, methods in GROUPS.items():
         there = [name for name in methods if name in figures["curves"]]
         if len(there) > 1:
             yield draw_curves(figures, there, folder / f"{task.name}_oc_{group}.png")

@@ -1,0 +1,75 @@
+"""The analyses: model against simulator, MPC in it, and estimates of gradients."""
+
+import json
+
+import numpy as np
+import pytest
+import torch
+from ctrl_rl_core.systems import make_system
+from ctrl_rl_core.tasks import load_navigation_task
+from ctrl_rl_training.algorithms import ROLL_OUT
+from hypothesis import given
+from hypothesis import strategies as st
+from oc_baseline_node.analysis_cli import main
+from oc_baseline_node.mismatch import action_of, command, drive_by_mpc, predict, transition_errors
+from oc_baseline_node.training import OcRun
+
+from oc_baseline_node import gradients
+
+CAR = load_navigation_task("car_navigation")
+
+
+@given(st.lists(st.floats(-1.0, 1.0), min_size=2, max_size=2))
+def test_actions_and_commands_are_each_others_inverse(action):
+    assert action_of(CAR, command(CAR, action)) == pytest.approx(action, abs=1e-6)
+
+
+def test_the_model_drives_an_arc():
+    system = make_system("dubins_car", control_bounds={"v": (-2.0, 2.0), "omega": (-2.0, 2.0)})
+    x = predict(system, np.array([0.0, 0.0, 0.0]), np.array([1.0, 0.5]), 1.0)
+    assert x == pytest.approx([2.0 * np.sin(0.5), 2.0 * (1.0 - np.cos(0.5)), 0.5], abs=1e-6)
+
+
+def test_model_and_simulator_part_as_steps_go_by():
+    errors = transition_errors(CAR, 3)
+    assert errors.shape == (3, 3)
+    assert (errors > 0.0).all()
+    assert errors[:, 0].mean() < errors[:, 2].mean() < 1.0
+
+
+def test_mpc_drives_in_the_simulator():
+    (drive,) = drive_by_mpc(CAR, 1, seed=1)
+    assert drive.outcome in ("GOAL", "COLLISION", "TIMEOUT")
+    assert drive.total == {"GOAL": 1000.0, "COLLISION": -400.0, "TIMEOUT": 0.0}[drive.outcome]
+    assert len(drive.states) > 5
+    assert 0.0 < drive.solved <= 1.0
+
+
+def test_the_mismatch_command_writes_the_table(tmp_path, capsys):
+    places = ["--results", str(tmp_path), "--images", str(tmp_path)]
+    assert main(["mismatch", "--roll-outs", "2", *places]) == 0
+    rows = json.loads((tmp_path / "oc_mismatch.json").read_text(encoding="utf-8"))["rows"]
+    assert [row["thesis"] for row in rows] == [0.095, 0.391, 0.518, 0.542, 0.836, 1.144]
+    assert "after 10 steps" in capsys.readouterr().out
+
+
+def test_more_samples_tell_the_gradient_better_and_a_baseline_helps():
+    run = OcRun("quad_trap", "oc_ppo", 0)
+    model = run.model(ROLL_OUT)
+    torch.manual_seed(0)
+    known, fresh = (gradients.collect_samples(model.policy, model.env, count) for count in (6000, 3000))
+    model.env.close()
+    assert len(known.returns) == len(known.observations) >= 6000
+    assert set(known.outcomes) <= {"GOAL", "COLLISION", "TRAP", "TIMEOUT"}
+    truth = gradients.policy_gradient(model.policy, known, None, np.arange(len(known.returns)))
+    again = gradients.policy_gradient(model.policy, known, np.zeros_like(known.returns), np.arange(len(known.returns)))
+    assert gradients.cosine(truth, again) == pytest.approx(1.0)
+    value = gradients.fit_value(known, 0)(fresh.observations)
+    random = np.random.default_rng(0)
+    size = {n: random.choice(len(fresh.returns), n, replace=False) for n in (64, 2048)}
+
+    def closeness(baseline, count):
+        return gradients.cosine(gradients.policy_gradient(model.policy, fresh, baseline, size[count]), truth)
+
+    assert closeness(value, 64) < closeness(value, 2048)
+    assert closeness(None, 2048) < closeness(value, 2048)
