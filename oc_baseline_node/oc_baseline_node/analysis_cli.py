@@ -80,7 +80,7 @@ def _mpc(options: argparse.Namespace) -> int:
 
     task = load_navigation_task(options.task)
     learnt = [] if options.learnt is None else read_figures(options.learnt)["paths"].get("oc_ppo", [])
-    with tqdm(total=options.episodes * task.episode.steps, desc="MPC", unit="step") as bar:
+    with tqdm(desc="MPC", unit="step") as bar:
         drives = drive_by_mpc(task, options.episodes, options.seed, bar.update)
     rows = [
         Result("MPC in the simulator", name, "1", [float(drive.outcome == outcome) for drive in drives])
@@ -113,9 +113,9 @@ def _gradient(options: argparse.Namespace) -> int:
     assert model.env is not None
     policy = model.policy
     with tqdm(total=wanted + 2 * max(gradients.SIZES), desc="samples", unit="sample") as bar:
-        known = gradients.collect_samples(policy, model.env, wanted, bar.update)
-        fitted = gradients.collect_samples(policy, model.env, max(gradients.SIZES), bar.update)
-        fresh = gradients.collect_samples(policy, model.env, max(gradients.SIZES), bar.update)
+        known = gradients.collect_samples(policy, model.env, wanted, run.discount, bar.update)
+        fitted = gradients.collect_samples(policy, model.env, max(gradients.SIZES), run.discount, bar.update)
+        fresh = gradients.collect_samples(policy, model.env, max(gradients.SIZES), run.discount, bar.update)
     model.env.close()
     truth = gradients.policy_gradient(policy, known, None, np.arange(len(known.returns)))
     value = gradients.fit_value(fitted, options.seed)(fresh.observations)

@@ -16,7 +16,6 @@ from stable_baselines3.common.vec_env import VecEnv
 from torch import nn
 
 from oc_baseline_node.control_variates import make_critic
-from oc_baseline_node.returns import DISCOUNT
 
 Array = NDArray[np.float32]
 SIZES = (2**7, 2**9, 2**11, 2**13, 2**15)
@@ -44,7 +43,7 @@ class Samples(NamedTuple):
 
 
 def collect_samples(
-    policy: Any, environments: VecEnv, count: int, progress: Callable[[int], object] = lambda _: None
+    policy: Any, environments: VecEnv, count: int, discount: float, progress: Callable[[int], object] = lambda _: None
 ) -> Samples:
     """Return at least `count` samples of whole episodes; `progress` is told how many more there are, now and then."""
     observations: Any = environments.reset()
@@ -60,7 +59,7 @@ def collect_samples(
         for index, steps in enumerate(open_):
             steps.append((observations[index].copy(), actions[index], float(rewards[index])))
             if dones[index]:
-                parts.append(_episode(steps))
+                parts.append(_episode(steps, discount))
                 outcomes.append(infos[index]["outcome"])
                 got += len(steps)
                 progress(len(steps))
@@ -70,10 +69,10 @@ def collect_samples(
     return Samples(first, second, third, outcomes)
 
 
-def _episode(steps: list[tuple[Array, Array, float]]) -> tuple[Array, Array, Array]:
+def _episode(steps: list[tuple[Array, Array, float]], discount: float) -> tuple[Array, Array, Array]:
     returns, after = np.empty(len(steps), dtype=np.float32), 0.0
     for index in reversed(range(len(steps))):
-        after = steps[index][2] + DISCOUNT * after
+        after = steps[index][2] + discount * after
         returns[index] = after
     return np.array([step[0] for step in steps]), np.array([step[1] for step in steps]), returns
 

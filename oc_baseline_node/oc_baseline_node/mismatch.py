@@ -79,6 +79,14 @@ def action_of(task: NavigationTask, control: Array) -> NDArray[np.float32]:
     return np.clip(2.0 * (control - low) / (high - low) - 1.0, -1.0, 1.0).astype(np.float32)
 
 
+def _with_time_step(task: NavigationTask, time_step: float) -> NavigationTask:
+    """Return the task with other, equally long episodes: MPC acts at the time step it plans with."""
+    episode = task.episode
+    steps = round(episode.steps * episode.time_step / time_step)
+    changed = episode.model_copy(update={"time_step": time_step, "steps": steps})
+    return task.model_copy(update={"episode": changed})
+
+
 def drive_by_mpc(
     task: NavigationTask, episodes: int = 10, seed: int = 0, progress: Callable[[], object] = lambda: None
 ) -> list[Drive]:
@@ -90,8 +98,9 @@ def drive_by_mpc(
         seed: of the first.
         progress: called after each step.
     """
-    mpc = Mpc(formulate(task))
-    environment = NavigationEnv(task)
+    problem = formulate(task)
+    mpc = Mpc(problem)
+    environment = NavigationEnv(_with_time_step(task, problem.time_step))
     drives = []
     try:
         for episode in range(episodes):

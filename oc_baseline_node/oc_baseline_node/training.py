@@ -21,7 +21,6 @@ from oc_baseline_node.methods import METHODS, Method
 from oc_baseline_node.mlp_value import MlpValue
 from oc_baseline_node.policy_gradient import BaselineBuffer, BaselinePolicy
 from oc_baseline_node.q_prop import QPropPpo
-from oc_baseline_node.returns import DISCOUNT
 from oc_baseline_node.stein import SteinPpo
 from oc_baseline_node.training_environment import PaidTimeOut
 from oc_baseline_node.value_file import find_value, load_network
@@ -32,7 +31,7 @@ class OcRun:
     """One run: a method, a task and a seed (a `ctrl_rl_training.training.Run`).
 
     Attributes:
-        task_name: of the task.
+        task_name: of the task, or its file.
         method_name: one of `METHODS`.
         seed: of everything random.
         value: file of V_oc; the network that comes with the package unless given.
@@ -46,7 +45,7 @@ class OcRun:
     @property
     def name(self) -> str:
         """Its name, which is that of its folder too."""
-        return f"{self.task_name}-{self.method_name}-s{self.seed}"
+        return f"{self.task.name}-{self.method_name}-s{self.seed}"
 
     @property
     def task(self) -> NavigationTask:
@@ -70,10 +69,10 @@ class OcRun:
         """What the results say about it."""
         value = self.network.digest if self.method.needs_value else None
         return {
-            "task": self.task_name,
+            "task": self.task.name,
             "method": self.method_name,
             "seed": self.seed,
-            "discount": DISCOUNT,
+            "discount": self.discount,
             "value_digest": value,
         }
 
@@ -82,16 +81,18 @@ class OcRun:
         """V_oc of the task.
 
         Raises:
-            OcError: the file is missing, or V_oc is of another task or discount.
+            OcError: the file is missing, or V_oc is of another task.
         """
-        file = find_value(self.value or self.task_name)
+        file = find_value(self.value or self.task.name)
         value = load_network(file)
         if value.task_digest != task_digest(self.task):
-            raise OcError(f"{file}: is not of task '{self.task_name}' as it is: make it with 'oc data' and 'oc fit'")
-        found = value.manifest.get("discount")
-        if found != DISCOUNT:
-            raise OcError(f"{file}: has discount {found}, learning has {DISCOUNT}: fit it again")
+            raise OcError(f"{file}: is not of task '{self.task.name}' as it is: make it with 'oc data' and 'oc fit'")
         return value
+
+    @property
+    def discount(self) -> float:
+        """Discount of a step, that of V_oc: every method learns with it. Errors as for `network`."""
+        return float(self.network.manifest["discount"])
 
     def baseline(self) -> OcBaseline:
         """Return b(s) = V_oc(x). Errors as for `network`."""
@@ -105,7 +106,7 @@ class OcRun:
         """Return the untrained algorithm with its own environments, for so many samples. Errors as for `network`."""
         method = self.method
         changes: dict[str, Any] = {
-            "gamma": DISCOUNT,
+            "gamma": self.discount,
             "gae_lambda": method.gae_lambda,
             "rollout_buffer_class": BaselineBuffer,
         }

@@ -21,7 +21,7 @@ _MAIN = ("oc_ppo", "ppo")
 def train(arguments: Sequence[str] | None = None) -> int:
     """Learn a task's sparse reward with policy gradients, from several seeds; go on where it was cut off."""
     parser = argparse.ArgumentParser(prog="train", description=train.__doc__)
-    parser.add_argument("--task", required=True, help="car_navigation, quad_navigation or quad_trap")
+    parser.add_argument("--task", required=True, help="car_navigation, quad_navigation, quad_trap, or a task file")
     which = parser.add_mutually_exclusive_group()
     which.add_argument("--methods", nargs="+", choices=METHODS, help="default: oc_ppo ppo")
     which.add_argument("--compare", nargs="+", choices=[*GROUPS, "all"], help="the methods of a figure or table")
@@ -55,15 +55,15 @@ def _train(options: argparse.Namespace) -> int:
     for name in ("seeds", "iterations"):
         if getattr(options, name) < 1:
             raise OcError(f"--{name} must be at least 1")
-    load_navigation_task(options.task)  # refuses an unknown one before workers start
+    task = load_navigation_task(options.task)  # refuses an unknown one before workers start
     runs = oc_runs(options.task, _methods(options), options.seeds, options.value)
     for run in runs:
         run.description  # noqa: B018 - refuses a missing or wrong V_oc before workers start
-    train_all(runs, Options(options.folder, options.iterations), options.workers, options.task)
+    train_all(runs, Options(options.folder, options.iterations), options.workers, task.name)
     rows, figures = collect(runs, options.folder)
     print(as_table(rows))
     if options.results is not None:
-        write_results(options.results, f"oc_training_{options.task}", range(options.seeds), rows, figures)
+        write_results(options.results, f"oc_training_{task.name}", range(options.seeds), rows, figures)
         print(f"results    {options.results}")
     return 0
 

@@ -53,7 +53,7 @@ def collect(todo: Sequence[OcRun], folder: Path) -> tuple[list[Result], dict[str
     for name, (run, results) in found.items():
 
         def add(metric: str, unit: str, values: list[float], name: str = name, run: OcRun = run) -> None:
-            rows.append(Result(name, metric, unit, values, THESIS.get((run.task_name, name, metric))))
+            rows.append(Result(name, metric, unit, values, THESIS.get((run.task.name, name, metric))))
 
         add("success", "1", [result["success"] for result in results])
         if run.task.trap is not None:
@@ -65,7 +65,7 @@ def collect(todo: Sequence[OcRun], folder: Path) -> tuple[list[Result], dict[str
         if learnt:
             add(f"samples to {GOOD:.0%}", "1", learnt)
     figures = {
-        "task": todo[0].task_name,
+        "task": todo[0].task.name,
         "curves": {name: curves(results, success="evaluation", total="return") for name, (_, results) in found.items()},
         "advantages": {
             name: [[point["notes"]["advantages"] for point in result["curve"]] for result in results]

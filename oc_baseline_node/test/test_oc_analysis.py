@@ -57,7 +57,7 @@ def test_more_samples_tell_the_gradient_better_and_a_baseline_helps():
     run = OcRun("quad_trap", "oc_ppo", 0)
     model = run.model(ROLL_OUT)
     torch.manual_seed(0)
-    known, fresh = (gradients.collect_samples(model.policy, model.env, count) for count in (6000, 3000))
+    known, fresh = (gradients.collect_samples(model.policy, model.env, count, run.discount) for count in (6000, 3000))
     model.env.close()
     assert len(known.returns) == len(known.observations) >= 6000
     assert set(known.outcomes) <= {"GOAL", "COLLISION", "TRAP", "TIMEOUT"}

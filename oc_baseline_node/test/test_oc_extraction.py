@@ -84,7 +84,7 @@ def test_the_trap_form_has_the_trap_and_the_others_have_none() -> None:
 
 def test_forms_differ_in_the_speed() -> None:
     task = load_navigation_task("car_navigation")
-    assert formulate(task).system.control_bounds[:, 0].tolist() == [-2.0, 2.0]
+    assert formulate(task).system.control_bounds[:, 0].tolist() == [-0.8, 2.0]
     for form in ("letter", "free_time"):
         assert formulate(task, form).system.control_bounds[:, 0].tolist() == [1.0, 1.0]
     with pytest.raises(OcError, match="no form 'other'"):

@@ -9,7 +9,7 @@ from ctrl_rl_core.outcome import Outcome
 from ctrl_rl_core.regions import Region
 from ctrl_rl_core.systems import make_system
 from ctrl_rl_core.task_sets import TaskSets
-from ctrl_rl_core.tasks import load_navigation_task
+from ctrl_rl_core.tasks import NavigationTask, load_navigation_task
 from oc_baseline_node.guesses import moved_on, resting_control
 from oc_baseline_node.mpc import Mpc, RecedingHorizon, Trajectory
 from oc_baseline_node.problem import Problem, formulate
@@ -125,9 +125,17 @@ def test_a_warm_start_takes_fewer_iterations(mpcs: dict[str, Mpc]) -> None:
     assert warm.cost <= again.cost * (1 + 1e-3)
 
 
+def short_car() -> NavigationTask:
+    """The car with the published time step: 7 s in all."""
+    task = load_navigation_task("car_navigation")
+    assert task.optimal_control is not None
+    changed = task.optimal_control.model_copy(update={"time_step": 0.05})
+    return task.model_copy(update={"optimal_control": changed})
+
+
 @pytest.mark.parametrize("form", ["free_time", "letter"])
 def test_the_other_forms_keep_the_speed(form: str) -> None:
-    problem = formulate(load_navigation_task("car_navigation"), form)
+    problem = formulate(short_car(), form)
     trajectory = Mpc(problem).solve((1.0, 3.5, 0.0) if form == "free_time" else (-1.9, 0.0, 0.5))
     assert trajectory.solved, trajectory.reason
     assert (trajectory.controls[:, 0] == 1.0).all()
@@ -148,7 +156,7 @@ def test_a_start_without_a_trajectory_gets_a_reason_and_no_traceback(mpcs: dict[
     assert not falling.solved
     assert falling.reason == "ipopt: Infeasible_Problem_Detected"
     assert np.isnan(falling.cost)
-    far = Mpc(formulate(load_navigation_task("car_navigation"), "letter")).solve((-4.5, -4.5, 0.0))
+    far = Mpc(formulate(short_car(), "letter")).solve((-4.5, -4.5, 0.0))
     assert not far.solved, "7 s at 1 m/s do not lead 11 m away"
     assert far.reason.startswith("ipopt: ")
 
@@ -190,7 +198,7 @@ def test_the_resting_control_hovers(mpcs: dict[str, Mpc]) -> None:
 
 @pytest.mark.parametrize("form", ["free_speed", "free_time", "letter"])
 def test_packing_is_undone_by_unpacking(form: str) -> None:
-    problem = formulate(load_navigation_task("car_navigation"), form)
+    problem = formulate(short_car(), form)
     layout, random = Layout(problem), np.random.default_rng(0)
     states = random.normal(size=(problem.horizon + 1, 3))
     controls = random.normal(size=(problem.horizon, 2))
