@@ -7,7 +7,7 @@ setup(
     version="0.1.0",
     description="Optimal-control return-to-go as a policy-gradient baseline (thesis 3.3).",
     license="Apache-2.0",
-    packages=[NAME],
+    packages=[NAME, f"{NAME}.training"],
     package_data={"oc_baseline_node": ["py.typed", "values/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
@@ -17,11 +17,11 @@ setup(
     zip_safe=False,
     entry_points={
         "console_scripts": [
-            "analyse = oc_baseline_node.analysis_cli:main",
+            "analyse = oc_baseline_node.training.analysis_cli:main",
             "baseline = oc_baseline_node.node:main",
             "oc = oc_baseline_node.cli:main",
-            "train = oc_baseline_node.training_cli:train",
-            "training_figures = oc_baseline_node.training_cli:training_figures",
+            "train = oc_baseline_node.training.training_cli:train",
+            "training_figures = oc_baseline_node.training.training_cli:training_figures",
         ],
     },
 )

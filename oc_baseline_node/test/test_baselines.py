@@ -10,10 +10,10 @@ from ctrl_rl_training.environment import make_environment
 from gymnasium import spaces
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from oc_baseline_node.baselines import OcBaseline
-from oc_baseline_node.control_variates import make_critic, value_and_slope
 from oc_baseline_node.errors import OcError
-from oc_baseline_node.policy_gradient import BaselineBuffer, BaselinePolicy
+from oc_baseline_node.training.baselines import OcBaseline
+from oc_baseline_node.training.control_variates import make_critic, value_and_slope
+from oc_baseline_node.training.policy_gradient import BaselineBuffer, BaselinePolicy
 from oc_baseline_node.value_file import find_value, load_network
 from sb3_contrib import TRPO
 from stable_baselines3 import PPO

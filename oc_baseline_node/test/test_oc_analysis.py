@@ -10,11 +10,10 @@ from ctrl_rl_core.tasks import load_navigation_task
 from ctrl_rl_training.algorithms import ROLL_OUT
 from hypothesis import given
 from hypothesis import strategies as st
-from oc_baseline_node.analysis_cli import main
-from oc_baseline_node.mismatch import action_of, command, drive_by_mpc, predict, transition_errors
-from oc_baseline_node.training import OcRun
-
-from oc_baseline_node import gradients
+from oc_baseline_node.training import gradients
+from oc_baseline_node.training.analysis_cli import main
+from oc_baseline_node.training.mismatch import action_of, command, drive_by_mpc, predict, transition_errors
+from oc_baseline_node.training.runs import OcRun
 
 CAR = load_navigation_task("car_navigation")
 

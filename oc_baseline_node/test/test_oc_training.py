@@ -9,11 +9,11 @@ from ctrl_rl_training.actor import Actor
 from ctrl_rl_training.algorithms import ROLL_OUT
 from ctrl_rl_training.training import Options, result_file, train_one
 from oc_baseline_node.errors import OcError
-from oc_baseline_node.methods import GROUPS, METHODS
-from oc_baseline_node.training import OcRun, oc_runs
-from oc_baseline_node.training_cli import train, training_figures
-from oc_baseline_node.training_environment import PaidTimeOut
-from oc_baseline_node.training_results import collect
+from oc_baseline_node.training.environment import PaidTimeOut
+from oc_baseline_node.training.methods import GROUPS, METHODS
+from oc_baseline_node.training.results import collect
+from oc_baseline_node.training.runs import OcRun, oc_runs
+from oc_baseline_node.training.training_cli import train, training_figures
 from sim_bridge.environments import NavigationEnv
 
 SHORT = {"iterations": 2, "samples": ROLL_OUT, "evaluations": 1, "final_evaluations": 2}

@@ -10,7 +10,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 
 from oc_baseline_node.errors import OcError
-from oc_baseline_node.training import OcRun
+from oc_baseline_node.training.runs import OcRun
 
 _LIMIT = 150
 """Roll-outs after which the search ends."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 import torch
 from torch import nn
 
-from oc_baseline_node.control_variates import ControlVariatePpo, value_and_slope
+from oc_baseline_node.training.control_variates import ControlVariatePpo, value_and_slope
 
 
 class SteinPpo(ControlVariatePpo):

@@ -18,7 +18,7 @@ from ctrl_rl_training.algorithms import NormalizedTanh
 from stable_baselines3 import PPO
 from torch import nn
 
-from oc_baseline_node.policy_gradient import BaselineBuffer
+from oc_baseline_node.training.policy_gradient import BaselineBuffer
 
 HIDDEN = (64, 64)
 LEARNING_RATE = 1e-3

@@ -60,7 +60,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _mismatch(options: argparse.Namespace) -> int:
-    from oc_baseline_node.mismatch import STEPS, transition_errors
+    from oc_baseline_node.training.mismatch import STEPS, transition_errors
 
     rows = []
     for name, thesis in THESIS_MISMATCH.items():
@@ -75,8 +75,8 @@ def _mismatch(options: argparse.Namespace) -> int:
 def _mpc(options: argparse.Namespace) -> int:
     from ctrl_rl_training.results import read_figures
 
-    from oc_baseline_node.analysis_pictures import draw_drives
-    from oc_baseline_node.mismatch import drive_by_mpc
+    from oc_baseline_node.training.analysis_pictures import draw_drives
+    from oc_baseline_node.training.mismatch import drive_by_mpc
 
     task = load_navigation_task(options.task)
     learnt = [] if options.learnt is None else read_figures(options.learnt)["paths"].get("oc_ppo", [])
@@ -101,9 +101,9 @@ def _mpc(options: argparse.Namespace) -> int:
 
 
 def _gradient(options: argparse.Namespace) -> int:
-    from oc_baseline_node import gradients
-    from oc_baseline_node.early_policy import find_early_policy
-    from oc_baseline_node.training import OcRun
+    from oc_baseline_node.training import gradients
+    from oc_baseline_node.training.early_policy import find_early_policy
+    from oc_baseline_node.training.runs import OcRun
 
     run = OcRun(options.task, "oc_ppo", options.seed, options.value)
     wanted = options.samples or gradients.TRUTH

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 from torch import nn
 
-from oc_baseline_node.control_variates import make_critic
+from oc_baseline_node.training.control_variates import make_critic
 
 Array = NDArray[np.float32]
 SIZES = (2**7, 2**9, 2**11, 2**13, 2**15)

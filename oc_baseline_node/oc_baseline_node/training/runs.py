@@ -15,14 +15,14 @@ from ctrl_rl_training.algorithms import make_algorithm
 from ctrl_rl_training.environment import Environment, make_environment
 from stable_baselines3.common.base_class import BaseAlgorithm
 
-from oc_baseline_node.baselines import OcBaseline
 from oc_baseline_node.errors import OcError
-from oc_baseline_node.methods import METHODS, Method
 from oc_baseline_node.mlp_value import MlpValue
-from oc_baseline_node.policy_gradient import BaselineBuffer, BaselinePolicy
-from oc_baseline_node.q_prop import QPropPpo
-from oc_baseline_node.stein import SteinPpo
-from oc_baseline_node.training_environment import PaidTimeOut
+from oc_baseline_node.training.baselines import OcBaseline
+from oc_baseline_node.training.environment import PaidTimeOut
+from oc_baseline_node.training.methods import METHODS, Method
+from oc_baseline_node.training.policy_gradient import BaselineBuffer, BaselinePolicy, FrozenValueTrpo
+from oc_baseline_node.training.q_prop import QPropPpo
+from oc_baseline_node.training.stein import SteinPpo
 from oc_baseline_node.value_file import find_value, load_network
 
 
@@ -118,7 +118,10 @@ class OcRun:
             changes |= {"kind": QPropPpo, "replay_size": samples}
         elif method.baseline == "oc" and method.end == "oc":
             changes |= {"policy": BaselinePolicy, "policy_kwargs": {"baseline": self.baseline()}}
-            changes |= {"n_critic_updates": 0} if method.algorithm == "trpo" else {"vf_coef": 0.0}
+            if method.algorithm == "trpo":
+                changes |= {"kind": FrozenValueTrpo, "n_critic_updates": 0}
+            else:
+                changes["vf_coef"] = 0.0
         elif method.baseline == "oc":
             changes["rollout_buffer_kwargs"] = {"baseline": self.baseline()}
         return make_algorithm(method.algorithm, self.environment, self.seed, samples, **changes)

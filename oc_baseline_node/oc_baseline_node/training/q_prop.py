@@ -16,7 +16,7 @@ from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.utils import polyak_update
 from torch import nn
 
-from oc_baseline_node.control_variates import ControlVariatePpo, value_and_slope
+from oc_baseline_node.training.control_variates import ControlVariatePpo, value_and_slope
 
 _UPDATES = 512
 """Of the critic for each roll-out."""

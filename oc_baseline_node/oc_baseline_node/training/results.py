@@ -13,8 +13,8 @@ import numpy as np
 from ctrl_rl_core.results import Result
 from ctrl_rl_training.results import GOOD, curves, finished_runs, samples_to
 
-from oc_baseline_node.methods import METHODS
-from oc_baseline_node.training import OcRun
+from oc_baseline_node.training.methods import METHODS
+from oc_baseline_node.training.runs import OcRun
 
 THESIS: dict[tuple[str, str, str], float] = {
     ("car_navigation", "oc_ppo", "success"): 1.0,

@@ -12,7 +12,7 @@ from ctrl_rl_core.tasks import load_navigation_task
 from ctrl_rl_training.pictures import draw_curve, draw_paths
 from matplotlib import pyplot as plt
 
-from oc_baseline_node.methods import GROUPS, METHODS
+from oc_baseline_node.training.methods import GROUPS, METHODS
 
 _COLOURS = ("tab:red", "0.45", "tab:blue", "tab:orange", "tab:green", "tab:purple", "tab:brown", "tab:cyan")
 _WITH_AND_WITHOUT = ("oc_ppo", "ppo")

@@ -12,15 +12,17 @@ only, which leaves the gradient's mean as it was. Both algorithms standardise ad
 
 from __future__ import annotations
 
+import warnings
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from sb3_contrib import TRPO
 from stable_baselines3.common.buffers import RolloutBuffer
 from stable_baselines3.common.policies import ActorCriticPolicy
 
-from oc_baseline_node.baselines import Baseline
+from oc_baseline_node.training.baselines import Baseline
 
 PERCENTILES = (5, 50, 95)
 """Of the advantages of a roll-out, noted for thesis Fig. 3.12."""
@@ -76,3 +78,13 @@ class BaselinePolicy(ActorCriticPolicy):
     def predict_values(self, obs: Any) -> torch.Tensor:
         """Return b (N, 1)."""
         return torch.from_numpy(self.baseline(obs.numpy()))[:, None]
+
+
+class FrozenValueTrpo(TRPO):
+    """TRPO that learns no value: for a `BaselinePolicy`, with `n_critic_updates=0`."""
+
+    def train(self) -> None:
+        """Learn from the roll-out, without the library's warning that there is no mean loss of the value to log."""
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RuntimeWarning)
+            super().train()

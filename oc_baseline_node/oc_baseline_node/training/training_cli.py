@@ -11,7 +11,7 @@ from ctrl_rl_core.results import write_results
 from ctrl_rl_core.tasks import load_navigation_task
 
 from oc_baseline_node.errors import OcError
-from oc_baseline_node.methods import GROUPS, METHODS
+from oc_baseline_node.training.methods import GROUPS, METHODS
 
 FOLDER = Path("runs/oc_training")
 ITERATIONS = 15
@@ -49,8 +49,8 @@ def _train(options: argparse.Namespace) -> int:
     from ctrl_rl_training.matrix import train_all
     from ctrl_rl_training.training import Options
 
-    from oc_baseline_node.training import oc_runs
-    from oc_baseline_node.training_results import as_table, collect
+    from oc_baseline_node.training.results import as_table, collect
+    from oc_baseline_node.training.runs import oc_runs
 
     for name in ("seeds", "iterations"):
         if getattr(options, name) < 1:
@@ -78,7 +78,7 @@ def _methods(options: argparse.Namespace) -> Sequence[str]:
 def _figures(options: argparse.Namespace) -> int:
     from ctrl_rl_training.results import read_figures
 
-    from oc_baseline_node.training_pictures import draw_all  # matplotlib is not for robots
+    from oc_baseline_node.training.pictures import draw_all  # matplotlib is not for robots
 
     figures = read_figures(options.results)
     options.output.mkdir(parents=True, exist_ok=True)
