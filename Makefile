@@ -5,7 +5,7 @@ SHELL := /bin/bash
 RUN := set -eo pipefail; source scripts/workspace.bash;
 LINKED := ctrl_rl_core sim_bridge ctrl_rl_training ttr_reward_node oc_baseline_node koopman_lqr_controller option_coordinator ctrl_rl_bringup
 
-.PHONY: help setup build demo trials train ttr test test-all lint bench results clean
+.PHONY: help setup build demo trials train ttr oc test test-all lint bench results clean
 
 help: ## say what there is
 	@grep -E '^[a-z-]+:.*##' Makefile | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 18
@@ -33,6 +33,15 @@ ttr: build ## learn TASK=car_ttr (or quad_ttr) with every reward and algorithm; 
 	[[ -e runs/$$task.safetensors ]] || ros2 run ttr_reward_node solve --task $$task $$how --output runs/$$task.safetensors; \
 	ros2 run ttr_reward_node train --task $$task --grid runs/$$task.safetensors --results docs/results/ttr_training_$$task.json $(ARGS); \
 	ros2 run ttr_reward_node training_figures docs/results/ttr_training_$$task.json
+
+oc: build ## learn with every baseline of thesis 3.3, five seeds, and analyse; hours, may be cut off
+	@$(RUN) for task in car_navigation quad_trap; do \
+	ros2 run oc_baseline_node train --task $$task --compare all --results docs/results/oc_training_$$task.json $(ARGS); \
+	ros2 run oc_baseline_node training_figures docs/results/oc_training_$$task.json; done; \
+	ros2 run oc_baseline_node train --task quad_navigation --results docs/results/oc_training_quad_navigation.json $(ARGS); \
+	ros2 run oc_baseline_node analyse mismatch; \
+	ros2 run oc_baseline_node analyse mpc --learnt docs/results/oc_training_quad_navigation.json; \
+	ros2 run oc_baseline_node analyse gradient
 
 test: build lint ## the tests, in about ten minutes
 	@$(RUN) python -m pytest -m "not slow" $(ARGS)

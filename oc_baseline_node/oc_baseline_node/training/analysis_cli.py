@@ -41,7 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     command.set_defaults(work=_mismatch)
     command = commands.add_parser("mpc", help="Fig. 3.17")
     command.add_argument("--task", default="quad_navigation", help="(default %(default)s)")
-    command.add_argument("--episodes", type=int, default=10, help="of MPC (default %(default)s)")
+    command.add_argument("--episodes", type=int, default=5, help="of MPC (default %(default)s)")
     command.add_argument("--learnt", type=Path, help="JSON file of `train --results` with a learnt path to draw")
     command.set_defaults(work=_mpc)
     command = commands.add_parser("gradient", help="Table 3.7")
@@ -80,7 +80,7 @@ def _mpc(options: argparse.Namespace) -> int:
 
     task = load_navigation_task(options.task)
     learnt = [] if options.learnt is None else read_figures(options.learnt)["paths"].get("oc_ppo", [])
-    with tqdm(desc="MPC", unit="step") as bar:
+    with tqdm(desc="MPC", unit="step", mininterval=5.0) as bar:
         drives = drive_by_mpc(task, options.episodes, options.seed, bar.update)
     rows = [
         Result("MPC in the simulator", name, "1", [float(drive.outcome == outcome) for drive in drives])
@@ -107,12 +107,12 @@ def _gradient(options: argparse.Namespace) -> int:
 
     run = OcRun(options.task, "oc_ppo", options.seed, options.value)
     wanted = options.samples or gradients.TRUTH
-    with tqdm(desc="early policy", unit="roll-out") as bar:
+    with tqdm(desc="early policy", unit="roll-out", mininterval=5.0) as bar:
         model, ended = find_early_policy(run, bar.update)
     print(f"policy     after {model.num_timesteps} samples: {ended}")
     assert model.env is not None
     policy = model.policy
-    with tqdm(total=wanted + 2 * max(gradients.SIZES), desc="samples", unit="sample") as bar:
+    with tqdm(total=wanted + 2 * max(gradients.SIZES), desc="samples", unit="sample", mininterval=5.0) as bar:
         known = gradients.collect_samples(policy, model.env, wanted, run.discount, bar.update)
         fitted = gradients.collect_samples(policy, model.env, max(gradients.SIZES), run.discount, bar.update)
         fresh = gradients.collect_samples(policy, model.env, max(gradients.SIZES), run.discount, bar.update)
