@@ -1,4 +1,8 @@
-"""An early policy that meets goal and trap about equally often: where thesis Table 3.7 looks at gradients."""
+"""An early policy, which meets the goal about every second time: where thesis Table 3.7 looks at gradients.
+
+The thesis takes one that meets goal and trap equally often; the trap of `quad_trap` is hardly ever met (its least
+thrust, 14 N, is more than the weight), so crashes take its part.
+"""
 
 from __future__ import annotations
 
@@ -14,8 +18,8 @@ from oc_baseline_node.training.runs import OcRun
 
 _LIMIT = 150
 """Roll-outs after which the search ends."""
-_FEWEST = 3
-"""Of goals and traps in a roll-out."""
+_SHARE = (1.0 / 3.0, 2.0 / 3.0)
+"""Of episodes that end in the goal, least and largest."""
 
 
 class _Outcomes(BaseCallback):
@@ -32,10 +36,10 @@ class _Outcomes(BaseCallback):
 def find_early_policy(
     run: OcRun, progress: Callable[[], object] = lambda: None
 ) -> tuple[BaseAlgorithm, dict[str, int]]:
-    """Learn until a roll-out meets goal and trap about equally often, the rarer at least half as often.
+    """Learn until a roll-out meets the goal about every second time.
 
     Args:
-        run: what learns; its task has a trap.
+        run: what learns.
         progress: called after each roll-out.
 
     Returns:
@@ -49,9 +53,8 @@ def find_early_policy(
     for _ in range(_LIMIT):
         outcomes = _Outcomes()
         model.learn(ROLL_OUT, callback=outcomes, reset_num_timesteps=False)
-        goals, traps = outcomes.seen.count("GOAL"), outcomes.seen.count("TRAP")
         progress()
-        if min(goals, traps) >= _FEWEST and 2 * min(goals, traps) >= max(goals, traps):
+        if _SHARE[0] <= outcomes.seen.count("GOAL") / max(1, len(outcomes.seen)) <= _SHARE[1]:
             return model, {name: outcomes.seen.count(name) for name in sorted(set(outcomes.seen))}
     model.env.close()
-    raise OcError(f"no early policy of {run.name} meets goal and trap about equally often: try another seed")
+    raise OcError(f"no early policy of {run.name} meets the goal about every second time: try another seed")
