@@ -22,7 +22,7 @@ def test_it_goes_from_a_task_to_a_map(tmp_path: Path, capsys: pytest.CaptureFixt
     assert "held out" in capsys.readouterr().out
     rows = {row["metric"]: row for row in json.loads(results.read_text())["rows"]}
     assert rows["states"]["values"] == [25 * 140]
-    assert rows["starts with a trajectory"]["values"] == [1.0]
+    assert 0.9 < rows["starts with a trajectory"]["values"][0] <= 1.0
     for file in (value, grid):
         assert main(["map", str(file), "--output", str(tmp_path / "map.png"), "--at", "theta=0.5"]) == 0
     assert (tmp_path / "map.png").exists()

@@ -15,8 +15,6 @@ from oc_baseline_node.mpc import Mpc, RecedingHorizon
 from oc_baseline_node.problem import formulate
 
 Array = NDArray[np.float64]
-_ITERATIONS = 60
-"""Of a solver at each step of MPC: a plan that takes longer comes too late."""
 STEPS = (1, 5, 10)
 """Control steps after which Table 3.5 compares."""
 
@@ -101,7 +99,7 @@ def drive_by_mpc(
         progress: called after each step.
     """
     problem = formulate(task)
-    mpc = Mpc(problem, max_iterations=_ITERATIONS)
+    mpc = Mpc(problem)
     environment = NavigationEnv(_with_time_step(task, problem.time_step))
     drives = []
     try:
