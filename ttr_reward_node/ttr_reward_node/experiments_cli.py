@@ -22,7 +22,7 @@ from ttr_reward_node.decomposition import DECOMPOSITIONS
 from ttr_reward_node.problem import problem_from_task
 
 _COARSER = {"x": 11, "v_x": 7, "z": 11, "v_z": 7, "psi": 11, "omega": 5}
-_FINER = {"x": 17, "v_x": 9, "z": 17, "v_z": 9, "psi": 17, "omega": 5}
+_FINER = {"x": 17, "v_x": 11, "z": 17, "v_z": 11, "psi": 17, "omega": 5}
 _STARTS = 1000
 
 

@@ -7,8 +7,8 @@ An intermediate state pays -phi(x), 0 or -d(x); how an episode ends pays what th
 
 Two rules complete Eq. 3.9. A state that is not in the domain of the value function (a quadrotor that flies faster
 than the grid goes) is looked up at the nearest state that is. And a state from which the goal cannot be reached
-(phi = +inf), or for which there is no value (NaN), counts as the furthest from which it can: to pay more for it, as for a
-whole episode, makes robots stop short of a goal that has such states beside it.
+(phi = +inf), or for which there is no value (NaN), counts as the furthest from which it can: to pay more for it, as for
+a whole episode, makes robots stop short of a goal that has such states beside it.
 """
 
 from __future__ import annotations

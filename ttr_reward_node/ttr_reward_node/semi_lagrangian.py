@@ -37,6 +37,7 @@ on a lattice of headings the headings, that the first one cannot reach."""
 # All in units of the time that the slowest axis takes to cross a cell at its top speed.
 _TOLERANCE = 0.1
 _SETTLED = (330.0, 0.2)  # the first and second phase hand over to the next when changes are below this
+_PATIENCE = 40  # sweeps of the second phase, in which marginal nodes can go to and fro
 _QUIET = (33.0, 0.03, 0.01)  # in each phase: a row whose changes are below this does not wake those that look at it
 _CUT = 0.985  # w of a node that the first phase leaves standing; with _CROSSINGS, up to one and a half crossings
 _CROSSINGS = 100.0  # 1 / lambda, in crossings of the grid
@@ -110,7 +111,8 @@ def solve(
         number, in_phase = number + 1, in_phase + 1
         if progress is not None:
             progress(number, residual)
-        if len(phases) > 1 and residual <= _SETTLED[3 - len(phases)] * unit and in_phase > 1:
+        settled = len(phases) > 1 and residual <= _SETTLED[3 - len(phases)] * unit and in_phase > 1
+        if settled or (len(phases) == 2 and in_phase == _PATIENCE):
             if math.isinf(phases[0].jump):
                 values[values < _CUT] = 0.0
             phases.pop(0)
