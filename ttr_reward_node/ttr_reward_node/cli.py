@@ -13,6 +13,7 @@ from tqdm import tqdm
 from ttr_reward_node.decomposition import DECOMPOSITIONS, find_decomposition, join, split
 from ttr_reward_node.errors import TimeToReachError
 from ttr_reward_node.labels import Labeller
+from ttr_reward_node.memory import gigabytes
 from ttr_reward_node.problem import Problem, problem_from_task
 from ttr_reward_node.relabel import relabel
 from ttr_reward_node.solution import Solution
@@ -100,6 +101,8 @@ def _solve(options: argparse.Namespace) -> int:
     output = options.output or Path(f"{problem.name}.safetensors")
     if output.exists() and not options.overwrite:
         raise TimeToReachError(f"{output} exists: name another file with --output, or add --overwrite")
+    if not output.parent.is_dir():
+        raise TimeToReachError(f"{output}: there is no folder {output.parent}: make it, or name another with --output")
     if options.decomposition is None:
         solutions = [_solve_one(problem, options)]
         solutions[0].grid.save(output, overwrite=options.overwrite)
@@ -113,8 +116,8 @@ def _solve(options: argparse.Namespace) -> int:
 
 
 def _solve_one(problem: Problem, options: argparse.Namespace) -> Solution:
-    megabytes = memory_needed(problem, options.method) / 1e6
-    print(f"problem    {problem.system.name}, {' x '.join(map(str, problem.counts))} nodes, at most {megabytes:.0f} MB")
+    size = gigabytes(memory_needed(problem, options.method))
+    print(f"problem    {problem.system.name}, {' x '.join(map(str, problem.counts))} nodes, at most {size}", flush=True)
     with tqdm(desc="solving", unit=" sweeps", disable=None) as bar:
 
         def show(_sweep: int, change: float) -> None:
@@ -123,7 +126,7 @@ def _solve_one(problem: Problem, options: argparse.Namespace) -> Solution:
 
         limits = {"tolerance": options.tolerance, "max_sweeps": options.max_sweeps}
         solution = solve(problem, options.method, **limits, progress=show)
-    state = "converged" if solution.converged else "NOT converged"
+    state = "converged" if solution.converged else "NOT converged (allow more with --max-sweeps)"
     print(f"solved     {state} after {solution.sweeps} sweeps, {solution.cpu_seconds:.2f} s CPU")
     print(f"residual   {solution.residual:.2g} s")
     print(f"reachable  {100 * solution.reachable:.1f} % of the nodes")
