@@ -131,11 +131,11 @@ def _table(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     """Return a line for each method, a column for each metric."""
     units = {row["metric"]: "" if row["unit"] == "1" else f" [{row['unit']}]" for row in rows}
     cells = {(row["method"], row["metric"]): _cell(row) for row in rows}
-    lines = [" | ".join(["| method", *(f"{metric}{unit}" for metric, unit in units.items())]) + " |"]
-    lines.append("|" + "---|" * (len(units) + 1))
-    for method in dict.fromkeys(row["method"] for row in rows):
-        lines.append(" | ".join([f"| {method}", *(cells.get((method, metric), "") for metric in units)]) + " |")
-    return lines
+    head = ["method", *(f"{metric}{unit}" for metric, unit in units.items())]
+    lines = [head, ["---"] * len(head)]
+    methods = dict.fromkeys(row["method"] for row in rows)
+    lines += [[method, *(cells.get((method, metric), "") for metric in units)] for method in methods]
+    return [f"| {' | '.join(line)} |" for line in lines]
 
 
 def _cell(row: Mapping[str, Any]) -> str:
