@@ -30,7 +30,9 @@ ROLL_OUT = 2048
 
 _GAMMA = 0.98
 _HIDDEN = (64, 64)
-_NOISE = 0.5
+_NOISE, _RETURN = 0.5, 0.3
+"""Of the Ornstein-Uhlenbeck process, per step: it wanders for some steps. (The library's own numbers wander for hundreds, so
+that an episode begins without noise; independent noise stays about where the robot stands.)"""
 _ON_POLICY_ENVIRONMENTS = 8
 
 
@@ -90,7 +92,7 @@ def make_algorithm(
             n_steps=5,
             train_freq=(8, "step"),
             gradient_steps=4,
-            action_noise=OrnsteinUhlenbeckActionNoise(np.zeros(2), np.full(2, _NOISE)),
+            action_noise=OrnsteinUhlenbeckActionNoise(np.zeros(2), np.full(2, _NOISE), theta=_RETURN, dt=1.0),
             policy_kwargs={**network, "activation_fn": NormalizedRelu},
             **common,
         )
