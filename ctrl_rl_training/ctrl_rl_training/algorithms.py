@@ -31,8 +31,8 @@ ROLL_OUT = 2048
 _GAMMA = 0.98
 _HIDDEN = (64, 64)
 _NOISE, _RETURN = 0.5, 0.3
-"""Of the Ornstein-Uhlenbeck process, per step: it wanders for some steps. (The library's own numbers wander for hundreds,
-so that an episode begins without noise; independent noise stays about where the robot stands.)"""
+"""Of the Ornstein-Uhlenbeck process, per step: it wanders for some steps. (The library's own numbers wander for
+hundreds, so that an episode begins without noise; independent noise stays about where the robot stands.)"""
 _ON_POLICY_ENVIRONMENTS = 8
 
 
