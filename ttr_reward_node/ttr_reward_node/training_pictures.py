@@ -94,9 +94,9 @@ def draw_visits(figures: Mapping[str, Any], task: NavigationTask, algorithm: str
         draw_world(below, task)
         below.set_xlim(sides[0])
         below.set_ylim(sides[1])
+        above.set_xlabel(f"{angle} [rad]", fontsize=7)
         for ax in (above, below):
-            ax.tick_params(labelsize=6)
-            ax.label_outer()
+            ax.tick_params(labelsize=6, labelleft=column == 0)
     axes[0, 0].set_ylabel(f"density of {angle}")
     axes[1, 0].set_ylabel(f"{names[1]} over {names[0]} [m]")
     figure.suptitle(f"{figures['task']}, {algorithm.upper()}: states met while learning")
@@ -112,10 +112,10 @@ def draw_paths(paths: Sequence[Mapping[str, Any]], task: NavigationTask, title: 
     flies = names[plane[1]] == "z"
     figure, ax = plt.subplots(figsize=(5.0, 5.0), layout="constrained")
     draw_world(ax, task)
-    for entry in paths:
+    for number, entry in enumerate(paths, 1):
         states = np.array(entry["states"])
         x, y = states[:, plane[0]], states[:, plane[1]]
-        (line,) = ax.plot(x, y, linewidth=1.2, label=entry["outcome"].lower())
+        (line,) = ax.plot(x, y, linewidth=1.2, label=f"episode {number}: {entry['outcome'].lower()}")
         for index in np.linspace(0, len(states) - 1, _SNAPSHOTS).astype(int):
             turn = states[index, angle]
             # A quadrotor's bar lies across its thrust, at pitch psi clockwise; a car points along theta.
