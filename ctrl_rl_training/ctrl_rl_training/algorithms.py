@@ -26,7 +26,7 @@ ALGORITHMS = ("ppo", "trpo", "ddpg")
 REWARD_SCALE = 0.01
 """Every reward is multiplied by it before learning, so that values are of the order of 1 to 10."""
 ROLL_OUT = 2048
-"""Samples between two updates of PPO and TRPO."""
+"""Samples between two updates of PPO; TRPO updates twice as often."""
 
 _GAMMA = 0.98
 _HIDDEN = (64, 64)

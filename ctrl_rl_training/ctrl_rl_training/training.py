@@ -28,6 +28,7 @@ from ctrl_rl_training.actor import Actor
 from ctrl_rl_training.algorithms import ROLL_OUT, extract_actor
 from ctrl_rl_training.checkpoint import load_checkpoint, save_checkpoint
 from ctrl_rl_training.environment import DEPLOYED_RATE, Environment, observation_names
+from ctrl_rl_training.errors import TrainingError
 from ctrl_rl_training.visits import Visits
 
 ITERATION = 5 * ROLL_OUT
@@ -104,6 +105,7 @@ def train_one(run: Run, options: Options) -> dict[str, Any]:
     finished = result_file(options.folder, run)
     if finished.is_file():
         result: dict[str, Any] = json.loads(finished.read_text(encoding="utf-8"))
+        _check_same(finished, {**result["run"], "iterations": len(result["curve"])}, run, options.iterations)
         return result
     torch.set_num_threads(1)
     model = run.model(options.samples * options.iterations)
@@ -115,8 +117,7 @@ def train_one(run: Run, options: Options) -> dict[str, Any]:
         if model.env is not None:
             model.env.close()
     manifest = {
-        **run.description,
-        "task_digest": task_digest(run.task),
+        **_terms(run),
         "observation": observation_names(run.task),
         "commands": list(run.task.robot.commands),
     }
@@ -135,6 +136,7 @@ def _learn(
     curve: list[dict[str, Any]] = []
     if checkpoint.is_file():
         progress, arrays = load_checkpoint(checkpoint, model)
+        _check_same(checkpoint, progress["run"], run)
         curve, visits = progress["curve"], visits.with_counts(arrays)
     while len(curve) < options.iterations:
         begin = time.perf_counter()
@@ -153,9 +155,23 @@ def _learn(
             }
         )
         visits.end_iteration()
-        save_checkpoint(checkpoint, model, {"curve": curve}, visits.counts())
+        save_checkpoint(checkpoint, model, {"run": _terms(run), "curve": curve}, visits.counts())
         options.report(run, len(curve), success)
     return curve, visits
+
+
+def _terms(run: Run) -> dict[str, Any]:
+    """Return what must be the same for a run to go on, or to be taken as it is."""
+    return {**run.description, "task_digest": task_digest(run.task)}
+
+
+def _check_same(file: Path, before: dict[str, Any], run: Run, iterations: int | None = None) -> None:
+    now = _terms(run) if iterations is None else {**_terms(run), "iterations": iterations}
+    for name, value in now.items():
+        if before.get(name) != value:
+            raise TrainingError(
+                f"{file}: was made with {name} {before.get(name)}, now it is {value}: use another folder, or delete it"
+            )
 
 
 def _iterate(model: BaseAlgorithm, seed: int, samples: int, visits: Visits) -> list[str]:
@@ -218,8 +234,7 @@ def _finish(
     outcomes = [outcome for outcome, _ in episodes]
     lasted = [len(states) - 1 for outcome, states in episodes if outcome == _SUCCESS]
     result = {
-        "run": run.description,
-        "task_digest": task_digest(run.task),
+        "run": _terms(run),
         "curve": curve,
         "success": _rate(outcomes),
         "ended": {outcome.name: outcomes.count(outcome.name) for outcome in Outcome if outcome},

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -89,7 +90,7 @@ def _problem(options: argparse.Namespace) -> Problem:
     task = load_navigation_task(options.task)
     return problem_from_task(
         task,
-        counts={name: int(_number(value)) for name, value in map(_pair, options.count)},
+        counts={name: _whole(value) for name, value in map(_pair, options.count)},
         inflation=task.robot.radius if options.robot_size else options.inflation,
         width=options.width,
         disturbances={name: _bounds(value) for name, value in map(_pair, options.disturbance)},
@@ -147,6 +148,8 @@ def _slices(options: argparse.Namespace) -> int:
 def _relabel(options: argparse.Namespace) -> int:
     function = load_value(options.grid)
     label = Labeller(load_navigation_task(options.task or function.task), function, options.width)
+    if not label.up_to_date:
+        print(f"relabel: {options.grid} is of another version of its task: solve it again", file=sys.stderr)
     count = relabel(options.bag, options.output, function, label, options.robot, progress=True)
     print(f"labelled   {count} odometry messages")
     print(f"bag        {options.output}")
@@ -165,6 +168,12 @@ def _number(text: str) -> float:
         return float(text)
     except ValueError:
         raise TimeToReachError(f"'{text}' is not a number") from None
+
+
+def _whole(text: str) -> int:
+    if not text.isdecimal():
+        raise TimeToReachError(f"'{text}' is not a whole number")
+    return int(text)
 
 
 def _bounds(text: str) -> tuple[float, float]:

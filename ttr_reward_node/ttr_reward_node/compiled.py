@@ -13,9 +13,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from numba import njit
-
 from ttr_reward_node import lax_friedrichs_sweep, surroundings, sweep
+from ttr_reward_node.machine_code import cached
 
 _FILES = ("stencil.py", "row.py", "surroundings.py", "sweep.py", "lax_friedrichs_sweep.py")
 
@@ -50,11 +49,4 @@ def _make(checksum: int) -> Kernels:
         assert checksum >= 0
         return lax_friedrichs_sweep.sweep(*arguments)
 
-    return Kernels(_compiled(find_outcomes), _compiled(semi_lagrangian), _compiled(lax_friedrichs))
-
-
-def _compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-    try:
-        return njit(cache=True, error_model="numpy")(function)
-    except RuntimeError:  # no writable cache folder: a read-only installation without a home
-        return njit(error_model="numpy")(function)
+    return Kernels(*(cached(entry, error_model="numpy") for entry in (find_outcomes, semi_lagrangian, lax_friedrichs)))

@@ -14,7 +14,7 @@ are nearer the truth on average, but who steers by them drives over the edge.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -67,12 +67,11 @@ def solve(
     tolerance: float | None = None,
     max_sweeps: int = 300,
     progress: Progress | None = None,
-    cells: Sequence[float] = CELLS,
 ) -> Sweeps:
     """Solve; see `solver.solve`."""
     require(memory_needed(problem), problem.points)
     layout = make_layout(problem)
-    steps = make_steps(problem, layout, cells)
+    steps = make_steps(problem, layout, CELLS)
     unit = steps.longest
     tolerance = _TOLERANCE * unit if tolerance is None else tolerance
     crossing = unit * max(layout.counts)
@@ -120,6 +119,8 @@ def solve(
             in_phase = 0
         elif len(phases) == 1 and residual <= tolerance:
             break
+    if len(phases) > 1:  # given up: what has barely been reached would become times of hours
+        values[values < _CUT] = 0.0
     with np.errstate(divide="ignore"):
         np.log(values, out=values)
     values *= np.float32(-1.0 / rate)

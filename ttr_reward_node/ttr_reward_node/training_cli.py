@@ -39,7 +39,7 @@ def training_figures(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="training_figures", description=training_figures.__doc__)
     parser.add_argument("results", type=Path, help="JSON file of `train --results`")
     parser.add_argument("--output", type=Path, default=Path("docs/images"), help="folder (default %(default)s)")
-    parser.add_argument("--algorithm", choices=ALGORITHMS, default="ppo", help="of visits and paths")
+    parser.add_argument("--algorithm", choices=ALGORITHMS, help="of visits and paths (default: the first)")
     options = parser.parse_args(arguments)
     return run_command("training_figures", lambda: _figures(options))
 
@@ -57,8 +57,11 @@ def _train(options: argparse.Namespace) -> int:
     for name in ("seeds", "iterations"):
         if getattr(options, name) < 1:
             raise TimeToReachError(f"--{name} must be at least 1")
-    load_navigation_task(options.task)  # refuses an unknown one before workers start
+    if options.workers < 0:
+        raise TimeToReachError("--workers must be at least 0")
     runs = reward_runs(options.task, options.algorithms, options.rewards, options.seeds, options.grid)
+    for run in {run.reward: run for run in runs}.values():
+        run.environment().close()  # refuses what is wrong before workers start
     train_all(runs, Options(options.folder, options.iterations), options.workers, options.task)
     rows, figures = collect(runs, options.folder)
     for row in rows:
@@ -80,14 +83,18 @@ def _figures(options: argparse.Namespace) -> int:
         raise ResultsError(f"{options.results}: there is no such file; make it with `train --results`") from None
     except (OSError, ValueError, KeyError, TypeError):
         raise ResultsError(f"{options.results}: is not a file that `train --results` wrote") from None
-    name, method = figures["task"], f"{options.algorithm}, ttr"
+    there = list(dict.fromkeys(method.split(", ")[0] for method in figures["curves"]))
+    algorithm = options.algorithm or there[0]
+    if algorithm not in there:
+        raise ResultsError(f"{options.results}: has no runs of {algorithm}, but of {', '.join(there)}")
+    name, method = figures["task"], f"{algorithm}, ttr"
     task = load_navigation_task(name)
     options.output.mkdir(parents=True, exist_ok=True)
     pictures = {part: options.output / f"{name}_{part}.png" for part in ("success", "visits", "paths")}
     draw_curves(figures, pictures["success"])
-    draw_visits(figures, task, options.algorithm, pictures["visits"])
+    draw_visits(figures, task, algorithm, pictures["visits"])
     if method in figures["paths"]:
-        title = f"{name}: after learning with {options.algorithm.upper()} and the time-to-reach reward"
+        title = f"{name}: after learning with {algorithm.upper()} and the time-to-reach reward"
         draw_paths(figures["paths"][method], task, title, pictures["paths"])
     else:
         pictures.pop("paths")
