@@ -120,6 +120,13 @@ def test_many_runs_on_several_cores_and_never_twice(tmp_path):
     assert before == [result_file(tmp_path, run).stat().st_mtime_ns for run in runs]
 
 
+def test_a_run_made_with_other_settings_is_not_taken(tmp_path):
+    run = PlainRun("ppo", 0)
+    train_one(run, Options(tmp_path, 1, ROLL_OUT, 1, 1))
+    with pytest.raises(TrainingError, match=r"result\.json: was made with iterations 1, now it is 2: use"):
+        train_one(run, Options(tmp_path, 2, ROLL_OUT, 1, 1))
+
+
 def test_a_broken_checkpoint_is_named(tmp_path):
     run = PlainRun("ppo", 0)
     checkpoint = tmp_path / run.name / "checkpoint.safetensors"
