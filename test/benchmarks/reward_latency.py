@@ -1,7 +1,8 @@
 """The reward node under 1 kHz odometry: how many messages it answers, how quickly, against a bare echo.
 
 The same odometry goes first to a bare echo, the least rclpy node that answers an Odometry with a TaskReward (by
-`rclpy.spin`, while the node uses the quicker events executor), and then to the node; the recorder writes down when each message was published.
+`rclpy.spin`, while the node uses the quicker events executor), and then to the node; the recorder writes down when each
+message was published.
 """
 
 from __future__ import annotations
