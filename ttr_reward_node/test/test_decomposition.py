@@ -21,8 +21,8 @@ from ttr_reward_node.errors import TimeToReachError
 from ttr_reward_node.gap import as_table, measure_gap
 from ttr_reward_node.gap_picture import draw_gap
 from ttr_reward_node.problem import problem_from_task
-from ttr_reward_node.roll_out import crossing_time
 from ttr_reward_node.solver import solve
+from ttr_reward_node.steps import crossing_time
 
 from ttr_reward_node import dubins
 

@@ -44,7 +44,7 @@ def test_what_has_not_converged_says_so(tmp_path, capsys):
         (["--task", "nowhere"], "no task 'nowhere'"),
         (["--task", "tool_delivery"], "a navigation task is needed here"),
         (["--task", "car_ttr", "--decomposition", "4d+4d"], "dubins_car has no decomposition '4d+4d'; there is none"),
-        (["--task", "car_ttr", "--count", "x=many"], "'many' is not a number"),
+        (["--task", "car_ttr", "--count", "x=many"], "'many' is not a whole number"),
         (["--task", "car_ttr", "--count", "x"], "'x' must be NAME=VALUE"),
         (["--task", "car_ttr", "--disturbance", "d_q=0:1"], "disturbance 'd_q' in [0, 1]: choose from"),
         (["--task", "car_ttr", "--output", "no/such/folder/x.safetensors"], "there is no folder no/such/folder"),

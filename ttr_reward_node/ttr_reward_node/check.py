@@ -14,10 +14,11 @@ import numpy as np
 from ctrl_rl_core.regions import position_indices
 from ctrl_rl_core.task_parts import World
 from ctrl_rl_core.tasks import NavigationTask, load_navigation_task
+from ctrl_rl_core.value_function import ValueFunction
 from numpy.typing import NDArray
 
 from ttr_reward_node.problem import Problem, problem_from_task
-from ttr_reward_node.roll_out import RollOuts, ValueFunction, roll_out
+from ttr_reward_node.roll_out import RollOuts, roll_out
 from ttr_reward_node.solution import Progress
 from ttr_reward_node.solver import solve
 

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 from ttr_reward_node import lax_friedrichs_sweep, surroundings, sweep
 from ttr_reward_node.machine_code import cached
 
-_FILES = ("stencil.py", "row.py", "surroundings.py", "sweep.py", "lax_friedrichs_sweep.py")
+KERNEL_FILES = ("stencil.py", "row.py", "surroundings.py", "sweep.py", "lax_friedrichs_sweep.py")
 
 
 class Kernels(NamedTuple):
@@ -31,7 +31,7 @@ class Kernels(NamedTuple):
 def kernels() -> Kernels:
     """Return the entry points; each is compiled, or read from disk, at its first call."""
     checksum = 0
-    for name in _FILES:
+    for name in KERNEL_FILES:
         checksum = zlib.crc32((Path(__file__).parent / name).read_bytes(), checksum)
     return _make(checksum)
 

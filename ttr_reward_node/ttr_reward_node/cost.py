@@ -26,7 +26,7 @@ Progress = Callable[[str, int], None]
 """Called before each solution with what is being solved and its number of points."""
 
 SIZES = (1e3, 1e4, 1e5, 1e6)
-"""Numbers of points, about, from 30 to a million and more; see `measure_cost`."""
+"""Numbers of points, about; see `measure_cost`."""
 
 
 @dataclass(frozen=True)

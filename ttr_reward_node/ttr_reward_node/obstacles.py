@@ -42,15 +42,19 @@ def make_clearance(
 
 def _check_thickness(shapes: Sequence[Shape], axes: Sequence[Axis], points: Array, inflation: float) -> None:
     spacings = [axis.spacing for axis in axes]
+    lacking, thinnest = 0.0, 0.0
     for shape in shapes:
         for thickness, cell in _thicknesses(shape, spacings):
+            lack = _SPARE * cell - thickness - 2.0 * inflation
             # What lies outside the grid does not matter.
-            near = thickness + 2.0 * inflation < _SPARE * cell and shape.signed_distance(points) <= math.hypot(*spacings)
-            if np.any(near):
-                raise TimeToReachError(
-                    f"walls or obstacles of {thickness:.3g} m are too thin for cells of {max(spacings):.3g} m, paths "
-                    f"leak through: give more inflation ({0.5 * (_SPARE * cell - thickness):.2g} m), or more nodes"
-                )
+            if lack > lacking and np.any(shape.signed_distance(points) <= math.hypot(*spacings)):
+                lacking, thinnest = lack, thickness
+    if lacking > 0.0:
+        enough = math.ceil(1e3 * (inflation + 0.5 * lacking)) / 1e3
+        raise TimeToReachError(
+            f"walls or obstacles of {thinnest:.3g} m are too thin for cells of {max(spacings):.3g} m, paths would leak "
+            f"through: give an inflation of {enough:g} m or more, or more nodes"
+        )
 
 
 def _thicknesses(shape: Shape, spacings: Sequence[float]) -> list[tuple[float, float]]:

@@ -40,6 +40,7 @@ _SETTLED = (330.0, 0.2)  # the first and second phase hand over to the next when
 _PATIENCE = 40  # sweeps of the second phase, in which marginal nodes can go to and fro
 _QUIET = (33.0, 0.03, 0.01)  # in each phase: a row whose changes are below this does not wake those that look at it
 _CUT = 0.985  # w of a node that the first phase leaves standing; with _CROSSINGS, up to one and a half crossings
+_BLOCK = 1 << 10  # slabs that are looked at at once
 _CROSSINGS = 100.0  # 1 / lambda, in crossings of the grid
 
 
@@ -48,7 +49,8 @@ def memory_needed(problem: Problem) -> float:
     layout = make_layout(problem)
     n = len(layout.counts)
     n_pairs = len(CELLS) * len(pairs(problem, problem.control_counts)[0])
-    steps = layout.slabs * n_pairs * (8.0 + 8.0 * n)
+    # Durations, twice where controls are left out, and moves; the states.
+    steps = layout.slabs * (n_pairs * (16.0 + 8.0 * n) + 24.0 * n)
     # Without the grid itself, which may be what does not fit.
     conditions = _near_conditions(problem, np.full(len(problem.axes), max(CELLS) + 1.0))
     near_target = math.prod(float(condition.mean()) for condition in conditions)
@@ -58,7 +60,7 @@ def memory_needed(problem: Problem) -> float:
         near_obstacle = float(np.mean(problem.clearance.values <= far))
     near = (near_target + near_obstacle) * problem.points * n_pairs * 4.0
     rows = 24.0 * problem.points / layout.counts[-1]
-    return steps + near + rows + problem.points * 17.0 + 2e8
+    return steps + near + rows + problem.points * 17.0 + 2.5e8  # the last for compiling
 
 
 def solve(
@@ -161,15 +163,20 @@ def _surroundings(problem: Problem, layout: Layout) -> Surroundings:
 
 def _flags(problem: Problem, layout: Layout, steps: Steps) -> NDArray[np.uint8]:
     """Flag the nodes (grid shape): within a step, and a cell, of the target, or within a step of an obstacle: near."""
-    reach = np.empty(len(problem.axes))
-    reach[list(layout.order)] = np.abs(steps.moves).max(axis=(0, 1, 2))[: len(reach)]
+    order = list(layout.order)
+    plane = [] if problem.clearance is None else [order.index(k) for k in problem.clearance.axes]
+    spacings = np.array([problem.axes[order[k]].spacing for k in plane])
+    most, far = np.zeros(len(order)), 0.0
+    for begin in range(0, len(steps.moves), _BLOCK):  # a copy of all moves may not fit
+        size = np.abs(steps.moves[begin : begin + _BLOCK])
+        most = np.maximum(most, size.max(axis=(0, 1, 2))[: len(order)])
+        far = max(far, float(np.linalg.norm(size[..., plane] * spacings, axis=-1).max()))
+    reach = np.empty(len(order))
+    reach[order] = most
     flags = np.where(_near_target(problem, reach + 1.0), np.uint8(NEAR), np.uint8(0))
     flags = np.array(np.broadcast_to(flags, problem.counts))
     if problem.clearance is not None:
-        squares = sum(
-            (steps.moves[..., layout.order.index(k)] * problem.axes[k].spacing) ** 2 for k in problem.clearance.axes
-        )
-        near = problem.clearance.values <= 1.01 * math.sqrt(np.max(squares))
+        near = problem.clearance.values <= 1.01 * far
         flags[np.broadcast_to(problem.spread(near), problem.counts)] = NEAR
     flags[problem.blocked() | problem.in_target()] = FIXED
     return flags
