@@ -10,6 +10,7 @@ from pathlib import Path
 
 import rclpy
 from ctrl_rl_core.tasks import load_navigation_task, task_file
+from ctrl_rl_core.whole_file import write_whole
 from koopman_lqr_controller.policy_file import find_policy
 
 from ctrl_rl_bringup.monitor import Episode, Monitor
@@ -44,9 +45,7 @@ def drive(options: DriveOptions) -> Drive:
 def write_artifacts(result: Drive, folder: Path) -> Artifacts:
     """Write report and picture of a drive into a folder."""
     out = Artifacts(folder / "report.json", folder / "path.png")
-    temporary = out.report.with_name(".report.json")
-    temporary.write_text(json.dumps(result.as_dict(), indent=2) + "\n", encoding="utf-8")
-    temporary.replace(out.report)
+    write_whole(out.report, json.dumps(result.as_dict(), indent=2) + "\n")
     draw_drive(result, out.picture)
     return out
 

@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from ctrl_rl_core.grid_axis import GridError
+from ctrl_rl_core.whole_file import write_whole
 
 # safetensors writes metadata keys in random order; with a single key, equal grids are equal files.
 _HEADER_KEY = "value_grid"
@@ -27,24 +27,17 @@ def encode(values: NDArray[Any], description: Mapping[str, Any]) -> bytes:
 
 
 def write(path: Path, content: bytes, *, overwrite: bool) -> None:
-    """Write the file through a temporary one beside it, so that a reader never sees half of it.
+    """Write the file, whole or not at all.
 
     Raises:
         GridError: the file exists and `overwrite` is false, or it cannot be written.
     """
     if path.exists() and not overwrite:
         raise GridError(f"{path}: exists already; give another name or ask to overwrite it")
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
-        with temporary.open("xb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
+        write_whole(path, content)
     except OSError as error:
         raise GridError(f"{path}: cannot be written: {error.strerror or error}") from error
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def read(path: Path) -> tuple[NDArray[Any], dict[str, Any]]:

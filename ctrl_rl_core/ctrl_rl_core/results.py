@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from ctrl_rl_core.errors import CtrlRlError
+from ctrl_rl_core.whole_file import write_whole
 
 
 class ResultsError(CtrlRlError):
@@ -67,9 +68,7 @@ def write_results(
     if figures is not None:
         content["figures"] = dict(figures)
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}")
-    temporary.write_text(_dump(content), encoding="utf-8")
-    temporary.replace(path)
+    write_whole(path, _dump(content))
 
 
 def read_results(folder: Path) -> list[dict[str, Any]]:

@@ -19,6 +19,7 @@ import numpy as np
 import torch
 from ctrl_rl_core.outcome import Outcome
 from ctrl_rl_core.tasks import NavigationTask, task_digest
+from ctrl_rl_core.whole_file import write_whole
 from numpy.typing import NDArray
 from stable_baselines3 import DDPG
 from stable_baselines3.common.base_class import BaseAlgorithm
@@ -244,9 +245,7 @@ def _finish(
     file = result_file(options.folder, run)
     actor.save(file.with_name("policy.safetensors"))
     visits.save(file.with_name("visits.safetensors"))
-    temporary = file.with_name(".result.json")
-    temporary.write_text(json.dumps(result) + "\n", encoding="utf-8")
-    temporary.replace(file)
+    write_whole(file, json.dumps(result) + "\n")
     file.with_name("checkpoint.safetensors").unlink(missing_ok=True)
     return result
 
