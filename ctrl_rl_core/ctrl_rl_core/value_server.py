@@ -55,7 +55,7 @@ class ValueServer(SuiteNode):
     def __init__(self, name: str) -> None:
         super().__init__(name)
         self._counts = {"odometry": 0, "outside": 0, "unreachable": 0}
-        self._outside, self._heard = False, 0.0
+        self._outside, self._foreign, self._heard = False, False, 0.0
         self._grids: dict[str, Publisher] = {}
         self._slice = self.create_publisher(OccupancyGrid, "~/slice", LATCHED)
         self._values = self.create_publisher(StateValue, self.TOPIC, RESULT)
@@ -143,10 +143,10 @@ class ValueServer(SuiteNode):
         self._counts["outside"] += outside
         self._counts["unreachable"] += bool(np.isposinf(value))
         frame = self.settings["frame"]
-        if message.header.frame_id not in ("", frame):
+        if not self._foreign and message.header.frame_id not in ("", frame):
+            self._foreign = True
             self.get_logger().warning(
-                f"odometry is in frame '{message.header.frame_id}' and taken as given in '{frame}' (parameter 'frame')",
-                once=True,
+                f"odometry is in frame '{message.header.frame_id}' and taken as given in '{frame}' (parameter 'frame')"
             )
         message.header.frame_id = frame
         self._valued(message, state, value)
