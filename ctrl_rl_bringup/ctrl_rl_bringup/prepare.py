@@ -12,12 +12,13 @@ from ttr_reward_node.solver import solve_task
 from ctrl_rl_bringup.stack import DriveOptions
 
 
-def new_folder(options: DriveOptions) -> None:
-    """Make the folder of a run.
+def new_run(options: DriveOptions) -> None:
+    """Check the task of a run and make its folder.
 
     Raises:
-        CtrlRlError: it exists, or cannot be made.
+        CtrlRlError: there is no such task, or the folder exists or cannot be made.
     """
+    load_navigation_task(options.task)
     try:
         options.folder.mkdir(parents=True)
     except FileExistsError:

@@ -8,7 +8,7 @@ import signal
 from datetime import datetime
 from pathlib import Path
 
-from ctrl_rl_bringup.prepare import new_folder, solve_time_to_reach
+from ctrl_rl_bringup.prepare import new_run, solve_time_to_reach
 from ctrl_rl_bringup.stack import DriveOptions, NodeSpec, controller, recorder, reward, simulator
 from ctrl_rl_core.tasks import task_file
 from koopman_lqr_controller.policy_file import find_policy
@@ -51,7 +51,7 @@ def _stack(context: LaunchContext) -> list[Action]:
         gui=value["gui"].lower() == "true",
     )
     files = {"task": task_file(options.task), "policy": find_policy(options.policy)}
-    new_folder(options)
+    new_run(options)
     grid = solve_time_to_reach(options)
     bag = _node(recorder(options, {**files, "grid": grid}))
     others = [_node(spec) for spec in (simulator(options), controller(options), reward(options, grid))]

@@ -19,10 +19,10 @@ from stable_baselines3.common.noise import OrnsteinUhlenbeckActionNoise
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from ctrl_rl_training.actor import Actor
+from ctrl_rl_training.algorithm_names import ALGORITHMS
 from ctrl_rl_training.environment import observation_scales
 from ctrl_rl_training.errors import TrainingError
 
-ALGORITHMS = ("ppo", "trpo", "ddpg")
 REWARD_SCALE = 0.01
 """Every reward is multiplied by it before learning, so that values are of the order of 1 to 10."""
 ROLL_OUT = 2048

@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -74,7 +74,6 @@ class Options:
         samples: of an iteration.
         evaluations: episodes after each iteration.
         final_evaluations: episodes after the last one.
-        report: called after each iteration with the run, the iterations done and the success rate of the evaluation.
     """
 
     folder: Path
@@ -82,7 +81,10 @@ class Options:
     samples: int = ITERATION
     evaluations: int = 20
     final_evaluations: int = 50
-    report: Callable[[Run, int, float], None] = field(default=lambda *_: None, compare=False)
+
+
+Report = Callable[[Run, int, float], None]
+"""What is told of an iteration: the run, the iterations done, and the success rate of the evaluation."""
 
 
 def result_file(folder: Path, run: Run) -> Path:
@@ -90,11 +92,16 @@ def result_file(folder: Path, run: Run) -> Path:
     return folder / run.name / "result.json"
 
 
-def train_one(run: Run, options: Options) -> dict[str, Any]:
+def train_one(run: Run, options: Options, report: Report = lambda *_: None) -> dict[str, Any]:
     """Learn, or go on where an earlier call was cut off; a finished run is read, never computed again.
 
     The folder of the run then holds result.json (what is returned), policy.safetensors (an `Actor`) and
     visits.safetensors (how often states were met, see `Visits`).
+
+    Args:
+        run: what is learnt.
+        options: how.
+        report: called after each iteration.
 
     Returns:
         description, digest of the task, `curve` (for each iteration: samples, episodes and how they ended, success of
@@ -112,7 +119,7 @@ def train_one(run: Run, options: Options) -> dict[str, Any]:
     model = run.model(options.samples * options.iterations)
     test_environment = run.environment()
     try:
-        curve, visits = _learn(run, options, model, test_environment, Visits(run.task))
+        curve, visits = _learn(run, options, report, model, test_environment)
     finally:
         test_environment.close()
         if model.env is not None:
@@ -128,13 +135,14 @@ def train_one(run: Run, options: Options) -> dict[str, Any]:
 def _learn(
     run: Run,
     options: Options,
+    report: Report,
     model: BaseAlgorithm,
     test_environment: Environment,
-    visits: Visits,
 ) -> tuple[list[dict[str, Any]], Visits]:
     checkpoint = options.folder / run.name / "checkpoint.safetensors"
     checkpoint.parent.mkdir(parents=True, exist_ok=True)
     curve: list[dict[str, Any]] = []
+    visits = Visits(run.task)
     if checkpoint.is_file():
         progress, arrays = load_checkpoint(checkpoint, model)
         _check_same(checkpoint, progress["run"], run)
@@ -157,7 +165,7 @@ def _learn(
         )
         visits.end_iteration()
         save_checkpoint(checkpoint, model, {"run": _terms(run), "curve": curve}, visits.counts())
-        options.report(run, len(curve), success)
+        report(run, len(curve), success)
     return curve, visits
 
 

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from ctrl_rl_core.tasks import load_navigation_task
 from ctrl_rl_training.actor import Actor
-from ctrl_rl_training.algorithms import ALGORITHMS, ROLL_OUT, extract_actor, make_algorithm
+from ctrl_rl_training.algorithm_names import ALGORITHMS
+from ctrl_rl_training.algorithms import ROLL_OUT, extract_actor, make_algorithm
 from ctrl_rl_training.environment import make_environment
 from ctrl_rl_training.errors import TrainingError
 from ctrl_rl_training.matrix import train_all
@@ -58,7 +59,7 @@ def test_a_run_that_was_cut_off_ends_as_if_it_had_not_been(tmp_path, algorithm):
     whole, cut = tmp_path / "whole", tmp_path / "cut"
     train_one(run, Options(whole, **SHORT))
     with pytest.raises(CutOffError):
-        train_one(run, Options(cut, **SHORT, report=cut_off))
+        train_one(run, Options(cut, **SHORT), report=cut_off)
     assert not result_file(cut, run).exists()
     train_one(run, Options(cut, **SHORT))
 

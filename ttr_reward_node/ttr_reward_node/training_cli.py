@@ -10,11 +10,11 @@ from pathlib import Path
 from ctrl_rl_core.command import run_command
 from ctrl_rl_core.results import ResultsError, write_results
 from ctrl_rl_core.tasks import load_navigation_task
+from ctrl_rl_training.algorithm_names import ALGORITHMS
 
 from ttr_reward_node.errors import TimeToReachError
 from ttr_reward_node.rewards import REWARDS
 
-ALGORITHMS = ("ppo", "trpo", "ddpg")
 _FOLDER = Path("runs/ttr_training")
 
 
