@@ -17,6 +17,7 @@ setup(
     zip_safe=False,
     entry_points={
         "console_scripts": [
+            "check = ttr_reward_node.cli:check",
             "relabel = ttr_reward_node.cli:relabel_bag",
             "reward = ttr_reward_node.node:main",
             "slices = ttr_reward_node.cli:slices",

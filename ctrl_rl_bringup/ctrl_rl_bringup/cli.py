@@ -55,8 +55,10 @@ def report() -> int:
 
 def monitor() -> int:
     """Wait until the nodes of a drive listen to each other, let the simulation go, and follow it to its end."""
-    argparse.ArgumentParser(prog="monitor", description=monitor.__doc__).parse_known_args()
-    return _run("monitor", follow_running)
+    parser = argparse.ArgumentParser(prog="monitor", description=monitor.__doc__)
+    parser.add_argument("--without-reward", action="store_true", help="no reward node belongs to the drive")
+    options, _ = parser.parse_known_args()  # launch adds --ros-args
+    return _run("monitor", lambda: follow_running(rewarded=not options.without_reward))
 
 
 def results() -> int:

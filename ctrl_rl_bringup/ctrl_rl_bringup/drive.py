@@ -18,7 +18,7 @@ from ctrl_rl_bringup.picture import draw_drive
 from ctrl_rl_bringup.prepare import new_run, solve_time_to_reach
 from ctrl_rl_bringup.processes import Processes
 from ctrl_rl_bringup.report import Drive, read_drive
-from ctrl_rl_bringup.stack import DriveOptions, NodeSpec, controller, recorder, reward, scripted_driver, simulator
+from ctrl_rl_bringup.stack import DriveOptions, NodeSpec, controller, recorder, rewards, scripted_driver, simulator
 from ctrl_rl_msgs.msg import TaskOutcome
 
 
@@ -35,7 +35,8 @@ def drive(options: DriveOptions) -> Drive:
     policy = find_policy(options.policy)
     new_run(options)
     grid = solve_time_to_reach(options)
-    with _running(options, [controller(options), reward(options, grid)], {"policy": policy, "grid": grid}) as monitor:
+    files = {"policy": policy} if grid is None else {"policy": policy, "grid": grid}
+    with _running(options, [controller(options), *rewards(options, grid)], files) as monitor:
         monitor.run()
         monitor.follow("driving")
     return read_drive(options.bag)
@@ -49,10 +50,10 @@ def write_artifacts(result: Drive, folder: Path) -> Artifacts:
     return out
 
 
-def follow_running() -> int:
+def follow_running(rewarded: bool) -> int:
     """Follow a drive whose nodes somebody else has started, and return 0 if it reached the goal, else 1."""
     with _ros():
-        monitor = Monitor(check=lambda: None, rewarded=True)
+        monitor = Monitor(check=lambda: None, rewarded=rewarded)
         try:
             monitor.wait_until_ready()
             monitor.run()

@@ -22,7 +22,7 @@ _DTYPES = {"F32": np.float32, "F64": np.float64}
 
 def encode(values: NDArray[Any], description: Mapping[str, Any]) -> bytes:
     """Return the bytes of the file: the same for the same values (float32 or float64) and description."""
-    header = json.dumps({**description, "values_sha256": _digest(values)}, sort_keys=True, allow_nan=False)
+    header = json.dumps({**description, "values_sha256": values_digest(values)}, sort_keys=True, allow_nan=False)
     return save({_TENSOR: np.ascontiguousarray(values)}, metadata={_HEADER_KEY: header})
 
 
@@ -70,10 +70,11 @@ def read(path: Path) -> tuple[NDArray[Any], dict[str, Any]]:
         raise GridError(f"has metadata that is not JSON: {error}") from error
     if not isinstance(description, dict):
         raise GridError("has metadata that is not a JSON object")
-    if description.pop("values_sha256", None) != _digest(values):
+    if description.pop("values_sha256", None) != values_digest(values):
         raise GridError("has values that do not match their checksum; copy or compute it again")
     return values, description
 
 
-def _digest(values: NDArray[Any]) -> str:
+def values_digest(values: NDArray[Any]) -> str:
+    """Return the SHA-256 (hex) of an array's numbers, which a file keeps to know itself whole."""
     return hashlib.sha256(np.ascontiguousarray(values).tobytes()).hexdigest()

@@ -5,10 +5,12 @@ from functools import cache
 
 import numpy as np
 import pytest
+from ctrl_rl_core.grid_axis import GridError
 from ctrl_rl_core.tasks import load_navigation_task
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from ttr_reward_node.cost import make_problem
+from ttr_reward_node.decomposed_value import DecomposedValue
 from ttr_reward_node.decomposition import (
     DECOMPOSITIONS,
     PLANAR_QUADROTOR_4D,
@@ -114,3 +116,14 @@ def test_pieces_are_solved_like_any_problem(quadrotor):
         solution = solve(part.problem)
         assert solution.converged
         assert solution.grid.state_names == part.problem.system.state_names
+
+
+def test_a_file_with_a_changed_number_is_refused(quadrotor, tmp_path):
+    value, file = solve_decomposed(quadrotor, PLANAR_QUADROTOR_4D), tmp_path / "quad.safetensors"
+    value.save(file)
+    assert DecomposedValue.load(file).digest == value.digest
+    content = bytearray(file.read_bytes())
+    content[-1000] ^= 1
+    file.write_bytes(content)
+    with pytest.raises(GridError, match="do not match their checksum"):
+        DecomposedValue.load(file)

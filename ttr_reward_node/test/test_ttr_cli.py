@@ -1,8 +1,9 @@
-"""The commands `solve` and `slices`: files, pictures, and one line for what is wrong."""
+"""The commands `solve`, `check` and `slices`: files, pictures, and one line for what is wrong."""
 
 import pytest
+from ctrl_rl_core.tasks import task_file
 from ctrl_rl_core.value_grid import ValueGrid
-from ttr_reward_node.cli import slices, solve_value
+from ttr_reward_node.cli import check, slices, solve_value
 from ttr_reward_node.decomposed_value import DecomposedValue
 from ttr_reward_node.value_file import load_value
 
@@ -68,3 +69,26 @@ def test_an_existing_file_stays_unless_told(tmp_path, capsys):
     assert file.read_text(encoding="ascii") == "mine"
     assert solve_value(["--task", "car_ttr", *COARSE, "--output", str(file), "--overwrite"]) == 0
     assert load_value(file).task == "car_ttr"
+
+
+def test_a_function_is_checked_in_its_own_task(tmp_path, capsys):
+    task, file = tmp_path / "narrow.yaml", tmp_path / "narrow.safetensors"
+    task.write_text(task_file("curved_corridor").read_text().replace("curved_corridor", "narrow"), encoding="utf-8")
+    assert solve_value(["--task", str(task), "--robot-size", "--width", "0.65", "--output", str(file)]) == 0
+    capsys.readouterr()
+    driven = [str(file), "--task", str(task), "--width", "0.65", "--starts", "100"]
+    assert check([*driven, "--at-least", "0.9"]) == 0
+    said = capsys.readouterr().out
+    assert said.startswith("reached ")
+    assert "executed/predicted median 1.0" in said
+    assert check([*driven, "--at-least", "1.01"]) == 1
+    capsys.readouterr()
+    for arguments, words in (
+        ([str(file), "--task", "car_ttr"], "is of task 'narrow', not of 'car_ttr'"),
+        ([*driven, "--starts", "0"], "--starts must be at least 1"),
+        ([str(file)], "no task 'narrow'"),
+    ):
+        assert check(arguments) == 1
+        error = capsys.readouterr().err
+        assert words in error
+        assert error.count("\n") == 1

@@ -14,7 +14,7 @@ from typing import Any, Self
 
 import numpy as np
 from ctrl_rl_core.grid_axis import Axis, GridError
-from ctrl_rl_core.grid_file import write
+from ctrl_rl_core.grid_file import values_digest, write
 from ctrl_rl_core.value_grid import ValueGrid
 from numpy.typing import ArrayLike, NDArray
 from safetensors import SafetensorError, safe_open
@@ -132,6 +132,9 @@ class DecomposedValue:
                 if header["format"] != _FORMAT:
                     raise GridError(f"format is {header['format']!r}; this version reads format {_FORMAT}")
                 tensors = [file.get_tensor(f"values_{i}") for i in range(len(header["grids"]))]
+            for values, description in zip(tensors, header["grids"], strict=True):
+                if description["values_sha256"] != values_digest(values):
+                    raise GridError("has values that do not match their checksum; copy or compute it again")
             axes = tuple(Axis(**axis) for axis in header["axes"])
             by_name = {axis.name: axis for axis in axes}
             grids = tuple(
@@ -159,7 +162,11 @@ class DecomposedValue:
             "free": self.free,
             "axes": [asdict(axis) for axis in self.axes],
             "grids": [
-                {**{key: _plain(getattr(grid, key)) for key in _FIELDS}, "axes": [axis.name for axis in grid.axes]}
+                {
+                    **{key: _plain(getattr(grid, key)) for key in _FIELDS},
+                    "axes": [axis.name for axis in grid.axes],
+                    "values_sha256": values_digest(grid.values),
+                }
                 for grid in self.grids
             ],
         }

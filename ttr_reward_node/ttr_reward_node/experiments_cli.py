@@ -18,7 +18,7 @@ from ctrl_rl_core.tasks import load_navigation_task
 from tqdm import tqdm
 
 from ttr_reward_node import convergence, cost, gap
-from ttr_reward_node.check import check_task
+from ttr_reward_node.check import as_line, check_task
 from ttr_reward_node.decomposition import DECOMPOSITIONS
 from ttr_reward_node.errors import TimeToReachError
 from ttr_reward_node.problem import problem_from_task
@@ -107,10 +107,7 @@ def _check(show: Callable[..., None]) -> Measured:
     for name, obstacles, margin in cases:
         row = check_task("car_ttr", obstacles=obstacles, margin=margin, states=_STARTS)
         show(name)
-        print(
-            f"{name:<26} reached {100 * row['reached']:5.1f} %  collided {100 * row['collided']:4.1f} %  "
-            f"executed/predicted median {row['ratio_median']:.4f}, 95 % {row['ratio_p95']:.4f}"
-        )
+        print(f"{name:<26} {as_line(row)}")
         for key, metric in (
             ("reached", "fraction that reaches the goal"),
             ("collided", "fraction that collides"),
