@@ -53,6 +53,7 @@ lint: setup ## ruff and mypy
 	@.venv/bin/ruff check . && .venv/bin/ruff format --check . && .venv/bin/mypy $(LINKED)
 
 bench: build ## the benchmarks, into docs/results/bench.json
+	@scripts/setup requirements/benchmarks.txt
 	@$(RUN) python test/benchmarks --output docs/results/bench.json $(ARGS)
 
 results: build ## the page of results from the JSON files

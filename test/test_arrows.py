@@ -2,6 +2,7 @@
 
 import ast
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -17,6 +18,7 @@ MAY_IMPORT = {
     **{package: {"ctrl_rl_core"} for package in METHODS},
     "ctrl_rl_bringup": {"ctrl_rl_core", "sim_bridge", *METHODS},
 }
+ROS_PACKAGE = re.compile(r"rclpy|launch\w*|ament_index_python|\w+_(msgs|srvs|interfaces)")
 HEAVY = {"torch", "pybullet", "pybullet_data", "casadi", "gymnasium", "stable_baselines3", "sb3_contrib", "matplotlib"}
 RUN_TIME_MODULES = (
     "ctrl_rl_core.recorder_node",
@@ -58,6 +60,15 @@ def test_packages_import_only_what_lies_before_them(package: str) -> None:
         if package in METHODS and ("training" in file.stem or file.parent.name == "training"):
             allowed = allowed | {"sim_bridge", "ctrl_rl_training"}
         assert ours <= allowed, f"{file.relative_to(ROOT)} imports {ours - allowed}"
+
+
+@pytest.mark.parametrize("package", MAY_IMPORT)
+def test_package_xml_names_every_ros_package_that_is_imported(package: str) -> None:
+    text = (ROOT / package / "package.xml").read_text(encoding="utf-8")
+    named = set(re.findall(r"<(?:exec_|build_)?depend>(\w+)<", text)) | {package}
+    used = set().union(*(imports_of(file) for file in sources(package)))
+    ros = {name for name in used if name in MAY_IMPORT or ROS_PACKAGE.fullmatch(name)}
+    assert ros <= named, f"{package}/package.xml lacks {sorted(ros - named)}"
 
 
 @pytest.mark.parametrize("module", RUN_TIME_MODULES)

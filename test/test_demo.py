@@ -110,6 +110,15 @@ def test_a_wrong_option_gives_one_clear_message(tmp_path: Path, option: tuple[st
     assert "Traceback" not in answer.stderr
 
 
+def test_without_a_known_width_it_drives_without_reward_and_says_so(tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    answer = command("demo", "--speed", 6, "--random-width", "--output", folder)
+    assert "no reward and no time to reach: the corridor's width is drawn at random" in answer.stderr
+    assert answer.returncode == 0, answer.stderr
+    assert not (folder / "time_to_reach.safetensors").exists()
+    assert json.loads((folder / "report.json").read_text())["outcome"] == "goal reached"
+
+
 def test_random_starts_in_the_narrowest_corridor_reach_the_goal(tmp_path: Path) -> None:
     results = tmp_path / "results.json"
     answer = command(

@@ -17,10 +17,12 @@ setup(
     zip_safe=False,
     entry_points={
         "console_scripts": [
+            "check = ttr_reward_node.cli:check",
             "relabel = ttr_reward_node.cli:relabel_bag",
             "reward = ttr_reward_node.node:main",
             "slices = ttr_reward_node.cli:slices",
             "solve = ttr_reward_node.cli:solve_value",
+            "ttr_experiments = ttr_reward_node.experiments_cli:main",
             "train = ttr_reward_node.training_cli:train",
             "training_figures = ttr_reward_node.training_cli:training_figures",
         ],

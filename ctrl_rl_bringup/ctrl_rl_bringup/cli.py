@@ -10,6 +10,7 @@ from pathlib import Path
 
 from ctrl_rl_core.command import run_command
 from ctrl_rl_core.results import Result, as_markdown, read_benchmarks, read_results, write_results
+from ctrl_rl_core.whole_file import write_whole
 
 from ctrl_rl_bringup.drive import drive, drive_seeds, follow_running, record_scripted, write_artifacts
 from ctrl_rl_bringup.report import Drive, read_drive
@@ -54,8 +55,10 @@ def report() -> int:
 
 def monitor() -> int:
     """Wait until the nodes of a drive listen to each other, let the simulation go, and follow it to its end."""
-    argparse.ArgumentParser(prog="monitor", description=monitor.__doc__).parse_known_args()
-    return _run("monitor", follow_running)
+    parser = argparse.ArgumentParser(prog="monitor", description=monitor.__doc__)
+    parser.add_argument("--without-reward", action="store_true", help="no reward node belongs to the drive")
+    options, _ = parser.parse_known_args()  # launch adds --ros-args
+    return _run("monitor", lambda: follow_running(rewarded=not options.without_reward))
 
 
 def results() -> int:
@@ -67,7 +70,7 @@ def results() -> int:
 
     def work() -> int:
         page = as_markdown(read_results(options.folder), read_benchmarks(options.folder / "bench.json"))
-        options.page.write_text(page, encoding="utf-8")
+        write_whole(options.page, page)
         return 0
 
     return _run("results", work)

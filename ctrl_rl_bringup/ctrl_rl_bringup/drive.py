@@ -9,15 +9,16 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import rclpy
-from ctrl_rl_core.tasks import load_navigation_task, task_file
+from ctrl_rl_core.tasks import task_file
+from ctrl_rl_core.whole_file import write_whole
 from koopman_lqr_controller.policy_file import find_policy
 
 from ctrl_rl_bringup.monitor import Episode, Monitor
 from ctrl_rl_bringup.picture import draw_drive
-from ctrl_rl_bringup.prepare import new_folder, solve_time_to_reach
+from ctrl_rl_bringup.prepare import new_run, solve_time_to_reach
 from ctrl_rl_bringup.processes import Processes
 from ctrl_rl_bringup.report import Drive, read_drive
-from ctrl_rl_bringup.stack import DriveOptions, NodeSpec, controller, recorder, reward, scripted_driver, simulator
+from ctrl_rl_bringup.stack import DriveOptions, NodeSpec, controller, recorder, rewards, scripted_driver, simulator
 from ctrl_rl_msgs.msg import TaskOutcome
 
 
@@ -32,10 +33,10 @@ class Artifacts:
 def drive(options: DriveOptions) -> Drive:
     """Drive once under the controller, with its reward, record everything, and return what the bag says."""
     policy = find_policy(options.policy)
-    load_navigation_task(options.task)
-    new_folder(options)
+    new_run(options)
     grid = solve_time_to_reach(options)
-    with _running(options, [controller(options), reward(options, grid)], {"policy": policy, "grid": grid}) as monitor:
+    files = {"policy": policy} if grid is None else {"policy": policy, "grid": grid}
+    with _running(options, [controller(options), *rewards(options, grid)], files) as monitor:
         monitor.run()
         monitor.follow("driving")
     return read_drive(options.bag)
@@ -44,17 +45,15 @@ def drive(options: DriveOptions) -> Drive:
 def write_artifacts(result: Drive, folder: Path) -> Artifacts:
     """Write report and picture of a drive into a folder."""
     out = Artifacts(folder / "report.json", folder / "path.png")
-    temporary = out.report.with_name(".report.json")
-    temporary.write_text(json.dumps(result.as_dict(), indent=2) + "\n", encoding="utf-8")
-    temporary.replace(out.report)
+    write_whole(out.report, json.dumps(result.as_dict(), indent=2) + "\n")
     draw_drive(result, out.picture)
     return out
 
 
-def follow_running() -> int:
+def follow_running(rewarded: bool) -> int:
     """Follow a drive whose nodes somebody else has started, and return 0 if it reached the goal, else 1."""
     with _ros():
-        monitor = Monitor(check=lambda: None, rewarded=True)
+        monitor = Monitor(check=lambda: None, rewarded=rewarded)
         try:
             monitor.wait_until_ready()
             monitor.run()
@@ -68,16 +67,14 @@ def follow_running() -> int:
 def drive_seeds(options: DriveOptions, seeds: Sequence[int]) -> list[Episode]:
     """Drive under the controller once for each seed, in one recorded session, and return how each drive ended."""
     policy = find_policy(options.policy)
-    load_navigation_task(options.task)
-    new_folder(options)
+    new_run(options)
     with _running(options, [controller(options)], {"policy": policy}) as monitor:
         return _episodes(monitor, seeds, "seed")
 
 
 def record_scripted(options: DriveOptions, seeds: Sequence[int]) -> list[Episode]:
     """Record the scripted driver, once for each seed: drives to learn from."""
-    load_navigation_task(options.task)
-    new_folder(options)
+    new_run(options)
     with _running(options, [scripted_driver(options.seed)], {}) as monitor:
         return _episodes(monitor, seeds, "drive")
 

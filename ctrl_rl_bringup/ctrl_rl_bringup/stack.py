@@ -78,10 +78,12 @@ def controller(options: DriveOptions) -> NodeSpec:
     return NodeSpec("koopman_lqr_controller", "controller", {"use_sim_time": True, "policy": options.policy})
 
 
-def reward(options: DriveOptions, grid: Path) -> NodeSpec:
-    """Return the time-to-reach reward; the odometry of the simulator starts in the frame of the map."""
+def rewards(options: DriveOptions, grid: Path | None) -> list[NodeSpec]:
+    """Return the time-to-reach reward, if there is a grid; the simulator's odometry starts in the frame of the map."""
+    if grid is None:
+        return []
     parameters = {"use_sim_time": True, "grid": str(grid), "task": options.task, "corridor_width": float(options.width)}
-    return NodeSpec("ttr_reward_node", "reward", parameters)
+    return [NodeSpec("ttr_reward_node", "reward", parameters)]
 
 
 def scripted_driver(seed: int) -> NodeSpec:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
@@ -76,16 +76,19 @@ def copy_bag(
     output: Path | str,
     added: Sequence[Topic],
     add: Callable[[WireMessage], Iterable[tuple[str, bytes]]],
+    *,
+    left_out: Collection[str] = (),
     custom_data: Mapping[str, str] | None = None,
     progress: str = "",
 ) -> int:
-    """Write a bag again with more topics in it; messages of the old ones stay as they are, byte for byte.
+    """Write a bag again with more topics in it; the messages kept stay as they are, byte for byte.
 
     Args:
         bag: folder or file.
         output: folder of the new bag; it must not exist.
         added: the new topics.
         add: returns, for each message copied, the messages (topic, CDR bytes) that follow it, at its times.
+        left_out: topics of the old bag that the new one shall not have.
         custom_data: texts that the new bag keeps beside the old one's.
         progress: what a bar on a terminal is called; empty for none.
 
@@ -95,7 +98,7 @@ def copy_bag(
     Raises:
         BagError: the bag cannot be read, it has one of the topics already, or the output exists.
     """
-    topics, info = bag_topics(bag), bag_info(bag)
+    topics, info = [topic for topic in bag_topics(bag) if topic.name not in left_out], bag_info(bag)
     twice = {topic.name for topic in topics} & {topic.name for topic in added}
     if twice:
         raise BagError(f"{bag} has a topic {min(twice)} already")
@@ -108,6 +111,8 @@ def copy_bag(
                 writer.set_custom_data(key, value)
             messages = tqdm(read_wire(bag), progress, info.message_count, disable=None if progress else True)
             for message in messages:
+                if message.topic in left_out:
+                    continue
                 writer.write(message.topic, message.data, message.log_time, message.publish_time, message.sequence)
                 for name, data in add(message):
                     writer.write(name, data, message.log_time, message.publish_time)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +11,7 @@ from typing import Any
 import yaml
 
 from ctrl_rl_core.errors import CtrlRlError
+from ctrl_rl_core.whole_file import write_whole
 
 METADATA_FILE = "metadata.yaml"
 METADATA_VERSION = 9
@@ -116,12 +116,8 @@ def write_metadata(folder: Path, information: Mapping[str, Any]) -> None:
     Raises:
         OSError: the disk refuses.
     """
-    temporary = folder / f".{METADATA_FILE}.tmp"
-    with temporary.open("w", encoding="utf-8") as file:
-        yaml.safe_dump({"rosbag2_bagfile_information": information}, file, sort_keys=False, allow_unicode=True)
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(temporary, folder / METADATA_FILE)
+    content = {"rosbag2_bagfile_information": information}
+    write_whole(folder / METADATA_FILE, yaml.safe_dump(content, sort_keys=False, allow_unicode=True))
 
 
 def read_metadata(folder: Path) -> dict[str, Any]:

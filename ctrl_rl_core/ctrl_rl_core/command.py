@@ -26,10 +26,16 @@ def run_command(program: str, work: Callable[[], int], failure: int = 1) -> int:
     except CtrlRlError as error:
         print(f"{program}: {error}", file=sys.stderr)
         return failure
-    except KeyboardInterrupt:
-        print(f"{program}: interrupted", file=sys.stderr)
-        return EXIT_INTERRUPTED
+    except ModuleNotFoundError as error:
+        print(f"{program}: needs '{error.name}': python -m pip install -r requirements/training.txt", file=sys.stderr)
+        return failure
     except BrokenPipeError:  # the reader of a pipe (head, less) has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
+    except OSError as error:
+        print(f"{program}: {error.filename or ''}: {error.strerror or error}", file=sys.stderr)
+        return failure
+    except KeyboardInterrupt:
+        print(f"{program}: interrupted", file=sys.stderr)
+        return EXIT_INTERRUPTED
     return code

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from io import BytesIO
 from pathlib import Path as FilePath
 from typing import Any
 
 import matplotlib as mpl
 import numpy as np
+
+from ctrl_rl_core.whole_file import write_whole
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt
@@ -39,10 +42,10 @@ def draw_world(axes: Axes, task: NavigationTask, width: float | None = None) -> 
 
 def save_figure(figure: Figure, path: FilePath, dpi: int = 110) -> None:
     """Write a figure as PNG and close it; the file is there whole or not at all."""
-    temporary = path.with_name(f".{path.name}")
-    figure.savefig(temporary, format="png", dpi=dpi)
+    picture = BytesIO()
+    figure.savefig(picture, format="png", dpi=dpi)
     plt.close(figure)
-    temporary.replace(path)
+    write_whole(path, picture.getvalue())
 
 
 def _solid(shape: Shape) -> Patch:

@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from ctrl_rl_core.grid_axis import GridError
+from ctrl_rl_core.whole_file import write_whole
 
 # safetensors writes metadata keys in random order; with a single key, equal grids are equal files.
 _HEADER_KEY = "value_grid"
@@ -22,29 +22,22 @@ _DTYPES = {"F32": np.float32, "F64": np.float64}
 
 def encode(values: NDArray[Any], description: Mapping[str, Any]) -> bytes:
     """Return the bytes of the file: the same for the same values (float32 or float64) and description."""
-    header = json.dumps({**description, "values_sha256": _digest(values)}, sort_keys=True, allow_nan=False)
+    header = json.dumps({**description, "values_sha256": values_digest(values)}, sort_keys=True, allow_nan=False)
     return save({_TENSOR: np.ascontiguousarray(values)}, metadata={_HEADER_KEY: header})
 
 
 def write(path: Path, content: bytes, *, overwrite: bool) -> None:
-    """Write the file through a temporary one beside it, so that a reader never sees half of it.
+    """Write the file, whole or not at all.
 
     Raises:
         GridError: the file exists and `overwrite` is false, or it cannot be written.
     """
     if path.exists() and not overwrite:
         raise GridError(f"{path}: exists already; give another name or ask to overwrite it")
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
-        with temporary.open("xb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
+        write_whole(path, content)
     except OSError as error:
         raise GridError(f"{path}: cannot be written: {error.strerror or error}") from error
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def read(path: Path) -> tuple[NDArray[Any], dict[str, Any]]:
@@ -77,10 +70,11 @@ def read(path: Path) -> tuple[NDArray[Any], dict[str, Any]]:
         raise GridError(f"has metadata that is not JSON: {error}") from error
     if not isinstance(description, dict):
         raise GridError("has metadata that is not a JSON object")
-    if description.pop("values_sha256", None) != _digest(values):
+    if description.pop("values_sha256", None) != values_digest(values):
         raise GridError("has values that do not match their checksum; copy or compute it again")
     return values, description
 
 
-def _digest(values: NDArray[Any]) -> str:
+def values_digest(values: NDArray[Any]) -> str:
+    """Return the SHA-256 (hex) of an array's numbers, which a file keeps to know itself whole."""
     return hashlib.sha256(np.ascontiguousarray(values).tobytes()).hexdigest()

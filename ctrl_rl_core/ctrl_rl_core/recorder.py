@@ -1,12 +1,14 @@
 """Follows the ROS graph and writes what is published to a bag.
 
-`TopicRecorder` subscribes to topics as they appear; `ParameterCollector` asks every node once for its parameters.
+`TopicRecorder` subscribes to topics as they appear; `ParameterCollector` asks every node for its parameters.
 Both are driven by calling `discover` a few times a second.
 """
 
 from __future__ import annotations
 
 import json
+import math
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -27,6 +29,8 @@ from ctrl_rl_core.recorded_qos import request, to_bag
 
 _TAKE_AT_ONCE = 200
 """Messages taken of one topic before the others get their turn."""
+_PATIENCE_S = 1.0
+"""How long a node has to say its parameters before it is asked again."""
 
 
 @dataclass
@@ -142,50 +146,71 @@ class TopicRecorder:
 
 
 class ParameterCollector:
-    """Asks every node once for all of its parameters and keeps them as custom data `parameters.<node>`.
+    """Asks every node for all of its parameters and keeps them as custom data `parameters.<node>`.
 
-    Best effort: a node that does not answer is left out. Later changes are on /parameter_events.
+    Best effort: a node that never answers is left out. Later changes are on /parameter_events.
     """
 
     def __init__(self, node: Node, writer: BagWriter) -> None:
         self._node = node
         self._writer = writer
-        self._waiting: dict[str, Client] = {}
-        self._done: set[str] = set()
-        self._spent: list[Client] = []
+        self._questions: dict[str, _ParameterQuestion] = {}
+        self._known: set[str] = set()
 
     def discover(self) -> None:
-        """Ask nodes that have appeared, as soon as their services are there."""
-        while self._spent:
-            self._node.destroy_client(self._spent.pop())
+        """Ask nodes that have appeared, as soon as their services are there, until they have answered."""
         present = {
             f"{namespace.rstrip('/')}/{name}"
             for name, namespace in self._node.get_node_names_and_namespaces()
             if not name.startswith("_")
         }
-        for gone in self._waiting.keys() - present:
-            self._spent.append(self._waiting.pop(gone))
-        for name in present - self._done - self._waiting.keys():
-            self._waiting[name] = self._node.create_client(ListParameters, f"{name}/list_parameters")
-        for name, client in list(self._waiting.items()):
-            if client.service_is_ready():
-                self._done.add(name)
-                del self._waiting[name]
-                self._ask(client, ListParameters.Request(), partial(self._get, name))
+        for over in self._questions.keys() & self._known | self._questions.keys() - present:
+            self._questions.pop(over).close()
+        for name in present - self._known - self._questions.keys():
+            self._questions[name] = _ParameterQuestion(self._node, name, partial(self._keep, name))
+        for question in self._questions.values():
+            question.ask()
 
-    def _get(self, name: str, listed: Any) -> None:
-        names = list(listed.result.names)
-        client = self._node.create_client(GetParameters, f"{name}/get_parameters")
-        self._ask(client, GetParameters.Request(names=names), partial(self._keep, name, names))
-
-    def _keep(self, node: str, names: list[str], answer: Any) -> None:
-        values = {name: parameter_value_to_python(value) for name, value in zip(names, answer.values, strict=False)}
+    def _keep(self, node: str, values: dict[str, Any]) -> None:
         self._writer.set_custom_data(f"parameters.{node}", json.dumps(values, sort_keys=True, default=str))
+        self._known.add(node)
 
-    def _ask(self, client: Client, question: Any, then: Callable[[Any], None]) -> None:
+
+class _ParameterQuestion:
+    """One node's parameters, asked for until they are there.
+
+    A node may answer before it has discovered who asks: the answer is lost then, and only asking again helps.
+    """
+
+    def __init__(self, node: Node, name: str, keep: Callable[[dict[str, Any]], None]) -> None:
+        self._node, self._keep = node, keep
+        self._list = node.create_client(ListParameters, f"{name}/list_parameters")
+        self._get = node.create_client(GetParameters, f"{name}/get_parameters")
+        self._asked = -math.inf
+
+    def ask(self) -> None:
+        """Ask, if the services are there and no answer can be expected any more."""
+        ready = self._list.service_is_ready() and self._get.service_is_ready()
+        if ready and time.monotonic() - self._asked > _PATIENCE_S:
+            self._asked = time.monotonic()
+            self._call(self._list, ListParameters.Request(), self._listed)
+
+    def close(self) -> None:
+        """Ask no more."""
+        self._node.destroy_client(self._list)
+        self._node.destroy_client(self._get)
+
+    def _listed(self, answer: Any) -> None:
+        names = list(answer.result.names)
+        self._call(self._get, GetParameters.Request(names=names), partial(self._got, names))
+
+    def _got(self, names: list[str], answer: Any) -> None:
+        values = zip(names, answer.values, strict=False)
+        self._keep({name: parameter_value_to_python(value) for name, value in values})
+
+    def _call(self, client: Client, question: Any, then: Callable[[Any], None]) -> None:
         def answered(future: Any) -> None:
-            self._spent.append(client)
-            if future.exception() is None and future.result() is not None:
+            if not future.cancelled() and future.exception() is None and future.result() is not None:
                 then(future.result())
 
         client.call_async(question).add_done_callback(answered)

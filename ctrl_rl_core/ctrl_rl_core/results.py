@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from ctrl_rl_core.errors import CtrlRlError
+from ctrl_rl_core.whole_file import write_whole
 
 
 class ResultsError(CtrlRlError):
@@ -67,9 +68,7 @@ def write_results(
     if figures is not None:
         content["figures"] = dict(figures)
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}")
-    temporary.write_text(_dump(content), encoding="utf-8")
-    temporary.replace(path)
+    write_whole(path, _dump(content))
 
 
 def read_results(folder: Path) -> list[dict[str, Any]]:
@@ -107,16 +106,8 @@ def as_markdown(experiments: Sequence[dict[str, Any]], benchmarks: Sequence[dict
     """Return experiments and benchmarks as a page of tables, each figure beside the thesis's or a peer's."""
     lines = ["# Results", "", "Made from the JSON files in `docs/results/` by `make results`; do not edit."]
     for experiment in experiments:
-        seeds = len(experiment["seeds"])
         lines += ["", f"## {experiment['experiment']}", "", f"    {experiment['command']}", ""]
-        lines += [f"Commit {experiment['commit']}, {seeds} seeds, mean and standard deviation over them.", ""]
-        lines += ["| method | metric | ours | thesis |", "|---|---|---|---|"]
-        for row in experiment["rows"]:
-            unit = "" if row["unit"] == "1" else f" {row['unit']}"
-            thesis = "" if row["thesis"] is None else f"{row['thesis']:g}{unit}"
-            lines.append(
-                f"| {row['method']} | {row['metric']} | {row['mean']:.3g} ± {row['std']:.2g}{unit} | {thesis} |"
-            )
+        lines += [_remark(experiment), "", *_table(experiment["rows"])]
     if benchmarks:
         lines += ["", "## Benchmarks", "", "    make bench", "", "Each figure and its peer were measured in one run."]
         lines += ["", "| what | ours | against | ratio |", "|---|---|---|---|"]
@@ -124,6 +115,32 @@ def as_markdown(experiments: Sequence[dict[str, Any]], benchmarks: Sequence[dict
             ratio = "" if row["ratio"] is None else f"{row['ratio']:.3g}"
             lines.append(f"| {row['name']} | {row['value']:.4g} {row['unit']} | {row['against']} | {ratio} |")
     return "\n".join(lines) + "\n"
+
+
+def _remark(experiment: Mapping[str, Any]) -> str:
+    remark = f"Commit {experiment['commit']}"
+    if any(len(row["values"]) > 1 for row in experiment["rows"]):
+        remark += f", {len(experiment['seeds'])} seeds, mean and standard deviation over them"
+    if any(row["thesis"] is not None for row in experiment["rows"]):
+        remark += "; in brackets the thesis's"
+    return f"{remark}."
+
+
+def _table(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return a line for each method, a column for each metric."""
+    units = {row["metric"]: "" if row["unit"] == "1" else f" [{row['unit']}]" for row in rows}
+    cells = {(row["method"], row["metric"]): _cell(row) for row in rows}
+    head = ["method", *(f"{metric}{unit}" for metric, unit in units.items())]
+    lines = [head, ["---"] * len(head)]
+    methods = dict.fromkeys(row["method"] for row in rows)
+    lines += [[method, *(cells.get((method, metric), "") for metric in units)] for method in methods]
+    return [f"| {' | '.join(line)} |" for line in lines]
+
+
+def _cell(row: Mapping[str, Any]) -> str:
+    spread = f" ± {row['std']:.2g}" if len(row["values"]) > 1 else ""
+    thesis = "" if row["thesis"] is None else f" ({row['thesis']:g})"
+    return f"{row['mean']:.4g}{spread}{thesis}"
 
 
 def _dump(content: Mapping[str, Any]) -> str:

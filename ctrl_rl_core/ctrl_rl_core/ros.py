@@ -62,8 +62,8 @@ class SuiteNode(Node):
 
     Attributes:
         PARAMETERS: the table of the node's parameters.
-        QUICK: whether to use the events executor: half the latency and CPU of the usual one, whose cost grows with every
-            timer and service; it does not know raw subscriptions.
+        QUICK: whether to use the events executor: half the latency and CPU of the usual one, whose cost grows with
+            every timer and service; it does not know raw subscriptions.
         settings: their values by name; kept up to date where `ros2 param set` changes them.
     """
 

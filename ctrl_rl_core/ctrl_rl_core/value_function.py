@@ -7,7 +7,13 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ctrl_rl_core.errors import CtrlRlError
+from ctrl_rl_core.tasks import NavigationTask, task_digest
 from ctrl_rl_core.value_grid import ValueGrid
+
+
+class ValueFunctionError(CtrlRlError):
+    """A value function and what is to be done with it do not belong together."""
 
 
 class ValueFunction(Protocol):
@@ -45,3 +51,22 @@ class ValueFunction(Protocol):
 
     def value_and_gradient_at(self, state: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
         """Value and gradient (n,) at one state (n,), quickly."""
+
+
+def check_function(function: ValueFunction, task: NavigationTask, kind: str) -> bool:
+    """Return whether a function was made for this very version of its task.
+
+    Raises:
+        ValueFunctionError: it is of another kind, of another task, or of another state.
+    """
+    names = task.system.build().state_names
+    if function.kind != kind:
+        raise ValueFunctionError(f"the value function holds '{function.kind}': '{kind}' is needed here")
+    if function.task != task.name:
+        raise ValueFunctionError(f"the value function is of task '{function.task}', not of '{task.name}'")
+    if function.state_names != names:
+        raise ValueFunctionError(
+            f"the value function's states are {', '.join(function.state_names)}; those of task '{task.name}' are "
+            + ", ".join(names)
+        )
+    return function.task_digest == task_digest(task)

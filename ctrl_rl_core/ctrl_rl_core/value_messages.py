@@ -10,9 +10,7 @@ from nav_msgs.msg import OccupancyGrid
 from numpy.typing import NDArray
 from std_msgs.msg import Header
 
-from ctrl_rl_core.errors import CtrlRlError
-from ctrl_rl_core.grid_axis import Axis
-from ctrl_rl_core.regions import position_indices
+from ctrl_rl_core.plane import plane_of
 from ctrl_rl_core.ros import float32_array
 from ctrl_rl_core.value_function import ValueFunction
 from ctrl_rl_core.value_grid import ValueGrid
@@ -21,10 +19,6 @@ from ctrl_rl_msgs.msg import ValueGrid as ValueGridMsg
 from ctrl_rl_msgs.srv import QueryValues
 
 _UNKNOWN, _HIGHEST = -1, 100
-
-
-class ValueMessageError(CtrlRlError):
-    """A value function cannot be shown in the way that was asked for."""
 
 
 def grid_message(grid: ValueGrid, stamp: Time, frame: str) -> ValueGridMsg:
@@ -64,23 +58,15 @@ def slice_message(function: ValueFunction, at: Mapping[str, float], stamp: Time,
         frame: of the positions; a map lies in x-y, an x-z plane is shown lying down.
 
     Raises:
-        ValueMessageError: there is no plane of positions, or `at` names what the state lacks.
+        ValueFunctionError: there is no plane of positions, or `at` names what the state lacks.
     """
-    names = function.state_names
-    plane = position_indices(names)
-    if len(plane) < 2:
-        raise ValueMessageError(f"the states {', '.join(names)} have no plane of positions to show")
-    unknown = [name for name in at if name not in names]
-    if unknown:
-        raise ValueMessageError(f"the slice names '{unknown[0]}': the state has {', '.join(names)}")
-    first, second = (_axis(function, names[index]) for index in plane)
+    plane = plane_of(function)
+    first, second = plane.first, plane.second
     resolution = min(first.spacing, second.spacing)
     columns, rows = (int(np.floor((axis.upper - axis.lower) / resolution)) + 1 for axis in (first, second))
-    states = np.zeros((rows, columns, len(names)))
-    for name, value in at.items():
-        states[..., names.index(name)] = value
-    states[..., plane[0]] = np.minimum(first.lower + resolution * np.arange(columns), first.upper)
-    states[..., plane[1]] = np.minimum(second.lower + resolution * np.arange(rows), second.upper)[:, None]
+    right = np.minimum(first.lower + resolution * np.arange(columns), first.upper)
+    up = np.minimum(second.lower + resolution * np.arange(rows), second.upper)
+    states = plane.states(right, up, at)
     out = OccupancyGrid(header=Header(stamp=stamp, frame_id=frame))
     out.info.map_load_time = stamp
     out.info.resolution, out.info.width, out.info.height = float(resolution), columns, rows
@@ -115,7 +101,3 @@ def answer(function: ValueFunction, request: QueryValues.Request, response: Quer
     response.values = values.tolist()
     response.gradients = gradients.ravel().tolist()
     response.in_domain = (~np.isnan(values)).tolist()
-
-
-def _axis(function: ValueFunction, name: str) -> Axis:
-    return next(axis for grid in function.grids for axis in grid.axes if axis.name == name)

@@ -5,7 +5,9 @@ The time-to-reach node and the optimal-control node each derive from `ValueServe
 
 from __future__ import annotations
 
+import time
 from abc import abstractmethod
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import ClassVar
@@ -34,6 +36,8 @@ SERVER_PARAMETERS = (
 )
 _EVERY_MESSAGE = QoSProfile(depth=200, reliability=ReliabilityPolicy.BEST_EFFORT)
 """Best effort matches every publisher of odometry; the depth outlasts a burst."""
+_STALE_S = 2.0
+Valued = Callable[[Odometry, NDArray[np.float64], float], None]
 
 
 class ValueServer(SuiteNode):
@@ -51,7 +55,7 @@ class ValueServer(SuiteNode):
     def __init__(self, name: str) -> None:
         super().__init__(name)
         self._counts = {"odometry": 0, "outside": 0, "unreachable": 0}
-        self._outside = False
+        self._outside, self._foreign, self._heard = False, False, 0.0
         self._grids: dict[str, Publisher] = {}
         self._slice = self.create_publisher(OccupancyGrid, "~/slice", LATCHED)
         self._values = self.create_publisher(StateValue, self.TOPIC, RESULT)
@@ -69,14 +73,20 @@ class ValueServer(SuiteNode):
         """
 
     @abstractmethod
-    def valued(self, message: Odometry, state: NDArray[np.float64], value: float) -> None:
-        """Say more about a state (n,) and its value than the StateValue does."""
+    def prepare(self, function: ValueFunction) -> Valued:
+        """Return what is called with each odometry message, its state (n,) and value, before the StateValue goes out.
+
+        Raises:
+            CtrlRlError: the function does not serve; what is served stays.
+        """
 
     def status(self) -> Status:
         """Say what is served, and how much of the odometry lies where the function says nothing."""
         figures: dict[str, object] = {**self._counts, "file": self.settings["grid"], "digest": self._function.digest}
         if not self._counts["odometry"]:
             return warn("waiting for odometry", **figures)
+        if time.monotonic() - self._heard > _STALE_S:
+            return warn("no odometry any more", **figures)
         if self._outside:
             return warn("the robot is outside the grid", **figures)
         return ok("serving", **figures)
@@ -95,9 +105,10 @@ class ValueServer(SuiteNode):
         if function.kind != self.KIND:
             raise ParameterError(f"parameter 'grid': {file} holds '{function.kind}', not '{self.KIND}'")
         reader, slice_ = OdometryReader(function.state_names), self._slice_of(function)
+        valued = self.prepare(function)
         function.value_and_gradient_at(np.zeros(len(function.state_names)))  # compiles before it counts
         # Only what is right in every respect takes the place of what is served.
-        self._function, self._reader = function, reader
+        self._function, self._reader, self._valued = function, reader, valued
         self._publish_grids()
         self._slice.publish(slice_)
         counts = " + ".join(str(grid.values.size) for grid in function.grids)
@@ -106,8 +117,12 @@ class ValueServer(SuiteNode):
     def _publish_grids(self) -> None:
         """Publish a single grid on ~/grid, each of several on ~/grid_<its states>."""
         stamp, grids = self.get_clock().now().to_msg(), self._function.grids
-        for grid in grids:
-            name = "grid" if len(grids) == 1 else "_".join(("grid", *(axis.name for axis in grid.axes)))
+        names = [
+            "grid" if len(grids) == 1 else "_".join(("grid", *(axis.name for axis in grid.axes))) for grid in grids
+        ]
+        for gone in set(self._grids) - set(names):  # latecomers must not get what is no longer served
+            self.destroy_publisher(self._grids.pop(gone))
+        for name, grid in zip(names, grids, strict=True):
             if name not in self._grids:
                 self._grids[name] = self.create_publisher(ValueGridMsg, f"~/{name}", LATCHED)
             self._grids[name].publish(grid_message(grid, stamp, self.settings["frame"]))
@@ -118,16 +133,23 @@ class ValueServer(SuiteNode):
 
     def _on_odometry(self, message: Odometry) -> None:
         self._counts["odometry"] += 1
+        self._heard = time.monotonic()
         state = self._reader(message)
         value, gradient = self._function.value_and_gradient_at(state)
         outside = bool(np.isnan(value))
         if outside and not self._outside:
-            self.get_logger().warning(f"outside the grid: {self._where(state)}")
+            self.get_logger().warning(f"outside the grid: {self._where(state)}", throttle_duration_sec=5.0)
         self._outside = outside
         self._counts["outside"] += outside
         self._counts["unreachable"] += bool(np.isposinf(value))
-        message.header.frame_id = self.settings["frame"]
-        self.valued(message, state, value)
+        frame = self.settings["frame"]
+        if not self._foreign and message.header.frame_id not in ("", frame):
+            self._foreign = True
+            self.get_logger().warning(
+                f"odometry is in frame '{message.header.frame_id}' and taken as given in '{frame}' (parameter 'frame')"
+            )
+        message.header.frame_id = frame
+        self._valued(message, state, value)
         out = StateValue(header=message.header, value=value, in_domain=not outside)
         out.state, out.gradient = state.tolist(), gradient.tolist()
         self._values.publish(out)

@@ -37,7 +37,7 @@ def test_everything_is_there_again_and_what_was_added(bag: Path, tmp_path: Path)
     output = tmp_path / "new"
     added = [Topic("/b", "std_msgs/msg/String", STRING)]
     assert len(bag_info(bag).files) > 1
-    assert copy_bag(bag, output, added, add, {"digest.grid": "def"}) == COUNT // 2
+    assert copy_bag(bag, output, added, add, custom_data={"digest.grid": "def"}) == COUNT // 2
     before, after = list(read_wire(bag)), list(read_wire(output))
     assert [message for message in after if message.topic == "/a"] == before
     assert [(m.log_time, m.data) for m in after if m.topic == "/b"] == [

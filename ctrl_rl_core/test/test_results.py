@@ -27,8 +27,8 @@ def test_the_page_sets_each_row_beside_the_thesis(tmp_path: Path) -> None:
     (tmp_path / "bench.json").write_text(json.dumps([row]))
     page = as_markdown(read_results(tmp_path), read_benchmarks(tmp_path / "bench.json"))
     assert "## corridor" in page
-    assert "| edmd | time | 3 ± 1 s | 3.5 s |" in page
-    assert "| edmd | goal reached | 1 ± 0 |  |" in page
+    assert "| method | time [s] | goal reached |" in page
+    assert "| edmd | 3 ± 1 (3.5) | 1 ± 0 |" in page
     assert "| look-up | 0.286 us | scipy, 42 us | 148 |" in page
     assert read_benchmarks(tmp_path / "missing.json") == []
 

@@ -7,13 +7,13 @@ command = actor.command(observation)      # what the task's sensors say, in SI u
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
+from ctrl_rl_core.whole_file import write_whole
 from numpy.typing import ArrayLike, NDArray
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
@@ -81,14 +81,11 @@ class Actor:
             "squashed": self.squashed,
             "manifest": dict(self.manifest),
         }
-        temporary = path.with_name(f".{path.name}.{os.getpid()}")
-        temporary.write_bytes(
-            save(
-                {name: np.ascontiguousarray(tensor, dtype=np.float32) for name, tensor in tensors.items()},
-                metadata={_HEADER_KEY: json.dumps(manifest, sort_keys=True)},
-            )
+        content = save(
+            {name: np.ascontiguousarray(tensor, dtype=np.float32) for name, tensor in tensors.items()},
+            metadata={_HEADER_KEY: json.dumps(manifest, sort_keys=True)},
         )
-        temporary.replace(path)
+        write_whole(path, content)
 
     @classmethod
     def load(cls, path: Path | str) -> Self:

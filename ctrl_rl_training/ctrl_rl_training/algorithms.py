@@ -19,18 +19,20 @@ from stable_baselines3.common.noise import OrnsteinUhlenbeckActionNoise
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from ctrl_rl_training.actor import Actor
+from ctrl_rl_training.algorithm_names import ALGORITHMS
 from ctrl_rl_training.environment import observation_scales
 from ctrl_rl_training.errors import TrainingError
 
-ALGORITHMS = ("ppo", "trpo", "ddpg")
 REWARD_SCALE = 0.01
 """Every reward is multiplied by it before learning, so that values are of the order of 1 to 10."""
 ROLL_OUT = 2048
-"""Samples between two updates of PPO and TRPO."""
+"""Samples between two updates of PPO; TRPO updates twice as often."""
 
 _GAMMA = 0.98
 _HIDDEN = (64, 64)
-_NOISE = 0.5
+_NOISE, _RETURN = 0.5, 0.3
+"""Of the Ornstein-Uhlenbeck process, per step: it wanders for some steps. (The library's own numbers wander for
+hundreds, so that an episode begins without noise; independent noise stays about where the robot stands.)"""
 _ON_POLICY_ENVIRONMENTS = 8
 
 
@@ -123,7 +125,7 @@ def _ddpg(samples: int) -> dict[str, Any]:
         "n_steps": 5,
         "train_freq": (8, "step"),
         "gradient_steps": 4,
-        "action_noise": OrnsteinUhlenbeckActionNoise(np.zeros(2), np.full(2, _NOISE)),
+        "action_noise": OrnsteinUhlenbeckActionNoise(np.zeros(2), np.full(2, _NOISE), theta=_RETURN, dt=1.0),
         "policy_kwargs": {**_network(), "activation_fn": NormalizedRelu},
     }
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping
 from operator import attrgetter
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from ctrl_rl_core.whole_file import write_whole
 from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
@@ -49,9 +49,7 @@ def save_checkpoint(
     content = save(
         {name: np.ascontiguousarray(tensor) for name, tensor in tensors.items()}, metadata={_HEADER_KEY: header}
     )
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    temporary.write_bytes(content)
-    temporary.replace(path)
+    write_whole(path, content)
 
 
 def load_checkpoint(path: Path, model: BaseAlgorithm) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:

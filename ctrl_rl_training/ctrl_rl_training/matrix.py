@@ -28,7 +28,7 @@ def train_all(runs: Sequence[Run], options: Options, workers: int = 0, title: st
 
     Args:
         runs: in the order in which they begin.
-        options: of all; `report` is not called.
+        options: of all.
         workers: runs at a time; 0 for one for each core.
         title: of the progress bar, and of the lock that keeps a second call with it out of the folder.
 
@@ -47,15 +47,9 @@ def train_all(runs: Sequence[Run], options: Options, workers: int = 0, title: st
 def _run(todo: Sequence[Run], options: Options, workers: int, title: str) -> None:
     reports: Any = CONTEXT.Queue()
     with tqdm(total=len(todo) * options.iterations, desc=title, unit="iteration", mininterval=5.0) as bar:
-        work, show = partial(_train, options=_picklable(options)), partial(_show, bar, reports)
+        work, show = partial(_train, options=options), partial(_show, bar, reports)
         for _ in in_processes(work, todo, workers, _begin_worker, (reports,), show):
             show()
-
-
-def _picklable(options: Options) -> dict[str, Any]:
-    """Return the options without their report, which is a function of this process."""
-    names = ("folder", "iterations", "samples", "evaluations", "final_evaluations")
-    return {name: getattr(options, name) for name in names}
 
 
 def _show(bar: tqdm[Any], reports: Any) -> None:
@@ -75,11 +69,11 @@ def _begin_worker(reports: Any) -> None:
     _worker["reports"] = reports
 
 
-def _train(run: Run, options: dict[str, Any]) -> None:
+def _train(run: Run, options: Options) -> None:
     def report(run: Run, done: int, success: float) -> None:
         _worker["reports"].put((run.name, done, success))
 
-    train_one(run, Options(**options, report=report))
+    train_one(run, options, report)
 
 
 @contextmanager

@@ -54,10 +54,10 @@ def draw_paths(paths: Sequence[Mapping[str, Any]], task: NavigationTask, title: 
     flies = names[plane[1]] == "z"
     figure, ax = plt.subplots(figsize=(5.0, 5.0), layout="constrained")
     draw_world(ax, task)
-    for entry in paths:
+    for number, entry in enumerate(paths, 1):
         states = np.array(entry["states"])
         x, y = states[:, plane[0]], states[:, plane[1]]
-        (line,) = ax.plot(x, y, linewidth=1.2, label=entry["outcome"].lower())
+        (line,) = ax.plot(x, y, linewidth=1.2, label=f"episode {number}: {entry['outcome'].lower()}")
         for index in np.linspace(0, len(states) - 1, _SNAPSHOTS).astype(int):
             turn = states[index, angle]
             # A quadrotor's bar lies across its thrust, at pitch psi clockwise; a car points along theta.

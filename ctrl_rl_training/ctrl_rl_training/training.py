@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
@@ -19,6 +19,7 @@ import numpy as np
 import torch
 from ctrl_rl_core.outcome import Outcome
 from ctrl_rl_core.tasks import NavigationTask, task_digest
+from ctrl_rl_core.whole_file import write_whole
 from numpy.typing import NDArray
 from stable_baselines3 import DDPG
 from stable_baselines3.common.base_class import BaseAlgorithm
@@ -28,6 +29,7 @@ from ctrl_rl_training.actor import Actor
 from ctrl_rl_training.algorithms import ROLL_OUT, extract_actor
 from ctrl_rl_training.checkpoint import load_checkpoint, save_checkpoint
 from ctrl_rl_training.environment import DEPLOYED_RATE, Environment, observation_names
+from ctrl_rl_training.errors import TrainingError
 from ctrl_rl_training.visits import Visits
 
 ITERATION = 5 * ROLL_OUT
@@ -75,7 +77,6 @@ class Options:
         samples: of an iteration.
         evaluations: episodes after each iteration.
         final_evaluations: episodes after the last one.
-        report: called after each iteration with the run, the iterations done and the success rate of the evaluation.
     """
 
     folder: Path
@@ -83,7 +84,10 @@ class Options:
     samples: int = ITERATION
     evaluations: int = 20
     final_evaluations: int = 50
-    report: Callable[[Run, int, float], None] = field(default=lambda *_: None, compare=False)
+
+
+Report = Callable[[Run, int, float], None]
+"""What is told of an iteration: the run, the iterations done, and the success rate of the evaluation."""
 
 
 def result_file(folder: Path, run: Run) -> Path:
@@ -91,11 +95,16 @@ def result_file(folder: Path, run: Run) -> Path:
     return folder / run.name / "result.json"
 
 
-def train_one(run: Run, options: Options) -> dict[str, Any]:
+def train_one(run: Run, options: Options, report: Report = lambda *_: None) -> dict[str, Any]:
     """Learn, or go on where an earlier call was cut off; a finished run is read, never computed again.
 
     The folder of the run then holds result.json (what is returned), policy.safetensors (an `Actor`) and
     visits.safetensors (how often states were met, see `Visits`).
+
+    Args:
+        run: what is learnt.
+        options: how.
+        report: called after each iteration.
 
     Returns:
         description, digest of the task, `curve` (for each iteration: samples, episodes and how they ended, success of
@@ -108,19 +117,19 @@ def train_one(run: Run, options: Options) -> dict[str, Any]:
     finished = result_file(options.folder, run)
     if finished.is_file():
         result: dict[str, Any] = json.loads(finished.read_text(encoding="utf-8"))
+        _check_same(finished, {**result["run"], "iterations": len(result["curve"])}, run, options.iterations)
         return result
     torch.set_num_threads(1)
     model = run.model(options.samples * options.iterations)
     test_environment = run.environment()
     try:
-        curve, visits = _learn(run, options, model, test_environment, Visits(run.task))
+        curve, visits = _learn(run, options, report, model, test_environment)
     finally:
         test_environment.close()
         if model.env is not None:
             model.env.close()
     manifest = {
-        **run.description,
-        "task_digest": task_digest(run.task),
+        **_terms(run),
         "observation": observation_names(run.task),
         "commands": list(run.task.robot.commands),
     }
@@ -130,15 +139,17 @@ def train_one(run: Run, options: Options) -> dict[str, Any]:
 def _learn(
     run: Run,
     options: Options,
+    report: Report,
     model: BaseAlgorithm,
     test_environment: Environment,
-    visits: Visits,
 ) -> tuple[list[dict[str, Any]], Visits]:
     checkpoint = options.folder / run.name / "checkpoint.safetensors"
     checkpoint.parent.mkdir(parents=True, exist_ok=True)
     curve: list[dict[str, Any]] = []
+    visits = Visits(run.task)
     if checkpoint.is_file():
         progress, arrays = load_checkpoint(checkpoint, model)
+        _check_same(checkpoint, progress["run"], run)
         curve, visits = progress["curve"], visits.with_counts(arrays)
     while len(curve) < options.iterations:
         begin = time.perf_counter()
@@ -159,9 +170,23 @@ def _learn(
             }
         )
         visits.end_iteration()
-        save_checkpoint(checkpoint, model, {"curve": curve}, visits.counts())
-        options.report(run, len(curve), success)
+        save_checkpoint(checkpoint, model, {"run": _terms(run), "curve": curve}, visits.counts())
+        report(run, len(curve), success)
     return curve, visits
+
+
+def _terms(run: Run) -> dict[str, Any]:
+    """Return what must be the same for a run to go on, or to be taken as it is."""
+    return {**run.description, "task_digest": task_digest(run.task)}
+
+
+def _check_same(file: Path, before: dict[str, Any], run: Run, iterations: int | None = None) -> None:
+    now = _terms(run) if iterations is None else {**_terms(run), "iterations": iterations}
+    for name, value in now.items():
+        if before.get(name) != value:
+            raise TrainingError(
+                f"{file}: was made with {name} {before.get(name)}, now it is {value}: use another folder, or delete it"
+            )
 
 
 def _iterate(model: BaseAlgorithm, seed: int, samples: int, visits: Visits) -> list[str]:
@@ -239,8 +264,7 @@ def _finish(
     outcomes = [episode.outcome for episode in episodes]
     lasted = [len(episode.states) - 1 for episode in episodes if episode.outcome == _SUCCESS]
     result = {
-        "run": run.description,
-        "task_digest": task_digest(run.task),
+        "run": _terms(run),
         "curve": curve,
         "success": _rate(outcomes),
         "ended": _count(outcomes),
@@ -251,9 +275,7 @@ def _finish(
     file = result_file(options.folder, run)
     actor.save(file.with_name("policy.safetensors"))
     visits.save(file.with_name("visits.safetensors"))
-    temporary = file.with_name(".result.json")
-    temporary.write_text(json.dumps(result) + "\n", encoding="utf-8")
-    temporary.replace(file)
+    write_whole(file, json.dumps(result) + "\n")
     file.with_name("checkpoint.safetensors").unlink(missing_ok=True)
     return result
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Self
@@ -10,6 +9,7 @@ from typing import Any, Self
 import numpy as np
 from ctrl_rl_core.regions import ANGLES, position_indices
 from ctrl_rl_core.tasks import NavigationTask
+from ctrl_rl_core.whole_file import write_whole
 from numpy.typing import NDArray
 from safetensors.numpy import load_file, save
 
@@ -62,9 +62,7 @@ class Visits:
 
     def save(self, path: Path) -> None:
         """Write the counts as safetensors; the file is there whole or not at all."""
-        temporary = path.with_name(f".{path.name}.{os.getpid()}")
-        temporary.write_bytes(save(self.counts()))
-        temporary.replace(path)
+        write_whole(path, save(self.counts()))
 
 
 def load_visits(path: Path) -> dict[str, Counts]:

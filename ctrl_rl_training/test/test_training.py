@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from ctrl_rl_core.tasks import load_navigation_task
 from ctrl_rl_training.actor import Actor
-from ctrl_rl_training.algorithms import ALGORITHMS, ROLL_OUT, extract_actor, make_algorithm
+from ctrl_rl_training.algorithm_names import ALGORITHMS
+from ctrl_rl_training.algorithms import ROLL_OUT, extract_actor, make_algorithm
 from ctrl_rl_training.environment import make_environment
 from ctrl_rl_training.errors import TrainingError
 from ctrl_rl_training.matrix import train_all
@@ -61,7 +62,7 @@ def test_a_run_that_was_cut_off_ends_as_if_it_had_not_been(tmp_path, algorithm):
     whole, cut = tmp_path / "whole", tmp_path / "cut"
     train_one(run, Options(whole, **SHORT))
     with pytest.raises(CutOffError):
-        train_one(run, Options(cut, **SHORT, report=cut_off))
+        train_one(run, Options(cut, **SHORT), report=cut_off)
     assert not result_file(cut, run).exists()
     train_one(run, Options(cut, **SHORT))
 
@@ -121,6 +122,13 @@ def test_many_runs_on_several_cores_and_never_twice(tmp_path):
     before = [result_file(tmp_path, run).stat().st_mtime_ns for run in runs]
     assert train_all(runs, options) == results
     assert before == [result_file(tmp_path, run).stat().st_mtime_ns for run in runs]
+
+
+def test_a_run_made_with_other_settings_is_not_taken(tmp_path):
+    run = PlainRun("ppo", 0)
+    train_one(run, Options(tmp_path, 1, ROLL_OUT, 1, 1))
+    with pytest.raises(TrainingError, match=r"result\.json: was made with iterations 1, now it is 2: use"):
+        train_one(run, Options(tmp_path, 2, ROLL_OUT, 1, 1))
 
 
 def test_a_broken_checkpoint_is_named(tmp_path):

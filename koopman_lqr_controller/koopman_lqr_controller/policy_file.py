@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from ctrl_rl_core.whole_file import write_whole
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
@@ -71,13 +71,10 @@ def save_policy(policy: KoopmanPolicy, path: Path, overwrite: bool = False) -> N
     content = save(
         {name: np.ascontiguousarray(array) for name, array in tensors.items()}, {"policy": json.dumps(header)}
     )
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        temporary.write_bytes(content)
-        os.replace(temporary, path)
+        write_whole(path, content)
     except OSError as error:
-        temporary.unlink(missing_ok=True)
         raise KoopmanError(f"cannot write {path}: {error.strerror}") from None
 
 

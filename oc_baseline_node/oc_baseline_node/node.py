@@ -4,12 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 from ctrl_rl_core.ros import run_node
 from ctrl_rl_core.value_function import ValueFunction
-from ctrl_rl_core.value_server import ValueServer
-from nav_msgs.msg import Odometry
-from numpy.typing import NDArray
+from ctrl_rl_core.value_server import Valued, ValueServer
 
 from oc_baseline_node.value_file import find_value, load_value
 
@@ -32,8 +29,9 @@ class OcBaselineNode(ValueServer):
         """Read a network or a value grid: a file, or by task one that comes with the package."""
         return load_value(find_value(path))
 
-    def valued(self, message: Odometry, state: NDArray[np.float64], value: float) -> None:
-        """Say nothing more: the StateValue tells all."""
+    def prepare(self, _function: ValueFunction) -> Valued:
+        """Return what says nothing more: the StateValue tells all."""
+        return lambda _message, _state, _value: None
 
 
 def main() -> int:

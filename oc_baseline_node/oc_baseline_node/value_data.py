@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from oc_baseline_node.errors import OcError
 from oc_baseline_node.problem import Problem
 from oc_baseline_node.returns import DISCOUNT, returns, rewards, step_discount
-from oc_baseline_node.value_file import write_whole
+from oc_baseline_node.value_file import write_file
 
 Array = NDArray[np.float64]
 FORMAT = "oc-value-data-1"
@@ -119,7 +119,7 @@ def write_chunk(folder: Path, index: int, data: ValueData) -> None:
     arrays: dict[str, Any] = {name: getattr(data, name) for name in ValueData.__annotations__}
     arrays["reasons"] = np.array(data.reasons, dtype=np.str_)
     np.savez(buffer, **arrays)
-    write_whole(chunk_file(folder, index), buffer.getvalue())
+    write_file(chunk_file(folder, index), buffer.getvalue())
 
 
 def open_folder(folder: Path, problem: Problem, settings: DataSettings) -> list[int]:
@@ -140,7 +140,7 @@ def open_folder(folder: Path, problem: Problem, settings: DataSettings) -> list[
                 f"{folder} holds data with {name} = {there.get(name)}, not {wanted[name]}: give another folder"
             )
     else:
-        write_whole(file, (json.dumps(wanted, indent=1) + "\n").encode())
+        write_file(file, json.dumps(wanted, indent=1) + "\n")
     return [index for index in range(settings.chunks) if not chunk_file(folder, index).exists()]
 
 

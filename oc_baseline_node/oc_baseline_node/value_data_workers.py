@@ -2,23 +2,17 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
-import signal
-import threading
 import time
 from collections.abc import Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
-from multiprocessing.connection import wait as wait_for_any
+from functools import partial
 from pathlib import Path
 
 from ctrl_rl_core.tasks import NavigationTask
+from ctrl_rl_core.workers import in_processes
 from tqdm import tqdm
 
 from oc_baseline_node.chunk_solver import ChunkSolver
-from oc_baseline_node.errors import OcError
 from oc_baseline_node.problem import Form, Problem, formulate
 from oc_baseline_node.value_data import DataSettings, ValueData, load_data, open_folder, write_chunk
 
@@ -39,7 +33,8 @@ def make_data(
         progress: whether to show a bar.
 
     Raises:
-        OcError: see `open_folder` and `ChunkSolver.solve`, or a worker was killed.
+        OcError: see `open_folder` and `ChunkSolver.solve`.
+        WorkersError: a worker was killed.
     """
     lacking = open_folder(folder, problem, settings)
     done = sum(settings.size(index) for index in range(settings.chunks)) - sum(map(settings.size, lacking))
@@ -59,54 +54,16 @@ def _finished(
     """Make the chunks and yield each one's index once its file is there."""
     if not lacking:
         return
-    if workers == 1:
-        solver = ChunkSolver(problem, settings)
-        for index in lacking:
-            write_chunk(folder, index, solver.solve(index))
-            yield index
-        return
-    # Spawned: a forked copy of threads and of CasADi's state is no safe place to solve in.
-    context = multiprocessing.get_context("spawn")
     terms = (problem.task, problem.form, problem.clearance, settings)
-    with ProcessPoolExecutor(workers, context, _prepare, terms) as pool:
-        with _workers_deaf_to_interrupts():
-            waiting: set[Future[int]] = {pool.submit(_make, folder, index) for index in lacking}
-        try:
-            while waiting:
-                finished, waiting = wait(waiting, return_when=FIRST_COMPLETED)
-                yield from (future.result() for future in finished)
-        except BrokenProcessPool:
-            raise OcError(
-                "a worker process was killed: run the same command again, it goes on where this ended"
-            ) from None
-        finally:
-            pool.shutdown(wait=True, cancel_futures=True)
-
-
-@contextmanager
-def _workers_deaf_to_interrupts() -> Iterator[None]:
-    """Let processes that start meanwhile inherit that SIGINT is ignored: Ctrl-C is for this one, it ends the others."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
-
-
-def _end_with_parent() -> None:
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        wait_for_any([parent.sentinel])
-        os._exit(1)
+    if workers == 1:
+        _prepare(*terms)
+        yield from (_make(folder, index) for index in lacking)
+    else:
+        yield from in_processes(partial(_make, folder), lacking, workers, _prepare, terms)
 
 
 def _prepare(task: NavigationTask, form: Form, clearance: float, settings: DataSettings) -> None:
     global _solver
-    # A worker whose parent was killed must not go on writing into a folder that the next run takes up.
-    threading.Thread(target=_end_with_parent, daemon=True).start()
     _solver = ChunkSolver(formulate(task, form, clearance), settings)
 
 

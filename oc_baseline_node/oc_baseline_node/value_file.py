@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from dataclasses import asdict
 from importlib.resources import files
 from pathlib import Path
@@ -14,6 +13,7 @@ from ctrl_rl_core.errors import CtrlRlError
 from ctrl_rl_core.grid_axis import Axis
 from ctrl_rl_core.value_function import ValueFunction
 from ctrl_rl_core.value_grid import ValueGrid
+from ctrl_rl_core.whole_file import write_whole
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
@@ -53,22 +53,19 @@ def save_value(value: MlpValue, path: Path, overwrite: bool = False) -> None:
     """
     if path.exists() and not overwrite:
         raise OcError(f"{path} exists: give another name, or ask to overwrite it")
-    write_whole(path, encode(value))
+    write_file(path, encode(value))
 
 
-def write_whole(path: Path, content: bytes) -> None:
-    """Write a file through a temporary one, so that no reader sees half of it.
+def write_file(path: Path, content: bytes | str) -> None:
+    """Write a file and the folder that it lies in.
 
     Raises:
         OcError: it cannot be written.
     """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        temporary.write_bytes(content)
-        os.replace(temporary, path)
+        write_whole(path, content)
     except OSError as error:
-        temporary.unlink(missing_ok=True)
         raise OcError(f"cannot write {path}: {error.strerror}") from None
 
 

@@ -34,7 +34,7 @@ def test_a_run_that_was_cut_off_ends_as_if_it_had_not_been(tmp_path, method):
     whole, cut = tmp_path / "whole", tmp_path / "cut"
     train_one(run, Options(whole, **SHORT))
     with pytest.raises(CutOffError):
-        train_one(run, Options(cut, **SHORT, report=cut_off))
+        train_one(run, Options(cut, **SHORT), report=cut_off)
     train_one(run, Options(cut, **SHORT))
 
     def learnt(folder):

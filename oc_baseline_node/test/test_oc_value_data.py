@@ -58,11 +58,11 @@ def test_a_state_is_worth_the_goal_discounted_by_the_steps_to_it(car: Problem) -
     data = ValueData(states[None], np.zeros((1, 7, 2)), np.array([0.05]), *(np.zeros(0) for _ in range(2)), (),
                      np.zeros(0, bool), np.zeros(0))  # fmt: skip
     steps = np.maximum(5 - np.arange(8), 0)
-    # Two steps of 0.05 s are one of the policy's 0.1 s.
-    assert data.values(car, 0.9)[0] == pytest.approx(1000 * 0.9 ** (steps / 2))
+    # Eight steps of 0.05 s are one of the policy's 0.4 s.
+    assert data.values(car, 0.9)[0] == pytest.approx(1000 * 0.9 ** (steps / 8))
     whole = data.values(car, 0.9, whole_horizon=True)[0]
     assert whole[-1] == 1000
-    assert whole[4] == pytest.approx(1000 * sum(0.9 ** (i / 2) for i in (1, 2, 3)))
+    assert whole[4] == pytest.approx(1000 * sum(0.9 ** (i / 8) for i in (1, 2, 3)))
 
 
 def test_rewards_are_the_tasks() -> None:

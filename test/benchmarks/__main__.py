@@ -11,6 +11,7 @@ import json
 import sys
 from pathlib import Path
 
+from ctrl_rl_core.whole_file import write_whole
 from tqdm import tqdm
 
 HERE = Path(__file__).parent
@@ -30,9 +31,7 @@ def main() -> int:
     print(table(rows))
     if options.output is not None:
         options.output.parent.mkdir(parents=True, exist_ok=True)
-        temporary = options.output.with_name(f".{options.output.name}")
-        temporary.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
-        temporary.replace(options.output)
+        write_whole(options.output, json.dumps(rows, indent=1) + "\n")
     return 0
 
 

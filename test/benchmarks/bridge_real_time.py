@@ -5,12 +5,11 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
-import sys
 import time
 from pathlib import Path
-from typing import Any
 
 import rclpy
+from _common import Row, executable, row
 from ctrl_rl_core.ros import SENSOR
 from ctrl_rl_core.tasks import load_navigation_task
 from nav_msgs.msg import Odometry
@@ -42,7 +41,7 @@ class _Listener(Node):
         self.newest = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
 
 
-def rows() -> list[dict[str, Any]]:
+def rows() -> list[Row]:
     """Measure and return one row per figure; a ratio of 1 or more against the target is good."""
     os.environ.setdefault("ROS_DOMAIN_ID", str(100 + os.getpid() % 100))
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
@@ -50,14 +49,10 @@ def rows() -> list[dict[str, Any]]:
     wall, cpu = _bridge_factors()
     against = f"{TARGET:g} times real time"
     return [
-        _row("bridge, simulation time per CPU time", cpu, against, cpu / TARGET),
-        _row("bridge, simulation time per wall time", wall, against, wall / TARGET),
-        _row("world alone, simulation time per CPU time", physics, "bridge, per CPU time", physics / cpu),
+        row("bridge, simulation time per CPU time", cpu, "s/s", against, cpu / TARGET),
+        row("bridge, simulation time per wall time", wall, "s/s", against, wall / TARGET),
+        row("world alone, simulation time per CPU time", physics, "s/s", "bridge, per CPU time", physics / cpu),
     ]
-
-
-def _row(name: str, value: float, against: str, ratio: float) -> dict[str, Any]:
-    return {"name": name, "value": round(value, 2), "unit": "s/s", "against": against, "ratio": round(ratio, 2)}
 
 
 def _physics_factor() -> float:
@@ -79,7 +74,7 @@ def _physics_factor() -> float:
 
 def _bridge_factors() -> tuple[float, float]:
     """Return simulation time per wall time and per CPU time of a bridge process that somebody listens to."""
-    program = Path(_prefix("sim_bridge")) / "lib" / "sim_bridge" / "bridge"
+    program = executable("sim_bridge", "bridge")
     arguments = ["--ros-args", "-p", f"task:={TASK}", "-p", "speed_factor:=0.0"]
     bridge = subprocess.Popen([program, *arguments], stdout=subprocess.DEVNULL)
     rclpy.init()
@@ -100,12 +95,6 @@ def _bridge_factors() -> tuple[float, float]:
     return simulated / (end[0] - begin[0]), simulated / (end[1] - begin[1])
 
 
-def _prefix(package: str) -> str:
-    from ament_index_python import get_package_prefix
-
-    return str(get_package_prefix(package))
-
-
 def _spin(node: Node, duration: float) -> None:
     end = time.monotonic() + duration
     while time.monotonic() < end:
@@ -119,5 +108,4 @@ def _cpu_time(pid: int) -> float:
 
 
 if __name__ == "__main__":
-    for row in rows():
-        sys.stdout.write(f"{row['name']}: {row['value']} {row['unit']}, {row['ratio']} of {row['against']}\n")
+    print(*rows(), sep="\n")

@@ -11,34 +11,18 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import numpy as np
 import rclpy
-from ament_index_python.packages import get_package_prefix
+from _common import Row, echo, executable, row
 from ctrl_rl_core.ros import COMMAND, SCAN_PUBLISHER, SENSOR, float32_array, to_stamp
 from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Odometry
-from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from sensor_msgs.msg import LaserScan
 
 SCANS = 400
 PAUSE_S = 0.01
-
-
-def echo() -> None:
-    """Answer each scan with an empty command."""
-    rclpy.init()
-    node = Node("echo", namespace="echo")
-    publisher = node.create_publisher(TwistStamped, "cmd_vel", COMMAND)
-    node.create_subscription(
-        LaserScan, "scan", lambda scan: publisher.publish(TwistStamped(header=scan.header)), SENSOR
-    )
-    try:
-        rclpy.spin(node)
-    except (KeyboardInterrupt, ExternalShutdownException):
-        rclpy.try_shutdown()
 
 
 class Prober:
@@ -80,10 +64,10 @@ class Prober:
         self._answered = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
 
 
-def rows() -> list[dict[str, object]]:
+def rows() -> list[Row]:
     """Return medians and 99th percentiles, with the ratio to the echo's."""
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    controller = Path(get_package_prefix("koopman_lqr_controller")) / "lib/koopman_lqr_controller/controller"
+    controller = executable("koopman_lqr_controller", "controller")
     processes = [
         subprocess.Popen([sys.executable, __file__, "echo"]),
         subprocess.Popen(
@@ -107,24 +91,16 @@ def rows() -> list[dict[str, object]]:
         for process in processes:
             process.send_signal(signal.SIGINT)
             process.wait(5.0)
-    out: list[dict[str, object]] = []
+    out: list[Row] = []
     for label, percentile in (("median", 50), ("p99", 99)):
         mine, floor = (float(np.percentile(times[name], percentile)) for name in ("controlled", "echo"))
         against = f"bare rclpy echo of the same scan, {floor:.3f} ms"
-        out.append(
-            {
-                "name": f"control latency, {label}",
-                "value": mine,
-                "unit": "ms",
-                "against": against,
-                "ratio": mine / floor,
-            }
-        )
+        out.append(row(f"control latency, {label}", mine, "ms", against, mine / floor))
     return out
 
 
 if __name__ == "__main__":
     if sys.argv[1:] == ["echo"]:
-        echo()
+        echo(LaserScan, "scan", TwistStamped, "cmd_vel", (SENSOR, COMMAND), "echo")
     else:
         print(*rows(), sep="\n")

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable
 
 import numpy as np
+from _common import Row, row
 from ctrl_rl_core.value_grid import Axis, ValueGrid
 from scipy.interpolate import RegularGridInterpolator
 
@@ -14,7 +15,7 @@ SINGLES = 20_000
 REPEATS = 5
 
 
-def rows() -> list[dict[str, object]]:
+def rows() -> list[Row]:
     """Return rates of value, and of value with gradient; each ratio is to scipy's rate for the same states."""
     axes = (
         Axis("x", "m", -5.0, 5.0, 101),
@@ -37,23 +38,21 @@ def rows() -> list[dict[str, object]]:
     peer_single = len(some) / _seconds(lambda: [peer(state) for state in some])
     name = "scipy RegularGridInterpolator"
     return [
-        _row(
+        row(
             "grid look-up, many states",
             1e-6 * batch,
             "M states/s",
             f"{name}, {1e-6 * peer_batch:.3g}",
             batch / peer_batch,
         ),
-        _row(
+        row(
             "grid look-up with gradient, many states",
             1e-6 * gradient,
             "M states/s",
             f"{name} (value only), {1e-6 * peer_batch:.3g}",
             gradient / peer_batch,
         ),
-        _row(
-            "grid look-up, one state", 1e6 / single, "us", f"{name}, {1e6 / peer_single:.3g} us", single / peer_single
-        ),
+        row("grid look-up, one state", 1e6 / single, "us", f"{name}, {1e6 / peer_single:.3g} us", single / peer_single),
     ]
 
 
@@ -66,10 +65,6 @@ def _seconds(work: Callable[[], object]) -> float:
         work()
         times.append(time.process_time() - begin)
     return min(times)
-
-
-def _row(name: str, value: float, unit: str, against: str, ratio: float) -> dict[str, object]:
-    return {"name": name, "value": value, "unit": unit, "against": against, "ratio": ratio}
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@ Every way of solving gets the same random starts in the same run; times are CPU 
 from __future__ import annotations
 
 import numpy as np
+from _common import Row, row
 from ctrl_rl_core.tasks import load_navigation_task
 from oc_baseline_node.guesses import moved_on
 from oc_baseline_node.mpc import Mpc, Trajectory
@@ -16,7 +17,7 @@ STARTS = {"car_navigation": 40, "quad_navigation": 25, "quad_trap": 25}
 LETTER_STARTS = 15
 
 
-def rows() -> list[dict[str, object]]:
+def rows() -> list[Row]:
     """Return CPU seconds per start and success rates, beside ipopt's from a cold start."""
     out = []
     for name, count in STARTS.items():
@@ -42,15 +43,15 @@ def _next(mpc: Mpc, trajectory: Trajectory) -> Trajectory:
     return mpc.solve(trajectory.states[1], moved_on(trajectory.states, trajectory.controls, 1))
 
 
-def _time(name: str, ours: list[Trajectory], other: str, theirs: list[Trajectory]) -> dict[str, object]:
+def _time(name: str, ours: list[Trajectory], other: str, theirs: list[Trajectory]) -> Row:
     mine, peer = (float(np.mean([t.cpu_seconds for t in some])) for some in (ours, theirs))
     against = f"{other}, {peer:.3f} CPU s; solved {_solved(ours):.0%}, {other} {_solved(theirs):.0%}"
-    return {"name": name, "value": mine, "unit": "CPU s", "against": against, "ratio": mine / peer}
+    return row(name, mine, "CPU s", against, mine / peer)
 
 
-def _rate(name: str, ours: list[Trajectory], other: str, theirs: list[Trajectory]) -> dict[str, object]:
+def _rate(name: str, ours: list[Trajectory], other: str, theirs: list[Trajectory]) -> Row:
     mine, peer = _solved(ours), _solved(theirs)
-    return {"name": name, "value": mine, "unit": "of starts", "against": f"{other}, {peer:.2f}", "ratio": mine / peer}
+    return row(name, mine, "of starts", f"{other}, {peer:.2f}", mine / peer)
 
 
 def _solved(some: list[Trajectory]) -> float:

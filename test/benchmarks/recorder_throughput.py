@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from _common import Row, row
 from ctrl_rl_core.bags import BagWriter, Topic
 from mcap.writer import Writer
 from rosbags.typesys import Stores, get_typestore
@@ -17,11 +18,11 @@ MESSAGES = 15_000
 ROUNDS = 3
 
 
-def rows() -> list[dict[str, object]]:
+def rows() -> list[Row]:
     """Return one row a kind of scan: a room with sensor noise in whole millimetres, and one scan over and over."""
     store = get_typestore(Stores.ROS2_JAZZY)
     topic = Topic("/scan", TYPE, store.generate_msgdef(TYPE, ros_version=2)[0], store.hash_rihs01(TYPE))
-    out: list[dict[str, object]] = []
+    out: list[Row] = []
     for name, distinct in (("noisy scans", MESSAGES), ("one scan repeated", 1)):
         scans = _scans(distinct)
         # In turn and the best of each, so that another process' load weighs on both alike.
@@ -29,15 +30,9 @@ def rows() -> list[dict[str, object]]:
         for _ in range(ROUNDS):
             ours = max(ours, _bag_writer(topic, scans))
             peer = max(peer, _mcap_writer(topic, scans))
-        out.append(
-            {
-                "name": f"bag writer, 2.9 kB LaserScan, {name}",
-                "value": round(ours),
-                "unit": "messages per CPU-second",
-                "against": f"mcap.writer.Writer, zstd, 1 MiB chunks: {round(peer)}",
-                "ratio": round(ours / peer, 3),
-            }
-        )
+        against = f"mcap.writer.Writer, zstd, 1 MiB chunks: {round(peer)}"
+        name = f"bag writer, 2.9 kB LaserScan, {name}"
+        out.append(row(name, round(ours), "messages per CPU-second", against, ours / peer))
     return out
 
 

@@ -1,7 +1,8 @@
 """The reward node under 1 kHz odometry: how many messages it answers, how quickly, against a bare echo.
 
-The same odometry goes first to a bare echo, the least rclpy node that answers an Odometry with a TaskReward, and then
-to the node; the recorder writes down when each message was published.
+The same odometry goes first to a bare echo, the least rclpy node that answers an Odometry with a TaskReward (by
+`rclpy.spin`, while the node uses the quicker events executor), and then to the node; the recorder writes down when each
+message was published.
 """
 
 from __future__ import annotations
@@ -17,11 +18,10 @@ from pathlib import Path
 
 import numpy as np
 import rclpy
-from ament_index_python.packages import get_package_prefix
+from _common import Row, echo, executable, row
 from ctrl_rl_bringup.transport import answer_latencies, lost_messages, read_sent
 from ctrl_rl_core.ros import ODOM_PUBLISHER, RESULT, SENSOR, to_stamp
 from nav_msgs.msg import Odometry
-from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from ttr_reward_node.solver import solve_task
 
@@ -32,27 +32,13 @@ SECONDS = {"echo": 20.0, "reward": 60.0}
 TASK = "car_ttr"
 
 
-def echo() -> None:
-    """Answer each odometry message with an empty reward."""
-    rclpy.init()
-    node = Node("echo")
-    publisher = node.create_publisher(TaskReward, "reward", RESULT)
-    node.create_subscription(
-        Odometry, "odom", lambda message: publisher.publish(TaskReward(header=message.header)), SENSOR
-    )
-    try:
-        rclpy.spin(node)
-    except (KeyboardInterrupt, ExternalShutdownException):
-        rclpy.try_shutdown()
-
-
-def rows() -> list[dict[str, object]]:
+def rows() -> list[Row]:
     """Return the part answered, and the latency with its ratio to the echo's."""
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     with tempfile.TemporaryDirectory() as folder:
         grid = Path(folder) / "grid.safetensors"
         solve_task(TASK).save(grid)
-        node = [_executable("ttr_reward_node", "reward"), "--ros-args", "-p", f"grid:={grid}", "--log-level", "error"]
+        node = [executable("ttr_reward_node", "reward"), "--ros-args", "-p", f"grid:={grid}", "--log-level", "error"]
         programs = {"echo": [sys.executable, __file__, "echo"], "reward": node}
         times, answered, lost = {}, {}, 0
         for name, program in programs.items():
@@ -61,20 +47,21 @@ def rows() -> list[dict[str, object]]:
             sent = read_sent(bag)
             times[name] = 1e3 * answer_latencies(sent["/odom"], sent["/reward"])
             answered[name] = len(times[name]) / count
-            lost += lost_messages({topic: sent[topic] for topic in ("/odom", "/reward")})
-    out: list[dict[str, object]] = [
-        _row("reward node, 1 kHz odometry for 60 s, answered", 100 * answered["reward"], "%", "every message", None),
-        _row("reward node, messages lost", lost, "messages", "the publishers' own count", None),
+            if name == "reward":
+                lost = lost_messages({topic: sent[topic] for topic in ("/odom", "/reward")})
+    out: list[Row] = [
+        row("reward node, 1 kHz odometry for 60 s, answered", 100 * answered["reward"], "%", "every message", None),
+        row("reward node, messages lost", lost, "messages", "the publishers' own count", None),
     ]
     for label, percentile in (("median", 50), ("p99", 99)):
         mine, floor = (float(np.percentile(times[name], percentile)) for name in ("reward", "echo"))
-        out.append(_row(f"reward latency, {label}", mine, "ms", f"bare rclpy echo, {floor:.3f} ms", mine / floor))
+        out.append(row(f"reward latency, {label}", mine, "ms", f"bare rclpy echo, {floor:.3f} ms", mine / floor))
     return out
 
 
 def _drive(program: list[str], bag: Path, seconds: float) -> int:
     """Run a program and the recorder, publish odometry, and return how many messages were published."""
-    recorder = [_executable("ctrl_rl_core", "recorder"), "--ros-args", "-p", f"output:={bag}", "--log-level", "error"]
+    recorder = [executable("ctrl_rl_core", "recorder"), "--ros-args", "-p", f"output:={bag}", "--log-level", "error"]
     with ExitStack() as stack:
         processes = [subprocess.Popen(command, stdout=subprocess.DEVNULL) for command in (program, recorder)]
         stack.callback(_stop, processes)
@@ -110,16 +97,8 @@ def _stop(processes: list[subprocess.Popen[bytes]]) -> None:
         process.wait(10.0)
 
 
-def _executable(package: str, name: str) -> str:
-    return str(Path(get_package_prefix(package)) / "lib" / package / name)
-
-
-def _row(name: str, value: float, unit: str, against: str, ratio: float | None) -> dict[str, object]:
-    return {"name": name, "value": value, "unit": unit, "against": against, "ratio": ratio}
-
-
 if __name__ == "__main__":
     if sys.argv[1:] == ["echo"]:
-        echo()
+        echo(Odometry, "odom", TaskReward, "reward", (SENSOR, RESULT))
     else:
         print(*rows(), sep="\n")

@@ -14,6 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from _common import Row, row
 from ctrl_rl_core.value_grid import ValueGrid
 from ttr_reward_node.convergence import Errors, measure_errors
 from ttr_reward_node.cost import exponent, measure_cost
@@ -38,8 +39,6 @@ solve(problem)
 print(time.process_time() - begin)
 """
 
-Row = dict[str, object]
-
 
 def rows() -> list[Row]:
     """Return CPU seconds and errors, each beside the peer's, the thesis's or the exact figure."""
@@ -61,30 +60,30 @@ def _against_peer(car: Problem, exact: Reference, seconds: float, errors: Errors
     if importlib.util.find_spec("hj_reachability") is None:
         print(INSTALL)
         return [
-            _row(f"{name}: solve", seconds, "s", INSTALL, None),
-            _row(f"{name}: median error", errors.median, "s", "exact Dubins paths", None),
-            _row(f"{name}: mean relative error", 100.0 * errors.relative, "%", "exact Dubins paths", None),
+            row(f"{name}: solve", seconds, "s", INSTALL, None),
+            row(f"{name}: median error", errors.median, "s", "exact Dubins paths", None),
+            row(f"{name}: mean relative error", 100.0 * errors.relative, "%", "exact Dubins paths", None),
         ]
     out = []
     for label, peer_seconds, peer in _peer(car, exact):
         against = f"hj_reachability {label}"
         out += [
-            _row(f"{name}: solve", seconds, "s", f"{against}, {peer_seconds:.3g} s", peer_seconds / seconds),
-            _row(
+            row(f"{name}: solve", seconds, "s", f"{against}, {peer_seconds:.3g} s", peer_seconds / seconds),
+            row(
                 f"{name}: median error",
                 errors.median,
                 "s",
                 f"{against}, {peer.median:.3g} s",
                 peer.median / errors.median,
             ),
-            _row(
+            row(
                 f"{name}: mean relative error",
                 100.0 * errors.relative,
                 "%",
                 f"{against}, {100.0 * peer.relative:.3g} %",
                 peer.relative / errors.relative,
             ),
-            _row(
+            row(
                 f"{name}: states held unreachable",
                 100.0 * errors.missed,
                 "%",
@@ -124,7 +123,7 @@ def _first_use() -> list[Row]:
             times.append(float(run.stdout))
     first, second = times
     return [
-        _row(
+        row(
             "time to reach, first solution in the second process",
             second,
             "s",
@@ -140,7 +139,7 @@ def _quadrotor() -> Row:
     seconds = sum(solution.cpu_seconds for solution in solutions)
     each = " + ".join(f"{part.problem.points / 1e6:.2f}" for part in parts)
     assert all(solution.converged for solution in solutions)
-    return _row(
+    return row(
         f"time to reach, quadrotor 4D + 4D, {each} M points",
         seconds,
         "s",
@@ -154,7 +153,7 @@ def _cost() -> list[Row]:
     names = ("3D Dubins car", "4D planar quadrotor, half", "6D planar quadrotor")
     measured = measure_cost(names, (1e4, 1e5, 5e5))
     return [
-        _row(
+        row(
             f"cost of {name}, exponent of the points",
             exponent([row for row in measured if row["system"] == name]),
             "1",
@@ -163,10 +162,6 @@ def _cost() -> list[Row]:
         )
         for name in names
     ]
-
-
-def _row(name: str, value: float, unit: str, against: str, ratio: float | None) -> Row:
-    return {"name": name, "value": value, "unit": unit, "against": against, "ratio": ratio}
 
 
 if __name__ == "__main__":

@@ -3,10 +3,15 @@
 import os
 import subprocess
 import sys
+from importlib import import_module
 from pathlib import Path
 
 import pytest
+from numba.core.caching import NullCache
+from numba.core.dispatcher import Dispatcher
+from ttr_reward_node.compiled import KERNEL_FILES
 from ttr_reward_node.errors import TimeToReachError
+from ttr_reward_node.machine_code import cached
 from ttr_reward_node.memory import available
 from ttr_reward_node.problem import problem_from_task
 from ttr_reward_node.solver import METHODS, memory_needed, solve
@@ -18,6 +23,35 @@ from ttr_reward_node.solver import solve
 solve(problem_from_task("car_ttr", counts=(21, 21, 18)))
 print(sum(kernels().sweep.stats.cache_hits.values()), sum(kernels().sweep.stats.cache_misses.values()))
 """
+
+_PEAK = """
+import sys
+from pathlib import Path
+from ttr_reward_node.cost import make_problem
+from ttr_reward_node.solver import memory_needed, solve
+
+def status(key):
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return 1024.0 * next(float(line.split()[1]) for line in lines if line.startswith(key))
+
+name, points, method = sys.argv[1:]
+problem = make_problem(name, float(points))
+before = status("VmRSS:")
+solve(problem, method, max_sweeps=1)
+print(status("VmHWM:") - before, memory_needed(problem, method))
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="asks Linux for the peak")
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize(("name", "points"), [("3D Dubins car", 6e6), ("4D planar quadrotor, half", 4e6)])
+def test_no_more_is_taken_than_was_stated(name, points, method):
+    run = subprocess.run(
+        [sys.executable, "-c", _PEAK, name, str(points), method], check=True, capture_output=True, text=True
+    )
+    peak, stated = map(float, run.stdout.split())
+    assert peak <= stated
+    assert stated <= 4.0 * peak  # else it would refuse what fits
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -42,3 +76,21 @@ def test_second_process_compiles_nothing(tmp_path: Path):
     first, second = (tuple(map(int, run.stdout.split())) for run in hits)
     assert first == (0, 1)
     assert second == (1, 0)
+
+
+def test_only_the_entry_points_keep_machine_code():
+    """A cache of an inner function would not see that the functions which it calls have changed."""
+    for name in KERNEL_FILES:
+        for function in vars(import_module(f"ttr_reward_node.{Path(name).stem}")).values():
+            if isinstance(function, Dispatcher):
+                assert isinstance(function._cache, NullCache)
+
+
+def test_without_a_place_for_machine_code_it_is_made_anew(monkeypatch):
+    """As in a read-only installation without a home."""
+
+    def refuse(*_arguments, **_options):
+        raise RuntimeError("cannot cache function: no locator available")
+
+    monkeypatch.setattr(Dispatcher, "enable_caching", refuse)
+    assert cached(lambda x: x + 1.0)(1.0) == 2.0

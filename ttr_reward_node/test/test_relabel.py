@@ -65,3 +65,25 @@ def test_says_what_is_missing(bag: Path, tmp_path: Path) -> None:
     with pytest.raises(TimeToReachError, match="no topic /odom of type nav_msgs/msg/Odometry; it has /robot/odom"):
         relabel(bag, tmp_path / "labelled", function, label)
     assert not (tmp_path / "labelled").exists()
+
+
+def test_rewards_that_are_there_are_replaced_only_when_told(bag: Path, tmp_path: Path) -> None:
+    task = load_navigation_task("car_ttr")
+    old, new = (solve_task("car_ttr", counts=counts) for counts in ((21, 21, 12), (41, 41, 24)))
+    first, second, fresh = (tmp_path / name for name in ("first", "second", "fresh"))
+    relabel(bag, first, old, Labeller(task, old), robot="robot")
+    with pytest.raises(TimeToReachError, match="has a topic /robot/reward already: to make it anew add --replace"):
+        relabel(first, second, new, Labeller(task, new), robot="robot")
+    assert not second.exists()
+    assert relabel(first, second, new, Labeller(task, new), robot="robot", replace=True) == 100
+    relabel(bag, fresh, new, Labeller(task, new), robot="robot")
+    assert list(read_wire(second)) == list(read_wire(fresh))
+    assert bag_info(second).custom_data["digest.grid"] == new.digest
+
+
+def test_labels_are_in_the_frame_of_the_function(bag: Path, tmp_path: Path) -> None:
+    function = solve_task("car_ttr", counts=(21, 21, 12))
+    label = Labeller(load_navigation_task("car_ttr"), function)
+    relabel(bag, tmp_path / "labelled", function, label, robot="robot", frame="hall")
+    found = read_messages(tmp_path / "labelled", ["/robot/reward", "/robot/time_to_reach"])
+    assert {message.data.header.frame_id for message in found} == {"hall"}

@@ -188,13 +188,46 @@ def test_a_bad_parameter_ends_it_with_one_clear_message(run_node: Callable, para
     assert "Traceback" not in node.output
 
 
-def test_a_decomposed_function_is_served_like_a_single_one(peer: Peer, run_node: Callable, tmp_path: Path) -> None:
-    file = tmp_path / "quad.safetensors"
+@pytest.fixture(scope="module")
+def quad(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("grids") / "quad.safetensors"
     counts = {"x": 41, "z": 41, "v_x": 21, "v_z": 21, "psi": 24, "omega": 11}
-    solve_decomposed("quad_ttr", PLANAR_QUADROTOR_FIVE, counts=counts).save(file)
-    function = DecomposedValue.load(file)
+    solve_decomposed("quad_ttr", PLANAR_QUADROTOR_FIVE, counts=counts).save(path)
+    return path
+
+
+def test_a_grid_that_is_refused_late_changes_nothing(peer: Peer, run_node: Callable, grid: Path, quad: Path) -> None:
+    run_node(NODE, "reward", f"grid:={grid}", "slice:=['theta=1.0']")
+    before, _ = peer.ask(FREE, 1)
+    answer = peer.set("grid", ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=str(quad)))
+    assert not answer.successful
+    assert "theta" in answer.reason
+    after, value = peer.ask(FREE, 2)
+    assert (after.reward, after.time_to_reach) == (before.reward, before.time_to_reach)
+    assert value.in_domain
+
+
+def test_what_is_no_longer_served_is_no_longer_latched(peer: Peer, run_node: Callable, grid: Path, quad: Path) -> None:
+    run_node(NODE, "reward", f"grid:={quad}")
+    parts = f"/{NODE}/grid_x"
+    peer.until(lambda: len(peer.node.get_publishers_info_by_topic(parts)) == 1)
+    text = ParameterType.PARAMETER_STRING
+    assert peer.set("grid", ParameterValue(type=text, string_value=str(grid))).successful
+    peer.until(lambda: not peer.node.get_publishers_info_by_topic(parts))
+    assert len(peer.node.get_publishers_info_by_topic(f"/{NODE}/grid")) == 1
+
+
+def test_a_function_of_another_task_is_refused(run_node: Callable, grid: Path) -> None:
+    node = run_node(NODE, "reward", f"grid:={grid}", "task:=car_navigation")
+    assert node.process.wait(20.0) != 0
+    assert "the value function is of task 'car_ttr', not of 'car_navigation'" in node.output
+    assert "Traceback" not in node.output
+
+
+def test_a_decomposed_function_is_served_like_a_single_one(peer: Peer, run_node: Callable, quad: Path) -> None:
+    function = DecomposedValue.load(quad)
     heard = {name: peer.listen(ValueGridMsg, f"{NODE}/{name}", LATCHED) for name in ("grid_x", "grid_v_z_psi")}
-    run_node(NODE, "reward", f"grid:={file}")
+    run_node(NODE, "reward", f"grid:={quad}")
     states = np.array([[3.0, 0.0, 3.0, 0.0, 0.1, 0.0], [0.0, 1.0, 8.0, -1.0, 0.0, 0.5], [9.0, 0.0, 3.0, 0.0, 0.0, 0.0]])
     answer = peer.call(QueryValues, "query", states=states.ravel().tolist())
     np.testing.assert_allclose(answer.values, function.value(states))

@@ -1,6 +1,7 @@
 """The rewards of thesis Table 3.3, against their formulas written out once more."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from ctrl_rl_core.grid_axis import Axis
 from ctrl_rl_core.outcome import Outcome
 from ctrl_rl_core.task_parts import RewardSpec
 from ctrl_rl_core.tasks import load_navigation_task, task_digest
+from ctrl_rl_core.value_function import ValueFunctionError
 from ctrl_rl_core.value_grid import ValueGrid
 from hypothesis import given
 from hypothesis import strategies as st
@@ -99,6 +101,16 @@ def test_the_longest_time_is_the_largest_finite_one():
     function = car_value(values)
     assert longest_time(function) == 11.0
     assert make_reward("ttr", CAR, function).intermediate([[0.0, 0.0, 0.0]]).tolist() == [-11.0]
+
+
+def test_a_value_of_something_else_is_refused():
+    value = car_value(np.zeros((3, 3, 4)))
+    with pytest.raises(ValueFunctionError, match="is of task 'car_ttr', not of 'quad_ttr'"):
+        make_reward("ttr", load_navigation_task("quad_ttr"), value)
+    with pytest.raises(ValueFunctionError, match="holds 'oc_value'"):
+        make_reward("ttr", CAR, replace(value, kind="oc_value"))
+    with pytest.raises(TimeToReachError, match="another version of task 'car_ttr': solve it again"):
+        make_reward("ttr", CAR, replace(value, task_digest="0" * 64))
 
 
 def test_what_is_missing_or_unknown_is_said():

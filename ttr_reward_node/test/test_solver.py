@@ -1,5 +1,8 @@
 """What holds for any problem: unreachable states, obstacles, periodic axes, when it stops, all systems of Table 3.1."""
 
+import os
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -103,3 +106,54 @@ def test_cost_rows():
 def test_unknown_method():
     with pytest.raises(TimeToReachError, match="semi_lagrangian"):
         solve(line(), "level_set")
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"tolerance": 0.0}, "tolerance 0 s"),
+        ({"tolerance": -1.0}, "tolerance -1 s"),
+        ({"tolerance": np.nan}, "tolerance nan s"),
+        ({"max_sweeps": 0}, "0 sweeps"),
+    ],
+)
+def test_limits_must_be_positive(options, words):
+    with pytest.raises(TimeToReachError, match=words):
+        solve(line(), **options)
+
+
+@pytest.mark.parametrize("sweeps", [1, 2, 4])
+def test_what_is_given_up_holds_no_made_up_times(sweeps):
+    """The longest time of the car is 20 s; before it has settled, the blur of interpolation alone makes hours."""
+    solution = solve(problem_from_task("car_ttr", counts=(51, 51, 36)), max_sweeps=sweeps)
+    assert not solution.converged
+    assert solution.grid.values[np.isfinite(solution.grid.values)].max() < 40.0
+
+
+def test_a_file_says_how_it_was_solved():
+    corridor = solve(problem_from_task("curved_corridor", counts=(55, 34, 18), inflation=0.123, width=0.75)).grid
+    assert corridor.notes["inflation"] == "0.123"
+    assert corridor.notes["corridor_width"] == "0.75"
+    open_ = solve(problem_from_task("car_ttr", counts=(31, 31, 24))).grid
+    assert open_.notes["inflation"] == "0.0"
+    assert "corridor_width" not in open_.notes
+
+
+_PIECES = """
+import numpy as np
+from ttr_reward_node.decomposition import PLANAR_QUADROTOR_FIVE, split
+from ttr_reward_node.problem import problem_from_task
+from ttr_reward_node.solver import solve
+problem = problem_from_task("quad_ttr", counts={"psi": 31, "v_x": 21, "omega": 9})
+for part in split(problem, PLANAR_QUADROTOR_FIVE):
+    if part.problem.system.state_names in (("omega",), ("v_x", "psi")):
+        solution = solve(part.problem, "lax_friedrichs")
+        print(solution.converged, np.isnan(solution.grid.values).any())
+"""
+
+
+def test_lax_friedrichs_stays_within_its_arrays(tmp_path):
+    """Where f depends on every state there is a dummy axis of one node, which has no neighbours."""
+    environment = {**os.environ, "NUMBA_BOUNDSCHECK": "1", "NUMBA_CACHE_DIR": str(tmp_path)}
+    run = subprocess.run([sys.executable, "-c", _PIECES], env=environment, check=False, capture_output=True, text=True)
+    assert run.stdout.split() == ["True", "False"] * 2, run.stderr

@@ -1,11 +1,12 @@
-"""Check a task's time to reach by driving: the greedy policy should arrive, and take as long as promised.
+"""Check a time to reach by driving: the greedy policy should arrive, and take as long as promised.
 
-result = check_task("car_ttr")
+result = check_value(load_value("car_ttr.safetensors"), load_navigation_task("car_ttr"))
 result["reached"], result["ratio_median"]
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,12 +15,18 @@ import numpy as np
 from ctrl_rl_core.regions import position_indices
 from ctrl_rl_core.task_parts import World
 from ctrl_rl_core.tasks import NavigationTask, load_navigation_task
+from ctrl_rl_core.value_function import ValueFunction, check_function
 from numpy.typing import NDArray
 
+from ttr_reward_node.errors import TimeToReachError
 from ttr_reward_node.problem import Problem, problem_from_task
-from ttr_reward_node.roll_out import RollOuts, ValueFunction, roll_out
+from ttr_reward_node.rewards import KIND
+from ttr_reward_node.roll_out import RollOuts, roll_out
 from ttr_reward_node.solution import Progress
 from ttr_reward_node.solver import solve
+
+_MOST_DRAWS = 1000
+"""Random states drawn for each that is wanted, before it gives up."""
 
 
 def check_task(
@@ -71,22 +78,65 @@ def check_task(
     }
 
 
+def check_value(
+    value: ValueFunction, task: NavigationTask, *, width: float | None = None, states: int = 1000, seed: int = 0
+) -> dict[str, float]:
+    """Drive from random states by a value function of a task, in the task's world; see `check_task`.
+
+    Args:
+        value: to be checked.
+        task: that it was made for.
+        width: of the task's corridor [m], None for its own.
+        states: how many starts.
+        seed: of the random starts.
+
+    Raises:
+        ValueFunctionError: the function does not belong to the task.
+        TaskError: the width does not suit the task.
+        TimeToReachError: the function has no state to start from.
+    """
+    check_function(value, task, KIND)
+    problem = problem_from_task(
+        task,
+        counts={axis.name: axis.count for grid in value.grids for axis in grid.axes},
+        inflation=float(value.grids[0].notes.get("inflation", 0.0)),
+        width=width,
+    )
+    world = task.build_world(width)
+    return summary(roll_out(value, problem, random_starts(value, problem, states, seed, world=world), world=world))
+
+
 def random_starts(
     value: ValueFunction, problem: Problem, count: int, seed: int = 0, *, world: World | None = None
 ) -> NDArray[np.float64]:
-    """Draw random states (count, n), outside the target and the world's obstacles, from which it can be reached."""
+    """Draw random states (count, n), outside the target and the world's obstacles, from which it can be reached.
+
+    Raises:
+        TimeToReachError: there are hardly any.
+    """
     plane = position_indices(problem.system.state_names)
     random = np.random.default_rng(seed)
     lower, upper = np.array([(axis.lower, axis.upper) for axis in problem.axes]).T
-    starts = np.empty((0, len(lower)))
+    starts, drawn = np.empty((0, len(lower))), 0
     while len(starts) < count:
+        if drawn >= _MOST_DRAWS * count:
+            raise TimeToReachError(f"from {len(starts)} of {drawn} random states there is a way: ask for fewer")
         some = random.uniform(lower, upper, (count, len(lower)))
+        drawn += count
         times = value.value(some)
         kept = np.isfinite(times) & (times > 0.0)
         if world is not None:
             kept &= world.signed_distance(some[:, plane]) > 0.0
         starts = np.concatenate((starts, some[kept]))
     return starts[:count]
+
+
+def as_line(figures: Mapping[str, float]) -> str:
+    """Return the figures of roll-outs for people."""
+    return (
+        f"reached {100 * figures['reached']:5.1f} %  collided {100 * figures['collided']:4.1f} %  executed/predicted "
+        f"median {figures['ratio_median']:.4f}, 95 % {figures['ratio_p95']:.4f}"
+    )
 
 
 def summary(outcome: RollOuts) -> dict[str, float]:

@@ -1,8 +1,9 @@
-"""The commands `solve`, `slices` and `relabel`: time-to-reach functions, pictures of them, rewards for bags."""
+"""The commands `solve`, `check`, `slices` and `relabel`: time-to-reach functions, what they keep, rewards for bags."""
 
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -10,9 +11,11 @@ from ctrl_rl_core.command import run_command
 from ctrl_rl_core.tasks import load_navigation_task
 from tqdm import tqdm
 
+from ttr_reward_node.check import as_line, check_value
 from ttr_reward_node.decomposition import DECOMPOSITIONS, find_decomposition, join, split
 from ttr_reward_node.errors import TimeToReachError
 from ttr_reward_node.labels import Labeller
+from ttr_reward_node.memory import gigabytes
 from ttr_reward_node.problem import Problem, problem_from_task
 from ttr_reward_node.relabel import relabel
 from ttr_reward_node.solution import Solution
@@ -55,6 +58,19 @@ def solve_value(arguments: Sequence[str] | None = None) -> int:
     return run_command("solve", lambda: _solve(options))
 
 
+def check(arguments: Sequence[str] | None = None) -> int:
+    """Drive by a time-to-reach function and compare the time taken with the time promised."""
+    parser = _parser("check", "Drive by a time-to-reach function, greedily, from random states: does it keep its word?")
+    parser.add_argument("file", type=Path, help="the function (.safetensors), of a car")
+    parser.add_argument("--task", help="task to drive in (default: the one it was made for)")
+    parser.add_argument("--width", type=float, help="of the task's corridor [m] (default: the task's)")
+    parser.add_argument("--starts", type=int, default=1000, help="how many (default %(default)s)")
+    parser.add_argument("--seed", type=int, default=0, help="of the random starts (default %(default)s)")
+    parser.add_argument("--at-least", type=float, help="exit with 1 if fewer arrive, e.g. 0.95 (default: never)")
+    options = parser.parse_args(arguments)
+    return run_command("check", lambda: _check(options))
+
+
 def slices(arguments: Sequence[str] | None = None) -> int:
     """Draw slices through a time-to-reach function, as thesis Fig. 3.1 does."""
     parser = _parser("slices", "Draw slices through a time-to-reach function, as thesis Fig. 3.1 does.")
@@ -76,6 +92,8 @@ def relabel_bag(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--task", help="task that says what is paid (default: the one that the function was made for)")
     parser.add_argument("--width", type=float, help="of the task's corridor [m] (default: the task's)")
     parser.add_argument("--robot", default="", help="namespace of the topics (default: none)")
+    parser.add_argument("--frame", default="map", help="of the function's positions (default %(default)s)")
+    parser.add_argument("--replace", action="store_true", help="leave out rewards that the bag has already")
     options = parser.parse_args(arguments)
     return run_command("relabel", lambda: _relabel(options))
 
@@ -88,7 +106,7 @@ def _problem(options: argparse.Namespace) -> Problem:
     task = load_navigation_task(options.task)
     return problem_from_task(
         task,
-        counts={name: int(_number(value)) for name, value in map(_pair, options.count)},
+        counts={name: _whole(value) for name, value in map(_pair, options.count)},
         inflation=task.robot.radius if options.robot_size else options.inflation,
         width=options.width,
         disturbances={name: _bounds(value) for name, value in map(_pair, options.disturbance)},
@@ -100,6 +118,8 @@ def _solve(options: argparse.Namespace) -> int:
     output = options.output or Path(f"{problem.name}.safetensors")
     if output.exists() and not options.overwrite:
         raise TimeToReachError(f"{output} exists: name another file with --output, or add --overwrite")
+    if not output.parent.is_dir():
+        raise TimeToReachError(f"{output}: there is no folder {output.parent}: make it, or name another with --output")
     if options.decomposition is None:
         solutions = [_solve_one(problem, options)]
         solutions[0].grid.save(output, overwrite=options.overwrite)
@@ -113,8 +133,8 @@ def _solve(options: argparse.Namespace) -> int:
 
 
 def _solve_one(problem: Problem, options: argparse.Namespace) -> Solution:
-    megabytes = memory_needed(problem, options.method) / 1e6
-    print(f"problem    {problem.system.name}, {' x '.join(map(str, problem.counts))} nodes, at most {megabytes:.0f} MB")
+    size = gigabytes(memory_needed(problem, options.method))
+    print(f"problem    {problem.system.name}, {' x '.join(map(str, problem.counts))} nodes, at most {size}", flush=True)
     with tqdm(desc="solving", unit=" sweeps", disable=None) as bar:
 
         def show(_sweep: int, change: float) -> None:
@@ -123,11 +143,21 @@ def _solve_one(problem: Problem, options: argparse.Namespace) -> Solution:
 
         limits = {"tolerance": options.tolerance, "max_sweeps": options.max_sweeps}
         solution = solve(problem, options.method, **limits, progress=show)
-    state = "converged" if solution.converged else "NOT converged"
+    state = "converged" if solution.converged else "NOT converged (allow more with --max-sweeps)"
     print(f"solved     {state} after {solution.sweeps} sweeps, {solution.cpu_seconds:.2f} s CPU")
-    print(f"residual   {solution.residual:.2g} s")
+    print(f"residual   {solution.residual:.2g} s, the largest change of the last sweep")
     print(f"reachable  {100 * solution.reachable:.1f} % of the nodes")
     return solution
+
+
+def _check(options: argparse.Namespace) -> int:
+    if options.starts < 1:
+        raise TimeToReachError("--starts must be at least 1")
+    value = load_value(options.file)
+    task = load_navigation_task(options.task or value.task)
+    found = check_value(value, task, width=options.width, states=options.starts, seed=options.seed)
+    print(as_line(found))
+    return 0 if options.at_least is None or found["reached"] >= options.at_least else 1
 
 
 def _slices(options: argparse.Namespace) -> int:
@@ -144,7 +174,18 @@ def _slices(options: argparse.Namespace) -> int:
 def _relabel(options: argparse.Namespace) -> int:
     function = load_value(options.grid)
     label = Labeller(load_navigation_task(options.task or function.task), function, options.width)
-    count = relabel(options.bag, options.output, function, label, options.robot, progress=True)
+    if not label.up_to_date:
+        print(f"relabel: {options.grid} is of another version of its task: solve it again", file=sys.stderr)
+    count = relabel(
+        options.bag,
+        options.output,
+        function,
+        label,
+        robot=options.robot,
+        frame=options.frame,
+        replace=options.replace,
+        progress=True,
+    )
     print(f"labelled   {count} odometry messages")
     print(f"bag        {options.output}")
     return 0
@@ -162,6 +203,12 @@ def _number(text: str) -> float:
         return float(text)
     except ValueError:
         raise TimeToReachError(f"'{text}' is not a number") from None
+
+
+def _whole(text: str) -> int:
+    if not text.isdecimal():
+        raise TimeToReachError(f"'{text}' is not a whole number")
+    return int(text)
 
 
 def _bounds(text: str) -> tuple[float, float]:

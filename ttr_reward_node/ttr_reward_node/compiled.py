@@ -13,11 +13,10 @@ from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from numba import njit
-
 from ttr_reward_node import lax_friedrichs_sweep, surroundings, sweep
+from ttr_reward_node.machine_code import cached
 
-_FILES = ("stencil.py", "row.py", "surroundings.py", "sweep.py", "lax_friedrichs_sweep.py")
+KERNEL_FILES = ("stencil.py", "row.py", "surroundings.py", "sweep.py", "lax_friedrichs_sweep.py")
 
 
 class Kernels(NamedTuple):
@@ -32,7 +31,7 @@ class Kernels(NamedTuple):
 def kernels() -> Kernels:
     """Return the entry points; each is compiled, or read from disk, at its first call."""
     checksum = 0
-    for name in _FILES:
+    for name in KERNEL_FILES:
         checksum = zlib.crc32((Path(__file__).parent / name).read_bytes(), checksum)
     return _make(checksum)
 
@@ -50,11 +49,4 @@ def _make(checksum: int) -> Kernels:
         assert checksum >= 0
         return lax_friedrichs_sweep.sweep(*arguments)
 
-    return Kernels(_compiled(find_outcomes), _compiled(semi_lagrangian), _compiled(lax_friedrichs))
-
-
-def _compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-    try:
-        return njit(cache=True, error_model="numpy")(function)
-    except RuntimeError:  # no writable cache folder: a read-only installation without a home
-        return njit(error_model="numpy")(function)
+    return Kernels(*(cached(entry, error_model="numpy") for entry in (find_outcomes, semi_lagrangian, lax_friedrichs)))

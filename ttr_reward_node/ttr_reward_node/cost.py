@@ -26,18 +26,22 @@ Progress = Callable[[str, int], None]
 """Called before each solution with what is being solved and its number of points."""
 
 SIZES = (1e3, 1e4, 1e5, 1e6)
-"""Numbers of points, about, from 30 to a million and more; see `measure_cost`."""
+"""Numbers of points, about; see `measure_cost`."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """A system with its domain and target; `shares`: counts of the axes, relative to one another."""
+    """A system with its domain and target; `shares`: counts of the axes, relative to one another.
+
+    `piece` is a decomposition and which of its subsystems; `most` is how many points are worth the time.
+    """
 
     system: str
     domain: Mapping[str, tuple[float, float]]
     target: Mapping[str, tuple[float, float]]
     shares: tuple[float, ...]
     piece: tuple[Decomposition, int] | None = None
+    most: float = math.inf
 
 
 _PI = math.pi
@@ -50,10 +54,10 @@ _PLANE: dict[str, tuple[float, float]] = {"x": (-3.0, 3.0), "y": (-3.0, 3.0)}
 
 CASES = {
     "1D planar quadrotor, x": Case(
-        "planar_quadrotor", _QUADROTOR, _QUADROTOR_TARGET, (1.0,), (PLANAR_QUADROTOR_FIVE, 0)
+        "planar_quadrotor", _QUADROTOR, _QUADROTOR_TARGET, (1.0,), (PLANAR_QUADROTOR_FIVE, 0), 2e4
     ),
     "2D planar quadrotor, v_x, psi": Case(
-        "planar_quadrotor", _QUADROTOR, _QUADROTOR_TARGET, (1.0, 1.0), (PLANAR_QUADROTOR_FIVE, 3)
+        "planar_quadrotor", _QUADROTOR, _QUADROTOR_TARGET, (1.0, 1.0), (PLANAR_QUADROTOR_FIVE, 3), 1e5
     ),
     "3D Dubins car": Case(
         "dubins_car",
@@ -128,7 +132,7 @@ def measure_cost(
 
     Args:
         names: of `CASES`.
-        sizes: numbers of points, about. No axis has more than 20,000 nodes, which ends the one-dimensional case.
+        sizes: numbers of points, about. Cases end at their `most`.
         methods: see `solve`.
         progress: see `Progress`.
 
@@ -142,7 +146,7 @@ def measure_cost(
             solve(make_problem(name, min(sizes)), method, max_sweeps=1)
             for size in sizes:
                 problem = make_problem(name, size)
-                if max(problem.counts) > 20_000:
+                if size > CASES[name].most:
                     continue
                 if progress is not None:
                     progress(name, problem.points)
@@ -164,7 +168,7 @@ def measure_cost(
     return rows
 
 
-def exponent(rows: Sequence[Mapping[str, Any]], least: float = 1e4) -> float:
+def exponent(rows: Sequence[Mapping[str, Any]], least: float = 9e3) -> float:
     """Return k of CPU seconds ~ points^k, fitted to the grids of one system with `least` points or more."""
     used = [row for row in rows if row["points"] >= least]
     points, seconds = (np.log([row[key] for row in used]) for key in ("points", "cpu_s"))

@@ -14,7 +14,7 @@ from typing import Any, Self
 
 import numpy as np
 from ctrl_rl_core.grid_axis import Axis, GridError
-from ctrl_rl_core.grid_file import write
+from ctrl_rl_core.grid_file import values_digest, write
 from ctrl_rl_core.value_grid import ValueGrid
 from numpy.typing import ArrayLike, NDArray
 from safetensors import SafetensorError, safe_open
@@ -99,28 +99,17 @@ class DecomposedValue:
 
     def at(self, state: Array) -> float:
         """Value at one state (n,), quickly; NaN outside the domain."""
-        parts = [grid.at(state[columns]) for grid, columns in zip(self.grids, self._columns, strict=True)]
-        return math.nan if any(map(math.isnan, parts)) else max(parts)
+        return self._largest_at(state)[0]
 
     def value_and_gradient_at(self, state: Array) -> tuple[float, Array]:
         """Value and gradient (n,) at one state (n,), quickly; the gradient is that of the largest part."""
+        value, largest = self._largest_at(state)
         gradient = np.full(len(self.axes), np.nan)
-        value = self.at(state)
         if math.isfinite(value):
-            parts = [grid.at(state[columns]) for grid, columns in zip(self.grids, self._columns, strict=True)]
-            largest = int(np.argmax(parts))
             columns = self._columns[largest]
             gradient[:] = 0.0
             gradient[columns] = self.grids[largest].value_and_gradient_at(state[columns])[1]
         return value, gradient
-
-    def in_domain(self, states: ArrayLike) -> NDArray[np.bool_]:
-        """Whether each state (..., n) lies inside all grids; shape (...)."""
-        return ~np.isnan(self.value(states))
-
-    def largest(self, states: ArrayLike) -> NDArray[np.int64]:
-        """Which subsystem's value is the largest (...)."""
-        return self._values(np.asarray(states, dtype=np.float64)).argmax(axis=0)
 
     def save(self, path: str | PathLike[str], *, overwrite: bool = False) -> None:
         """Write all grids as one safetensors file, whole or not at all.
@@ -143,6 +132,9 @@ class DecomposedValue:
                 if header["format"] != _FORMAT:
                     raise GridError(f"format is {header['format']!r}; this version reads format {_FORMAT}")
                 tensors = [file.get_tensor(f"values_{i}") for i in range(len(header["grids"]))]
+            for values, description in zip(tensors, header["grids"], strict=True):
+                if description["values_sha256"] != values_digest(values):
+                    raise GridError("has values that do not match their checksum; copy or compute it again")
             axes = tuple(Axis(**axis) for axis in header["axes"])
             by_name = {axis.name: axis for axis in axes}
             grids = tuple(
@@ -170,12 +162,23 @@ class DecomposedValue:
             "free": self.free,
             "axes": [asdict(axis) for axis in self.axes],
             "grids": [
-                {**{key: _plain(getattr(grid, key)) for key in _FIELDS}, "axes": [axis.name for axis in grid.axes]}
+                {
+                    **{key: _plain(getattr(grid, key)) for key in _FIELDS},
+                    "axes": [axis.name for axis in grid.axes],
+                    "values_sha256": values_digest(grid.values),
+                }
                 for grid in self.grids
             ],
         }
         tensors = {f"values_{i}": np.ascontiguousarray(grid.values) for i, grid in enumerate(self.grids)}
         return save(tensors, metadata={HEADER_KEY: json.dumps(header, sort_keys=True, allow_nan=False)})
+
+    def _largest_at(self, state: Array) -> tuple[float, int]:
+        """Value at one state (n,), and which part it is of."""
+        parts = [grid.at(state[columns]) for grid, columns in zip(self.grids, self._columns, strict=True)]
+        # NaN wins: numpy's argmax takes the first of them
+        largest = int(np.argmax(parts))
+        return parts[largest], largest
 
     def _values(self, x: Array) -> Array:
         if x.shape[-1:] != (len(self.axes),):

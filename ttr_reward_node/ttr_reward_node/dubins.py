@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from ctrl_rl_core.units import Interval
-from numba import njit
 from numpy.typing import NDArray
 
 from ttr_reward_node.errors import TimeToReachError
+from ttr_reward_node.machine_code import cached
 from ttr_reward_node.problem import Problem
 
 Array = NDArray[np.float64]
@@ -59,13 +59,13 @@ def reference(problem: Problem, count: int = 5000, seed: int = 0) -> Reference:
     return Reference(states[:count], times[:count])
 
 
-@njit(cache=True)
+@cached
 def _mod(angle: float) -> float:
     angle = angle % (2 * math.pi)
     return 0.0 if angle > 2 * math.pi - 1e-12 else angle
 
 
-@njit(cache=True)
+@cached
 def word(kind: int, x: float, y: float, angle: float) -> tuple[float, float, float]:
     """Return segments (t, p, q) of one word from the origin to (x, y, angle); inf where it does not exist."""
     none = (math.inf, math.inf, math.inf)
@@ -104,7 +104,7 @@ def word(kind: int, x: float, y: float, angle: float) -> tuple[float, float, flo
     return t, p, q
 
 
-@njit(cache=True)
+@cached
 def end_of(
     kind: int, t: float, p: float, q: float, x: float, y: float, angle: float, s: float
 ) -> tuple[float, float, float]:
@@ -124,7 +124,7 @@ def end_of(
     return x, y, angle
 
 
-@njit(cache=True)
+@cached
 def distance(x0: float, y0: float, a0: float, x1: float, y1: float, a1: float) -> tuple[float, int]:
     """Return the length of the shortest path between two poses, and its word."""
     c, s = math.cos(a0), math.sin(a0)
@@ -138,7 +138,7 @@ def distance(x0: float, y0: float, a0: float, x1: float, y1: float, a1: float) -
     return best, kind
 
 
-@njit(cache=True)
+@cached
 def to_box(states: Array, box: Array, lattice: int, starts: int) -> tuple[Array, Array]:
     """Find the shortest paths from states (N, 3) to box (3, 2).
 
@@ -182,7 +182,7 @@ def to_box(states: Array, box: Array, lattice: int, starts: int) -> tuple[Array,
     return out, poses
 
 
-@njit(cache=True)
+@cached
 def stays_in(states: Array, poses: Array, low: float, high: float) -> NDArray[np.bool_]:
     """Tell whether the shortest path from each state to its pose keeps x and y in [low, high], (N,)."""
     out = np.ones(len(states), np.bool_)

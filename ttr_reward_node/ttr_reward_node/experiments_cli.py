@@ -6,10 +6,11 @@ ttr_experiments convergence | check | gap | cost [--output FILE.json] [--picture
 from __future__ import annotations
 
 import argparse
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from ctrl_rl_core.command import run_command
 from ctrl_rl_core.results import Result, write_results
@@ -17,13 +18,17 @@ from ctrl_rl_core.tasks import load_navigation_task
 from tqdm import tqdm
 
 from ttr_reward_node import convergence, cost, gap
-from ttr_reward_node.check import check_task
+from ttr_reward_node.check import as_line, check_task
 from ttr_reward_node.decomposition import DECOMPOSITIONS
+from ttr_reward_node.errors import TimeToReachError
 from ttr_reward_node.problem import problem_from_task
 
 _COARSER = {"x": 11, "v_x": 7, "z": 11, "v_z": 7, "psi": 11, "omega": 5}
-_FINER = {"x": 17, "v_x": 9, "z": 17, "v_z": 9, "psi": 17, "omega": 5}
+_FINER = {"x": 17, "v_x": 11, "z": 17, "v_z": 11, "psi": 17, "omega": 5}
 _STARTS = 1000
+
+Measured = tuple[list[Result], Callable[[Path], None] | None]
+"""Figures, and what draws them; None where there is no picture."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -37,23 +42,43 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(options: argparse.Namespace) -> int:
-    title, measure = _EXPERIMENTS[options.experiment]
+    title, measure, draws = _EXPERIMENTS[options.experiment]
+    _check_files(options, draws)
     with tqdm(desc=options.experiment, unit=" steps", disable=None) as bar:
 
         def show(name: str, *_figures: float) -> None:
             bar.set_postfix_str(name, refresh=False)
             bar.update()
 
-        results = measure(show, options.picture)
+        results, draw = measure(show)
     if options.output is not None:
         write_results(options.output, title, [0], results)
         print(f"figures    {options.output}")
-    if options.picture is not None and options.picture.exists():
+    if options.picture is not None and draw is not None:
+        draw(options.picture)
         print(f"picture    {options.picture}")
     return 0
 
 
-def _convergence(show: Callable[..., None], _picture: Path | None) -> list[Result]:
+def _check_files(options: argparse.Namespace, draws: bool) -> None:
+    """Refuse what cannot be written, before hours of measuring.
+
+    Raises:
+        TimeToReachError: names the option.
+    """
+    if options.picture is not None and not draws:
+        raise TimeToReachError(f"{options.experiment} draws no picture: leave --picture out")
+    for option in ("output", "picture"):
+        path = getattr(options, option)
+        if path is not None and not (path.parent.is_dir() and os.access(path.parent, os.W_OK)):
+            raise TimeToReachError(
+                f"--{option} {path}: {path.parent} is no folder to write to: make it, or name another"
+            )
+        if path is not None and path.is_dir():
+            raise TimeToReachError(f"--{option} {path} is a folder: name a file")
+
+
+def _convergence(show: Callable[..., None]) -> Measured:
     rows = convergence.convergence_table(progress=show)
     print(convergence.as_table(rows))
     metrics = {
@@ -64,14 +89,15 @@ def _convergence(show: Callable[..., None], _picture: Path | None) -> list[Resul
         "missed": ("states held unreachable", "1"),
         "cpu_s": ("CPU time", "s"),
     }
-    return [
+    results = [
         Result(f"{row['method']}, {' x '.join(map(str, row['counts']))}", metric, unit, [row[key]])
         for row in rows
         for key, (metric, unit) in metrics.items()
     ]
+    return results, None
 
 
-def _check(show: Callable[..., None], _picture: Path | None) -> list[Result]:
+def _check(show: Callable[..., None]) -> Measured:
     results = []
     cases = (
         ("no obstacles", False, None),
@@ -81,10 +107,7 @@ def _check(show: Callable[..., None], _picture: Path | None) -> list[Result]:
     for name, obstacles, margin in cases:
         row = check_task("car_ttr", obstacles=obstacles, margin=margin, states=_STARTS)
         show(name)
-        print(
-            f"{name:<26} reached {100 * row['reached']:5.1f} %  collided {100 * row['collided']:4.1f} %  "
-            f"executed/predicted median {row['ratio_median']:.4f}, 95 % {row['ratio_p95']:.4f}"
-        )
+        print(f"{name:<26} {as_line(row)}")
         for key, metric in (
             ("reached", "fraction that reaches the goal"),
             ("collided", "fraction that collides"),
@@ -92,10 +115,10 @@ def _check(show: Callable[..., None], _picture: Path | None) -> list[Result]:
             ("ratio_p95", "executed / predicted time, 95 %"),
         ):
             results.append(Result(f"car, {name}", metric, "1", [row[key]]))
-    return results
+    return results, None
 
 
-def _gap(show: Callable[..., None], picture: Path | None) -> list[Result]:
+def _gap(show: Callable[..., None]) -> Measured:
     task = load_navigation_task("quad_ttr")
     results = []
     for counts in (_COARSER, gap.COARSE_QUADROTOR, _FINER):
@@ -105,11 +128,13 @@ def _gap(show: Callable[..., None], picture: Path | None) -> list[Result]:
             gaps = gap.measure_gap(used, DECOMPOSITIONS["planar_quadrotor"].values(), progress=show)
             print(gap.as_table(gaps))
             results += [result for one in gaps for result in _gap_results(one.summary())]
-            if picture is not None and obstacles:
-                from ttr_reward_node.gap_picture import draw_gap  # matplotlib is not for robots
 
-                draw_gap(gaps, task, picture)
-    return results
+    def draw(picture: Path) -> None:
+        from ttr_reward_node.gap_picture import draw_gap  # matplotlib is not for robots
+
+        draw_gap(gaps, task, picture)  # of the finest grid, with obstacles
+
+    return results, draw
 
 
 def _gap_results(row: dict[str, Any]) -> list[Result]:
@@ -132,13 +157,9 @@ def _gap_results(row: dict[str, Any]) -> list[Result]:
     return [Result(name, metric, unit, [row[key]]) for key, (metric, unit) in metrics.items()]
 
 
-def _cost(show: Callable[..., None], picture: Path | None) -> list[Result]:
+def _cost(show: Callable[..., None]) -> Measured:
     rows = cost.measure_cost(progress=show)
     print(cost.as_table(rows))
-    if picture is not None:
-        from ttr_reward_node.cost_picture import draw_cost  # matplotlib is not for robots
-
-        draw_cost(rows, picture)
     results = [
         result
         for row in rows
@@ -151,14 +172,30 @@ def _cost(show: Callable[..., None], picture: Path | None) -> list[Result]:
         mine = [row for row in rows if row["system"] == name]
         if sum(row["points"] >= 9e3 for row in mine) > 1:
             results.append(Result(name, "exponent of the points, 1 is linear", "1", [cost.exponent(mine)]))
-    return results
+
+    def draw(picture: Path) -> None:
+        from ttr_reward_node.cost_picture import draw_cost  # matplotlib is not for robots
+
+        draw_cost(rows, picture)
+
+    return results, draw
 
 
-_EXPERIMENTS: dict[str, tuple[str, Callable[[Callable[..., None], Path | None], list[Result]]]] = {
-    "convergence": ("Time to reach of the car: error against exact Dubins paths as the grid is refined", _convergence),
-    "check": ("Time to reach of the car: greedy roll-outs", _check),
-    "gap": ("Time to reach of the quadrotor: what the decomposition costs", _gap),
-    "cost": ("Time to reach: cost as the grid grows", _cost),
+class Experiment(NamedTuple):
+    """A title; what measures, given a function to call with each step's name; whether it draws."""
+
+    title: str
+    measure: Callable[[Callable[..., None]], Measured]
+    draws: bool
+
+
+_EXPERIMENTS = {
+    "convergence": Experiment(
+        "Time to reach of the car: error against exact Dubins paths as the grid is refined", _convergence, False
+    ),
+    "check": Experiment("Time to reach of the car: greedy roll-outs", _check, False),
+    "gap": Experiment("Time to reach of the quadrotor: what the decomposition costs", _gap, True),
+    "cost": Experiment("Time to reach: cost as the grid grows", _cost, True),
 }
 
 if __name__ == "__main__":

@@ -1,7 +1,8 @@
 """What a decomposition costs: its lower bound against the solution of the whole system, on the same nodes.
 
-    gaps = measure_gap(problem_from_task("quad_ttr", counts=COARSE_QUADROTOR),
-    DECOMPOSITIONS["planar_quadrotor"].values()) gaps[0].summary()
+    problem = problem_from_task("quad_ttr", counts=COARSE_QUADROTOR)
+    gaps = measure_gap(problem, DECOMPOSITIONS["planar_quadrotor"].values())
+    gaps[0].summary()
 
 The whole is solved once, on a grid as fine as six dimensions allow; each decomposition is solved on the same axes. Both
 solutions carry the error of that grid, the whole's the larger one: the gap is that of the decomposition and of the grid
@@ -18,9 +19,9 @@ from numpy.typing import NDArray
 
 from ttr_reward_node.decomposition import Decomposition, solve_parts
 from ttr_reward_node.problem import Problem
-from ttr_reward_node.roll_out import crossing_time
 from ttr_reward_node.solution import Solution
 from ttr_reward_node.solver import solve
+from ttr_reward_node.steps import crossing_time
 
 COARSE_QUADROTOR = {"x": 15, "v_x": 9, "z": 15, "v_z": 9, "psi": 15, "omega": 5}
 """A grid on which the whole quadrotor takes half a minute: 1.4 million nodes."""

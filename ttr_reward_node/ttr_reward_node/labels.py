@@ -9,10 +9,10 @@ import numpy as np
 from ctrl_rl_core.outcome import Outcome
 from ctrl_rl_core.task_sets import TaskSets
 from ctrl_rl_core.tasks import NavigationTask
-from ctrl_rl_core.value_function import ValueFunction
+from ctrl_rl_core.value_function import ValueFunction, check_function
 from numpy.typing import NDArray
 
-from ttr_reward_node.rewards import end_reward, longest_time, time_to_reach_reward
+from ttr_reward_node.rewards import KIND, end_reward, longest_time, time_to_reach_reward
 
 
 class Label(NamedTuple):
@@ -30,11 +30,16 @@ class Labeller:
         function: the task's time to reach.
         width: of the task's corridor [m], None for its own.
 
+    Attributes:
+        up_to_date: whether the function was made for this very version of the task.
+
     Raises:
         TaskError: the width does not suit the task.
+        ValueFunctionError: the function does not belong to the task.
     """
 
     def __init__(self, task: NavigationTask, function: ValueFunction, width: float | None = None) -> None:
+        self.up_to_date = check_function(function, task, KIND)
         self._sets = TaskSets(task, width)
         self._rewards = task.rewards
         self._longest = longest_time(function)

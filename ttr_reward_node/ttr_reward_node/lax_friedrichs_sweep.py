@@ -65,6 +65,8 @@ def sweep(
         total, scale = rate, rate
         for k in range(n):
             i = index[k]
+            if counts[k] == 1:  # the dummy axis: no neighbours
+                continue
             if periodic[k]:
                 below = v[node + ((i - 1) % counts[k] - i) * strides[k]]
                 above = v[node + ((i + 1) % counts[k] - i) * strides[k]]

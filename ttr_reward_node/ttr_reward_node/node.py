@@ -8,9 +8,9 @@ from typing import ClassVar
 import numpy as np
 from ctrl_rl_core.parameters import Parameter
 from ctrl_rl_core.ros import RESULT, run_node
-from ctrl_rl_core.tasks import load_navigation_task, task_digest
+from ctrl_rl_core.tasks import load_navigation_task
 from ctrl_rl_core.value_function import ValueFunction
-from ctrl_rl_core.value_server import SERVER_PARAMETERS, ValueServer
+from ctrl_rl_core.value_server import SERVER_PARAMETERS, Valued, ValueServer
 from nav_msgs.msg import Odometry
 from numpy.typing import NDArray
 
@@ -39,21 +39,24 @@ class RewardNode(ValueServer):
         self._rewards = self.create_publisher(TaskReward, "reward", RESULT)
 
     def read(self, path: Path) -> ValueFunction:
-        """Read a time-to-reach file and the task that it belongs to."""
-        function = load_value(path)
-        task = load_navigation_task(self.settings["task"] or function.task)
-        self._label = Labeller(task, function, self.settings["corridor_width"] or None)
-        if task_digest(task) != function.task_digest:
-            self.get_logger().warning(f"{path.name} was made for another version of task '{task.name}': solve it again")
-        return function
+        """Read a time-to-reach file."""
+        return load_value(path)
 
-    def valued(self, message: Odometry, state: NDArray[np.float64], value: float) -> None:
-        """Publish the reward of a state."""
-        outcome, reward = self._label(state, value)
-        out = TaskReward(
-            header=message.header, outcome=TaskOutcome(value=int(outcome)), reward=reward, time_to_reach=value
-        )
-        self._rewards.publish(out)
+    def prepare(self, function: ValueFunction) -> Valued:
+        """Return what publishes the reward of each state."""
+        task = load_navigation_task(self.settings["task"] or function.task)
+        label = Labeller(task, function, self.settings["corridor_width"] or None)
+        if not label.up_to_date:
+            self.get_logger().warning(f"the grid was made for another version of task '{task.name}': solve it again")
+
+        def publish(message: Odometry, state: NDArray[np.float64], value: float) -> None:
+            outcome, reward = label(state, value)
+            out = TaskReward(
+                header=message.header, outcome=TaskOutcome(value=int(outcome)), reward=reward, time_to_reach=value
+            )
+            self._rewards.publish(out)
+
+        return publish
 
 
 def main() -> int:

@@ -1,4 +1,4 @@
-"""Pictures of a time-to-reach function: slices through it (thesis Fig. 3.1), its optimal paths."""
+"""Pictures of a time-to-reach function: slices through it (thesis Fig. 3.1)."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 from ctrl_rl_core.drawing import draw_world, save_figure
-from ctrl_rl_core.grid_axis import Axis
-from ctrl_rl_core.regions import ANGLES, position_indices
+from ctrl_rl_core.plane import plane_of
+from ctrl_rl_core.regions import ANGLES
 from ctrl_rl_core.tasks import NavigationTask
 from ctrl_rl_core.value_function import ValueFunction
 from matplotlib import pyplot as plt
@@ -27,7 +27,6 @@ def draw_slices(
     task: NavigationTask,
     path: Path,
     at: Mapping[str, Sequence[float]] | None = None,
-    roll_outs: Sequence[Array] = (),
 ) -> None:
     """Draw the time to reach over the plane, one picture for each value of one other component, as Fig. 3.1 does.
 
@@ -37,19 +36,16 @@ def draw_slices(
         path: of the picture; replaced if it exists.
         at: values of the other components by name [their unit]; the one with more than one value makes the panels.
             The thesis's four headings for the robot's angle, and 0 for the rest, unless given.
-        roll_outs: paths (n, states) to draw on top of every panel.
 
     Raises:
-        TimeToReachError: there is no plane of positions, or `at` names what the state lacks.
+        TimeToReachError: two components have several values.
+        ValueFunctionError: there is no plane of positions, or `at` names what the state lacks.
     """
-    names = function.state_names
-    plane = position_indices(names)
-    if len(plane) < 2:
-        raise TimeToReachError(f"the states {', '.join(names)} have no plane of positions to draw")
-    values = _panels(names, plane, at or {})
-    first, second = (_axis(function, names[index]) for index in plane)
+    plane = plane_of(function)
+    first, second = plane.first, plane.second
+    values = _panels(plane.others, at or {})
     x, y = np.linspace(first.lower, first.upper, _POINTS), np.linspace(second.lower, second.upper, _POINTS)
-    slices = [function.value(_states(names, plane, x, y, panel)) for panel in values]
+    slices = [function.value(plane.states(x, y, panel)) for panel in values]
     finite = [layer[np.isfinite(layer)] for layer in slices]
     top = max((float(layer.max()) for layer in finite if layer.size), default=1.0)
     figure, axes = plt.subplots(
@@ -60,8 +56,6 @@ def draw_slices(
         levels = np.linspace(0.0, top, 25)
         image = ax.contourf(x, y, np.ma.masked_invalid(layer), levels, cmap="viridis_r", extend="max")
         draw_world(ax, task)
-        for states in roll_outs:
-            ax.plot(states[:, plane[0]], states[:, plane[1]], color="white", linewidth=1.0)
         ax.set_title(", ".join(f"{name} = {value:.3g}" for name, value in panel.items()), fontsize=9)
         ax.set_xlabel(f"{first.name} [{first.unit}]")
         ax.set_xlim(first.lower, first.upper)
@@ -73,27 +67,13 @@ def draw_slices(
     save_figure(figure, path)
 
 
-def _panels(names: Sequence[str], plane: Sequence[int], at: Mapping[str, Sequence[float]]) -> list[dict[str, float]]:
-    others = [name for index, name in enumerate(names) if index not in plane]
-    unknown = [name for name in at if name not in others]
-    if unknown:
-        raise TimeToReachError(f"'{unknown[0]}' cannot be fixed: besides the position there are {', '.join(others)}")
+def _panels(others: Sequence[str], at: Mapping[str, Sequence[float]]) -> list[dict[str, float]]:
+    """Return what each panel fixes."""
     angle = next((name for name in others if name in ANGLES), None)
-    fixed = {name: tuple(at.get(name, _THESIS_HEADINGS if name == angle and not at else (0.0,))) for name in others}
-    many = [name for name in others if len(fixed[name]) > 1]
+    defaults = {name: _THESIS_HEADINGS if name == angle and not at else (0.0,) for name in others}
+    fixed = {**defaults, **at}
+    many = [name for name, values in fixed.items() if len(values) > 1]
     if len(many) > 1:
         raise TimeToReachError(f"{' and '.join(many)} have several values each: only one component makes panels")
     count = len(fixed[many[0]]) if many else 1
-    return [{name: fixed[name][index if len(fixed[name]) > 1 else 0] for name in others} for index in range(count)]
-
-
-def _states(names: Sequence[str], plane: Sequence[int], x: Array, y: Array, panel: Mapping[str, float]) -> Array:
-    out = np.zeros((len(y), len(x), len(names)))
-    for name, value in panel.items():
-        out[..., names.index(name)] = value
-    out[..., plane[0]], out[..., plane[1]] = x, y[:, None]
-    return out
-
-
-def _axis(function: ValueFunction, name: str) -> Axis:
-    return next(axis for grid in function.grids for axis in grid.axes if axis.name == name)
+    return [{name: values[index if len(values) > 1 else 0] for name, values in fixed.items()} for index in range(count)]

@@ -20,7 +20,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.geometry import signed_distance
 from ctrl_rl_core.grid_axis import Axis
 from ctrl_rl_core.regions import Region, position_indices
 from ctrl_rl_core.systems import System
@@ -30,9 +29,9 @@ from ctrl_rl_core.units import Interval, parse_interval
 from numpy.typing import NDArray
 
 from ttr_reward_node.errors import TimeToReachError
+from ttr_reward_node.obstacles import make_clearance
 
-# A step ends one or two cells away, and the table of steps has to stay small beside the values.
-_MOST_DIMENSIONS = 6
+_MOST_DIMENSIONS = 6  # the kernels' tables have room for the 2^6 corners of a cell
 _STRAIGHT = 1e-9
 
 
@@ -62,6 +61,8 @@ class Problem:
             is affine in u; the third, the middle, saves switching to and fro between the bounds.
         name: of the task.
         digest: SHA-256 of the task; of system, axes and target where left out.
+        inflation: by how much the clearance has been reduced [m], for the record.
+        corridor_width: of the task's corridor [m], for the record; None without one.
 
     Raises:
         TimeToReachError: anything that contradicts the above.
@@ -74,6 +75,8 @@ class Problem:
     control_counts: int | tuple[int, ...] = 3
     name: str = "custom"
     digest: str = field(default="")
+    inflation: float = 0.0
+    corridor_width: float | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "axes", tuple(self.axes))
@@ -167,17 +170,21 @@ def problem_from_task(
     Args:
         task: a task, its name or its file; it must say which `grid` it wants.
         counts: nodes by state name, or one for each state, in place of the task's.
-        inflation: by how much walls and obstacles are widened [m], e.g. the robot's radius; 0 for a point.
+        inflation: by how much walls and obstacles are widened [m], e.g. the robot's radius; 0 for a point. Thin walls
+            need it: see `obstacles.make_clearance`.
         width: of the task's corridor [m]; None for the task's own.
         disturbances: bounds by name ("d_" and the state's name); none unless given.
         control_counts: see `Problem`.
 
     Raises:
-        TimeToReachError: the task has no grid, or its corridor's goal is not a box along the axes.
+        TimeToReachError: the task has no grid, or its corridor's goal is not a box along the axes; unknown states in
+            `counts`; an inflation that is negative or not a number; walls or obstacles thinner than a cell.
         TaskError, SystemModelError: the task or the disturbance is wrong.
     """
     if not isinstance(task, NavigationTask):
         task = load_navigation_task(task)
+    if not (math.isfinite(inflation) and inflation >= 0.0):
+        raise TimeToReachError(f"inflation {inflation:g} m: it must be 0 or more")
     if not task.grid:
         raise TimeToReachError(f"task '{task.name}' has no value grid: add 'grid' with an axis for each state")
     system = task.system.build()
@@ -186,16 +193,19 @@ def problem_from_task(
     axes = _axes(task, system, counts)
     plane = tuple(position_indices(system.state_names))
     world = task.build_world(width)
-    points = np.stack(np.meshgrid(*(axes[k].nodes for k in plane), indexing="ij"), axis=-1)
-    distance = signed_distance((*world.walls, *world.obstacles), points) - inflation
+    arena = None if task.arena is None else task.arena.bounds
+    shapes = world.obstacles if arena is not None else (*world.walls, *world.obstacles)
+    clearance = make_clearance(shapes, arena, [axes[k] for k in plane], inflation)
     return Problem(
         system=system,
         axes=axes,
         target=task.goal.region if task.corridor is None else _corridor_goal(task, task.corridor, width),
-        clearance=Clearance(plane, distance.astype(np.float32)),
+        clearance=Clearance(plane, clearance),
         control_counts=control_counts,
         name=task.name,
         digest=task_digest(task),
+        inflation=inflation,
+        corridor_width=world.width,
     )
 
 
@@ -247,6 +257,9 @@ def _axes(task: NavigationTask, system: System, counts: Sequence[int] | Mapping[
         if len(counts) != len(names):
             raise TimeToReachError(f"{len(counts)} counts are given; the states are {', '.join(names)}")
         counts = dict(zip(names, counts, strict=True))
+    unknown = set(counts) - set(names)
+    if unknown:
+        raise TimeToReachError(f"counts for '{min(unknown)}'; the states are {', '.join(names)}")
     axes = []
     for state in system.states:
         spec = task.grid[state.name]

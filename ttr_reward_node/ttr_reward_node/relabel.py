@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,15 @@ _ODOMETRY = "nav_msgs/msg/Odometry"
 
 
 def relabel(
-    bag: Path, output: Path, function: ValueFunction, label: Labeller, robot: str = "", progress: bool = False
+    bag: Path,
+    output: Path,
+    function: ValueFunction,
+    label: Labeller,
+    *,
+    robot: str = "",
+    frame: str = "map",
+    replace: bool = False,
+    progress: bool = False,
 ) -> int:
     """Write a bag again with the topics `reward` and `time_to_reach`, one message of each per odometry message.
 
@@ -34,33 +43,41 @@ def relabel(
         function: the time to reach.
         label: what a state pays.
         robot: namespace of the topics.
+        frame: of the function's positions, in which values and rewards are given, as the node does.
+        replace: leave out the rewards and values that the bag has already.
         progress: show a bar on a terminal.
 
     Returns:
         How many odometry messages were labelled.
 
     Raises:
-        TimeToReachError: the bag has no odometry.
-        BagError: the bag cannot be read, has these topics already, or the output exists.
+        TimeToReachError: the bag has no odometry, or has rewards that are not to be replaced.
+        BagError: the bag cannot be read, or the output exists.
     """
     prefix = f"/{robot.strip('/')}" if robot else ""
     odom = f"{prefix}/odom"
     topics = bag_info(bag).topics
     if odom not in topics or topics[odom].type != _ODOMETRY:
         raise TimeToReachError(f"{bag}: no topic {odom} of type {_ODOMETRY}; it has {', '.join(sorted(topics))}")
+    kinds = {f"{prefix}/reward": REWARD, f"{prefix}/time_to_reach": VALUE}
+    there = topics.keys() & kinds
+    if there and not replace:
+        raise TimeToReachError(f"{bag} has a topic {min(there)} already: to make it anew add --replace")
     with open_bag(bag) as reader:
-        answer = _Answer(reader.typestore, odom, prefix, function, label)
-        added = [Topic(f"{prefix}/reward", REWARD, message_definition(REWARD))]
-        added.append(Topic(f"{prefix}/time_to_reach", VALUE, message_definition(VALUE)))
+        answer = _Answer(reader.typestore, odom, prefix, frame, function, label)
+        added = [Topic(name, kind, message_definition(kind)) for name, kind in kinds.items()]
         digests = {"digest.grid": function.digest}
-        return copy_bag(bag, output, added, answer, digests, "relabelling" if progress else "") // len(added)
+        title = "relabelling" if progress else ""
+        return copy_bag(bag, output, added, answer, left_out=there, custom_data=digests, progress=title) // len(added)
 
 
 class _Answer:
     """Answers each odometry message of a bag with a reward and a value, serialized."""
 
-    def __init__(self, store: Typestore, odom: str, prefix: str, function: ValueFunction, label: Labeller) -> None:
-        self._store, self._odom, self._prefix = store, odom, prefix
+    def __init__(
+        self, store: Typestore, odom: str, prefix: str, frame: str, function: ValueFunction, label: Labeller
+    ) -> None:
+        self._store, self._odom, self._prefix, self._frame = store, odom, prefix, frame
         self._function, self._label = function, label
         self._read = OdometryReader(function.state_names)
         for kind in (REWARD, VALUE):
@@ -76,7 +93,7 @@ class _Answer:
         outcome, reward = self._label(state, value)
         types = self._store.types
         out = types["ctrl_rl_msgs/msg/TaskOutcome"](value=int(outcome))
-        header = odometry.header
+        header = dataclasses.replace(odometry.header, frame_id=self._frame)
         yield self._serialized("reward", types[REWARD](header, out, reward, value), REWARD)
         in_domain = not np.isnan(value)
         yield self._serialized("time_to_reach", types[VALUE](header, state, value, gradient, in_domain), VALUE)

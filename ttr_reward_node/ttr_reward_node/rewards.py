@@ -7,8 +7,8 @@ An intermediate state pays -phi(x), 0 or -d(x); how an episode ends pays what th
 
 Two rules complete Eq. 3.9. A state that is not in the domain of the value function (a quadrotor that flies faster
 than the grid goes) is looked up at the nearest state that is. And a state from which the goal cannot be reached
-(phi = +inf), or for which there is no value (NaN), counts as the furthest from which it can: to pay more for it, as for a
-whole episode, makes robots stop short of a goal that has such states beside it.
+(phi = +inf), or for which there is no value (NaN), counts as the furthest from which it can: to pay more for it, as for
+a whole episode, makes robots stop short of a goal that has such states beside it.
 """
 
 from __future__ import annotations
@@ -21,13 +21,15 @@ from ctrl_rl_core.outcome import Outcome
 from ctrl_rl_core.regions import ANGLES, Region, wrap
 from ctrl_rl_core.task_parts import RewardSpec
 from ctrl_rl_core.tasks import NavigationTask
-from ctrl_rl_core.value_function import ValueFunction
+from ctrl_rl_core.value_function import ValueFunction, check_function
 from numpy.typing import ArrayLike, NDArray
 
 from ttr_reward_node.errors import TimeToReachError
 
 Array = NDArray[np.float64]
 
+KIND = "time_to_reach"
+"""Of the value functions that rewards are made of."""
 DISTANCE_WEIGHTS = {"distance_0": 0.0, "distance_0.1": 0.1, "distance_1": 1.0, "distance_10": 10.0}
 """lambda, the weight of the squared angle [m^2/rad^2], by the reward's name."""
 REWARDS = ("sparse", *DISTANCE_WEIGHTS, "ttr")
@@ -131,12 +133,15 @@ def make_reward(name: str, task: NavigationTask, value: ValueFunction | None = N
 
     Raises:
         TimeToReachError: there is no such reward, or "ttr" without a value.
+        ValueFunctionError: the value does not belong to the task.
     """
     if name not in REWARDS:
         raise TimeToReachError(f"no reward '{name}': there are {', '.join(REWARDS)}")
     if name == "ttr" and value is None:
         raise TimeToReachError("the reward 'ttr' needs the task's time to reach: solve the task first")
     used = value if name == "ttr" else None
+    if used is not None and not check_function(used, task, KIND):
+        raise TimeToReachError(f"the time to reach is of another version of task '{task.name}': solve it again")
     return Reward(name, task, used, _domain(used, task.system.build().state_names), longest_time(used))
 
 

@@ -11,25 +11,18 @@ jump).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from ctrl_rl_core.regions import position_indices
 from ctrl_rl_core.task_parts import World
+from ctrl_rl_core.value_function import ValueFunction
 from numpy.typing import ArrayLike, NDArray
 
 from ttr_reward_node.errors import TimeToReachError
 from ttr_reward_node.problem import Problem
-from ttr_reward_node.steps import all_rates
+from ttr_reward_node.steps import crossing_time
 
 Array = NDArray[np.float64]
-
-
-class ValueFunction(Protocol):
-    """A `ValueGrid`, a decomposed one, or anything that answers for states (..., n)."""
-
-    def value(self, states: ArrayLike) -> Array:
-        """Return the time to reach (...) [s]; NaN outside the domain, +inf where there is no way."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,14 +123,3 @@ def roll_out(
         last[running] = problem.system.wrap(problem.system.step(x, u, dt=time_step))
         time += time_step
     return RollOuts(predicted, executed, reached, collided, left, last)
-
-
-def crossing_time(problem: Problem) -> float:
-    """Return how long the slowest axis takes to cross a cell at its top speed [s]."""
-    random = np.random.default_rng(0)
-    lower, upper = np.array([(axis.lower, axis.upper) for axis in problem.axes]).T
-    x = random.uniform(lower, upper, (1000, len(lower)))
-    u = problem.system.control_samples(2)
-    rates = all_rates(problem.system, x, u, np.zeros((len(u), x.shape[-1])))
-    top = np.abs(rates).max(axis=(0, 1)) / [axis.spacing for axis in problem.axes]
-    return float(1.0 / top[top > 0].min())

@@ -14,7 +14,7 @@ are nearer the truth on average, but who steers by them drives over the edge.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -37,8 +37,10 @@ on a lattice of headings the headings, that the first one cannot reach."""
 # All in units of the time that the slowest axis takes to cross a cell at its top speed.
 _TOLERANCE = 0.1
 _SETTLED = (330.0, 0.2)  # the first and second phase hand over to the next when changes are below this
+_PATIENCE = 40  # sweeps of the second phase, in which marginal nodes can go to and fro
 _QUIET = (33.0, 0.03, 0.01)  # in each phase: a row whose changes are below this does not wake those that look at it
 _CUT = 0.985  # w of a node that the first phase leaves standing; with _CROSSINGS, up to one and a half crossings
+_BLOCK = 1 << 10  # slabs that are looked at at once
 _CROSSINGS = 100.0  # 1 / lambda, in crossings of the grid
 
 
@@ -47,7 +49,8 @@ def memory_needed(problem: Problem) -> float:
     layout = make_layout(problem)
     n = len(layout.counts)
     n_pairs = len(CELLS) * len(pairs(problem, problem.control_counts)[0])
-    steps = layout.slabs * n_pairs * (8.0 + 8.0 * n)
+    # Durations, twice where controls are left out, and moves; the states.
+    steps = layout.slabs * (n_pairs * (16.0 + 8.0 * n) + 24.0 * n)
     # Without the grid itself, which may be what does not fit.
     conditions = _near_conditions(problem, np.full(len(problem.axes), max(CELLS) + 1.0))
     near_target = math.prod(float(condition.mean()) for condition in conditions)
@@ -57,7 +60,7 @@ def memory_needed(problem: Problem) -> float:
         near_obstacle = float(np.mean(problem.clearance.values <= far))
     near = (near_target + near_obstacle) * problem.points * n_pairs * 4.0
     rows = 24.0 * problem.points / layout.counts[-1]
-    return steps + near + rows + problem.points * 17.0 + 2e8
+    return steps + near + rows + problem.points * 17.0 + 2.5e8  # the last for compiling
 
 
 def solve(
@@ -66,12 +69,11 @@ def solve(
     tolerance: float | None = None,
     max_sweeps: int = 300,
     progress: Progress | None = None,
-    cells: Sequence[float] = CELLS,
 ) -> Sweeps:
     """Solve; see `solver.solve`."""
     require(memory_needed(problem), problem.points)
     layout = make_layout(problem)
-    steps = make_steps(problem, layout, cells)
+    steps = make_steps(problem, layout, CELLS)
     unit = steps.longest
     tolerance = _TOLERANCE * unit if tolerance is None else tolerance
     crossing = unit * max(layout.counts)
@@ -110,7 +112,8 @@ def solve(
         number, in_phase = number + 1, in_phase + 1
         if progress is not None:
             progress(number, residual)
-        if len(phases) > 1 and residual <= _SETTLED[3 - len(phases)] * unit and in_phase > 1:
+        settled = len(phases) > 1 and residual <= _SETTLED[3 - len(phases)] * unit and in_phase > 1
+        if settled or (len(phases) == 2 and in_phase == _PATIENCE):
             if math.isinf(phases[0].jump):
                 values[values < _CUT] = 0.0
             phases.pop(0)
@@ -118,6 +121,8 @@ def solve(
             in_phase = 0
         elif len(phases) == 1 and residual <= tolerance:
             break
+    if len(phases) > 1:  # given up: what has barely been reached would become times of hours
+        values[values < _CUT] = 0.0
     with np.errstate(divide="ignore"):
         np.log(values, out=values)
     values *= np.float32(-1.0 / rate)
@@ -158,15 +163,20 @@ def _surroundings(problem: Problem, layout: Layout) -> Surroundings:
 
 def _flags(problem: Problem, layout: Layout, steps: Steps) -> NDArray[np.uint8]:
     """Flag the nodes (grid shape): within a step, and a cell, of the target, or within a step of an obstacle: near."""
-    reach = np.empty(len(problem.axes))
-    reach[list(layout.order)] = np.abs(steps.moves).max(axis=(0, 1, 2))[: len(reach)]
+    order = list(layout.order)
+    plane = [] if problem.clearance is None else [order.index(k) for k in problem.clearance.axes]
+    spacings = np.array([problem.axes[order[k]].spacing for k in plane])
+    most, far = np.zeros(len(order)), 0.0
+    for begin in range(0, len(steps.moves), _BLOCK):  # a copy of all moves may not fit
+        size = np.abs(steps.moves[begin : begin + _BLOCK])
+        most = np.maximum(most, size.max(axis=(0, 1, 2))[: len(order)])
+        far = max(far, float(np.linalg.norm(size[..., plane] * spacings, axis=-1).max()))
+    reach = np.empty(len(order))
+    reach[order] = most
     flags = np.where(_near_target(problem, reach + 1.0), np.uint8(NEAR), np.uint8(0))
     flags = np.array(np.broadcast_to(flags, problem.counts))
     if problem.clearance is not None:
-        squares = sum(
-            (steps.moves[..., layout.order.index(k)] * problem.axes[k].spacing) ** 2 for k in problem.clearance.axes
-        )
-        near = problem.clearance.values <= 1.01 * math.sqrt(np.max(squares))
+        near = problem.clearance.values <= 1.01 * far
         flags[np.broadcast_to(problem.spread(near), problem.counts)] = NEAR
     flags[problem.blocked() | problem.in_target()] = FIXED
     return flags

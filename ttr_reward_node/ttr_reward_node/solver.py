@@ -7,6 +7,7 @@ phi = grid.value(states)
 
 from __future__ import annotations
 
+import math
 import time
 from pathlib import Path
 from typing import Any
@@ -47,12 +48,18 @@ def solve(
         method: "semi_lagrangian", or "lax_friedrichs" as the thesis does (section 3.2), which is less exact.
         tolerance: largest change of phi in a sweep at which it stops [s]; unless given a tenth of the time to
             cross a cell, and a thousandth for Lax-Friedrichs, which creeps.
-        max_sweeps: after how many sweeps it gives up; the result then says that it has not converged.
+        max_sweeps: after how many sweeps it gives up; the result then says that it has not converged, and is +inf where
+            the semi-Lagrangian method has not yet found a time of the right size.
         progress: called after each sweep with its number and the largest change [s].
 
     Raises:
-        TimeToReachError: an unknown method, or the problem does not fit into memory; nothing has been computed then.
+        TimeToReachError: an unknown method, a tolerance or number of sweeps that is not positive, or the problem does
+            not fit into memory; nothing has been computed then.
     """
+    if tolerance is not None and not (math.isfinite(tolerance) and tolerance > 0.0):
+        raise TimeToReachError(f"tolerance {tolerance:g} s: it must be above 0")
+    if max_sweeps is not None and max_sweeps < 1:
+        raise TimeToReachError(f"{max_sweeps} sweeps at most: allow 1 or more")
     solver = _method(method)
     memory = solver.memory_needed(problem)
     options: dict[str, Any] = {} if max_sweeps is None else {"max_sweeps": max_sweeps}
@@ -72,6 +79,7 @@ def solve(
         solver=method,
         residual=residual,
         notes={
+            **_surroundings(problem),
             "sweeps": str(sweeps.number),
             "converged": "yes" if sweeps.converged else "no",
             "system": problem.system.name,
@@ -89,6 +97,14 @@ def solve_task(task: NavigationTask | str | Path, method: str = "semi_lagrangian
         TimeToReachError: as `problem_from_task` and `solve`.
     """
     return solve(problem_from_task(task, **options), method).grid
+
+
+def _surroundings(problem: Problem) -> dict[str, str]:
+    """Return what the file should say about walls and obstacles, in metres."""
+    notes = {"obstacles": "no" if problem.clearance is None else "yes", "inflation": repr(float(problem.inflation))}
+    if problem.corridor_width is not None:
+        notes["corridor_width"] = repr(float(problem.corridor_width))
+    return notes
 
 
 def _method(name: str) -> Any:

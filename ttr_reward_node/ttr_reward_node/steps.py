@@ -111,13 +111,19 @@ def all_rates(
     return np.broadcast_to(rates, (len(states), len(u), states.shape[-1]))
 
 
+def crossing_time(problem: Problem) -> float:
+    """Return how long the slowest axis takes to cross a cell at its top speed [s]; 0 where nothing moves."""
+    u, d, _ = pairs(problem, 2)
+    spacings = np.array([axis.spacing for axis in problem.axes])
+    return _longest(problem.system, slab_states(problem, make_layout(problem)), u, d, spacings)
+
+
 def make_steps(problem: Problem, layout: Layout, cells: Sequence[float]) -> Steps:
     """Tabulate the steps; `cells` is how far they go: every control with every one of these lengths."""
     u, d, controls = pairs(problem, problem.control_counts)
     states = slab_states(problem, layout)
-    lengths, disturbances, n = len(cells), len(u) // controls, len(layout.counts)
+    lengths, disturbances, n = len(cells), len(u) // controls, len(layout.order)
     durations = np.empty((len(states), disturbances, lengths, controls))
-    moves = np.zeros((len(states), disturbances, lengths, controls, 2, n), dtype=np.float32)
     spacings = np.array([axis.spacing for axis in problem.axes])
     longest = _longest(problem.system, states, u, d, spacings)
     size = max(1, _BLOCK // len(u))
@@ -127,18 +133,25 @@ def make_steps(problem: Problem, layout: Layout, cells: Sequence[float]) -> Step
         for i, length in enumerate(cells):
             h = _durations(problem, layout, x, u, d, spacings, length, length * longest)
             durations[block, :, i] = h.reshape(-1, disturbances, controls)
+    # Before the moves, which take the most memory, are allocated.
+    useful = np.flatnonzero(_useful(problem, durations, cells, longest))
+    if len(useful) < controls:
+        durations = np.take(durations, useful, axis=-1)
+        u, d = (pair.reshape(disturbances, controls, -1)[:, useful].reshape(-1, pair.shape[-1]) for pair in (u, d))
+    pairs_ = disturbances * lengths * len(useful)
+    moves = np.zeros((len(states), disturbances, lengths, len(useful), 2, len(layout.counts)), dtype=np.float32)
+    for begin in range(0, len(states), size):
+        block = slice(begin, begin + size)
+        x = states[block, None]
+        for i in range(lengths):
+            h = durations[block, :, i].reshape(len(x), -1)
             for half in (0, 1):
                 dt = (0.5 * (half + 1) * h)[..., None]
                 move = _snap((problem.system.step(x, u, d, dt=dt) - x) / spacings)[..., layout.order]
-                moves[block, :, i, :, half, : len(layout.order)] = move.reshape(
-                    -1, disturbances, controls, len(layout.order)
-                )
-    useful = np.flatnonzero(_useful(problem, durations, cells, longest))
-    durations, moves = durations[..., useful], moves[:, :, :, useful]
-    pairs_ = disturbances * lengths * len(useful)
+                moves[block, :, i, :, half, :n] = move.reshape(-1, disturbances, len(useful), n)
     return Steps(
-        durations=np.ascontiguousarray(durations.reshape(len(states), pairs_)),
-        moves=np.ascontiguousarray(moves.reshape(len(states), pairs_, 2, n)),
+        durations=durations.reshape(len(states), pairs_),
+        moves=moves.reshape(len(states), pairs_, 2, len(layout.counts)),
         controls=lengths * len(useful),
         longest=longest,
     )

@@ -121,14 +121,41 @@ def _fate(
         return 2.0
     for half in range(2):
         t = _entry(start, moves, slab, p, half, grid, surroundings)
+        if _blocked(start, moves, slab, p, half, min(t, 1.0), surroundings):
+            return -1.0
         if t <= 1.0:
             return 0.5 * (half + t)
-        i, j = surroundings.clearance_axes[0], surroundings.clearance_axes[1]
-        if i >= 0:
-            to_i, to_j = start[i] + moves[slab, p, half, i], start[j] + moves[slab, p, half, j]
-            if clearance_at(surroundings.clearance, to_i, 0.0 if i == j else to_j) <= 0.0:
-                return -1.0
     return 2.0
+
+
+@njit(**_OPTIONS)
+def _blocked(
+    start: NDArray[np.float64],
+    moves: NDArray[np.float32],
+    slab: int,
+    p: int,
+    half: int,
+    end: float,
+    surroundings: Surroundings,
+) -> bool:
+    """Whether an obstacle is in the way on a half of the step, taken as straight, up to the fraction `end` of it.
+
+    The clearance is looked at every half cell or closer: obstacles are a cell thick or more (see `problem`).
+    """
+    i, j = surroundings.clearance_axes[0], surroundings.clearance_axes[1]
+    if i < 0:
+        return False
+    from_i, from_j = start[i], start[j]
+    by_i, by_j = moves[slab, p, half, i], moves[slab, p, half, j]
+    if half == 1:
+        from_i, from_j = from_i + moves[slab, p, 0, i], from_j + moves[slab, p, 0, j]
+        by_i, by_j = by_i - moves[slab, p, 0, i], by_j - moves[slab, p, 0, j]
+    count = max(1, int(np.ceil(2.0 * end * max(abs(by_i), abs(by_j)) - 1e-3)))
+    for k in range(1, count + 1):
+        part = end * k / count
+        if clearance_at(surroundings.clearance, from_i + part * by_i, 0.0 if i == j else from_j + part * by_j) <= 0.0:
+            return True
+    return False
 
 
 @njit(**_OPTIONS)

@@ -53,7 +53,7 @@ class Rule(NamedTuple):
     curved: bool
 
 
-@njit(cache=True, **_OPTIONS)
+@njit(**_OPTIONS)
 def sweep(
     values: Floats,
     flags: NDArray[np.uint8],

@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from ctrl_rl_core.tasks import NavigationTask, load_navigation_task
-from ctrl_rl_training.algorithms import ALGORITHMS, make_algorithm
+from ctrl_rl_training.algorithm_names import ALGORITHMS
+from ctrl_rl_training.algorithms import make_algorithm
 from ctrl_rl_training.environment import Environment
 from stable_baselines3.common.base_class import BaseAlgorithm
 

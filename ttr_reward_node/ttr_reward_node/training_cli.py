@@ -7,13 +7,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ctrl_rl_core.command import run_command
-from ctrl_rl_core.results import write_results
+from ctrl_rl_core.results import ResultsError, write_results
 from ctrl_rl_core.tasks import load_navigation_task
+from ctrl_rl_training.algorithm_names import ALGORITHMS
 
 from ttr_reward_node.errors import TimeToReachError
 from ttr_reward_node.rewards import REWARDS
 
-ALGORITHMS = ("ppo", "trpo", "ddpg")
 _FOLDER = Path("runs/ttr_training")
 
 
@@ -38,7 +38,7 @@ def training_figures(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="training_figures", description=training_figures.__doc__)
     parser.add_argument("results", type=Path, help="JSON file of `train --results`")
     parser.add_argument("--output", type=Path, default=Path("docs/images"), help="folder (default %(default)s)")
-    parser.add_argument("--algorithm", choices=ALGORITHMS, default="ppo", help="of visits and paths")
+    parser.add_argument("--algorithm", choices=ALGORITHMS, help="of visits and paths (default: the first)")
     options = parser.parse_args(arguments)
     return run_command("training_figures", lambda: _figures(options))
 
@@ -56,8 +56,11 @@ def _train(options: argparse.Namespace) -> int:
     for name in ("seeds", "iterations"):
         if getattr(options, name) < 1:
             raise TimeToReachError(f"--{name} must be at least 1")
-    load_navigation_task(options.task)  # refuses an unknown one before workers start
+    if options.workers < 0:
+        raise TimeToReachError("--workers must be at least 0")
     runs = reward_runs(options.task, options.algorithms, options.rewards, options.seeds, options.grid)
+    for run in {run.reward: run for run in runs}.values():
+        run.environment().close()  # refuses what is wrong before workers start
     train_all(runs, Options(options.folder, options.iterations), options.workers, options.task)
     rows, figures = collect(runs, options.folder)
     for row in rows:
@@ -77,14 +80,18 @@ def _figures(options: argparse.Namespace) -> int:
     from ttr_reward_node.training_pictures import draw_curves, draw_visits
 
     figures = read_figures(options.results)
-    name, method = figures["task"], f"{options.algorithm}, ttr"
+    there = list(dict.fromkeys(method.split(", ")[0] for method in figures["curves"]))
+    algorithm = options.algorithm or there[0]
+    if algorithm not in there:
+        raise ResultsError(f"{options.results}: has no runs of {algorithm}, but of {', '.join(there)}")
+    name, method = figures["task"], f"{algorithm}, ttr"
     task = load_navigation_task(name)
     options.output.mkdir(parents=True, exist_ok=True)
     pictures = {part: options.output / f"{name}_{part}.png" for part in ("success", "visits", "paths")}
     draw_curves(figures, pictures["success"])
-    draw_visits(figures, task, options.algorithm, pictures["visits"])
+    draw_visits(figures, task, algorithm, pictures["visits"])
     if method in figures["paths"]:
-        title = f"{name}: after learning with {options.algorithm.upper()} and the time-to-reach reward"
+        title = f"{name}: after learning with {algorithm.upper()} and the time-to-reach reward"
         draw_paths(figures["paths"][method], task, title, pictures["paths"])
     else:
         pictures.pop("paths")

@@ -83,9 +83,9 @@ def draw_visits(figures: Mapping[str, Any], task: NavigationTask, algorithm: str
         draw_world(below, task)
         below.set_xlim(sides[0])
         below.set_ylim(sides[1])
+        above.set_xlabel(f"{angle} [rad]", fontsize=7)
         for ax in (above, below):
-            ax.tick_params(labelsize=6)
-            ax.label_outer()
+            ax.tick_params(labelsize=6, labelleft=column == 0)
     axes[0, 0].set_ylabel(f"density of {angle}")
     axes[1, 0].set_ylabel(f"{names[1]} over {names[0]} [m]")
     figure.suptitle(f"{figures['task']}, {algorithm.upper()}: states met while learning")

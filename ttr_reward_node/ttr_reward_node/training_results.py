@@ -1,6 +1,6 @@
 """What the runs of a task amount to: the table of all rewards and algorithms, and what the figures are drawn from.
 
-content = collect(MatrixOptions("quad_ttr", Path("runs/ttr_learning")))
+rows, figures = collect(reward_runs("quad_ttr"), Path("runs/ttr_training"))
 """
 
 from __future__ import annotations

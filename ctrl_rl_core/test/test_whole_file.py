@@ -1,0 +1,24 @@
+"""Files that are there whole or not at all."""
+
+import pytest
+from ctrl_rl_core.whole_file import write_whole
+
+
+def test_text_and_bytes_replace_what_was_there(tmp_path):
+    file = tmp_path / "file"
+    write_whole(file, "längs")
+    assert file.read_bytes() == "längs".encode()
+    write_whole(file, b"\x00\x01")
+    assert file.read_bytes() == b"\x00\x01"
+    assert list(tmp_path.iterdir()) == [file]
+
+
+def test_what_cannot_be_written_leaves_nothing_behind(tmp_path):
+    folder = tmp_path / "folder"
+    (folder / "kept").mkdir(parents=True)
+    with pytest.raises(OSError, match="folder"):
+        write_whole(folder, "over a folder")
+    with pytest.raises(FileNotFoundError):
+        write_whole(tmp_path / "none" / "file", "in no folder")
+    assert list(tmp_path.iterdir()) == [folder]
+    assert (folder / "kept").is_dir()

@@ -1,0 +1,94 @@
+"""The commands `solve`, `check` and `slices`: files, pictures, and one line for what is wrong."""
+
+import pytest
+from ctrl_rl_core.tasks import task_file
+from ctrl_rl_core.value_grid import ValueGrid
+from ttr_reward_node.cli import check, slices, solve_value
+from ttr_reward_node.decomposed_value import DecomposedValue
+from ttr_reward_node.value_file import load_value
+
+COARSE = ["--count", "x=21", "y=21", "theta=16"]
+COARSE_QUADROTOR = ["--count", "x=21", "z=21", "v_x=11", "v_z=11", "psi=16", "omega=5"]
+
+
+def test_a_car_is_solved_and_drawn(tmp_path, capsys):
+    file = tmp_path / "car.safetensors"
+    assert solve_value(["--task", "car_ttr", *COARSE, "--robot-size", "--output", str(file)]) == 0
+    function = load_value(file)
+    assert isinstance(function, ValueGrid)
+    assert function.values.shape == (21, 21, 16)
+    said = capsys.readouterr().out
+    assert "dubins_car, 21 x 21 x 16 nodes, at most" in said
+    assert "converged after" in said
+    assert slices([str(file), "--at", "theta=0,1.57"]) == 0
+    assert (tmp_path / "car.png").stat().st_size > 10_000
+
+
+def test_a_quadrotor_is_solved_in_parts(tmp_path):
+    file = tmp_path / "quad.safetensors"
+    arguments = ["--task", "quad_ttr", *COARSE_QUADROTOR, "--decomposition", "4d+4d", "--output", str(file)]
+    assert solve_value(arguments) == 0
+    function = load_value(file)
+    assert isinstance(function, DecomposedValue)
+    assert [grid.values.ndim for grid in function.grids] == [4, 4]
+
+
+def test_what_has_not_converged_says_so(tmp_path, capsys):
+    file = tmp_path / "car.safetensors"
+    assert solve_value(["--task", "car_ttr", *COARSE, "--max-sweeps", "2", "--output", str(file)]) == 1
+    assert "NOT converged (allow more with --max-sweeps)" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--task", "nowhere"], "no task 'nowhere'"),
+        (["--task", "tool_delivery"], "a navigation task is needed here"),
+        (["--task", "car_ttr", "--decomposition", "4d+4d"], "dubins_car has no decomposition '4d+4d'; there is none"),
+        (["--task", "car_ttr", "--count", "x=many"], "'many' is not a whole number"),
+        (["--task", "car_ttr", "--count", "x"], "'x' must be NAME=VALUE"),
+        (["--task", "car_ttr", "--disturbance", "d_q=0:1"], "disturbance 'd_q' in [0, 1]: choose from"),
+        (["--task", "car_ttr", "--output", "no/such/folder/x.safetensors"], "there is no folder no/such/folder"),
+        (["--task", "quad_ttr"], "split the system (decomposition)"),
+    ],
+)
+def test_what_is_wrong_is_said_in_one_line(arguments, words, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert solve_value(arguments) == 1
+    error = capsys.readouterr().err
+    assert words in error
+    assert error.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_existing_file_stays_unless_told(tmp_path, capsys):
+    file = tmp_path / "car.safetensors"
+    file.write_text("mine", encoding="ascii")
+    assert solve_value(["--task", "car_ttr", *COARSE, "--output", str(file)]) == 1
+    assert "add --overwrite" in capsys.readouterr().err
+    assert file.read_text(encoding="ascii") == "mine"
+    assert solve_value(["--task", "car_ttr", *COARSE, "--output", str(file), "--overwrite"]) == 0
+    assert load_value(file).task == "car_ttr"
+
+
+def test_a_function_is_checked_in_its_own_task(tmp_path, capsys):
+    task, file = tmp_path / "narrow.yaml", tmp_path / "narrow.safetensors"
+    task.write_text(task_file("curved_corridor").read_text().replace("curved_corridor", "narrow"), encoding="utf-8")
+    assert solve_value(["--task", str(task), "--robot-size", "--width", "0.65", "--output", str(file)]) == 0
+    capsys.readouterr()
+    driven = [str(file), "--task", str(task), "--width", "0.65", "--starts", "100"]
+    assert check([*driven, "--at-least", "0.9"]) == 0
+    said = capsys.readouterr().out
+    assert said.startswith("reached ")
+    assert "executed/predicted median 1.0" in said
+    assert check([*driven, "--at-least", "1.01"]) == 1
+    capsys.readouterr()
+    for arguments, words in (
+        ([str(file), "--task", "car_ttr"], "is of task 'narrow', not of 'car_ttr'"),
+        ([*driven, "--starts", "0"], "--starts must be at least 1"),
+        ([str(file)], "no task 'narrow'"),
+    ):
+        assert check(arguments) == 1
+        error = capsys.readouterr().err
+        assert words in error
+        assert error.count("\n") == 1
