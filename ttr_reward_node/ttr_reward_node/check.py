@@ -45,7 +45,7 @@ def check_task(
         task: a task with a grid, of a system whose controls need no finer look than a cell (a car).
         obstacles: with the task's walls and obstacles, or without any.
         margin: by how much the solver widens them [m]; half a cell unless given. Shortest paths graze corners, and a
-            path between nodes is known to a part of a cell: without a margin a third of the roll-outs touch a corner.
+            path between nodes is known to a part of a cell: without a margin a quarter of the roll-outs touch a corner.
             Collisions are with the true obstacles.
         states: how many starts.
         seed: of the random starts.
