@@ -79,7 +79,7 @@ def test_rewards_are_the_tasks() -> None:
 
 def test_a_discount_holds_for_the_policys_step() -> None:
     task = load_navigation_task("car_navigation")
-    assert step_discount(task, 0.81, [0.1, 0.05, 0.2]) == pytest.approx([0.81, 0.9, 0.6561])
+    assert step_discount(task, 0.81, [0.4, 0.2, 0.8]) == pytest.approx([0.81, 0.9, 0.6561])
 
 
 @pytest.mark.parametrize("name", ["car_navigation", "quad_trap"])
