@@ -88,7 +88,7 @@ def _command(
 
 
 def _add_problem(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("task", help="a task of the suite (car_navigation, quad_navigation, quad_trap) or its file")
+    parser.add_argument("task", help="a task of the suite (car_navigation, curved_corridor ...) or its file")
     parser.add_argument(
         "--form",
         choices=FORMS,
@@ -130,7 +130,7 @@ def _solve(options: argparse.Namespace) -> int:
     if options.output is not None:
         from oc_baseline_node.pictures import trajectories
 
-        trajectories(problem.task, [trajectory.states], options.output)
+        trajectories(problem.task, [problem.task_states(trajectory.states)], options.output)
         print(f"picture       {options.output}")
     return 0
 

@@ -90,7 +90,7 @@ class ValueData:
             discount: of a step of the task's policy.
             whole_horizon: whether the sum goes on after arrival, to the horizon's end, as the thesis may be read.
         """
-        paid, ended = rewards(problem.task, self.states)
+        paid, ended = rewards(problem.task, problem.task_states(self.states))
         return returns(paid, ended & (not whole_horizon), step_discount(problem.task, discount, self.time_steps))
 
 

@@ -67,7 +67,10 @@ def fit(problem: Problem, data: ValueData, settings: FitSettings | None = None, 
     """
     settings = settings or FitSettings()
     random = np.random.default_rng(settings.seed)
-    states, values = data.states[:, :-1], data.values(problem, settings.discount, settings.whole_horizon)[:, :-1]
+    states, values = (
+        problem.task_states(data.states[:, :-1]),
+        data.values(problem, settings.discount, settings.whole_horizon)[:, :-1],
+    )
     count = len(states)
     unseen = random.permutation(count)[: round(settings.held_out * count)]
     if not 0 < len(unseen) < count:
@@ -97,17 +100,16 @@ def fit(problem: Problem, data: ValueData, settings: FitSettings | None = None, 
 
 
 def domain(problem: Problem, data: ValueData) -> tuple[Axis, ...]:
-    """Return the axes of V_oc: the arena, whole turns, and rates as far as the trajectories reach."""
-    assert problem.task.arena is not None
+    """Return the axes of V_oc: what the walls enclose, whole turns, and rates as far as the trajectories reach."""
     space = state_space(problem)
-    reached = data.states.reshape(-1, data.states.shape[-1])
-    counts = _FINE if len(problem.system.states) <= _LARGE else _COARSE
-    walls = dict(zip(problem.positions, problem.task.arena.bounds, strict=True))
+    states, walls = problem.task.system.build().states, problem.task.plane_bounds
+    reached = _flat(problem.task_states(data.states))
+    counts = _FINE if len(states) <= _LARGE else _COARSE
     axes = []
-    for index, state in enumerate(problem.system.states):
-        kind = "position" if index in walls else "angle" if state.periodic else "rate"
-        if index in walls:
-            low, high = walls[index]
+    for index, state in enumerate(states):
+        kind = "position" if state.name in walls else "angle" if state.periodic else "rate"
+        if state.name in walls:
+            low, high = walls[state.name]
         elif state.periodic:
             low, high = state.lower, state.upper
         else:

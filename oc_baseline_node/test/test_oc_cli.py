@@ -42,7 +42,7 @@ def test_a_trajectory_is_solved_and_drawn(tmp_path: Path, capsys: pytest.Capture
     [
         (["solve", "car_navigation", "--start", "0,0,0"], "inside an obstacle"),
         (["solve", "quad_trap", "--start=0,0,0.6,-2,0,0"], "ipopt: "),
-        (["extract", "curved_corridor"], "oc: task 'curved_corridor' has no arena"),
+        (["extract", "car_ttr"], "oc: task 'car_ttr' has no part 'optimal_control'"),
         (["extract", "nowhere"], "oc: no task 'nowhere'"),
         (["extract", "car_navigation", "--clearance", "-1"], "oc: --clearance is -1"),
         (["data", "car_navigation", "--output", "x", "--trajectories", "-3"], "oc: --trajectories and --workers"),

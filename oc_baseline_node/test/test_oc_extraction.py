@@ -48,7 +48,7 @@ def test_the_report_names_every_part() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "words"), [("curved_corridor", "has no arena"), ("car_ttr", "has no part 'optimal_control'")]
+    ("name", "words"), [("quad_ttr", "has no part 'optimal_control'"), ("car_ttr", "has no part 'optimal_control'")]
 )
 def test_a_task_without_what_it_takes_is_refused(name: str, words: str) -> None:
     with pytest.raises(OcError, match=words):
