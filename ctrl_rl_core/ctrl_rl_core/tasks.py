@@ -80,6 +80,12 @@ class NavigationTask(TaskHeader):
         return "xz" if "z" in (state.name for state in SYSTEM_MODELS[self.system.model].states) else "xy"
 
     @property
+    def observed_states(self) -> tuple[str, ...]:
+        """What a learner is told of the robot's own motion: the system's state, in a corridor the speeds too."""
+        own = self.system.build().state_names
+        return own if self.corridor is None else (*own, "v", "omega")
+
+    @property
     def plane_bounds(self) -> dict[str, Interval]:
         """What the walls enclose, by the plane's coordinates [m]; around a corridor at its widest."""
         if self.arena is not None:

@@ -25,7 +25,6 @@ from oc_baseline_node.errors import OcError
 from oc_baseline_node.extraction import extract
 from oc_baseline_node.figures import value_rows
 from oc_baseline_node.problem import FORMS, Form, Problem, formulate
-from oc_baseline_node.returns import DISCOUNT
 from oc_baseline_node.starts import draw_start
 from oc_baseline_node.value_data import DataSettings, ValueData, load_data, read_description
 from oc_baseline_node.value_file import find_value, load_value, save_value
@@ -62,7 +61,7 @@ def _parser() -> argparse.ArgumentParser:
     command.add_argument("--task", help="its task file, where the task is not one of the suite's")
     command.add_argument("--output", type=Path, required=True, help="network to write (.safetensors)")
     command.add_argument("--grid", type=Path, help="value grid to write as well (.safetensors)")
-    command.add_argument("--discount", type=float, default=DISCOUNT, help="of a policy's step (default %(default)s)")
+    command.add_argument("--discount", type=float, help="of a policy's step (default: the task's)")
     command.add_argument("--whole-horizon", action="store_true", help="sum Eq. 3.13 on after arrival")
     command.add_argument("--epochs", type=int, default=40, help="passes over the data (default %(default)s)")
     command.add_argument("--seed", type=int, default=0, help="of split, weights, order (default %(default)s)")
@@ -169,7 +168,7 @@ def _report(data: ValueData) -> str:
 def _fit(options: argparse.Namespace) -> int:
     from oc_baseline_node.value_fit import FitSettings, fit
 
-    if not 0.0 < options.discount <= 1.0 or options.epochs < 1:
+    if not (options.discount is None or 0.0 < options.discount <= 1.0) or options.epochs < 1:
         raise OcError("--discount must lie in (0, 1], --epochs be at least 1")
     for path in (options.output, options.grid):
         if path is not None and path.exists() and not options.overwrite:

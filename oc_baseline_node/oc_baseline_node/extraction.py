@@ -23,11 +23,6 @@ CANDIDATES: Mapping[str, tuple[str, ...]] = {
     "quadrotor": ("planar_quadrotor", "quadrotor_rotation", "point_mass"),
 }
 """Table 3.1: models by robot type."""
-PHYSICAL_STATES: Mapping[str, tuple[str, ...]] = {
-    "car": ("x", "y", "theta", "v", "omega"),
-    "quadrotor": ("x", "v_x", "z", "v_z", "psi", "omega"),
-}
-"""What an RL agent is told of each robot type's own motion, by odometry (3.3.3)."""
 
 
 @dataclass(frozen=True)
@@ -125,7 +120,7 @@ def rl_info(task: NavigationTask) -> RlInfo:
         "commands " + ", ".join(f"{name} {low:g} .. {high:g}" for name, (low, high) in task.robot.commands.items()),
     )
     beams = tuple(f"d_{index + 1}" for index in range(task.lidar.beams))
-    return RlInfo(robot_type, (*PHYSICAL_STATES[robot_type], *beams), reward, constraints)
+    return RlInfo(robot_type, (*task.observed_states, *beams), reward, constraints)
 
 
 def assess(model: str, info: RlInfo) -> Candidate:

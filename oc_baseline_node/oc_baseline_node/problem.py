@@ -44,6 +44,7 @@ class Problem:
         horizon: H, steps.
         time_step: [s].
         gamma: growth of the state cost per step; not the discount of Eq. 3.13.
+        discount: of a step of the task's policy, in Eq. 3.13.
         state_weight: Q.
         control_weight: R.
         trap_weight: W.
@@ -61,6 +62,7 @@ class Problem:
     horizon: int
     time_step: float
     gamma: float
+    discount: float
     state_weight: float
     control_weight: float
     trap_weight: float
@@ -154,6 +156,7 @@ def formulate(task: NavigationTask, form: Form = "free_speed", clearance: float 
         horizon=oc.horizon,
         time_step=oc.time_step,
         gamma=oc.gamma,
+        discount=oc.discount,
         state_weight=oc.state_weight,
         control_weight=oc.control_weight,
         trap_weight=oc.trap_weight if task.trap is not None else 0.0,

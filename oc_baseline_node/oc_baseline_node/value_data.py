@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from oc_baseline_node.errors import OcError
 from oc_baseline_node.problem import Problem
-from oc_baseline_node.returns import DISCOUNT, returns, rewards, step_discount
+from oc_baseline_node.returns import returns, rewards, step_discount
 from oc_baseline_node.value_file import write_file
 
 Array = NDArray[np.float64]
@@ -82,16 +82,25 @@ class ValueData:
         """The same without the starts that are doomed."""
         return len(self.states) / (len(self.states) + int(np.sum(~self.doomed)))
 
-    def values(self, problem: Problem, discount: float = DISCOUNT, whole_horizon: bool = False) -> Array:
-        """Return V(x_m) (N, H+1) by Eq. 3.13.
+    def values(
+        self, problem: Problem, discount: float | None = None, whole_horizon: bool = False
+    ) -> tuple[Array, NDArray[np.bool_]]:
+        """Return V(x_m) by Eq. 3.13, and which states an episode would still meet, both (N, H+1).
+
+        After its first goal, trap or collision an episode is over: what a trajectory does then is no state of it.
 
         Args:
             problem: whose task pays the rewards.
-            discount: of a step of the task's policy.
-            whole_horizon: whether the sum goes on after arrival, to the horizon's end, as the thesis may be read.
+            discount: of a step of the task's policy; the task's own unless given.
+            whole_horizon: whether the sum goes on after arrival, to the horizon's end, as the thesis may be read; every
+                state counts then.
         """
         paid, ended = rewards(problem.task, problem.task_states(self.states))
-        return returns(paid, ended & (not whole_horizon), step_discount(problem.task, discount, self.time_steps))
+        ended &= not whole_horizon
+        over = np.logical_or.accumulate(ended, axis=1)
+        met = np.column_stack((np.ones(len(over), dtype=bool), ~over[:, :-1]))
+        per_step = step_discount(problem.task, problem.discount if discount is None else discount, self.time_steps)
+        return returns(paid, ended, per_step), met
 
 
 def description(problem: Problem, settings: DataSettings) -> dict[str, Any]:

@@ -1,5 +1,7 @@
 """From RL task to optimal control problem: candidates, criteria, constants."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from ctrl_rl_core.outcome import Outcome
@@ -36,9 +38,11 @@ def test_a_reward_on_what_the_model_lacks_refuses_it() -> None:
     task = load_navigation_task("car_navigation")
     goal = task.goal.model_copy(update={"intervals": {"v": task.optimal_control.controls["v"]}})
     info = rl_info(task.model_copy(update={"goal": goal}))
-    assert assess("extended_dubins_car", info).reasons == ()
-    (reason,) = assess("dubins_car", info).reasons
+    told = replace(info, state=(*info.state, "v", "omega"))  # as a learner that is told its speeds
+    assert assess("extended_dubins_car", told).reasons == ()
+    (reason,) = assess("dubins_car", told).reasons
     assert reason == "criterion 2: the reward's 'goal' needs v, which it lacks"
+    assert "criterion 1: its v, omega are not in the RL state" in assess("extended_dubins_car", info).reasons[0]
 
 
 def test_the_report_names_every_part() -> None:

@@ -66,8 +66,11 @@ def _mismatch(options: argparse.Namespace) -> int:
     for name, thesis in THESIS_MISMATCH.items():
         errors = transition_errors(load_navigation_task(name), options.roll_outs, options.seed)
         for index, steps in enumerate(STEPS):
-            rows.append(Result(name, f"error after {steps} steps", "m", errors[:, index].tolist(), thesis[index]))
-            ours = f"{errors[:, index].mean():.4f} ± {errors[:, index].std():.4f} m"
+            known = errors[~np.isnan(errors[:, index]), index]
+            if not len(known):
+                raise OcError(f"{name}: no episode lasts {steps} steps: ask for more --roll-outs")
+            rows.append(Result(name, f"error after {steps} steps", "m", known.tolist(), thesis[index]))
+            ours = f"{known.mean():.4f} ± {known.std():.4f} m over {len(known)} roll-outs"
             print(f"{name:<16} after {steps:>2} steps  {ours}   thesis {thesis[index]:.3f} m")
     return _write(options, "oc_mismatch", rows)
 
@@ -112,10 +115,11 @@ def _gradient(options: argparse.Namespace) -> int:
     print(f"policy     after {model.num_timesteps} samples: {ended}")
     assert model.env is not None
     policy = model.policy
-    with tqdm(total=wanted + 2 * max(gradients.SIZES), desc="samples", unit="sample", mininterval=5.0) as bar:
+    pool = gradients.POOL
+    with tqdm(total=wanted + max(gradients.SIZES) + pool, desc="samples", unit="sample", mininterval=5.0) as bar:
         known = gradients.collect_samples(policy, model.env, wanted, run.discount, bar.update)
         fitted = gradients.collect_samples(policy, model.env, max(gradients.SIZES), run.discount, bar.update)
-        fresh = gradients.collect_samples(policy, model.env, max(gradients.SIZES), run.discount, bar.update)
+        fresh = gradients.collect_samples(policy, model.env, pool, run.discount, bar.update)
     model.env.close()
     truth = gradients.policy_gradient(policy, known, None, np.arange(len(known.returns)))
     value = gradients.fit_value(fitted, options.seed)(fresh.observations)
