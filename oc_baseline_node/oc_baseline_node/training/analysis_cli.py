@@ -19,6 +19,8 @@ from ctrl_rl_core.results import Result, write_results
 from ctrl_rl_core.tasks import load_navigation_task
 from tqdm import tqdm
 
+from oc_baseline_node.errors import OcError
+
 _RESULTS = Path("docs/results")
 _IMAGES = Path("docs/images")
 THESIS_MISMATCH = {"car_navigation": (0.095, 0.391, 0.518), "quad_navigation": (0.542, 0.836, 1.144)}

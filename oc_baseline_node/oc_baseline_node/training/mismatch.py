@@ -38,7 +38,8 @@ class Drive(NamedTuple):
 def transition_errors(task: NavigationTask, roll_outs: int = 10, seed: int = 0) -> Array:
     """Return the distance (roll_outs, len(STEPS)) [m] of the positions of model and simulator, see Table 3.5.
 
-    NaN where the episode has ended before. Both begin in the same random start of the task and get the same random commands, a new one each control step.
+    Both begin in the same random start of the task and get the same random commands, a new one each control step. NaN
+    where the episode has ended before.
     """
     problem = formulate(task)
     random = np.random.default_rng(seed)
