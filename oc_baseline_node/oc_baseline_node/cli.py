@@ -63,7 +63,7 @@ def _parser() -> argparse.ArgumentParser:
     command.add_argument("--grid", type=Path, help="value grid to write as well (.safetensors)")
     command.add_argument("--discount", type=float, help="of a policy's step (default: the task's)")
     command.add_argument("--whole-horizon", action="store_true", help="sum Eq. 3.13 on after arrival")
-    command.add_argument("--epochs", type=int, default=40, help="passes over the data (default %(default)s)")
+    command.add_argument("--epochs", type=int, default=200, help="passes over the data (default %(default)s)")
     command.add_argument("--seed", type=int, default=0, help="of split, weights, order (default %(default)s)")
     command.add_argument("--overwrite", action="store_true", help="replace existing files")
     command.add_argument("--results", type=Path, help="JSON file for the figures of data and fit")

@@ -44,7 +44,7 @@ class FitSettings:
     discount: float | None = None
     whole_horizon: bool = False
     hidden: tuple[int, ...] = (64, 64)
-    epochs: int = 40
+    epochs: int = 200
     batch: int = 512
     learning_rate: float = 5e-3
     held_out: float = 0.1
