@@ -16,9 +16,12 @@ def test_text_and_bytes_replace_what_was_there(tmp_path):
 def test_what_cannot_be_written_leaves_nothing_behind(tmp_path):
     folder = tmp_path / "folder"
     (folder / "kept").mkdir(parents=True)
-    with pytest.raises(OSError, match="folder"):
+    with pytest.raises(OSError, match="folder") as refused:
         write_whole(folder, "over a folder")
-    with pytest.raises(FileNotFoundError):
-        write_whole(tmp_path / "none" / "file", "in no folder")
+    assert refused.value.filename == str(folder)
+    missing = tmp_path / "none" / "file"
+    with pytest.raises(FileNotFoundError) as refused:
+        write_whole(missing, "in no folder")
+    assert refused.value.filename == str(missing), "not the temporary one, which nobody knows"
     assert list(tmp_path.iterdir()) == [folder]
     assert (folder / "kept").is_dir()

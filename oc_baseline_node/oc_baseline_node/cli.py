@@ -23,12 +23,12 @@ from numpy.typing import NDArray
 
 from oc_baseline_node.errors import OcError
 from oc_baseline_node.extraction import extract
-from oc_baseline_node.figures import value_rows
 from oc_baseline_node.problem import FORMS, Form, Problem, formulate
 from oc_baseline_node.returns import DISCOUNT
 from oc_baseline_node.starts import draw_start
 from oc_baseline_node.value_data import DataSettings, ValueData, load_data, read_description
 from oc_baseline_node.value_file import find_value, load_value, save_value
+from oc_baseline_node.value_results import value_rows
 
 
 def main(arguments: list[str] | None = None) -> int:

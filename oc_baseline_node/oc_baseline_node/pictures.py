@@ -41,6 +41,7 @@ def heat_map(
     Raises:
         OcError: the value belongs to another kind of state.
         ValueFunctionError: `at` names what the state lacks.
+        OSError: the picture cannot be written.
     """
     plane, chosen = plane_of(value), dict(at or {})
     if value.state_names != task.system.build().state_names:
@@ -77,11 +78,8 @@ def _finish(figure: Figure, axes: Axes, task: NavigationTask, path: Path) -> Non
     axes.set_ylim(bounds[task.plane[1]])
     axes.set_xlabel("x [m]")
     axes.set_ylabel(f"{task.plane[1]} [m]")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        save_figure(figure, path)
-    except OSError as error:
-        raise OcError(f"cannot write {path}: {error.strerror}") from None
+    path.parent.mkdir(parents=True, exist_ok=True)
+    save_figure(figure, path)
 
 
 def _centres(axis: Axis, cells: int) -> Array:

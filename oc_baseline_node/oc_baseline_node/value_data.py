@@ -13,12 +13,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from ctrl_rl_core.whole_file import write_whole
 from numpy.typing import NDArray
 
 from oc_baseline_node.errors import OcError
 from oc_baseline_node.problem import Problem
 from oc_baseline_node.returns import DISCOUNT, returns, rewards, step_discount
-from oc_baseline_node.value_file import write_file
 
 Array = NDArray[np.float64]
 FORMAT = "oc-value-data-1"
@@ -114,12 +114,16 @@ def chunk_file(folder: Path, index: int) -> Path:
 
 
 def write_chunk(folder: Path, index: int, data: ValueData) -> None:
-    """Write a chunk, whole or not at all."""
+    """Write a chunk, whole or not at all.
+
+    Raises:
+        OSError: it cannot be written.
+    """
     buffer = io.BytesIO()
     arrays: dict[str, Any] = {name: getattr(data, name) for name in ValueData.__annotations__}
     arrays["reasons"] = np.array(data.reasons, dtype=np.str_)
     np.savez(buffer, **arrays)
-    write_file(chunk_file(folder, index), buffer.getvalue())
+    write_whole(chunk_file(folder, index), buffer.getvalue())
 
 
 def open_folder(folder: Path, problem: Problem, settings: DataSettings) -> list[int]:
@@ -127,6 +131,7 @@ def open_folder(folder: Path, problem: Problem, settings: DataSettings) -> list[
 
     Raises:
         OcError: the folder holds data of other settings, or something else.
+        OSError: it cannot be written to.
     """
     wanted, file = description(problem, settings), folder / "settings.json"
     if folder.exists() and any(folder.iterdir()) and not file.exists():
@@ -140,7 +145,8 @@ def open_folder(folder: Path, problem: Problem, settings: DataSettings) -> list[
                 f"{folder} holds data with {name} = {there.get(name)}, not {wanted[name]}: give another folder"
             )
     else:
-        write_file(file, json.dumps(wanted, indent=1) + "\n")
+        folder.mkdir(parents=True, exist_ok=True)
+        write_whole(file, json.dumps(wanted, indent=1) + "\n")
     return [index for index in range(settings.chunks) if not chunk_file(folder, index).exists()]
 
 

@@ -75,5 +75,5 @@ def test_refusals():
         formulate(TASK.model_copy(update={"obstacles": box}))
     with pytest.raises(OcError, match="must be 'dubins_car', not 'bicycle'"):
         path_car(make_system("bicycle"), PATH)
-    with pytest.raises(OcError, match="no state is 0.4 m from the walls"):
+    with pytest.raises(OcError, match=r"no state is 0\.4 m from the walls"):
         formulate(TASK, clearance=0.4)
