@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import io
 import json
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,6 +21,16 @@ from oc_baseline_node.returns import DISCOUNT, returns, rewards, step_discount
 
 Array = NDArray[np.float64]
 FORMAT = "oc-value-data-1"
+_TYPES: dict[str, type | tuple[type, ...]] = {
+    "task": str,
+    "task_digest": str,
+    "form": str,
+    "clearance": (int, float),
+    "trajectories": int,
+    "chunk": int,
+    "seed": int,
+}
+"""Of what a folder of value data says about itself."""
 
 
 @dataclass(frozen=True)
@@ -31,12 +40,22 @@ class DataSettings:
     Attributes:
         trajectories: how many solved ones.
         chunk: of them to a file.
-        seed: of the starts.
+        seed: of the starts, zero or more.
+
+    Raises:
+        OcError: there would be nothing to make.
     """
 
     trajectories: int
     chunk: int = 10
     seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.trajectories < 1 or self.chunk < 1 or self.seed < 0:
+            raise OcError(
+                f"{self.trajectories} trajectories, {self.chunk} to a file, seed {self.seed}: the first two must be at "
+                "least 1, the seed 0"
+            )
 
     @property
     def chunks(self) -> int:
@@ -154,7 +173,7 @@ def read_description(folder: Path) -> dict[str, Any]:
     """Return what a folder of value data says about itself.
 
     Raises:
-        OcError: there is none.
+        OcError: there is none, or it is wrong.
     """
     file = folder / "settings.json"
     try:
@@ -163,6 +182,9 @@ def read_description(folder: Path) -> dict[str, Any]:
         raise OcError(f"{folder} holds no value data: make them with 'oc data'") from None
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise OcError(f"{file}: format is not '{FORMAT}': make the data again")
+    wrong = [name for name, kind in _TYPES.items() if not isinstance(content.get(name), kind)]
+    if wrong:
+        raise OcError(f"{file}: {', '.join(wrong)} missing or of a wrong type: make the data again in another folder")
     return content
 
 
@@ -191,6 +213,6 @@ def _read_chunk(file: Path) -> ValueData:
     try:
         with np.load(file, allow_pickle=False) as content:
             arrays = {name: content[name] for name in ValueData.__annotations__}
-    except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+    except Exception as error:  # zipfile and NumPy raise nearly anything about a damaged archive
         raise OcError(f"{file} is not a whole chunk ({error}): delete it and run 'oc data' again") from None
     return ValueData(**{**arrays, "reasons": tuple(arrays["reasons"].tolist())})

@@ -148,9 +148,13 @@ def test_a_folder_of_other_data_is_left_alone(car: Problem, tmp_path: Path) -> N
         make_data(car, DataSettings(1, chunk=1, seed=1), tmp_path, progress=False)
     with pytest.raises(OcError, match="holds data with task = car_navigation"):
         load_data(tmp_path, formulate(load_navigation_task("quad_trap")))
-    chunk_file(tmp_path, 0).write_bytes(b"not an archive")
-    with pytest.raises(OcError, match=r"chunk-0000\.npz is not a whole chunk"):
-        load_data(tmp_path, car)
+    whole = chunk_file(tmp_path, 0).read_bytes()
+    flag = whole.index(b"PK\x01\x02") + 8
+    encrypted = whole[:flag] + b"\x01" + whole[flag + 1 :]
+    for damaged in (b"", b"not an archive", whole[: len(whole) // 2], encrypted):
+        chunk_file(tmp_path, 0).write_bytes(damaged)
+        with pytest.raises(OcError, match=r"chunk-0000\.npz is not a whole chunk"):
+            load_data(tmp_path, car)
     (tmp_path / "settings.json").unlink()
     with pytest.raises(OcError, match="holds something else than value data"):
         make_data(car, DataSettings(1, chunk=1), tmp_path, progress=False)
