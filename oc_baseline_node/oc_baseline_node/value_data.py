@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.whole_file import write_whole
+from ctrl_rl_core.whole_file import is_temporary, write_whole
 from numpy.typing import NDArray
 
 from oc_baseline_node.errors import OcError
@@ -21,6 +21,8 @@ from oc_baseline_node.returns import DISCOUNT, returns, rewards, step_discount
 
 Array = NDArray[np.float64]
 FORMAT = "oc-value-data-1"
+LOCK = ".lock"
+"""File of a folder of value data that keeps a second call out."""
 _TYPES: dict[str, type | tuple[type, ...]] = {
     "task": str,
     "task_digest": str,
@@ -145,27 +147,46 @@ def write_chunk(folder: Path, index: int, data: ValueData) -> None:
     write_whole(chunk_file(folder, index), buffer.getvalue())
 
 
-def open_folder(folder: Path, problem: Problem, settings: DataSettings) -> list[int]:
-    """Make or take up a folder of value data and return the chunks that it still lacks.
+def make_folder(folder: Path) -> None:
+    """Make a folder for value data, if it is not there.
 
     Raises:
-        OcError: the folder holds data of other settings, or something else.
+        OcError: it holds something else; what a killed call leaves behind does not count.
+        OSError: it cannot be made.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    other = [file for file in folder.iterdir() if file.name != LOCK and not is_temporary(file)]
+    if other and not (folder / "settings.json").exists():
+        raise OcError(f"{folder} holds something else than value data, {other[0].name}: give another folder")
+
+
+def open_folder(folder: Path, problem: Problem, settings: DataSettings) -> list[int]:
+    """Begin or take up value data in a folder of `make_folder` and return the chunks that it still lacks.
+
+    Only whoever has the folder's lock may: what a killed call left half-written is removed.
+
+    Raises:
+        OcError: the folder holds data of other settings.
         OSError: it cannot be written to.
     """
-    wanted, file = description(problem, settings), folder / "settings.json"
-    if folder.exists() and any(folder.iterdir()) and not file.exists():
-        raise OcError(f"{folder} holds something else than value data: give another folder")
+    file = folder / "settings.json"
     if file.exists():
-        there = read_description(folder)
-        other = [name for name, value in wanted.items() if there.get(name) != value]
-        if other:
-            name = other[0]
-            raise OcError(
-                f"{folder} holds data with {name} = {there.get(name)}, not {wanted[name]}: give another folder"
-            )
-    else:
-        folder.mkdir(parents=True, exist_ok=True)
-        write_whole(file, json.dumps(wanted, indent=1) + "\n")
+        _check_same(folder, problem, settings)
+    for left in filter(is_temporary, folder.iterdir()):
+        left.unlink()
+    if not file.exists():
+        write_whole(file, json.dumps(description(problem, settings), indent=1) + "\n")
+    return _lacking(folder, settings)
+
+
+def _check_same(folder: Path, problem: Problem, settings: DataSettings) -> None:
+    there = read_description(folder)
+    for name, wanted in description(problem, settings).items():
+        if there.get(name) != wanted:
+            raise OcError(f"{folder} holds data with {name} = {there.get(name)}, not {wanted}: give another folder")
+
+
+def _lacking(folder: Path, settings: DataSettings) -> list[int]:
     return [index for index in range(settings.chunks) if not chunk_file(folder, index).exists()]
 
 
@@ -196,7 +217,8 @@ def load_data(folder: Path, problem: Problem) -> ValueData:
     """
     there = read_description(folder)
     settings = DataSettings(*(int(there[name]) for name in ("trajectories", "chunk", "seed")))
-    lacking = open_folder(folder, problem, settings)
+    _check_same(folder, problem, settings)
+    lacking = _lacking(folder, settings)
     if lacking:
         raise OcError(f"{folder} lacks {len(lacking)} of {settings.chunks} chunks: run the same 'oc data' again")
     return join([_read_chunk(chunk_file(folder, index)) for index in range(settings.chunks)])
