@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -137,6 +138,21 @@ def test_the_grid_holds_its_values_at_the_nodes(made: Made) -> None:
     state = [axis.nodes[i] for axis, i in zip(grid.axes, index, strict=True)]
     assert grid.values[index] == pytest.approx(value.value(state), rel=1e-6)
     assert grid.value((-4.0, 3.0, 1.0)) == pytest.approx(value.value((-4.0, 3.0, 1.0)), abs=0.5)
+
+
+def test_a_grid_of_six_components_takes_little_more_memory_than_itself() -> None:
+    axes = tuple(Axis(name, "1", -1.0, 1.0, 9) for name in "abcdef")
+    layers = ((np.eye(4, 6), np.zeros(4)), (np.ones((1, 4)), np.zeros(1)))
+    value = MlpValue(layers, axes, 0.0, 1.0, "t", "0" * 64)
+    tracemalloc.start()
+    (grid,) = value.grids
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 2.5 * grid.values.nbytes + 10e6
+    random = np.random.default_rng(0)
+    for index in map(tuple, random.integers(0, 9, (20, 6))):
+        state = [axis.nodes[i] for axis, i in zip(axes, index, strict=True)]
+        assert grid.values[index] == pytest.approx(value.value(state), rel=1e-6)
 
 
 def test_a_file_gives_back_what_was_saved(made: Made, tmp_path: Path) -> None:
