@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from ctrl_rl_core.drawing import draw_world, save_figure
+from ctrl_rl_core.drawing import draw_map, save_figure
 from ctrl_rl_core.grid_axis import Axis
 from ctrl_rl_core.plane import plane_of
 from ctrl_rl_core.regions import position_indices
@@ -72,12 +72,7 @@ def trajectories(task: NavigationTask, states: Sequence[Array], path: Path) -> N
 
 
 def _finish(figure: Figure, axes: Axes, task: NavigationTask, path: Path) -> None:
-    draw_world(axes, task)
-    bounds = task.plane_bounds
-    axes.set_xlim(bounds["x"])
-    axes.set_ylim(bounds[task.plane[1]])
-    axes.set_xlabel("x [m]")
-    axes.set_ylabel(f"{task.plane[1]} [m]")
+    draw_map(axes, task)
     path.parent.mkdir(parents=True, exist_ok=True)
     save_figure(figure, path)
 

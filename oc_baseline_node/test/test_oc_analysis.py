@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from oc_baseline_node.training import gradients
 from oc_baseline_node.training.analysis_cli import main
+from oc_baseline_node.training.analysis_pictures import draw_drives
 from oc_baseline_node.training.mismatch import action_of, command, drive_by_mpc, predict, transition_errors
 from oc_baseline_node.training.runs import OcRun
 
@@ -70,6 +71,13 @@ def test_what_cannot_be_analysed_is_said_in_one_line(arguments, words, tmp_path,
     assert words in error
     assert error.count("\n") == 1
     assert not list(tmp_path.iterdir())
+
+
+def test_drives_through_a_corridor_are_drawn(tmp_path):
+    corridor = load_navigation_task("curved_corridor")
+    paths = {"MPC": [{"outcome": "GOAL", "states": [[0.0, 0.0, 0.0], [0.3, 0.1, 0.0]]}], "learnt": []}
+    draw_drives(paths, corridor, tmp_path / "new" / "drives.png")
+    assert (tmp_path / "new" / "drives.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_a_path_learnt_in_another_task_is_not_drawn(tmp_path, capsys):
