@@ -90,7 +90,8 @@ def value_nodes(options: DriveOptions, files: Mapping[str, Path]) -> list[NodeSp
         parameters = _served(files["time_to_reach"], task=options.task, corridor_width=float(options.width))
         nodes.append(NodeSpec("ttr_reward_node", "reward", parameters, ("reward", "time_to_reach")))
     if "oc_value" in files:
-        nodes.append(NodeSpec("oc_baseline_node", "baseline", _served(files["oc_value"]), ("oc_value",)))
+        parameters = _served(files["oc_value"], task=options.task)
+        nodes.append(NodeSpec("oc_baseline_node", "baseline", parameters, ("oc_value",)))
     return nodes
 
 

@@ -5,19 +5,16 @@ results = train_all(runs, Options(Path("runs/mine")))
 
 from __future__ import annotations
 
-import fcntl
 import os
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from functools import partial
-from pathlib import Path
 from queue import Empty
 from typing import Any
 
+from ctrl_rl_core.lock import alone
 from ctrl_rl_core.workers import CONTEXT, in_processes
 from tqdm import tqdm
 
-from ctrl_rl_training.errors import TrainingError
 from ctrl_rl_training.training import Options, Run, result_file, train_one
 
 
@@ -33,12 +30,12 @@ def train_all(runs: Sequence[Run], options: Options, workers: int = 0, title: st
         title: of the progress bar, and of the lock that keeps a second call with it out of the folder.
 
     Raises:
-        TrainingError: another call works in the folder.
+        LockError: another call works in the folder.
         CtrlRlError: a run refuses, or a worker was killed.
     """
     todo = [run for run in runs if not result_file(options.folder, run).is_file()]
     options.folder.mkdir(parents=True, exist_ok=True)
-    with _alone(options.folder / f".{title}.lock"):
+    with alone(options.folder / f".{title}.lock"):
         if todo:
             _run(todo, options, min(len(todo), workers or os.cpu_count() or 1), title)
     return [train_one(run, options) for run in runs]
@@ -74,13 +71,3 @@ def _train(run: Run, options: Options) -> None:
         _worker["reports"].put((run.name, done, success))
 
     train_one(run, options, report)
-
-
-@contextmanager
-def _alone(lock: Path) -> Iterator[None]:
-    with lock.open("w") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise TrainingError(f"{lock.parent}: another run of this task is at work there") from None
-        yield

@@ -15,7 +15,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from ctrl_rl_core.command import run_command
+from ctrl_rl_core.command import check_least, run_command
 from ctrl_rl_core.results import write_results
 from ctrl_rl_core.tasks import NavigationTask, load_navigation_task
 from ctrl_rl_core.value_function import ValueFunction
@@ -23,11 +23,11 @@ from numpy.typing import NDArray
 
 from oc_baseline_node.errors import OcError
 from oc_baseline_node.extraction import extract
-from oc_baseline_node.figures import value_rows
 from oc_baseline_node.problem import FORMS, Form, Problem, formulate
 from oc_baseline_node.starts import draw_start
 from oc_baseline_node.value_data import DataSettings, ValueData, load_data, read_description
 from oc_baseline_node.value_file import find_value, load_value, save_value
+from oc_baseline_node.value_results import value_rows
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -113,6 +113,7 @@ def _extract(options: argparse.Namespace) -> int:
 def _solve(options: argparse.Namespace) -> int:
     from oc_baseline_node.mpc import Mpc
 
+    check_least(options, seed=0)
     problem = formulate(*_terms(options))
     mpc = Mpc(problem) if options.solver is None else Mpc(problem, (options.solver,))
     start = draw_start(problem, np.random.default_rng(options.seed)) if options.start is None else options.start
@@ -137,11 +138,10 @@ def _solve(options: argparse.Namespace) -> int:
 def _data(options: argparse.Namespace) -> int:
     from oc_baseline_node.value_data_workers import make_data
 
+    check_least(options, trajectories=1, seed=0, workers=1)
     problem = formulate(*_terms(options))
-    oc = problem.task.optimal_control
-    wanted = options.trajectories or (oc.trajectories if oc is not None else 0)
-    if wanted < 1 or options.workers < 1:
-        raise OcError("--trajectories and --workers must be at least 1")
+    assert problem.task.optimal_control is not None  # without it there is no problem
+    wanted = problem.task.optimal_control.trajectories if options.trajectories is None else options.trajectories
     data, wall, cpu = make_data(problem, DataSettings(wanted, seed=options.seed), options.output, options.workers)
     print(_report(data))
     print(f"this run      {wall:.1f} s with {options.workers} processes, {cpu:.1f} CPU s in all")
@@ -168,8 +168,9 @@ def _report(data: ValueData) -> str:
 def _fit(options: argparse.Namespace) -> int:
     from oc_baseline_node.value_fit import FitSettings, fit
 
-    if not (options.discount is None or 0.0 < options.discount <= 1.0) or options.epochs < 1:
-        raise OcError("--discount must lie in (0, 1], --epochs be at least 1")
+    check_least(options, epochs=1, seed=0)
+    if options.discount is not None and not 0.0 < options.discount <= 1.0:
+        raise OcError(f"--discount must lie in (0, 1], not {options.discount:g}")
     for path in (options.output, options.grid):
         if path is not None and path.exists() and not options.overwrite:
             raise OcError(f"{path} exists: give another name, or --overwrite")

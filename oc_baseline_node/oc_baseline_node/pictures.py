@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from ctrl_rl_core.drawing import draw_world, save_figure
+from ctrl_rl_core.drawing import draw_map, save_figure
 from ctrl_rl_core.grid_axis import Axis
 from ctrl_rl_core.plane import plane_of
 from ctrl_rl_core.regions import position_indices
@@ -41,6 +41,7 @@ def heat_map(
     Raises:
         OcError: the value belongs to another kind of state.
         ValueFunctionError: `at` names what the state lacks.
+        OSError: the picture cannot be written.
     """
     plane, chosen = plane_of(value), dict(at or {})
     if value.state_names != task.system.build().state_names:
@@ -71,17 +72,9 @@ def trajectories(task: NavigationTask, states: Sequence[Array], path: Path) -> N
 
 
 def _finish(figure: Figure, axes: Axes, task: NavigationTask, path: Path) -> None:
-    draw_world(axes, task)
-    bounds = task.plane_bounds
-    axes.set_xlim(bounds["x"])
-    axes.set_ylim(bounds[task.plane[1]])
-    axes.set_xlabel("x [m]")
-    axes.set_ylabel(f"{task.plane[1]} [m]")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        save_figure(figure, path)
-    except OSError as error:
-        raise OcError(f"cannot write {path}: {error.strerror}") from None
+    draw_map(axes, task)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    save_figure(figure, path)
 
 
 def _centres(axis: Axis, cells: int) -> Array:

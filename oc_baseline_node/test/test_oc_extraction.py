@@ -16,8 +16,8 @@ from oc_baseline_node.problem import formulate
 def test_the_car_is_a_dubins_car_as_in_the_thesis() -> None:
     found = extract(load_navigation_task("car_navigation"))
     assert found.info.robot_type == "car"
-    assert found.info.state[:5] == ("x", "y", "theta", "v", "omega")
-    assert found.info.state[5:] == tuple(f"d_{i}" for i in range(1, 9))
+    assert found.info.state[:3] == ("x", "y", "theta")
+    assert found.info.state[3:] == tuple(f"d_{i}" for i in range(1, 9))
     assert found.chosen == "dubins_car"
     refused = {candidate.model: candidate.reasons for candidate in found.candidates}
     assert set(refused) == set(CANDIDATES["car"])
