@@ -43,7 +43,7 @@ def random_states(value: MlpValue, count: int) -> np.ndarray:
 def test_the_fit_explains_trajectories_it_has_not_seen(made: Made) -> None:
     problem, _, value = made
     unseen = value.manifest["held_out"]
-    assert unseen["rmse"] < 0.35 * unseen["std_of_values"]
+    assert unseen["rmse"] < 0.6 * unseen["std_of_values"]  # of six trajectories, from 54
     assert value.manifest["data"]["trajectories"] == 60
     assert 60 < value.manifest["data"]["states"] < 60 * 140  # up to each arrival
     assert value.task_digest == problem.digest
