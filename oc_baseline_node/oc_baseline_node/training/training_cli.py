@@ -19,7 +19,7 @@ from ctrl_rl_training.cli import (
 from oc_baseline_node.training.methods import GROUPS, METHODS
 
 FOLDER = Path("runs/oc_training")
-ITERATIONS = 15
+ITERATIONS = 10
 _MAIN = ("oc_ppo", "ppo")
 
 
