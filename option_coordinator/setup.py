@@ -7,7 +7,7 @@ setup(
     version="0.1.0",
     description="Grants options to robots that finish at different times (thesis 2.4 and 5).",
     license="Apache-2.0",
-    packages=[NAME],
+    packages=[NAME, f"{NAME}.tasks", f"{NAME}.training"],
     package_data={"option_coordinator": ["py.typed"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
