@@ -9,9 +9,9 @@ from typing import Any, TypeVar
 
 from ctrl_rl_core.results import ResultsError
 
-from ctrl_rl_training.training import Run, result_file
+from ctrl_rl_training.run_folder import Named, result_file
 
-AnyRun = TypeVar("AnyRun", bound=Run)
+AnyRun = TypeVar("AnyRun", bound=Named)
 GOOD = 0.9
 """Success that counts as learnt (thesis 3.2.3)."""
 

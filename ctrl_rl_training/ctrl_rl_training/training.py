@@ -30,6 +30,7 @@ from ctrl_rl_training.algorithms import ROLL_OUT, extract_actor
 from ctrl_rl_training.checkpoint import load_checkpoint, save_checkpoint
 from ctrl_rl_training.environment import DEPLOYED_RATE, Environment, observation_names
 from ctrl_rl_training.errors import TrainingError
+from ctrl_rl_training.run_folder import result_file
 from ctrl_rl_training.visits import Visits
 
 ITERATION = 5 * ROLL_OUT
@@ -88,11 +89,6 @@ class Options:
 
 Report = Callable[[Run, int, float], None]
 """What is told of an iteration: the run, the iterations done, and the success rate of the evaluation."""
-
-
-def result_file(folder: Path, run: Run) -> Path:
-    """Return the file that says that a run is finished, and how it went."""
-    return folder / run.name / "result.json"
 
 
 def train_one(run: Run, options: Options, report: Report = lambda *_: None) -> dict[str, Any]:
