@@ -1,5 +1,7 @@
 """Tool Delivery as specified: golden traces, its rules one by one, and what holds for any choices."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from ctrl_rl_core.errors import CtrlRlError
@@ -136,7 +138,7 @@ def test_a_search_finds_one_copy_and_the_table_holds_two():
 def test_what_holds_for_any_choices(synchronisation, seed):
     environment = OptionEnvironment(make_simulation(TASK), 0.99, synchronisation)
     decisions = play(environment, RandomChooser(seed))
-    for before, after in zip(decisions, decisions[1:], strict=False):
+    for before, after in pairwise(decisions):
         assert after.duration >= 1
         assert after.discount == pytest.approx(0.99**after.duration)
         assert after.reward == pytest.approx(sum(r * 0.99**i for i, r in enumerate(after.rewards)))
@@ -154,8 +156,8 @@ def test_what_holds_for_any_choices(synchronisation, seed):
     for name in (agent.name for agent in environment.agents):
         spans = sorted(span[2:4] for span in environment.trace.spans if span.agent == name)
         assert spans[0][0] == 0
-        assert all(a[1] <= b[0] for a, b in zip(spans, spans[1:], strict=False))
-        assert synchronisation == "wait" or all(a[1] == b[0] for a, b in zip(spans, spans[1:], strict=False))
+        assert all(a[1] <= b[0] for a, b in pairwise(spans))
+        assert synchronisation == "wait" or all(a[1] == b[0] for a, b in pairwise(spans))
         assert all(span.finished for span in environment.trace.spans if synchronisation == "wait" and span.end < steps)
 
 

@@ -1,0 +1,101 @@
+"""Playing a joint policy in an environment: trajectories to learn from, episodes to judge by."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from option_coordinator.event_driven import Decision, OptionEnvironment
+from option_coordinator.joint_policy import JointPolicy
+from option_coordinator.trajectory import Trajectory, TrajectoryWriter
+
+
+@dataclass
+class Episode:
+    """How an episode went.
+
+    Attributes:
+        returned: undiscounted sum of the low-level rewards.
+        steps: low-level steps, the makespan T.
+        decisions: option steps.
+        option_reward: sum of the option steps' discounted rewards r_kappa.
+        terminated: the task ended, it was not cut off.
+        figures: what the task says about it.
+    """
+
+    returned: float = 0.0
+    steps: int = 0
+    decisions: int = 0
+    option_reward: float = 0.0
+    terminated: bool = False
+    figures: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def mean_option_reward(self) -> float:
+        """Mean reward of an option step: the thesis's metric."""
+        return self.option_reward / max(self.decisions, 1)
+
+    def add(self, decision: Decision) -> None:
+        """Count what led to a decision."""
+        self.returned += sum(decision.rewards)
+        self.steps += decision.duration
+        self.decisions += 1
+        self.option_reward += decision.reward
+        self.terminated = decision.terminated
+
+
+class RollOut:
+    """Goes through an environment, episode after episode, as far as it is asked to.
+
+    Args:
+        environment: to play in.
+        generator: of everything random.
+    """
+
+    def __init__(self, environment: OptionEnvironment, generator: np.random.Generator) -> None:
+        self._environment = environment
+        self._generator = generator
+        self._decision = environment.reset(generator)
+        self._episode = Episode()
+        self.finished: list[Episode] = []
+
+    def collect(self, policy: JointPolicy, samples: int) -> Trajectory:
+        """Return the option steps that take at least `samples` low-level steps; the last episode goes on next time."""
+        writer = TrajectoryWriter()
+        taken = 0
+        while taken < samples:
+            before = self._decision
+            conditional = policy.given(before.observation, before.choosing, before.running, before.legal)
+            options = conditional.sample(self._generator)
+            after = self._environment.step(_named(before, options))
+            writer.add(before, options, float(conditional.log_prob(options)), after)
+            self._episode.add(after)
+            taken += after.duration
+            if after.over:
+                self._episode.figures = self._environment.figures()
+                self.finished.append(self._episode)
+                self._episode = Episode()
+                after = self._environment.reset(self._generator)
+            self._decision = after
+        return writer.take()
+
+
+def play_episodes(
+    environment: OptionEnvironment, choose: Callable[[Decision], dict[str, int]], seeds: range
+) -> Iterator[Episode]:
+    """Yield an episode for each seed, played by any chooser."""
+    for seed in seeds:
+        decision, episode = environment.reset(seed), Episode()
+        while not decision.over:
+            decision = environment.step(choose(decision))
+            episode.add(decision)
+        episode.figures = environment.figures()
+        yield episode
+
+
+def _named(decision: Decision, options: np.ndarray[Any, np.dtype[np.int64]]) -> dict[str, int]:
+    rows = zip(decision.agents, options, decision.choosing, strict=True)
+    return {agent.name: int(option) for agent, option, chooses in rows if chooses}
