@@ -15,4 +15,11 @@ setup(
     ],
     install_requires=["setuptools"],
     zip_safe=False,
+    entry_points={
+        "console_scripts": [
+            "replay = option_coordinator.cli:replay",
+            "train = option_coordinator.training.training_cli:train",
+            "training_figures = option_coordinator.training.training_cli:training_figures",
+        ],
+    },
 )

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from option_coordinator.errors import OptionError
-from option_coordinator.options import Agent, Mask, Observation, Simulation, check_option
+from option_coordinator.options import Agent, Mask, Observation, Scene, Simulation, check_option
 from option_coordinator.trace import Trace
 
 Synchronisation = Literal["async", "wait", "cut"]
@@ -99,17 +99,29 @@ class OptionEnvironment:
         simulation: the low-level world.
         discount: gamma of a low-level step.
         synchronisation: who chooses when.
+        film: whether to keep a scene of every low-level step, to be drawn.
+
+    Attributes:
+        trace: who ran which option when, in this episode.
+        scenes: of this episode, the first before any step; none unless filmed.
+        steps: low-level steps of this episode.
     """
 
     def __init__(
-        self, simulation: Simulation, discount: float = 0.99, synchronisation: Synchronisation = "async"
+        self,
+        simulation: Simulation,
+        discount: float = 0.99,
+        synchronisation: Synchronisation = "async",
+        film: bool = False,
     ) -> None:
         self.simulation = simulation
         self.agents = simulation.agents
         self.discount = discount
         self.synchronisation = synchronisation
         self.trace = Trace()
+        self.scenes: list[Scene] = []
         self.steps = 0
+        self._film = film
         self._index = {agent.name: i for i, agent in enumerate(self.agents)}
         self._seen: list[Observation] = []
         self._running = np.full(len(self.agents), NONE)
@@ -120,6 +132,8 @@ class OptionEnvironment:
         """Begin an episode, in which all are ready."""
         self.simulation.reset(np.random.default_rng(seed))
         self.trace = Trace()
+        self.scenes = []
+        self._take_scene()
         self.steps = 0
         self._running[:] = NONE
         count = len(self.agents)
@@ -144,12 +158,17 @@ class OptionEnvironment:
             reward, ended, terminated = self.simulation.step()
             rewards.append(reward)
             self.steps += 1
+            self._take_scene()
             for index in np.flatnonzero(ended):
                 self._end(int(index), finished=True)
             truncated = not terminated and self.steps >= self.simulation.step_limit
             idle = self._running == NONE
             if terminated or truncated or (idle.all() if self.synchronisation == "wait" else idle.any()):
                 return self._pause(rewards, terminated, truncated)
+
+    def _take_scene(self) -> None:
+        if self._film:
+            self.scenes.append(self.simulation.scene())
 
     def _pause(self, rewards: list[float], terminated: bool, truncated: bool) -> Decision:
         over = terminated or truncated

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from option_coordinator.event_driven import Decision, OptionEnvironment
-from option_coordinator.joint_policy import JointPolicy
+from option_coordinator.joint_policy import JointPolicy, Options
 from option_coordinator.trajectory import Trajectory, TrajectoryWriter
 
 
@@ -96,6 +96,24 @@ def play_episodes(
         yield episode
 
 
-def _named(decision: Decision, options: np.ndarray[Any, np.dtype[np.int64]]) -> dict[str, int]:
+class Drawing:
+    """A joint policy as a chooser that draws.
+
+    Args:
+        policy: to draw from.
+        generator: of the draws.
+    """
+
+    def __init__(self, policy: JointPolicy, generator: np.random.Generator) -> None:
+        self._policy = policy
+        self._generator = generator
+
+    def __call__(self, decision: Decision) -> dict[str, int]:
+        """Return an option for each agent that is ready."""
+        given = self._policy.given(decision.observation, decision.choosing, decision.running, decision.legal)
+        return _named(decision, given.sample(self._generator))
+
+
+def _named(decision: Decision, options: Options) -> dict[str, int]:
     rows = zip(decision.agents, options, decision.choosing, strict=True)
     return {agent.name: int(option) for agent, option, chooses in rows if chooses}

@@ -18,6 +18,8 @@ from option_coordinator.tasks.tool_delivery_actions import ToolDeliveryActions
 from option_coordinator.tasks.water_filling import Options, Sight, WaterFillingSimulation
 
 OptionTask = ToolDelivery | WaterFilling
+Level = Literal["options", "actions"]
+"""Whether options are chosen, or a low-level action at each step."""
 DISCOUNT = 0.99
 """gamma of a low-level step (published settings)."""
 
@@ -34,9 +36,7 @@ def load_option_task(name_or_path: str) -> OptionTask:
     return task
 
 
-def make_simulation(
-    task: OptionTask, level: Literal["options", "actions"] = "options", sight: Sight = "features"
-) -> Simulation:
+def make_simulation(task: OptionTask, level: Level = "options", sight: Sight = "features") -> Simulation:
     """Return a task's low-level world, to be led by options or by low-level actions ("end2end").
 
     Raises:
@@ -51,7 +51,13 @@ def make_simulation(
 
 
 def make_environment(
-    name_or_path: str, synchronisation: Synchronisation = "async", discount: float = DISCOUNT
+    name_or_path: str,
+    synchronisation: Synchronisation = "async",
+    discount: float = DISCOUNT,
+    level: Level = "options",
+    sight: Sight = "features",
+    film: bool = False,
 ) -> OptionEnvironment:
-    """Return a task as an event-driven environment. Errors as for `load_option_task`."""
-    return OptionEnvironment(make_simulation(load_option_task(name_or_path)), discount, synchronisation)
+    """Return a task as an event-driven environment. Errors as for `load_option_task` and `make_simulation`."""
+    simulation = make_simulation(load_option_task(name_or_path), level, sight)
+    return OptionEnvironment(simulation, discount, synchronisation, film)

@@ -25,8 +25,8 @@ from ctrl_rl_training.run_folder import result_file
 from option_coordinator.errors import OptionError
 from option_coordinator.event_driven import OptionEnvironment
 from option_coordinator.policy_file import OptionPolicy
-from option_coordinator.roll_out import Episode, RollOut, play_episodes
-from option_coordinator.tasks import DISCOUNT, OptionTask, load_option_task, make_simulation
+from option_coordinator.roll_out import Drawing, Episode, RollOut, play_episodes
+from option_coordinator.tasks import DISCOUNT, OptionTask, load_option_task, make_environment
 from option_coordinator.tasks.water_filling import Sight
 from option_coordinator.training.checkpoint import load_checkpoint, save_checkpoint
 from option_coordinator.training.heads import as_numpy
@@ -88,6 +88,8 @@ class OptionRun:
             "method": self.method_name,
             "seed": self.seed,
             "sight": self.sight,
+            "level": self.method.level,
+            "synchronisation": self.method.synchronisation,
         }
 
     @property
@@ -97,8 +99,8 @@ class OptionRun:
 
     def environment(self) -> OptionEnvironment:
         """Return its environment."""
-        simulation = make_simulation(self.task, self.method.level, self.sight)
-        return OptionEnvironment(simulation, DISCOUNT, self.method.synchronisation)
+        method = self.method
+        return make_environment(self.task_name, method.synchronisation, DISCOUNT, method.level, self.sight)
 
     def learner(self) -> Learner:
         """Return the untrained learner."""
@@ -116,7 +118,7 @@ class OptionRun:
             partial=self.method.partial,
             tensors=as_numpy(learner.network),
             greedy=learner.greedy,
-            manifest={**self.description, "level": self.method.level, **figures},
+            manifest={**self.description, **figures},
         )
 
 
@@ -226,16 +228,18 @@ def _iterate(
 
 
 def evaluate(run: OptionRun, learner: Learner, episodes: int, seed: int) -> list[Episode]:
-    """Return episodes from the seeds `seed`, `seed` + 1 and so on, of the policy as it is meant to be used."""
-    policy = run.policy(learner, {})
-    generator = None if learner.greedy else np.random.default_rng(seed)
-    chosen = play_episodes(run.environment(), lambda d: policy.choose(d, generator), range(seed, seed + episodes))
-    return list(chosen)
+    """Return episodes from the seeds `seed`, `seed` + 1 and so on, of the policy as it acts at the end of the run.
+
+    It draws, as in learning. The most likely options alone may go round in circles where little is observed.
+    """
+    chooser = Drawing(learner.behaviour(1.0), np.random.default_rng(seed))
+    return list(play_episodes(run.environment(), chooser, range(seed, seed + episodes)))
 
 
 def summary(episodes: Sequence[Episode]) -> dict[str, float]:
-    """Return means over episodes: `return`, `steps`, `decisions`, `option_reward` (the thesis's metric), `terminated`
-    and what the task says; nothing for no episodes.
+    """Return means over episodes; nothing for no episodes.
+
+    They are `return`, `steps`, `decisions`, `option_reward` (the thesis's metric), `terminated`, what the task says.
     """
     if not episodes:
         return {}

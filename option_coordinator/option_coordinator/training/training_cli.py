@@ -1,0 +1,87 @@
+"""The commands `train` and `training_figures`: learning joint options with every method, and what comes of it."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+from ctrl_rl_core.command import run_command
+from ctrl_rl_core.results import write_results
+
+from option_coordinator.errors import OptionError
+from option_coordinator.tasks import load_option_task
+from option_coordinator.training.methods import METHODS
+
+FOLDER = Path("runs/options")
+ITERATIONS = 20
+_MAIN = ("async", "sync_wait")
+_SAMPLES = {"tool_delivery": 50_000, "water_filling": 200_000}
+
+
+def train(arguments: Sequence[str] | None = None) -> int:
+    """Learn joint options (thesis 5.3) from several seeds; go on where it was cut off."""
+    parser = argparse.ArgumentParser(
+        prog="train",
+        description=train.__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        epilog="methods:\n" + "\n".join(f"  {name:<22} {method.label}" for name, method in METHODS.items()),
+    )
+    parser.add_argument("--task", required=True, help="tool_delivery, water_filling, or a task file")
+    parser.add_argument(
+        "--methods", nargs="+", choices=[*METHODS, "all"], default=_MAIN, help="default: async sync_wait"
+    )
+    parser.add_argument("--sight", choices=("features", "image"), default="features", help="of Water Filling's robots")
+    parser.add_argument("--folder", type=Path, default=FOLDER, help="of the runs (default %(default)s)")
+    parser.add_argument("--seeds", type=int, default=5, help="how many, from 0 (default %(default)s)")
+    parser.add_argument("--samples", type=int, help="low-level samples of a run (default: the thesis's, 50K and 200K)")
+    parser.add_argument("--workers", type=int, default=0, help="runs at a time (default: one for each core)")
+    parser.add_argument("--results", type=Path, help="JSON file to write table and curves to")
+    options = parser.parse_args(arguments)
+    return run_command("train", lambda: _train(options))
+
+
+def training_figures(arguments: Sequence[str] | None = None) -> int:
+    """Draw the curves of learning (thesis Fig. 5.4) from the results that `train` wrote."""
+    parser = argparse.ArgumentParser(prog="training_figures", description=training_figures.__doc__)
+    parser.add_argument("results", type=Path, help="JSON file of `train --results`")
+    parser.add_argument("--output", type=Path, default=Path("docs/images"), help="folder (default %(default)s)")
+    options = parser.parse_args(arguments)
+    return run_command("training_figures", lambda: _figures(options))
+
+
+def _train(options: argparse.Namespace) -> int:
+    task = load_option_task(options.task)  # refuses an unknown one before torch is imported and workers start
+    samples = _SAMPLES[task.kind] if options.samples is None else options.samples
+    if options.seeds < 1 or samples < ITERATIONS:
+        raise OptionError(f"--seeds must be at least 1, --samples at least {ITERATIONS}")
+    from ctrl_rl_training.matrix import train_all
+
+    from option_coordinator.training.results import as_table, collect
+    from option_coordinator.training.runs import RunOptions, option_runs, train_one
+
+    methods = list(METHODS) if "all" in options.methods else options.methods
+    runs = option_runs(options.task, methods, options.seeds, options.sight)
+    runs[0].environment()  # refuses images where there are none
+    train_all(
+        runs, RunOptions(options.folder, ITERATIONS, samples // ITERATIONS), options.workers, task.name, train_one
+    )
+    rows, figures = collect(runs, options.folder)
+    print(as_table(rows))
+    if options.results is not None:
+        write_results(options.results, f"options_{task.name}", range(options.seeds), rows, figures)
+        print(f"results    {options.results}")
+    return 0
+
+
+def _figures(options: argparse.Namespace) -> int:
+    from ctrl_rl_training.results import read_figures
+
+    from option_coordinator.training.pictures import draw_curves  # matplotlib is not for robots
+
+    figures = read_figures(options.results)
+    options.output.mkdir(parents=True, exist_ok=True)
+    file = options.output / f"{figures['task']}_options.png"
+    draw_curves(figures, file)
+    print(f"picture    {file}")
+    return 0
