@@ -13,6 +13,8 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from option_coordinator.errors import OptionError
+
 Observation = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
@@ -112,7 +114,5 @@ def check_option(agent: Agent, option: int) -> None:
     Raises:
         OptionError: it is not.
     """
-    from option_coordinator.errors import OptionError
-
     if not 0 <= option < len(agent.options):
         raise OptionError(f"{agent.name} has no option {option}: there are 0 to {len(agent.options) - 1}")

@@ -53,6 +53,10 @@ class RollOut:
     Args:
         environment: to play in.
         generator: of everything random.
+
+    Attributes:
+        samples: low-level steps so far.
+        finished: the episodes that have ended.
     """
 
     def __init__(self, environment: OptionEnvironment, generator: np.random.Generator) -> None:
@@ -60,20 +64,21 @@ class RollOut:
         self._generator = generator
         self._decision = environment.reset(generator)
         self._episode = Episode()
+        self.samples = 0
         self.finished: list[Episode] = []
 
     def collect(self, policy: JointPolicy, samples: int) -> Trajectory:
         """Return the option steps that take at least `samples` low-level steps; the last episode goes on next time."""
         writer = TrajectoryWriter()
-        taken = 0
-        while taken < samples:
+        enough = self.samples + samples
+        while self.samples < enough:
             before = self._decision
             conditional = policy.given(before.observation, before.choosing, before.running, before.legal)
             options = conditional.sample(self._generator)
             after = self._environment.step(_named(before, options))
             writer.add(before, options, float(conditional.log_prob(options)), after)
             self._episode.add(after)
-            taken += after.duration
+            self.samples += after.duration
             if after.over:
                 self._episode.figures = self._environment.figures()
                 self.finished.append(self._episode)

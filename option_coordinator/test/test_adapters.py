@@ -71,7 +71,7 @@ def test_commands_from_training_to_replay(tmp_path, capsys, monkeypatch):
     rows = {(row["method"], row["metric"]): row for row in content["rows"]}
     assert rows["scripted", "return"]["mean"] == 260.0
     assert len(rows["async_autoregressive", "makespan"]["values"]) == 1
-    assert content["figures"]["curves"]["async_autoregressive"]["samples"][-1] == 400
+    assert content["figures"]["curves"]["async_autoregressive"]["samples"][-1] >= 400
     assert training_figures(["r.json", "--output", "."]) == 0
     assert (tmp_path / "tool_delivery_options.png").is_file()
     policy = "runs/options/tool_delivery-async_autoregressive-s0/policy.safetensors"

@@ -23,7 +23,7 @@ from option_coordinator.training.runs import OptionRun, RunOptions, option_runs,
 from option_coordinator.training.value import ValueNetwork
 from option_coordinator.trajectory import Trajectory, advantages
 
-SHORT = {"iterations": 2, "samples": 320, "evaluations": 1, "final_evaluations": 1}
+SHORT = {"iterations": 2, "samples": 200, "evaluations": 1, "final_evaluations": 1}
 
 
 class CutOffError(Exception):
@@ -193,7 +193,7 @@ def test_a_folder_of_another_run_is_refused(tmp_path):
     run = OptionRun("tool_delivery", "async", 0)
     with pytest.raises(CutOffError):
         train_one(run, RunOptions(tmp_path, **SHORT), report=cut_off)
-    with pytest.raises(CtrlRlError, match="samples 320, now it is 100"):
+    with pytest.raises(CtrlRlError, match="samples 200, now it is 100"):
         train_one(run, RunOptions(tmp_path, **(SHORT | {"samples": 100})))
     (tmp_path / run.name / "checkpoint.safetensors").write_bytes(b"nonsense")
     with pytest.raises(CtrlRlError, match="cannot go on from it"):

@@ -14,7 +14,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -135,13 +135,21 @@ class RunOptions:
     """
 
     folder: Path
-    iterations: int = 20
-    samples: int = 2500
+    iterations: int = 25
+    samples: int = 2000
     evaluations: int = 10
     final_evaluations: int = 50
 
 
 Report = Callable[[OptionRun, int, float | str], None]
+
+
+class _Iteration(NamedTuple):
+    """What an iteration took, the episodes that ended in it, and figures of its last update."""
+
+    samples: int
+    episodes: list[Episode]
+    figures: dict[str, float]
 
 
 def option_runs(task_name: str, methods: Sequence[str], seeds: int, sight: Sight = "features") -> list[OptionRun]:
@@ -193,14 +201,16 @@ def _learn(run: OptionRun, options: RunOptions, learner: Learner, report: Report
         curve = progress["curve"]
     while len(curve) < options.iterations:
         begin = time.perf_counter()
-        episodes, figures = _iterate(run, options, learner, len(curve))
+        done, taken = len(curve), int(curve[-1]["samples"]) if curve else 0
+        part = (done / options.iterations, (done + 1) / options.iterations)
+        iteration = _iterate(run, learner, done, max(1, (done + 1) * options.samples - taken), part)
         tested = summary(evaluate(run, learner, options.evaluations, _EVALUATION_SEED))
         curve.append(
             {
-                "samples": (len(curve) + 1) * options.samples,
-                "learning": summary(episodes),
+                "samples": taken + iteration.samples,
+                "learning": summary(iteration.episodes),
                 "evaluation": tested,
-                "update": figures,
+                "update": iteration.figures,
                 "seconds": round(time.perf_counter() - begin, 2),
             }
         )
@@ -209,22 +219,17 @@ def _learn(run: OptionRun, options: RunOptions, learner: Learner, report: Report
     return curve
 
 
-def _iterate(
-    run: OptionRun, options: RunOptions, learner: Learner, number: int
-) -> tuple[list[Episode], dict[str, float]]:
-    """Learn from an iteration's samples of fresh episodes; return those that ended and figures of the last update."""
+def _iterate(run: OptionRun, learner: Learner, number: int, samples: int, part: tuple[float, float]) -> _Iteration:
+    """Learn from so many samples of fresh episodes, in batches of about the same size, during a part of the run."""
     generator = np.random.default_rng((run.seed, number))
     torch.manual_seed(int(generator.integers(2**31)))
     roll_out = RollOut(run.environment(), generator)
     figures: dict[str, float] = {}
-    taken = 0
-    while taken < options.samples:
-        progress = (number + taken / options.samples) / options.iterations
-        wanted = min(run.batch, options.samples - taken)
-        trajectory = roll_out.collect(learner.behaviour(progress), wanted)
-        figures = learner.learn(trajectory, generator)
-        taken += wanted
-    return roll_out.finished, figures
+    for left in range(max(1, round(samples / run.batch)), 0, -1):
+        progress = part[0] + (part[1] - part[0]) * roll_out.samples / samples
+        wanted = max(1, (samples - roll_out.samples) // left)
+        figures = learner.learn(roll_out.collect(learner.behaviour(progress), wanted), generator)
+    return _Iteration(roll_out.samples, roll_out.finished, figures)
 
 
 def evaluate(run: OptionRun, learner: Learner, episodes: int, seed: int) -> list[Episode]:

@@ -14,7 +14,7 @@ from option_coordinator.tasks import load_option_task
 from option_coordinator.training.methods import METHODS
 
 FOLDER = Path("runs/options")
-ITERATIONS = 20
+ITERATIONS = 25
 _MAIN = ("async", "sync_wait")
 _SAMPLES = {"tool_delivery": 50_000, "water_filling": 200_000}
 
