@@ -65,6 +65,7 @@ def test_replay_tells_and_draws(tmp_path, capsys):
 def test_commands_from_training_to_replay(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     arguments = ["--task", "tool_delivery", "--methods", "async_autoregressive", "--seeds", "1", "--samples", "400"]
+    arguments += ["--evaluations", "1"]
     assert train([*arguments, "--results", "r.json", "--workers", "1"]) == 0
     assert "any-order autoregressive" in capsys.readouterr().out
     content = json.loads((tmp_path / "r.json").read_text())
@@ -86,7 +87,7 @@ def test_commands_from_training_to_replay(tmp_path, capsys, monkeypatch):
     [
         (replay, ["car_ttr"], "one with options is needed"),
         (replay, ["tool_delivery", "--policy", "nowhere.safetensors"], "nowhere.safetensors"),
-        (train, ["--task", "tool_delivery", "--seeds", "0"], "--seeds must be at least 1"),
+        (train, ["--task", "tool_delivery", "--seeds", "0"], "must be at least 1"),
         (train, ["--task", "tool_delivery", "--sight", "image"], "no images"),
         (training_figures, ["nowhere.json"], "no such file"),
     ],

@@ -35,6 +35,9 @@ def train(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--folder", type=Path, default=FOLDER, help="of the runs (default %(default)s)")
     parser.add_argument("--seeds", type=int, default=5, help="how many, from 0 (default %(default)s)")
     parser.add_argument("--samples", type=int, help="low-level samples of a run (default: the thesis's, 50K and 200K)")
+    parser.add_argument(
+        "--evaluations", type=int, default=10, help="episodes after each of 25 iterations, 5 times as many at the end"
+    )
     parser.add_argument("--workers", type=int, default=0, help="runs at a time (default: one for each core)")
     parser.add_argument("--results", type=Path, help="JSON file to write table and curves to")
     options = parser.parse_args(arguments)
@@ -53,8 +56,8 @@ def training_figures(arguments: Sequence[str] | None = None) -> int:
 def _train(options: argparse.Namespace) -> int:
     task = load_option_task(options.task)  # refuses an unknown one before torch is imported and workers start
     samples = _SAMPLES[task.kind] if options.samples is None else options.samples
-    if options.seeds < 1 or samples < ITERATIONS:
-        raise OptionError(f"--seeds must be at least 1, --samples at least {ITERATIONS}")
+    if min(options.seeds, options.evaluations) < 1 or samples < ITERATIONS:
+        raise OptionError(f"--seeds and --evaluations must be at least 1, --samples at least {ITERATIONS}")
     from ctrl_rl_training.matrix import train_all
 
     from option_coordinator.training.results import as_table, collect
@@ -63,9 +66,9 @@ def _train(options: argparse.Namespace) -> int:
     methods = list(METHODS) if "all" in options.methods else options.methods
     runs = option_runs(options.task, methods, options.seeds, options.sight)
     runs[0].environment()  # refuses images where there are none
-    train_all(
-        runs, RunOptions(options.folder, ITERATIONS, samples // ITERATIONS), options.workers, task.name, train_one
-    )
+    tests = options.evaluations
+    how = RunOptions(options.folder, ITERATIONS, samples // ITERATIONS, tests, 5 * tests)
+    train_all(runs, how, options.workers, task.name, train_one)
     rows, figures = collect(runs, options.folder)
     print(as_table(rows))
     if options.results is not None:
