@@ -7,19 +7,17 @@ What a run is, and how it learns, is its own matter: `train_one` unless another 
 
 from __future__ import annotations
 
-import fcntl
 import os
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from queue import Empty
 from typing import Any, Protocol, TypeVar
 
+from ctrl_rl_core.lock import alone
 from ctrl_rl_core.workers import CONTEXT, in_processes
 from tqdm import tqdm
 
-from ctrl_rl_training.errors import TrainingError
 from ctrl_rl_training.run_folder import Named, result_file
 
 
@@ -62,13 +60,13 @@ def train_all(
         train: what learns, importable by name; `train_one` unless given.
 
     Raises:
-        TrainingError: another call works in the folder.
+        LockError: another call works in the folder.
         CtrlRlError: a run refuses, or a worker was killed.
     """
     train = train or _train_one()
     todo = [run for run in runs if not result_file(options.folder, run).is_file()]
     options.folder.mkdir(parents=True, exist_ok=True)
-    with _alone(options.folder / f".{title}.lock"):
+    with alone(options.folder / f".{title}.lock"):
         if todo:
             _run(todo, options, min(len(todo), workers or os.cpu_count() or 1), title, train)
     return [train(run, options, lambda *_: None) for run in runs]
@@ -110,13 +108,3 @@ def _train(run: AnyRun, options: How, train: Train[AnyRun, How]) -> None:
         _worker["reports"].put((run.name, done, how))
 
     train(run, options, report)
-
-
-@contextmanager
-def _alone(lock: Path) -> Iterator[None]:
-    with lock.open("w") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise TrainingError(f"{lock.parent}: another run of this task is at work there") from None
-        yield
