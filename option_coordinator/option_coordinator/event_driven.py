@@ -15,81 +15,16 @@ Who is ready is a matter of the termination strategy (thesis 2.4.3):
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from option_coordinator.decision import NONE, Decision
 from option_coordinator.errors import OptionError
 from option_coordinator.options import Agent, Mask, Observation, Scene, Simulation, check_option
 from option_coordinator.trace import Trace
 
 Synchronisation = Literal["async", "wait", "cut"]
-NONE = -1
-"""In place of an option: the agent runs none."""
-
-
-@dataclass(frozen=True, eq=False)
-class Decision:
-    """A moment at which options are chosen, and what happened since the last one.
-
-    Attributes:
-        agents: the N robots, in the policy's order.
-        observation: of all, each as it was when the agent's own option ended, one after the other.
-        choosing: (N,) who is ready, U_kappa.
-        running: (N,) option that each carries out, `NONE` for who is ready.
-        legal: (N, K) which options each may begin; K is the largest number of options, what lies beyond is False.
-        reward: discounted sum of the joint rewards since the last decision, sum_i gamma^i r_i (0 at a reset).
-        rewards: those joint rewards.
-        discount: gamma^tau, what the value of this moment counts at the last decision.
-        terminated: the task is over.
-        truncated: it was cut off: nobody is to choose, but the value of this moment still counts.
-    """
-
-    agents: tuple[Agent, ...]
-    observation: Observation
-    choosing: Mask
-    running: NDArray[np.int64]
-    legal: Mask
-    reward: float
-    rewards: tuple[float, ...]
-    discount: float
-    terminated: bool
-    truncated: bool
-
-    @property
-    def duration(self) -> int:
-        """Low-level steps since the last decision, tau."""
-        return len(self.rewards)
-
-    @property
-    def over(self) -> bool:
-        """Whether the episode has ended."""
-        return self.terminated or self.truncated
-
-    @property
-    def ready(self) -> tuple[str, ...]:
-        """Names of those that choose."""
-        return tuple(agent.name for agent, ready in zip(self.agents, self.choosing, strict=True) if ready)
-
-    @property
-    def running_options(self) -> dict[str, int]:
-        """What the others carry out."""
-        return {agent.name: int(o) for agent, o in zip(self.agents, self.running, strict=True) if o != NONE}
-
-    @cached_property
-    def observations(self) -> dict[str, Observation]:
-        """What each agent observed last."""
-        ends = np.cumsum([agent.observation_size for agent in self.agents])
-        return dict(zip((a.name for a in self.agents), np.split(self.observation, ends[:-1]), strict=True))
-
-    @property
-    def masks(self) -> dict[str, Mask]:
-        """Which of its own options each of the ready may begin."""
-        rows = zip(self.agents, self.legal, self.choosing, strict=True)
-        return {agent.name: row[: len(agent.options)] for agent, row, ready in rows if ready}
 
 
 class OptionEnvironment:
@@ -172,29 +107,31 @@ class OptionEnvironment:
 
     def _pause(self, rewards: list[float], terminated: bool, truncated: bool) -> Decision:
         over = terminated or truncated
-        if over:
-            self.trace.close(self.steps)
-        elif self.synchronisation == "cut":
+        if self.synchronisation == "cut" or (over and self.synchronisation == "wait"):
+            # At a time-out too: a synchronous team never saw a moment at which somebody ran on, nor its value.
             for agent in np.flatnonzero(self._running != NONE):
                 self.simulation.interrupt(int(agent))
                 self._end(int(agent), finished=False)
-        choosing = self._running == NONE
-        for agent in np.flatnonzero(choosing):
+        if over:
+            self.trace.close(self.steps)
+        idle = self._running == NONE
+        looking = np.ones_like(idle) if self.simulation.observes_while_running else idle
+        for agent in np.flatnonzero(looking):
             self._seen[agent] = self.simulation.observe(int(agent))
-        return self._decide(choosing & (not over), tuple(rewards), terminated, truncated)
+        return self._decide(idle, tuple(rewards), terminated, truncated)
 
     def _end(self, agent: int, finished: bool) -> None:
         self._running[agent] = NONE
         self.trace.end(self.agents[agent].name, self.steps, finished)
 
-    def _decide(self, choosing: Mask, rewards: tuple[float, ...], terminated: bool, truncated: bool) -> Decision:
+    def _decide(self, idle: Mask, rewards: tuple[float, ...], terminated: bool, truncated: bool) -> Decision:
         legal = self._mask.copy()
-        for agent in np.flatnonzero(choosing):
+        for agent in np.flatnonzero(idle):
             legal[agent, : len(self.agents[agent].options)] = self.simulation.legal(int(agent))
         self._decision = Decision(
             agents=self.agents,
             observation=np.concatenate(self._seen),
-            choosing=choosing,
+            choosing=idle & (not (terminated or truncated)),
             running=self._running.copy(),
             legal=legal,
             reward=discounted(rewards, self.discount),

@@ -18,8 +18,8 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from option_coordinator.decision import NONE
 from option_coordinator.errors import OptionError
-from option_coordinator.event_driven import NONE
 from option_coordinator.options import Mask
 
 Array = NDArray[np.floating]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from option_coordinator.event_driven import NONE
+from option_coordinator.decision import NONE
 from option_coordinator.joint_policy import Array, Conditional, JointPolicy, Options, draw, log_sum_exp
 from option_coordinator.network import Tensors, features, linear
 from option_coordinator.options import Mask

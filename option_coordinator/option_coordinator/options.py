@@ -60,7 +60,22 @@ class Scene(NamedTuple):
     note: str
 
 
-class Simulation(Protocol):
+class Drawable(Protocol):
+    """What pictures are made of."""
+
+    @property
+    def room(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Extent in x and in y [m]."""
+
+    @property
+    def landmarks(self) -> Mapping[str, tuple[float, float]]:
+        """Named positions [m]."""
+
+    def scene(self) -> Scene:
+        """Return this moment."""
+
+
+class Simulation(Drawable, Protocol):
     """A task's low-level world. Agents are known by their index."""
 
     @property
@@ -76,12 +91,8 @@ class Simulation(Protocol):
         """Of a low-level step [s]."""
 
     @property
-    def room(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Extent in x and in y [m]."""
-
-    @property
-    def landmarks(self) -> Mapping[str, tuple[float, float]]:
-        """Named positions [m]."""
+    def observes_while_running(self) -> bool:
+        """Whether who runs an option is asked for what it sees at every decision, or only when its own option ends."""
 
     def reset(self, generator: np.random.Generator) -> None:
         """Begin an episode; whatever is random in it is drawn from `generator`."""
@@ -100,9 +111,6 @@ class Simulation(Protocol):
 
     def legal(self, agent: int) -> Mask:
         """Return which options an agent may begin now."""
-
-    def scene(self) -> Scene:
-        """Return what a picture needs."""
 
     def figures(self) -> dict[str, Any]:
         """Return what there is to say about the episode so far, as JSON."""

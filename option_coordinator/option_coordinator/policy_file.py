@@ -20,8 +20,8 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from option_coordinator.autoregressive import Autoregressive
+from option_coordinator.decision import Decision
 from option_coordinator.errors import OptionError
-from option_coordinator.event_driven import Decision
 from option_coordinator.joint_policy import JointPolicy
 from option_coordinator.joint_table import JointTable
 from option_coordinator.mixture import Mixture

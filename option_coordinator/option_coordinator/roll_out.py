@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from option_coordinator.event_driven import Decision, OptionEnvironment
+from option_coordinator.decision import Decision
+from option_coordinator.event_driven import OptionEnvironment
 from option_coordinator.joint_policy import JointPolicy, Options
 from option_coordinator.trajectory import Trajectory, TrajectoryWriter
 

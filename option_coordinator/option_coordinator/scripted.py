@@ -7,7 +7,8 @@ from typing import Protocol
 import numpy as np
 from ctrl_rl_core.option_tasks import ToolDelivery
 
-from option_coordinator.event_driven import Decision, OptionEnvironment
+from option_coordinator.decision import Decision
+from option_coordinator.event_driven import OptionEnvironment
 from option_coordinator.options import Agent
 from option_coordinator.tasks.tool_delivery import (
     GET_TOOL,

@@ -13,8 +13,8 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from option_coordinator.decision import Decision
 from option_coordinator.errors import OptionError
-from option_coordinator.event_driven import Decision
 from option_coordinator.options import Mask
 
 Array = NDArray[np.float64]

@@ -3,7 +3,7 @@
 from itertools import product
 
 import numpy as np
-from option_coordinator.event_driven import NONE
+from option_coordinator.decision import NONE
 from option_coordinator.policy_file import make_policy
 
 HIDDEN = 12

@@ -5,7 +5,7 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from option_coordinator.event_driven import NONE
+from option_coordinator.decision import NONE
 from option_coordinator.options import Agent
 from option_coordinator.policy_file import HEADS, make_policy
 from option_coordinator.training import heads

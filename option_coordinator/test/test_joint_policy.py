@@ -5,7 +5,7 @@ import pytest
 from ctrl_rl_core.errors import CtrlRlError
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from option_coordinator.event_driven import NONE
+from option_coordinator.decision import NONE
 from option_coordinator.joint_policy import ENUMERABLE, draw, log_sum_exp
 from option_coordinator.options import Agent
 from option_coordinator.policy_file import HEADS, OptionPolicy, make_policy

@@ -11,7 +11,8 @@ from ctrl_rl_training.matrix import train_all
 from ctrl_rl_training.run_folder import result_file
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from option_coordinator.event_driven import NONE, OptionEnvironment
+from option_coordinator.decision import NONE
+from option_coordinator.event_driven import OptionEnvironment
 from option_coordinator.options import Agent, Scene, SimulationStep
 from option_coordinator.policy_file import OptionPolicy
 from option_coordinator.roll_out import RollOut, play_episodes
@@ -226,6 +227,7 @@ class Matching:
     agents = (Agent("leader", ("a", "b"), 2), Agent("follower", ("a", "b"), 1))
     step_limit, time_step, room = 40, 1.0, ((0.0, 1.0), (0.0, 1.0))
     landmarks: dict[str, tuple[float, float]] = {}  # noqa: RUF012
+    observes_while_running = False
 
     def reset(self, generator):
         self._generator = generator

@@ -161,6 +161,35 @@ def test_what_holds_for_any_choices(synchronisation, seed):
         assert all(span.finished for span in environment.trace.spans if synchronisation == "wait" and span.end < steps)
 
 
+@pytest.mark.parametrize("synchronisation", ["wait", "cut"])
+def test_when_a_synchronous_team_is_cut_off_nobody_runs_on(synchronisation):
+    """Its value was learnt where all choose; the moment of the time-out must look like those."""
+    environment = OptionEnvironment(make_simulation(TASK), 0.99, synchronisation)
+    for seed in range(4):
+        *_, last = play(environment, RandomChooser(seed), seed)
+        if last.truncated:
+            break
+    assert last.truncated
+    assert not last.choosing.any()
+    assert np.all(last.running == -1)
+    for index, agent in enumerate(environment.agents):
+        assert np.array_equal(last.observations[agent.name], environment.simulation.observe(index))
+    assert max(span.end for span in environment.trace.spans) == TASK.horizon
+
+
+def test_without_options_the_fetchbot_knows_its_own_work():
+    """Two steps into a search and two into another look different: only one of them will find tool 1."""
+    environment = OptionEnvironment(make_simulation(TASK, "actions"), 1.0)
+    seen = []
+    for work in (3, 4):
+        environment.reset()
+        for _ in range(2):
+            decision = environment.step(choose(4, 4, work))
+        seen.append(decision.observations["fetchbot"])
+    assert not np.array_equal(*seen)
+    assert seen[0][4:].tolist() == pytest.approx([0, 0, 0, 1, 0, 0, 2 / 6])
+
+
 def test_low_level_actions_can_deliver_too():
     """A drive by hand through the first tool."""
     environment = OptionEnvironment(make_simulation(TASK, "actions"), 1.0)

@@ -45,6 +45,16 @@ def test_speeds_and_reach():
     assert environment.simulation.levels[2] == 1.0
 
 
+def test_who_runs_on_sees_what_is_known_now():
+    """The levels last read are shared: whoever is asked, all of them are new."""
+    environment = make_environment("water_filling")
+    decision = environment.reset(0)
+    for _ in range(30):
+        decision = environment.step(dict.fromkeys(decision.ready, 0))
+        for index, agent in enumerate(environment.agents):
+            assert np.array_equal(decision.observations[agent.name], environment.simulation.observe(index))
+
+
 def test_the_reward_is_eq_5_6():
     environment = make_environment("water_filling")
     environment.reset(0)

@@ -94,6 +94,9 @@ class Human:
 class ToolDeliverySimulation:
     """The world of Tool Delivery; options of thesis Table 5.1, with the published environment's Wait."""
 
+    observes_while_running = False
+    """As published."""
+
     def __init__(self, task: ToolDelivery) -> None:
         self.task = task
         turtlebot = ("GoToWS", "GoToTR", "GetTool")
@@ -141,14 +144,14 @@ class ToolDeliverySimulation:
 
     def step(self) -> SimulationStep:
         """Let a second pass."""
-        before = self._options()
+        before = self._carried_out()
         reward = self.task.rewards.step
         for robot in self.turtlebots:
             reward += self._drive(robot)
         reward += self._fetch()
         done = self.human.stage == self.task.stages - 2 and self.human.has_tool
         self._work()
-        ended = tuple(was != IDLE and now == IDLE for was, now in zip(before, self._options(), strict=True))
+        ended = tuple(was != IDLE and now == IDLE for was, now in zip(before, self._carried_out(), strict=True))
         return SimulationStep(reward, ended, done)
 
     def observe(self, agent: int) -> Observation:
@@ -184,7 +187,7 @@ class ToolDeliverySimulation:
         """Return how many tools the human has got in time, and how many passes failed."""
         return {"deliveries": self.deliveries, "failed_passes": self.failed_passes}
 
-    def _options(self) -> list[int]:
+    def _carried_out(self) -> list[int]:
         return [*(robot.option for robot in self.turtlebots), self.fetchbot.option]
 
     def _drive(self, robot: Turtlebot) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from ctrl_rl_core.option_tasks import ToolDelivery
 
-from option_coordinator.options import Agent, Observation
+from option_coordinator.options import Agent, Observation, SimulationStep
 from option_coordinator.tasks.tool_delivery import GET_TOOL, IDLE, TABLE, WORKSHOP, ToolDeliverySimulation, Turtlebot
 
 _STEPS = ((-1.0, 0.0), (1.0, 0.0), (0.0, 1.0), (0.0, -1.0))
@@ -17,7 +17,8 @@ class ToolDeliveryActions(ToolDeliverySimulation):
 
     A Turtlebot goes left, right, up or down by a step's length, or stays, which at the table is waiting for a tool; a
     waypoint within half a step catches it. The Fetchbot works for one step on what it chooses; choosing something else
-    loses the work. What an agent needs to act so, its position or how far its work is, it observes besides.
+    loses the work. What an agent needs to act so, its position or what it works on and how far that is, it observes
+    besides.
     """
 
     def __init__(self, task: ToolDelivery) -> None:
@@ -26,7 +27,7 @@ class ToolDeliveryActions(ToolDeliverySimulation):
         *turtlebots, fetchbot = self.agents
         self.agents = (
             *(Agent(robot.name, moves, robot.observation_size + 2) for robot in turtlebots),
-            Agent(fetchbot.name, fetchbot.options, fetchbot.observation_size + 1),
+            Agent(fetchbot.name, fetchbot.options, fetchbot.observation_size + len(fetchbot.options) + 1),
         )
 
     def reset(self, generator: np.random.Generator) -> None:
@@ -42,18 +43,22 @@ class ToolDeliveryActions(ToolDeliverySimulation):
         elif self.fetchbot.option != option:
             super().begin(agent, option)
 
+    def step(self) -> SimulationStep:
+        """Let a second pass, with which every action ends."""
+        acted = tuple(action != IDLE for action in self._action)
+        self._action = [IDLE] * len(self.agents)
+        return super().step()._replace(ended=acted)
+
     def observe(self, agent: int) -> Observation:
-        """Return what it sees with options, and where it is or how far its work is, scaled to [0, 1]."""
+        """Return what it sees with options, and where it is or what its work is and how far, scaled to [0, 1]."""
         if agent < len(self.turtlebots):
             robot = self.turtlebots[agent]
             own = [robot.x / self.task.room[0], robot.y / self.task.room[1]]
         else:
-            own = [self.fetchbot.worked / max(self._durations)]
+            options = range(len(self._durations))
+            work = [float(self.fetchbot.option == option) for option in options]
+            own = [*work, self.fetchbot.worked / max(self._durations)]
         return np.concatenate((super().observe(agent), np.array(own, dtype=np.float32)))
-
-    def _options(self) -> list[int]:
-        actions, self._action = self._action, [IDLE] * len(self.agents)
-        return actions
 
     def _drive(self, robot: Turtlebot) -> float:
         if robot.option == STAY:

@@ -36,6 +36,9 @@ class WaterFillingSimulation:
             reach, half bright when not).
     """
 
+    observes_while_running = True
+    """What is known of the jars is shared and always new, and so are a robot's images."""
+
     def __init__(self, task: WaterFilling, options: Options = "published", sight: Sight = "features") -> None:
         self.task = task
         self.sight = sight

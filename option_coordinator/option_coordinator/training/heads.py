@@ -15,7 +15,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from option_coordinator.event_driven import NONE
+from option_coordinator.decision import NONE
 from option_coordinator.joint_policy import ENUMERABLE
 from option_coordinator.options import Agent
 

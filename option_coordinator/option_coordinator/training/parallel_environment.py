@@ -15,8 +15,9 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
+from option_coordinator.decision import NONE, Decision
 from option_coordinator.errors import OptionError
-from option_coordinator.event_driven import NONE, Decision, OptionEnvironment
+from option_coordinator.event_driven import OptionEnvironment
 
 Seen = dict[str, NDArray[Any]]
 

@@ -82,7 +82,7 @@ def _figures(options: argparse.Namespace) -> int:
 
     from option_coordinator.training.pictures import draw_curves  # matplotlib is not for robots
 
-    figures = read_figures(options.results)
+    figures = read_figures(options.results, ("task", "metric", "scripted", "curves"))
     options.output.mkdir(parents=True, exist_ok=True)
     file = options.output / f"{figures['task']}_options.png"
     draw_curves(figures, file)

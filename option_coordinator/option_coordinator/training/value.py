@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor, nn
 
-from option_coordinator.event_driven import NONE
+from option_coordinator.decision import NONE
 from option_coordinator.training.heads import HIDDEN, Trunk
 
 _KEEP = 0.99999
