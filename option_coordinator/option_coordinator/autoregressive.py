@@ -11,7 +11,7 @@ from collections.abc import Callable
 import numpy as np
 
 from option_coordinator.decision import NONE
-from option_coordinator.joint_policy import Array, Conditional, JointPolicy, Options, draw, log_sum_exp
+from option_coordinator.joint_policy import Array, Conditional, JointPolicy, Options, draw, log_sum_exp, most_likely
 from option_coordinator.network import Tensors, features, layer_norm, linear
 from option_coordinator.options import Mask
 
@@ -69,7 +69,7 @@ class _AutoregressiveConditional(Conditional):
 
     def _rough_mode(self) -> Options:
         """Return each agent's most likely option in turn."""
-        return self._chain(lambda logs: int(np.argmax(logs)))
+        return self._chain(most_likely)
 
     def _chain(self, choose: Callable[[Array], int]) -> Options:
         hidden, out = self._hidden, self.running.copy()

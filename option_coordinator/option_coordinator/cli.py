@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +33,11 @@ def replay(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--policy", default="scripted", help="'scripted', 'random', or a file that `train` wrote (default %(default)s)"
     )
-    parser.add_argument("--draws", action="store_true", help="draw from a learnt policy; default: its most likely")
+    parser.add_argument(
+        "--choose",
+        choices=("draws", "mode"),
+        help="draws of a learnt policy, or its most likely options (default: its own)",
+    )
     parser.add_argument(
         "--synchronisation",
         choices=tuple(_HOW),
@@ -86,5 +91,7 @@ def _prepare(options: argparse.Namespace) -> tuple[OptionEnvironment, Chooser]:
     how: dict[str, Any] = {name: learnt[name] for name in ("synchronisation", "level", "sight") if name in learnt}
     if options.synchronisation is not None:
         how["synchronisation"] = options.synchronisation
-    generator = np.random.default_rng(options.seed) if options.draws else None
+    if options.choose is not None:
+        policy = replace(policy, greedy=options.choose == "mode")
+    generator = np.random.default_rng((options.seed, 1))  # not the world's own
     return make_environment(options.task, film=film, **how), lambda decision: policy.choose(decision, generator)

@@ -76,3 +76,8 @@ class Decision:
         """Which of its own options each of the ready may begin."""
         rows = zip(self.agents, self.legal, self.choosing, strict=True)
         return {agent.name: row[: len(agent.options)] for agent, row, ready in rows if ready}
+
+    def named(self, options: NDArray[np.int64]) -> dict[str, int]:
+        """Return joint options (N,) by the names of those that choose."""
+        rows = zip(self.agents, options, self.choosing, strict=True)
+        return {agent.name: int(option) for agent, option, chooses in rows if chooses}

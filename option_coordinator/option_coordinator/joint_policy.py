@@ -25,8 +25,11 @@ from option_coordinator.options import Mask
 Array = NDArray[np.floating]
 Options = NDArray[np.int64]
 ENUMERABLE = 4096
-"""Joint options up to which the most likely one and the entropy are found by going through all of them."""
+"""Joint options up to which the entropy is found by going through all of them: milliseconds."""
+MODE_ENUMERABLE = 128
+"""The same for the most likely one, which robots wait for: tenths of one."""
 _DRAWS = 1000
+_NOT_FINITE = "the policy's probabilities are not finite: nothing can be chosen by them"
 
 
 class Conditional(ABC):
@@ -54,11 +57,11 @@ class Conditional(ABC):
         """Return options (N,): a draw for who chooses, the running ones of the others, `NONE` for the absent."""
 
     def mode(self) -> Options:
-        """Return the most likely options (N,); beyond `ENUMERABLE` joint options those of `_rough_mode`."""
-        if self.size > ENUMERABLE:
+        """Return the most likely options (N,); beyond `MODE_ENUMERABLE` joint options those of `_rough_mode`."""
+        if self.size > MODE_ENUMERABLE:
             return self._rough_mode()
         choices = self.choices()
-        return choices[int(np.argmax(self.log_prob(choices)))]
+        return choices[most_likely(self.log_prob(choices))]
 
     def entropy(self) -> float:
         """Return the entropy [nat]; beyond `ENUMERABLE` joint options an estimate from 1000 draws, always the same."""
@@ -118,8 +121,15 @@ class JointPolicy(ABC):
         choosing, running = np.asarray(choosing, dtype=bool), np.asarray(running)
         observation = np.asarray(observation)
         everything = np.arange(max(self.counts)) < np.array(self.counts)[:, None]
-        legal = everything if legal is None else np.asarray(legal, dtype=bool) & everything
+        legal = everything if legal is None else np.asarray(legal, dtype=bool)
+        if legal.shape != everything.shape:
+            raise OptionError(f"legal has shape {legal.shape}, must be {everything.shape}")
+        legal = legal & everything
         self._check(observation, choosing, running, legal)
+        return self.valid(observation, choosing, running, legal)
+
+    def valid(self, observation: Array, choosing: Mask, running: Options, legal: Mask) -> Conditional:
+        """Return pi-hat for a decision that is known to be in order, as those of `OptionEnvironment` are."""
         return self._given(observation, choosing, running, legal)
 
     @abstractmethod
@@ -153,8 +163,26 @@ def log_sum_exp(x: Array, axis: int | tuple[int, ...] | None = None) -> Array:
 
 
 def draw(log_probabilities: Array, generator: np.random.Generator) -> Options:
-    """Return a draw (...) from each row of normalised log-probabilities (..., K)."""
+    """Return a draw (...) from each row of normalised log-probabilities (..., K).
+
+    Raises:
+        OptionError: they are not numbers, as a network's whose observations or weights are too large.
+    """
     total = np.cumsum(np.exp(log_probabilities), axis=-1)
+    if not np.isfinite(total[..., -1]).all():
+        raise OptionError(_NOT_FINITE)
     # Scaled by the last sum: rounding must not put a draw beyond the last option.
     level = generator.random(total.shape[:-1])[..., None] * total[..., -1:]
     return np.asarray((total <= level).sum(axis=-1))
+
+
+def most_likely(log_probabilities: Array) -> int:
+    """Return the index, flat, of the largest.
+
+    Raises:
+        OptionError: as `draw`.
+    """
+    best = int(np.argmax(log_probabilities))  # the first that is not a number, if there is one
+    if not np.isfinite(log_probabilities.flat[best]):
+        raise OptionError(_NOT_FINITE)
+    return best

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from option_coordinator.decision import NONE
-from option_coordinator.joint_policy import Array, Conditional, JointPolicy, Options, draw, log_sum_exp
+from option_coordinator.joint_policy import Array, Conditional, JointPolicy, Options, draw, log_sum_exp, most_likely
 from option_coordinator.network import Tensors, features, linear
 from option_coordinator.options import Mask
 
@@ -54,7 +54,7 @@ class _TableConditional(Conditional):
         return self._options(int(draw(self._table.ravel(), generator)))
 
     def mode(self) -> Options:
-        return self._options(int(np.argmax(self._table)))
+        return self._options(most_likely(self._table))
 
     def entropy(self) -> float:
         logs = self._table[np.isfinite(self._table)]

@@ -9,9 +9,13 @@ from __future__ import annotations
 import numpy as np
 
 from option_coordinator.decision import NONE
-from option_coordinator.joint_policy import Array, Conditional, JointPolicy, Options, draw, log_sum_exp
+from option_coordinator.joint_policy import Array, Conditional, JointPolicy, Options, draw, log_sum_exp, most_likely
 from option_coordinator.network import Tensors, features, linear
 from option_coordinator.options import Mask
+
+_CLIMBERS = 3
+_SWEEPS = 5
+"""At most so many: robots wait for the answer."""
 
 
 class Mixture(JointPolicy):
@@ -70,18 +74,26 @@ class _MixtureConditional(Conditional):
         return out
 
     def _rough_mode(self) -> Options:
-        """Return the best of the components' own modes, each improved agent by agent until no change helps."""
-        starts = [self._options(np.argmax(factors, axis=-1)) for factors in self._factors]
-        return max((self._climb(start) for start in starts), key=lambda options: float(self.log_prob(options)))
+        """Return the best of the components' own modes, improved agent by agent as long as that helps, if not for ever.
+
+        Only the best few are improved: what the others begin from is far less likely.
+        """
+        starts = np.stack([self._options(np.argmax(factors, axis=-1)) for factors in self._factors])
+        order = np.argsort(-self.log_prob(starts))[:_CLIMBERS]
+        ends = np.stack([self._climb(starts[index]) for index in order])
+        return ends[most_likely(self.log_prob(ends))]
 
     def _climb(self, options: Options) -> Options:
-        best = float(self.log_prob(options))
-        while True:
-            for agent in self._agents:
-                tries = np.tile(options, (self.counts[agent], 1))
-                tries[:, agent] = np.arange(self.counts[agent])
-                options = tries[int(np.argmax(self.log_prob(tries)))]
-            now = float(self.log_prob(options))
-            if now <= best + 1e-12:
-                return options
-            best = now
+        """Change one agent's option after the other to its best, given the rest."""
+        agents = np.arange(len(self._agents))
+        chosen = options[self._agents]
+        terms = self._weights + self._factors[:, agents, chosen].sum(axis=1)  # log w_r prod_i p_ri, of what is chosen
+        for _ in range(_SWEEPS):
+            before = chosen.copy()
+            for agent in agents:
+                rest = terms - self._factors[:, agent, chosen[agent]]
+                chosen[agent] = most_likely(log_sum_exp(rest[:, None] + self._factors[:, agent], 0))
+                terms = rest + self._factors[:, agent, chosen[agent]]
+            if np.array_equal(chosen, before):
+                break
+        return self._options(chosen)

@@ -19,8 +19,9 @@ def linear(tensors: Tensors, name: str, x: Array) -> Array:
 
 def layer_norm(tensors: Tensors, name: str, x: Array) -> Array:
     """Return x (..., n) brought to mean 0 and variance 1 over its components, then scaled and shifted."""
-    centred = x - x.mean(axis=-1, keepdims=True)
-    scale = np.sqrt((centred * centred).mean(axis=-1, keepdims=True) + _EPSILON)
+    size = x.shape[-1]  # sums, as means take thrice as long where there are few numbers
+    centred = x - x.sum(axis=-1, keepdims=True) / size
+    scale = np.sqrt((centred * centred).sum(axis=-1, keepdims=True) / size + _EPSILON)
     return np.asarray(centred / scale * tensors[f"{name}.weight"] + tensors[f"{name}.bias"])
 
 

@@ -32,7 +32,7 @@ class Partial(JointPolicy):
         for agent, own in enumerate(np.split(observation, self._ends)):
             if choosing[agent]:
                 alone = np.arange(len(self.counts)) == agent
-                parts[agent] = self._policies[agent].given(own, alone, np.where(choosing, -1, running), legal)
+                parts[agent] = self._policies[agent].valid(own, alone, np.where(choosing, -1, running), legal)
         return _PartialConditional(self.counts, choosing, running, legal, parts)
 
 

@@ -16,11 +16,11 @@ from typing import Any, Self
 
 import numpy as np
 from ctrl_rl_core.whole_file import write_whole
-from safetensors import SafetensorError, safe_open
-from safetensors.numpy import save
+from safetensors import SafetensorError
+from safetensors.numpy import load, save
 
 from option_coordinator.autoregressive import Autoregressive
-from option_coordinator.decision import Decision
+from option_coordinator.decision import NONE, Decision
 from option_coordinator.errors import OptionError
 from option_coordinator.joint_policy import JointPolicy
 from option_coordinator.joint_table import JointTable
@@ -86,15 +86,14 @@ class OptionPolicy:
             raise OptionError(f"the policy observes {policy.observation_size} numbers, its agents {size}")
         return policy
 
-    def choose(self, decision: Decision, generator: np.random.Generator | None = None) -> dict[str, int]:
-        """Return an option for each agent that is ready: a draw, or the most likely ones without a generator."""
+    def choose(self, decision: Decision, generator: np.random.Generator) -> dict[str, int]:
+        """Return an option for each agent that is ready: a draw, or the most likely ones if it is `greedy`."""
         conditional = self.joint.given(decision.observation, decision.choosing, decision.running, decision.legal)
-        options = conditional.mode() if generator is None else conditional.sample(generator)
-        return {agent.name: int(o) for agent, o, c in zip(self.agents, options, decision.choosing, strict=True) if c}
+        return decision.named(conditional.mode() if self.greedy else conditional.sample(generator))
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 (hex) of its file."""
+        """SHA-256 (hex) of its file: of that it was read from, or else of that it would be saved as."""
         return hashlib.sha256(self._content()).hexdigest()
 
     def save(self, path: Path) -> None:
@@ -124,25 +123,51 @@ class OptionPolicy:
             OptionError: the file is missing or is no such policy; the message names it.
         """
         try:
-            with safe_open(path, framework="np") as file:
-                header = json.loads((file.metadata() or {}).get(_HEADER_KEY, "{}"))
-                if header.get("format") != FORMAT:
-                    raise OptionError(f"{path}: is not a policy of format {FORMAT}: learn it again")
-                policy = cls(
-                    agents=tuple(
-                        Agent(agent["name"], tuple(agent["options"]), agent["observation_size"])
-                        for agent in header["agents"]
-                    ),
-                    head=header["head"],
-                    partial=header["partial"],
-                    tensors={name: file.get_tensor(name) for name in file.keys()},  # noqa: SIM118 - no dictionary
-                    greedy=header["greedy"],
-                    manifest=header["manifest"],
-                )
+            content = Path(path).read_bytes()
+            header = _header(content)
+            if header.get("format") != FORMAT:
+                raise OptionError(f"{path}: is not a policy of format {FORMAT}: learn it again")
+            policy = cls(
+                agents=tuple(
+                    Agent(agent["name"], tuple(agent["options"]), agent["observation_size"])
+                    for agent in header["agents"]
+                ),
+                head=header["head"],
+                partial=header["partial"],
+                tensors=load(content),
+                greedy=header["greedy"],
+                manifest=header["manifest"],
+            )
         except (OSError, SafetensorError, ValueError, KeyError, TypeError) as error:
             raise OptionError(f"{path}: cannot be read as a policy ({error})") from None
+        policy.__dict__["digest"] = hashlib.sha256(content).hexdigest()  # of what was read, however it was written
         try:
-            policy.joint  # noqa: B018 - refuses what does not fit together
+            policy.check()
         except OptionError as error:
             raise OptionError(f"{path}: {error}") from None
         return policy
+
+    def check(self) -> None:
+        """Refuse what cannot choose.
+
+        Raises:
+            OptionError: a tensor is missing, of another size or not finite.
+        """
+        wrong = [name for name, tensor in self.tensors.items() if not np.isfinite(tensor).all()]
+        if wrong:
+            raise OptionError(f"not all numbers of {', '.join(wrong)} are finite: learn it again")
+        everyone = np.ones(len(self.agents), dtype=bool)
+        try:
+            # Of one agent after the other too: each way through the network must have tensors of the right sizes.
+            for choosing in (everyone, *(everyone & (np.arange(len(everyone)) == i) for i in range(len(everyone)))):
+                given = self.joint.given(np.zeros(self.joint.observation_size), choosing, np.where(choosing, NONE, 0))
+                given.log_prob(given.sample(np.random.default_rng(0)))
+        except (ValueError, IndexError, KeyError) as error:
+            raise OptionError(f"its tensors do not fit each other or its options ({error}): learn it again") from None
+
+
+def _header(content: bytes) -> dict[str, Any]:
+    """Return what a policy says of itself: safetensors begin with a length of 8 bytes and so much JSON."""
+    end = 8 + int.from_bytes(content[:8], "little")
+    described: dict[str, Any] = json.loads(json.loads(content[8:end])["__metadata__"][_HEADER_KEY])
+    return described

@@ -1,12 +1,14 @@
 """The conditional policies against brute force, for any set of agents that choose, run or are absent (Eq. 5.2, 5.3)."""
 
+from hashlib import sha256
+
 import numpy as np
 import pytest
 from ctrl_rl_core.errors import CtrlRlError
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from option_coordinator.decision import NONE
-from option_coordinator.joint_policy import ENUMERABLE, draw, log_sum_exp
+from option_coordinator.joint_policy import ENUMERABLE, draw, log_sum_exp, most_likely
 from option_coordinator.options import Agent
 from option_coordinator.policy_file import HEADS, OptionPolicy, make_policy
 from policies import all_joint, brute_force, random_decision, random_policy, random_tensors
@@ -168,6 +170,8 @@ def test_a_mixture_conditions_as_bayes_would_for_many_robots():
         ({"observation": np.array([0.0, np.nan, 0.0, 0.0, np.inf])}, "2 numbers are not finite"),
         ({"choosing": np.ones(2, dtype=bool)}, "shapes"),
         ({"running": np.array([NONE, 2, NONE])}, "below"),
+        ({"legal": np.ones((3, 3), dtype=bool)}, r"legal has shape \(3, 3\), must be \(3, 4\)"),
+        ({"legal": np.ones(4, dtype=bool)}, r"legal has shape \(4,\), must be \(3, 4\)"),
         ({"legal": np.zeros((3, 4), dtype=bool)}, "agent 0 has no legal option"),
     ],
 )
@@ -198,7 +202,7 @@ def test_a_file_gives_back_the_policy(tmp_path, head):
     again = OptionPolicy.load(tmp_path / "p.safetensors")
     assert again.agents == agents
     assert again.manifest == {"task": "x"}
-    assert again.digest == policy.digest
+    assert again.digest == policy.digest == sha256((tmp_path / "p.safetensors").read_bytes()).hexdigest()
     choosing, running, legal = random_decision(COUNTS, generator)
     one, other = (p.joint.given(np.ones(6), choosing, running, legal) for p in (policy, again))
     assert np.array_equal(one.log_prob(one.choices()), other.log_prob(one.choices()))
@@ -215,3 +219,41 @@ def test_files_that_are_no_policies_are_named(tmp_path):
     OptionPolicy(agents, "table", False, random_tensors("table", (2,), 4, np.random.default_rng(0))).save(path)
     with pytest.raises(CtrlRlError, match="observes 4 numbers, its agents 3"):
         OptionPolicy.load(path)
+
+
+@pytest.mark.parametrize("head", HEADS)
+@pytest.mark.parametrize("partial", [False, True])
+def test_policies_that_could_not_choose_are_refused_when_they_are_read(tmp_path, head, partial):
+    path, generator = tmp_path / "p.safetensors", np.random.default_rng(0)
+    agents = tuple(Agent(f"robot_{i}", tuple("abcd"[:count]), 2) for i, count in enumerate(COUNTS))
+    right = {}
+    for i in range(3) if partial else [0]:
+        own = random_tensors(head, COUNTS, 2 if partial else 6, generator)
+        right |= {f"{i}.{name}" if partial else name: tensor for name, tensor in own.items()}
+    last = "2." if partial else ""
+    OptionPolicy(agents, head, partial, right).save(path)
+    OptionPolicy.load(path)
+    nan = right | {f"{last}head.bias": np.full_like(right[f"{last}head.bias"], np.nan)}
+    OptionPolicy(agents, head, partial, nan).save(path)
+    with pytest.raises(CtrlRlError, match=r"p\.safetensors: not all numbers of (2\.)?head\.bias are finite"):
+        OptionPolicy.load(path)
+    for name in ("head.bias", "trunk.linear_2.weight"):
+        broken = right | {f"{last}{name}": right[f"{last}{name}"][:-1]}
+        OptionPolicy(agents, head, partial, broken).save(path)
+        with pytest.raises(CtrlRlError, match=r"p\.safetensors: its tensors do not fit"):
+            OptionPolicy.load(path)
+
+
+@pytest.mark.parametrize("head", HEADS)
+def test_weights_that_are_not_numbers_choose_nothing(head):
+    """Least of all option 0, which may not be legal."""
+    tensors = random_tensors(head, COUNTS, 5, np.random.default_rng(0))
+    tensors["head.bias"][:] = np.nan
+    policy = make_policy(head, tensors, COUNTS, False)
+    conditional = policy.given(np.zeros(5), np.ones(3, dtype=bool), np.full(3, NONE))
+    with pytest.raises(CtrlRlError, match="not finite"):
+        conditional.sample(np.random.default_rng(0))
+    with pytest.raises(CtrlRlError, match="not finite"):
+        conditional.mode()
+    with pytest.raises(CtrlRlError, match="not finite"):
+        most_likely(np.array([0.0, np.nan]))
