@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
-from ctrl_rl_core.whole_file import write_whole
 from numpy.typing import NDArray
-from safetensors import SafetensorError, safe_open
-from safetensors.numpy import save
+from safetensors import SafetensorError
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.buffers import ReplayBuffer
 
+from ctrl_rl_training.array_file import load_arrays, save_arrays
 from ctrl_rl_training.errors import TrainingError
 from ctrl_rl_training.learner_state import restore_state, state_arrays
 
-_HEADER_KEY = "checkpoint"
 _REPLAY = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 _HISTORY = "history."
 
@@ -41,11 +37,7 @@ def save_checkpoint(
     if replay is not None:
         tensors |= {f"replay.{name}": getattr(replay, name)[: replay.pos] for name in _REPLAY}
     tensors |= {f"{_HISTORY}{name}": array for name, array in history.items()}
-    header = json.dumps({"samples": model.num_timesteps, "progress": dict(progress)})
-    content = save(
-        {name: np.ascontiguousarray(tensor) for name, tensor in tensors.items()}, metadata={_HEADER_KEY: header}
-    )
-    write_whole(path, content)
+    save_arrays(path, tensors, {"samples": model.num_timesteps, "progress": dict(progress)})
 
 
 def load_checkpoint(path: Path, model: BaseAlgorithm) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
@@ -55,9 +47,7 @@ def load_checkpoint(path: Path, model: BaseAlgorithm) -> tuple[dict[str, Any], d
         TrainingError: the file cannot be read, or is of another algorithm or network.
     """
     try:
-        with safe_open(path, framework="np") as file:
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - not a dictionary
-            header = json.loads((file.metadata() or {})[_HEADER_KEY])
+        tensors, header = load_arrays(path)
         _restore(model, tensors)
         model.num_timesteps = header["samples"]
         progress: dict[str, Any] = header["progress"]

@@ -10,7 +10,7 @@ import numpy as np
 
 from option_coordinator.decision import Decision
 from option_coordinator.event_driven import OptionEnvironment
-from option_coordinator.joint_policy import JointPolicy, Options
+from option_coordinator.joint_policy import JointPolicy
 from option_coordinator.trajectory import Trajectory, TrajectoryWriter
 
 
@@ -23,6 +23,7 @@ class Episode:
         steps: low-level steps, the makespan T.
         decisions: option steps.
         option_reward: sum of the option steps' discounted rewards r_kappa.
+        last_reward: sum of the option steps' last low-level rewards.
         terminated: the task ended, it was not cut off.
         figures: what the task says about it.
     """
@@ -31,13 +32,9 @@ class Episode:
     steps: int = 0
     decisions: int = 0
     option_reward: float = 0.0
+    last_reward: float = 0.0
     terminated: bool = False
     figures: dict[str, Any] = field(default_factory=dict)
-
-    @property
-    def mean_option_reward(self) -> float:
-        """Mean reward of an option step: the thesis's metric."""
-        return self.option_reward / max(self.decisions, 1)
 
     def add(self, decision: Decision) -> None:
         """Count what led to a decision."""
@@ -45,6 +42,7 @@ class Episode:
         self.steps += decision.duration
         self.decisions += 1
         self.option_reward += decision.reward
+        self.last_reward += decision.rewards[-1]
         self.terminated = decision.terminated
 
 
@@ -74,9 +72,9 @@ class RollOut:
         enough = self.samples + samples
         while self.samples < enough:
             before = self._decision
-            conditional = policy.given(before.observation, before.choosing, before.running, before.legal)
+            conditional = policy.valid(before.observation, before.choosing, before.running, before.legal)
             options = conditional.sample(self._generator)
-            after = self._environment.step(_named(before, options))
+            after = self._environment.step(before.named(options))
             writer.add(before, options, float(conditional.log_prob(options)), after)
             self._episode.add(after)
             self.samples += after.duration
@@ -102,24 +100,19 @@ def play_episodes(
         yield episode
 
 
-class Drawing:
-    """A joint policy as a chooser that draws.
+class PolicyChooser:
+    """A joint policy as a chooser.
 
     Args:
-        policy: to draw from.
-        generator: of the draws.
+        policy: whose options are chosen.
+        generator: of the draws; without one its most likely options are chosen.
     """
 
-    def __init__(self, policy: JointPolicy, generator: np.random.Generator) -> None:
+    def __init__(self, policy: JointPolicy, generator: np.random.Generator | None = None) -> None:
         self._policy = policy
         self._generator = generator
 
     def __call__(self, decision: Decision) -> dict[str, int]:
         """Return an option for each agent that is ready."""
         given = self._policy.given(decision.observation, decision.choosing, decision.running, decision.legal)
-        return _named(decision, given.sample(self._generator))
-
-
-def _named(decision: Decision, options: Options) -> dict[str, int]:
-    rows = zip(decision.agents, options, decision.choosing, strict=True)
-    return {agent.name: int(option) for agent, option, chooses in rows if chooses}
+        return decision.named(given.mode() if self._generator is None else given.sample(self._generator))

@@ -31,6 +31,7 @@ class Trajectory:
         legal: what they might choose (T, N, K).
         log_prob: log pi-hat(o_U | o_not-U, s) when it was chosen (T,).
         reward: discounted joint reward until the next decision, r_kappa = sum_i gamma^i r_i (T,).
+        duration: low-level steps until then, tau (T,).
         discount: gamma^tau (T,).
         next_observation: s_kappa+1 (T, D).
         next_running: what runs on at the next decision, -1 for those that choose (T, N).
@@ -45,6 +46,7 @@ class Trajectory:
     legal: Mask
     log_prob: Array
     reward: Array
+    duration: NDArray[np.int64]
     discount: Array
     next_observation: NDArray[np.float32]
     next_running: NDArray[np.int64]
@@ -117,6 +119,7 @@ class TrajectoryWriter:
             legal=np.stack([decision.legal for decision in before]),
             log_prob=np.array(log_prob, dtype=float),
             reward=np.array([decision.reward for decision in after]),
+            duration=np.array([decision.duration for decision in after]),
             discount=np.array([decision.discount for decision in after]),
             next_observation=np.stack([decision.observation for decision in after]),
             next_running=np.stack([decision.running for decision in after]),
@@ -126,14 +129,14 @@ class TrajectoryWriter:
         )
 
 
-def advantages(trajectory: Trajectory, values: Array, next_values: Array, trace: float) -> Array:
+def advantages(trajectory: Trajectory, values: Array, next_values: Array, gae_lambda: float) -> Array:
     """Return G^lambda - V of each option step (T,): generalised advantages with gamma^tau in place of gamma (Eq. 5.4).
 
     Args:
         trajectory: the T steps.
         values: V(s_kappa) (T,).
         next_values: V(s_kappa+1) (T,); of no account where the task ended.
-        trace: lambda.
+        gae_lambda: lambda.
     """
     onward = trajectory.discount * ~trajectory.terminated
     errors = trajectory.reward + onward * next_values - values
@@ -141,6 +144,6 @@ def advantages(trajectory: Trajectory, values: Array, next_values: Array, trace:
     for step in range(len(errors) - 1, -1, -1):
         if trajectory.last[step]:
             ahead = 0.0
-        ahead = errors[step] + trajectory.discount[step] * trace * ahead
+        ahead = errors[step] + trajectory.discount[step] * gae_lambda * ahead
         out[step] = ahead
     return out

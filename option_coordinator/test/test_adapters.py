@@ -64,7 +64,7 @@ def test_replay_tells_and_draws(tmp_path, capsys):
 
 def test_commands_from_training_to_replay(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    arguments = ["--task", "tool_delivery", "--methods", "async_autoregressive", "--seeds", "1", "--samples", "400"]
+    arguments = ["--task", "tool_delivery", "--methods", "async_autoregressive", "--seeds", "1", "--samples", "7500"]
     arguments += ["--evaluations", "1"]
     assert train([*arguments, "--results", "r.json", "--workers", "1"]) == 0
     assert "any-order autoregressive" in capsys.readouterr().out
@@ -72,11 +72,13 @@ def test_commands_from_training_to_replay(tmp_path, capsys, monkeypatch):
     rows = {(row["method"], row["metric"]): row for row in content["rows"]}
     assert rows["scripted", "return"]["mean"] == 260.0
     assert len(rows["async_autoregressive", "makespan"]["values"]) == 1
-    assert content["figures"]["curves"]["async_autoregressive"]["samples"][-1] >= 400
+    assert ("async_autoregressive", "return, draws") in rows
+    assert ("async_autoregressive", "return, most likely options") in rows
+    assert content["figures"]["curves"]["async_autoregressive"]["samples"][-1] >= 7500
     assert training_figures(["r.json", "--output", "."]) == 0
     assert (tmp_path / "tool_delivery_options.png").is_file()
     policy = "runs/options/tool_delivery-async_autoregressive-s0/policy.safetensors"
-    assert replay(["tool_delivery", "--policy", policy, "--draws"]) == 0
+    assert replay(["tool_delivery", "--policy", policy, "--choose", "mode"]) == 0
     assert "decisions" in capsys.readouterr().out
     assert replay(["water_filling", "--policy", policy]) == 1
     assert "was learnt for another task 'tool_delivery'" in capsys.readouterr().err
@@ -88,6 +90,8 @@ def test_commands_from_training_to_replay(tmp_path, capsys, monkeypatch):
         (replay, ["car_ttr"], "one with options is needed"),
         (replay, ["tool_delivery", "--policy", "nowhere.safetensors"], "nowhere.safetensors"),
         (train, ["--task", "tool_delivery", "--seeds", "0"], "must be at least 1"),
+        (train, ["--task", "tool_delivery", "--workers", "-1"], "--workers must be at least 0"),
+        (train, ["--task", "tool_delivery", "--samples", "100"], "--samples must be at least 7500"),
         (train, ["--task", "tool_delivery", "--sight", "image"], "no images"),
         (training_figures, ["nowhere.json"], "no such file"),
     ],

@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from ctrl_rl_core.whole_file import write_whole
+from ctrl_rl_training.array_file import load_arrays, save_arrays
 from ctrl_rl_training.learner_state import restore_state, state_arrays
-from safetensors import SafetensorError, safe_open
-from safetensors.numpy import save
+from safetensors import SafetensorError
 
 from option_coordinator.errors import OptionError
 from option_coordinator.training.learner import Learner
 
-_HEADER_KEY = "checkpoint"
 _MEMORY = "memory."
 
 
@@ -24,8 +20,7 @@ def save_checkpoint(path: Path, learner: Learner, progress: Mapping[str, Any]) -
     """Write a checkpoint; `progress` is what else to go on with, as JSON."""
     arrays = state_arrays(learner.networks(), learner.optimizers())
     arrays |= {f"{_MEMORY}{name}": array for name, array in learner.memory().items()}
-    content = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
-    write_whole(path, save(content, metadata={_HEADER_KEY: json.dumps(dict(progress))}))
+    save_arrays(path, arrays, progress)
 
 
 def load_checkpoint(path: Path, learner: Learner) -> dict[str, Any]:
@@ -35,9 +30,7 @@ def load_checkpoint(path: Path, learner: Learner) -> dict[str, Any]:
         OptionError: the file cannot be read, or is of another learner.
     """
     try:
-        with safe_open(path, framework="np") as file:
-            arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - not a dictionary
-            progress: dict[str, Any] = json.loads((file.metadata() or {})[_HEADER_KEY])
+        arrays, progress = load_arrays(path)
         restore_state(learner.networks(), learner.optimizers(), arrays)
         learner.recall({name.removeprefix(_MEMORY): a for name, a in arrays.items() if name.startswith(_MEMORY)})
     except (OSError, SafetensorError, ValueError, KeyError, RuntimeError, TypeError) as error:

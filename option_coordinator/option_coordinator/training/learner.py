@@ -8,14 +8,13 @@ from typing import Any
 
 import numpy as np
 import torch
+from ctrl_rl_training.learner_state import Arrays
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from option_coordinator.joint_policy import JointPolicy
 from option_coordinator.training.heads import Choice
 from option_coordinator.trajectory import Trajectory
-
-Arrays = dict[str, NDArray[Any]]
 
 
 class Learner(ABC):
@@ -24,10 +23,12 @@ class Learner(ABC):
     Attributes:
         network: the joint policy's.
         greedy: the policy is to be used by its mode, not by draws.
+        settings: of the algorithm, a dataclass.
     """
 
     network: nn.Module
     greedy: bool
+    settings: Any
 
     @abstractmethod
     def behaviour(self, progress: float) -> JointPolicy:

@@ -1,9 +1,9 @@
-"""What is compared in thesis 5.3: the same networks, observations and low-level samples, another way to choose."""
+"""What is compared in thesis 5.3: the same trunk, observations and, but for one, low-level samples; choice differs."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Literal
 
@@ -21,6 +21,7 @@ class Method:
         partial: whether each agent chooses by its own observation (Eq. 5.5).
         learner: "mappo" or "mac_dqn".
         level: whether options are chosen, or a low-level action at each step.
+        budget: low-level samples by kind of task, in those of the others; 1 for a task that is not named.
     """
 
     label: str
@@ -29,8 +30,11 @@ class Method:
     partial: bool = False
     learner: Literal["mappo", "mac_dqn"] = "mappo"
     level: Literal["options", "actions"] = "options"
+    budget: Mapping[str, int] = field(default_factory=dict)
 
 
+_LONG = MappingProxyType({"tool_delivery": 8, "water_filling": 3})
+"""Mac-DQN's in Tables 5.2 and 5.3: 400K and 600K, the others' 50K and 200K."""
 METHODS: Mapping[str, Method] = MappingProxyType(
     {
         "async": Method("async (thesis)"),
@@ -41,6 +45,7 @@ METHODS: Mapping[str, Method] = MappingProxyType(
         "sync_wait": Method("sync-wait", "wait"),
         "end2end": Method("end2end", level="actions"),
         "mac_dqn": Method("Mac-DQN", learner="mac_dqn"),
+        "mac_dqn_long": Method("Mac-DQN, thesis's samples", learner="mac_dqn", budget=_LONG),
     }
 )
 """All methods by name."""

@@ -12,14 +12,14 @@ from matplotlib import pyplot as plt
 
 from option_coordinator.training.methods import METHODS
 
-_COLOURS = ("tab:red", "tab:orange", "tab:green", "tab:purple", "tab:blue", "tab:cyan", "0.5", "tab:brown")
+_COLOURS = ("tab:red", "tab:orange", "tab:green", "tab:purple", "tab:blue", "tab:cyan", "0.5", "tab:brown", "tab:pink")
 
 
 def draw_curves(figures: Mapping[str, Any], path: Path) -> None:
-    """Draw what evaluations gave against low-level samples: mean and standard deviation over the seeds."""
+    """Draw what episodes of learning gave against low-level samples: mean and standard deviation over the seeds."""
     figure, ax = plt.subplots(figsize=(7.0, 4.2), layout="constrained")
     for name, colour in zip(METHODS, _COLOURS, strict=True):
-        if name in figures["curves"]:
+        if name in figures["curves"] and not METHODS[name].budget:  # who takes longer would squeeze the others
             curve = figures["curves"][name]
             draw_curve(ax, curve["samples"], curve["values"], METHODS[name].label, colour, start=None)
     ax.axhline(figures["scripted"], color="k", linewidth=0.8, linestyle=":", label="scripted")

@@ -6,17 +6,14 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from ctrl_rl_core.command import run_command
-from ctrl_rl_core.results import write_results
+from ctrl_rl_core.command import check_least, run_command
 
-from option_coordinator.errors import OptionError
-from option_coordinator.tasks import load_option_task
+from option_coordinator.tasks import load_option_task, make_environment
 from option_coordinator.training.methods import METHODS
 
 FOLDER = Path("runs/options")
 ITERATIONS = 25
 _MAIN = ("async", "sync_wait")
-_SAMPLES = {"tool_delivery": 50_000, "water_filling": 200_000}
 
 
 def train(arguments: Sequence[str] | None = None) -> int:
@@ -34,11 +31,9 @@ def train(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--sight", choices=("features", "image"), default="features", help="of Water Filling's robots")
     parser.add_argument("--folder", type=Path, default=FOLDER, help="of the runs (default %(default)s)")
     parser.add_argument("--seeds", type=int, default=5, help="how many, from 0 (default %(default)s)")
-    parser.add_argument("--samples", type=int, help="low-level samples of a run (default: the thesis's, 50K and 200K)")
-    parser.add_argument(
-        "--evaluations", type=int, default=10, help="episodes after each of 25 iterations, 5 times as many at the end"
-    )
-    parser.add_argument("--workers", type=int, default=0, help="runs at a time (default: one for each core)")
+    parser.add_argument("--samples", type=int, help="low-level samples of a run (default: the task's)")
+    parser.add_argument("--evaluations", type=int, default=50, help="episodes at the end (default %(default)s)")
+    parser.add_argument("--workers", type=int, default=0, help="runs at a time (default: 0, one for each core)")
     parser.add_argument("--results", type=Path, help="JSON file to write table and curves to")
     options = parser.parse_args(arguments)
     return run_command("train", lambda: _train(options))
@@ -55,25 +50,20 @@ def training_figures(arguments: Sequence[str] | None = None) -> int:
 
 def _train(options: argparse.Namespace) -> int:
     task = load_option_task(options.task)  # refuses an unknown one before torch is imported and workers start
-    samples = _SAMPLES[task.kind] if options.samples is None else options.samples
-    if min(options.seeds, options.evaluations) < 1 or samples < ITERATIONS:
-        raise OptionError(f"--seeds and --evaluations must be at least 1, --samples at least {ITERATIONS}")
-    from ctrl_rl_training.matrix import train_all
+    longest = make_environment(options.task).simulation.step_limit
+    least = 2 * longest * ITERATIONS  # so that an episode ends in every iteration, whatever the one before overshot
+    check_least(options, seeds=1, evaluations=1, workers=0, samples=least)
+    samples = task.training_samples if options.samples is None else options.samples
+    from ctrl_rl_training.cli import train_and_collect
 
-    from option_coordinator.training.results import as_table, collect
+    from option_coordinator.training.results import collect, table
     from option_coordinator.training.runs import RunOptions, option_runs, train_one
 
     methods = list(METHODS) if "all" in options.methods else options.methods
     runs = option_runs(options.task, methods, options.seeds, options.sight)
     runs[0].environment()  # refuses images where there are none
-    tests = options.evaluations
-    how = RunOptions(options.folder, ITERATIONS, samples // ITERATIONS, tests, 5 * tests)
-    train_all(runs, how, options.workers, task.name, train_one)
-    rows, figures = collect(runs, options.folder)
-    print(as_table(rows))
-    if options.results is not None:
-        write_results(options.results, f"options_{task.name}", range(options.seeds), rows, figures)
-        print(f"results    {options.results}")
+    how = RunOptions(options.folder, ITERATIONS, samples // ITERATIONS, options.evaluations)
+    train_and_collect(options, runs, "options", collect, table, how, train_one)
     return 0
 
 

@@ -1,4 +1,4 @@
-"""The centralised value network V(s_kappa) and the scale that its targets are learnt on."""
+"""The centralised value network V(s_kappa)."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ from torch import Tensor, nn
 
 from option_coordinator.decision import NONE
 from option_coordinator.training.heads import HIDDEN, Trunk
-
-_KEEP = 0.99999
+from option_coordinator.training.scale import Scale
 
 
 class ValueNetwork(nn.Module):
@@ -19,11 +18,10 @@ class ValueNetwork(nn.Module):
     Args:
         observation_size: D.
         counts: options of each agent.
-    """
 
-    mean: Tensor
-    square: Tensor
-    weight: Tensor
+    Attributes:
+        scale: that its targets are learnt on.
+    """
 
     def __init__(self, observation_size: int, counts: Sequence[int]) -> None:
         super().__init__()
@@ -32,8 +30,7 @@ class ValueNetwork(nn.Module):
         self.head = nn.Linear(HIDDEN, 1)
         nn.init.orthogonal_(self.head.weight)
         nn.init.zeros_(self.head.bias)
-        for name in ("mean", "square", "weight"):
-            self.register_buffer(name, torch.zeros(()))
+        self.scale = Scale()
 
     def forward(self, observation: Tensor, running: Tensor) -> Tensor:
         """Return values on the learnt scale (B,) for observations (B, D) and running options (B, N)."""
@@ -45,21 +42,4 @@ class ValueNetwork(nn.Module):
 
     def values(self, observation: Tensor, running: Tensor) -> Tensor:
         """Return values in units of reward (B,)."""
-        mean, spread = self._scale()
-        return self(observation, running) * spread + mean
-
-    def rescale(self, targets: Tensor) -> Tensor:
-        """Count targets (B,) into the running mean and variance, and return them on that scale."""
-        with torch.no_grad():
-            self.mean.mul_(_KEEP).add_((1.0 - _KEEP) * targets.mean())
-            self.square.mul_(_KEEP).add_((1.0 - _KEEP) * (targets * targets).mean())
-            self.weight.mul_(_KEEP).add_(1.0 - _KEEP)
-        mean, spread = self._scale()
-        return (targets - mean) / spread
-
-    def _scale(self) -> tuple[Tensor, Tensor]:
-        """Return mean and standard deviation of the targets so far; 0 and 1 before the first."""
-        if self.weight == 0.0:
-            return self.mean, torch.ones_like(self.mean)
-        mean = self.mean / self.weight
-        return mean, (self.square / self.weight - mean * mean).clamp(min=1e-2).sqrt()
+        return self.scale.undo(self(observation, running))
