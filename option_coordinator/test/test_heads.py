@@ -8,8 +8,9 @@ from hypothesis import strategies as st
 from option_coordinator.decision import NONE
 from option_coordinator.options import Agent
 from option_coordinator.policy_file import HEADS, make_policy
-from option_coordinator.training import heads
-from option_coordinator.training.heads import Choice, as_numpy, make_head
+from option_coordinator.training import mixture_head
+from option_coordinator.training.head_parts import Choice
+from option_coordinator.training.heads import as_numpy, make_head
 from policies import random_decision
 
 COUNTS = (3, 2, 4)
@@ -58,7 +59,7 @@ def test_torch_and_numpy_agree(head, partial, seed):
 
 def test_entropies_of_many_robots_are_true_on_average(monkeypatch):
     """The chain of a mixture whose joint options are not counted."""
-    monkeypatch.setattr(heads, "ENUMERABLE", 1)
+    monkeypatch.setattr(mixture_head, "COUNTABLE", 1)
     generator = np.random.default_rng(0)
     network, policy = pair("mixture", False, 1)
     assert network.cells is None

@@ -15,7 +15,7 @@ from option_coordinator.event_driven import OptionEnvironment, Synchronisation
 from option_coordinator.options import Simulation
 from option_coordinator.tasks.tool_delivery import ToolDeliverySimulation
 from option_coordinator.tasks.tool_delivery_actions import ToolDeliveryActions
-from option_coordinator.tasks.water_filling import Options, Sight, WaterFillingSimulation
+from option_coordinator.tasks.water_filling import OptionSet, Sight, WaterFillingSimulation
 
 OptionTask = ToolDelivery | WaterFilling
 Level = Literal["options", "actions"]
@@ -43,7 +43,7 @@ def make_simulation(task: OptionTask, level: Level = "options", sight: Sight = "
         OptionError: images are asked of a task that has none.
     """
     if isinstance(task, WaterFilling):
-        options: Options = "published" if level == "options" else "actions"
+        options: OptionSet = "published" if level == "options" else "actions"
         return WaterFillingSimulation(task, options, sight)
     if sight == "image":
         raise OptionError(f"task '{task.name}' has no images: leave --sight away")

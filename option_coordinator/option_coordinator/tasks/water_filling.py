@@ -7,8 +7,9 @@ robots move and fill, then jars are read and the reward is counted.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, Literal
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from ctrl_rl_core.option_tasks import WaterFilling
@@ -16,12 +17,28 @@ from numpy.typing import NDArray
 
 from option_coordinator.options import Agent, Mask, Observation, Scene, SimulationStep
 
-Options = Literal["published", "thesis", "actions"]
+OptionSet = Literal["published", "thesis", "actions"]
 Sight = Literal["features", "image"]
 VEHICLE, DRONE = range(2)
 _STEPS = {"Up": (0, 1), "Down": (0, -1), "Left": (-1, 0), "Right": (1, 0)}
 _MEAN_OPTION_STEPS = 3
 """Low-level steps of an asynchronous option step, about: so 200 of them become a length that all methods share."""
+
+
+class Action(NamedTuple):
+    """What an option of a name does.
+
+    Attributes:
+        move: cells in x and y, for a move of one step.
+        jar: the jar that it is about.
+        goes: it leads to the jar.
+        fills: it fills the jar, or without one all that are in reach.
+    """
+
+    move: tuple[int, int] | None
+    jar: int | None
+    goes: bool
+    fills: bool
 
 
 class WaterFillingSimulation:
@@ -39,7 +56,7 @@ class WaterFillingSimulation:
     observes_while_running = True
     """What is known of the jars is shared and always new, and so are a robot's images."""
 
-    def __init__(self, task: WaterFilling, options: Options = "published", sight: Sight = "features") -> None:
+    def __init__(self, task: WaterFilling, options: OptionSet = "published", sight: Sight = "features") -> None:
         self.task = task
         self.sight = sight
         (x_low, x_high), (y_low, y_high) = task.room
@@ -47,14 +64,16 @@ class WaterFillingSimulation:
         self.time_step = task.time_step
         self.step_limit = _MEAN_OPTION_STEPS * task.episode_option_steps
         self._jars = np.array([jar.position for jar in task.jars])
-        self._cells = np.array([round((high - low) / task.cell) for low, high in self.room]) + 1
+        self._cells = [round((high - low) / task.cell) + 1 for low, high in self.room]
         self._speed = [round(speed * task.time_step / task.cell) for speed in (task.vehicle_speed, task.drone_speed)]
         count = len(task.jars)
-        size = int(3 * self._cells.prod()) if sight == "image" else 2 + count
+        size = 3 * math.prod(self._cells) if sight == "image" else 2 + count
         self.agents = tuple(
             Agent(name, names, size + 2 * count)
             for name, names in zip(("vehicle", "drone"), _option_names(task, options), strict=True)
         )
+        jars = [jar.name for jar in task.jars]
+        self._actions = [[_action(name, jars) for name in agent.options] for agent in self.agents]
         self.reset(np.random.default_rng(0))
 
     @property
@@ -69,8 +88,11 @@ class WaterFillingSimulation:
         self.levels = np.full(count, self.task.start_level)
         self.known = self.levels.copy()
         self.ages = np.zeros(count)
-        self._cell = np.tile(self._cells // 2, (2, 1))
-        self._option: list[str | None] = [None, None]
+        self._cell = [[count // 2 for count in self._cells] for _ in self.agents]  # numbers, as arrays of two are slow
+        self._reach = np.zeros((2, count), dtype=bool)
+        for agent in (VEHICLE, DRONE):
+            self._look(agent)
+        self._running: list[Action | None] = [None, None]
         self._wait = np.zeros(count)
         self._drop = np.zeros(count)
         for jar in range(count):
@@ -79,17 +101,17 @@ class WaterFillingSimulation:
 
     def begin(self, agent: int, option: int) -> None:
         """Let an agent begin an option."""
-        self._option[agent] = self.agents[agent].options[option]
+        self._running[agent] = self._actions[agent][option]
 
     def interrupt(self, agent: int) -> None:
         """Take its option from an agent, which stays where it is."""
-        self._option[agent] = None
+        self._running[agent] = None
 
     def step(self) -> SimulationStep:
         """Let half a second pass."""
         self._fall()
         ended = (self._act(VEHICLE), self._act(DRONE))
-        seen = self._in_reach().any(axis=0)
+        seen = self._reach.any(axis=0)
         self.known[seen] = self.levels[seen]
         self.ages = np.where(seen, 0.0, self.ages + 1.0 / self.task.episode_option_steps)
         reward = float(np.sum(1.0 - 1.0 / (self.levels + self.task.level_offset)))  # Eq. 5.6
@@ -104,8 +126,7 @@ class WaterFillingSimulation:
 
     def legal(self, agent: int) -> Mask:
         """Return which options an agent may begin: not a move into the wall, nor filling what is out of reach."""
-        in_reach = self._in_reach()[agent]
-        return np.array([self._is_legal(agent, name, in_reach) for name in self.agents[agent].options])
+        return np.array([self._is_legal(agent, action) for action in self._actions[agent]])
 
     def scene(self) -> Scene:
         """Return what a picture needs."""
@@ -117,16 +138,13 @@ class WaterFillingSimulation:
         """Return the mean low-level reward and how often a jar was filled."""
         return {"mean_reward": self._paid / max(self._steps, 1), "fills": self._fills}
 
-    def _is_legal(self, agent: int, name: str, in_reach: Mask) -> bool:
-        if name in _STEPS:
-            target = self._cell[agent] + _STEPS[name]
-            return bool(np.all((target >= 0) & (target < self._cells)))
-        if name == "Fill":
-            return bool(in_reach.any())
-        return bool(in_reach[self._jar(name)]) if name.startswith("Fill") else True
-
-    def _jar(self, name: str) -> int:
-        return next(i for i, jar in enumerate(self.task.jars) if name.endswith(jar.name))
+    def _is_legal(self, agent: int, action: Action) -> bool:
+        if action.move is not None:
+            (x, y), (dx, dy), (width, depth) = self._cell[agent], action.move, self._cells
+            return 0 <= x + dx < width and 0 <= y + dy < depth
+        if action.goes or not action.fills:
+            return True
+        return bool(self._reach[agent].any() if action.jar is None else self._reach[agent, action.jar])
 
     def _draw(self, jar: int) -> None:
         """Draw when a jar's level falls next, and by how much."""
@@ -145,34 +163,45 @@ class WaterFillingSimulation:
 
     def _act(self, agent: int) -> bool:
         """Let an agent act for a step and return whether its option has ended."""
-        name = self._option[agent]
-        if name is None:
+        action = self._running[agent]
+        if action is None:
             return False
-        if name in _STEPS:
-            target = self._cell[agent] + self._speed[agent] * np.array(_STEPS[name])
-            self._cell[agent] = np.clip(target, 0, self._cells - 1)
-        elif name.startswith("NavTo"):
-            jar = self._jar(name)
-            if not self._approach(agent, jar):
-                return False
-            if name.startswith("NavToFill"):
-                self._fill(jar)
-        else:
-            in_reach = [int(jar) for jar in np.flatnonzero(self._in_reach()[agent])]
-            for filled in in_reach if name == "Fill" else [self._jar(name)]:
-                self._fill(filled)
-        self._option[agent] = None
+        if action.move is not None:
+            for axis, direction in enumerate(action.move):
+                target = self._cell[agent][axis] + self._speed[agent] * direction
+                self._cell[agent][axis] = min(max(target, 0), self._cells[axis] - 1)
+            self._look(agent)
+        if action.goes and action.jar is not None and not self._approach(agent, action.jar):
+            return False
+        if action.fills:
+            for jar in np.flatnonzero(self._reach[agent]) if action.jar is None else [action.jar]:
+                self._fill(int(jar))
+        self._running[agent] = None
         return True
 
     def _approach(self, agent: int, jar: int) -> bool:
         """Move towards a jar and return whether it is in reach."""
         for _ in range(self._speed[agent]):
-            if self._in_reach()[agent, jar]:
+            if self._reach[agent, jar]:
                 return True
-            way = (self._jars[jar] - self._positions()[agent]) / self.task.cell
-            axis = int(np.argmax(np.abs(way)))
-            self._cell[agent, axis] += int(np.sign(way[axis]))
-        return bool(self._in_reach()[agent, jar])
+            way = self._way(agent, jar)
+            axis = int(abs(way[1]) > abs(way[0]))
+            self._cell[agent][axis] += 1 if way[axis] > 0.0 else -1
+            self._look(agent)
+        return bool(self._reach[agent, jar])
+
+    def _way(self, agent: int, jar: int) -> tuple[float, float]:
+        """Return the way from an agent to a jar (x, y) [m]."""
+        (x_low, _), (y_low, _) = self.room
+        x, y = self._cell[agent]
+        goal = self.task.jars[jar].position
+        return goal[0] - (x_low + self.task.cell * x), goal[1] - (y_low + self.task.cell * y)
+
+    def _look(self, agent: int) -> None:
+        """Note what an agent reaches from where it has come to."""
+        for jar in range(len(self.levels)):
+            x, y = self._way(agent, jar)
+            self._reach[agent, jar] = x * x + y * y <= self.task.reach**2
 
     def _fill(self, jar: int) -> None:
         self.levels[jar] = 1.0
@@ -181,15 +210,10 @@ class WaterFillingSimulation:
     def _positions(self) -> NDArray[np.float64]:
         """Return where the robots are (2, 2) [m]."""
         low = np.array([side[0] for side in self.room])
-        return low + self.task.cell * self._cell
-
-    def _in_reach(self) -> Mask:
-        """Return which jars each robot reaches (2, jars)."""
-        offsets = self._jars[None] - self._positions()[:, None]
-        return np.asarray((offsets**2).sum(axis=-1) <= self.task.reach**2)
+        return low + self.task.cell * np.array(self._cell)
 
     def _features(self, agent: int) -> NDArray[np.float64]:
-        return np.concatenate((self._cell[agent] / (self._cells - 1.0), self._in_reach()[agent]))
+        return np.concatenate((np.array(self._cell[agent]) / (np.array(self._cells) - 1.0), self._reach[agent]))
 
     def _image(self, agent: int) -> NDArray[np.float64]:
         """Return the room from above (3 x width x depth,), flat."""
@@ -197,13 +221,19 @@ class WaterFillingSimulation:
         image[0][tuple(self._cell[agent])] = 1.0
         image[1][tuple(self._cell[1 - agent])] = 1.0
         low = np.array([side[0] for side in self.room])
-        in_reach = self._in_reach()[agent]
+        in_reach = self._reach[agent]
         for jar, place in enumerate(np.round((self._jars - low) / self.task.cell).astype(int)):
             image[2][tuple(place)] = self.levels[jar] if in_reach[jar] else 0.5
         return image.ravel()
 
 
-def _option_names(task: WaterFilling, options: Options) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def _action(name: str, jars: Sequence[str]) -> Action:
+    """Return what an option does."""
+    what, _, jar = name.partition(":")
+    return Action(_STEPS.get(what), jars.index(jar) if jar else None, what.startswith("NavTo"), what.endswith("Fill"))
+
+
+def _option_names(task: WaterFilling, options: OptionSet) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return the vehicle's and the drone's."""
     jars = [jar.name for jar in task.jars]
     moves = tuple(_STEPS)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from option_coordinator.joint_policy import JointPolicy
-from option_coordinator.training.heads import Choice
+from option_coordinator.training.head_parts import Choice
 from option_coordinator.trajectory import Trajectory
 
 

@@ -21,10 +21,11 @@ from option_coordinator.joint_policy import JointPolicy
 from option_coordinator.options import Agent
 from option_coordinator.policy_file import make_policy
 from option_coordinator.training.epsilon_greedy import EpsilonGreedy
-from option_coordinator.training.heads import TableHead, as_numpy
+from option_coordinator.training.heads import as_numpy
 from option_coordinator.training.learner import Learner, as_choice, as_tensor
 from option_coordinator.training.replay import Replay
 from option_coordinator.training.scale import Scale
+from option_coordinator.training.table_head import TableHead
 from option_coordinator.trajectory import Trajectory
 
 

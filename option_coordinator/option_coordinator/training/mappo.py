@@ -13,7 +13,8 @@ from torch import Tensor, nn
 from option_coordinator.joint_policy import JointPolicy
 from option_coordinator.options import Agent
 from option_coordinator.policy_file import make_policy
-from option_coordinator.training.heads import Choice, as_numpy, make_head
+from option_coordinator.training.head_parts import Choice
+from option_coordinator.training.heads import as_numpy, make_head
 from option_coordinator.training.learner import Learner, as_choice, as_tensor
 from option_coordinator.training.value import ValueNetwork
 from option_coordinator.trajectory import Trajectory, advantages

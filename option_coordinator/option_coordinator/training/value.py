@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from option_coordinator.decision import NONE
-from option_coordinator.training.heads import HIDDEN, Trunk
+from option_coordinator.training.head_parts import HIDDEN, Trunk
 from option_coordinator.training.scale import Scale
 
 
