@@ -45,7 +45,7 @@ def replay(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--seed", type=int, default=0, help="of the episode (default %(default)s)")
     parser.add_argument("--timeline", type=Path, help="PNG to draw who runs which option when")
-    parser.add_argument("--animation", type=Path, help="GIF to draw the robots in the room; takes half a minute")
+    parser.add_argument("--animation", type=Path, help="GIF to draw the robots in the room; takes some seconds")
     options = parser.parse_args(arguments)
     return run_command("replay", lambda: _replay(options))
 

@@ -7,11 +7,13 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from ctrl_rl_core.drawing import save_figure
 from ctrl_rl_core.whole_file import write_whole
 from matplotlib import colormaps
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from PIL import Image
 
 from option_coordinator.errors import OptionError
@@ -44,26 +46,33 @@ def draw_replay(environment: OptionEnvironment, title: str, path: Path) -> None:
     if not environment.scenes:
         raise OptionError("the episode was not filmed: make the environment with film=True")
     figure, (room, line) = plt.subplots(
-        2, 1, figsize=(7.0, 6.0), height_ratios=(3, 1.2), layout="constrained", squeeze=True
+        2, 1, figsize=(7.0, 6.0), dpi=80, height_ratios=(3, 1.2), layout="constrained", squeeze=True
     )
     _draw_spans(line, environment)
     now = line.axvline(0.0, color="k", linewidth=1.0)
     bodies = _draw_room(room, environment)
-    frames = []
+    canvas = FigureCanvasAgg(figure)
+    frames: list[Image.Image] = []
     for step, scene in enumerate(environment.scenes):
         for name, body in bodies.items():
             body.set_data([scene.robots[name][0]], [scene.robots[name][1]])
         now.set_xdata([step * environment.simulation.time_step] * 2)
         room.set_title(f"{title}\n{scene.note}", fontsize=9)
-        picture = BytesIO()
-        figure.savefig(picture, format="png", dpi=80)
-        frames.append(Image.open(picture).convert("P", palette=Image.Palette.ADAPTIVE))
+        canvas.draw()  # type: ignore[no-untyped-call]
+        figure.set_layout_engine("none")  # found once: finding it takes longer than drawing
+        pixels = np.asarray(canvas.buffer_rgba())  # type: ignore[no-untyped-call]
+        frames.append(Image.fromarray(pixels[..., :3]))
     plt.close(figure)
     content = BytesIO()
-    frames[0].save(
-        content, "GIF", save_all=True, append_images=frames[1:], duration=_FRAME_MILLISECONDS, loop=0, optimize=True
-    )
+    first, *others = _with_few_colours(frames)
+    first.save(content, "GIF", save_all=True, append_images=others, duration=_FRAME_MILLISECONDS, loop=0)
     write_whole(path, content.getvalue())
+
+
+def _with_few_colours(frames: Sequence[Image.Image]) -> list[Image.Image]:
+    """Return pictures in the first one's 256 colours: the same things move in all of them."""
+    first = frames[0].quantize()
+    return [first, *(frame.quantize(palette=first, dither=Image.Dither.NONE) for frame in frames[1:])]
 
 
 def _draw_room(ax: Axes, environment: OptionEnvironment) -> dict[str, Any]:

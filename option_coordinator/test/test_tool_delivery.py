@@ -77,7 +77,7 @@ def test_the_first_observations_of_the_script():
     [(0, 10.0, 150, 2, 4), (2, -250.0, 150, 0, 10), (5, 156.0, 94, 3, 5)],
 )
 def test_golden_traces_of_random_choices(seed, paid, steps, deliveries, failed_passes):
-    """Of the simulation as it was when it agreed with the published environment at every one of 95,000 steps."""
+    """Of the simulation as it was when it agreed with the published environment step for step."""
     environment = make_environment("tool_delivery")
     decisions = play(environment, RandomChooser(seed))
     assert total(decisions) == paid

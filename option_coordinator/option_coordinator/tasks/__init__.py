@@ -18,8 +18,8 @@ from option_coordinator.tasks.tool_delivery_actions import ToolDeliveryActions
 from option_coordinator.tasks.water_filling import OptionSet, Sight, WaterFillingSimulation
 
 OptionTask = ToolDelivery | WaterFilling
-Level = Literal["options", "actions"]
-"""Whether options are chosen, or a low-level action at each step."""
+Level = Literal["options", "thesis", "actions"]
+"""What is chosen: the published options, those of thesis Table 5.1, or a low-level action at each step."""
 DISCOUNT = 0.99
 """gamma of a low-level step (published settings)."""
 
@@ -40,13 +40,15 @@ def make_simulation(task: OptionTask, level: Level = "options", sight: Sight = "
     """Return a task's low-level world, to be led by options or by low-level actions ("end2end").
 
     Raises:
-        OptionError: images are asked of a task that has none.
+        OptionError: images, or the thesis's options, are asked of a task that has none.
     """
     if isinstance(task, WaterFilling):
-        options: OptionSet = "published" if level == "options" else "actions"
+        options: OptionSet = "published" if level == "options" else level
         return WaterFillingSimulation(task, options, sight)
     if sight == "image":
         raise OptionError(f"task '{task.name}' has no images: leave --sight away")
+    if level == "thesis":
+        raise OptionError(f"task '{task.name}' has the options of thesis Table 5.1 and Wait: there is no other set")
     return ToolDeliverySimulation(task) if level == "options" else ToolDeliveryActions(task)
 
 

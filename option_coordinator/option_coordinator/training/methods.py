@@ -8,6 +8,7 @@ from types import MappingProxyType
 from typing import Literal
 
 from option_coordinator.event_driven import Synchronisation
+from option_coordinator.tasks import Level
 
 
 @dataclass(frozen=True)
@@ -20,8 +21,9 @@ class Method:
         head: kind of joint policy.
         partial: whether each agent chooses by its own observation (Eq. 5.5).
         learner: "mappo" or "mac_dqn".
-        level: whether options are chosen, or a low-level action at each step.
+        level: what is chosen, see `option_coordinator.tasks.Level`.
         budget: low-level samples by kind of task, in those of the others; 1 for a task that is not named.
+        kinds: of tasks that it is for.
     """
 
     label: str
@@ -29,8 +31,9 @@ class Method:
     head: str = "table"
     partial: bool = False
     learner: Literal["mappo", "mac_dqn"] = "mappo"
-    level: Literal["options", "actions"] = "options"
+    level: Level = "options"
     budget: Mapping[str, int] = field(default_factory=dict)
+    kinds: tuple[str, ...] = ("tool_delivery", "water_filling")
 
 
 _LONG = MappingProxyType({"tool_delivery": 8, "water_filling": 3})
@@ -46,6 +49,7 @@ METHODS: Mapping[str, Method] = MappingProxyType(
         "end2end": Method("end2end", level="actions"),
         "mac_dqn": Method("Mac-DQN", learner="mac_dqn"),
         "mac_dqn_long": Method("Mac-DQN, thesis's samples", learner="mac_dqn", budget=_LONG),
+        "async_thesis_options": Method("async, options of Table 5.1", level="thesis", kinds=("water_filling",)),
     }
 )
 """All methods by name."""

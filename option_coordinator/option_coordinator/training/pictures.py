@@ -12,7 +12,18 @@ from matplotlib import pyplot as plt
 
 from option_coordinator.training.methods import METHODS
 
-_COLOURS = ("tab:red", "tab:orange", "tab:green", "tab:purple", "tab:blue", "tab:cyan", "0.5", "tab:brown", "tab:pink")
+_COLOURS = (
+    "tab:red",
+    "tab:orange",
+    "tab:green",
+    "tab:purple",
+    "tab:blue",
+    "tab:cyan",
+    "0.5",
+    "tab:brown",
+    "tab:pink",
+    "tab:olive",
+)
 
 
 def draw_curves(figures: Mapping[str, Any], path: Path) -> None:

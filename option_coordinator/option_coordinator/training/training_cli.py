@@ -57,11 +57,13 @@ def _train(options: argparse.Namespace) -> int:
     from ctrl_rl_training.cli import train_and_collect
 
     from option_coordinator.training.results import collect, table
-    from option_coordinator.training.runs import RunOptions, option_runs, train_one
+    from option_coordinator.training.runs import OptionRun, RunOptions, option_runs, train_one
 
-    methods = list(METHODS) if "all" in options.methods else options.methods
+    every = [name for name, method in METHODS.items() if task.kind in method.kinds]
+    methods = every if "all" in options.methods else options.methods
     runs = option_runs(options.task, methods, options.seeds, options.sight)
-    runs[0].environment()  # refuses images where there are none
+    for name in dict.fromkeys(methods):
+        OptionRun(options.task, name, 0, options.sight).environment()  # refuses images or options that are not there
     how = RunOptions(options.folder, ITERATIONS, samples // ITERATIONS, options.evaluations)
     train_and_collect(options, runs, "options", collect, table, how, train_one)
     return 0
