@@ -29,9 +29,9 @@ def finished_runs(
     return runs
 
 
-def samples_to(curve: Sequence[Mapping[str, Any]]) -> float | None:
-    """Return after how many samples the evaluation first was `GOOD` and the next one too; None if it never was."""
-    good = [point["evaluation"] >= GOOD for point in curve]
+def samples_to(curve: Sequence[Mapping[str, Any]], key: str = "evaluation", least: float = GOOD) -> float | None:
+    """Return after how many samples what `key` names first was enough and the next was too; None if it never was."""
+    good = [point[key] >= least for point in curve]
     for index, point in enumerate(curve):
         if good[index] and (index + 1 == len(curve) or good[index + 1]):
             return float(point["samples"])

@@ -73,6 +73,7 @@ def test_commands_from_training_to_replay(tmp_path, capsys, monkeypatch):
     assert rows["scripted", "return"]["mean"] == 260.0
     assert len(rows["async_autoregressive", "makespan"]["values"]) == 1
     assert ("async_autoregressive", "return, draws") in rows
+    assert ("async_autoregressive", "seeds that reach 230 in learning") in rows
     assert ("async_autoregressive", "return, most likely options") in rows
     assert content["figures"]["curves"]["async_autoregressive"]["samples"][-1] >= 7500
     assert training_figures(["r.json", "--output", "."]) == 0

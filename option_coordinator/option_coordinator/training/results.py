@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from ctrl_rl_core.results import Result
-from ctrl_rl_training.results import as_table, curves, finished_runs
+from ctrl_rl_training.results import as_table, curves, finished_runs, samples_to
 
 from option_coordinator.roll_out import play_episodes
 from option_coordinator.scripted import scripted_chooser
@@ -37,6 +37,8 @@ METRICS: Mapping[str, Mapping[str, tuple[str, str]]] = {
 """Metrics by what a summary calls them: name and unit; low-level steps of Tool Delivery last a second."""
 MAIN = {"tool_delivery": "return", "water_filling": "mean_reward"}
 """What learning is judged by."""
+ENOUGH = {"tool_delivery": 230.0}
+"""What counts as learnt, by the main metric of the episodes of learning; else what the scripted policy reaches."""
 THESIS: Mapping[tuple[str, str, str], float] = {
     ("tool_delivery", "async", "last_reward"): 17.1,
     ("tool_delivery", "partial", "last_reward"): 4.4,
@@ -55,12 +57,15 @@ def collect(todo: Sequence[OptionRun], folder: Path) -> tuple[list[Result], dict
 
     Returns:
         For each method, one value a seed, of the policy as it was learnt to be used; the main metric also of its draws
-        and of its most likely options; and rows of the scripted policy. And `curves` by method: `samples`
+        and of its most likely options; samples until it is `ENOUGH` in learning; rows of the scripted policy. And `curves` by method: `samples`
         (iterations,), `values` (seeds, iterations) of the episodes of learning by the main metric.
     """
     task = todo[0].task
     metrics, main = METRICS[task.kind], MAIN[task.kind]
     found = finished_runs(todo, folder, lambda run: run.method_name)
+    flat = {name: [_flat(result, main) for _, result in runs] for name, runs in found.items()}
+    scripted = scripted_summary(todo[0].task_name)
+    enough = ENOUGH.get(task.kind, scripted[main])
     rows: list[Result] = []
     for name, runs in found.items():
         results = [result for _, result in runs]
@@ -71,15 +76,16 @@ def collect(todo: Sequence[OptionRun], folder: Path) -> tuple[list[Result], dict
         for use, words in ((DRAWS, "draws"), (MODE, "most likely options")):
             values = [float(result["final"][use][main]) for result in results]
             rows.append(Result(name, f"{metric}, {words}", unit, values))
-    scripted = scripted_summary(todo[0].task_name)
+        reached = [s for result in flat[name] if (s := samples_to(result["curve"], main, enough)) is not None]
+        rows.append(Result(name, f"seeds that reach {enough:.4g} in learning", "1", [float(len(reached))]))
+        if reached:
+            rows.append(Result(name, f"samples to {enough:.4g}", "1", reached))
     rows += [Result(_SCRIPTED, metric, unit, [scripted[key]]) for key, (metric, unit) in metrics.items()]
     figures = {
         "task": task.name,
         "metric": metrics[main][0],
         "scripted": scripted[main],
-        "curves": {
-            name: curves([_flat(result, main) for _, result in runs], values=main) for name, runs in found.items()
-        },
+        "curves": {name: curves(results, values=main) for name, results in flat.items()},
     }
     return rows, figures
 
