@@ -57,8 +57,9 @@ def collect(todo: Sequence[OptionRun], folder: Path) -> tuple[list[Result], dict
 
     Returns:
         For each method, one value a seed, of the policy as it was learnt to be used; the main metric also of its draws
-        and of its most likely options; samples until it is `ENOUGH` in learning; rows of the scripted policy. And `curves` by method: `samples`
-        (iterations,), `values` (seeds, iterations) of the episodes of learning by the main metric.
+        and of its most likely options; samples until it is `ENOUGH` in learning; and rows of the scripted policy.
+        And `curves` by method: `samples` (iterations,), `values` (seeds, iterations) of the episodes of learning by
+        the main metric.
     """
     task = todo[0].task
     metrics, main = METRICS[task.kind], MAIN[task.kind]
