@@ -8,7 +8,7 @@ robot says that it carries out is true: a grant that was on its way when a coord
 from __future__ import annotations
 
 import math
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -82,6 +82,7 @@ class Coordinator:
         digest: of its file.
         now: the time [s].
         times: see there.
+        seed: of what two coordinators with one epoch part by.
 
     Attributes:
         ledger: who runs what.
@@ -90,7 +91,13 @@ class Coordinator:
     """
 
     def __init__(
-        self, robots: Sequence[Robot], policy: Chooses, digest: str, now: float, times: Times | None = None
+        self,
+        robots: Sequence[Robot],
+        policy: Chooses,
+        digest: str,
+        now: float,
+        times: Times | None = None,
+        seed: int | None = None,
     ) -> None:
         self._robots = {robot.agent.name: robot for robot in robots}
         self._index = {name: index for index, name in enumerate(self._robots)}
@@ -98,6 +105,7 @@ class Coordinator:
         self._policy, self._digest = policy, digest
         self.counts: Counter[str] = Counter()
         self._highest = 0
+        self._random = np.random.default_rng(seed)
         self.listen(now)
 
     def listen(self, now: float) -> None:
@@ -105,6 +113,7 @@ class Coordinator:
         self.ledger = Ledger(self._robots)
         self.epoch = 0
         self._step = 0
+        self._sent: deque[tuple[int, float]] = deque(maxlen=1000)
         self._open: dict[str, Request] = {}
         self._observed = [np.zeros(robot.agent.observation_size, np.float32) for robot in self._robots.values()]
         self._repeat_at: dict[str, float] = {}
@@ -182,9 +191,16 @@ class Coordinator:
             entry.end()
         return Answers()
 
-    def on_joint_step(self, epoch: int) -> None:
-        """Take word of a decision of any coordinator, also its own."""
+    def on_joint_step(self, epoch: int, step: int, stamp: float, now: float) -> None:
+        """Take word of a decision of any coordinator, also its own; of two with one epoch each begins anew.
+
+        They listen for a lease and a random part of another, so that one hears the other's next epoch.
+        """
         self.on_epoch(epoch)
+        if epoch == self.epoch > 0 and (step, stamp) not in self._sent:
+            self.counts["equal epochs"] += 1
+            self.listen(now)
+            self._takes_over_at += self._times.lease * self._random.random()
 
     def tick(self, now: float, alone: bool = False) -> Answers:
         """Let time pass: take over, decide, repeat what was not acknowledged, call off what takes too long.
@@ -370,5 +386,6 @@ class Coordinator:
             duration=round((now - self._decided_at) / self._times.time_step),
             terminated=not asking,
         )
+        self._sent.append((self._step, now))
         self._step, self._reward, self._decided_at = self._step + 1, 0.0, now
         return out

@@ -164,7 +164,7 @@ class Entry:
             OptionError: it was never heard.
         """
         self._must_be_heard()
-        self._become_idle()
+        self.phase = State.IDLE  # a cancelled grant stays so: who repeats that request hears it again
 
     def fall_silent(self, now: float, lease: float, lost_after: float) -> bool:
         """Return whether it is lost from now on; what it waited for is forgotten then, as it asks again if it lives."""
