@@ -8,7 +8,7 @@ robot says that it carries out is true: a grant that was on its way when a coord
 from __future__ import annotations
 
 import math
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -19,6 +19,8 @@ from option_coordinator.errors import OptionError
 from option_coordinator.exchange import AgentState, Grant, GrantStatus, JointStep, Request, Status
 from option_coordinator.ledger import Entry, Ledger, State
 from option_coordinator.options import Agent
+
+_LOT_BITS = 16
 
 
 @dataclass(frozen=True)
@@ -82,7 +84,7 @@ class Coordinator:
         digest: of its file.
         now: the time [s].
         times: see there.
-        seed: of what two coordinators with one epoch part by.
+        seed: of what the epochs of two coordinators that begin at once differ by.
 
     Attributes:
         ledger: who runs what.
@@ -113,7 +115,6 @@ class Coordinator:
         self.ledger = Ledger(self._robots)
         self.epoch = 0
         self._step = 0
-        self._sent: deque[tuple[int, float]] = deque(maxlen=1000)
         self._open: dict[str, Request] = {}
         self._observed = [np.zeros(robot.agent.observation_size, np.float32) for robot in self._robots.values()]
         self._repeat_at: dict[str, float] = {}
@@ -134,7 +135,7 @@ class Coordinator:
         self.counts["policies replaced"] += 1
 
     def on_epoch(self, epoch: int) -> None:
-        """Note an epoch that anyone has seen or uses; step down on one above the own."""
+        """Note an epoch that anyone has seen or uses, as of any JointOptionStep; step down on one above the own."""
         self._highest = max(self._highest, epoch)
         if 0 < self.epoch < epoch:
             self.counts["stepped down"] += 1
@@ -191,17 +192,6 @@ class Coordinator:
             entry.end()
         return Answers()
 
-    def on_joint_step(self, epoch: int, step: int, stamp: float, now: float) -> None:
-        """Take word of a decision of any coordinator, also its own; of two with one epoch each begins anew.
-
-        They listen for a lease and a random part of another, so that one hears the other's next epoch.
-        """
-        self.on_epoch(epoch)
-        if epoch == self.epoch > 0 and (step, stamp) not in self._sent:
-            self.counts["equal epochs"] += 1
-            self.listen(now)
-            self._takes_over_at += self._times.lease * self._random.random()
-
     def tick(self, now: float, alone: bool = False) -> Answers:
         """Let time pass: take over, decide, repeat what was not acknowledged, call off what takes too long.
 
@@ -214,7 +204,7 @@ class Coordinator:
         if not self.epoch and now < self._takes_over_at:
             return Answers()
         if not self.epoch:
-            self._highest += 1
+            self._highest = _next_epoch(self._highest, self._random)
             self.epoch, self._takes_over_at = self._highest, math.inf
         for entry in self.ledger:
             if entry.fall_silent(now, self._times.lease, self._times.lost_after):
@@ -386,6 +376,13 @@ class Coordinator:
             duration=round((now - self._decided_at) / self._times.time_step),
             terminated=not asking,
         )
-        self._sent.append((self._step, now))
         self._step, self._reward, self._decided_at = self._step + 1, 0.0, now
         return out
+
+
+def _next_epoch(highest: int, random: np.random.Generator) -> int:
+    """Return an epoch above the highest: its upper bits count, the lower 16 are a lot.
+
+    Two coordinators that begin at once hear of the same highest; with plain counting both would decide in one epoch.
+    """
+    return ((highest >> _LOT_BITS) + 1 << _LOT_BITS) + int(random.integers(1 << _LOT_BITS))

@@ -185,7 +185,7 @@ class Team:
                 elif isinstance(message, Status):
                     self.post(coordinator, coordinator.on_status(message, self.now))
                 elif isinstance(message, JointStep):
-                    coordinator.on_joint_step(message.coordinator_epoch, message.step, message.stamp, self.now)
+                    coordinator.on_epoch(message.coordinator_epoch)
 
     def advance(self, seconds):
         for _ in range(round(seconds / STEP)):
