@@ -12,6 +12,7 @@ from option_coordinator.options import Agent
 TIMES = Times(window=0.01)
 STEP = 0.02  # s, of the simulation
 BEAT = 0.1
+LONGEST_DELAY = 0.4
 AGENTS = [Robot(Agent(f"r{i}", tuple("abc"[: 2 + i % 2]), 2), (2.0,) * (2 + i % 2)) for i in range(4)]
 INCARNATIONS = count(100)
 
@@ -168,7 +169,7 @@ class Team:
         assert not np.any(step.running & step.absent)
         assert np.array_equal(step.options < 0, step.absent)
         for index, name in enumerate(self.robots):
-            if name in self.gone and self.now > self.gone[name] + TIMES.lost_after + self.delay + 2 * STEP:
+            if name in self.gone and self.now > self.gone[name] + TIMES.lost_after + LONGEST_DELAY + 2 * STEP:
                 assert not step.running[index], "a dead robot is still counted on"
 
     def deliver(self):

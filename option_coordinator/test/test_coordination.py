@@ -144,7 +144,7 @@ def test_what_no_policy_may_see_is_refused(changes, reason):
     assert team.counts["refused requests"] == 1
 
 
-def fails(choice):
+def fails(_):
     raise ValueError
 
 

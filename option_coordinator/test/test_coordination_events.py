@@ -3,7 +3,7 @@
 import hypothesis.strategies as st
 from hypothesis import HealthCheck, settings
 from hypothesis.stateful import RuleBasedStateMachine, initialize, rule
-from team import AGENTS, Team
+from team import AGENTS, LONGEST_DELAY, Team
 
 NAMES = st.sampled_from([robot.agent.name for robot in AGENTS])
 
@@ -42,7 +42,11 @@ class Faults(RuleBasedStateMachine):
         if len(self.team.coordinators) < 2:
             self.team.start_coordinator()
 
-    @rule(loss=st.sampled_from([0.0, 0.3]), double=st.sampled_from([0.0, 0.3]), delay=st.sampled_from([0.0, 0.05, 0.4]))
+    @rule(
+        loss=st.sampled_from([0.0, 0.3]),
+        double=st.sampled_from([0.0, 0.3]),
+        delay=st.sampled_from([0.0, 0.05, LONGEST_DELAY]),
+    )
     def network(self, loss, double, delay):
         self.team.loss, self.team.double, self.team.delay = loss, double, delay
 
