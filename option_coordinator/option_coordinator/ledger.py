@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import StrEnum
 
 from option_coordinator.decision import NONE
@@ -33,7 +33,7 @@ class Entry:
 
     Attributes:
         agent: its name.
-        incarnation: life of its process, `NONE` before it is heard.
+        incarnation: life of its process, grows with each; `NONE` before it is heard.
         request_id: of its latest request that counts, 0 for none.
         grant_id: of the latest grant, 0 for none; grows by one with each.
         epoch: of the coordinator that gave it.
@@ -56,7 +56,6 @@ class Entry:
     phase: State = State.UNKNOWN
     last_heard: float = -math.inf
     silence: State | None = None
-    _past: set[int] = field(default_factory=set)
 
     @property
     def state(self) -> State:
@@ -78,8 +77,11 @@ class Entry:
         return request_id == self.request_id and self.option != NONE
 
     def is_past(self, incarnation: int) -> bool:
-        """Whether it is a life that is over, whose messages come too late."""
-        return incarnation in self._past
+        """Whether it is a life that is over, whose messages come too late: a lower one, unless the robot is lost.
+
+        A robot whose clock was set back would else never be heard again.
+        """
+        return incarnation < self.incarnation and self.silence is not State.LOST
 
     def heard(self, incarnation: int, now: float) -> None:
         """Note a sign of life; that of a new incarnation voids what the old one had.
@@ -90,8 +92,6 @@ class Entry:
         if self.is_past(incarnation):
             raise OptionError(f"'{self.agent}': incarnation {incarnation} was replaced by {self.incarnation}")
         if incarnation != self.incarnation:
-            if self.incarnation != NONE:
-                self._past.add(self.incarnation)
             self.incarnation, self.request_id = incarnation, 0
             self._become_idle()
             self.option = NONE
