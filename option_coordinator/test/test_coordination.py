@@ -189,3 +189,35 @@ def test_the_ledger_refuses_what_cannot_be():
     for method in (entry.acknowledge, entry.cancel, lambda: entry.grant(1, 0, 0.0)):
         with pytest.raises(OptionError, match="is idle"):
             method()
+
+
+def test_a_late_word_of_an_old_life_revives_nothing_unless_the_robot_is_lost():
+    entry = Entry("r0")
+    entry.heard(8, 0.0)
+    with pytest.raises(OptionError, match="was replaced by 8"):
+        entry.heard(7, 0.1)
+    assert entry.fall_silent(3.0, TIMES.lease, TIMES.lost_after)
+    entry.heard(7, 3.1)
+    assert (entry.incarnation, entry.state) == (7, State.IDLE)
+
+
+def test_of_two_coordinators_that_begin_at_once_the_higher_epoch_stays():
+    teams = [Coordinator(AGENTS, uniform(i), "digest", 0.0, TIMES, seed=i) for i in range(2)]
+    for team in teams:
+        team.tick(START)
+    low, high = sorted(teams, key=lambda team: team.epoch)
+    assert low.epoch < high.epoch
+    answer = low.on_request(request(epoch=high.epoch), START)
+    assert answer.grants == []
+    assert low.stepped_down
+    low.tick(START + 0.1, alone=True)
+    low.tick(START + 0.7)
+    assert low.epoch > high.epoch
+
+
+def test_a_policy_is_replaced_between_decisions():
+    team = coordinator()
+    team.on_request(request(), START)
+    team.replace_policy(uniform(1), "other")
+    answers = team.on_request(request(request_id=2), START + 0.1)
+    assert answers.steps[0].policy_digest == "other"
