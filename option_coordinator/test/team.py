@@ -5,9 +5,10 @@ from dataclasses import dataclass, replace
 from itertools import count
 
 import numpy as np
-from option_coordinator.coordination import Coordinator, Robot, Times
+from option_coordinator.coordination import Coordinator
 from option_coordinator.exchange import AgentState, Grant, GrantStatus, JointStep, Request, Status
 from option_coordinator.options import Agent
+from option_coordinator.robot import Robot, Times
 
 TIMES = Times(window=0.01)
 STEP = 0.02  # s, of the simulation
