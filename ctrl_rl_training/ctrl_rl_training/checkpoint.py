@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
-from ctrl_rl_core.whole_file import write_whole
 from numpy.typing import NDArray
-from safetensors import SafetensorError, safe_open
-from safetensors.numpy import save
+from safetensors import SafetensorError
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.buffers import ReplayBuffer
 
+from ctrl_rl_training.array_file import load_arrays, save_arrays
 from ctrl_rl_training.errors import TrainingError
+from ctrl_rl_training.learner_state import restore_state, state_arrays
 
-_HEADER_KEY = "checkpoint"
 _REPLAY = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 _HISTORY = "history."
 
@@ -35,21 +32,12 @@ def save_checkpoint(
         progress: what else to go on with, as JSON.
         history: the same as arrays.
     """
-    tensors: dict[str, NDArray[Any]] = {}
-    for module, network in _networks(model).items():
-        tensors |= {f"{module}.{name}": tensor.numpy() for name, tensor in network.state_dict().items()}
-    for name, optimizer in _optimizers(model).items():
-        for index, state in optimizer.state_dict()["state"].items():
-            tensors |= {f"{name}.{index}.{key}": tensor.numpy() for key, tensor in state.items()}
+    tensors = state_arrays(_networks(model), _optimizers(model))
     replay = _replay(model)
     if replay is not None:
         tensors |= {f"replay.{name}": getattr(replay, name)[: replay.pos] for name in _REPLAY}
     tensors |= {f"{_HISTORY}{name}": array for name, array in history.items()}
-    header = json.dumps({"samples": model.num_timesteps, "progress": dict(progress)})
-    content = save(
-        {name: np.ascontiguousarray(tensor) for name, tensor in tensors.items()}, metadata={_HEADER_KEY: header}
-    )
-    write_whole(path, content)
+    save_arrays(path, tensors, {"samples": model.num_timesteps, "progress": dict(progress)})
 
 
 def load_checkpoint(path: Path, model: BaseAlgorithm) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
@@ -59,9 +47,7 @@ def load_checkpoint(path: Path, model: BaseAlgorithm) -> tuple[dict[str, Any], d
         TrainingError: the file cannot be read, or is of another algorithm or network.
     """
     try:
-        with safe_open(path, framework="np") as file:
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - not a dictionary
-            header = json.loads((file.metadata() or {})[_HEADER_KEY])
+        tensors, header = load_arrays(path)
         _restore(model, tensors)
         model.num_timesteps = header["samples"]
         progress: dict[str, Any] = header["progress"]
@@ -72,21 +58,7 @@ def load_checkpoint(path: Path, model: BaseAlgorithm) -> tuple[dict[str, Any], d
 
 
 def _restore(model: BaseAlgorithm, tensors: Mapping[str, NDArray[Any]]) -> None:
-    def part(prefix: str) -> dict[str, torch.Tensor]:
-        return {
-            name.removeprefix(prefix): torch.from_numpy(array.copy())
-            for name, array in tensors.items()
-            if name.startswith(prefix)
-        }
-
-    for module, network in _networks(model).items():
-        network.load_state_dict(part(f"{module}."))
-    for name, optimizer in _optimizers(model).items():
-        state: dict[int, dict[str, torch.Tensor]] = {}
-        for key, tensor in part(f"{name}.").items():
-            index, _, field = key.partition(".")
-            state.setdefault(int(index), {})[field] = tensor
-        optimizer.load_state_dict({"state": state, "param_groups": optimizer.state_dict()["param_groups"]})
+    restore_state(_networks(model), _optimizers(model), tensors)
     replay = _replay(model)
     if replay is not None:
         end = len(tensors["replay.rewards"])
