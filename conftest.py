@@ -1,11 +1,13 @@
-"""What tests with real ROS processes share: a domain of their own, and nodes that end with the test."""
+"""What tests share: nodes in a domain of their own that end with the test, runs that are cut off, a real drive."""
 
+import json
 import os
 import signal
 import subprocess
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -66,6 +68,46 @@ def run_node(tmp_path: Path) -> Iterator[Callable[..., NodeProcess]]:
         if node.process.poll() is None:
             node.process.kill()
             node.process.wait()
+
+
+class CutOffError(Exception):
+    """Stands for a kill between two iterations."""
+
+
+@pytest.fixture
+def cut_off() -> Callable[[Callable[..., Any], Any, Any], None]:
+    """Give a function that lets `train(run, options, report)` learn one iteration and no more."""
+
+    def killed(*_: object) -> None:
+        raise CutOffError
+
+    def learn(train: Callable[..., Any], run: Any, options: Any) -> None:
+        with pytest.raises(CutOffError):
+            train(run, options, killed)
+        assert not (options.folder / run.name / "result.json").exists()
+
+    return learn
+
+
+@pytest.fixture
+def check_resuming(tmp_path: Path, cut_off: Callable[..., None]) -> Callable[..., Path]:
+    """Give a function that checks that a run ends alike, cut off after an iteration or not, and returns its folder."""
+
+    def learnt(folder: Path) -> tuple[Any, bytes]:
+        result = json.loads((folder / "result.json").read_text(encoding="utf-8"))
+        for point in result["curve"]:
+            del point["seconds"]
+        return result, (folder / "policy.safetensors").read_bytes()
+
+    def check(train: Callable[..., Any], run: Any, options: Callable[[Path], Any]) -> Path:
+        resumed, whole = tmp_path / "resumed", tmp_path / "whole"
+        cut_off(train, run, options(resumed))
+        for folder in (resumed, whole):
+            train(run, options(folder))
+        assert learnt(resumed / run.name) == learnt(whole / run.name)
+        return resumed / run.name
+
+    return check
 
 
 @pytest.fixture(scope="session")

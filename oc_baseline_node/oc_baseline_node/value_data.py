@@ -103,10 +103,10 @@ class ValueData:
         """The same without the starts that are doomed."""
         return len(self.states) / (len(self.states) + int(np.sum(~self.doomed)))
 
-    def values(
+    def samples(
         self, problem: Problem, discount: float | None = None, whole_horizon: bool = False
-    ) -> tuple[Array, NDArray[np.bool_]]:
-        """Return V(x_m) by Eq. 3.13, and which states an episode would still meet, both (N, H+1).
+    ) -> tuple[Array, Array, NDArray[np.bool_]]:
+        """Return x_m as states of the task (N, H+1, n), V(x_m) by Eq. 3.13 and whether an episode meets it (N, H+1).
 
         After its first goal, trap or collision an episode is over: what a trajectory does then is no state of it.
 
@@ -116,12 +116,13 @@ class ValueData:
             whole_horizon: whether the sum goes on after arrival, to the horizon's end, as the thesis may be read; every
                 state counts then.
         """
-        paid, ended = rewards(problem.task, problem.task_states(self.states))
+        states = problem.task_states(self.states)
+        paid, ended = rewards(problem.task, states)
         ended &= not whole_horizon
         over = np.logical_or.accumulate(ended, axis=1)
         met = np.column_stack((np.ones(len(over), dtype=bool), ~over[:, :-1]))
         per_step = step_discount(problem.task, problem.discount if discount is None else discount, self.time_steps)
-        return returns(paid, ended, per_step), met
+        return states, returns(paid, ended, per_step), met
 
 
 def description(problem: Problem, settings: DataSettings) -> dict[str, Any]:

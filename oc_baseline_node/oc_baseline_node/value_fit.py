@@ -66,8 +66,7 @@ def fit(problem: Problem, data: ValueData, settings: FitSettings | None = None, 
     settings = settings or FitSettings()
     discount = problem.discount if settings.discount is None else settings.discount
     random = np.random.default_rng(settings.seed)
-    states = problem.task_states(data.states)
-    values, met = data.values(problem, discount, settings.whole_horizon)
+    states, values, met = data.samples(problem, discount, settings.whole_horizon)
     met[:, -1] &= not settings.whole_horizon  # the last state then only ends the sum
     count = len(states)
     held = np.isin(np.arange(count), random.permutation(count)[: round(settings.held_out * count)])
@@ -75,7 +74,7 @@ def fit(problem: Problem, data: ValueData, settings: FitSettings | None = None, 
         raise OcError(f"{count} trajectories: too few to hold {settings.held_out:.0%} out; make more")
     seen, unseen = met & ~held[:, None], met & held[:, None]
     x, y = states[seen], values[seen]
-    axes = domain(problem, data)
+    axes = domain(problem, states)
     offset, scale = float(y.mean()), float(max(y.std(), 1e-9))
     inputs = features(axes, x)
     middle, spread = inputs.mean(axis=0), np.maximum(inputs.std(axis=0), 1e-6)
@@ -95,30 +94,25 @@ def fit(problem: Problem, data: ValueData, settings: FitSettings | None = None, 
     return replace(network, manifest=manifest)
 
 
-def domain(problem: Problem, data: ValueData) -> tuple[Axis, ...]:
-    """Return the axes of V_oc: what the walls enclose, whole turns, and rates as far as the trajectories reach."""
+def domain(problem: Problem, reached: Array) -> tuple[Axis, ...]:
+    """Return the axes of V_oc: what the walls enclose, whole turns, and rates as far as trajectories (..., n) reach."""
     space = state_space(problem)
-    states, walls = problem.task.system.build().states, problem.task.plane_bounds
-    reached = _flat(problem.task_states(data.states))
-    counts = _FINE if len(states) <= _LARGE else _COARSE
+    components, walls = problem.task.system.build().states, problem.task.plane_bounds
+    counts = _FINE if len(components) <= _LARGE else _COARSE
     axes = []
-    for index, state in enumerate(states):
+    for index, state in enumerate(components):
         kind = "position" if state.name in walls else "angle" if state.periodic else "rate"
         if state.name in walls:
             low, high = walls[state.name]
         elif state.periodic:
             low, high = state.lower, state.upper
         else:
-            low = min(float(space[0, index]), math.floor(float(reached[:, index].min())))
-            high = max(float(space[1, index]), math.ceil(float(reached[:, index].max())))
+            low = min(float(space[0, index]), math.floor(float(reached[..., index].min())))
+            high = max(float(space[1, index]), math.ceil(float(reached[..., index].max())))
         asked = problem.task.grid.get(state.name)
         count = counts[kind] if asked is None else asked.count
         axes.append(Axis(state.name, state.unit, low, high, count, state.periodic))
     return tuple(axes)
-
-
-def _flat(states: Array) -> Array:
-    return states.reshape(-1, states.shape[-1])
 
 
 def _train(x: Array, y: Array, settings: FitSettings, progress: bool) -> tuple[tuple[Array, Array], ...]:

@@ -88,7 +88,7 @@ def test_a_path_learnt_in_another_task_is_not_drawn(tmp_path, capsys):
 
 
 def test_more_samples_tell_the_gradient_better_and_a_baseline_helps():
-    run = OcRun("quad_trap", "oc_ppo", 0)
+    run = OcRun(load_navigation_task("quad_trap"), "oc_ppo", 0)
     model = run.model(ROLL_OUT)
     torch.manual_seed(0)
     known, fresh = (gradients.collect_samples(model.policy, model.env, count, run.discount) for count in (6000, 3000))

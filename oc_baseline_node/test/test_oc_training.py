@@ -1,15 +1,14 @@
 """Learning with each baseline in the real simulator: resumes exactly, becomes tables and pictures."""
 
 import json
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 from ctrl_rl_core.tasks import load_navigation_task, task_digest, task_file
 from ctrl_rl_core.value_function import ValueFunctionError
-from ctrl_rl_training.actor import Actor
 from ctrl_rl_training.algorithms import ROLL_OUT
-from ctrl_rl_training.run_folder import result_file
 from ctrl_rl_training.training import Options, train_one
 from oc_baseline_node.errors import OcError
 from oc_baseline_node.training.environment import PaidTimeOut
@@ -20,6 +19,7 @@ from oc_baseline_node.training.training_cli import train, training_figures
 from sim_bridge.environments import NavigationEnv
 
 RESULTS = Path(__file__).parents[2] / "docs" / "results"
+TASK = load_navigation_task("quad_trap")
 SHORT = {"iterations": 2, "samples": ROLL_OUT, "evaluations": 1, "final_evaluations": 2}
 
 
@@ -34,37 +34,13 @@ def own_task(folder, of, *changes, name=None):
     return file
 
 
-class CutOffError(Exception):
-    """Stands for a kill between two iterations."""
-
-
-def cut_off(*_):
-    """A report that ends the run."""
-    raise CutOffError
-
-
 @pytest.mark.parametrize("method", ["oc_ppo", "oc_trpo", "stein", "q_prop", "noise_0.1", "oc_own_end"])
-def test_a_run_that_was_cut_off_ends_as_if_it_had_not_been(tmp_path, method):
-    run = OcRun("quad_trap", method, 3)
-    whole, cut = tmp_path / "whole", tmp_path / "cut"
-    train_one(run, Options(whole, **SHORT))
-    with pytest.raises(CutOffError):
-        train_one(run, Options(cut, **SHORT), report=cut_off)
-    train_one(run, Options(cut, **SHORT))
-
-    def learnt(folder):
-        result = json.loads(result_file(folder, run).read_text(encoding="utf-8"))
-        for point in result["curve"]:
-            del point["seconds"]
-        return result
-
-    assert learnt(cut) == learnt(whole)
-    one, other = (Actor.load(folder / run.name / "policy.safetensors") for folder in (whole, cut))
-    assert all(np.array_equal(a, b) for a, b in zip(one.weights, other.weights, strict=True))
+def test_a_run_that_was_cut_off_ends_as_if_it_had_not_been(check_resuming, method):
+    check_resuming(train_one, OcRun(TASK, method, 3), partial(Options, **SHORT))
 
 
 def test_runs_become_a_table_and_pictures(tmp_path, capsys):
-    runs = oc_runs("quad_trap", ("ppo", "oc_ppo", "entropy_0.05"), 2)
+    runs = oc_runs(TASK, ("ppo", "oc_ppo", "entropy_0.05"), 2)
     assert [run.method_name for run in runs[:2]] == ["oc_ppo", "oc_ppo"]
     for run in runs:
         train_one(run, Options(tmp_path, **SHORT))
@@ -149,11 +125,11 @@ def test_what_is_wrong_is_said_in_one_line(arguments, message, capsys, tmp_path)
 
 def test_an_unknown_method_and_a_value_of_another_task_are_refused(tmp_path):
     with pytest.raises(OcError, match="no method 'sarsa': there are oc_ppo, ppo"):
-        OcRun("quad_trap", "sarsa", 0).model(ROLL_OUT)
+        OcRun(TASK, "sarsa", 0).model(ROLL_OUT)
     from oc_baseline_node.value_file import find_value
 
     with pytest.raises(ValueFunctionError, match="is of task 'car_navigation', not of 'quad_trap'"):
-        OcRun("quad_trap", "oc_ppo", 0, find_value("car_navigation")).model(ROLL_OUT)
+        OcRun(TASK, "oc_ppo", 0, find_value("car_navigation")).model(ROLL_OUT)
     changed = own_task(tmp_path, "quad_trap", ("steps: 100", "steps: 90"))
     with pytest.raises(OcError, match="is of another version of 'quad_trap': make it"):
-        OcRun(str(changed), "oc_ppo", 0).model(ROLL_OUT)
+        OcRun(load_navigation_task(changed), "oc_ppo", 0).model(ROLL_OUT)

@@ -60,10 +60,10 @@ def test_a_state_is_worth_the_goal_discounted_by_the_steps_to_it(car: Problem) -
                      np.zeros(0, bool), np.zeros(0))  # fmt: skip
     steps = np.maximum(5 - np.arange(8), 0)
     # Eight steps of 0.05 s are one of the policy's 0.4 s.
-    values, met = data.values(car, 0.9)
+    _, values, met = data.samples(car, 0.9)
     assert values[0] == pytest.approx(1000 * 0.9 ** (steps / 8))
     assert met[0].tolist() == [True] * 6 + [False] * 2  # up to the arrival
-    (whole,), met = data.values(car, 0.9, whole_horizon=True)
+    _, (whole,), met = data.samples(car, 0.9, whole_horizon=True)
     assert met.all()
     assert whole[-1] == 1000
     assert whole[4] == pytest.approx(1000 * sum(0.9 ** (i / 8) for i in (1, 2, 3)))
@@ -141,7 +141,7 @@ def test_a_quadrotors_doomed_starts_are_told_from_the_rest(tmp_path: Path) -> No
     assert data.success_rate < data.success_rate_of_viable <= 1.0
     assert all(reason.startswith("ipopt: ") for reason in data.reasons)
     assert (rewards(problem.task, data.states[:, -1])[0] == 1000.0).all()
-    values, _ = data.values(problem)
+    _, values, _ = data.samples(problem)
     assert values.min() >= 1000 * problem.discount**140
     assert values.max() <= 1000.0
 

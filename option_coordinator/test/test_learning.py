@@ -1,7 +1,7 @@
 """Learning: its pieces against closed forms, resuming, and that it learns at all."""
 
-import json
 from dataclasses import fields, replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -30,14 +30,6 @@ from option_coordinator.training.value import ValueNetwork
 from option_coordinator.trajectory import Trajectory, TrajectoryWriter, advantages
 
 SHORT = {"iterations": 2, "samples": 200, "evaluations": 1}
-
-
-class CutOffError(Exception):
-    """Stands for a kill between two iterations."""
-
-
-def cut_off(*_):
-    raise CutOffError
 
 
 def gathered(samples=400, seed=0, head="table", partial=False):
@@ -249,31 +241,14 @@ def test_epsilon_greedy_is_what_it_says():
 
 
 @pytest.mark.parametrize("method", ["async_mixture", "partial", "mac_dqn", "end2end"])
-def test_a_run_that_was_cut_off_ends_as_if_it_had_not_been(tmp_path, method):
-    run = OptionRun("tool_delivery", method, 3)
-    whole, cut = tmp_path / "whole", tmp_path / "cut"
-    train_one(run, RunOptions(whole, **SHORT))
-    with pytest.raises(CutOffError):
-        train_one(run, RunOptions(cut, **SHORT), report=cut_off)
-    assert not result_file(cut, run).exists()
-    train_one(run, RunOptions(cut, **SHORT))
-
-    def learnt(folder):
-        result = json.loads(result_file(folder, run).read_text(encoding="utf-8"))
-        for point in result["curve"]:
-            del point["seconds"]
-        return result
-
-    assert learnt(cut) == learnt(whole)
-    one, other = (OptionPolicy.load(folder / run.name / "policy.safetensors") for folder in (whole, cut))
-    assert one.digest == other.digest
-    assert not (cut / run.name / "checkpoint.safetensors").exists()
+def test_a_run_that_was_cut_off_ends_as_if_it_had_not_been(check_resuming, method):
+    folder = check_resuming(train_one, OptionRun("tool_delivery", method, 3), partial(RunOptions, **SHORT))
+    assert not (folder / "checkpoint.safetensors").exists()
 
 
-def test_a_folder_of_another_run_is_refused(tmp_path):
+def test_a_folder_of_another_run_is_refused(tmp_path, cut_off):
     run = OptionRun("tool_delivery", "async", 0)
-    with pytest.raises(CutOffError):
-        train_one(run, RunOptions(tmp_path, **SHORT), report=cut_off)
+    cut_off(train_one, run, RunOptions(tmp_path, **SHORT))
     with pytest.raises(CtrlRlError, match="samples 200, now it is 100"):
         train_one(run, RunOptions(tmp_path, **(SHORT | {"samples": 100})))
     with pytest.raises(CtrlRlError, match="evaluations 1, now it is 2"):

@@ -125,7 +125,7 @@ def _gradient(options: argparse.Namespace) -> int:
     from oc_baseline_node.training.early_policy import find_early_policy
     from oc_baseline_node.training.runs import OcRun
 
-    run = OcRun(options.task, "oc_ppo", options.seed, options.value)
+    run = OcRun(load_navigation_task(options.task), "oc_ppo", options.seed, options.value)
     wanted = gradients.TRUTH if options.samples is None else options.samples
     with tqdm(desc="early policy", unit="roll-out", mininterval=5.0) as bar:
         model, ended = find_early_policy(run, bar.update)

@@ -1,6 +1,6 @@
 """What the runs of a task amount to: one table with the thesis's figures beside ours, and what pictures are drawn from.
 
-rows, figures = collect(oc_runs("car_navigation"), Path("runs/oc_training"))
+rows, figures = collect(oc_runs(load_navigation_task("car_navigation")), Path("runs/oc_training"))
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """What is learnt in thesis 3.3.3: a task's sparse reward with one of several policy gradients, from several seeds.
 
-train_one(OcRun("car_navigation", "oc_ppo", 0), Options(Path("runs/oc_training")))
+train_one(OcRun(load_navigation_task("car_navigation"), "oc_ppo", 0), Options(Path("runs/oc_training")))
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ctrl_rl_core.tasks import NavigationTask, load_navigation_task
+from ctrl_rl_core.tasks import NavigationTask
 from ctrl_rl_core.value_function import check_function
 from ctrl_rl_training.algorithms import make_algorithm
 from ctrl_rl_training.environment import Environment, make_environment
@@ -32,13 +32,13 @@ class OcRun:
     """One run: a method, a task and a seed (a `ctrl_rl_training.training.Run`).
 
     Attributes:
-        task_name: of the task, or its file.
+        task: what is learnt.
         method_name: one of `METHODS`.
         seed: of everything random.
         value: file of V_oc; the network that comes with the package unless given.
     """
 
-    task_name: str
+    task: NavigationTask
     method_name: str
     seed: int
     value: Path | None = None
@@ -47,11 +47,6 @@ class OcRun:
     def name(self) -> str:
         """Its name, which is that of its folder too."""
         return f"{self.task.name}-{self.method_name}-s{self.seed}"
-
-    @property
-    def task(self) -> NavigationTask:
-        """The task."""
-        return load_navigation_task(self.task_name)
 
     @property
     def method(self) -> Method:
@@ -135,8 +130,8 @@ class OcRun:
 
 
 def oc_runs(
-    task_name: str, methods: Sequence[str] = tuple(METHODS), seeds: int = 5, value: Path | None = None
+    task: NavigationTask, methods: Sequence[str] = tuple(METHODS), seeds: int = 5, value: Path | None = None
 ) -> list[OcRun]:
     """Return all runs of a task, those that matter most first."""
     ordered = sorted(methods, key=list(METHODS).index)
-    return [OcRun(task_name, method, seed, value) for method in ordered for seed in range(seeds)]
+    return [OcRun(task, method, seed, value) for method in ordered for seed in range(seeds)]
