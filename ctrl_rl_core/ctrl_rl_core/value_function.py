@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Protocol
 
 import numpy as np
@@ -10,6 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 from ctrl_rl_core.errors import CtrlRlError
 from ctrl_rl_core.tasks import NavigationTask, task_digest
 from ctrl_rl_core.value_grid import ValueGrid
+
+ROWS = 8192
+"""States of a large batch that are looked up at a time: each layer of 64 units of a network then takes 4 MB."""
 
 
 class ValueFunctionError(CtrlRlError):
@@ -51,6 +55,12 @@ class ValueFunction(Protocol):
 
     def value_and_gradient_at(self, state: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
         """Value and gradient (n,) at one state (n,), quickly."""
+
+
+def parts(count: int) -> Iterator[slice]:
+    """Yield the slices of a batch of `count` states, `ROWS` in each and the rest in the last."""
+    for begin in range(0, count, ROWS):
+        yield slice(begin, min(begin + ROWS, count))
 
 
 def check_function(function: ValueFunction, task: NavigationTask, kind: str) -> bool:

@@ -12,7 +12,7 @@ from std_msgs.msg import Header
 
 from ctrl_rl_core.plane import plane_of
 from ctrl_rl_core.ros import float32_array
-from ctrl_rl_core.value_function import ValueFunction
+from ctrl_rl_core.value_function import ValueFunction, parts
 from ctrl_rl_core.value_grid import ValueGrid
 from ctrl_rl_msgs.msg import GridAxis
 from ctrl_rl_msgs.msg import ValueGrid as ValueGridMsg
@@ -89,15 +89,17 @@ def as_percent(values: NDArray[np.float64]) -> NDArray[np.int8]:
 
 
 def answer(function: ValueFunction, request: QueryValues.Request, response: QueryValues.Response) -> None:
-    """Fill the answer to a query."""
+    """Fill the answer to a query, of any size: what looking up takes besides the answer does not grow with it."""
     n = len(function.state_names)
     states = np.asarray(request.states, dtype=float)
     if len(states) % n:
         response.success = False
         response.message = f"{len(states)} numbers are no whole states of {n}: {', '.join(function.state_names)}"
         return
-    values, gradients = function.value_and_gradient(states.reshape(-1, n))
+    states = states.reshape(-1, n)
+    for part in parts(len(states)):
+        values, gradients = function.value_and_gradient(states[part])
+        response.values.frombytes(values.tobytes())
+        response.gradients.frombytes(gradients.tobytes())
+        response.in_domain.extend((~np.isnan(values)).tolist())
     response.success = True
-    response.values = values.tolist()
-    response.gradients = gradients.ravel().tolist()
-    response.in_domain = (~np.isnan(values)).tolist()

@@ -13,6 +13,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from ctrl_rl_core.value_function import parts
 from ctrl_rl_core.value_grid import Axis, ValueGrid
 from numpy.typing import ArrayLike, NDArray
 
@@ -20,8 +21,6 @@ from oc_baseline_node.collision_set import CollisionSet
 from oc_baseline_node.errors import OcError
 
 Array = NDArray[np.float64]
-_ROWS = 8192
-"""States evaluated at once: each layer of 64 units then takes 4 MB."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,11 +100,10 @@ class MlpValue:
         """Return the values at all nodes of the axes, some at a time: of six components there are millions."""
         out = np.empty([axis.count for axis in self.axes], dtype=np.float32)
         flat, nodes = out.reshape(-1), [axis.nodes for axis in self.axes]
-        for begin in range(0, flat.size, _ROWS):
-            end = min(begin + _ROWS, flat.size)
-            indices = np.unravel_index(np.arange(begin, end), out.shape)
+        for part in parts(flat.size):
+            indices = np.unravel_index(np.arange(part.start, part.stop), out.shape)
             states = [of_axis[index] for of_axis, index in zip(nodes, indices, strict=True)]
-            flat[begin:end] = self.value(np.column_stack(states))
+            flat[part] = self.value(np.column_stack(states))
         return out
 
     def value(self, states: ArrayLike) -> Array:
@@ -116,8 +114,7 @@ class MlpValue:
         """
         rows, shape = self._rows(states)
         out = np.empty(len(rows))
-        for begin in range(0, len(rows), _ROWS):
-            part = slice(begin, begin + _ROWS)
+        for part in parts(len(rows)):
             out[part] = self._forward(rows[part])[0]
             self._replace(rows[part], out[part])
         return out.reshape(shape)

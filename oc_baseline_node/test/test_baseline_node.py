@@ -2,6 +2,7 @@
 
 import signal
 import time
+import tracemalloc
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -10,12 +11,14 @@ import pytest
 import rclpy
 from ctrl_rl_core.geometry import Box
 from ctrl_rl_core.ros import LATCHED, RESULT
+from ctrl_rl_core.value_function import ROWS
 from ctrl_rl_core.value_grid import Axis
+from ctrl_rl_core.value_messages import answer
 from nav_msgs.msg import OccupancyGrid, Odometry
 from oc_baseline_node.collision_set import CollisionSet
 from oc_baseline_node.mlp_value import MlpValue
 from oc_baseline_node.node import OcBaselineNode
-from oc_baseline_node.value_file import save_value, shipped_values
+from oc_baseline_node.value_file import load_network, save_value, shipped_values
 from rclpy.node import Node
 
 from ctrl_rl_msgs.msg import StateValue
@@ -105,6 +108,23 @@ def test_it_serves_values_grid_slice_and_queries(listener: Listener, run_node: C
     assert answer.result().success
     assert list(answer.result().in_domain) == [True, False]
     assert answer.result().values[0] == pytest.approx(inside.value)
+
+
+def test_a_large_query_takes_hardly_more_memory_than_its_answer() -> None:
+    value = load_network(shipped_values()["car_navigation"])
+    states = np.random.default_rng(0).uniform(-4.0, 4.0, (20 * ROWS + 1, 3))
+    request, response = QueryValues.Request(), QueryValues.Response()
+    request.states.frombytes(states.tobytes())
+    tracemalloc.start()
+    answer(value, request, response)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 2 * 64 * 8 * len(states), "two layers for all states at once"
+    some = np.array([0, ROWS - 1, ROWS, 20 * ROWS])
+    values, gradients = value.value_and_gradient(states[some])
+    assert np.array(response.values)[some] == pytest.approx(values)
+    assert np.array(response.gradients).reshape(-1, 3)[some] == pytest.approx(gradients)
+    assert len(response.in_domain) == len(response.values) == len(states)
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
