@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from safetensors.numpy import load_file, save
 
 PLACES = 50
-"""Bins along each side of the arena."""
+"""Bins along each side of what the walls enclose."""
 TURNS = 72
 """Bins of the angle, from -pi to pi."""
 
@@ -25,11 +25,10 @@ class Visits:
     """Counts states by place and by angle, iteration by iteration."""
 
     def __init__(self, task: NavigationTask) -> None:
-        assert task.arena is not None
         names = task.system.build().state_names
         self._places = position_indices(names)
         self._angle = next(index for index, name in enumerate(names) if name in ANGLES)
-        self._edges = [np.linspace(side.low, side.high, PLACES + 1) for side in task.arena.bounds]
+        self._edges = [np.linspace(side.low, side.high, PLACES + 1) for side in task.plane_bounds.values()]
         self._turns = np.linspace(-np.pi, np.pi, TURNS + 1)
         self._places_met: list[Counts] = []
         self._turns_met: list[Counts] = []

@@ -10,12 +10,14 @@ from ctrl_rl_core.tasks import load_navigation_task, task_file
 from ctrl_rl_training.algorithms import ROLL_OUT
 from ctrl_rl_training.results import samples_to
 from ctrl_rl_training.training import Options, train_one
+from ctrl_rl_training.visits import Visits
 from ttr_reward_node.errors import TimeToReachError
 from ttr_reward_node.rewards import make_reward
 from ttr_reward_node.training import RewardRun, reward_runs
 from ttr_reward_node.training_cli import train, training_figures
 from ttr_reward_node.training_environment import make_rewarded
-from ttr_reward_node.training_results import collect
+from ttr_reward_node.training_pictures import draw_visits
+from ttr_reward_node.training_results import STAGES, collect
 
 
 def test_the_wrapper_pays_the_reward_and_leaves_the_rest_alone():
@@ -60,6 +62,18 @@ def test_runs_become_a_table_and_pictures(tmp_path, capsys):
         "quad_ttr_visits.png",
     ]
     assert "ppo, sparse" in capsys.readouterr().out
+
+
+def test_visits_of_a_corridor_are_drawn_as_well(tmp_path):
+    task = load_navigation_task("curved_corridor")
+    visits = Visits(task)
+    visits.add([np.array([x, 0.0, 0.1]) for x in np.linspace(0.1, 2.0, 20)])
+    visits.end_iteration()
+    counts = {name: [part.sum(axis=0).tolist()] * STAGES for name, part in visits.counts().items()}
+    assert np.sum(counts["places"][0]) == 20
+    picture = tmp_path / "visits.png"
+    draw_visits({"task": task.name, "visits": {"ppo, ttr": counts}}, task, "ppo", picture)
+    assert picture.read_bytes().startswith(b"\x89PNG")
 
 
 def test_learnt_means_good_twice():

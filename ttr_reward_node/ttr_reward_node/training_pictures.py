@@ -57,12 +57,11 @@ def draw_curves(figures: Mapping[str, Any], path: Path) -> None:
 
 def draw_visits(figures: Mapping[str, Any], task: NavigationTask, algorithm: str, path: Path) -> None:
     """Draw which states learning met in each third of the training: where, and at which angle, as Fig. 3.7 does."""
-    assert task.arena is not None
     rewards = [reward for reward in _COMPARED if f"{algorithm}, {reward}" in figures["visits"]]
     figure, axes = plt.subplots(
         2, STAGES * len(rewards), figsize=(2.3 * STAGES * len(rewards), 4.6), squeeze=False, layout="constrained"
     )
-    sides = task.arena.bounds
+    sides = list(task.plane_bounds.values())
     angle = next(name for name in task.system.build().state_names if name in ANGLES)
     target = task.goal.region.intervals.get(angle)
     names = [task.system.build().state_names[index] for index in position_indices(task.system.build().state_names)]
