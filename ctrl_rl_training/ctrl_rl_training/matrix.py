@@ -64,7 +64,12 @@ def train_all(
         CtrlRlError: a run refuses, or a worker was killed.
     """
     train = train or _train_one()
-    todo = [run for run in runs if not result_file(options.folder, run).is_file()]
+    todo = []
+    for run in runs:
+        if result_file(options.folder, run).is_file():
+            train(run, options, lambda *_: None)  # refuses what does not fit now, not after hours of the others
+        else:
+            todo.append(run)
     options.folder.mkdir(parents=True, exist_ok=True)
     with alone(options.folder / f".{title}.lock"):
         if todo:

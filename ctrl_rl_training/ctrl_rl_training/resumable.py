@@ -11,6 +11,7 @@ from typing import Any, Protocol
 
 from ctrl_rl_core.whole_file import write_whole
 
+from ctrl_rl_training.errors import TrainingError
 from ctrl_rl_training.run_folder import Named, check_same, read_result, result_file
 
 Point = dict[str, Any]
@@ -43,10 +44,12 @@ def resumable(
 ) -> dict[str, Any]:
     """Learn, or go on where an earlier call was cut off; a finished run is read, never computed again.
 
+    A finished run keeps no checkpoint, which with a replay is large: it cannot be made longer.
+
     Args:
         run: what is learnt.
         folder: where each run has a folder of its own.
-        iterations: how many.
+        iterations: how many; a run that was cut off may go on to more of them.
         terms: what must be the same for a run to go on, or to be taken as it is.
         begin: returns what learns, as it is before the first iteration; closed at the end.
         report: called after each iteration with how many are done.
@@ -55,13 +58,19 @@ def resumable(
         `run` (the terms), `curve` (what each iteration said, and its `seconds`) and what `Learning.finish` said.
 
     Raises:
-        TrainingError: the folder holds another run, or something damaged.
+        TrainingError: the folder holds another run, one of other iterations, or something damaged.
         CtrlRlError: what learns refuses.
     """
     finished = result_file(folder, run)
     if finished.is_file():
         result = read_result(finished)
-        check_same(finished, {**result["run"], "iterations": len(result["curve"])}, {**terms, "iterations": iterations})
+        check_same(finished, result["run"], terms)
+        done = len(result["curve"])
+        if done != iterations:
+            raise TrainingError(
+                f"{finished}: is finished with {done} iterations and kept no checkpoint: ask for {done} again, or use "
+                f"another folder or delete {finished.parent} to learn {iterations} from the start"
+            )
         return result
     checkpoint = finished.with_name("checkpoint.safetensors")
     checkpoint.parent.mkdir(parents=True, exist_ok=True)
@@ -71,6 +80,10 @@ def resumable(
             progress = learning.load(checkpoint)
             check_same(checkpoint, progress["run"], terms)
             curve = progress["curve"]
+            if len(curve) > iterations:
+                raise TrainingError(
+                    f"{checkpoint}: has {len(curve)} iterations already: ask for no fewer, or delete it to begin anew"
+                )
         while len(curve) < iterations:
             start = time.perf_counter()
             point = learning.iterate(curve)

@@ -1,9 +1,9 @@
 """Learning with the real library in the real simulator: it resumes exactly, and its policies need no torch."""
 
-import json
 import subprocess
 import sys
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import pytest
@@ -48,35 +48,10 @@ class PlainRun:
         return {"samples": model.num_timesteps}
 
 
-class CutOffError(Exception):
-    """Stands for a kill between two iterations."""
-
-
-def cut_off(*_):
-    """A report that ends the run."""
-    raise CutOffError
-
-
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
-def test_a_run_that_was_cut_off_ends_as_if_it_had_not_been(tmp_path, algorithm):
-    run = PlainRun(algorithm, 3)
-    whole, cut = tmp_path / "whole", tmp_path / "cut"
-    train_one(run, Options(whole, **SHORT))
-    with pytest.raises(CutOffError):
-        train_one(run, Options(cut, **SHORT), report=cut_off)
-    assert not result_file(cut, run).exists()
-    train_one(run, Options(cut, **SHORT))
-
-    def learnt(folder):
-        result = json.loads(result_file(folder, run).read_text(encoding="utf-8"))
-        for point in result["curve"]:
-            del point["seconds"]
-        return result
-
-    assert learnt(cut) == learnt(whole)
-    one, other = (Actor.load(folder / run.name / "policy.safetensors") for folder in (whole, cut))
-    assert all(np.array_equal(a, b) for a, b in zip(one.weights, other.weights, strict=True))
-    counts = load_visits(cut / run.name / "visits.safetensors")
+def test_a_run_that_was_cut_off_ends_as_if_it_had_not_been(check_resuming, algorithm):
+    folder = check_resuming(train_one, PlainRun(algorithm, 3), partial(Options, **SHORT))
+    counts = load_visits(folder / "visits.safetensors")
     assert counts["places"].shape[0] == 2
     assert counts["turns"].sum(axis=1).tolist() == [ROLL_OUT, ROLL_OUT]
 
@@ -125,11 +100,21 @@ def test_many_runs_on_several_cores_and_never_twice(tmp_path):
     assert before == [result_file(tmp_path, run).stat().st_mtime_ns for run in runs]
 
 
-def test_a_run_made_with_other_settings_is_not_taken(tmp_path):
+def test_a_finished_run_is_not_made_longer_and_says_what_to_do_instead(tmp_path):
+    runs = [PlainRun("ppo", seed) for seed in (1, 0)]
+    train_one(runs[1], Options(tmp_path, 1, ROLL_OUT, 1, 1))
+    what_to_do = r"result\.json: is finished with 1 iterations .* ask for 1 again, or .* delete .*ppo-0 to learn 2 from"
+    with pytest.raises(TrainingError, match=what_to_do):
+        train_all(runs, Options(tmp_path, 2, ROLL_OUT, 1, 1))
+    assert not (tmp_path / "ppo-1").exists(), "it is said before anything is learnt"
+
+
+def test_a_run_that_was_cut_off_may_go_on_to_more_iterations_but_not_to_fewer(tmp_path, cut_off):
     run = PlainRun("ppo", 0)
-    train_one(run, Options(tmp_path, 1, ROLL_OUT, 1, 1))
-    with pytest.raises(TrainingError, match=r"result\.json: was made with iterations 1, now it is 2: use"):
-        train_one(run, Options(tmp_path, 2, ROLL_OUT, 1, 1))
+    cut_off(train_one, run, Options(tmp_path, 2, ROLL_OUT, 0, 0))
+    with pytest.raises(TrainingError, match=r"checkpoint\.safetensors: has 1 iterations already: ask for no fewer"):
+        train_one(run, Options(tmp_path, 0, ROLL_OUT, 0, 0))
+    assert len(train_one(run, Options(tmp_path, 3, ROLL_OUT, 0, 0))["curve"]) == 3
 
 
 def test_a_broken_checkpoint_is_named(tmp_path):
