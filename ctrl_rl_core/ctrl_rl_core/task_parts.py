@@ -108,10 +108,24 @@ class SystemSpec(Part):
         self.build()
         return self
 
+    def scaled(self, factors: Mapping[str, float]) -> SystemSpec:
+        """Return the same model with some parameters multiplied, by name.
+
+        Raises:
+            ValueError: the model has no such parameter, or it cannot have such a value.
+        """
+        units = {name: _unit_of(name, self._parameter_units()) for name in factors}
+        own = self.build().parameters
+        changed = {name: f"{factor * own[name]!r} {units[name]}" for name, factor in factors.items()}
+        return SystemSpec(model=self.model, parameters={**self.parameters, **changed}, controls=self.controls)
+
+    def _parameter_units(self) -> dict[str, str]:
+        return {parameter.name: parameter.unit for parameter in SYSTEM_MODELS[self.model].parameters}
+
     def build(self) -> System:
         """Return the system model with this task's parameters and control bounds."""
         model = SYSTEM_MODELS[self.model]
-        parameter_units = {parameter.name: parameter.unit for parameter in model.parameters}
+        parameter_units = self._parameter_units()
         control_units = {control.name: control.unit for control in model.controls}
         parameters = {
             name: parse_scalar(text, _unit_of(name, parameter_units)) for name, text in self.parameters.items()

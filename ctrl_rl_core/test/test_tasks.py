@@ -71,6 +71,20 @@ def test_constants_come_out_in_si_units() -> None:
     assert load_navigation_task("car_ttr").system.build().control_bounds[:, 0].tolist() == [1.0, 1.0]
 
 
+def test_a_system_with_some_parameters_scaled_is_otherwise_the_same() -> None:
+    spec = load_navigation_task("quad_navigation").system
+    one, other = spec.build(), spec.scaled({"m": 1.1, "I_yy": 0.5}).build()
+    changed = {name for name in one.parameters if one.parameters[name] != other.parameters[name]}
+    assert changed == {"m", "I_yy"}
+    assert other.parameters["m"] == pytest.approx(1.1 * 1.25, rel=1e-15)
+    assert other.parameters["I_yy"] == pytest.approx(0.5 * 0.03, rel=1e-15)
+    assert (other.control_bounds == one.control_bounds).all()
+    with pytest.raises(ValueError, match="'mass': no such name; there are m, g"):
+        spec.scaled({"mass": 1.1})
+    with pytest.raises(ValueError, match="'m' is 0; it must be more than zero"):
+        spec.scaled({"m": 0.0})
+
+
 def test_the_lidar_of_the_burger_has_a_beam_per_degree() -> None:
     lidar = load_navigation_task("curved_corridor").lidar
     assert lidar.angle_min == 0.0

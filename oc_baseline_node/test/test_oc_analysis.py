@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from oc_baseline_node.training import gradients
 from oc_baseline_node.training.analysis_cli import main
 from oc_baseline_node.training.analysis_pictures import draw_drives
-from oc_baseline_node.training.mismatch import action_of, command, drive_by_mpc, predict, transition_errors
+from oc_baseline_node.training.mismatch import action_of, command, drive_by_mpc, heavier, predict, transition_errors
 from oc_baseline_node.training.runs import OcRun
 
 MPC = Path(__file__).parents[2] / "docs" / "results" / "oc_mpc_quad_navigation.json"
@@ -39,6 +39,19 @@ def test_model_and_simulator_part_as_steps_go_by():
     assert errors[:, 0].mean() < errors[:, 2].mean() < 1.0
 
 
+def test_a_heavier_quadrotor_parts_from_its_model_as_the_equations_say():
+    quad = load_navigation_task("quad_navigation")
+    exact, plant = transition_errors(quad, 4), heavier(quad, 25.0)
+    errors = transition_errors(quad, 4, plant=plant)
+    lasted = np.isfinite(exact) & np.isfinite(errors)
+    assert lasted[:, 0].all()
+    assert exact[lasted].max() < 1e-4 < errors[lasted].min()
+    assert np.nanmax(transition_errors(plant, 4)) < 1e-4, "its own model knows it"
+    # The commands are around 16 N in all: a fifth of what they accelerate, level, is missing.
+    missing = 0.2 * 16.0 / 1.25
+    assert np.nanmean(errors[:, 1]) == pytest.approx(0.5 * missing * 0.25**2, rel=0.3)
+
+
 def test_mpc_drives_in_the_simulator():
     (drive,) = drive_by_mpc(CAR, 1, seed=1)
     assert drive.outcome in ("GOAL", "COLLISION", "TIMEOUT")
@@ -49,9 +62,11 @@ def test_mpc_drives_in_the_simulator():
 
 def test_the_mismatch_command_writes_the_table(tmp_path, capsys):
     places = ["--results", str(tmp_path), "--images", str(tmp_path)]
-    assert main(["mismatch", "--roll-outs", "2", *places]) == 0
+    assert main(["mismatch", "--roll-outs", "4", "--heavier", "5", *places]) == 0
     rows = json.loads((tmp_path / "oc_mismatch.json").read_text(encoding="utf-8"))["rows"]
-    assert [row["thesis"] for row in rows] == [0.095, 0.391, 0.518, 0.542, 0.836, 1.144]
+    assert [row["thesis"] for row in rows] == [0.095, 0.391, 0.518, *[0.542, 0.836, 1.144] * 2]
+    assert rows[-1]["method"] == "quad_navigation, mass and inertia +5 %"
+    assert rows[-1]["mean"] > 1e-2 > rows[-4]["mean"]
     assert "after 10 steps" in capsys.readouterr().out
 
 
@@ -59,6 +74,7 @@ def test_the_mismatch_command_writes_the_table(tmp_path, capsys):
     ("arguments", "words"),
     [
         (["mismatch", "--roll-outs", "0"], "--roll-outs must be at least 1, not 0"),
+        (["mismatch", "--heavier", "-100"], "--heavier is -100 per cent: nothing can be that heavy"),
         (["mpc", "--episodes", "0"], "--episodes must be at least 1, not 0"),
         (["mpc", "--learnt", str(MPC)], "is not a file that `train --results` wrote, it lacks curves"),
         (["gradient", "--samples", "0"], "--samples must be at least 1, not 0"),

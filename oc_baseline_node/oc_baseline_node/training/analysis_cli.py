@@ -10,6 +10,7 @@ What comes from learning (advantages, noise, entropy, other baselines) is `train
 from __future__ import annotations
 
 import argparse
+import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -40,7 +41,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     commands = parser.add_subparsers(title="analyses", required=True, metavar="ANALYSIS")
     command = commands.add_parser("mismatch", help="Table 3.5")
-    command.add_argument("--roll-outs", type=int, default=10, help="of each task (default %(default)s)")
+    command.add_argument("--roll-outs", type=int, default=50, help="of each row (default %(default)s, thesis: 10)")
+    command.add_argument(
+        "--heavier",
+        type=float,
+        nargs="*",
+        default=[10.0],
+        metavar="PER_CENT",
+        help="simulate the quadrotor also with so much more mass and inertia than its model has (default 10)",
+    )
     command.set_defaults(work=_mismatch, least={"roll_outs": 1})
     command = commands.add_parser("mpc", help="Fig. 3.17")
     command.add_argument("--task", default="quad_navigation", help="(default %(default)s)")
@@ -69,18 +78,27 @@ def _analyse(options: argparse.Namespace) -> int:
 
 
 def _mismatch(options: argparse.Namespace) -> int:
-    from oc_baseline_node.training.mismatch import STEPS, transition_errors
+    from oc_baseline_node.training.mismatch import STEPS, heavier, transition_errors
 
+    pairs: dict[str, tuple[NavigationTask, NavigationTask]] = {}
+    for name in THESIS_MISMATCH:
+        task = load_navigation_task(name)
+        pairs[name] = task, task
+        for per_cent in options.heavier if task.robot.body == "planar_quadrotor" else ():
+            if not -100.0 < per_cent < math.inf:
+                raise OcError(f"--heavier is {per_cent:g} per cent: nothing can be that heavy")
+            pairs[f"{name}, mass and inertia {per_cent:+g} %"] = task, heavier(task, per_cent)
     rows = []
-    for name, thesis in THESIS_MISMATCH.items():
-        errors = transition_errors(load_navigation_task(name), options.roll_outs, options.seed)
+    for label, (task, plant) in pairs.items():
+        errors = transition_errors(task, options.roll_outs, options.seed, plant)
         for index, steps in enumerate(STEPS):
             known = errors[~np.isnan(errors[:, index]), index]
             if not len(known):
-                raise OcError(f"{name}: no episode lasts {steps} steps: ask for more --roll-outs")
-            rows.append(Result(name, f"error after {steps} steps", "m", known.tolist(), thesis[index]))
+                raise OcError(f"{label}: no episode lasts {steps} steps: ask for more --roll-outs")
+            thesis = THESIS_MISMATCH[task.name][index]
+            rows.append(Result(label, f"error after {steps} steps", "m", known.tolist(), thesis))
             ours = f"{known.mean():.4f} ± {known.std():.4f} m over {len(known)} roll-outs"
-            print(f"{name:<16} after {steps:>2} steps  {ours}   thesis {thesis[index]:.3f} m")
+            print(f"{label:<41} after {steps:>2} steps  {ours}   thesis {thesis:.3f} m")
     return _write(options, "oc_mismatch", rows)
 
 

@@ -35,18 +35,36 @@ class Drive(NamedTuple):
     solved: float
 
 
-def transition_errors(task: NavigationTask, roll_outs: int = 10, seed: int = 0) -> Array:
+def heavier(task: NavigationTask, per_cent: float) -> NavigationTask:
+    """Return the task of a quadrotor of more mass and inertia, e.g. with a battery or a sensor that its model lacks.
+
+    Raises:
+        ValueError: the task's system has neither, or nothing would be left of them.
+    """
+    factor = 1.0 + per_cent / 100.0
+    return task.model_copy(update={"system": task.system.scaled({"m": factor, "I_yy": factor})})
+
+
+def transition_errors(
+    task: NavigationTask, roll_outs: int = 10, seed: int = 0, plant: NavigationTask | None = None
+) -> Array:
     """Return the distance (roll_outs, len(STEPS)) [m] of the positions of model and simulator, see Table 3.5.
 
-    Both begin in the same random start of the task and get the same random commands, a new one each control step. NaN
-    where the episode has ended before.
+    Both begin in the same random start of the task and get the same random commands, a new one each control step; so
+    does every other plant. NaN where the episode has ended before.
+
+    Args:
+        task: whose model predicts.
+        roll_outs: how many.
+        seed: of starts and commands.
+        plant: the task as it is simulated; the same one unless given.
     """
     problem = formulate(task)
-    random = np.random.default_rng(seed)
-    environment = NavigationEnv(task)
+    environment = NavigationEnv(plant or task)
     errors = np.full((roll_outs, len(STEPS)), np.nan)
     try:
         for roll_out in range(roll_outs):
+            random = np.random.default_rng((seed, roll_out))
             _, info = environment.reset(seed=seed + roll_out)
             x = info["state"]
             for step in range(1, max(STEPS) + 1):
