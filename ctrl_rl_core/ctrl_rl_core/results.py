@@ -119,8 +119,11 @@ def as_markdown(experiments: Sequence[dict[str, Any]], benchmarks: Sequence[dict
 
 def _remark(experiment: Mapping[str, Any]) -> str:
     remark = f"Commit {experiment['commit']}"
-    if any(len(row["values"]) > 1 for row in experiment["rows"]):
-        remark += f", {len(experiment['seeds'])} seeds, mean and standard deviation over them"
+    seeds = len(experiment["seeds"])
+    if seeds > 1:
+        remark += f", {seeds} seeds, mean and standard deviation over them"
+    elif any(len(row["values"]) > 1 for row in experiment["rows"]):
+        remark += ", mean and standard deviation"
     if any(row["thesis"] is not None for row in experiment["rows"]):
         remark += "; in brackets the thesis's"
     return f"{remark}."

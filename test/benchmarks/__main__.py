@@ -11,6 +11,7 @@ import json
 import sys
 from pathlib import Path
 
+from ctrl_rl_core.results import read_benchmarks
 from ctrl_rl_core.whole_file import write_whole
 from tqdm import tqdm
 
@@ -21,17 +22,20 @@ NAMES = sorted(file.stem for file in HERE.glob("*.py") if not file.stem.startswi
 def main() -> int:
     """Run them and print, and where asked write, their rows."""
     parser = argparse.ArgumentParser(prog="benchmarks", description=__doc__)
-    parser.add_argument("--output", type=Path, help="JSON file to write the rows to")
+    parser.add_argument("--output", type=Path, help="JSON file to write the rows to; those of benchmarks not run stay")
     parser.add_argument("--only", nargs="+", choices=NAMES, default=NAMES, help="some of them (default: all)")
     options = parser.parse_args()
     sys.path.insert(0, str(HERE))
+    before = [] if options.output is None else read_benchmarks(options.output)
     rows = []
     for name in tqdm(options.only, desc="benchmarks", disable=None):
-        rows += importlib.import_module(name).rows()
+        rows += [{"benchmark": name, **row} for row in importlib.import_module(name).rows()]
     print(table(rows))
     if options.output is not None:
+        kept = [row for row in before if row["benchmark"] in NAMES and row["benchmark"] not in options.only]
         options.output.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(options.output, json.dumps(rows, indent=1) + "\n")
+        content = sorted(kept + rows, key=lambda row: NAMES.index(str(row["benchmark"])))
+        write_whole(options.output, json.dumps(content, indent=1) + "\n")
     return 0
 
 
