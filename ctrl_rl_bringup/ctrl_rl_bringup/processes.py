@@ -15,7 +15,7 @@ from ctrl_rl_core.errors import CtrlRlError
 
 from ctrl_rl_bringup.stack import NodeSpec
 
-_STOP_S = 5.0
+_STOP_S = 15.0
 
 
 class ProcessError(CtrlRlError):
