@@ -33,7 +33,7 @@ _FIRST_USE = """
 import time
 from ttr_reward_node.problem import problem_from_task
 from ttr_reward_node.solver import solve
-problem = problem_from_task("car_ttr", counts=(11, 11, 12))
+problem = problem_from_task("car_ttr", counts=(21, 21, 18))
 begin = time.process_time()
 solve(problem)
 print(time.process_time() - begin)
