@@ -10,6 +10,7 @@ import importlib
 import json
 import sys
 from pathlib import Path
+from typing import Any
 
 from ctrl_rl_core.results import read_benchmarks
 from ctrl_rl_core.whole_file import write_whole
@@ -26,20 +27,25 @@ def main() -> int:
     parser.add_argument("--only", nargs="+", choices=NAMES, default=NAMES, help="some of them (default: all)")
     options = parser.parse_args()
     sys.path.insert(0, str(HERE))
-    before = [] if options.output is None else read_benchmarks(options.output)
-    rows = []
+    rows: list[dict[str, Any]] = []
     for name in tqdm(options.only, desc="benchmarks", disable=None):
-        rows += [{"benchmark": name, **row} for row in importlib.import_module(name).rows()]
+        fresh = [{"benchmark": name, **row} for row in importlib.import_module(name).rows()]
+        rows += fresh
+        if options.output is not None:
+            write(options.output, name, fresh)
     print(table(rows))
-    if options.output is not None:
-        kept = [row for row in before if row["benchmark"] in NAMES and row["benchmark"] not in options.only]
-        options.output.parent.mkdir(parents=True, exist_ok=True)
-        content = sorted(kept + rows, key=lambda row: NAMES.index(str(row["benchmark"])))
-        write_whole(options.output, json.dumps(content, indent=1) + "\n")
     return 0
 
 
-def table(rows: list[dict[str, object]]) -> str:
+def write(file: Path, name: str, fresh: list[dict[str, Any]]) -> None:
+    """Put a benchmark's rows in the place of its former ones; those of others stay."""
+    kept = [row for row in read_benchmarks(file) if row["benchmark"] in NAMES and row["benchmark"] != name]
+    file.parent.mkdir(parents=True, exist_ok=True)
+    content = sorted(kept + fresh, key=lambda row: NAMES.index(row["benchmark"]))
+    write_whole(file, json.dumps(content, indent=1) + "\n")
+
+
+def table(rows: list[dict[str, Any]]) -> str:
     """Return the rows for people."""
     lines = []
     for row in rows:
