@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +34,25 @@ class Decision:
     z: Array
     z_next: Array
     cost_to_go: float
+
+
+class DrivingPolicy(Protocol):
+    """What a node needs of a policy, however it was learnt."""
+
+    @property
+    def manifest(self) -> Mapping[str, Any]:
+        """What was learned from, and how well: plain JSON values."""
+
+    @property
+    def z_ref(self) -> Array:
+        """Where to be (n,)."""
+
+    @property
+    def sectors(self) -> Sectors:
+        """What the policy takes from a scan."""
+
+    def decide(self, ranges: NDArray[np.float32], scan: ScanGeometry, v: float, omega: float) -> Decision:
+        """Return the command for one scan and the odometry's speed [m/s] and turn rate [rad/s]."""
 
 
 @dataclass(frozen=True)

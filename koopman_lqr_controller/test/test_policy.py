@@ -14,7 +14,7 @@ from koopman_lqr_controller.lidar import ScanGeometry
 from koopman_lqr_controller.observables import CorridorObservables
 from koopman_lqr_controller.policy import KoopmanPolicy
 from koopman_lqr_controller.policy_file import find_policy, load_policy, save_policy, shipped_policies
-from koopman_lqr_controller.training import train
+from koopman_lqr_controller.two_stage import train
 from safetensors.numpy import load_file, save_file
 
 OBSERVABLES = CorridorObservables()

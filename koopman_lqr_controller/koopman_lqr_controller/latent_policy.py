@@ -1,0 +1,98 @@
+"""A task-oriented Koopman policy (thesis chapter 4): the latent controller, and how a lidar robot is wired to it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from koopman_lqr_controller.errors import KoopmanError
+from koopman_lqr_controller.latent_controller import LatentController
+from koopman_lqr_controller.lidar import ScanGeometry, Sectors
+from koopman_lqr_controller.lidar_observation import LidarObservation
+from koopman_lqr_controller.policy import Decision
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class LidarWiring:
+    """How a robot with a lidar is wired to a controller.
+
+    Attributes:
+        observation: from scan and odometry to x.
+        u_low: commands of action -1 (2,): speed [m/s], turn rate [rad/s].
+        u_high: commands of action 1 (2,).
+    """
+
+    observation: LidarObservation
+    u_low: Array
+    u_high: Array
+
+    def __post_init__(self) -> None:
+        if self.u_low.shape != (2,) or self.u_high.shape != (2,) or not (self.u_low < self.u_high).all():
+            raise KoopmanError("u_low and u_high must be two numbers each, u_low below u_high")
+
+    def command(self, action: Array) -> Array:
+        """Return the command (2,) of an action (2,)."""
+        return self.u_low + 0.5 * (action + 1.0) * (self.u_high - self.u_low)
+
+
+@dataclass(frozen=True)
+class LatentPolicy:
+    """A controller, and where it may be used.
+
+    Attributes:
+        controller: the latent controller.
+        wiring: to a robot with a lidar; None for tasks that have none, e.g. those of the DeepMind control suite.
+        manifest: what was learnt from, how, and how well: plain JSON values.
+    """
+
+    controller: LatentController
+    wiring: LidarWiring | None = None
+    manifest: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.wiring is not None:
+            wanted, controls = (len(self.wiring.observation.names),), len(self.controller.R)
+            if self.controller.encoder.shape != wanted or controls != 2:
+                raise KoopmanError(
+                    f"the encoder takes {self.controller.encoder.shape} and {controls} controls come out, "
+                    f"the robot gives {wanted} and takes 2"
+                )
+
+    @property
+    def z_ref(self) -> Array:
+        """Goal in the latent space (n,)."""
+        return self.controller.z_ref
+
+    @property
+    def sectors(self) -> Sectors:
+        """What the policy takes from a scan.
+
+        Raises:
+            KoopmanError: the policy is of another task.
+        """
+        return self._wired().observation.sectors
+
+    def decide(self, ranges: NDArray[np.float32], scan: ScanGeometry, v: float, omega: float) -> Decision:
+        """Return the command for one scan and the odometry's speed [m/s] and turn rate [rad/s].
+
+        Raises:
+            KoopmanError: nothing can be seen in the scan, speed or turn rate are not finite, or the policy is of
+                another task.
+        """
+        wiring, controller = self._wired(), self.controller
+        z = controller.latent(wiring.observation.observe(ranges, scan, v, omega))
+        u = controller.control(z)
+        action = controller.saturate(u)
+        z_next = controller.predict(z, action)
+        return Decision(wiring.command(action), wiring.command(u), z, z_next, controller.cost_to_go(z))
+
+    def _wired(self) -> LidarWiring:
+        if self.wiring is None:
+            raise KoopmanError(f"this policy is of the task {self.manifest.get('task')}: it cannot drive from a lidar")
+        return self.wiring
