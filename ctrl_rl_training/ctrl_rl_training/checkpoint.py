@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
@@ -24,6 +24,74 @@ _REPLAY = ("observations", "next_observations", "actions", "rewards", "dones", "
 _HISTORY = "history."
 
 
+def write_checkpoint(path: Path, tensors: Mapping[str, NDArray[Any]], header: Mapping[str, Any]) -> None:
+    """Write tensors and a JSON header; the file, replaced if it exists, is there whole or not at all."""
+    content = save(
+        {name: np.ascontiguousarray(tensor) for name, tensor in tensors.items()},
+        metadata={_HEADER_KEY: json.dumps(dict(header))},
+    )
+    write_whole(path, content)
+
+
+def read_checkpoint(
+    path: Path, take: Callable[[Mapping[str, Any], Mapping[str, NDArray[Any]]], None]
+) -> dict[str, NDArray[Any]]:
+    """Read what `write_checkpoint` wrote, hand header and tensors to `take`, and return the tensors.
+
+    Raises:
+        TrainingError: the file cannot be read, or `take` finds that it is of something else.
+    """
+    try:
+        with safe_open(path, framework="np") as file:
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - not a dictionary
+            header = json.loads((file.metadata() or {})[_HEADER_KEY])
+        take(header, tensors)
+    except (OSError, SafetensorError, ValueError, KeyError, RuntimeError) as error:
+        raise TrainingError(f"{path}: cannot go on from it ({error}); delete it to begin anew") from None
+    return tensors
+
+
+def tensors_of(
+    networks: Mapping[str, torch.nn.Module], optimizers: Mapping[str, torch.optim.Optimizer]
+) -> dict[str, NDArray[Any]]:
+    """Return the state of networks and optimisers; the names of optimisers are without dots."""
+    tensors: dict[str, NDArray[Any]] = {}
+    for module, network in networks.items():
+        tensors |= {f"{module}.{name}": tensor.cpu().numpy() for name, tensor in network.state_dict().items()}
+    for name, optimizer in optimizers.items():
+        for index, state in optimizer.state_dict()["state"].items():
+            tensors |= {f"{name}.{index}.{key}": tensor.cpu().numpy() for key, tensor in state.items()}
+    return tensors
+
+
+def restore(
+    tensors: Mapping[str, NDArray[Any]],
+    networks: Mapping[str, torch.nn.Module],
+    optimizers: Mapping[str, torch.optim.Optimizer],
+) -> None:
+    """Bring networks and optimisers to the state that `tensors_of` returned.
+
+    Raises:
+        RuntimeError: it is of other networks.
+    """
+
+    def part(prefix: str) -> dict[str, torch.Tensor]:
+        return {
+            name.removeprefix(prefix): torch.from_numpy(array.copy())
+            for name, array in tensors.items()
+            if name.startswith(prefix)
+        }
+
+    for module, network in networks.items():
+        network.load_state_dict(part(f"{module}."))
+    for name, optimizer in optimizers.items():
+        state: dict[int, dict[str, torch.Tensor]] = {}
+        for key, tensor in part(f"{name}.").items():
+            index, _, field = key.partition(".")
+            state.setdefault(int(index), {})[field] = tensor
+        optimizer.load_state_dict({"state": state, "param_groups": optimizer.state_dict()["param_groups"]})
+
+
 def save_checkpoint(
     path: Path, model: BaseAlgorithm, progress: Mapping[str, Any], history: Mapping[str, NDArray[Any]]
 ) -> None:
@@ -35,21 +103,12 @@ def save_checkpoint(
         progress: what else to go on with, as JSON.
         history: the same as arrays.
     """
-    tensors: dict[str, NDArray[Any]] = {}
-    for module, network in _networks(model).items():
-        tensors |= {f"{module}.{name}": tensor.numpy() for name, tensor in network.state_dict().items()}
-    for name, optimizer in _optimizers(model).items():
-        for index, state in optimizer.state_dict()["state"].items():
-            tensors |= {f"{name}.{index}.{key}": tensor.numpy() for key, tensor in state.items()}
+    tensors = tensors_of(_networks(model), _optimizers(model))
     replay = _replay(model)
     if replay is not None:
         tensors |= {f"replay.{name}": getattr(replay, name)[: replay.pos] for name in _REPLAY}
     tensors |= {f"{_HISTORY}{name}": array for name, array in history.items()}
-    header = json.dumps({"samples": model.num_timesteps, "progress": dict(progress)})
-    content = save(
-        {name: np.ascontiguousarray(tensor) for name, tensor in tensors.items()}, metadata={_HEADER_KEY: header}
-    )
-    write_whole(path, content)
+    write_checkpoint(path, tensors, {"samples": model.num_timesteps, "progress": dict(progress)})
 
 
 def load_checkpoint(path: Path, model: BaseAlgorithm) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
@@ -58,35 +117,20 @@ def load_checkpoint(path: Path, model: BaseAlgorithm) -> tuple[dict[str, Any], d
     Raises:
         TrainingError: the file cannot be read, or is of another algorithm or network.
     """
-    try:
-        with safe_open(path, framework="np") as file:
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - not a dictionary
-            header = json.loads((file.metadata() or {})[_HEADER_KEY])
-        _restore(model, tensors)
+    progress: dict[str, Any] = {}
+
+    def take(header: Mapping[str, Any], tensors: Mapping[str, NDArray[Any]]) -> None:
+        restore(tensors, _networks(model), _optimizers(model))
+        _restore_replay(model, tensors)
         model.num_timesteps = header["samples"]
-        progress: dict[str, Any] = header["progress"]
-    except (OSError, SafetensorError, ValueError, KeyError, RuntimeError) as error:
-        raise TrainingError(f"{path}: cannot go on from it ({error}); delete it to begin anew") from None
+        progress.update(header["progress"])
+
+    tensors = read_checkpoint(path, take)
     history = {name.removeprefix(_HISTORY): array for name, array in tensors.items() if name.startswith(_HISTORY)}
     return progress, history
 
 
-def _restore(model: BaseAlgorithm, tensors: Mapping[str, NDArray[Any]]) -> None:
-    def part(prefix: str) -> dict[str, torch.Tensor]:
-        return {
-            name.removeprefix(prefix): torch.from_numpy(array.copy())
-            for name, array in tensors.items()
-            if name.startswith(prefix)
-        }
-
-    for module, network in _networks(model).items():
-        network.load_state_dict(part(f"{module}."))
-    for name, optimizer in _optimizers(model).items():
-        state: dict[int, dict[str, torch.Tensor]] = {}
-        for key, tensor in part(f"{name}.").items():
-            index, _, field = key.partition(".")
-            state.setdefault(int(index), {})[field] = tensor
-        optimizer.load_state_dict({"state": state, "param_groups": optimizer.state_dict()["param_groups"]})
+def _restore_replay(model: BaseAlgorithm, tensors: Mapping[str, NDArray[Any]]) -> None:
     replay = _replay(model)
     if replay is not None:
         end = len(tensors["replay.rewards"])

@@ -7,21 +7,40 @@ from __future__ import annotations
 
 import fcntl
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from queue import Empty
-from typing import Any
+from typing import Any, Protocol
 
 from ctrl_rl_core.workers import CONTEXT, in_processes
 from tqdm import tqdm
 
 from ctrl_rl_training.errors import TrainingError
-from ctrl_rl_training.training import Options, Run, result_file, train_one
+from ctrl_rl_training.training import Named, Options, Report, result_file, train_one
 
 
-def train_all(runs: Sequence[Run], options: Options, workers: int = 0, title: str = "training") -> list[dict[str, Any]]:
+class Train(Protocol):
+    """One run from beginning to end, or on from where it was cut off, or read; importable by name."""
+
+    def __call__(self, run: Any, options: Options, report: Report = ..., /) -> dict[str, Any]:
+        """Return the result, see `train_one`."""
+
+
+def percent(value: float) -> str:
+    """Return a success rate as progress shows it."""
+    return f"{100 * value:.0f} %"
+
+
+def train_all(
+    runs: Sequence[Named],
+    options: Options,
+    workers: int = 0,
+    title: str = "training",
+    train: Train = train_one,
+    say: Callable[[float], str] = percent,
+) -> list[dict[str, Any]]:
     """Run what is not finished yet and return the results of all, see `train_one`.
 
     After a kill the same call goes on: it loses at most the iteration that each worker was in.
@@ -31,6 +50,8 @@ def train_all(runs: Sequence[Run], options: Options, workers: int = 0, title: st
         options: of all.
         workers: runs at a time; 0 for one for each core.
         title: of the progress bar, and of the lock that keeps a second call with it out of the folder.
+        train: what one run is.
+        say: how progress shows what a run reports.
 
     Raises:
         TrainingError: another call works in the folder.
@@ -40,26 +61,28 @@ def train_all(runs: Sequence[Run], options: Options, workers: int = 0, title: st
     options.folder.mkdir(parents=True, exist_ok=True)
     with _alone(options.folder / f".{title}.lock"):
         if todo:
-            _run(todo, options, min(len(todo), workers or os.cpu_count() or 1), title)
-    return [train_one(run, options) for run in runs]
+            _run(todo, options, min(len(todo), workers or os.cpu_count() or 1), title, train, say)
+    return [train(run, options) for run in runs]
 
 
-def _run(todo: Sequence[Run], options: Options, workers: int, title: str) -> None:
+def _run(
+    todo: Sequence[Named], options: Options, workers: int, title: str, train: Train, say: Callable[[float], str]
+) -> None:
     reports: Any = CONTEXT.Queue()
     with tqdm(total=len(todo) * options.iterations, desc=title, unit="iteration", mininterval=5.0) as bar:
-        work, show = partial(_train, options=options), partial(_show, bar, reports)
+        work, show = partial(_train, options=options, train=train), partial(_show, bar, reports, say)
         for _ in in_processes(work, todo, workers, _begin_worker, (reports,), show):
             show()
 
 
-def _show(bar: tqdm[Any], reports: Any) -> None:
+def _show(bar: tqdm[Any], reports: Any, say: Callable[[float], str]) -> None:
     while True:
         try:
-            name, done, success = reports.get_nowait()
+            name, done, value = reports.get_nowait()
         except Empty:
             return
         bar.update(min(1, int(bar.total or 0) - bar.n))
-        bar.set_postfix_str(f"{name} {done}: {100 * success:.0f} %")
+        bar.set_postfix_str(f"{name} {done}: {say(value)}")
 
 
 _worker: dict[str, Any] = {}
@@ -69,11 +92,11 @@ def _begin_worker(reports: Any) -> None:
     _worker["reports"] = reports
 
 
-def _train(run: Run, options: Options) -> None:
-    def report(run: Run, done: int, success: float) -> None:
-        _worker["reports"].put((run.name, done, success))
+def _train(run: Named, options: Options, train: Train) -> None:
+    def report(run: Named, done: int, value: float) -> None:
+        _worker["reports"].put((run.name, done, value))
 
-    train_one(run, options, report)
+    train(run, options, report)
 
 
 @contextmanager

@@ -38,12 +38,16 @@ _EVALUATION_SEED = 1_000_000
 _SUCCESS = Outcome.GOAL.name
 
 
-class Run(Protocol):
-    """What is learnt: everything about it, and nothing that cannot be sent to another process."""
+class Named(Protocol):
+    """Anything that is run and has a folder of its own."""
 
     @property
     def name(self) -> str:
         """Name of it, and of its folder."""
+
+
+class Run(Named, Protocol):
+    """What is learnt: everything about it, and nothing that cannot be sent to another process."""
 
     @property
     def seed(self) -> int:
@@ -86,11 +90,11 @@ class Options:
     final_evaluations: int = 50
 
 
-Report = Callable[[Run, int, float], None]
-"""What is told of an iteration: the run, the iterations done, and the success rate of the evaluation."""
+Report = Callable[[Any, int, float], None]
+"""What is told of an iteration: the run, the iterations done, and how the evaluation went, as a success rate."""
 
 
-def result_file(folder: Path, run: Run) -> Path:
+def result_file(folder: Path, run: Named) -> Path:
     """Return the file that says that a run is finished, and how it went."""
     return folder / run.name / "result.json"
 

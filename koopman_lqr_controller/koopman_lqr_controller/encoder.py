@@ -72,6 +72,23 @@ class Convolution:
 
 
 @dataclass(frozen=True)
+class CentreCrop:
+    """The middle of an image.
+
+    Attributes:
+        size: rows and columns that are left.
+    """
+
+    NAME: ClassVar[str] = "centre_crop"
+    size: int
+
+    def __call__(self, x: Weights) -> Weights:
+        """Return (..., size, size) of images (..., height, width)."""
+        top, left = ((length - self.size) // 2 for length in x.shape[-2:])
+        return x[..., top : top + self.size, left : left + self.size]
+
+
+@dataclass(frozen=True)
 class Flatten:
     """Images (channels, rows, columns) to vectors."""
 
@@ -102,7 +119,7 @@ class LayerNorm:
         return centred / np.sqrt(variance + EPSILON) * self.weight + self.bias
 
 
-_KINDS: tuple[Any, ...] = (Dense, Convolution, Flatten, LayerNorm)
+_KINDS: tuple[Any, ...] = (Dense, Convolution, CentreCrop, Flatten, LayerNorm)
 
 
 @dataclass(frozen=True)

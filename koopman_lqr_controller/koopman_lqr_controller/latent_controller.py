@@ -26,7 +26,7 @@ class LatentController:
 
     With a `horizon` the gain is that of Algorithm 1 after so many iterations, k follows the reference, and the model is
     one of z: what learning optimises. Without, it is the regulator of the infinite horizon and the model is one of
-    z - z_ref, with k = K z_ref: what consolidation makes.
+    deviations from z_ref and u_ref, with k = u_ref + K z_ref: what consolidation makes.
 
     Attributes:
         encoder: psi.
@@ -34,6 +34,7 @@ class LatentController:
         Q: diagonal of the state cost (n,).
         R: diagonal of the control cost (m,).
         z_ref: goal (n,); zeros where there is none.
+        u_ref: what holds it there (m,), before saturation; zeros unless given. Only for the infinite horizon.
         horizon: Riccati iterations; None for infinitely many.
         saturation: "tanh", as learnt, or "clip".
         projection: C (n, encoder's n), None for the identity: a reduced latent space.
@@ -52,6 +53,7 @@ class LatentController:
     horizon: int | None = None
     saturation: str = "tanh"
     projection: Array | None = None
+    u_ref: Array | None = None
     K: Array = field(init=False)
     k: Array = field(init=False)
     P: Array = field(init=False)
@@ -59,10 +61,12 @@ class LatentController:
     residual: float = field(init=False)
 
     def __post_init__(self) -> None:
+        if self.u_ref is None:
+            object.__setattr__(self, "u_ref", np.zeros(len(self.R)))
         self._check()
         if self.horizon is None:
             regulator = solve_lqr(self.model, np.diag(self.Q), np.diag(self.R))
-            K, P, k = regulator.K, regulator.P, regulator.K @ self.z_ref
+            K, P, k = regulator.K, regulator.P, self._u_ref + regulator.K @ self.z_ref
             radius, residual = regulator.spectral_radius, regulator.residual
         else:
             K, k, P = finite_horizon(self.model, self.Q, self.R, self.z_ref, self.horizon)
@@ -79,6 +83,7 @@ class LatentController:
             "Q": (self.Q, (n,)),
             "R": (self.R, (m,)),
             "z_ref": (self.z_ref, (n,)),
+            "u_ref": (self._u_ref, (m,)),
         }
         for name, (array, shape) in shapes.items():
             if array.shape != shape:
@@ -87,12 +92,17 @@ class LatentController:
                 raise KoopmanError(f"{name} holds values that are not finite")
         if (self.Q < 0.0).any() or (self.R <= 0.0).any():
             raise KoopmanError("Q must not be negative, and R must be positive")
-        if self.horizon is not None and self.horizon < 1:
-            raise KoopmanError(f"horizon is {self.horizon}: must be at least 1, or null for infinity")
+        if self.horizon is not None and (self.horizon < 1 or self._u_ref.any()):
+            raise KoopmanError(f"horizon is {self.horizon}: must be at least 1 and without u_ref, or null for infinity")
         if self.saturation not in SATURATIONS:
             raise KoopmanError(f"saturation is '{self.saturation}': must be one of {', '.join(SATURATIONS)}")
         if self.projection is not None and (self.projection.ndim != 2 or self.projection.shape[0] != n):
             raise KoopmanError(f"the projection has shape {self.projection.shape}, must have {n} rows")
+
+    @property
+    def _u_ref(self) -> Array:
+        assert self.u_ref is not None
+        return self.u_ref
 
     def latent(self, x: ArrayLike) -> Array:
         """Return z (n,) or (N, n) for one observation or many."""
@@ -114,7 +124,7 @@ class LatentController:
     def predict(self, z: Array, action: Array) -> Array:
         """Return the model's next z under an action in [-1, 1]."""
         if self.horizon is None:
-            return self.z_ref + self.model.predict(z - self.z_ref, action)
+            return self.z_ref + self.model.predict(z - self.z_ref, action - self.saturate(self._u_ref))
         return self.model.predict(z, action)
 
     def cost_to_go(self, z: Array) -> float:

@@ -16,7 +16,7 @@ from koopman_lqr_controller.latent_policy import LatentPolicy, LidarWiring
 from koopman_lqr_controller.lidar_observation import LidarObservation
 
 FORMAT = "koopman-latent-1"
-_LQR = ("A", "B", "Q", "R", "z_ref")
+_LQR = ("A", "B", "Q", "R", "z_ref", "u_ref")
 _WIRING = ("u_low", "u_high")
 
 
@@ -26,6 +26,8 @@ def describe_latent(policy: LatentPolicy) -> tuple[dict[str, Any], dict[str, NDA
     encoder, tensors = controller.encoder.describe()
     arrays: dict[str, NDArray[Any]] = {**tensors, "A": controller.model.A, "B": controller.model.B}
     arrays |= {"Q": controller.Q, "R": controller.R, "z_ref": controller.z_ref}
+    if controller.u_ref is not None:
+        arrays["u_ref"] = controller.u_ref
     if controller.projection is not None:
         arrays["projection"] = controller.projection
     header: dict[str, Any] = {
@@ -57,6 +59,7 @@ def build_latent(header: Mapping[str, Any], tensors: Mapping[str, NDArray[Any]])
         Q=given["Q"],
         R=given["R"],
         z_ref=given["z_ref"],
+        u_ref=given["u_ref"],
         horizon=header["horizon"],
         saturation=header["saturation"],
         projection=None if projection is None else projection.astype(np.float64),

@@ -83,7 +83,10 @@ def load_policy(path: Path) -> KoopmanPolicy | LatentPolicy:
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     except (OSError, SafetensorError, ValueError) as error:
         raise KoopmanError(f"{path}: not a readable policy file ({error})") from None
-    builders: dict[str, Callable[..., KoopmanPolicy | LatentPolicy]] = {FORMAT: _build_edmd, LATENT_FORMAT: build_latent}
+    builders: dict[str, Callable[..., KoopmanPolicy | LatentPolicy]] = {
+        FORMAT: _build_edmd,
+        LATENT_FORMAT: build_latent,
+    }
     build = builders.get(header.get("format", ""))
     if build is None:
         known = f"'{FORMAT}' or '{LATENT_FORMAT}'"

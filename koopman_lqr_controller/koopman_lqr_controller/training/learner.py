@@ -1,0 +1,242 @@
+"""One run of task-oriented learning (thesis Algorithm 2), from one seed; may be cut off at any time.
+
+    result = learn_one(LearningRun("cartpole_swingup", seed=0), Options(Path("runs/mine"), iterations=36, samples=500))
+
+It goes in chunks of actions. Each begins a fresh episode and draws its random numbers from the seed and its own number,
+so that a run that goes on from its last checkpoint ends exactly as if it had not been cut off.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from ctrl_rl_core.whole_file import write_whole
+from ctrl_rl_training.checkpoint import read_checkpoint, restore, tensors_of, write_checkpoint
+from ctrl_rl_training.training import Options, Report, result_file
+from numpy.typing import NDArray
+
+from koopman_lqr_controller.errors import KoopmanError
+from koopman_lqr_controller.latent_policy import LatentPolicy
+from koopman_lqr_controller.policy_file import load_policy, save_policy
+from koopman_lqr_controller.roll_outs import returns
+from koopman_lqr_controller.training.agent import Agent, Sight
+from koopman_lqr_controller.training.problems import AnyEnvironment, Problem, find_problem
+from koopman_lqr_controller.training.replay import Replay
+
+POLICY_FILE = "policy.safetensors"
+"""What is learnt, in the folder of a run."""
+_BEST_FILE, _CHECKPOINT_FILE = "best.safetensors", "checkpoint.safetensors"
+_EVALUATION_SEED, _FINAL_SEED = 1_000_000, 2_000_000
+
+
+@dataclass(frozen=True)
+class LearningRun:
+    """What is learnt: everything about it, and nothing that cannot be sent to another process.
+
+    Attributes:
+        problem_name: one of `PROBLEMS`.
+        seed: of everything random.
+        changes: of the problem's `Settings`, by name.
+        device: of the networks: "cpu", whose runs can be repeated exactly, or "cuda".
+        command: that made it, for the policy file.
+    """
+
+    problem_name: str
+    seed: int
+    changes: tuple[tuple[str, Any], ...] = ()
+    device: str = "cpu"
+    command: str = ""
+
+    @property
+    def name(self) -> str:
+        """Its name, which is that of its folder too."""
+        changes = "".join(f"-{name}_{value}" for name, value in self.changes)
+        return f"{self.problem_name}{changes}-s{self.seed}"
+
+    @cached_property
+    def problem(self) -> Problem:
+        """The problem with its settings.
+
+        Raises:
+            KoopmanError: there is no such problem or setting.
+        """
+        return find_problem(self.problem_name).with_settings(**dict(self.changes))
+
+    @property
+    def description(self) -> dict[str, Any]:
+        """What must be the same for a run to go on, as JSON."""
+        problem = self.problem
+        return {
+            "task": problem.name,
+            "task_digest": problem.digest,
+            "seed": self.seed,
+            "device": self.device,
+            "settings": problem.settings.as_json(),
+        }
+
+
+def learn_one(run: LearningRun, options: Options, report: Report = lambda *_: None, /) -> dict[str, Any]:
+    """Learn, or go on where an earlier call was cut off; a finished run is read, never computed again.
+
+    The folder of the run then holds result.json (what is returned) and policy.safetensors, the policy that was best
+    in the evaluations after each chunk; on the way also best.safetensors and checkpoint.safetensors.
+
+    Args:
+        run: what is learnt.
+        options: iterations is the number of chunks, samples the actions of one.
+        report: called after each chunk with the best return so far.
+
+    Returns:
+        `run` (its description), `curve` (for each chunk: actions, steps of the system, returns of the actor and of its
+        average, loss figures, seconds), `returns` (of fresh episodes) and `best` (actions, evaluated return).
+
+    Raises:
+        CtrlRlError: the run asks for what is not there, or its checkpoint cannot be used.
+    """
+    finished = result_file(options.folder, run)
+    if finished.is_file():
+        result: dict[str, Any] = json.loads(finished.read_text(encoding="utf-8"))
+        _check_same(finished, result["run"], _terms(run, options))
+        return result
+    torch.set_num_threads(1)
+    if run.device != "cpu" and not torch.cuda.is_available():
+        raise KoopmanError(f"device {run.device}: torch sees none; use cpu")
+    environments = [run.problem.make(learning) for learning in (True, False)]
+    try:
+        return _Learning(run, options, *environments).finish(report)
+    finally:
+        for environment in environments:
+            environment.close()
+
+
+class _Learning:
+    """A run under way."""
+
+    def __init__(self, run: LearningRun, options: Options, environment: AnyEnvironment, tested: AnyEnvironment) -> None:
+        self._run, self._options = run, options
+        self._environment, self._tested = environment, tested
+        self._folder = result_file(options.folder, run).parent
+        self._folder.mkdir(parents=True, exist_ok=True)
+        problem, seen = run.problem, environment.observation_space
+        sight = Sight(
+            shape=seen.shape,
+            controls=environment.action_space.shape[0],
+            middle=np.array(problem.middle, np.float32),
+            unit=np.array(problem.unit, np.float32),
+            goal=None if problem.goal is None else np.array(problem.goal, np.float32),
+        )
+        self._agent = Agent(sight, problem.settings, run.seed, run.device)
+        capacity = min(problem.settings.replay, 2 * options.iterations * options.samples)
+        self._replay = Replay(capacity, sight.shape, sight.controls, seen.dtype.type)
+        self._curve: list[dict[str, Any]] = []
+        self._best: dict[str, Any] = {"return": -float("inf"), "actions": 0}
+        self._resume()
+
+    def finish(self, report: Report) -> dict[str, Any]:
+        """Learn what is left and write everything, the result last."""
+        while len(self._curve) < self._options.iterations:
+            begin = time.perf_counter()
+            self._live()
+            point = {"actions": self._actions, "steps": self._actions * self._run.problem.repeat, **self._evaluate()}
+            self._curve.append({**point, "seconds": round(time.perf_counter() - begin, 2)})
+            self._save()
+            report(self._run, len(self._curve), self._best["return"])
+        policy = load_policy(self._folder / _BEST_FILE)
+        assert isinstance(policy, LatentPolicy)
+        episodes = self._options.final_evaluations
+        fresh = returns(policy.controller, self._tested, episodes, _FINAL_SEED)
+        manifest = {**policy.manifest, "returns": fresh}
+        save_policy(LatentPolicy(policy.controller, policy.wiring, manifest), self._folder / POLICY_FILE, True)
+        result = {"run": _terms(self._run, self._options), "curve": self._curve, "best": self._best, "returns": fresh}
+        write_whole(result_file(self._options.folder, self._run), json.dumps(result) + "\n")
+        for name in (_CHECKPOINT_FILE, _BEST_FILE):
+            (self._folder / name).unlink(missing_ok=True)
+        return result
+
+    @property
+    def _actions(self) -> int:
+        return (len(self._curve) + 1) * self._options.samples
+
+    def _live(self) -> None:
+        """Act and learn for one chunk."""
+        number, settings = len(self._curve), self._run.problem.settings
+        random = np.random.default_rng((self._run.seed, number))
+        generator = torch.Generator().manual_seed(int(random.integers(2**63)))
+        environment, agent, shape = self._environment, self._agent, self._environment.action_space.shape
+        x, _ = environment.reset(seed=int(random.integers(2**31)))
+        for step in range(self._options.samples):
+            learning = number * self._options.samples + step >= settings.first_steps
+            u = agent.act(x, generator) if learning else random.uniform(-1.0, 1.0, shape).astype(np.float32)
+            after, paid, terminated, truncated, _ = environment.step(u)
+            self._replay.add(x, u, float(paid), bool(terminated))
+            x = after
+            if terminated or truncated or step == self._options.samples - 1:
+                self._replay.end_episode(after)
+                x, _ = environment.reset(seed=int(random.integers(2**31)))
+            if learning:
+                agent.update(self._replay.draw(settings.batch, random), generator)
+
+    def _evaluate(self) -> dict[str, Any]:
+        """Evaluate the actor and its average on seeds of their own; keep the better one if it is the best so far."""
+        out: dict[str, Any] = {}
+        for name, actor in (("averaged", self._agent.averaged), ("actor", self._agent.actor)):
+            controller = actor.deploy()
+            totals = returns(controller, self._tested, self._options.evaluations, _EVALUATION_SEED)
+            out[name] = float(np.mean(totals))
+            if out[name] > self._best["return"]:
+                self._best = {"return": out[name], "actions": self._actions, "which": name}
+                wiring = getattr(self._environment, "wiring", None)
+                manifest = {**self._run.description, "method": _METHOD, "command": self._run.command, **self._best}
+                save_policy(LatentPolicy(controller, wiring, manifest), self._folder / _BEST_FILE, overwrite=True)
+        return out
+
+    def _save(self) -> None:
+        agent = self._agent
+        tensors = tensors_of({"agent": agent}, agent.optimizers)
+        tensors |= {f"replay.{name}": array for name, array in self._replay.arrays().items()}
+        header = {
+            "run": _terms(self._run, self._options),
+            "curve": self._curve,
+            "best": self._best,
+            "updates": agent.updates,
+        }
+        write_checkpoint(self._folder / _CHECKPOINT_FILE, tensors, header)
+
+    def _resume(self) -> None:
+        file = self._folder / _CHECKPOINT_FILE
+        if not file.is_file():
+            return
+
+        def take(header: Mapping[str, Any], tensors: Mapping[str, NDArray[Any]]) -> None:
+            _check_same(file, header["run"], _terms(self._run, self._options))
+            restore(tensors, {"agent": self._agent}, self._agent.optimizers)
+            prefix = "replay."
+            self._replay.restore({n.removeprefix(prefix): a for n, a in tensors.items() if n.startswith(prefix)})
+            self._curve, self._best = header["curve"], header["best"]
+            self._agent.updates = header["updates"]
+
+        read_checkpoint(file, take)
+
+
+_METHOD = "task-oriented Koopman control with contrastive encoder (thesis 4.2)"
+
+
+def _terms(run: LearningRun, options: Options) -> dict[str, Any]:
+    """Return what must be the same for a run to go on, or to be taken as it is."""
+    return {**run.description, "actions_per_chunk": options.samples, "chunks": options.iterations}
+
+
+def _check_same(file: Path, before: Mapping[str, Any], now: Mapping[str, Any]) -> None:
+    for name, value in now.items():
+        if before.get(name) != value:
+            raise KoopmanError(
+                f"{file}: was made with {name} {before.get(name)}, now it is {value}: use another folder, or delete it"
+            )

@@ -1,0 +1,61 @@
+"""The numbers of a learner, the same for all tasks but for what a problem changes."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, fields
+from typing import Any
+
+from koopman_lqr_controller.errors import KoopmanError
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How is learnt.
+
+    Attributes:
+        latent: dimension of z.
+        riccati_iterations: M of Algorithm 1.
+        hidden: units of each hidden layer.
+        depth: hidden layers of an encoder of vectors, convolutions of one of images.
+        crop: rows and columns of an image that the encoder looks at; 0 for vectors.
+        learning_rate: of all networks.
+        batch: steps in an update.
+        discount: gamma.
+        first_steps: actions at random before learning begins.
+        replay: steps that are remembered.
+        temperature: alpha to begin with.
+        deviation: standard deviation of the controls to begin with, before tanh.
+        critic_rate: at which the target critic follows.
+        encoder_rate: at which the key encoder follows.
+        actor_every: updates of the critic for one of actor and targets.
+        noise: eta of Eq. 4.5.
+        average_rate: at which the averaged actor follows.
+    """
+
+    latent: int = 50
+    riccati_iterations: int = 5
+    hidden: int = 256
+    depth: int = 2
+    crop: int = 0
+    learning_rate: float = 5e-4
+    batch: int = 256
+    discount: float = 0.99
+    first_steps: int = 1000
+    replay: int = 100_000
+    temperature: float = 0.1
+    deviation: float = 1.0
+    critic_rate: float = 0.01
+    encoder_rate: float = 0.05
+    actor_every: int = 2
+    noise: float = 0.1
+    average_rate: float = 0.005
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if value < 0 or (value == 0 and field.name not in ("crop", "noise", "first_steps")):
+                raise KoopmanError(f"{field.name} is {value}: must be positive")
+
+    def as_json(self) -> dict[str, Any]:
+        """Return all of them by name."""
+        return asdict(self)
