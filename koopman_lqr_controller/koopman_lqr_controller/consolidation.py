@@ -2,7 +2,7 @@
 
 What learning leaves is a gain after a few Riccati iterations, on a model that serves the gain more than prediction: the
 closed loop of that model is often not even stable. Consolidation keeps the encoder and what the policy does, and makes
-the rest true. It lives through noisy episodes and refits A and B to them by least squares. It finds the diagonal Q and R
+the rest true. It lives through noisy episodes and refits A and B to them by least squares. It finds diagonal Q and R
 whose infinite-horizon gain does the same as the policy (inverse LQR). It takes as few latent dimensions as keep the
 return. What comes out proves itself: its gain is computed from A, B, Q, R whenever it is loaded.
 """
@@ -20,12 +20,14 @@ from koopman_lqr_controller.edmd import Snapshots, fit, persistence_error
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.inverse_lqr import Law, fit_costs
 from koopman_lqr_controller.latent_controller import SATURATIONS, LatentController
-from koopman_lqr_controller.roll_outs import Environment, Lived, noisy_roll_outs, returns
+from koopman_lqr_controller.roll_outs import Environment, Lived, evaluate, mean_return, noisy_roll_outs, outcomes
 
 Array = NDArray[np.float64]
 
 LARGEST_RESIDUAL = 1e-8
 """Of the Riccati equation, relative; what is above it is refused."""
+_SEEN = 1e-4
+"""Directions of the latent space that vary by less than this part of the first one say nothing but rounding."""
 _SEEDS = {"live": 3_000_000, "choose": 4_000_000, "report": 5_000_000}
 
 
@@ -41,6 +43,7 @@ class Plan:
         ridge: of the refit, relative to each regressor's variance.
         sizes: latent dimensions that are tried; those beyond the policy's own stand for all of them.
         tolerance: part of the learnt return that may be lost for fewer dimensions.
+        error: one-step error over persistence that a model with fewer dimensions may have.
         candidates: episodes of each candidate.
         report: fresh episodes, the same for the learnt policy and for what comes of it.
     """
@@ -51,6 +54,7 @@ class Plan:
     ridge: float = 1e-4
     sizes: tuple[int, ...] = (6, 8, 12, 16, 24, 1000)
     tolerance: float = 0.01
+    error: float = 1 / 3
     candidates: int = 10
     report: int = 20
 
@@ -73,6 +77,7 @@ class _Candidate:
     controller: LatentController
     score: float
     mismatch: float
+    error: float
 
 
 def consolidate(
@@ -98,7 +103,7 @@ def consolidate(
     """
     plan = plan or Plan()
     first = {name: base + 10_000 * seed for name, base in _SEEDS.items()}
-    learnt_score = float(np.mean(returns(learnt, environment, plan.candidates, first["choose"])))
+    learnt_score = mean_return(evaluate(learnt, environment, plan.candidates, first["choose"]))
     lived, best, acting = list[Lived](), list[_Candidate](), learnt
     for index in range(plan.rounds):
         tick(f"living through {plan.episodes} episodes")
@@ -107,23 +112,29 @@ def consolidate(
         held_out = lived[::5]
         seen = [episode for number, episode in enumerate(lived) if number % 5]
         for found in _candidates(learnt, seen, plan, goal):
-            score = float(np.mean(returns(found[0], environment, plan.candidates, first["choose"])))
-            best.append(_Candidate(found[0], score, found[1]))
-            tick(f"{len(found[0].R)} controls, {len(found[0].Q)} latent dimensions: {score:.4g}")
+            score = mean_return(evaluate(found[0], environment, plan.candidates, first["choose"]))
+            best.append(_Candidate(found[0], score, found[1], _error(found[0], held_out)))
+            tick(f"{len(found[0].Q)} dimensions: {score:.4g} of {learnt_score:.4g}")
         if not best:
             raise KoopmanError("no regulator: the refitted model cannot be stabilised; learn longer")
         acting = max(best, key=lambda candidate: candidate.score).controller
-    chosen = _choose(best, learnt_score, plan.tolerance)
-    before = returns(learnt, environment, plan.report, first["report"])
-    after = returns(chosen.controller, environment, plan.report, first["report"])
+    chosen = _choose(best, learnt_score, plan)
+    before, after = (evaluate(each, environment, plan.report, first["report"]) for each in (learnt, chosen.controller))
     figures = {
-        "learnt_returns": before,
-        "returns": after,
+        "returns": [episode.total for episode in after],
+        "outcomes": outcomes(after),
         "latent": len(chosen.controller.Q),
         "mismatch": chosen.mismatch,
         **proof(chosen.controller, held_out),
-        "learnt": {"spectral_radius": learnt.spectral_radius, "error_over_persistence": _error(learnt, held_out)},
-        "candidates": [[len(each.controller.Q), each.controller.saturation, each.score] for each in best],
+        "learnt": {
+            "returns": [episode.total for episode in before],
+            "outcomes": outcomes(before),
+            "spectral_radius": learnt.spectral_radius,
+            "error_over_persistence": _error(learnt, held_out),
+        },
+        "candidates": [
+            [len(each.controller.Q), each.controller.saturation, each.score, each.mismatch, each.error] for each in best
+        ],
     }
     return Consolidated(chosen.controller, figures)
 
@@ -144,14 +155,14 @@ def proof(controller: LatentController, lived: Sequence[Lived]) -> dict[str, flo
     }
 
 
-def _choose(best: Sequence[_Candidate], learnt_score: float, tolerance: float) -> _Candidate:
-    """Return the smallest candidate that keeps the learnt return, else the one with the best."""
-    least = learnt_score - tolerance * abs(learnt_score)
-    good = [candidate for candidate in best if candidate.score >= least]
+def _choose(best: Sequence[_Candidate], learnt_score: float, plan: Plan) -> _Candidate:
+    """Return the best of the smallest size that keeps the return and predicts; else what keeps the return best."""
+    least = learnt_score - plan.tolerance * abs(learnt_score)
+    good = [each for each in best if each.score >= least and each.error <= plan.error]
     if good:
-        size = min(len(candidate.controller.Q) for candidate in good)
-        good = [candidate for candidate in good if len(candidate.controller.Q) == size]
-    return max(good or best, key=lambda candidate: candidate.score)
+        size = min(len(each.controller.Q) for each in good)
+        good = [each for each in good if len(each.controller.Q) == size]
+    return max(good or best, key=lambda each: each.score)
 
 
 def _candidates(
@@ -167,7 +178,8 @@ def _candidates(
         u_ref = np.zeros(u.shape[1])
     else:
         psi_ref, u_ref = psi.mean(axis=0), np.average(u, axis=0, weights=weight)
-    directions = np.linalg.svd((psi - psi_ref) / np.sqrt(len(psi)), full_matrices=False)[2]
+    _, spread, directions = np.linalg.svd(psi - psi_ref, full_matrices=False)
+    directions = directions[spread > _SEEN * spread[0]]
     for size in sorted({min(size, len(directions)) for size in plan.sizes}):
         C = np.ascontiguousarray(directions[:size])
         z_ref = C @ psi_ref

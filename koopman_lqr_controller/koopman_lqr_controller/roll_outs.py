@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -76,19 +76,20 @@ def roll_out(
     return Lived(np.array(features), np.array(actions), total, info)
 
 
-def returns(
-    controller: LatentController,
-    environment: Environment,
-    episodes: int,
-    seed: int,
-    tick: Callable[[], None] = lambda: None,
-) -> list[float]:
-    """Return the undiscounted returns of the episodes `seed`, `seed` + 1 and so on."""
-    totals = []
-    for episode in range(episodes):
-        totals.append(roll_out(controller, environment, seed + episode).total)
-        tick()
-    return totals
+def evaluate(controller: LatentController, environment: Environment, episodes: int, seed: int) -> list[Lived]:
+    """Return the episodes `seed`, `seed` + 1 and so on, without their features."""
+    return [roll_out(controller, environment, seed + episode) for episode in range(episodes)]
+
+
+def mean_return(lived: Sequence[Lived]) -> float:
+    """Return the mean undiscounted return."""
+    return float(np.mean([episode.total for episode in lived]))
+
+
+def outcomes(lived: Sequence[Lived]) -> dict[str, int]:
+    """Return how many episodes ended which way; nothing where the environment does not say."""
+    ended = [str(episode.info["outcome"]) for episode in lived if "outcome" in episode.info]
+    return {outcome: ended.count(outcome) for outcome in sorted(set(ended))}
 
 
 def noisy_roll_outs(

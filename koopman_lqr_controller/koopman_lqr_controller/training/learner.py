@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.latent_policy import LatentPolicy
 from koopman_lqr_controller.policy_file import load_policy, save_policy
-from koopman_lqr_controller.roll_outs import returns
+from koopman_lqr_controller.roll_outs import evaluate, mean_return, outcomes
 from koopman_lqr_controller.training.agent import Agent, Sight
 from koopman_lqr_controller.training.problems import AnyEnvironment, Problem, find_problem
 from koopman_lqr_controller.training.replay import Replay
@@ -96,7 +96,8 @@ def learn_one(run: LearningRun, options: Options, report: Report = lambda *_: No
 
     Returns:
         `run` (its description), `curve` (for each chunk: actions, steps of the system, returns of the actor and of its
-        average, loss figures, seconds), `returns` (of fresh episodes) and `best` (actions, evaluated return).
+        average, seconds), `best` (actions, evaluated return, which of both) and, of fresh episodes, `returns` and
+        `outcomes`.
 
     Raises:
         CtrlRlError: the run asks for what is not there, or its checkpoint cannot be used.
@@ -151,11 +152,11 @@ class _Learning:
             report(self._run, len(self._curve), self._best["return"])
         policy = load_policy(self._folder / _BEST_FILE)
         assert isinstance(policy, LatentPolicy)
-        episodes = self._options.final_evaluations
-        fresh = returns(policy.controller, self._tested, episodes, _FINAL_SEED)
-        manifest = {**policy.manifest, "returns": fresh}
+        fresh = evaluate(policy.controller, self._tested, self._options.final_evaluations, _FINAL_SEED)
+        last = {"returns": [episode.total for episode in fresh], "outcomes": outcomes(fresh)}
+        manifest = {**policy.manifest, **last}
         save_policy(LatentPolicy(policy.controller, policy.wiring, manifest), self._folder / POLICY_FILE, True)
-        result = {"run": _terms(self._run, self._options), "curve": self._curve, "best": self._best, "returns": fresh}
+        result = {"run": _terms(self._run, self._options), "curve": self._curve, "best": self._best, **last}
         write_whole(result_file(self._options.folder, self._run), json.dumps(result) + "\n")
         for name in (_CHECKPOINT_FILE, _BEST_FILE):
             (self._folder / name).unlink(missing_ok=True)
@@ -189,8 +190,7 @@ class _Learning:
         out: dict[str, Any] = {}
         for name, actor in (("averaged", self._agent.averaged), ("actor", self._agent.actor)):
             controller = actor.deploy()
-            totals = returns(controller, self._tested, self._options.evaluations, _EVALUATION_SEED)
-            out[name] = float(np.mean(totals))
+            out[name] = mean_return(evaluate(controller, self._tested, self._options.evaluations, _EVALUATION_SEED))
             if out[name] > self._best["return"]:
                 self._best = {"return": out[name], "actions": self._actions, "which": name}
                 wiring = getattr(self._environment, "wiring", None)

@@ -1,0 +1,148 @@
+"""The commands `learn` and `consolidate`: task-oriented Koopman control (thesis chapter 4) from interaction."""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from ctrl_rl_core.command import run_command
+from ctrl_rl_core.results import write_results
+
+from koopman_lqr_controller.errors import KoopmanError
+from koopman_lqr_controller.training.problems import PROBLEMS, find_problem
+
+_FOLDER = Path("runs/koopman")
+_TASKS = "\n".join(
+    f"  {problem.name:<24} {problem.about}; {problem.chunks} chunks of {problem.chunk} actions"
+    for problem in PROBLEMS.values()
+)
+
+
+def learn(arguments: Sequence[str] | None = None) -> int:
+    """Learn a latent linear model and its LQR from interaction (thesis Algorithm 2), then consolidate it."""
+    parser = argparse.ArgumentParser(
+        prog="learn",
+        description=learn.__doc__,
+        epilog=f"tasks:\n{_TASKS}\n\nThe same command goes on where an earlier one was cut off. Each run leaves "
+        "policy.safetensors (as learnt)\nand consolidated.safetensors (the LQR of its own model, to be deployed) in a "
+        "folder of its own.\n\nexample:\n  learn --task cartpole_swingup --seeds 5 --set latent=30",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--task", required=True, choices=PROBLEMS, metavar="TASK", help="one of the tasks below")
+    parser.add_argument("--folder", type=Path, default=_FOLDER, help="of the runs (default %(default)s)")
+    parser.add_argument("--seeds", type=int, default=1, help="how many, from 0 (default %(default)s)")
+    parser.add_argument("--workers", type=int, default=0, help="runs at a time (default: one for each core)")
+    parser.add_argument("--chunks", type=int, default=0, help="between two evaluations each (default: the task's)")
+    parser.add_argument("--actions", type=int, default=0, help="in a chunk (default: the task's)")
+    parser.add_argument(
+        "--set", nargs="+", default=[], metavar="NAME=VALUE", help="numbers of the learner, e.g. riccati_iterations=3"
+    )
+    parser.add_argument("--device", default="cpu", choices=("cpu", "cuda"), help="of the networks (default cpu)")
+    parser.add_argument("--results", type=Path, help="JSON file to write table and curves to")
+    options = parser.parse_args(arguments)
+    return run_command("learn", lambda: _learn(options))
+
+
+def consolidate(arguments: Sequence[str] | None = None) -> int:
+    """Turn a learnt policy into the true LQR of its own model: refit, inverse LQR, fewer latent dimensions."""
+    parser = argparse.ArgumentParser(prog="consolidate", description=consolidate.__doc__)
+    parser.add_argument("policy", type=Path, help="policy.safetensors that `learn` made")
+    parser.add_argument("--output", type=Path, required=True, help="policy file to write (.safetensors)")
+    parser.add_argument("--latent", type=int, nargs="+", help="latent dimensions to try (default: 6 to all)")
+    parser.add_argument("--episodes", type=int, default=30, help="to live through in a round (default %(default)s)")
+    parser.add_argument("--noise", type=float, default=0.5, help="most that is added to u (default %(default)s)")
+    parser.add_argument("--seed", type=int, default=0, help="of all episodes (default %(default)s)")
+    parser.add_argument("--overwrite", action="store_true", help="replace an existing policy file")
+    options = parser.parse_args(arguments)
+    return run_command("consolidate", lambda: _consolidate(options))
+
+
+def _learn(options: argparse.Namespace) -> int:
+    problem = find_problem(options.task)
+    chunks, actions = options.chunks or problem.chunks, options.actions or problem.chunk
+    for name, least in (("seeds", 1), ("workers", 0), ("chunks", 0), ("actions", 0)):
+        if getattr(options, name) < least:
+            raise KoopmanError(f"--{name} must be at least {least}")
+    changes = _changes(options.set)
+    problem = problem.with_settings(**dict(changes))  # refuses what is wrong before torch, which takes seconds, is here
+    from ctrl_rl_training.matrix import train_all
+    from ctrl_rl_training.training import Options, result_file
+
+    from koopman_lqr_controller.training.finishing import CONSOLIDATED_FILE, collect, learn_and_consolidate
+    from koopman_lqr_controller.training.learner import LearningRun
+
+    command = _command("learn", "--task", options.task, *(["--set", *options.set] if options.set else []))
+    runs = [
+        LearningRun(problem.name, seed, changes, options.device, f"{command} --seeds {seed + 1}")
+        for seed in range(options.seeds)
+    ]
+    how = Options(options.folder, chunks, actions, problem.evaluations, 20)
+    results = train_all(runs, how, options.workers, problem.name, learn_and_consolidate, lambda best: f"{best:.1f}")
+    rows, figures = collect(problem, results)
+    for row in rows:
+        print(f"{row.method:<38} {row.metric:<32} {' '.join(f'{value:8.4g}' for value in row.values)}")
+    for run in runs:
+        print(f"policy     {result_file(options.folder, run).with_name(CONSOLIDATED_FILE)}")
+    if options.results is not None:
+        write_results(options.results, f"koopman_{problem.name}", range(options.seeds), rows, figures)
+        print(f"results    {options.results}")
+    return 0
+
+
+def _consolidate(options: argparse.Namespace) -> int:
+    from tqdm import tqdm
+
+    from koopman_lqr_controller.consolidation import Plan
+    from koopman_lqr_controller.policy_file import save_policy
+    from koopman_lqr_controller.training.finishing import consolidate_policy, load_latent
+
+    if options.output.exists() and not options.overwrite:
+        raise KoopmanError(f"{options.output} exists: give another name, or ask to --overwrite it")
+    problem = find_problem(str(load_latent(options.policy).manifest.get("task")))
+    plan = Plan(episodes=options.episodes, noise=options.noise)
+    if options.latent:
+        plan = Plan(episodes=options.episodes, noise=options.noise, sizes=tuple(options.latent))
+    command = _command("consolidate", str(options.policy))
+    with tqdm(desc="consolidating", unit="candidate", disable=None) as bar:
+
+        def tick(what: str) -> None:
+            bar.set_postfix_str(what)
+            bar.update()
+
+        policy, found = consolidate_policy(options.policy, problem, command, plan, options.seed, tick)
+    save_policy(policy, options.output, overwrite=options.overwrite)
+    _report(found, options.output)
+    return 0
+
+
+def _report(found: dict[str, Any], path: Path) -> None:
+    learnt = found["learnt"]
+    before, after = (sum(each["returns"]) / len(each["returns"]) for each in (learnt, found))
+    print(f"return               {before:.1f} as learnt, {after:.1f} consolidated ({len(found['returns'])} episodes)")
+    print(f"latent dimensions    {found['latent']}")
+    print(f"closed loop          spectral radius {learnt['spectral_radius']:.3f} -> {found['spectral_radius']:.3f}")
+    print(f"Riccati residual     {found['dare_residual']:.1e}")
+    errors = (learnt["error_over_persistence"], found["error_over_persistence"])
+    print(f"one-step error       {errors[0]:.2f} -> {errors[1]:.2f} of that of 'nothing changes'")
+    print(f"policy               {path}")
+
+
+def _changes(given: Sequence[str]) -> tuple[tuple[str, int | float], ...]:
+    out: dict[str, int | float] = {}
+    for text in given:
+        name, separator, value = text.partition("=")
+        try:
+            out[name] = float(value) if any(sign in value for sign in ".e") else int(value)
+        except ValueError:
+            separator = ""
+        if not separator:
+            raise KoopmanError(f"--set {text}: must be NAME=VALUE with a number")
+    return tuple(sorted(out.items()))
+
+
+def _command(*words: str) -> str:
+    """Return what makes the same again, without paths of this machine where there are none in it."""
+    return shlex.join(["ros2", "run", "koopman_lqr_controller", *words])

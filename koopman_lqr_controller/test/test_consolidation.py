@@ -1,0 +1,107 @@
+"""Consolidation on a linear system, where everything can be known."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from koopman_lqr_controller.consolidation import Plan, consolidate, proof
+from koopman_lqr_controller.edmd import LinearModel
+from koopman_lqr_controller.encoder import Dense, Encoder
+from koopman_lqr_controller.errors import KoopmanError
+from koopman_lqr_controller.latent_controller import LatentController
+from koopman_lqr_controller.roll_outs import evaluate, mean_return
+
+A = np.array([[1.0, 0.1, 0.0], [0.0, 1.0, 0.1], [0.0, 0.05, 0.95]])
+B = np.array([[0.0], [0.1], [0.05]])
+GOAL = np.array([0.5, 0.0, 0.0])  # an equilibrium: A GOAL = GOAL
+PLAN = Plan(episodes=10, noise=0.3, sizes=(2, 3, 1000), candidates=5, report=10)
+
+
+class Line:
+    """x_{k+1} = A x_k + B u_k, to be brought to the goal within 60 steps; pays how near it is."""
+
+    def reset(self, *, seed: int | None = None) -> tuple[np.ndarray, dict[str, Any]]:
+        self._x, self._steps = GOAL + 0.4 * np.random.default_rng(seed).normal(size=3), 0
+        return self._x, {}
+
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        paid = float(np.exp(-np.sum((self._x - GOAL) ** 2)))
+        self._x, self._steps = A @ self._x + B @ action, self._steps + 1
+        return self._x, paid, False, self._steps == 60, {"outcome": "GOAL" if paid > 0.9 else "TIMEOUT"}
+
+
+def learnt_controller() -> LatentController:
+    """Lift 3 states to 8 latent ones and regulate with a model that is wrong, as learning leaves it."""
+    random = np.random.default_rng(0)
+    lift = random.normal(size=(8, 3))
+    encoder = Encoder(
+        (Dense(lift.astype(np.float32), np.zeros(8, np.float32), False),),
+        (3,),
+        np.zeros(3, np.float32),
+        np.ones(3, np.float32),
+    )
+    inverse = np.linalg.pinv(lift)
+    model = LinearModel(1.1 * lift @ A @ inverse + 0.3 * random.normal(size=(8, 8)) / 8, lift @ B)
+    return LatentController(encoder, model, np.ones(8), np.array([0.3]), lift @ GOAL, horizon=4)
+
+
+@pytest.fixture(scope="module")
+def consolidated():
+    return consolidate(learnt_controller(), Line(), PLAN)
+
+
+def test_it_keeps_the_return_and_says_both(consolidated) -> None:
+    before, after = (float(np.mean(x["returns"])) for x in (consolidated.figures["learnt"], consolidated.figures))
+    assert after >= 0.98 * before
+    assert consolidated.figures["returns"] == [
+        episode.total for episode in evaluate(consolidated.controller, Line(), 10, 5_000_000)
+    ]
+    assert set(consolidated.figures["outcomes"]) <= {"GOAL", "TIMEOUT"}
+
+
+def test_it_is_the_regulator_of_its_own_model(consolidated) -> None:
+    controller = consolidated.controller
+    model, K, P = controller.model, controller.K, controller.P
+    assert np.abs(np.linalg.eigvals(model.A - model.B @ K)).max() < 1.0
+    Q, R = np.diag(controller.Q), np.diag(controller.R)
+    riccati = model.A.T @ P @ (model.A - model.B @ K) + Q - P
+    assert np.abs(riccati).max() < 1e-8 * max(1.0, np.abs(P).max())
+    assert np.linalg.solve(R + model.B.T @ P @ model.B, model.B.T @ P @ model.A) == pytest.approx(K)
+    assert controller.horizon is None
+    assert controller.control(controller.z_ref) == pytest.approx([0.0], abs=1e-9)
+
+
+def test_its_model_is_that_of_the_system(consolidated) -> None:
+    assert consolidated.figures["error_over_persistence"] < 0.05
+    assert consolidated.figures["learnt"]["error_over_persistence"] > 0.3
+    assert len(consolidated.controller.Q) <= 3, "the system has three states"
+    if len(consolidated.controller.Q) == 3:
+        poles = np.sort_complex(np.linalg.eigvals(consolidated.controller.model.A))
+        assert poles == pytest.approx(np.sort_complex(np.linalg.eigvals(A)), abs=0.02)
+
+
+def test_without_a_goal_it_stands_in_the_middle_of_what_is_met() -> None:
+    found = consolidate(learnt_controller(), Line(), PLAN, goal=False)
+    before, after = (float(np.mean(x["returns"])) for x in (found.figures["learnt"], found.figures))
+    assert after >= 0.95 * before
+    assert found.figures["spectral_radius"] < 1.0
+
+
+def test_the_same_seed_gives_the_same(consolidated) -> None:
+    again = consolidate(learnt_controller(), Line(), PLAN)
+    assert np.array_equal(again.controller.K, consolidated.controller.K)
+    assert again.figures == consolidated.figures
+
+
+def test_a_learnt_controller_is_no_proof_of_itself() -> None:
+    with pytest.raises(KoopmanError, match="not the regulator of its own model"):
+        proof(learnt_controller(), [])
+
+
+def test_a_reduced_controller_does_with_fewer_dimensions() -> None:
+    found = consolidate(learnt_controller(), Line(), Plan(episodes=10, noise=0.3, sizes=(3,), candidates=5, report=5))
+    assert found.controller.projection is not None
+    assert found.controller.projection.shape == (3, 8)
+    assert mean_return(evaluate(found.controller, Line(), 5, 0)) > 0.9 * mean_return(
+        evaluate(learnt_controller(), Line(), 5, 0)
+    )

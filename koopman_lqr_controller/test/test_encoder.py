@@ -1,0 +1,63 @@
+"""The deployed encoder computes what the learnt one does, without torch."""
+
+import json
+
+import numpy as np
+import pytest
+import torch
+from koopman_lqr_controller.encoder import Encoder
+from koopman_lqr_controller.errors import KoopmanError
+from koopman_lqr_controller.training.networks import TorchEncoder
+
+ENCODERS = {
+    "vector": {"shape": (7,), "depth": 2, "crop": None, "middle": 0.5, "unit": 2.0},
+    "image": {"shape": (3, 24, 24), "depth": 3, "crop": 21, "middle": 127.5, "unit": 127.5},
+}
+
+
+def some_encoder(kind: str) -> tuple[TorchEncoder, np.ndarray]:
+    torch.manual_seed(3)
+    given = ENCODERS[kind]
+    middle, unit = torch.tensor(given["middle"]), torch.tensor(given["unit"])
+    encoder = TorchEncoder(given["shape"], 6, 16, given["depth"], middle, unit, given["crop"])
+    torch.nn.init.normal_(encoder.layers[-1].weight)
+    torch.nn.init.normal_(encoder.layers[-1].bias)
+    random = np.random.default_rng(0)
+    x = (
+        random.integers(256, size=(5, *given["shape"]), dtype=np.uint8)
+        if kind == "image"
+        else random.normal(size=(5, 7))
+    )
+    return encoder, x
+
+
+@pytest.mark.parametrize("kind", ENCODERS)
+def test_numpy_agrees_with_torch(kind: str) -> None:
+    encoder, x = some_encoder(kind)
+    expected = encoder(torch.from_numpy(x).float()).detach().numpy()
+    deployed = encoder.deploy()
+    assert deployed(x) == pytest.approx(expected, abs=2e-5)
+    assert deployed(x[0]) == pytest.approx(expected[0], abs=2e-5)
+    assert deployed(x).dtype == np.float64
+
+
+@pytest.mark.parametrize("kind", ENCODERS)
+def test_a_description_gives_the_same_encoder_back(kind: str) -> None:
+    encoder, x = some_encoder(kind)
+    deployed = encoder.deploy()
+    description, tensors = deployed.describe()
+    again = Encoder.build(json.loads(json.dumps(description)), tensors)
+    assert np.array_equal(again(x), deployed(x))
+
+
+def test_another_shape_is_refused() -> None:
+    deployed = some_encoder("vector")[0].deploy()
+    with pytest.raises(KoopmanError, match=r"observation has shape \(6,\), the encoder wants \(7,\)"):
+        deployed(np.zeros(6))
+
+
+def test_an_unknown_layer_is_named() -> None:
+    description, tensors = some_encoder("vector")[0].deploy().describe()
+    description["layers"][1]["kind"] = "magic"
+    with pytest.raises(KoopmanError, match="layer 1 is no dense"):
+        Encoder.build(description, tensors)
