@@ -20,6 +20,7 @@ MAY_IMPORT = {
 }
 ROS_PACKAGE = re.compile(r"rclpy|launch\w*|ament_index_python|\w+_(msgs|srvs|interfaces)")
 HEAVY = {"torch", "pybullet", "pybullet_data", "casadi", "gymnasium", "stable_baselines3", "sb3_contrib", "matplotlib"}
+HEAVY |= {"mujoco", "dm_control"}
 RUN_TIME_MODULES = (
     "ctrl_rl_core.recorder_node",
     "ctrl_rl_core.bag_cli",
@@ -31,6 +32,8 @@ RUN_TIME_MODULES = (
     "koopman_lqr_controller.node",
     "koopman_lqr_controller.scripted_driver_node",
     "koopman_lqr_controller.cli",
+    "koopman_lqr_controller.consolidation",
+    "koopman_lqr_controller.training_cli",
     "ttr_reward_node.cli",
     "ttr_reward_node.node",
 )

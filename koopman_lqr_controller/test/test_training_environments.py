@@ -1,5 +1,6 @@
 """What is learnt in: the same seed gives the same episode, and what a policy sees is what a robot gives."""
 
+import os
 from ctypes.util import find_library
 
 import numpy as np
@@ -9,9 +10,12 @@ from koopman_lqr_controller.training.control_suite import FRAMES, ControlSuite
 from koopman_lqr_controller.training.corridor import Corridor
 from koopman_lqr_controller.training.problems import PROBLEMS, find_problem
 
+if find_library("EGL"):
+    os.environ.setdefault("MUJOCO_GL", "egl")  # else MuJoCo comes without OpenGL where states are simulated first
+
 
 def needs_egl() -> None:
-    if find_library("EGL") is None:
+    if os.environ.get("MUJOCO_GL") != "egl":
         pytest.skip("pictures need libegl1")
 
 

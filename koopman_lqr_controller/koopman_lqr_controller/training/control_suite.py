@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import sys
-from ctypes.util import find_library
 from typing import Any
 
 import gymnasium
@@ -43,7 +42,7 @@ class ControlSuite(gymnasium.Env[Observation, NDArray[np.float32]]):
     metadata = {"render_modes": []}  # noqa: RUF012 - gymnasium's own form
 
     def __init__(self, domain: str, task: str, repeat: int, pixels: int = 0) -> None:
-        suite = _load_suite()
+        suite = _load_suite(pixels > 0)
         self._random = np.random.RandomState(0)
         self._suite = suite.load(domain, task, task_kwargs={"random": self._random})
         self._repeat, self._pixels = repeat, pixels
@@ -99,7 +98,9 @@ class ControlSuite(gymnasium.Env[Observation, NDArray[np.float32]]):
         physics = self._suite.physics
         if self._renderer is None:
             if not hasattr(mujoco, "GLContext"):
-                raise KoopmanError("pictures need OpenGL without a window: install libegl1, or set MUJOCO_GL=osmesa")
+                raise KoopmanError(
+                    "pictures need OpenGL without a window: set MUJOCO_GL=egl before anything is simulated"
+                )
             self._renderer = mujoco.Renderer(physics.model.ptr, self._pixels, self._pixels)
         self._renderer.update_scene(physics.data.ptr, camera=_CAMERA)
         for flag in _QUICK:
@@ -108,10 +109,10 @@ class ControlSuite(gymnasium.Env[Observation, NDArray[np.float32]]):
         return grey
 
 
-def _load_suite() -> Any:
+def _load_suite(pictures: bool) -> Any:
     """Import the suite for a machine without a screen; MUJOCO_GL says otherwise where it is set."""
     if "mujoco" not in sys.modules:
-        os.environ.setdefault("MUJOCO_GL", "egl" if find_library("EGL") else "disabled")
+        os.environ.setdefault("MUJOCO_GL", "egl" if pictures else "disabled")
     from absl import logging
 
     logging.set_verbosity(logging.ERROR)  # its models use names that MuJoCo calls old

@@ -12,7 +12,6 @@ import json
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -61,7 +60,7 @@ class LearningRun:
         changes = "".join(f"-{name}_{value}" for name, value in self.changes)
         return f"{self.problem_name}{changes}-s{self.seed}"
 
-    @cached_property
+    @property
     def problem(self) -> Problem:
         """The problem with its settings.
 

@@ -1,0 +1,185 @@
+"""Learning with the real thing on a tiny budget: it resumes exactly, and leaves a policy that needs no torch."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from ctrl_rl_training.errors import TrainingError
+from ctrl_rl_training.training import Options, result_file
+from koopman_lqr_controller.errors import KoopmanError
+from koopman_lqr_controller.policy_file import load_policy
+from koopman_lqr_controller.roll_outs import evaluate
+from koopman_lqr_controller.training.agent import Agent, Sight
+from koopman_lqr_controller.training.learner import POLICY_FILE, LearningRun, learn_one
+from koopman_lqr_controller.training.replay import Transitions
+from koopman_lqr_controller.training.settings import Settings
+
+TINY = (("batch", 16), ("first_steps", 30), ("hidden", 16), ("latent", 6))
+RUN = LearningRun("cartpole_swingup", 2, TINY, command="learn --task cartpole_swingup")
+
+
+def options(folder: Path, chunks: int = 3) -> Options:
+    return Options(folder, chunks, 40, 1, 2)
+
+
+def learnt(folder: Path, run: LearningRun = RUN) -> tuple[dict, bytes]:
+    """Return everything that a run leaves, but for what it took."""
+    result = json.loads(result_file(folder, run).read_text(encoding="utf-8"))
+    for point in result["curve"]:
+        del point["seconds"]
+    return result, result_file(folder, run).with_name(POLICY_FILE).read_bytes()
+
+
+class CutOffError(Exception):
+    """Stands for a kill between two chunks."""
+
+
+def cut_off(*_: object) -> None:
+    raise CutOffError
+
+
+@pytest.mark.parametrize("name", ["cartpole_swingup", "curved_corridor"])
+def test_a_run_that_was_cut_off_ends_bit_by_bit_as_if_it_had_not_been(tmp_path: Path, name: str) -> None:
+    run = LearningRun(name, 2, TINY)
+    whole, cut = tmp_path / "whole", tmp_path / "cut"
+    learn_one(run, options(whole))
+    for _ in range(2):
+        with pytest.raises(CutOffError):
+            learn_one(run, options(cut), cut_off)
+    assert not result_file(cut, run).exists()
+    learn_one(run, options(cut))
+    assert learnt(cut, run) == learnt(whole, run)
+    assert {file.name for file in result_file(cut, run).parent.iterdir()} == {"result.json", POLICY_FILE}
+
+
+def test_a_run_that_was_killed_goes_on_exactly(tmp_path: Path) -> None:
+    whole, killed = tmp_path / "whole", tmp_path / "killed"
+    learn_one(RUN, options(whole))
+    program = (
+        "import sys; from pathlib import Path\nfrom ctrl_rl_training.training import Options\n"
+        "from koopman_lqr_controller.training.learner import *\n"
+        f"learn_one(LearningRun({RUN.problem_name!r}, {RUN.seed}, {TINY!r}, command={RUN.command!r}), "
+        f"Options(Path({str(killed)!r}), 3, 40, 1, 2))"
+    )
+    process = subprocess.Popen([sys.executable, "-c", program])
+    checkpoint = result_file(killed, RUN).with_name("checkpoint.safetensors")
+    while process.poll() is None and not checkpoint.exists():
+        time.sleep(0.005)
+    time.sleep(0.05)
+    os.kill(process.pid, signal.SIGKILL)
+    process.wait()
+    learn_one(RUN, options(killed))
+    assert learnt(killed) == learnt(whole)
+
+
+def test_what_is_learnt_is_what_is_evaluated_and_says_where_it_comes_from(tmp_path: Path) -> None:
+    said = []
+    result = learn_one(RUN, options(tmp_path), lambda run, done, best: said.append((run.name, done, best)))
+    assert [done for _, done, _ in said] == [1, 2, 3]
+    assert said[-1][2] == result["best"]["return"] == max(max(p["actor"], p["averaged"]) for p in result["curve"])
+    policy = load_policy(result_file(tmp_path, RUN).with_name(POLICY_FILE))
+    assert policy.manifest["command"] == RUN.command
+    assert policy.manifest["task_digest"] == RUN.problem.digest
+    assert policy.manifest["settings"]["latent"] == 6
+    environment = RUN.problem.make(False)
+    assert [episode.total for episode in evaluate(policy.controller, environment, 2, 2_000_000)] == result["returns"]
+    assert evaluate(policy.controller, environment, 1, 1_000_000)[0].total == result["best"]["return"]
+    before = result_file(tmp_path, RUN).stat().st_mtime_ns
+    assert learn_one(RUN, options(tmp_path)) == result
+    assert result_file(tmp_path, RUN).stat().st_mtime_ns == before
+
+
+def test_a_run_made_with_other_settings_is_not_taken(tmp_path: Path) -> None:
+    with pytest.raises(CutOffError):
+        learn_one(RUN, options(tmp_path), cut_off)
+    with pytest.raises(KoopmanError, match=r"checkpoint\.safetensors: was made with chunks 3, now it is 2: use"):
+        learn_one(RUN, options(tmp_path, 2))
+    learn_one(RUN, options(tmp_path))
+    with pytest.raises(KoopmanError, match=r"result\.json: was made with chunks 3, now it is 2: use"):
+        learn_one(RUN, options(tmp_path, 2))
+
+
+def test_a_broken_checkpoint_is_named(tmp_path: Path) -> None:
+    checkpoint = result_file(tmp_path, RUN).with_name("checkpoint.safetensors")
+    checkpoint.parent.mkdir()
+    checkpoint.write_bytes(b"half a file")
+    with pytest.raises(TrainingError, match=r"checkpoint\.safetensors: cannot go on from it .* delete it"):
+        learn_one(RUN, options(tmp_path))
+
+
+def some_agent(shape: tuple[int, ...] = (3,), **changes: object) -> tuple[Agent, Transitions]:
+    settings = Settings(**{"hidden": 16, "latent": 5, "batch": 32, **changes})
+    goal = None if len(shape) > 1 else np.array([0.0, 1.0, 0.0], np.float32)
+    sight = Sight(shape, 2, np.zeros((), np.float32), np.ones((), np.float32), goal)
+    random = np.random.default_rng(0)
+    x, x_next = random.normal(size=(2, 32, *shape)).astype(np.float32)
+    u, reward = random.uniform(-1, 1, (32, 2)).astype(np.float32), random.normal(size=32).astype(np.float32)
+    return Agent(sight, settings, seed=0), Transitions(x, u, reward, x_next, np.zeros(32, np.float32))
+
+
+def test_each_loss_moves_what_it_should_and_nothing_else() -> None:
+    agent, data = some_agent()
+    generator = torch.Generator().manual_seed(0)
+    parts = {"encoder": agent.actor.encoder, "critic": agent.critic, "lqr": agent.actor.lqr}
+    x, u, reward, x_next, end = (torch.from_numpy(part) for part in data)
+
+    def moved(learn) -> set[str]:
+        before = {name: [p.clone() for p in part.parameters()] for name, part in parts.items()}
+        learn()
+        return {
+            name
+            for name, part in parts.items()
+            if any(not torch.equal(a, b) for a, b in zip(before[name], part.parameters(), strict=True))
+        }
+
+    z = agent.actor.encoder(x).detach()
+    assert moved(lambda: agent._update_critic(x, u, reward, x_next, end, generator)) == {"encoder", "critic"}
+    assert moved(lambda: agent._update_contrast(x, x)) == {"encoder"}
+    assert moved(lambda: agent._step("model", agent.actor.lqr.model_loss(z, u, z))) == {"lqr"}
+    assert moved(lambda: agent._update_actor(x, generator)) == {"encoder", "lqr"}
+
+
+@pytest.mark.parametrize("shape", [(3,), (2, 26, 26)])
+def test_updates_of_vectors_and_images_are_finite_and_the_average_follows(shape: tuple[int, ...]) -> None:
+    agent, data = some_agent(shape, **({"crop": 24, "depth": 3} if len(shape) > 1 else {}))
+    generator = torch.Generator().manual_seed(0)
+    first = agent.averaged.lqr.A.clone()
+    for _ in range(4):
+        agent.update(data, generator)
+    assert agent.updates == 4
+    assert all(torch.isfinite(p).all() for p in agent.parameters())
+    assert 0 < (agent.averaged.lqr.A - first).abs().max() < (agent.actor.lqr.A - first).abs().max()
+
+
+def test_the_density_of_an_action_is_that_of_a_squashed_normal() -> None:
+    agent, _ = some_agent()
+    z = torch.randn(1, 5, generator=torch.Generator().manual_seed(1)).expand(20_000, 5)
+    u, log_density = agent.actor.sample(z, torch.Generator().manual_seed(0))
+    mean = agent.actor.mean(z)
+    normal = torch.distributions.Normal(mean, agent.actor.log_deviation.exp())
+    squashed = torch.distributions.TransformedDistribution(normal, torch.distributions.TanhTransform(cache_size=1))
+    inside = (u.abs() < 0.99).all(dim=1)
+    expected = squashed.log_prob(u).sum(dim=1)
+    assert log_density[inside].detach().numpy() == pytest.approx(expected[inside].detach().numpy(), abs=1e-2)
+
+
+def test_the_deployed_controller_acts_like_the_learnt_one() -> None:
+    agent, data = some_agent()
+    controller = agent.actor.deploy()
+    x = torch.from_numpy(data.x)
+    expected = torch.tanh(agent.actor.mean(agent.actor.encoder(x))).detach().numpy()
+    assert controller.saturate(controller.control(controller.latent(data.x))) == pytest.approx(expected, abs=1e-5)
+
+
+def test_a_device_that_is_not_there_is_named(tmp_path: Path) -> None:
+    if torch.cuda.is_available():
+        pytest.skip("this machine has one")
+    with pytest.raises(KoopmanError, match="device cuda: torch sees none; use cpu"):
+        learn_one(LearningRun("cartpole_swingup", 0, TINY, "cuda"), options(tmp_path))
