@@ -58,6 +58,11 @@ class Plan:
     candidates: int = 10
     report: int = 20
 
+    @classmethod
+    def with_report(cls, episodes: int, **changes: Any) -> Plan:
+        """Return a plan of so many fresh episodes, the others in proportion to them."""
+        return cls(episodes=max(5, 3 * episodes // 2), candidates=max(2, episodes // 2), report=episodes, **changes)
+
 
 @dataclass(frozen=True)
 class Consolidated:

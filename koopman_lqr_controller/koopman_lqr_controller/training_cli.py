@@ -40,6 +40,9 @@ def learn(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--set", nargs="+", default=[], metavar="NAME=VALUE", help="numbers of the learner, e.g. riccati_iterations=3"
     )
+    parser.add_argument(
+        "--episodes", type=int, default=20, help="fresh ones at the end, for each policy (default %(default)s)"
+    )
     parser.add_argument("--device", default="cpu", choices=("cpu", "cuda"), help="of the networks (default cpu)")
     parser.add_argument("--results", type=Path, help="JSON file to write table and curves to")
     options = parser.parse_args(arguments)
@@ -52,7 +55,12 @@ def consolidate(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("policy", type=Path, help="policy.safetensors that `learn` made")
     parser.add_argument("--output", type=Path, required=True, help="policy file to write (.safetensors)")
     parser.add_argument("--latent", type=int, nargs="+", help="latent dimensions to try (default: 6 to all)")
-    parser.add_argument("--episodes", type=int, default=30, help="to live through in a round (default %(default)s)")
+    parser.add_argument(
+        "--episodes",
+        type=int,
+        default=20,
+        help="fresh ones at the end, before that in proportion (default %(default)s)",
+    )
     parser.add_argument("--noise", type=float, default=0.5, help="most that is added to u (default %(default)s)")
     parser.add_argument("--seed", type=int, default=0, help="of all episodes (default %(default)s)")
     parser.add_argument("--overwrite", action="store_true", help="replace an existing policy file")
@@ -63,7 +71,7 @@ def consolidate(arguments: Sequence[str] | None = None) -> int:
 def _learn(options: argparse.Namespace) -> int:
     problem = find_problem(options.task)
     chunks, actions = options.chunks or problem.chunks, options.actions or problem.chunk
-    for name, least in (("seeds", 1), ("workers", 0), ("chunks", 0), ("actions", 0)):
+    for name, least in (("seeds", 1), ("workers", 0), ("chunks", 0), ("actions", 0), ("episodes", 1)):
         if getattr(options, name) < least:
             raise KoopmanError(f"--{name} must be at least {least}")
     changes = _changes(options.set)
@@ -79,7 +87,7 @@ def _learn(options: argparse.Namespace) -> int:
         LearningRun(problem.name, seed, changes, options.device, f"{command} --seeds {seed + 1}")
         for seed in range(options.seeds)
     ]
-    how = Options(options.folder, chunks, actions, problem.evaluations, 20)
+    how = Options(options.folder, chunks, actions, problem.evaluations, options.episodes)
     results = train_all(runs, how, options.workers, problem.name, learn_and_consolidate, lambda best: f"{best:.1f}")
     rows, figures = collect(problem, results)
     for row in rows:
@@ -99,12 +107,13 @@ def _consolidate(options: argparse.Namespace) -> int:
     from koopman_lqr_controller.policy_file import save_policy
     from koopman_lqr_controller.training.finishing import consolidate_policy, load_latent
 
+    if options.episodes < 1 or min(options.latent or [1]) < 1:
+        raise KoopmanError("--episodes and --latent must be at least 1")
     if options.output.exists() and not options.overwrite:
         raise KoopmanError(f"{options.output} exists: give another name, or ask to --overwrite it")
     problem = find_problem(str(load_latent(options.policy).manifest.get("task")))
-    plan = Plan(episodes=options.episodes, noise=options.noise)
-    if options.latent:
-        plan = Plan(episodes=options.episodes, noise=options.noise, sizes=tuple(options.latent))
+    sizes = {"sizes": tuple(options.latent)} if options.latent else {}
+    plan = Plan.with_report(options.episodes, noise=options.noise, **sizes)
     command = _command("consolidate", str(options.policy))
     with tqdm(desc="consolidating", unit="candidate", disable=None) as bar:
 

@@ -13,6 +13,7 @@ from koopman_lqr_controller.training.learner import POLICY_FILE
 from koopman_lqr_controller.training_cli import consolidate, learn
 
 TINY = ["--set", "batch=16", "hidden=16", "latent=6", "first_steps=30", "--chunks", "2", "--actions", "60"]
+TINY += ["--episodes", "3"]
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +47,7 @@ def test_a_run_leaves_policies_and_results(learnt: Path) -> None:
 def test_consolidating_again_by_command(learnt: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     policy = next(learnt.glob("*-s0")) / POLICY_FILE
     output = tmp_path / "again.safetensors"
-    given = [str(policy), "--output", str(output), "--latent", "3", "--episodes", "6"]
+    given = [str(policy), "--output", str(output), "--latent", "3", "--episodes", "3"]
     assert consolidate(given) == 0
     assert "latent dimensions    3" in capsys.readouterr().out
     assert load_policy(output).controller.projection.shape == (3, 6)

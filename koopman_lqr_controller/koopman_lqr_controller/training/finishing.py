@@ -35,7 +35,8 @@ def learn_and_consolidate(run: LearningRun, options: Options, report: Report = l
     folder = result_file(options.folder, run).parent
     figures = folder / _FIGURES_FILE
     if not figures.is_file():
-        policy, found = consolidate_policy(folder / POLICY_FILE, run.problem, run.command)
+        plan = Plan.with_report(options.final_evaluations)
+        policy, found = consolidate_policy(folder / POLICY_FILE, run.problem, run.command, plan)
         save_policy(policy, folder / CONSOLIDATED_FILE, overwrite=True)
         write_whole(figures, json.dumps(found) + "\n")
     return {**result, "consolidated": json.loads(figures.read_text(encoding="utf-8"))}
@@ -96,7 +97,7 @@ def collect(problem: Problem, results: Sequence[dict[str, Any]]) -> tuple[list[R
     rows = [
         Result(_LEARNT, "return", "1", returns, problem.thesis),
         Result(_LEARNT, "actions to the best", "1", [float(result["best"]["actions"]) for result in results]),
-        Result(_LEARNT, "minutes", "min", [sum(p["seconds"] for p in result["curve"]) / 60 for result in results]),
+        Result(_LEARNT, "time", "min", [sum(p["seconds"] for p in result["curve"]) / 60 for result in results]),
         Result(_CONSOLIDATED, "return", "1", [float(np.mean(end["returns"])) for end in ends]),
         Result(_CONSOLIDATED, "latent dimensions", "1", [float(end["latent"]) for end in ends]),
         Result(_CONSOLIDATED, "Riccati residual", "1", [end["dare_residual"] for end in ends]),
