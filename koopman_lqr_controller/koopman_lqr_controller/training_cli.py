@@ -59,7 +59,7 @@ def consolidate(arguments: Sequence[str] | None = None) -> int:
         "--episodes",
         type=int,
         default=20,
-        help="fresh ones at the end, before that in proportion (default %(default)s)",
+        help="fresh ones at the end, others in proportion (default %(default)s)",
     )
     parser.add_argument("--noise", type=float, default=0.5, help="most that is added to u (default %(default)s)")
     parser.add_argument("--seed", type=int, default=0, help="of all episodes (default %(default)s)")
