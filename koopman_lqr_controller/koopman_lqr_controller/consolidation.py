@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from koopman_lqr_controller.edmd import Snapshots, fit, persistence_error
+from koopman_lqr_controller.edmd import LinearModel, Snapshots, fit, persistence_error
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.inverse_lqr import Law, fit_costs
 from koopman_lqr_controller.latent_controller import SATURATIONS, LatentController
@@ -28,6 +28,7 @@ LARGEST_RESIDUAL = 1e-8
 """Of the Riccati equation, relative; what is above it is refused."""
 _SEEN = 1e-4
 """Directions of the latent space that vary by less than this part of the first one say nothing but rounding."""
+_FADING = 0.999
 _SEEDS = {"live": 3_000_000, "choose": 4_000_000, "report": 5_000_000}
 
 
@@ -189,14 +190,24 @@ def _candidates(
         C = np.ascontiguousarray(directions[:size])
         z_ref = C @ psi_ref
         data = _snapshots(lived, C, z_ref, learnt.saturate(u_ref))
-        try:
-            model = fit(data, plan.ridge)
-            law = Law.seen(psi @ C.T - z_ref, u - u_ref, weight)
-            Q, R, mismatch = fit_costs(model, law, np.ones(size), learnt.R)
+        law = Law.seen(psi @ C.T - z_ref, u - u_ref, weight)
+        model = fit(data, plan.ridge)
+        for each in (model, _contracted(model)):
+            try:
+                Q, R, mismatch = fit_costs(each, law, np.ones(size), learnt.R)
+            except KoopmanError:
+                continue
             for saturation in SATURATIONS:
-                yield LatentController(learnt.encoder, model, Q, R, z_ref, None, saturation, C, u_ref), mismatch
-        except KoopmanError:
-            continue
+                found = LatentController(learnt.encoder, each, Q, R, z_ref, None, saturation, C, u_ref)
+                if found.residual < LARGEST_RESIDUAL:
+                    yield found, mismatch
+            break
+
+
+def _contracted(model: LinearModel) -> LinearModel:
+    """Return a model whose modes all fade: what a weak policy never moves cannot be regulated, and need not be."""
+    radius = float(np.abs(np.linalg.eigvals(model.A)).max())
+    return LinearModel(model.A * min(1.0, _FADING / radius), model.B)
 
 
 def _snapshots(lived: Sequence[Lived], C: Array, z_ref: Array, action_ref: Array) -> Snapshots:
