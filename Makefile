@@ -35,10 +35,9 @@ ttr: build ## learn TASK=car_ttr (or quad_ttr) with every reward and algorithm; 
 	ros2 run ttr_reward_node training_figures docs/results/ttr_training_$$task.json
 
 oc: build ## learn with every baseline of thesis 3.3, five seeds, and analyse; hours, may be cut off
-	@$(RUN) for task in car_navigation quad_trap; do \
-	ros2 run oc_baseline_node train --task $$task --compare all --results docs/results/oc_training_$$task.json $(ARGS); \
-	ros2 run oc_baseline_node training_figures docs/results/oc_training_$$task.json; done; \
-	ros2 run oc_baseline_node train --task quad_navigation --results docs/results/oc_training_quad_navigation.json $(ARGS); \
+	@$(RUN) learn() { ros2 run oc_baseline_node train --task $$1 $${@:2} --results docs/results/oc_training_$$1.json $(ARGS); \
+	ros2 run oc_baseline_node training_figures docs/results/oc_training_$$1.json; }; \
+	learn car_navigation --compare all; learn quad_trap --compare ablation entropy; learn quad_navigation; \
 	ros2 run oc_baseline_node analyse mismatch; \
 	ros2 run oc_baseline_node analyse mpc --learnt docs/results/oc_training_quad_navigation.json; \
 	ros2 run oc_baseline_node analyse gradient

@@ -56,9 +56,9 @@ def report() -> int:
 def monitor() -> int:
     """Wait until the nodes of a drive listen to each other, let the simulation go, and follow it to its end."""
     parser = argparse.ArgumentParser(prog="monitor", description=monitor.__doc__)
-    parser.add_argument("--without-reward", action="store_true", help="no reward node belongs to the drive")
+    parser.add_argument("--topics", default="", help="that the drive waits for besides its own, with commas between")
     options, _ = parser.parse_known_args()  # launch adds --ros-args
-    return _run("monitor", lambda: follow_running(rewarded=not options.without_reward))
+    return _run("monitor", lambda: follow_running(list(filter(None, options.topics.split(",")))))
 
 
 def results() -> int:

@@ -15,10 +15,10 @@ from koopman_lqr_controller.policy_file import find_policy
 
 from ctrl_rl_bringup.monitor import Episode, Monitor
 from ctrl_rl_bringup.picture import draw_drive
-from ctrl_rl_bringup.prepare import new_run, solve_time_to_reach
+from ctrl_rl_bringup.prepare import new_run, value_files
 from ctrl_rl_bringup.processes import Processes
 from ctrl_rl_bringup.report import Drive, read_drive
-from ctrl_rl_bringup.stack import DriveOptions, NodeSpec, controller, recorder, rewards, scripted_driver, simulator
+from ctrl_rl_bringup.stack import DriveOptions, NodeSpec, controller, recorder, scripted_driver, simulator, value_nodes
 from ctrl_rl_msgs.msg import TaskOutcome
 
 
@@ -34,9 +34,9 @@ def drive(options: DriveOptions) -> Drive:
     """Drive once under the controller, with its reward, record everything, and return what the bag says."""
     policy = find_policy(options.policy)
     new_run(options)
-    grid = solve_time_to_reach(options)
-    files = {"policy": policy} if grid is None else {"policy": policy, "grid": grid}
-    with _running(options, [controller(options), *rewards(options, grid)], files) as monitor:
+    values = value_files(options)
+    nodes = [controller(options), *value_nodes(options, values)]
+    with _running(options, nodes, {"policy": policy, **values}) as monitor:
         monitor.run()
         monitor.follow("driving")
     return read_drive(options.bag)
@@ -50,10 +50,14 @@ def write_artifacts(result: Drive, folder: Path) -> Artifacts:
     return out
 
 
-def follow_running(rewarded: bool) -> int:
-    """Follow a drive whose nodes somebody else has started, and return 0 if it reached the goal, else 1."""
+def follow_running(topics: Sequence[str]) -> int:
+    """Follow a drive whose nodes somebody else has started, and return 0 if it reached the goal, else 1.
+
+    Args:
+        topics: that the drive waits for, besides those of every drive.
+    """
     with _ros():
-        monitor = Monitor(check=lambda: None, rewarded=rewarded)
+        monitor = Monitor(lambda: None, topics)
         try:
             monitor.wait_until_ready()
             monitor.run()
@@ -94,7 +98,7 @@ def _running(options: DriveOptions, nodes: Sequence[NodeSpec], digests: dict[str
     """Start simulator, recorder and nodes, and end them in an order in which the recorder misses nothing."""
     with _ros(), Processes(options.folder) as processes:
         processes.start([recorder(options, {"task": task_file(options.task), **digests}), simulator(options), *nodes])
-        monitor = Monitor(processes.check, rewarded=any(node.executable == "reward" for node in nodes))
+        monitor = Monitor(processes.check, [topic for node in nodes for topic in node.publishes])
         try:
             monitor.wait_until_ready()
             yield monitor

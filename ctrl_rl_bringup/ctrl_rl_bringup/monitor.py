@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,7 +26,6 @@ OUTCOMES = {
 }
 _RECORDER = "recorder"
 _RECORDED = ("scan", "odom", "cmd_vel", "episode", "clock", "ground_truth")
-_REWARDED = ("reward", "time_to_reach")
 _READY_S = 30.0
 _SILENT_S = 20.0
 
@@ -56,12 +55,12 @@ class Monitor:
 
     Args:
         check: called often; raises if a node of the run has died.
-        rewarded: whether a reward node belongs to the run.
+        topics: that must be recorded, besides those of every run.
     """
 
-    def __init__(self, check: Callable[[], None], rewarded: bool = False) -> None:
+    def __init__(self, check: Callable[[], None], topics: Sequence[str] = ()) -> None:
         self._node = Node("monitor")
-        self._topics = (*_RECORDED, *(_REWARDED if rewarded else ()))
+        self._topics = (*_RECORDED, *topics)
         self._check = check
         self._episode: Episode | None = None
         self._wanted = 0

@@ -18,14 +18,21 @@ from ctrl_rl_bringup.report import Drive
 def draw_drive(drive: Drive, path: Path) -> None:
     """Write the picture as a PNG; the file is there whole or not at all."""
     task = load_navigation_task(drive.task)
+    rows = ["clearance", "speed", "turn"]
+    rows += ["reach"] if len(drive.rewards) else []
+    rows += ["value"] if len(drive.oc_values) else []
     figure, axes = plt.subplot_mosaic(
-        [["map", "clearance"], ["map", "speed"], ["map", "turn"], ["map", "reach"]],
+        [["map", row] for row in rows],
         width_ratios=(1.5, 1),
         figsize=(12, 6),
         layout="constrained",
     )
     _draw_map(axes["map"], task, drive)
     _draw_over_time(axes, drive)
+    for row in rows:
+        axes[row].grid(alpha=0.3)
+        axes[row].set_xlim(0.0, max(drive.duration, 1e-3))
+    axes[rows[-1]].set_xlabel("time [s]")
     figure.suptitle(f"{task.name}: {OUTCOMES[drive.outcome]} after {drive.duration:.1f} s", fontweight="bold")
     save_figure(figure, path)
 
@@ -62,12 +69,12 @@ def _draw_over_time(axes: dict[str, Axes], drive: Drive) -> None:
     axes["speed"].set_ylabel("speed\n[m/s]")
     axes["turn"].step(drive.commands[:, 0], drive.commands[:, 2], where="post", color="tab:orange")
     axes["turn"].set_ylabel("turn rate\n[rad/s]")
-    axes["reach"].set(xlabel="time [s]", ylabel="time to\nreach [s]")
-    if len(drive.rewards):
+    if "reach" in axes:
+        axes["reach"].set_ylabel("time to\nreach [s]")
         best = drive.time_to_reach
         axes["reach"].plot(drive.rewards[:, 0], drive.rewards[:, 2], color="tab:purple", label="on the way")
         axes["reach"].plot((0.0, best), (best, 0.0), "--", color="0.5", linewidth=1, label="at best")
         axes["reach"].legend(fontsize=7, frameon=False)
-    for name in ("clearance", "speed", "turn", "reach"):
-        axes[name].grid(alpha=0.3)
-        axes[name].set_xlim(0.0, max(drive.duration, 1e-3))
+    if "value" in axes:
+        axes["value"].plot(*drive.oc_values.T, color="tab:brown")
+        axes["value"].set_ylabel("optimal\nvalue")

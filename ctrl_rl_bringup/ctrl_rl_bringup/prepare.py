@@ -1,4 +1,4 @@
-"""What a drive needs before its nodes start: a folder of its own, and the time to reach that the reward is made of."""
+"""What a drive needs before its nodes start: a folder of its own, and the value functions that are served beside it."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 
 from ctrl_rl_core.errors import CtrlRlError
 from ctrl_rl_core.tasks import load_navigation_task
+from oc_baseline_node.value_file import find_value, shipped_values
 from ttr_reward_node.solver import solve_task
 
 from ctrl_rl_bringup.stack import DriveOptions
@@ -27,19 +28,28 @@ def new_run(options: DriveOptions) -> None:
         raise CtrlRlError(f"cannot make {options.folder}: {error.strerror}") from None
 
 
-def solve_time_to_reach(options: DriveOptions) -> Path | None:
-    """Solve the task's time to reach for the robot's own size, write it beside the bag, and return the file.
+def value_files(options: DriveOptions) -> dict[str, Path]:
+    """Return the files of the value functions that are served beside a drive, by kind; what is lacking is said.
 
-    None, and a line that says why, where the drive must do without reward: the task file asks for no grid, or the width
-    of the corridor is not known before.
+    `time_to_reach` is solved now, for the robot's own size, and written beside the bag; `oc_value` comes with its
+    package.
     """
-    task = load_navigation_task(options.task)
-    if not task.grid or options.randomise_width:
-        why = "the corridor's width is drawn at random" if task.grid else f"task '{task.name}' has no 'grid'"
-        sys.stderr.write(f"no reward and no time to reach: {why}\n")
-        return None
-    sys.stderr.write("solving the time to reach ...\n")
-    grid = solve_task(task, width=options.width or None, inflation=task.robot.radius)
-    path = options.folder / "time_to_reach.safetensors"
-    grid.save(path)
-    return path
+    task, out = load_navigation_task(options.task), {}
+    if not task.grid:
+        _say(f"no reward and no time to reach: task '{task.name}' has no 'grid'")
+    elif options.randomise_width:
+        _say("no reward and no time to reach: the corridor's width is drawn at random")
+    else:
+        _say("solving the time to reach ...")
+        out["time_to_reach"] = options.folder / "time_to_reach.safetensors"
+        grid = solve_task(task, width=options.width or None, inflation=task.robot.radius)
+        grid.save(out["time_to_reach"])
+    if task.name in shipped_values():
+        out["oc_value"] = find_value(task.name)
+    else:
+        _say(f"no optimal control value: there is none of task '{task.name}'; make one with 'oc data' and 'oc fit'")
+    return out
+
+
+def _say(text: str) -> None:
+    sys.stderr.write(f"{text}\n")

@@ -36,6 +36,7 @@ class Drive:
         clearance: (n, 2) time and clearance [s, m].
         commands: (n, 3) time, speed, turn rate [s, m/s, rad/s].
         rewards: (n, 3) time, reward, time to reach [s, 1, s]; no rows where none was recorded.
+        oc_values: (n, 2) time, optimal control value [s, 1]; no rows where none was recorded.
         latencies: from the publication of a scan to that of the command that answers it [s].
         messages: recorded.
         lost: published while the recorder listened, but not recorded.
@@ -52,6 +53,7 @@ class Drive:
     clearance: Array
     commands: Array
     rewards: Array
+    oc_values: Array
     latencies: Array
     messages: int
     lost: int
@@ -80,6 +82,7 @@ class Drive:
             "smallest_clearance_m": self.smallest_clearance,
             "time_to_reach_at_start_s": self.time_to_reach if np.isfinite(self.time_to_reach) else None,
             "rewards": len(self.rewards),
+            "oc_value_at_start": float(self.oc_values[0, 1]) if len(self.oc_values) else None,
             "latency_median_ms": 1e3 * self.latency(50),
             "latency_p99_ms": 1e3 * self.latency(99),
             "messages_recorded": self.messages,
@@ -90,6 +93,7 @@ class Drive:
         """Return the figures for people."""
         ms = [1e3 * self.latency(percentile) for percentile in (50, 99)]
         best = self.time_to_reach
+        value = f"{self.oc_values[0, 1]:.0f} at the start" if len(self.oc_values) else "none"
         share = f", {self.duration / best:.2f} of the time to reach, {best:.1f} s" if np.isfinite(best) else ""
         return "\n".join(
             (
@@ -97,6 +101,7 @@ class Drive:
                 f"time                {self.duration:.1f} s{share if self.reached else ''}",
                 f"collisions          {self.collisions}",
                 f"smallest clearance  {self.smallest_clearance:.3f} m",
+                f"optimal value       {value}",
                 f"control latency     {ms[0]:.2f} ms median, {ms[1]:.2f} ms p99, {len(self.latencies)} scans",
                 f"messages            {self.messages} recorded, {self.lost} lost",
             )
@@ -111,7 +116,7 @@ def read_drive(bag: Path) -> Drive:
     """
     stamps: dict[str, list[float]] = defaultdict(list)
     rows: dict[str, list[tuple[float, ...]]] = defaultdict(list)
-    topics = ("/scan", "/odom", "/ground_truth", "/cmd_vel", "/episode", "/reward")
+    topics = ("/scan", "/odom", "/ground_truth", "/cmd_vel", "/episode", "/reward", "/oc_value")
     info = bag_info(bag)
     recorded = [topic for topic in topics if topic in info.topics]
     if "/episode" not in recorded:
@@ -141,6 +146,7 @@ def read_drive(bag: Path) -> Drive:
         clearance=np.column_stack((episode[:, 1], episode[:, 4])),
         commands=track("/cmd_vel"),
         rewards=track("/reward"),
+        oc_values=track("/oc_value"),
         latencies=answer_latencies(sent["/scan"], sent["/cmd_vel"]),
         messages=info.message_count,
         lost=lost_messages(sent),
@@ -168,6 +174,8 @@ def _row(topic: str, message: Any) -> tuple[float, ...]:
         return twist.linear.x, twist.angular.z
     if topic == "/reward":
         return message.reward, message.time_to_reach
+    if topic == "/oc_value":
+        return (message.value,)
     return ()
 
 

@@ -16,11 +16,13 @@ class NodeSpec:
         package: its package.
         executable: as `ros2 run PACKAGE EXECUTABLE` names it.
         parameters: by name.
+        publishes: topics of it that a drive waits for.
     """
 
     package: str
     executable: str
     parameters: Mapping[str, Any] = field(default_factory=dict)
+    publishes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -78,12 +80,23 @@ def controller(options: DriveOptions) -> NodeSpec:
     return NodeSpec("koopman_lqr_controller", "controller", {"use_sim_time": True, "policy": options.policy})
 
 
-def rewards(options: DriveOptions, grid: Path | None) -> list[NodeSpec]:
-    """Return the time-to-reach reward, if there is a grid; the simulator's odometry starts in the frame of the map."""
-    if grid is None:
-        return []
-    parameters = {"use_sim_time": True, "grid": str(grid), "task": options.task, "corridor_width": float(options.width)}
-    return [NodeSpec("ttr_reward_node", "reward", parameters)]
+def value_nodes(options: DriveOptions, files: Mapping[str, Path]) -> list[NodeSpec]:
+    """Return the nodes that serve the value functions `files`, see `prepare.value_files`.
+
+    The simulator's odometry starts in the frame of the map.
+    """
+    nodes = []
+    if "time_to_reach" in files:
+        parameters = _served(files["time_to_reach"], task=options.task, corridor_width=float(options.width))
+        nodes.append(NodeSpec("ttr_reward_node", "reward", parameters, ("reward", "time_to_reach")))
+    if "oc_value" in files:
+        parameters = _served(files["oc_value"], task=options.task)
+        nodes.append(NodeSpec("oc_baseline_node", "baseline", parameters, ("oc_value",)))
+    return nodes
+
+
+def _served(file: Path, **more: Any) -> dict[str, Any]:
+    return {"use_sim_time": True, "grid": str(file), **more}
 
 
 def scripted_driver(seed: int) -> NodeSpec:

@@ -8,8 +8,8 @@ import signal
 from datetime import datetime
 from pathlib import Path
 
-from ctrl_rl_bringup.prepare import new_run, solve_time_to_reach
-from ctrl_rl_bringup.stack import DriveOptions, NodeSpec, controller, recorder, rewards, simulator
+from ctrl_rl_bringup.prepare import new_run, value_files
+from ctrl_rl_bringup.stack import DriveOptions, NodeSpec, controller, recorder, simulator, value_nodes
 from ctrl_rl_core.tasks import task_file
 from koopman_lqr_controller.policy_file import find_policy
 from launch import LaunchContext, LaunchDescription
@@ -52,13 +52,12 @@ def _stack(context: LaunchContext) -> list[Action]:
     )
     files = {"task": task_file(options.task), "policy": find_policy(options.policy)}
     new_run(options)
-    grid = solve_time_to_reach(options)
-    if grid is not None:
-        files["grid"] = grid
-    bag = _node(recorder(options, files))
-    others = [_node(spec) for spec in (simulator(options), controller(options), *rewards(options, grid))]
-    how = ["--without-reward"] if grid is None else []
-    monitor = Node(package="ctrl_rl_bringup", executable="monitor", arguments=how, output="screen")
+    values = value_files(options)
+    bag = _node(recorder(options, {**files, **values}))
+    specs = [simulator(options), controller(options), *value_nodes(options, values)]
+    others = [_node(spec) for spec in specs]
+    awaited = ["--topics", ",".join(topic for spec in specs for topic in spec.publishes)]
+    monitor = Node(package="ctrl_rl_bringup", executable="monitor", arguments=awaited, output="screen")
     command = [FindExecutable(name="ros2"), "run", "ctrl_rl_bringup", "report", str(options.folder)]
     report = ExecuteProcess(cmd=command, output="screen")
     ends = [EmitEvent(event=_interrupt(node)) for node in (*others, bag)]

@@ -1,7 +1,11 @@
-"""How every command of the suite ends: with its work done, one clear line of error, or quietly interrupted."""
+"""How every command of the suite ends: with its work done, one clear line of error, or quietly interrupted.
+
+And how it refuses numbers that are too small: `check_least(options, seeds=1, workers=0)`.
+"""
 
 from __future__ import annotations
 
+import argparse
 import os
 import sys
 from collections.abc import Callable
@@ -10,6 +14,22 @@ from ctrl_rl_core.errors import CtrlRlError
 
 EXIT_INTERRUPTED = 130
 """As a shell reports SIGINT."""
+
+
+class CommandError(CtrlRlError):
+    """An option has a value that does not serve."""
+
+
+def check_least(options: argparse.Namespace, **least: int) -> None:
+    """Refuse options, by name, that are less than this; one that was left out, None, passes.
+
+    Raises:
+        CommandError: names the option.
+    """
+    for name, limit in least.items():
+        value = getattr(options, name)
+        if value is not None and value < limit:
+            raise CommandError(f"--{name.replace('_', '-')} must be at least {limit}, not {value}")
 
 
 def run_command(program: str, work: Callable[[], int], failure: int = 1) -> int:

@@ -40,6 +40,16 @@ def draw_world(axes: Axes, task: NavigationTask, width: float | None = None) -> 
     axes.set_aspect("equal")
 
 
+def draw_map(axes: Axes, task: NavigationTask) -> None:
+    """Draw the task's world, and let the axes show what its walls enclose [m]."""
+    draw_world(axes, task)
+    (across, width), (up, height) = task.plane_bounds.items()
+    axes.set_xlim(width)
+    axes.set_ylim(height)
+    axes.set_xlabel(f"{across} [m]")
+    axes.set_ylabel(f"{up} [m]")
+
+
 def save_figure(figure: Figure, path: FilePath, dpi: int = 110) -> None:
     """Write a figure as PNG and close it; the file is there whole or not at all."""
     picture = BytesIO()

@@ -347,6 +347,7 @@ class OptimalControlSpec(Part):
         horizon: H, steps.
         time_step: [s].
         gamma: growth of the state cost per step.
+        discount: of a step of the policy, in the value function (Eq. 3.13) and in learning with it.
         state_weight: Q on the squared distance to the goal.
         control_weight: R on the squared controls.
         trap_weight: W on the squared distance to the trap's middle.
@@ -360,6 +361,7 @@ class OptimalControlSpec(Part):
     horizon: int = Field(gt=0)
     time_step: PositiveTime
     gamma: float = Field(gt=0)
+    discount: float = Field(gt=0, le=1)
     state_weight: float = Field(gt=0)
     control_weight: float = Field(gt=0)
     trap_weight: float = Field(default=0.0, ge=0)

@@ -12,6 +12,7 @@ import hashlib
 from pathlib import Path as FilePath
 from typing import Annotated, Any, Literal
 
+import numpy as np
 import yaml
 from pydantic import Discriminator, Field, TypeAdapter, ValidationError, model_validator
 
@@ -33,6 +34,7 @@ from ctrl_rl_core.task_parts import (
     TaskHeader,
     World,
 )
+from ctrl_rl_core.units import Interval
 
 FOLDER = FilePath(__file__).parent / "task_files"
 _PROSE = {"about", "source", "differences"}
@@ -76,6 +78,23 @@ class NavigationTask(TaskHeader):
     def plane(self) -> str:
         """The coordinates of the plane: "xz" for a quadrotor, "xy" for what drives."""
         return "xz" if "z" in (state.name for state in SYSTEM_MODELS[self.system.model].states) else "xy"
+
+    @property
+    def observed_states(self) -> tuple[str, ...]:
+        """What a learner is told of the robot's own motion: the system's state, in a corridor the speeds too."""
+        own = self.system.build().state_names
+        return own if self.corridor is None else (*own, "v", "omega")
+
+    @property
+    def plane_bounds(self) -> dict[str, Interval]:
+        """What the walls enclose, by the plane's coordinates [m]; around a corridor at its widest."""
+        if self.arena is not None:
+            return dict(zip(self.plane, self.arena.bounds, strict=True))
+        assert self.corridor is not None
+        path, half = self.corridor.path, 0.5 * self.corridor.width_range.high
+        points = path.pose(np.linspace(0.0, path.length, 1000))[:, :2]
+        ends = zip(self.plane, points.min(axis=0) - half, points.max(axis=0) + half, strict=True)
+        return {name: Interval(float(low), float(high)) for name, low, high in ends}
 
     def build_world(self, width: float | None = None) -> World:
         """Return walls and obstacles; `width` [m] replaces the corridor's nominal one.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from pathlib import Path
 
 
@@ -10,7 +11,7 @@ def write_whole(path: Path, content: bytes | str) -> None:
     """Write a file through a temporary one beside it; text as UTF-8. A reader or a crash never meets half of it.
 
     Raises:
-        OSError: the disk refuses; what was there before still is.
+        OSError: the disk refuses; it names the file, and what was there before still is.
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
@@ -19,5 +20,13 @@ def write_whole(path: Path, content: bytes | str) -> None:
             file.flush()
             os.fsync(file.fileno())
         temporary.replace(path)
+    except OSError as error:
+        # As it comes it names the temporary file, or with a full disk none.
+        raise OSError(error.errno, error.strerror, str(path)) from None
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def is_temporary(path: Path) -> bool:
+    """Whether a file is one that `write_whole` writes through, or was killed over."""
+    return re.fullmatch(r"\..+\.\d+\.tmp", path.name) is not None

@@ -1,7 +1,7 @@
 """Files that are there whole or not at all."""
 
 import pytest
-from ctrl_rl_core.whole_file import write_whole
+from ctrl_rl_core.whole_file import is_temporary, write_whole
 
 
 def test_text_and_bytes_replace_what_was_there(tmp_path):
@@ -16,9 +16,20 @@ def test_text_and_bytes_replace_what_was_there(tmp_path):
 def test_what_cannot_be_written_leaves_nothing_behind(tmp_path):
     folder = tmp_path / "folder"
     (folder / "kept").mkdir(parents=True)
-    with pytest.raises(OSError, match="folder"):
+    with pytest.raises(OSError, match="folder") as refused:
         write_whole(folder, "over a folder")
-    with pytest.raises(FileNotFoundError):
-        write_whole(tmp_path / "none" / "file", "in no folder")
+    assert refused.value.filename == str(folder)
+    missing = tmp_path / "none" / "file"
+    with pytest.raises(FileNotFoundError) as refused:
+        write_whole(missing, "in no folder")
+    assert refused.value.filename == str(missing), "not the temporary one, which nobody knows"
     assert list(tmp_path.iterdir()) == [folder]
     assert (folder / "kept").is_dir()
+
+
+def test_temporary_files_are_told_from_others(tmp_path, monkeypatch):
+    seen = []
+    monkeypatch.setattr("os.fsync", lambda _: seen.extend(tmp_path.iterdir()))
+    write_whole(tmp_path / "file.json", "text")
+    assert [is_temporary(file) for file in seen] == [True]
+    assert not any(is_temporary(tmp_path / name) for name in ("file.json", ".hidden", ".a.tmp", "a.12.tmp"))

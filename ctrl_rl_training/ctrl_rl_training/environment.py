@@ -53,7 +53,7 @@ def observation_scales(task: NavigationTask) -> tuple[Vector, Vector]:
         raise TrainingError(f"task '{task.name}' has no arena: only tasks with one can be learnt this way")
     places = dict(zip(("x", task.plane[1]), task.arena.bounds, strict=True))
     middle, unit = [], []
-    for name in task.system.build().state_names:
+    for name in task.observed_states:
         place = places.get(name)
         middle.append(0.0 if place is None else place.centre)
         unit.append(_TYPICAL[name] if place is None else 0.25 * place.length)
@@ -65,7 +65,7 @@ def observation_scales(task: NavigationTask) -> tuple[Vector, Vector]:
 
 def observation_names(task: NavigationTask) -> list[str]:
     """Return the names of the observed components."""
-    return [*task.system.build().state_names, *(f"beam_{index}" for index in range(task.lidar.beams))]
+    return [*task.observed_states, *(f"beam_{index}" for index in range(task.lidar.beams))]
 
 
 def make_environment(task: NavigationTask, rate: int | None = None, *wrappers: Any) -> Environment:

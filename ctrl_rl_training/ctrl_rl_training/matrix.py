@@ -5,19 +5,16 @@ results = train_all(runs, Options(Path("runs/mine")))
 
 from __future__ import annotations
 
-import fcntl
 import os
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from functools import partial
-from pathlib import Path
 from queue import Empty
 from typing import Any, Protocol
 
+from ctrl_rl_core.lock import alone
 from ctrl_rl_core.workers import CONTEXT, in_processes
 from tqdm import tqdm
 
-from ctrl_rl_training.errors import TrainingError
 from ctrl_rl_training.training import Named, Options, Report, result_file, train_one
 
 
@@ -54,12 +51,12 @@ def train_all(
         say: how progress shows what a run reports.
 
     Raises:
-        TrainingError: another call works in the folder.
+        LockError: another call works in the folder.
         CtrlRlError: a run refuses, or a worker was killed.
     """
     todo = [run for run in runs if not result_file(options.folder, run).is_file()]
     options.folder.mkdir(parents=True, exist_ok=True)
-    with _alone(options.folder / f".{title}.lock"):
+    with alone(options.folder / f".{title}.lock"):
         if todo:
             _run(todo, options, min(len(todo), workers or os.cpu_count() or 1), title, train, say)
     return [train(run, options) for run in runs]
@@ -97,13 +94,3 @@ def _train(run: Named, options: Options, train: Train) -> None:
         _worker["reports"].put((run.name, done, value))
 
     train(run, options, report)
-
-
-@contextmanager
-def _alone(lock: Path) -> Iterator[None]:
-    with lock.open("w") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise TrainingError(f"{lock.parent}: another run of this task is at work there") from None
-        yield

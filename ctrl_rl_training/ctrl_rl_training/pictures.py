@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.drawing import draw_world, save_figure
+from ctrl_rl_core.drawing import draw_map, save_figure
 from ctrl_rl_core.regions import ANGLES, position_indices
 from ctrl_rl_core.tasks import NavigationTask
 from matplotlib import pyplot as plt
@@ -47,13 +47,12 @@ def draw_curve(
 
 def draw_paths(paths: Sequence[Mapping[str, Any]], task: NavigationTask, title: str, path: Path) -> None:
     """Draw learnt paths, with the body's angle at a few moments, as Fig. 3.5 does."""
-    assert task.arena is not None
     names = task.system.build().state_names
     plane = position_indices(names)
     angle = next(index for index, name in enumerate(names) if name in ANGLES)
     flies = names[plane[1]] == "z"
     figure, ax = plt.subplots(figsize=(5.0, 5.0), layout="constrained")
-    draw_world(ax, task)
+    draw_map(ax, task)
     for number, entry in enumerate(paths, 1):
         states = np.array(entry["states"])
         x, y = states[:, plane[0]], states[:, plane[1]]
@@ -64,10 +63,6 @@ def draw_paths(paths: Sequence[Mapping[str, Any]], task: NavigationTask, title: 
             reach = _ARM * np.array([np.cos(turn), -np.sin(turn)] if flies else [np.cos(turn), np.sin(turn)])
             ends = np.array([-reach, reach]) if flies else np.array([0.0 * reach, reach])
             ax.plot(x[index] + ends[:, 0], y[index] + ends[:, 1], color=line.get_color(), linewidth=2.5)
-    ax.set_xlim(task.arena.bounds[0])
-    ax.set_ylim(task.arena.bounds[1])
-    ax.set_xlabel(f"{names[plane[0]]} [m]")
-    ax.set_ylabel(f"{names[plane[1]]} [m]")
     ax.set_title(title, fontsize=10)
     ax.legend(fontsize=8)
     save_figure(figure, path)

@@ -46,16 +46,26 @@ def curves(results: Sequence[Mapping[str, Any]], **names: str) -> dict[str, list
     return out
 
 
-def read_figures(file: Path) -> dict[str, Any]:
+def read_figures(file: Path, parts: Sequence[str]) -> dict[str, Any]:
     """Return the figures' data of a results file.
 
+    Args:
+        file: that `train --results` wrote.
+        parts: what they must have.
+
     Raises:
-        ResultsError: there is no such file, or it holds none.
+        ResultsError: there is no such file, or it holds something else.
     """
     try:
         figures: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))["figures"]
     except FileNotFoundError:
         raise ResultsError(f"{file}: there is no such file; make it with `train --results`") from None
     except (OSError, ValueError, KeyError, TypeError):
-        raise ResultsError(f"{file}: is not a file that `train --results` wrote") from None
+        raise ResultsError(f"{file}: is not a file that `train --results` wrote: give one of those") from None
+    lacking = [part for part in parts if not isinstance(figures, dict) or part not in figures]
+    if lacking:
+        raise ResultsError(
+            f"{file}: is not a file that `train --results` wrote, it lacks {', '.join(lacking)}: "
+            "give one that `train` of the same package wrote"
+        )
     return figures

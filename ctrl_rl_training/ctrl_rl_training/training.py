@@ -197,7 +197,7 @@ def _iterate(model: BaseAlgorithm, seed: int, samples: int, visits: Visits) -> l
     """Learn from so many samples of fresh episodes and return how those ended that did."""
     model.set_random_seed(seed)
     model._last_obs = None  # makes `learn` reset the environments
-    recorder = _Recorder(visits)
+    recorder = Recorder(visits)
     model.learn(samples, callback=recorder, reset_num_timesteps=False)
     if isinstance(model, DDPG) and model.replay_buffer is not None:
         # What comes next in the replay is another episode: returns over several steps must end here.
@@ -208,17 +208,25 @@ def _iterate(model: BaseAlgorithm, seed: int, samples: int, visits: Visits) -> l
     return recorder.outcomes
 
 
-class _Recorder(BaseCallback):
-    """Notes how episodes end and which states they meet."""
+class Recorder(BaseCallback):
+    """Notes how episodes end and which states they meet.
 
-    def __init__(self, visits: Visits) -> None:
+    Args:
+        visits: that states are added to, None for none.
+
+    Attributes:
+        outcomes: of the episodes that ended.
+    """
+
+    def __init__(self, visits: Visits | None = None) -> None:
         super().__init__()
         self.outcomes: list[str] = []
         self._visits = visits
 
     def _on_step(self) -> bool:
         infos = self.locals["infos"]
-        self._visits.add([info["state"] for info in infos])
+        if self._visits is not None:
+            self._visits.add([info["state"] for info in infos])
         self.outcomes += [info["outcome"] for info, done in zip(infos, self.locals["dones"], strict=True) if done]
         return True
 

@@ -12,6 +12,7 @@ import numpy as np
 from ctrl_rl_core.regions import Region
 
 from oc_baseline_node.errors import OcError
+from oc_baseline_node.guesses import braking
 from oc_baseline_node.mpc import Mpc, Trajectory
 from oc_baseline_node.problem import Problem
 from oc_baseline_node.starts import draw_start
@@ -30,8 +31,11 @@ class ChunkSolver:
         self._settings = settings
         self._mpc = Mpc(problem)
         look_ahead = max(1, round(_LOOK_AHEAD_S / problem.time_step))
-        clear = replace(problem, horizon=look_ahead, terminal=Region(), gamma=1.0, trap_weight=0.0)
-        self._keeps_clear = Mpc(clear, ("ipopt",))
+        # No goal that pulls into an obstacle: only to keep clear, at the least control.
+        self._clear = replace(
+            problem, horizon=look_ahead, terminal=Region(), gamma=1.0, state_weight=0.0, trap_weight=0.0
+        )
+        self._keeps_clear = Mpc(self._clear)
 
     def solve(self, index: int) -> ValueData:
         """Return chunk `index`.
@@ -50,7 +54,8 @@ class ChunkSolver:
                 solved.append(trajectory)
                 continue
             unsolved.append(trajectory)
-            doomed.append(not self._keeps_clear.solve(trajectory.states[0]).solved)
+            start = trajectory.states[0]
+            doomed.append(not self._keeps_clear.solve(start, braking(self._clear, start)).solved)
             if len(unsolved) >= _MOST_STARTS * wanted:
                 raise OcError(f"only {len(solved)} of {len(solved) + len(unsolved)} random starts have a trajectory; "
                               f"the solver's last word was '{trajectory.reason}'")  # fmt: skip

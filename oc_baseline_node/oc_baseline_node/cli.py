@@ -15,7 +15,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from ctrl_rl_core.command import run_command
+from ctrl_rl_core.command import check_least, run_command
 from ctrl_rl_core.results import write_results
 from ctrl_rl_core.tasks import NavigationTask, load_navigation_task
 from ctrl_rl_core.value_function import ValueFunction
@@ -23,12 +23,11 @@ from numpy.typing import NDArray
 
 from oc_baseline_node.errors import OcError
 from oc_baseline_node.extraction import extract
-from oc_baseline_node.figures import value_rows
 from oc_baseline_node.problem import FORMS, Form, Problem, formulate
-from oc_baseline_node.returns import DISCOUNT
 from oc_baseline_node.starts import draw_start
 from oc_baseline_node.value_data import DataSettings, ValueData, load_data, read_description
 from oc_baseline_node.value_file import find_value, load_value, save_value
+from oc_baseline_node.value_results import value_rows
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -62,9 +61,9 @@ def _parser() -> argparse.ArgumentParser:
     command.add_argument("--task", help="its task file, where the task is not one of the suite's")
     command.add_argument("--output", type=Path, required=True, help="network to write (.safetensors)")
     command.add_argument("--grid", type=Path, help="value grid to write as well (.safetensors)")
-    command.add_argument("--discount", type=float, default=DISCOUNT, help="of a policy's step (default %(default)s)")
+    command.add_argument("--discount", type=float, help="of a policy's step (default: the task's)")
     command.add_argument("--whole-horizon", action="store_true", help="sum Eq. 3.13 on after arrival")
-    command.add_argument("--epochs", type=int, default=40, help="passes over the data (default %(default)s)")
+    command.add_argument("--epochs", type=int, default=200, help="passes over the data (default %(default)s)")
     command.add_argument("--seed", type=int, default=0, help="of split, weights, order (default %(default)s)")
     command.add_argument("--overwrite", action="store_true", help="replace existing files")
     command.add_argument("--results", type=Path, help="JSON file for the figures of data and fit")
@@ -88,7 +87,7 @@ def _command(
 
 
 def _add_problem(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("task", help="a task of the suite (car_navigation, quad_navigation, quad_trap) or its file")
+    parser.add_argument("task", help="a task of the suite (car_navigation, curved_corridor ...) or its file")
     parser.add_argument(
         "--form",
         choices=FORMS,
@@ -114,6 +113,7 @@ def _extract(options: argparse.Namespace) -> int:
 def _solve(options: argparse.Namespace) -> int:
     from oc_baseline_node.mpc import Mpc
 
+    check_least(options, seed=0)
     problem = formulate(*_terms(options))
     mpc = Mpc(problem) if options.solver is None else Mpc(problem, (options.solver,))
     start = draw_start(problem, np.random.default_rng(options.seed)) if options.start is None else options.start
@@ -130,7 +130,7 @@ def _solve(options: argparse.Namespace) -> int:
     if options.output is not None:
         from oc_baseline_node.pictures import trajectories
 
-        trajectories(problem.task, [trajectory.states], options.output)
+        trajectories(problem.task, [problem.task_states(trajectory.states)], options.output)
         print(f"picture       {options.output}")
     return 0
 
@@ -138,11 +138,10 @@ def _solve(options: argparse.Namespace) -> int:
 def _data(options: argparse.Namespace) -> int:
     from oc_baseline_node.value_data_workers import make_data
 
+    check_least(options, trajectories=1, seed=0, workers=1)
     problem = formulate(*_terms(options))
-    oc = problem.task.optimal_control
-    wanted = options.trajectories or (oc.trajectories if oc is not None else 0)
-    if wanted < 1 or options.workers < 1:
-        raise OcError("--trajectories and --workers must be at least 1")
+    assert problem.task.optimal_control is not None  # without it there is no problem
+    wanted = problem.task.optimal_control.trajectories if options.trajectories is None else options.trajectories
     data, wall, cpu = make_data(problem, DataSettings(wanted, seed=options.seed), options.output, options.workers)
     print(_report(data))
     print(f"this run      {wall:.1f} s with {options.workers} processes, {cpu:.1f} CPU s in all")
@@ -169,8 +168,9 @@ def _report(data: ValueData) -> str:
 def _fit(options: argparse.Namespace) -> int:
     from oc_baseline_node.value_fit import FitSettings, fit
 
-    if not 0.0 < options.discount <= 1.0 or options.epochs < 1:
-        raise OcError("--discount must lie in (0, 1], --epochs be at least 1")
+    check_least(options, epochs=1, seed=0)
+    if options.discount is not None and not 0.0 < options.discount <= 1.0:
+        raise OcError(f"--discount must lie in (0, 1], not {options.discount:g}")
     for path in (options.output, options.grid):
         if path is not None and path.exists() and not options.overwrite:
             raise OcError(f"{path} exists: give another name, or --overwrite")

@@ -6,7 +6,7 @@ print(extraction.report())
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,11 +23,6 @@ CANDIDATES: Mapping[str, tuple[str, ...]] = {
     "quadrotor": ("planar_quadrotor", "quadrotor_rotation", "point_mass"),
 }
 """Table 3.1: models by robot type."""
-PHYSICAL_STATES: Mapping[str, tuple[str, ...]] = {
-    "car": ("x", "y", "theta", "v", "omega"),
-    "quadrotor": ("x", "v_x", "z", "v_z", "psi", "omega"),
-}
-"""What an RL agent is told of each robot type's own motion, by odometry (3.3.3)."""
 
 
 @dataclass(frozen=True)
@@ -105,34 +100,27 @@ def extract(task: NavigationTask, form: Form = "free_speed", clearance: float | 
 
 
 def rl_info(task: NavigationTask) -> RlInfo:
-    """Return the RL info of a task.
-
-    Raises:
-        OcError: the task has no arena.
-    """
-    if task.arena is None:
-        raise OcError(f"task '{task.name}' has no arena: an optimal control problem needs one (thesis Eq. 3.16)")
+    """Return the RL info of a task."""
     robot_type = ROBOT_TYPES[task.robot.body]
     places = ("x", task.plane[1])
     pays = task.rewards
     reward: dict[str, tuple[float, tuple[str, ...]]] = {
         "intermediate": (pays.intermediate, ()),
-        "goal": (pays.goal, _components(task.goal.intervals, places)),
+        "goal": (pays.goal, _components(() if task.corridor is not None else task.goal.intervals, places)),
         "collision": (pays.collision, places),
     }
     if task.trap is not None:
         reward["trap"] = (pays.trap or 0.0, _components(task.trap.intervals, places))
     if task.robot.tilt_limit is not None:
         reward["tilt"] = (pays.collision if pays.tilt is None else pays.tilt, ("psi",))
-    first, second = task.arena.bounds
     constraints = (
         f"at most {task.episode.steps} steps of {task.episode.time_step:g} s",
-        f"map {places[0]} {first.low:g} .. {first.high:g} m, {places[1]} {second.low:g} .. {second.high:g} m",
+        _map(task),
         f"{len(task.obstacles)} obstacles",
         "commands " + ", ".join(f"{name} {low:g} .. {high:g}" for name, (low, high) in task.robot.commands.items()),
     )
     beams = tuple(f"d_{index + 1}" for index in range(task.lidar.beams))
-    return RlInfo(robot_type, (*PHYSICAL_STATES[robot_type], *beams), reward, constraints)
+    return RlInfo(robot_type, (*task.observed_states, *beams), reward, constraints)
 
 
 def assess(model: str, info: RlInfo) -> Candidate:
@@ -177,7 +165,13 @@ def problem_lines(problem: Problem) -> list[str]:
     ]
 
 
-def _components(intervals: Mapping[str, object], places: tuple[str, str]) -> tuple[str, ...]:
+def _map(task: NavigationTask) -> str:
+    if task.corridor is not None:
+        return f"a corridor {task.corridor.path.length:.3g} m long and {task.corridor.width:g} m wide"
+    return "map " + ", ".join(f"{name} {low:g} .. {high:g} m" for name, (low, high) in task.plane_bounds.items())
+
+
+def _components(intervals: Iterable[str], places: tuple[str, str]) -> tuple[str, ...]:
     return (*places, *(name for name in intervals if name not in places))
 
 

@@ -1,4 +1,4 @@
-"""Where a solver begins: a straight line to the goal, or an earlier trajectory moved on by some steps."""
+"""Where a solver begins: a line to the goal, straight or round obstacles, or an earlier trajectory moved on."""
 
 from __future__ import annotations
 
@@ -7,20 +7,48 @@ from ctrl_rl_core.systems import System
 from numpy.typing import NDArray
 
 from oc_baseline_node.problem import Problem
+from oc_baseline_node.ways import Ways
 
 Array = NDArray[np.float64]
 
 
-def straight_line(problem: Problem, start: Array) -> tuple[Array, Array]:
-    """Return states (H+1, n) that slide from `start` (n,) to the goal, rates dying out, and resting controls (H, m)."""
+class Guesses:
+    """What solvers begin with, for one problem.
+
+    Args:
+        problem: to be solved.
+    """
+
+    def __init__(self, problem: Problem) -> None:
+        self._problem = problem
+        self._ways = Ways(problem) if problem.obstacles else None
+
+    def __call__(self, start: Array) -> list[tuple[Array, Array]]:
+        """Return states (H+1, n) and controls (H, m) to begin with from `start` (n,), the likeliest first.
+
+        A straight line to the goal; where that runs through an obstacle, before it a way round.
+        """
+        count = self._problem.horizon + 1
+        position = start[self._problem.positions]
+        lines = [position + np.linspace(0.0, 1.0, count)[:, None] * (np.array(self._problem.goal) - position)]
+        if self._ways is not None and not self._ways.straight(position):
+            lines.insert(0, self._ways.way(position, count))
+        return [sliding(self._problem, start, line) for line in lines]
+
+
+def sliding(problem: Problem, start: Array, line: Array) -> tuple[Array, Array]:
+    """Return states (H+1, n) that slide along `line` (H+1, 2), rates dying out, and resting controls (H, m)."""
     names, H = problem.system.state_names, problem.horizon
-    share = np.linspace(0.0, 1.0, H + 1)[:, None]
     states = np.tile(start, (H + 1, 1))
-    place = problem.positions
-    states[:, place] += share * (np.array(problem.goal) - start[place])
+    states[:, problem.positions] = line
     dying = [index for index, name in enumerate(names) if name in ("v", "v_x", "v_z", "omega", "psi")]
-    states[:, dying] *= 1.0 - share
+    states[:, dying] *= 1.0 - np.linspace(0.0, 1.0, H + 1)[:, None]
     return states, np.tile(resting_control(problem.system), (H, 1))
+
+
+def braking(problem: Problem, start: Array) -> tuple[Array, Array]:
+    """Return states (H+1, n) that stay where `start` (n,) is while its rates die out, and resting controls (H, m)."""
+    return sliding(problem, start, np.tile(start[problem.positions], (problem.horizon + 1, 1)))
 
 
 def moved_on(states: Array, controls: Array, steps: int) -> tuple[Array, Array]:

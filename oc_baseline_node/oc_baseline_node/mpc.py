@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from oc_baseline_node.guesses import moved_on, resting_control, straight_line
+from oc_baseline_node.guesses import Guesses, moved_on, resting_control
 from oc_baseline_node.problem import Problem
 from oc_baseline_node.transcription import Program, SolverName, transcribe
 
@@ -48,7 +49,7 @@ class Mpc:
 
     Args:
         problem: to solve.
-        solvers: asked in this order until one succeeds; fatrop is the faster one, ipopt the more robust.
+        solvers: asked in this order, with each guess, until one succeeds; fatrop is the faster, ipopt the more robust.
         max_iterations: of each.
     """
 
@@ -59,6 +60,7 @@ class Mpc:
         self._solvers = solvers
         self._max_iterations = max_iterations
         self._programs: dict[SolverName, Program] = {}
+        self._guesses = Guesses(problem)
 
     def solve(self, start: ArrayLike, guess: tuple[Array, Array] | None = None, check_start: bool = True) -> Trajectory:
         """Return the trajectory from `start` (n,).
@@ -73,10 +75,10 @@ class Mpc:
         if refusal:
             return _unsolved(self.problem, start, refusal)
         iterations, seconds = 0, 0.0
-        for name in self._solvers:
+        guesses = self._guesses(start) if guess is None else [guess]
+        for name, (states, controls) in product(self._solvers, guesses):
             program = self._program(name)
             begin = time.process_time()
-            states, controls = guess or straight_line(self.problem, start)
             variables = program.layout.pack(states, controls, self.problem.time_step)
             answer = program.solver(x0=variables, p=start, **program.bounds)
             stats = program.solver.stats()

@@ -2,25 +2,40 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from typing import ClassVar
 
+from ctrl_rl_core.parameters import Parameter
 from ctrl_rl_core.ros import run_node
-from ctrl_rl_core.value_function import ValueFunction
-from ctrl_rl_core.value_server import Valued, ValueServer
+from ctrl_rl_core.tasks import load_navigation_task, task_names
+from ctrl_rl_core.value_function import ValueFunction, check_function
+from ctrl_rl_core.value_server import SERVER_PARAMETERS, Valued, ValueServer
 
-from oc_baseline_node.value_file import find_value, load_value
+from oc_baseline_node.value_file import find_value, load_value, shipped_values
+
+
+def _with_names(parameter: Parameter) -> Parameter:
+    """Return the parameter, `grid` with the names that it takes as well as files."""
+    if parameter.name != "grid":
+        return parameter
+    names = ", ".join(shipped_values())
+    return replace(parameter, description=f"{parameter.description} Or one that comes with the package: {names}.")
 
 
 class OcBaselineNode(ValueServer):
     """Serves an optimal control value function V_oc (thesis Eq. 3.13), a baseline for policy gradients.
 
     Subscribes to odom; publishes oc_value for each message, ~/grid and ~/slice latched; answers ~/query and ~/reload.
-    The file is a network that `oc fit` wrote, or a value grid; car_navigation, quad_navigation and quad_trap name the
-    networks that come with the package.
+    The file is a network that `oc fit` wrote, or a value grid; networks that come with the package go by their task.
     """
 
     TOPIC = "oc_value"
     KIND = "oc_value"
+    PARAMETERS: ClassVar[tuple[Parameter, ...]] = (
+        *map(_with_names, SERVER_PARAMETERS),
+        Parameter("task", "", "Name or .yaml file of the task; empty for the one that the grid was made for."),
+    )
 
     def __init__(self) -> None:
         super().__init__("oc_baseline_node")
@@ -29,8 +44,20 @@ class OcBaselineNode(ValueServer):
         """Read a network or a value grid: a file, or by task one that comes with the package."""
         return load_value(find_value(path))
 
-    def prepare(self, _function: ValueFunction) -> Valued:
-        """Return what says nothing more: the StateValue tells all."""
+    def prepare(self, function: ValueFunction) -> Valued:
+        """Return what says nothing more: the StateValue tells all; warn of a function of another version of its task.
+
+        Raises:
+            CtrlRlError: there is no such task, or the function is of another one.
+        """
+        given = self.settings["task"]
+        # A task that is none of the suite's is known by its file alone.
+        if given or function.task in task_names():
+            task = load_navigation_task(given or function.task)
+            if not check_function(function, task, self.KIND):
+                self.get_logger().warning(
+                    f"the grid was made for another version of task '{task.name}': make it with 'oc data' and 'oc fit'"
+                )
         return lambda _message, _state, _value: None
 
 

@@ -14,6 +14,7 @@ from ctrl_rl_core.tasks import NavigationTask, task_digest
 from ctrl_rl_core.units import Interval
 from numpy.typing import ArrayLike, NDArray
 
+from oc_baseline_node.corridor import in_plane, path_car
 from oc_baseline_node.errors import OcError
 
 Array = NDArray[np.float64]
@@ -34,15 +35,16 @@ class Problem:
     """min over u of sum_k gamma^(k+1) (Q |p_k - p*|^2 - W |p_k - p_trap|^2) + R |u_k|^2, k = 0 .. H - 1.
 
     Subject to the system, x_0 given, x_H in the terminal set, p_k at least d_min from obstacles, states and controls
-    within bounds. The W term is the trap form of section 3.3.3.
+    within bounds. The W term is the trap form of section 3.3.3. In a corridor x and p are coordinates of its path.
 
     Attributes:
         task: the task it belongs to.
-        system: f, with the bounds of u that the problem uses.
+        system: f, with the bounds of u that the problem uses; the task's own, or in a corridor `path_car`.
         form: see `FORMS`.
         horizon: H, steps.
         time_step: [s].
         gamma: growth of the state cost per step; not the discount of Eq. 3.13.
+        discount: of a step of the task's policy, in Eq. 3.13.
         state_weight: Q.
         control_weight: R.
         trap_weight: W.
@@ -60,6 +62,7 @@ class Problem:
     horizon: int
     time_step: float
     gamma: float
+    discount: float
     state_weight: float
     control_weight: float
     trap_weight: float
@@ -72,8 +75,14 @@ class Problem:
 
     @property
     def positions(self) -> list[int]:
-        """Where in x the two coordinates of the plane stand."""
-        return position_indices(self.system.state_names)
+        """Where in x the two coordinates of the plane stand: x and y, x and z, or s and lateral."""
+        return [0, 1] if self.task.corridor is not None else position_indices(self.system.state_names)
+
+    def task_states(self, states: ArrayLike) -> Array:
+        """Return states (..., n) of `system` as states (..., n) of the task's own system."""
+        if self.task.corridor is None:
+            return np.asarray(states, dtype=float)
+        return in_plane(self.task.corridor.path, states)
 
     @property
     def digest(self) -> str:
@@ -122,15 +131,13 @@ def formulate(task: NavigationTask, form: Form = "free_speed", clearance: float 
     """Return a task's problem.
 
     Args:
-        task: with an arena and a part `optimal_control`.
+        task: with a part `optimal_control`; obstacles only in an arena.
         form: see `FORMS`.
         clearance: d_min [m]; where left out the task's, but more than the body's radius: nearer, the body collides.
 
     Raises:
         OcError: the task lacks what the problem needs, or its terminal set is empty within the bounds.
     """
-    if task.arena is None:
-        raise OcError(f"task '{task.name}' has no arena: an optimal control problem needs one (thesis Eq. 3.16)")
     oc = task.optimal_control
     if oc is None:
         raise OcError(f"task '{task.name}' has no part 'optimal_control': add its constants to the task file")
@@ -138,6 +145,10 @@ def formulate(task: NavigationTask, form: Form = "free_speed", clearance: float 
         raise OcError(f"no form '{form}': there are {', '.join(FORMS)}")
     d_min = max(oc.clearance, task.robot.radius + _ROOM) if clearance is None else clearance
     system = _system(task, oc, form)
+    if task.corridor is not None:
+        if task.obstacles:
+            raise OcError(f"task '{task.name}': an optimal control problem in a corridor takes no obstacles")
+        system = path_car(system, task.corridor.path)
     return Problem(
         task=task,
         system=system,
@@ -145,16 +156,22 @@ def formulate(task: NavigationTask, form: Form = "free_speed", clearance: float 
         horizon=oc.horizon,
         time_step=oc.time_step,
         gamma=oc.gamma,
+        discount=oc.discount,
         state_weight=oc.state_weight,
         control_weight=oc.control_weight,
         trap_weight=oc.trap_weight if task.trap is not None else 0.0,
-        goal=task.goal.region.position,
+        goal=_goal(task),
         trap=None if task.trap is None else task.trap.region.position,
         terminal=_terminal(task, oc),
         obstacles=task.build_world().obstacles,
         clearance=d_min,
         state_bounds=_state_bounds(task, oc, system, d_min),
     )
+
+
+def _goal(task: NavigationTask) -> tuple[float, float]:
+    region = task.goal.region
+    return region.position if task.corridor is None else (region.intervals["s"].centre, 0.0)
 
 
 def _system(task: NavigationTask, oc: OptimalControlSpec, form: Form) -> System:
@@ -186,13 +203,13 @@ def _terminal(task: NavigationTask, oc: OptimalControlSpec) -> Region:
 
 def _state_bounds(task: NavigationTask, oc: OptimalControlSpec, system: System, clearance: float) -> Array:
     """Return (2, n): the task's bounds, less what ends an episode: positions within d_min of a wall, too much tilt."""
-    assert task.arena is not None
     bounds = np.array([[-np.inf] * len(system.states), [np.inf] * len(system.states)])
     for name, interval in oc.bounds.items():
         if name not in system.state_names:
             raise OcError(f"task '{task.name}': optimal_control.bounds names '{name}', which the system lacks")
         bounds[:, system.state_names.index(name)] = interval
-    for index, wall in zip(position_indices(system.state_names), task.arena.bounds, strict=True):
+    for name, wall in _walls(task).items():
+        index = system.state_names.index(name)
         low, high = bounds[:, index]
         bounds[:, index] = max(low, wall.low + clearance), min(high, wall.high - clearance)
     if task.robot.tilt_limit is not None and "psi" in system.state_names:
@@ -203,3 +220,12 @@ def _state_bounds(task: NavigationTask, oc: OptimalControlSpec, system: System, 
             f"task '{task.name}': no state is {clearance:g} m from the walls and within optimal_control.bounds"
         )
     return bounds
+
+
+def _walls(task: NavigationTask) -> dict[str, Interval]:
+    """Return where the walls stand, by the position that they bound [m]; a corridor is open at its end."""
+    if task.corridor is not None:
+        half = 0.5 * task.corridor.width
+        return {"s": Interval(0.0, np.inf), "lateral": Interval(-half, half)}
+    assert task.arena is not None
+    return dict(zip(task.plane, task.arena.bounds, strict=True))

@@ -10,9 +10,6 @@ from ctrl_rl_core.tasks import NavigationTask
 from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
-DISCOUNT = 0.998
-"""Of a policy's step. Neither thesis nor published code name it for section 3.3; this is the same authors' PPO's. The
-MPC's gamma = 1.1 is no discount but the growth of its state cost, and would let values grow with distance."""
 
 
 def step_discount(task: NavigationTask, discount: float, time_steps: ArrayLike) -> Array:

@@ -83,7 +83,8 @@ def transcribe(problem: Problem, solver: SolverName, max_iterations: int) -> Pro
     X = [casadi.SX.sym(f"x_{k}", n + layout.free_time) for k in range(H + 1)]
     U = [casadi.SX.sym(f"u_{k}", len(layout.free_controls)) for k in range(H)]
     covers = [cover(shape, problem.clearance) for shape in problem.obstacles]
-    scale = min(1.0, _COST_RANGE / (problem.state_weight * problem.gamma**H))
+    heaviest = problem.state_weight * problem.gamma**H
+    scale = _COST_RANGE / max(heaviest, _COST_RANGE)
     g: list[Any] = []
     low: list[float] = []
     high: list[float] = []

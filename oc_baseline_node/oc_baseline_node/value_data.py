@@ -7,21 +7,32 @@ from __future__ import annotations
 
 import io
 import json
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from ctrl_rl_core.whole_file import is_temporary, write_whole
 from numpy.typing import NDArray
 
 from oc_baseline_node.errors import OcError
 from oc_baseline_node.problem import Problem
-from oc_baseline_node.returns import DISCOUNT, returns, rewards, step_discount
-from oc_baseline_node.value_file import write_file
+from oc_baseline_node.returns import returns, rewards, step_discount
 
 Array = NDArray[np.float64]
 FORMAT = "oc-value-data-1"
+LOCK = ".lock"
+"""File of a folder of value data that keeps a second call out."""
+_TYPES: dict[str, type | tuple[type, ...]] = {
+    "task": str,
+    "task_digest": str,
+    "form": str,
+    "clearance": (int, float),
+    "trajectories": int,
+    "chunk": int,
+    "seed": int,
+}
+"""Of what a folder of value data says about itself."""
 
 
 @dataclass(frozen=True)
@@ -31,12 +42,22 @@ class DataSettings:
     Attributes:
         trajectories: how many solved ones.
         chunk: of them to a file.
-        seed: of the starts.
+        seed: of the starts, zero or more.
+
+    Raises:
+        OcError: there would be nothing to make.
     """
 
     trajectories: int
     chunk: int = 10
     seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.trajectories < 1 or self.chunk < 1 or self.seed < 0:
+            raise OcError(
+                f"{self.trajectories} trajectories, {self.chunk} to a file, seed {self.seed}: the first two must be at "
+                "least 1, the seed 0"
+            )
 
     @property
     def chunks(self) -> int:
@@ -82,16 +103,25 @@ class ValueData:
         """The same without the starts that are doomed."""
         return len(self.states) / (len(self.states) + int(np.sum(~self.doomed)))
 
-    def values(self, problem: Problem, discount: float = DISCOUNT, whole_horizon: bool = False) -> Array:
-        """Return V(x_m) (N, H+1) by Eq. 3.13.
+    def values(
+        self, problem: Problem, discount: float | None = None, whole_horizon: bool = False
+    ) -> tuple[Array, NDArray[np.bool_]]:
+        """Return V(x_m) by Eq. 3.13, and which states an episode would still meet, both (N, H+1).
+
+        After its first goal, trap or collision an episode is over: what a trajectory does then is no state of it.
 
         Args:
             problem: whose task pays the rewards.
-            discount: of a step of the task's policy.
-            whole_horizon: whether the sum goes on after arrival, to the horizon's end, as the thesis may be read.
+            discount: of a step of the task's policy; the task's own unless given.
+            whole_horizon: whether the sum goes on after arrival, to the horizon's end, as the thesis may be read; every
+                state counts then.
         """
-        paid, ended = rewards(problem.task, self.states)
-        return returns(paid, ended & (not whole_horizon), step_discount(problem.task, discount, self.time_steps))
+        paid, ended = rewards(problem.task, problem.task_states(self.states))
+        ended &= not whole_horizon
+        over = np.logical_or.accumulate(ended, axis=1)
+        met = np.column_stack((np.ones(len(over), dtype=bool), ~over[:, :-1]))
+        per_step = step_discount(problem.task, problem.discount if discount is None else discount, self.time_steps)
+        return returns(paid, ended, per_step), met
 
 
 def description(problem: Problem, settings: DataSettings) -> dict[str, Any]:
@@ -114,33 +144,58 @@ def chunk_file(folder: Path, index: int) -> Path:
 
 
 def write_chunk(folder: Path, index: int, data: ValueData) -> None:
-    """Write a chunk, whole or not at all."""
+    """Write a chunk, whole or not at all.
+
+    Raises:
+        OSError: it cannot be written.
+    """
     buffer = io.BytesIO()
     arrays: dict[str, Any] = {name: getattr(data, name) for name in ValueData.__annotations__}
     arrays["reasons"] = np.array(data.reasons, dtype=np.str_)
     np.savez(buffer, **arrays)
-    write_file(chunk_file(folder, index), buffer.getvalue())
+    write_whole(chunk_file(folder, index), buffer.getvalue())
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder for value data, if it is not there.
+
+    Raises:
+        OcError: it holds something else; what a killed call leaves behind does not count.
+        OSError: it cannot be made.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    other = [file for file in folder.iterdir() if file.name != LOCK and not is_temporary(file)]
+    if other and not (folder / "settings.json").exists():
+        raise OcError(f"{folder} holds something else than value data, {other[0].name}: give another folder")
 
 
 def open_folder(folder: Path, problem: Problem, settings: DataSettings) -> list[int]:
-    """Make or take up a folder of value data and return the chunks that it still lacks.
+    """Begin or take up value data in a folder of `make_folder` and return the chunks that it still lacks.
+
+    Only whoever has the folder's lock may: what a killed call left half-written is removed.
 
     Raises:
-        OcError: the folder holds data of other settings, or something else.
+        OcError: the folder holds data of other settings.
+        OSError: it cannot be written to.
     """
-    wanted, file = description(problem, settings), folder / "settings.json"
-    if folder.exists() and any(folder.iterdir()) and not file.exists():
-        raise OcError(f"{folder} holds something else than value data: give another folder")
+    file = folder / "settings.json"
     if file.exists():
-        there = read_description(folder)
-        other = [name for name, value in wanted.items() if there.get(name) != value]
-        if other:
-            name = other[0]
-            raise OcError(
-                f"{folder} holds data with {name} = {there.get(name)}, not {wanted[name]}: give another folder"
-            )
-    else:
-        write_file(file, json.dumps(wanted, indent=1) + "\n")
+        _check_same(folder, problem, settings)
+    for left in filter(is_temporary, folder.iterdir()):
+        left.unlink()
+    if not file.exists():
+        write_whole(file, json.dumps(description(problem, settings), indent=1) + "\n")
+    return _lacking(folder, settings)
+
+
+def _check_same(folder: Path, problem: Problem, settings: DataSettings) -> None:
+    there = read_description(folder)
+    for name, wanted in description(problem, settings).items():
+        if there.get(name) != wanted:
+            raise OcError(f"{folder} holds data with {name} = {there.get(name)}, not {wanted}: give another folder")
+
+
+def _lacking(folder: Path, settings: DataSettings) -> list[int]:
     return [index for index in range(settings.chunks) if not chunk_file(folder, index).exists()]
 
 
@@ -148,7 +203,7 @@ def read_description(folder: Path) -> dict[str, Any]:
     """Return what a folder of value data says about itself.
 
     Raises:
-        OcError: there is none.
+        OcError: there is none, or it is wrong.
     """
     file = folder / "settings.json"
     try:
@@ -157,6 +212,9 @@ def read_description(folder: Path) -> dict[str, Any]:
         raise OcError(f"{folder} holds no value data: make them with 'oc data'") from None
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise OcError(f"{file}: format is not '{FORMAT}': make the data again")
+    wrong = [name for name, kind in _TYPES.items() if not isinstance(content.get(name), kind)]
+    if wrong:
+        raise OcError(f"{file}: {', '.join(wrong)} missing or of a wrong type: make the data again in another folder")
     return content
 
 
@@ -168,7 +226,8 @@ def load_data(folder: Path, problem: Problem) -> ValueData:
     """
     there = read_description(folder)
     settings = DataSettings(*(int(there[name]) for name in ("trajectories", "chunk", "seed")))
-    lacking = open_folder(folder, problem, settings)
+    _check_same(folder, problem, settings)
+    lacking = _lacking(folder, settings)
     if lacking:
         raise OcError(f"{folder} lacks {len(lacking)} of {settings.chunks} chunks: run the same 'oc data' again")
     return join([_read_chunk(chunk_file(folder, index)) for index in range(settings.chunks)])
@@ -185,6 +244,6 @@ def _read_chunk(file: Path) -> ValueData:
     try:
         with np.load(file, allow_pickle=False) as content:
             arrays = {name: content[name] for name in ValueData.__annotations__}
-    except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+    except Exception as error:  # zipfile and NumPy raise nearly anything about a damaged archive
         raise OcError(f"{file} is not a whole chunk ({error}): delete it and run 'oc data' again") from None
     return ValueData(**{**arrays, "reasons": tuple(arrays["reasons"].tolist())})

@@ -8,13 +8,14 @@ from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 
+from ctrl_rl_core.lock import alone
 from ctrl_rl_core.tasks import NavigationTask
 from ctrl_rl_core.workers import in_processes
 from tqdm import tqdm
 
 from oc_baseline_node.chunk_solver import ChunkSolver
 from oc_baseline_node.problem import Form, Problem, formulate
-from oc_baseline_node.value_data import DataSettings, ValueData, load_data, open_folder, write_chunk
+from oc_baseline_node.value_data import LOCK, DataSettings, ValueData, load_data, make_folder, open_folder, write_chunk
 
 _solver: ChunkSolver
 """One to a worker process: setting up the programs takes as long as a chunk does."""
@@ -33,19 +34,20 @@ def make_data(
         progress: whether to show a bar.
 
     Raises:
-        OcError: see `open_folder` and `ChunkSolver.solve`.
+        OcError: see `make_folder`, `open_folder` and `ChunkSolver.solve`.
+        LockError: another call works in the folder.
         WorkersError: a worker was killed.
     """
-    lacking = open_folder(folder, problem, settings)
-    done = sum(settings.size(index) for index in range(settings.chunks)) - sum(map(settings.size, lacking))
     wall, cpu = time.monotonic(), _cpu_seconds()
-    bar = tqdm(
-        total=settings.trajectories, initial=done, desc="solving", unit="trajectory", disable=None if progress else True
-    )
-    with bar:
-        for index in _finished(problem, settings, folder, lacking, min(workers, max(1, len(lacking)))):
-            bar.update(settings.size(index))
-    return load_data(folder, problem), time.monotonic() - wall, _cpu_seconds() - cpu
+    make_folder(folder)
+    with alone(folder / LOCK):
+        lacking = open_folder(folder, problem, settings)
+        done = settings.trajectories - sum(map(settings.size, lacking))
+        quiet = None if progress else True
+        with tqdm(total=settings.trajectories, initial=done, desc="solving", unit="trajectory", disable=quiet) as bar:
+            for index in _finished(problem, settings, folder, lacking, min(workers, max(1, len(lacking)))):
+                bar.update(settings.size(index))
+        return load_data(folder, problem), time.monotonic() - wall, _cpu_seconds() - cpu
 
 
 def _finished(

@@ -49,24 +49,13 @@ def save_value(value: MlpValue, path: Path, overwrite: bool = False) -> None:
     """Write a network; the file is there whole or not at all.
 
     Raises:
-        OcError: the file exists and `overwrite` is false, or it cannot be written.
+        OcError: the file exists and `overwrite` is false.
+        OSError: it cannot be written.
     """
     if path.exists() and not overwrite:
         raise OcError(f"{path} exists: give another name, or ask to overwrite it")
-    write_file(path, encode(value))
-
-
-def write_file(path: Path, content: bytes | str) -> None:
-    """Write a file and the folder that it lies in.
-
-    Raises:
-        OcError: it cannot be written.
-    """
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(path, content)
-    except OSError as error:
-        raise OcError(f"cannot write {path}: {error.strerror}") from None
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(path, encode(value))
 
 
 def shipped_values() -> dict[str, Path]:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 import torch
@@ -17,7 +16,6 @@ from oc_baseline_node.collision_set import CollisionSet
 from oc_baseline_node.errors import OcError
 from oc_baseline_node.mlp_value import MlpValue, features
 from oc_baseline_node.problem import Problem
-from oc_baseline_node.returns import DISCOUNT
 from oc_baseline_node.starts import state_space
 from oc_baseline_node.value_data import ValueData
 
@@ -33,7 +31,7 @@ class FitSettings:
     """How to fit.
 
     Attributes:
-        discount: of a step of the task's policy, in Eq. 3.13.
+        discount: of a step of the task's policy, in Eq. 3.13; the task's own unless given.
         whole_horizon: whether Eq. 3.13 sums on after arrival.
         hidden: units of each hidden layer.
         epochs: passes over the data.
@@ -43,10 +41,10 @@ class FitSettings:
         seed: of split, weights and order.
     """
 
-    discount: float = DISCOUNT
+    discount: float | None = None
     whole_horizon: bool = False
     hidden: tuple[int, ...] = (64, 64)
-    epochs: int = 40
+    epochs: int = 200
     batch: int = 512
     learning_rate: float = 5e-3
     held_out: float = 0.1
@@ -54,11 +52,11 @@ class FitSettings:
 
 
 def fit(problem: Problem, data: ValueData, settings: FitSettings | None = None, progress: bool = True) -> MlpValue:
-    """Return V_oc fitted to value data; its manifest tells the error on held-out trajectories.
+    """Return V_oc fitted to value data up to each arrival; its manifest tells the error on held-out trajectories.
 
     Args:
         problem: that the data solve.
-        data: trajectories; the first H states of each are samples (the last one only ends the sum of Eq. 3.13).
+        data: trajectories; the states of each that an episode would meet are samples.
         settings: how.
         progress: whether to show a bar.
 
@@ -66,48 +64,48 @@ def fit(problem: Problem, data: ValueData, settings: FitSettings | None = None, 
         OcError: too few trajectories to hold some out.
     """
     settings = settings or FitSettings()
+    discount = problem.discount if settings.discount is None else settings.discount
     random = np.random.default_rng(settings.seed)
-    states, values = data.states[:, :-1], data.values(problem, settings.discount, settings.whole_horizon)[:, :-1]
+    states = problem.task_states(data.states)
+    values, met = data.values(problem, discount, settings.whole_horizon)
+    met[:, -1] &= not settings.whole_horizon  # the last state then only ends the sum
     count = len(states)
-    unseen = random.permutation(count)[: round(settings.held_out * count)]
-    if not 0 < len(unseen) < count:
+    held = np.isin(np.arange(count), random.permutation(count)[: round(settings.held_out * count)])
+    if not held.any() or held.all():
         raise OcError(f"{count} trajectories: too few to hold {settings.held_out:.0%} out; make more")
+    seen, unseen = met & ~held[:, None], met & held[:, None]
+    x, y = states[seen], values[seen]
     axes = domain(problem, data)
-    seen = np.setdiff1d(np.arange(count), unseen)
-    x, y = _flat(states[seen]), values[seen].ravel()
     offset, scale = float(y.mean()), float(max(y.std(), 1e-9))
     inputs = features(axes, x)
     middle, spread = inputs.mean(axis=0), np.maximum(inputs.std(axis=0), 1e-6)
     (weight, bias), *rest = _train((inputs - middle) / spread, (y - offset) / scale, settings, progress)
     # The standardisation of the inputs becomes part of the first layer.
     layers = ((weight / spread, bias - (weight / spread) @ middle), *rest)
-    manifest: dict[str, Any] = {
-        "discount": settings.discount,
+    network = MlpValue(layers, axes, offset, scale, problem.task.name, problem.digest, CollisionSet.of(problem.task))
+    manifest = {
+        "discount": discount,
         "fit": {**asdict(settings), "hidden": list(settings.hidden)},
-        "data": {"trajectories": count, "states": int(states[..., 0].size)},
+        "data": {"trajectories": count, "states": int(met.sum())},
         "clearance": problem.clearance,
         "form": problem.form,
+        "held_out": _errors(network, states[unseen], values[unseen]),
+        "fitted": _errors(network, x, y),
     }
-    network = MlpValue(
-        layers, axes, offset, scale, problem.task.name, problem.digest, CollisionSet.of(problem.task), manifest
-    )
-    manifest["held_out"] = _errors(network, _flat(states[unseen]), values[unseen].ravel())
-    manifest["fitted"] = _errors(network, _flat(states[seen]), values[seen].ravel())
-    return network
+    return replace(network, manifest=manifest)
 
 
 def domain(problem: Problem, data: ValueData) -> tuple[Axis, ...]:
-    """Return the axes of V_oc: the arena, whole turns, and rates as far as the trajectories reach."""
-    assert problem.task.arena is not None
+    """Return the axes of V_oc: what the walls enclose, whole turns, and rates as far as the trajectories reach."""
     space = state_space(problem)
-    reached = data.states.reshape(-1, data.states.shape[-1])
-    counts = _FINE if len(problem.system.states) <= _LARGE else _COARSE
-    walls = dict(zip(problem.positions, problem.task.arena.bounds, strict=True))
+    states, walls = problem.task.system.build().states, problem.task.plane_bounds
+    reached = _flat(problem.task_states(data.states))
+    counts = _FINE if len(states) <= _LARGE else _COARSE
     axes = []
-    for index, state in enumerate(problem.system.states):
-        kind = "position" if index in walls else "angle" if state.periodic else "rate"
-        if index in walls:
-            low, high = walls[index]
+    for index, state in enumerate(states):
+        kind = "position" if state.name in walls else "angle" if state.periodic else "rate"
+        if state.name in walls:
+            low, high = walls[state.name]
         elif state.periodic:
             low, high = state.lower, state.upper
         else:

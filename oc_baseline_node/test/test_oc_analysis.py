@@ -1,6 +1,7 @@
 """The analyses: model against simulator, MPC in it, and estimates of gradients."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,9 +13,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from oc_baseline_node.training import gradients
 from oc_baseline_node.training.analysis_cli import main
+from oc_baseline_node.training.analysis_pictures import draw_drives
 from oc_baseline_node.training.mismatch import action_of, command, drive_by_mpc, predict, transition_errors
 from oc_baseline_node.training.runs import OcRun
 
+MPC = Path(__file__).parents[2] / "docs" / "results" / "oc_mpc_quad_navigation.json"
 CAR = load_navigation_task("car_navigation")
 
 
@@ -50,6 +53,38 @@ def test_the_mismatch_command_writes_the_table(tmp_path, capsys):
     rows = json.loads((tmp_path / "oc_mismatch.json").read_text(encoding="utf-8"))["rows"]
     assert [row["thesis"] for row in rows] == [0.095, 0.391, 0.518, 0.542, 0.836, 1.144]
     assert "after 10 steps" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["mismatch", "--roll-outs", "0"], "--roll-outs must be at least 1, not 0"),
+        (["mpc", "--episodes", "0"], "--episodes must be at least 1, not 0"),
+        (["mpc", "--learnt", str(MPC)], "is not a file that `train --results` wrote, it lacks curves"),
+        (["gradient", "--samples", "0"], "--samples must be at least 1, not 0"),
+        (["mismatch", "--seed", "-1"], "--seed must be at least 0, not -1"),
+    ],
+)
+def test_what_cannot_be_analysed_is_said_in_one_line(arguments, words, tmp_path, capsys):
+    assert main([*arguments, "--results", str(tmp_path), "--images", str(tmp_path)]) == 1
+    error = capsys.readouterr().err
+    assert words in error
+    assert error.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_drives_through_a_corridor_are_drawn(tmp_path):
+    corridor = load_navigation_task("curved_corridor")
+    paths = {"MPC": [{"outcome": "GOAL", "states": [[0.0, 0.0, 0.0], [0.3, 0.1, 0.0]]}], "learnt": []}
+    draw_drives(paths, corridor, tmp_path / "new" / "drives.png")
+    assert (tmp_path / "new" / "drives.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_path_learnt_in_another_task_is_not_drawn(tmp_path, capsys):
+    learnt = tmp_path / "learnt.json"
+    learnt.write_text('{"figures": {"task": "quad_trap", "curves": {}, "paths": {"oc_ppo": []}}}', encoding="utf-8")
+    assert main(["mpc", "--learnt", str(learnt), "--results", str(tmp_path)]) == 1
+    assert "holds no paths of oc_ppo in task 'quad_navigation'" in capsys.readouterr().err
 
 
 def test_more_samples_tell_the_gradient_better_and_a_baseline_helps():

@@ -4,7 +4,10 @@ import json
 from pathlib import Path
 
 import pytest
+from ctrl_rl_core.tasks import load_navigation_task
 from oc_baseline_node.cli import main
+from oc_baseline_node.problem import formulate
+from oc_baseline_node.value_data import DataSettings, description
 
 
 def test_it_goes_from_a_task_to_a_map(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -42,10 +45,15 @@ def test_a_trajectory_is_solved_and_drawn(tmp_path: Path, capsys: pytest.Capture
     [
         (["solve", "car_navigation", "--start", "0,0,0"], "inside an obstacle"),
         (["solve", "quad_trap", "--start=0,0,0.6,-2,0,0"], "ipopt: "),
-        (["extract", "curved_corridor"], "oc: task 'curved_corridor' has no arena"),
+        (["extract", "car_ttr"], "oc: task 'car_ttr' has no part 'optimal_control'"),
         (["extract", "nowhere"], "oc: no task 'nowhere'"),
         (["extract", "car_navigation", "--clearance", "-1"], "oc: --clearance is -1"),
-        (["data", "car_navigation", "--output", "x", "--trajectories", "-3"], "oc: --trajectories and --workers"),
+        (["data", "car_navigation", "--output", "x", "--trajectories", "0"], "oc: --trajectories must be at least 1"),
+        (["data", "car_navigation", "--output", "x", "--workers", "0"], "oc: --workers must be at least 1, not 0"),
+        (["data", "car_navigation", "--output", "x", "--seed", "-1"], "oc: --seed must be at least 0, not -1"),
+        (["solve", "car_navigation", "--seed", "-1"], "oc: --seed must be at least 0, not -1"),
+        (["fit", "nowhere", "--output", "x", "--epochs", "0"], "oc: --epochs must be at least 1, not 0"),
+        (["fit", "nowhere", "--output", "x", "--seed", "-1"], "oc: --seed must be at least 0, not -1"),
         (["fit", "nowhere", "--output", "x"], "oc: nowhere holds no value data"),
         (["fit", "nowhere", "--output", "x", "--discount", "1.5"], "oc: --discount must lie in"),
         (
@@ -62,6 +70,25 @@ def test_what_it_cannot_do_it_says_in_one_line(
     assert words in out + err
     assert "Traceback" not in err
     assert len(err.splitlines()) <= 1
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"form": None, "clearance": "wide"}, "form, clearance missing or of a wrong type: make the data again"),
+        ({"trajectories": 0}, "0 trajectories, 10 to a file, seed 0: the first two must be at least 1"),
+        ({"form": "quick"}, "no form 'quick': there are"),
+    ],
+)
+def test_a_folder_that_says_nonsense_about_itself_is_refused(
+    tmp_path: Path, change: dict[str, object], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    there = description(formulate(load_navigation_task("car_navigation")), DataSettings(10)) | change
+    (tmp_path / "settings.json").write_text(json.dumps({k: v for k, v in there.items() if v is not None}))
+    assert main(["fit", str(tmp_path), "--output", str(tmp_path / "v.safetensors")]) == 1
+    err = capsys.readouterr().err
+    assert words in err
+    assert len(err.splitlines()) == 1
 
 
 @pytest.mark.parametrize("command", [[], ["extract"], ["solve"], ["data"], ["fit"], ["map"]])

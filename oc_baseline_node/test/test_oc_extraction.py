@@ -1,5 +1,7 @@
 """From RL task to optimal control problem: candidates, criteria, constants."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from ctrl_rl_core.outcome import Outcome
@@ -14,8 +16,8 @@ from oc_baseline_node.problem import formulate
 def test_the_car_is_a_dubins_car_as_in_the_thesis() -> None:
     found = extract(load_navigation_task("car_navigation"))
     assert found.info.robot_type == "car"
-    assert found.info.state[:5] == ("x", "y", "theta", "v", "omega")
-    assert found.info.state[5:] == tuple(f"d_{i}" for i in range(1, 9))
+    assert found.info.state[:3] == ("x", "y", "theta")
+    assert found.info.state[3:] == tuple(f"d_{i}" for i in range(1, 9))
     assert found.chosen == "dubins_car"
     refused = {candidate.model: candidate.reasons for candidate in found.candidates}
     assert set(refused) == set(CANDIDATES["car"])
@@ -36,9 +38,11 @@ def test_a_reward_on_what_the_model_lacks_refuses_it() -> None:
     task = load_navigation_task("car_navigation")
     goal = task.goal.model_copy(update={"intervals": {"v": task.optimal_control.controls["v"]}})
     info = rl_info(task.model_copy(update={"goal": goal}))
-    assert assess("extended_dubins_car", info).reasons == ()
-    (reason,) = assess("dubins_car", info).reasons
+    told = replace(info, state=(*info.state, "v", "omega"))  # as a learner that is told its speeds
+    assert assess("extended_dubins_car", told).reasons == ()
+    (reason,) = assess("dubins_car", told).reasons
     assert reason == "criterion 2: the reward's 'goal' needs v, which it lacks"
+    assert "criterion 1: its v, omega are not in the RL state" in assess("extended_dubins_car", info).reasons[0]
 
 
 def test_the_report_names_every_part() -> None:
@@ -48,7 +52,7 @@ def test_the_report_names_every_part() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "words"), [("curved_corridor", "has no arena"), ("car_ttr", "has no part 'optimal_control'")]
+    ("name", "words"), [("quad_ttr", "has no part 'optimal_control'"), ("car_ttr", "has no part 'optimal_control'")]
 )
 def test_a_task_without_what_it_takes_is_refused(name: str, words: str) -> None:
     with pytest.raises(OcError, match=words):

@@ -1,10 +1,12 @@
 """Learning with each baseline in the real simulator: resumes exactly, becomes tables and pictures."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
-from ctrl_rl_core.tasks import load_navigation_task
+from ctrl_rl_core.tasks import load_navigation_task, task_digest, task_file
+from ctrl_rl_core.value_function import ValueFunctionError
 from ctrl_rl_training.actor import Actor
 from ctrl_rl_training.algorithms import ROLL_OUT
 from ctrl_rl_training.training import Options, result_file, train_one
@@ -16,7 +18,19 @@ from oc_baseline_node.training.runs import OcRun, oc_runs
 from oc_baseline_node.training.training_cli import train, training_figures
 from sim_bridge.environments import NavigationEnv
 
+RESULTS = Path(__file__).parents[2] / "docs" / "results"
 SHORT = {"iterations": 2, "samples": ROLL_OUT, "evaluations": 1, "final_evaluations": 2}
+
+
+def own_task(folder, of, *changes, name=None):
+    """Write a task of the suite with other lines and return its file."""
+    text = task_file(of).read_text(encoding="utf-8")
+    for before, after in (*changes, (f"name: {of}", f"name: {name or of}")):
+        assert before in text
+        text = text.replace(before, after)
+    file = folder / f"{name or of}.yaml"
+    file.write_text(text, encoding="utf-8")
+    return file
 
 
 class CutOffError(Exception):
@@ -69,6 +83,33 @@ def test_runs_become_a_table_and_pictures(tmp_path, capsys):
     }
 
 
+def test_pictures_show_the_world_of_the_task_that_was_learnt(tmp_path, capsys):
+    own = own_task(tmp_path, "quad_trap", name="my_trap")
+    paths = [{"outcome": "GOAL", "states": [[0.0, 0.0, 4.0, 0.0, 0.1, 0.0], [1.0, 0.0, 5.0, 0.0, 0.1, 0.0]]}]
+    figures = {"curves": {}, "advantages": {}, "paths": {"oc_ppo": paths}}
+    terms = {"task": "my_trap", "task_digest": task_digest(load_navigation_task(own))}
+    results, where = tmp_path / "results.json", ["--output", str(tmp_path)]
+    results.write_text(json.dumps({"figures": {**terms, **figures}}), encoding="utf-8")
+    assert training_figures([str(results), "--task", str(own), *where]) == 0
+    assert (tmp_path / "my_trap_oc_ppo_paths.png").is_file()
+    assert not capsys.readouterr().err
+    assert training_figures([str(results), *where]) == 1
+    assert "is of task 'my_trap', none of the suite's: give its file with --task" in capsys.readouterr().err
+    assert training_figures([str(results), "--task", "quad_trap", *where]) == 1
+    assert "is of task 'my_trap', not of 'quad_trap'" in capsys.readouterr().err
+    results.write_text(json.dumps({"figures": {**terms, "task": "quad_trap", **figures}}), encoding="utf-8")
+    assert training_figures([str(results), *where]) == 0
+    assert "is of another version of its task" in capsys.readouterr().err
+
+
+def test_results_of_something_else_are_not_drawn(capsys, tmp_path):
+    other = RESULTS / "oc_mpc_quad_navigation.json"
+    assert training_figures([str(other), "--output", str(tmp_path)]) == 1
+    error = capsys.readouterr().err
+    assert "is not a file that `train --results` wrote, it lacks curves, advantages: give one" in error
+    assert error.count("\n") == 1
+
+
 @pytest.mark.parametrize(("name", "terminated"), [("quad_trap", True), ("car_navigation", False)])
 def test_a_time_out_ends_the_return_where_the_task_pays_for_it(name, terminated):
     task = load_navigation_task(name)
@@ -91,7 +132,8 @@ def test_groups_name_methods():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--task", "quad_trap", "--seeds", "0"], "--seeds must be at least 1"),
+        (["--task", "quad_trap", "--seeds", "0"], "--seeds must be at least 1, not 0"),
+        (["--task", "quad_trap", "--workers", "-1"], "--workers must be at least 0, not -1"),
         (["--task", "nowhere"], "nowhere"),
         (["--task", "quad_trap", "--value", "no.safetensors"], "no value 'no.safetensors'"),
         (["--task", "car_ttr"], "no value 'car_ttr'"),
@@ -104,10 +146,13 @@ def test_what_is_wrong_is_said_in_one_line(arguments, message, capsys, tmp_path)
     assert error.count("\n") == 1
 
 
-def test_an_unknown_method_and_a_value_of_another_task_are_refused():
+def test_an_unknown_method_and_a_value_of_another_task_are_refused(tmp_path):
     with pytest.raises(OcError, match="no method 'sarsa': there are oc_ppo, ppo"):
         OcRun("quad_trap", "sarsa", 0).model(ROLL_OUT)
     from oc_baseline_node.value_file import find_value
 
-    with pytest.raises(OcError, match="is not of task 'quad_trap'"):
+    with pytest.raises(ValueFunctionError, match="is of task 'car_navigation', not of 'quad_trap'"):
         OcRun("quad_trap", "oc_ppo", 0, find_value("car_navigation")).model(ROLL_OUT)
+    changed = own_task(tmp_path, "quad_trap", ("steps: 100", "steps: 90"))
+    with pytest.raises(OcError, match="is of another version of 'quad_trap': make it"):
+        OcRun(str(changed), "oc_ppo", 0).model(ROLL_OUT)

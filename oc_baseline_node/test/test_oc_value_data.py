@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from ctrl_rl_core.lock import LockError, alone
 from ctrl_rl_core.tasks import load_navigation_task
 from hypothesis import given
 from hypothesis import strategies as st
@@ -16,7 +17,7 @@ from oc_baseline_node.errors import OcError
 from oc_baseline_node.problem import Problem, formulate
 from oc_baseline_node.returns import returns, rewards, step_discount
 from oc_baseline_node.starts import draw_start, state_space
-from oc_baseline_node.value_data import DataSettings, ValueData, chunk_file, load_data
+from oc_baseline_node.value_data import LOCK, DataSettings, ValueData, chunk_file, load_data
 from oc_baseline_node.value_data_workers import make_data
 
 MAKE = """
@@ -59,8 +60,11 @@ def test_a_state_is_worth_the_goal_discounted_by_the_steps_to_it(car: Problem) -
                      np.zeros(0, bool), np.zeros(0))  # fmt: skip
     steps = np.maximum(5 - np.arange(8), 0)
     # Eight steps of 0.05 s are one of the policy's 0.4 s.
-    assert data.values(car, 0.9)[0] == pytest.approx(1000 * 0.9 ** (steps / 8))
-    whole = data.values(car, 0.9, whole_horizon=True)[0]
+    values, met = data.values(car, 0.9)
+    assert values[0] == pytest.approx(1000 * 0.9 ** (steps / 8))
+    assert met[0].tolist() == [True] * 6 + [False] * 2  # up to the arrival
+    (whole,), met = data.values(car, 0.9, whole_horizon=True)
+    assert met.all()
     assert whole[-1] == 1000
     assert whole[4] == pytest.approx(1000 * sum(0.9 ** (i / 8) for i in (1, 2, 3)))
 
@@ -137,9 +141,33 @@ def test_a_quadrotors_doomed_starts_are_told_from_the_rest(tmp_path: Path) -> No
     assert data.success_rate < data.success_rate_of_viable <= 1.0
     assert all(reason.startswith("ipopt: ") for reason in data.reasons)
     assert (rewards(problem.task, data.states[:, -1])[0] == 1000.0).all()
-    values = data.values(problem)
-    assert values.min() >= 1000 * 0.998**140
+    values, _ = data.values(problem)
+    assert values.min() >= 1000 * problem.discount**140
     assert values.max() <= 1000.0
+
+
+def test_one_call_at_a_time_works_in_a_folder(car: Problem, tmp_path: Path) -> None:
+    with alone(tmp_path / LOCK), pytest.raises(LockError, match="another call is at work there"):
+        make_data(car, DataSettings(1, chunk=1), tmp_path, progress=False)
+    assert [file.name for file in tmp_path.iterdir()] == [LOCK]
+
+
+def test_what_a_killed_call_left_behind_does_not_count(car: Problem, tmp_path: Path) -> None:
+    left = [tmp_path / name for name in (".settings.json.77.tmp", ".chunk-0000.npz.78.tmp", LOCK)]
+    for file in left:
+        file.write_text("half")
+    data, *_ = make_data(car, DataSettings(1, chunk=1), tmp_path, progress=False)
+    assert len(data.states) == 1
+    assert {file.name for file in tmp_path.iterdir()} == {LOCK, "settings.json", "chunk-0000.npz"}
+
+
+def test_a_folder_of_something_else_is_left_as_it_is(car: Problem, tmp_path: Path) -> None:
+    mine = {tmp_path / name for name in (".profile", ".profile.12.tmp")}
+    for file in mine:
+        file.write_text("mine")
+    with pytest.raises(OcError, match=r"holds something else than value data, \.profile: give another folder"):
+        make_data(car, DataSettings(1, chunk=1), tmp_path, progress=False)
+    assert set(tmp_path.iterdir()) == mine
 
 
 def test_a_folder_of_other_data_is_left_alone(car: Problem, tmp_path: Path) -> None:
@@ -148,9 +176,13 @@ def test_a_folder_of_other_data_is_left_alone(car: Problem, tmp_path: Path) -> N
         make_data(car, DataSettings(1, chunk=1, seed=1), tmp_path, progress=False)
     with pytest.raises(OcError, match="holds data with task = car_navigation"):
         load_data(tmp_path, formulate(load_navigation_task("quad_trap")))
-    chunk_file(tmp_path, 0).write_bytes(b"not an archive")
-    with pytest.raises(OcError, match=r"chunk-0000\.npz is not a whole chunk"):
-        load_data(tmp_path, car)
+    whole = chunk_file(tmp_path, 0).read_bytes()
+    flag = whole.index(b"PK\x01\x02") + 8
+    encrypted = whole[:flag] + b"\x01" + whole[flag + 1 :]
+    for damaged in (b"", b"not an archive", whole[: len(whole) // 2], encrypted):
+        chunk_file(tmp_path, 0).write_bytes(damaged)
+        with pytest.raises(OcError, match=r"chunk-0000\.npz is not a whole chunk"):
+            load_data(tmp_path, car)
     (tmp_path / "settings.json").unlink()
     with pytest.raises(OcError, match="holds something else than value data"):
         make_data(car, DataSettings(1, chunk=1), tmp_path, progress=False)

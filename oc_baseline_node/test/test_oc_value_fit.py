@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 import torch
 from ctrl_rl_core.errors import CtrlRlError
 from ctrl_rl_core.tasks import load_navigation_task, task_digest
-from ctrl_rl_core.value_function import ValueFunction
+from ctrl_rl_core.value_function import ValueFunction, ValueFunctionError
 from ctrl_rl_core.value_grid import Axis, ValueGrid
 from oc_baseline_node.collision_set import CollisionSet
 from oc_baseline_node.errors import OcError
@@ -30,7 +31,7 @@ STATE = np.array([-3.0, -3.5, 0.7])
 def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
     problem = formulate(load_navigation_task("car_navigation"))
     data, *_ = make_data(problem, DataSettings(60), tmp_path_factory.mktemp("data"), progress=False)
-    return problem, data, fit(problem, data, FitSettings(epochs=15), progress=False)
+    return problem, data, fit(problem, data, FitSettings(epochs=100), progress=False)
 
 
 def random_states(value: MlpValue, count: int) -> np.ndarray:
@@ -42,8 +43,9 @@ def random_states(value: MlpValue, count: int) -> np.ndarray:
 def test_the_fit_explains_trajectories_it_has_not_seen(made: Made) -> None:
     problem, _, value = made
     unseen = value.manifest["held_out"]
-    assert unseen["rmse"] < 0.35 * unseen["std_of_values"]
-    assert value.manifest["data"] == {"trajectories": 60, "states": 60 * 140}
+    assert unseen["rmse"] < 0.6 * unseen["std_of_values"]  # of six trajectories, from 54
+    assert value.manifest["data"]["trajectories"] == 60
+    assert 60 < value.manifest["data"]["states"] < 60 * 140  # up to each arrival
     assert value.task_digest == problem.digest
     near, far = value.value([(3.0, 3.0, 0.0), (-4.0, -4.0, 0.0)])
     assert near > far + 15
@@ -51,7 +53,7 @@ def test_the_fit_explains_trajectories_it_has_not_seen(made: Made) -> None:
 
 def test_the_same_seed_gives_the_same_network(made: Made) -> None:
     problem, data, value = made
-    again = fit(problem, data, FitSettings(epochs=15), progress=False)
+    again = fit(problem, data, FitSettings(epochs=100), progress=False)
     assert again.digest == value.digest
     assert fit(problem, data, FitSettings(epochs=1, seed=1), progress=False).digest != value.digest
 
@@ -139,6 +141,21 @@ def test_the_grid_holds_its_values_at_the_nodes(made: Made) -> None:
     assert grid.value((-4.0, 3.0, 1.0)) == pytest.approx(value.value((-4.0, 3.0, 1.0)), abs=0.5)
 
 
+def test_a_grid_of_six_components_takes_little_more_memory_than_itself() -> None:
+    axes = tuple(Axis(name, "1", -1.0, 1.0, 9) for name in "abcdef")
+    layers = ((np.eye(4, 6), np.zeros(4)), (np.ones((1, 4)), np.zeros(1)))
+    value = MlpValue(layers, axes, 0.0, 1.0, "t", "0" * 64)
+    tracemalloc.start()
+    (grid,) = value.grids
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 2.5 * grid.values.nbytes + 10e6
+    random = np.random.default_rng(0)
+    for index in map(tuple, random.integers(0, 9, (20, 6))):
+        state = [axis.nodes[i] for axis, i in zip(axes, index, strict=True)]
+        assert grid.values[index] == pytest.approx(value.value(state), rel=1e-6)
+
+
 def test_a_file_gives_back_what_was_saved(made: Made, tmp_path: Path) -> None:
     value, path = made[2], tmp_path / "v.safetensors"
     save_value(value, path)
@@ -164,13 +181,14 @@ def test_a_wrong_file_is_refused_by_name(tmp_path: Path, content: bytes | None) 
         load_value(path)
 
 
-@pytest.mark.parametrize("name", ["car_navigation", "quad_navigation", "quad_trap"])
+@pytest.mark.parametrize("name", ["car_navigation", "curved_corridor", "quad_navigation", "quad_trap"])
 def test_the_shipped_networks_belong_to_the_tasks_as_they_are(name: str) -> None:
-    value = load_network(find_value(name))
-    assert value.task_digest == task_digest(load_navigation_task(name)), "the task has changed: make the value again"
-    assert value.manifest["data"] == {"trajectories": 800, "states": 112_000}
+    value, task = load_network(find_value(name)), load_navigation_task(name)
+    assert value.task_digest == task_digest(task), "the task has changed: make the value again"
+    assert value.manifest["data"]["trajectories"] == task.optimal_control.trajectories
+    assert value.manifest["discount"] == task.optimal_control.discount
     unseen = value.manifest["held_out"]
-    assert unseen["rmse"] < (0.15 if name == "car_navigation" else 0.75) * unseen["std_of_values"]
+    assert unseen["rmse"] < 0.25 * unseen["std_of_values"]
     with pytest.raises(OcError, match="no value 'nothing'"):
         find_value("nothing")
 
@@ -197,7 +215,7 @@ def test_pictures_are_drawn(made: Made, tmp_path: Path) -> None:
     trajectories(problem.task, list(data.states[:2]), tmp_path / "path.png")
     for name in ("map.png", "path.png"):
         assert (tmp_path / name).read_bytes().startswith(b"\x89PNG")
-    with pytest.raises(OcError, match="'phi' is no component"):
+    with pytest.raises(ValueFunctionError, match="'phi' cannot be fixed"):
         heat_map(value, problem.task, tmp_path / "other.png", {"phi": 0.5})
     with pytest.raises(OcError, match="are not those of task"):
         heat_map(value, load_navigation_task("quad_trap"), tmp_path / "other.png")

@@ -16,7 +16,6 @@ from typing import Any
 import gymnasium
 import numpy as np
 from ctrl_rl_core.outcome import Outcome
-from ctrl_rl_core.systems import System
 from ctrl_rl_core.tasks import NavigationTask, load_navigation_task, load_task, task_names
 from gymnasium import spaces
 from numpy.typing import NDArray
@@ -75,7 +74,7 @@ class NavigationEnv(gymnasium.Env[Vector, Vector]):
         self._steps_per_action = _whole_steps(self.task, options.rate)
         self._commands = np.array(list(self.task.robot.commands.values()))
         self.world = SimulatedWorld(self.task, width=width, options=options)
-        names, low, high = _observed_state(self.task, self.world.system)
+        names, low, high = _observed_state(self.task)
         beams, reach = self.task.lidar.beams, self.task.lidar.range
         self.observation_names = (*names, *(f"beam_{index}" for index in range(beams)))
         self._low = np.array([*low, *[reach.low] * beams], dtype=np.float32)
@@ -137,11 +136,9 @@ def _whole_steps(task: NavigationTask, rate: int) -> int:
     return round(steps)
 
 
-def _observed_state(task: NavigationTask, system: System) -> tuple[list[str], list[float], list[float]]:
+def _observed_state(task: NavigationTask) -> tuple[list[str], list[float], list[float]]:
     """Return names, least and largest values of the observation before the beams."""
-    names = list(system.state_names)
-    if task.corridor is not None:
-        names += ["v", "omega"]
+    names = list(task.observed_states)
     bounds = {"theta": (-np.pi, np.pi), "psi": (-np.pi, np.pi)}
     bounds |= dict.fromkeys(("v", "v_x", "v_z"), (-_FLIGHT_SPEED, _FLIGHT_SPEED))
     bounds["omega"] = (-_FLIGHT_TURN, _FLIGHT_TURN)

@@ -56,7 +56,7 @@ def test_every_odometry_message_gets_a_reward_and_nothing_else_changes(bag: Path
     assert [reward.header.stamp.sec for reward in rewards] == list(range(100))
     values = [message.data for message in read_messages(output, ["/robot/time_to_reach"])]
     np.testing.assert_allclose([value.state for value in values], states, atol=1e-12)
-    assert bag_info(output).custom_data["digest.grid"] == function.digest
+    assert bag_info(output).custom_data["digest.time_to_reach"] == function.digest
 
 
 def test_says_what_is_missing(bag: Path, tmp_path: Path) -> None:
@@ -78,7 +78,7 @@ def test_rewards_that_are_there_are_replaced_only_when_told(bag: Path, tmp_path:
     assert relabel(first, second, new, Labeller(task, new), robot="robot", replace=True) == 100
     relabel(bag, fresh, new, Labeller(task, new), robot="robot")
     assert list(read_wire(second)) == list(read_wire(fresh))
-    assert bag_info(second).custom_data["digest.grid"] == new.digest
+    assert bag_info(second).custom_data["digest.time_to_reach"] == new.digest
 
 
 def test_labels_are_in_the_frame_of_the_function(bag: Path, tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ import gymnasium
 import numpy as np
 import pytest
 from ctrl_rl_core.outcome import Outcome
-from ctrl_rl_core.tasks import load_navigation_task
+from ctrl_rl_core.tasks import load_navigation_task, task_file
 from ctrl_rl_training.algorithms import ROLL_OUT
 from ctrl_rl_training.results import samples_to
 from ctrl_rl_training.training import Options, train_one
@@ -90,11 +90,19 @@ def test_what_is_wrong_is_said_in_one_line(arguments, message, capsys, tmp_path)
     assert error.count("\n") == 1
 
 
-def test_figures_of_another_file_are_refused(tmp_path, capsys):
+@pytest.mark.parametrize("content", ["[]", '{"figures": 1}', '{"figures": {"task": "quad_trap", "curves": {}}}'])
+def test_figures_of_another_file_are_refused(tmp_path, capsys, content):
     file = tmp_path / "results.json"
-    file.write_text("[]", encoding="utf-8")
+    file.write_text(content, encoding="utf-8")
     assert training_figures([str(file)]) == 1
     assert "is not a file that `train --results` wrote" in capsys.readouterr().err
+
+
+def test_a_task_file_goes_by_the_tasks_name(tmp_path):
+    file = tmp_path / "quad_ttr.yaml"
+    file.write_text(task_file("quad_ttr").read_text(encoding="utf-8"), encoding="utf-8")
+    run, same = (RewardRun(str(name), "ppo", "sparse", 0) for name in (file, "quad_ttr"))
+    assert (run.name, run.description) == (same.name, same.description)
 
 
 def test_a_run_with_time_to_reach_but_no_grid_is_refused():

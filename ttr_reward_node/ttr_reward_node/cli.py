@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from ctrl_rl_core.command import run_command
+from ctrl_rl_core.command import check_least, run_command
 from ctrl_rl_core.tasks import load_navigation_task
 from tqdm import tqdm
 
@@ -151,8 +151,7 @@ def _solve_one(problem: Problem, options: argparse.Namespace) -> Solution:
 
 
 def _check(options: argparse.Namespace) -> int:
-    if options.starts < 1:
-        raise TimeToReachError("--starts must be at least 1")
+    check_least(options, starts=1)
     value = load_value(options.file)
     task = load_navigation_task(options.task or value.task)
     found = check_value(value, task, width=options.width, states=options.starts, seed=options.seed)

@@ -66,7 +66,7 @@ def relabel(
     with open_bag(bag) as reader:
         answer = _Answer(reader.typestore, odom, prefix, frame, function, label)
         added = [Topic(name, kind, message_definition(kind)) for name, kind in kinds.items()]
-        digests = {"digest.grid": function.digest}
+        digests = {"digest.time_to_reach": function.digest}
         title = "relabelling" if progress else ""
         return copy_bag(bag, output, added, answer, left_out=there, custom_data=digests, progress=title) // len(added)
 

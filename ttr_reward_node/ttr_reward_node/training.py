@@ -30,7 +30,7 @@ class RewardRun:
     """One run: a cell of the table and a seed (a `ctrl_rl_training.training.Run`).
 
     Attributes:
-        task_name: of the task.
+        task_name: of the task, or its file.
         algorithm: one of `ALGORITHMS`.
         reward: one of `REWARDS`.
         seed: of everything random.
@@ -46,7 +46,7 @@ class RewardRun:
     @property
     def name(self) -> str:
         """Its name, which is that of its folder too."""
-        return f"{self.task_name}-{self.algorithm}-{self.reward}-s{self.seed}"
+        return f"{self.task.name}-{self.algorithm}-{self.reward}-s{self.seed}"
 
     @property
     def task(self) -> NavigationTask:
@@ -58,7 +58,7 @@ class RewardRun:
         """What the results say about it."""
         value = _reward(self).value
         return {
-            "task": self.task_name,
+            "task": self.task.name,
             "algorithm": self.algorithm,
             "reward": self.reward,
             "seed": self.seed,

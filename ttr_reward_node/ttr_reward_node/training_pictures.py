@@ -25,6 +25,8 @@ _LABELS = {
     "distance_10": "distance, λ = 10",
     "ttr": "time to reach",
 }
+PARTS = ("seeds", "curves", "visits", "paths")
+"""What is drawn of the results, besides their task."""
 _COMPARED = ("sparse", "distance_10", "ttr")
 """Rewards of Fig. 3.7."""
 

@@ -40,10 +40,9 @@ def collect(todo: Sequence[RewardRun], folder: Path) -> tuple[list[Result], dict
         learnt = [samples for result in results if (samples := samples_to(result["curve"])) is not None]
         rows.append(Result(method, f"seeds that reach {GOOD:.0%}", "1", [float(len(learnt))], None))
         if learnt:
-            thesis = THESIS_SAMPLES.get(finished[0][0].task_name) if finished[0][0].reward == "ttr" else None
+            thesis = THESIS_SAMPLES.get(finished[0][0].task.name) if finished[0][0].reward == "ttr" else None
             rows.append(Result(method, f"samples to {GOOD:.0%}", "1", learnt, thesis))
     figures = {
-        "task": todo[0].task_name,
         "seeds": {method: [run.seed for run, _ in finished] for method, finished in runs.items()},
         "curves": {
             method: curves([result for _, result in finished], success="evaluation")
@@ -53,6 +52,15 @@ def collect(todo: Sequence[RewardRun], folder: Path) -> tuple[list[Result], dict
         "paths": {method: _paths([result for _, result in finished]) for method, finished in runs.items()},
     }
     return rows, figures
+
+
+def success_table(rows: Sequence[Result]) -> str:
+    """Return the success of each algorithm and reward as text, one value a seed."""
+    return "\n".join(
+        f"{row.method:<22} success {' '.join(f'{100 * value:4.0f}' for value in row.values)} %"
+        for row in rows
+        if row.metric == "success"
+    )
 
 
 def _visits(folder: Path, finished: Finished) -> dict[str, list[Any]]:

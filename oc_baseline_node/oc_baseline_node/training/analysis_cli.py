@@ -10,14 +10,17 @@ What comes from learning (advantages, noise, entropy, other baselines) is `train
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from ctrl_rl_core.command import run_command
-from ctrl_rl_core.results import Result, write_results
-from ctrl_rl_core.tasks import load_navigation_task
+from ctrl_rl_core.command import check_least, run_command
+from ctrl_rl_core.results import Result, ResultsError, write_results
+from ctrl_rl_core.tasks import NavigationTask, load_navigation_task
 from tqdm import tqdm
+
+from oc_baseline_node.errors import OcError
 
 _RESULTS = Path("docs/results")
 _IMAGES = Path("docs/images")
@@ -38,17 +41,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     commands = parser.add_subparsers(title="analyses", required=True, metavar="ANALYSIS")
     command = commands.add_parser("mismatch", help="Table 3.5")
     command.add_argument("--roll-outs", type=int, default=10, help="of each task (default %(default)s)")
-    command.set_defaults(work=_mismatch)
+    command.set_defaults(work=_mismatch, least={"roll_outs": 1})
     command = commands.add_parser("mpc", help="Fig. 3.17")
     command.add_argument("--task", default="quad_navigation", help="(default %(default)s)")
     command.add_argument("--episodes", type=int, default=5, help="of MPC (default %(default)s)")
     command.add_argument("--learnt", type=Path, help="JSON file of `train --results` with a learnt path to draw")
-    command.set_defaults(work=_mpc)
+    command.set_defaults(work=_mpc, least={"episodes": 1})
     command = commands.add_parser("gradient", help="Table 3.7")
     command.add_argument("--task", default="quad_trap", help="(default %(default)s)")
     command.add_argument("--value", type=Path, help="file of V_oc (default: what comes with the package)")
     command.add_argument("--samples", type=int, help="for the true gradient (default: the thesis's 102400)")
-    command.set_defaults(work=_gradient)
+    command.set_defaults(work=_gradient, least={"samples": 1})
     for command in commands.choices.values():
         command.add_argument("--seed", type=int, default=0, help="(default %(default)s)")
         command.add_argument(
@@ -56,7 +59,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         )
         command.add_argument("--images", type=Path, default=_IMAGES, help="folder of pictures (default %(default)s)")
     options = parser.parse_args(arguments)
-    return run_command("analyse", lambda: options.work(options))
+    return run_command("analyse", lambda: _analyse(options))
+
+
+def _analyse(options: argparse.Namespace) -> int:
+    check_least(options, seed=0, **options.least)
+    work: Callable[[argparse.Namespace], int] = options.work
+    return work(options)
 
 
 def _mismatch(options: argparse.Namespace) -> int:
@@ -66,20 +75,21 @@ def _mismatch(options: argparse.Namespace) -> int:
     for name, thesis in THESIS_MISMATCH.items():
         errors = transition_errors(load_navigation_task(name), options.roll_outs, options.seed)
         for index, steps in enumerate(STEPS):
-            rows.append(Result(name, f"error after {steps} steps", "m", errors[:, index].tolist(), thesis[index]))
-            ours = f"{errors[:, index].mean():.4f} ± {errors[:, index].std():.4f} m"
+            known = errors[~np.isnan(errors[:, index]), index]
+            if not len(known):
+                raise OcError(f"{name}: no episode lasts {steps} steps: ask for more --roll-outs")
+            rows.append(Result(name, f"error after {steps} steps", "m", known.tolist(), thesis[index]))
+            ours = f"{known.mean():.4f} ± {known.std():.4f} m over {len(known)} roll-outs"
             print(f"{name:<16} after {steps:>2} steps  {ours}   thesis {thesis[index]:.3f} m")
     return _write(options, "oc_mismatch", rows)
 
 
 def _mpc(options: argparse.Namespace) -> int:
-    from ctrl_rl_training.results import read_figures
-
     from oc_baseline_node.training.analysis_pictures import draw_drives
     from oc_baseline_node.training.mismatch import drive_by_mpc
 
     task = load_navigation_task(options.task)
-    learnt = [] if options.learnt is None else read_figures(options.learnt)["paths"].get("oc_ppo", [])
+    learnt = [] if options.learnt is None else _learnt_paths(options.learnt, task)
     with tqdm(desc="MPC", unit="step", mininterval=5.0) as bar:
         drives = drive_by_mpc(task, options.episodes, options.seed, bar.update)
     rows = [
@@ -100,22 +110,33 @@ def _mpc(options: argparse.Namespace) -> int:
     return _write(options, f"oc_mpc_{task.name}", rows, {"task": task.name, "paths": paths})
 
 
+def _learnt_paths(file: Path, task: NavigationTask) -> Sequence[Mapping[str, Any]]:
+    from ctrl_rl_training.results import read_figures
+
+    figures = read_figures(file, ("task", "curves", "paths"))
+    if figures["task"] != task.name or "oc_ppo" not in figures["paths"]:
+        raise ResultsError(f"{file}: holds no paths of oc_ppo in task '{task.name}': give what its `train` wrote")
+    paths: Sequence[Mapping[str, Any]] = figures["paths"]["oc_ppo"]
+    return paths
+
+
 def _gradient(options: argparse.Namespace) -> int:
     from oc_baseline_node.training import gradients
     from oc_baseline_node.training.early_policy import find_early_policy
     from oc_baseline_node.training.runs import OcRun
 
     run = OcRun(options.task, "oc_ppo", options.seed, options.value)
-    wanted = options.samples or gradients.TRUTH
+    wanted = gradients.TRUTH if options.samples is None else options.samples
     with tqdm(desc="early policy", unit="roll-out", mininterval=5.0) as bar:
         model, ended = find_early_policy(run, bar.update)
     print(f"policy     after {model.num_timesteps} samples: {ended}")
     assert model.env is not None
     policy = model.policy
-    with tqdm(total=wanted + 2 * max(gradients.SIZES), desc="samples", unit="sample", mininterval=5.0) as bar:
+    pool = gradients.POOL
+    with tqdm(total=wanted + max(gradients.SIZES) + pool, desc="samples", unit="sample", mininterval=5.0) as bar:
         known = gradients.collect_samples(policy, model.env, wanted, run.discount, bar.update)
         fitted = gradients.collect_samples(policy, model.env, max(gradients.SIZES), run.discount, bar.update)
-        fresh = gradients.collect_samples(policy, model.env, max(gradients.SIZES), run.discount, bar.update)
+        fresh = gradients.collect_samples(policy, model.env, pool, run.discount, bar.update)
     model.env.close()
     truth = gradients.policy_gradient(policy, known, None, np.arange(len(known.returns)))
     value = gradients.fit_value(fitted, options.seed)(fresh.observations)

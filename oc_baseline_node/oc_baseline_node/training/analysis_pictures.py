@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.drawing import draw_world, save_figure
+from ctrl_rl_core.drawing import draw_map, save_figure
 from ctrl_rl_core.regions import position_indices
 from ctrl_rl_core.tasks import NavigationTask
 from matplotlib import pyplot as plt
@@ -17,21 +17,15 @@ _COLOURS = {"MPC": "tab:green", "learnt": "tab:blue"}
 
 def draw_drives(paths: Mapping[str, Sequence[Mapping[str, Any]]], task: NavigationTask, path: Path) -> None:
     """Draw the paths of controllers, by name, each with how it ended."""
-    assert task.arena is not None
-    names = task.system.build().state_names
-    plane = position_indices(names)
+    plane = position_indices(task.system.build().state_names)
     figure, ax = plt.subplots(figsize=(5.0, 5.0), layout="constrained")
-    draw_world(ax, task)
+    draw_map(ax, task)
     for controller, entries in paths.items():
         for index, entry in enumerate(entries):
             x, y = np.array(entry["states"])[:, plane].T
             label = f"{controller}: {', '.join(each['outcome'].lower() for each in entries)}" if index == 0 else None
             ax.plot(x, y, color=_COLOURS[controller], linewidth=1.4, label=label)
             ax.plot(x[-1], y[-1], "x" if entry["outcome"] == "COLLISION" else "o", color=_COLOURS[controller])
-    ax.set_xlim(task.arena.bounds[0])
-    ax.set_ylim(task.arena.bounds[1])
-    ax.set_xlabel(f"{names[plane[0]]} [m]")
-    ax.set_ylabel(f"{names[plane[1]]} [m]")
     ax.set_title(f"{task.name}: in the simulator", fontsize=10)
     ax.legend(fontsize=8)
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -42,6 +42,9 @@ class OcBaseline:
         if value.state_names != task.system.build().state_names:
             raise OcError(f"V_oc of task '{value.task}' has not the states of task '{task.name}': fit it for this task")
         middle, unit = observation_scales(task)
+        # A policy is asked for an action only where the episode goes on: the steps of V_oc to what a collision pays
+        # would be met where its set, of a disc, is larger than the body.
+        value = value.without_collisions()
         self._value, self._count, self._noise = value, len(value.state_names), noise
         self._middle, self._unit = middle[: self._count], unit[: self._count]
 

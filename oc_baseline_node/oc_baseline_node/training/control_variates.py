@@ -73,12 +73,13 @@ class ControlVariatePpo(PPO):
                 )
                 left, scale = standardised(data.advantages[part] - c[part])
                 ratio = torch.exp(log_probability - data.old_log_prob[part])
-                surrogate = torch.min(left * ratio, left * ratio.clamp(1.0 - clip, 1.0 + clip))
+                free, clipped = left * ratio, left * ratio.clamp(1.0 - clip, 1.0 + clip)
+                surrogate = torch.min(free, clipped)
                 now: Any = self.policy.get_distribution(data.observations[part]).distribution
                 reached = now.mean + now.stddev * noise[part] if self.through_noise else now.mean
-                # What is given back ends where PPO's own gradient does: outside the clip range.
-                inside = ((ratio - 1.0).abs() <= clip).float().detach()
-                given_back = inside * (slope[part] * reached).sum(dim=1) / scale
+                # What is given back ends where PPO's own gradient does: where the clipped surrogate is the smaller.
+                counted = (free <= clipped).float().detach()
+                given_back = counted * (slope[part] * reached).sum(dim=1) / scale
                 assert entropy is not None
                 loss = (
                     -(surrogate + given_back).mean()

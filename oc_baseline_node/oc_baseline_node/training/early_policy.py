@@ -10,8 +10,8 @@ from collections.abc import Callable
 from typing import Any
 
 from ctrl_rl_training.algorithms import ROLL_OUT
+from ctrl_rl_training.training import Recorder
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.callbacks import BaseCallback
 
 from oc_baseline_node.errors import OcError
 from oc_baseline_node.training.runs import OcRun
@@ -20,17 +20,6 @@ _LIMIT = 150
 """Roll-outs after which the search ends."""
 _SHARE = (1.0 / 3.0, 2.0 / 3.0)
 """Of episodes that end in the goal, least and largest."""
-
-
-class _Outcomes(BaseCallback):
-    def __init__(self) -> None:
-        super().__init__()
-        self.seen: list[str] = []
-
-    def _on_step(self) -> bool:
-        infos = self.locals["infos"]
-        self.seen += [info["outcome"] for info, done in zip(infos, self.locals["dones"], strict=True) if done]
-        return True
 
 
 def find_early_policy(
@@ -51,10 +40,11 @@ def find_early_policy(
     model: Any = run.model(ROLL_OUT * _LIMIT)
     model.set_random_seed(run.seed)
     for _ in range(_LIMIT):
-        outcomes = _Outcomes()
-        model.learn(ROLL_OUT, callback=outcomes, reset_num_timesteps=False)
+        recorder = Recorder()
+        model.learn(ROLL_OUT, callback=recorder, reset_num_timesteps=False)
         progress()
-        if _SHARE[0] <= outcomes.seen.count("GOAL") / max(1, len(outcomes.seen)) <= _SHARE[1]:
-            return model, {name: outcomes.seen.count(name) for name in sorted(set(outcomes.seen))}
+        ended = recorder.outcomes
+        if _SHARE[0] <= ended.count("GOAL") / max(1, len(ended)) <= _SHARE[1]:
+            return model, {name: ended.count(name) for name in sorted(set(ended))}
     model.env.close()
     raise OcError(f"no early policy of {run.name} meets the goal about every second time: try another seed")

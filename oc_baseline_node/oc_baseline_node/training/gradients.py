@@ -22,6 +22,8 @@ SIZES = (2**7, 2**9, 2**11, 2**13, 2**15)
 """Sample sizes of Table 3.7."""
 TRUTH = 102_400
 """Samples that the true gradient comes from."""
+POOL = 4 * max(SIZES)
+"""Samples that estimates are drawn from: enough that those of the largest size differ too."""
 _EPOCHS = 20
 _BATCH = 256
 

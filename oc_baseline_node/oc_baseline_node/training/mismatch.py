@@ -38,12 +38,13 @@ class Drive(NamedTuple):
 def transition_errors(task: NavigationTask, roll_outs: int = 10, seed: int = 0) -> Array:
     """Return the distance (roll_outs, len(STEPS)) [m] of the positions of model and simulator, see Table 3.5.
 
-    Both begin in the same random start of the task and get the same random commands, a new one each control step.
+    Both begin in the same random start of the task and get the same random commands, a new one each control step. NaN
+    where the episode has ended before.
     """
     problem = formulate(task)
     random = np.random.default_rng(seed)
     environment = NavigationEnv(task)
-    errors = np.empty((roll_outs, len(STEPS)))
+    errors = np.full((roll_outs, len(STEPS)), np.nan)
     try:
         for roll_out in range(roll_outs):
             _, info = environment.reset(seed=seed + roll_out)
@@ -51,7 +52,9 @@ def transition_errors(task: NavigationTask, roll_outs: int = 10, seed: int = 0) 
             for step in range(1, max(STEPS) + 1):
                 action = random.uniform(-1.0, 1.0, 2).astype(np.float32)
                 x = predict(problem.system, x, command(task, action), task.episode.time_step)
-                info = environment.step(action)[-1]
+                _, _, terminated, _, info = environment.step(action)
+                if terminated:  # what a wreck does tells nothing of the model
+                    break
                 if step in STEPS:
                     apart = (x - info["state"])[problem.positions]
                     errors[roll_out, STEPS.index(step)] = np.hypot(*apart)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from ctrl_rl_core.drawing import save_figure
-from ctrl_rl_core.tasks import load_navigation_task
+from ctrl_rl_core.tasks import NavigationTask
 from ctrl_rl_training.pictures import draw_curve, draw_paths
 from matplotlib import pyplot as plt
 
@@ -16,11 +16,12 @@ from oc_baseline_node.training.methods import GROUPS, METHODS
 
 _COLOURS = ("tab:red", "0.45", "tab:blue", "tab:orange", "tab:green", "tab:purple", "tab:brown", "tab:cyan")
 _WITH_AND_WITHOUT = ("oc_ppo", "ppo")
+PARTS = ("curves", "advantages", "paths")
+"""What is drawn of the results, besides their task."""
 
 
-def draw_all(figures: Mapping[str, Any], folder: Path) -> Iterator[Path]:
-    """Draw what the results hold and return the files; methods that were not run are left out."""
-    task = load_navigation_task(figures["task"])
+def draw_all(figures: Mapping[str, Any], task: NavigationTask, folder: Path) -> Iterator[Path]:
+    """Draw what the results of a task hold and return the files; methods that were not run are left out."""
     for group, methods in GROUPS.items():
         there = [name for name in methods if name in figures["curves"]]
         if len(there) > 1 and (group == "ablation" or not set(there) <= set(_WITH_AND_WITHOUT)):

@@ -65,7 +65,6 @@ def collect(todo: Sequence[OcRun], folder: Path) -> tuple[list[Result], dict[str
         if learnt:
             add(f"samples to {GOOD:.0%}", "1", learnt)
     figures = {
-        "task": todo[0].task.name,
         "curves": {name: curves(results, success="evaluation", total="return") for name, (_, results) in found.items()},
         "advantages": {
             name: [[point["notes"]["advantages"] for point in result["curve"]] for result in results]

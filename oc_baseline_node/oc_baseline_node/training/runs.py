@@ -10,7 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ctrl_rl_core.tasks import NavigationTask, load_navigation_task, task_digest
+from ctrl_rl_core.tasks import NavigationTask, load_navigation_task
+from ctrl_rl_core.value_function import check_function
 from ctrl_rl_training.algorithms import make_algorithm
 from ctrl_rl_training.environment import Environment, make_environment
 from stable_baselines3.common.base_class import BaseAlgorithm
@@ -81,12 +82,13 @@ class OcRun:
         """V_oc of the task.
 
         Raises:
-            OcError: the file is missing, or V_oc is of another task.
+            OcError: the file is missing, or V_oc is of another version of the task.
+            ValueFunctionError: V_oc is of another task or of other states.
         """
         file = find_value(self.value or self.task.name)
         value = load_network(file)
-        if value.task_digest != task_digest(self.task):
-            raise OcError(f"{file}: is not of task '{self.task.name}' as it is: make it with 'oc data' and 'oc fit'")
+        if not check_function(value, self.task, value.kind):
+            raise OcError(f"{file}: is of another version of '{self.task.name}': make it with 'oc data' and 'oc fit'")
         return value
 
     @property

@@ -1,0 +1,35 @@
+"""Work in a folder that one process at a time may do."""
+
+from __future__ import annotations
+
+import fcntl
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from ctrl_rl_core.errors import CtrlRlError
+
+
+class LockError(CtrlRlError):
+    """Another process is at work in a folder."""
+
+
+@contextmanager
+def alone(lock: Path) -> Iterator[None]:
+    """Keep others that ask for the same lock out meanwhile; it ends with the process, however that ends.
+
+    Args:
+        lock: empty file in the folder of the work, made here and left there.
+
+    Raises:
+        LockError: another process has it.
+        OSError: the folder is missing or cannot be written to.
+    """
+    with lock.open("w") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise LockError(
+                f"{lock.parent}: another call is at work there: wait until it has ended, or name another folder"
+            ) from None
+        yield

@@ -1,0 +1,38 @@
+"""A lock keeps others out until its holder ends, by whatever means."""
+
+import subprocess
+import sys
+
+import pytest
+from ctrl_rl_core.lock import LockError, alone
+
+HOLD = """
+import sys
+from pathlib import Path
+from ctrl_rl_core.lock import alone
+with alone(Path(sys.argv[1])):
+    print("held", flush=True)
+    sys.stdin.read()
+"""
+
+
+def test_one_at_a_time(tmp_path):
+    lock = tmp_path / ".lock"
+    with alone(lock), pytest.raises(LockError, match="another call is at work there"), alone(lock):
+        pass
+    with alone(lock):
+        pass
+    with alone(lock), alone(tmp_path / ".other"):
+        pass
+
+
+def test_a_killed_holder_lets_others_in(tmp_path):
+    lock = tmp_path / ".lock"
+    command = [sys.executable, "-c", HOLD, str(lock)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as holder:
+        assert holder.stdout.readline() == b"held\n"
+        with pytest.raises(LockError), alone(lock):
+            pass
+        holder.kill()
+    with alone(lock):
+        pass
