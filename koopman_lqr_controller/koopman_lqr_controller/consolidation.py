@@ -3,7 +3,8 @@
 What learning leaves is a gain after a few Riccati iterations, on a model that serves the gain more than prediction: the
 closed loop of that model is often not even stable. Consolidation keeps the encoder and what the policy does, and makes
 the rest true. It lives through noisy episodes and refits A and B to them by least squares. It finds diagonal Q and R
-whose infinite-horizon gain does the same as the policy (inverse LQR). It takes as few latent dimensions as keep the
+whose infinite-horizon gain does the same as the policy (inverse LQR), in units of actions: what is deployed is that law,
+cut off at -1 and 1, so that the loop of the proof is the loop that runs. It takes as few latent dimensions as keep the
 return. What comes out proves itself: its gain is computed from A, B, Q, R whenever it is loaded.
 """
 
@@ -19,8 +20,16 @@ from numpy.typing import NDArray
 from koopman_lqr_controller.edmd import LinearModel, Snapshots, fit, persistence_error
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.inverse_lqr import Law, fit_costs
-from koopman_lqr_controller.latent_controller import SATURATIONS, LatentController
-from koopman_lqr_controller.roll_outs import Environment, Lived, evaluate, mean_return, noisy_roll_outs, outcomes
+from koopman_lqr_controller.latent_controller import LatentController
+from koopman_lqr_controller.roll_outs import (
+    Environment,
+    Lived,
+    evaluate,
+    mean_return,
+    noisy_roll_outs,
+    outcomes,
+    saturated,
+)
 
 Array = NDArray[np.float64]
 
@@ -29,6 +38,8 @@ LARGEST_RESIDUAL = 1e-8
 _SEEN = 1e-4
 """Directions of the latent space that vary by less than this part of the first one say nothing but rounding."""
 _FADING = 0.999
+_INSIDE = 0.9
+"""Largest action at the reference: the loop is linear around it."""
 _SEEDS = {"live": 3_000_000, "choose": 4_000_000, "report": 5_000_000}
 
 
@@ -105,8 +116,10 @@ def consolidate(
         tick: told what is done, once for each candidate.
 
     Raises:
-        KoopmanError: no candidate has a regulator.
+        KoopmanError: no candidate has a regulator, or the controller is consolidated already.
     """
+    if learnt.horizon is None:
+        raise KoopmanError("this policy is the regulator of its own model already: give the one that `learn` made")
     plan = plan or Plan()
     first = {name: base + 10_000 * seed for name, base in _SEEDS.items()}
     learnt_score = mean_return(evaluate(learnt, environment, plan.candidates, first["choose"]))
@@ -131,16 +144,16 @@ def consolidate(
         "outcomes": outcomes(after),
         "latent": len(chosen.controller.Q),
         "mismatch": chosen.mismatch,
+        "saturated": saturated(after),
         **proof(chosen.controller, held_out),
         "learnt": {
             "returns": [episode.total for episode in before],
             "outcomes": outcomes(before),
+            "saturated": saturated(before),
             "spectral_radius": learnt.spectral_radius,
             "error_over_persistence": _error(learnt, held_out),
         },
-        "candidates": [
-            [len(each.controller.Q), each.controller.saturation, each.score, each.mismatch, each.error] for each in best
-        ],
+        "candidates": [[len(each.controller.Q), each.score, each.mismatch, each.error] for each in best],
     }
     return Consolidated(chosen.controller, figures)
 
@@ -176,32 +189,40 @@ def _candidates(
 ) -> Iterator[tuple[LatentController, float]]:
     """Yield regulators of each size with what is left of the mismatch; sizes without one are left out."""
     psi = np.concatenate([episode.features[:-1] for episode in lived])
-    u = learnt.control(psi if learnt.projection is None else psi @ learnt.projection.T)
+    u = learnt.control(psi)
     effect = 1.0 - np.tanh(u) ** 2  # what a difference of u makes of the action
     weight = np.mean(effect, axis=1) + 0.05
-    if goal:
-        psi_ref = learnt.z_ref if learnt.projection is None else learnt.projection.T @ learnt.z_ref
-        u_ref = np.zeros(u.shape[1])
-    else:
-        psi_ref, u_ref = psi.mean(axis=0), np.average(u, axis=0, weights=weight)
+    psi_ref, a_ref = (learnt.z_ref, np.zeros(u.shape[1])) if goal else _middle(learnt, psi, weight)
     _, spread, directions = np.linalg.svd(psi - psi_ref, full_matrices=False)
     directions = directions[spread > _SEEN * spread[0]]
     for size in sorted({min(size, len(directions)) for size in plan.sizes}):
         C = np.ascontiguousarray(directions[:size])
         z_ref = C @ psi_ref
-        data = _snapshots(lived, C, z_ref, learnt.saturate(u_ref))
-        law = Law.seen(psi @ C.T - z_ref, u - u_ref, weight)
+        data = _snapshots(lived, C, z_ref, a_ref)
+        law = Law.seen(psi @ C.T - z_ref, u - a_ref, weight)
         model = fit(data, plan.ridge)
         for each in (model, _contracted(model)):
             try:
                 Q, R, mismatch = fit_costs(each, law, np.ones(size), learnt.R)
             except KoopmanError:
                 continue
-            for saturation in SATURATIONS:
-                found = LatentController(learnt.encoder, each, Q, R, z_ref, None, saturation, C, u_ref)
-                if found.residual < LARGEST_RESIDUAL:
-                    yield found, mismatch
+            found = LatentController(learnt.encoder, each, Q, R, z_ref, None, C, a_ref)
+            if found.residual < LARGEST_RESIDUAL:
+                yield found, mismatch
             break
+
+
+def _middle(learnt: LatentController, psi: Array, weight: Array) -> tuple[Array, Array]:
+    """Return the middle of what is met, weighted, and the law's u there.
+
+    Where that u is beyond what actions can be, the nearest psi, by the spread of what is met, that has such a u.
+    """
+    psi_ref = np.average(psi, axis=0, weights=weight)
+    u_ref = learnt.control(psi_ref)
+    a_ref = np.clip(u_ref, -_INSIDE, _INSIDE)
+    spread = np.cov(psi.T, aweights=weight) @ learnt.K.T
+    shift = spread @ np.linalg.pinv(learnt.K @ spread) @ (u_ref - a_ref)
+    return psi_ref + shift, a_ref
 
 
 def _contracted(model: LinearModel) -> LinearModel:
@@ -219,9 +240,9 @@ def _snapshots(lived: Sequence[Lived], C: Array, z_ref: Array, action_ref: Array
 
 def _error(controller: LatentController, lived: Sequence[Lived]) -> float:
     """Return the one-step error over that of "nothing changes", over all components."""
-    C = controller.projection
-    C = np.eye(lived[0].features.shape[1]) if C is None else C
-    data = _snapshots(lived, C, np.zeros(len(C)), np.zeros(lived[0].actions.shape[1]))
+    z = [controller.project(episode.features) for episode in lived]
+    actions = np.concatenate([episode.actions for episode in lived])
+    data = Snapshots(np.concatenate([each[:-1] for each in z]), actions, np.concatenate([each[1:] for each in z]))
     missed = data.z_next - controller.predict(data.z, data.u)
     error = np.sqrt(np.mean(missed**2, axis=0))
     return float(np.linalg.norm(error) / np.linalg.norm(persistence_error(data)))

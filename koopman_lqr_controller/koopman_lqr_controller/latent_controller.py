@@ -17,16 +17,15 @@ from koopman_lqr_controller.riccati import finite_horizon, solve_lqr
 
 Array = NDArray[np.float64]
 
-SATURATIONS = ("tanh", "clip")
-
 
 @dataclass(frozen=True)
 class LatentController:
     """u = k - K z with z = C psi(x), and the action is u brought into [-1, 1].
 
-    With a `horizon` the gain is that of Algorithm 1 after so many iterations, k follows the reference, and the model is
-    one of z: what learning optimises. Without, it is the regulator of the infinite horizon and the model is one of
-    deviations from z_ref and u_ref, with k = u_ref + K z_ref: what consolidation makes.
+    With a `horizon` the gain is that of Algorithm 1 after so many iterations, k follows the reference, the action is
+    tanh(u), and the model is one of z: what learning optimises. Without, it is the regulator of the infinite horizon,
+    and the model is one of deviations from z_ref and a_ref: u = a_ref - K (z - z_ref) is the action itself, cut off at
+    -1 and 1. As a_ref lies inside, the loop as it is deployed is A - B K around z_ref: what consolidation makes.
 
     Attributes:
         encoder: psi.
@@ -34,9 +33,8 @@ class LatentController:
         Q: diagonal of the state cost (n,).
         R: diagonal of the control cost (m,).
         z_ref: goal (n,); zeros where there is none.
-        u_ref: what holds it there (m,), before saturation; zeros unless given. Only for the infinite horizon.
+        a_ref: action at z_ref (m,), inside (-1, 1); zeros unless given. Only for the infinite horizon.
         horizon: Riccati iterations; None for infinitely many.
-        saturation: "tanh", as learnt, or "clip".
         projection: C (n, encoder's n), None for the identity: a reduced latent space.
         K: gain (m, n).
         k: offset (m,).
@@ -51,9 +49,8 @@ class LatentController:
     R: Array
     z_ref: Array
     horizon: int | None = None
-    saturation: str = "tanh"
     projection: Array | None = None
-    u_ref: Array | None = None
+    a_ref: Array | None = None
     K: Array = field(init=False)
     k: Array = field(init=False)
     P: Array = field(init=False)
@@ -61,12 +58,12 @@ class LatentController:
     residual: float = field(init=False)
 
     def __post_init__(self) -> None:
-        if self.u_ref is None:
-            object.__setattr__(self, "u_ref", np.zeros(len(self.R)))
+        if self.a_ref is None:
+            object.__setattr__(self, "a_ref", np.zeros(len(self.R)))
         self._check()
         if self.horizon is None:
             regulator = solve_lqr(self.model, np.diag(self.Q), np.diag(self.R))
-            K, P, k = regulator.K, regulator.P, self._u_ref + regulator.K @ self.z_ref
+            K, P, k = regulator.K, regulator.P, self._a_ref + regulator.K @ self.z_ref
             radius, residual = regulator.spectral_radius, regulator.residual
         else:
             K, k, P = finite_horizon(self.model, self.Q, self.R, self.z_ref, self.horizon)
@@ -83,7 +80,7 @@ class LatentController:
             "Q": (self.Q, (n,)),
             "R": (self.R, (m,)),
             "z_ref": (self.z_ref, (n,)),
-            "u_ref": (self._u_ref, (m,)),
+            "a_ref": (self._a_ref, (m,)),
         }
         for name, (array, shape) in shapes.items():
             if array.shape != shape:
@@ -92,22 +89,25 @@ class LatentController:
                 raise KoopmanError(f"{name} holds values that are not finite")
         if (self.Q < 0.0).any() or (self.R <= 0.0).any():
             raise KoopmanError("Q must not be negative, and R must be positive")
-        if self.horizon is not None and (self.horizon < 1 or self._u_ref.any()):
-            raise KoopmanError(f"horizon is {self.horizon}: must be at least 1 and without u_ref, or null for infinity")
-        if self.saturation not in SATURATIONS:
-            raise KoopmanError(f"saturation is '{self.saturation}': must be one of {', '.join(SATURATIONS)}")
+        if self.horizon is not None and (self.horizon < 1 or self._a_ref.any()):
+            raise KoopmanError(f"horizon is {self.horizon}: must be at least 1 and without a_ref, or null for infinity")
+        if (np.abs(self._a_ref) >= 1.0).any():
+            raise KoopmanError(f"a_ref is {self._a_ref}: must lie inside -1 .. 1, else the loop is not linear there")
         if self.projection is not None and (self.projection.ndim != 2 or self.projection.shape[0] != n):
             raise KoopmanError(f"the projection has shape {self.projection.shape}, must have {n} rows")
 
     @property
-    def _u_ref(self) -> Array:
-        assert self.u_ref is not None
-        return self.u_ref
+    def _a_ref(self) -> Array:
+        assert self.a_ref is not None
+        return self.a_ref
 
     def latent(self, x: ArrayLike) -> Array:
         """Return z (n,) or (N, n) for one observation or many."""
-        z = self.encoder(x)
-        return z if self.projection is None else z @ self.projection.T
+        return self.project(self.encoder(x))
+
+    def project(self, psi: Array) -> Array:
+        """Return z = C psi (n,) or (N, n)."""
+        return psi if self.projection is None else psi @ self.projection.T
 
     def control(self, z: Array) -> Array:
         """Return u (m,) or (N, m): what the linear law asks for."""
@@ -115,7 +115,7 @@ class LatentController:
 
     def saturate(self, u: Array) -> Array:
         """Return the action in [-1, 1] that stands for u."""
-        return np.tanh(u) if self.saturation == "tanh" else np.clip(u, -1.0, 1.0)
+        return np.clip(u, -1.0, 1.0) if self.horizon is None else np.tanh(u)
 
     def action(self, x: ArrayLike) -> Array:
         """Return the action (m,) in [-1, 1] for one observation."""
@@ -124,7 +124,7 @@ class LatentController:
     def predict(self, z: Array, action: Array) -> Array:
         """Return the model's next z under an action in [-1, 1]."""
         if self.horizon is None:
-            return self.z_ref + self.model.predict(z - self.z_ref, action - self.saturate(self._u_ref))
+            return self.z_ref + self.model.predict(z - self.z_ref, action - self._a_ref)
         return self.model.predict(z, action)
 
     def cost_to_go(self, z: Array) -> float:

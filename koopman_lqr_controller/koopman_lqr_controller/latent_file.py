@@ -15,8 +15,8 @@ from koopman_lqr_controller.latent_controller import LatentController
 from koopman_lqr_controller.latent_policy import LatentPolicy, LidarWiring
 from koopman_lqr_controller.lidar_observation import LidarObservation
 
-FORMAT = "koopman-latent-1"
-_LQR = ("A", "B", "Q", "R", "z_ref", "u_ref")
+FORMAT = "koopman-latent-2"
+_LQR = ("A", "B", "Q", "R", "z_ref", "a_ref")
 _WIRING = ("u_low", "u_high")
 
 
@@ -26,15 +26,14 @@ def describe_latent(policy: LatentPolicy) -> tuple[dict[str, Any], dict[str, NDA
     encoder, tensors = controller.encoder.describe()
     arrays: dict[str, NDArray[Any]] = {**tensors, "A": controller.model.A, "B": controller.model.B}
     arrays |= {"Q": controller.Q, "R": controller.R, "z_ref": controller.z_ref}
-    if controller.u_ref is not None:
-        arrays["u_ref"] = controller.u_ref
+    if controller.a_ref is not None:
+        arrays["a_ref"] = controller.a_ref
     if controller.projection is not None:
         arrays["projection"] = controller.projection
     header: dict[str, Any] = {
         "format": FORMAT,
         "encoder": encoder,
         "horizon": controller.horizon,
-        "saturation": controller.saturation,
         "manifest": dict(policy.manifest),
     }
     if wiring is not None:
@@ -59,9 +58,8 @@ def build_latent(header: Mapping[str, Any], tensors: Mapping[str, NDArray[Any]])
         Q=given["Q"],
         R=given["R"],
         z_ref=given["z_ref"],
-        u_ref=given["u_ref"],
+        a_ref=given["a_ref"],
         horizon=header["horizon"],
-        saturation=header["saturation"],
         projection=None if projection is None else projection.astype(np.float64),
     )
     wiring = None

@@ -32,12 +32,16 @@ class Lived:
         features: psi(x) of each observation, before any projection (T + 1, n).
         actions: what was done (T, m).
         total: undiscounted return.
+        steps: how many actions were done, T.
+        saturated: share of these that the law wanted beyond -1 or 1, over all controls.
         info: the environment's last word.
     """
 
     features: Array
     actions: Array
     total: float
+    steps: int
+    saturated: float
     info: dict[str, Any]
 
 
@@ -59,21 +63,20 @@ def roll_out(
     """
     random = np.random.default_rng(seed)
     x, info = environment.reset(seed=seed)
-    features, actions, total, over = [], [], 0.0, False
+    features, actions, total, beyond, steps, over = [], [], 0.0, 0.0, 0, False
     while not over:
         psi = controller.encoder(x)
-        z = psi if controller.projection is None else controller.projection @ psi
-        u = controller.control(z)
+        u = controller.control(controller.project(psi))
         action = controller.saturate(u + noise * random.standard_normal(u.shape) if noise else u)
         x, paid, terminated, truncated, info = environment.step(action)
-        total += float(paid)
+        total, steps, beyond = total + float(paid), steps + 1, beyond + float(np.mean(np.abs(u) > 1.0))
         over = terminated or truncated
         if keep:
             features.append(psi)
             actions.append(action)
     if keep:
         features.append(controller.encoder(x))
-    return Lived(np.array(features), np.array(actions), total, info)
+    return Lived(np.array(features), np.array(actions), total, steps, beyond / max(1, steps), info)
 
 
 def evaluate(controller: LatentController, environment: Environment, episodes: int, seed: int) -> list[Lived]:
@@ -84,6 +87,11 @@ def evaluate(controller: LatentController, environment: Environment, episodes: i
 def mean_return(lived: Sequence[Lived]) -> float:
     """Return the mean undiscounted return."""
     return float(np.mean([episode.total for episode in lived]))
+
+
+def saturated(lived: Sequence[Lived]) -> float:
+    """Return the share of all steps that the law wanted beyond -1 or 1."""
+    return float(np.average([each.saturated for each in lived], weights=[max(1, each.steps) for each in lived]))
 
 
 def outcomes(lived: Sequence[Lived]) -> dict[str, int]:

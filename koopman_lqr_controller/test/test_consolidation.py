@@ -85,6 +85,21 @@ def test_without_a_goal_it_stands_in_the_middle_of_what_is_met() -> None:
     before, after = (float(np.mean(x["returns"])) for x in (found.figures["learnt"], found.figures))
     assert after >= 0.95 * before
     assert found.figures["spectral_radius"] < 1.0
+    controller, step = found.controller, 1e-5 * np.eye(len(found.controller.z_ref))
+
+    def loop(dz: np.ndarray) -> np.ndarray:
+        z = controller.z_ref + dz
+        return controller.predict(z, controller.saturate(controller.control(z)))
+
+    slopes = np.stack([(loop(each) - loop(-each)) / 2e-5 for each in step], axis=1)
+    assert np.abs(np.linalg.eigvals(slopes)).max() < 1.0, "of the loop as it runs"
+    assert (np.abs(controller.a_ref) <= 0.9).all()
+    assert 0.0 <= found.figures["saturated"] < 1.0
+
+
+def test_what_is_consolidated_is_not_consolidated_again(consolidated) -> None:
+    with pytest.raises(KoopmanError, match="the regulator of its own model already"):
+        consolidate(consolidated.controller, Line(), PLAN)
 
 
 def test_the_same_seed_gives_the_same(consolidated) -> None:

@@ -42,8 +42,8 @@ def some_controller(horizon: int | None = None, seed: int = 0, reduced: bool = F
     model = LinearModel(A * 1.05 / np.abs(np.linalg.eigvals(A)).max(), random.normal(size=(size, 2)))
     z_ref = random.normal(size=size)
     C = np.linalg.qr(random.normal(size=(n, n)))[0][:size] if reduced else None
-    u_ref = None if horizon else np.array([0.1, -0.2])
-    return LatentController(encoder, model, np.ones(size), np.ones(2), z_ref, horizon, "tanh", C, u_ref)
+    a_ref = None if horizon else np.array([0.4, -0.2])
+    return LatentController(encoder, model, np.ones(size), np.ones(2), z_ref, horizon, C, a_ref)
 
 
 def some_policy(**given: object) -> LatentPolicy:
@@ -62,14 +62,28 @@ def test_the_gain_is_that_of_scipys_riccati_equation() -> None:
     assert pytest.approx(np.linalg.solve(np.eye(2) + B.T @ P @ B, B.T @ P @ A)) == controller.K
     assert controller.spectral_radius < 1.0
     assert controller.residual < 1e-8
-    assert controller.control(controller.z_ref) == pytest.approx([0.1, -0.2])
+    assert controller.control(controller.z_ref) == pytest.approx([0.4, -0.2])
+
+
+def slopes(loop, z: np.ndarray) -> np.ndarray:
+    """Return the Jacobian of a map by central differences."""
+    steps = 1e-5 * np.eye(len(z))
+    return np.stack([(loop(z + step) - loop(z - step)) / 2e-5 for step in steps], axis=1)
+
+
+@pytest.mark.parametrize("reduced", [False, True])
+def test_the_loop_as_it_is_deployed_has_the_poles_that_it_claims(reduced: bool) -> None:
+    """Also where what holds the reference is not zero: what saturates it must not bend the loop there."""
+    controller = some_controller(reduced=reduced)
+    loop = slopes(lambda z: controller.predict(z, controller.saturate(controller.control(z))), controller.z_ref)
+    assert np.abs(np.linalg.eigvals(loop)).max() == pytest.approx(controller.spectral_radius, rel=1e-6)
 
 
 @settings(deadline=None, max_examples=20)
 @given(st.integers(0, 1000))
 def test_the_cost_to_go_falls_by_the_cost_of_a_step_along_the_model(seed: int) -> None:
     """Bellman's equation of the deviations, without saturation."""
-    controller = replace(some_controller(seed=seed), u_ref=np.zeros(2))
+    controller = replace(some_controller(seed=seed), a_ref=np.zeros(2))
     dz = np.random.default_rng(seed).normal(size=6)
     du = -controller.K @ dz
     step = float(dz @ (controller.Q * dz) + du @ (controller.R * du))
@@ -124,8 +138,8 @@ def test_odometry_that_is_not_finite_is_refused(v: float, omega: float) -> None:
         ({"Q": np.ones(5)}, r"Q has shape \(5,\)"),
         ({"R": np.array([1.0, 0.0])}, "R must be positive"),
         ({"z_ref": np.full(6, np.nan)}, "z_ref holds values that are not finite"),
-        ({"saturation": "hard"}, "saturation is 'hard'"),
-        ({"horizon": 0, "u_ref": np.zeros(2)}, "horizon is 0"),
+        ({"a_ref": np.array([0.0, 1.0])}, "must lie inside -1 .. 1"),
+        ({"horizon": 0, "a_ref": np.zeros(2)}, "horizon is 0"),
         ({"projection": np.ones((2, 6))}, "projection has shape"),
     ],
 )
