@@ -3,44 +3,38 @@
 What learning leaves is a gain after a few Riccati iterations, on a model that serves the gain more than prediction: the
 closed loop of that model is often not even stable. Consolidation keeps the encoder and what the policy does, and makes
 the rest true. It lives through noisy episodes and refits A and B to them by least squares. It finds diagonal Q and R
-whose infinite-horizon gain does the same as the policy (inverse LQR), in units of actions: what is deployed is that law,
-cut off at -1 and 1, so that the loop of the proof is the loop that runs. It takes as few latent dimensions as keep the
-return. What comes out proves itself: its gain is computed from A, B, Q, R whenever it is loaded.
+whose infinite-horizon gain does the same as the policy (inverse LQR), in units of actions: what is deployed is that
+law, cut off at -1 and 1, so that the loop of the proof is the loop that runs. It takes as few latent dimensions as keep
+the return and predict. What comes out proves itself: its gain is computed from A, B, Q, R whenever it is loaded.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from koopman_lqr_controller.edmd import LinearModel, Snapshots, fit, persistence_error
 from koopman_lqr_controller.errors import KoopmanError
-from koopman_lqr_controller.inverse_lqr import Law, fit_costs
 from koopman_lqr_controller.latent_controller import LatentController
+from koopman_lqr_controller.prediction import horizon_errors
+from koopman_lqr_controller.regulators import LARGEST_RESIDUAL, Refit, Regulator
 from koopman_lqr_controller.roll_outs import (
     Environment,
     Lived,
     evaluate,
+    interaction,
     mean_return,
     noisy_roll_outs,
     outcomes,
     saturated,
 )
 
-Array = NDArray[np.float64]
-
-LARGEST_RESIDUAL = 1e-8
-"""Of the Riccati equation, relative; what is above it is refused."""
-_SEEN = 1e-4
-"""Directions of the latent space that vary by less than this part of the first one say nothing but rounding."""
-_FADING = 0.999
-_INSIDE = 0.9
-"""Largest action at the reference: the loop is linear around it."""
-_SEEDS = {"live": 3_000_000, "choose": 4_000_000, "report": 5_000_000}
+HORIZON = 10
+"""Steps that the model's error is told for."""
+_SEEDS = {"live": 3_000_000, "choose": 4_000_000, "report": 5_000_000, "measure": 6_000_000}
+"""Where the seeds of episodes begin: of those to learn from, to choose by, and to report returns and errors on."""
 
 
 @dataclass(frozen=True)
@@ -48,14 +42,14 @@ class Plan:
     """How is consolidated.
 
     Attributes:
-        episodes: lived through in each round; a fifth is kept from the fit, to measure the model.
+        episodes: lived through in each round; a fifth is kept from the fit, to choose by the model's error.
         noise: largest standard deviation added to u, the least is none.
         rounds: the first with the learnt policy, the others with the best candidate so far, which the learnt policy
             tells what it would have done.
         ridge: of the refit, relative to each regressor's variance.
         sizes: latent dimensions that are tried; those beyond the policy's own stand for all of them.
-        tolerance: part of the learnt return that may be lost for fewer dimensions.
-        error: one-step error over persistence that a model with fewer dimensions may have.
+        tolerance: part of the learnt return that may be lost.
+        error: one-step error over persistence that the model may have.
         candidates: episodes of each candidate.
         report: fresh episodes, the same for the learnt policy and for what comes of it.
     """
@@ -64,7 +58,7 @@ class Plan:
     noise: float = 0.5
     rounds: int = 2
     ridge: float = 1e-4
-    sizes: tuple[int, ...] = (6, 8, 12, 16, 24, 1000)
+    sizes: tuple[int, ...] = (4, 6, 8, 12, 16, 24, 1000)
     tolerance: float = 0.01
     error: float = 1 / 3
     candidates: int = 10
@@ -91,10 +85,28 @@ class Consolidated:
 
 @dataclass(frozen=True)
 class _Candidate:
-    controller: LatentController
+    regulator: Regulator
     score: float
-    mismatch: float
     error: float
+
+    @property
+    def controller(self) -> LatentController:
+        return self.regulator.controller
+
+    def meets(self, learnt_score: float, plan: Plan) -> dict[str, bool]:
+        least = learnt_score - plan.tolerance * abs(learnt_score)
+        return {"return": self.score >= least, "error": self.error <= plan.error}
+
+    def row(self) -> dict[str, Any]:
+        found = self.regulator
+        return {
+            "latent": len(self.controller.Q),
+            "family": found.family,
+            "return": self.score,
+            "mismatch": found.mismatch,
+            "contraction": found.contraction,
+            "error_over_persistence": self.error,
+        }
 
 
 def consolidate(
@@ -121,44 +133,42 @@ def consolidate(
     if learnt.horizon is None:
         raise KoopmanError("this policy is the regulator of its own model already: give the one that `learn` made")
     plan = plan or Plan()
-    first = {name: base + 10_000 * seed for name, base in _SEEDS.items()}
-    learnt_score = mean_return(evaluate(learnt, environment, plan.candidates, first["choose"]))
-    lived, best, acting = list[Lived](), list[_Candidate](), learnt
+    search = _Search(learnt, environment, plan, seed, tick)
+    acting = learnt
     for index in range(plan.rounds):
-        tick(f"living through {plan.episodes} episodes")
-        noises = np.linspace(0.0, plan.noise, plan.episodes)
-        lived += noisy_roll_outs(acting, environment, noises.tolist(), first["live"] + 1000 * index)
-        held_out = lived[::5]
-        seen = [episode for number, episode in enumerate(lived) if number % 5]
-        for found in _candidates(learnt, seen, plan, goal):
-            score = mean_return(evaluate(found[0], environment, plan.candidates, first["choose"]))
-            best.append(_Candidate(found[0], score, found[1], _error(found[0], held_out)))
-            tick(f"{len(found[0].Q)} dimensions: {score:.4g} of {learnt_score:.4g}")
-        if not best:
-            raise KoopmanError("no regulator: the refitted model cannot be stabilised; learn longer")
-        acting = max(best, key=lambda candidate: candidate.score).controller
-    chosen = _choose(best, learnt_score, plan)
-    before, after = (evaluate(each, environment, plan.report, first["report"]) for each in (learnt, chosen.controller))
+        search.live(acting, index)
+        refit = Refit(learnt, search.seen, plan.ridge, goal)
+        search.try_out(refit)
+        acting = max(search.tried, key=lambda candidate: candidate.score).controller
+    chosen = search.choose()
+    found = chosen.regulator
+    measured = search.measure(chosen.controller)
+    before, after = (search.report(each) for each in (learnt, chosen.controller))
     figures = {
         "returns": [episode.total for episode in after],
         "outcomes": outcomes(after),
+        "meets": chosen.meets(search.learnt_score, plan),
         "latent": len(chosen.controller.Q),
-        "mismatch": chosen.mismatch,
+        "family": found.family,
+        "mismatch": found.mismatch,
+        "contraction": found.contraction,
         "saturated": saturated(after),
-        **proof(chosen.controller, held_out),
+        **proof(chosen.controller, measured),
+        "unreduced_horizon_errors": _errors(refit, measured),
         "learnt": {
             "returns": [episode.total for episode in before],
             "outcomes": outcomes(before),
             "saturated": saturated(before),
             "spectral_radius": learnt.spectral_radius,
-            "error_over_persistence": _error(learnt, held_out),
+            "error_over_persistence": _errors(learnt, measured)[0],
         },
-        "candidates": [[len(each.controller.Q), each.score, each.mismatch, each.error] for each in best],
+        "interaction": interaction(search.all_lived),
+        "candidates": [each.row() for each in search.tried],
     }
     return Consolidated(chosen.controller, figures)
 
 
-def proof(controller: LatentController, lived: Sequence[Lived]) -> dict[str, float]:
+def proof(controller: LatentController, lived: Sequence[Lived]) -> dict[str, Any]:
     """Return what shows that a controller is the LQR of its own model, and that the model predicts.
 
     Raises:
@@ -167,82 +177,105 @@ def proof(controller: LatentController, lived: Sequence[Lived]) -> dict[str, flo
     if not (controller.spectral_radius < 1.0 and controller.residual < LARGEST_RESIDUAL):
         found = f"spectral radius {controller.spectral_radius:.4f}, Riccati residual {controller.residual:.1e}"
         raise KoopmanError(f"{found}: not the regulator of its own model")
+    errors = _errors(controller, lived)
     return {
         "spectral_radius": controller.spectral_radius,
         "dare_residual": controller.residual,
-        "error_over_persistence": _error(controller, lived),
+        "error_over_persistence": errors[0],
+        "horizon_errors": errors,
     }
 
 
-def _choose(best: Sequence[_Candidate], learnt_score: float, plan: Plan) -> _Candidate:
-    """Return the best of the smallest size that keeps the return and predicts; else what keeps the return best."""
-    least = learnt_score - plan.tolerance * abs(learnt_score)
-    good = [each for each in best if each.score >= least and each.error <= plan.error]
-    if good:
-        size = min(len(each.controller.Q) for each in good)
-        good = [each for each in good if len(each.controller.Q) == size]
-    return max(good or best, key=lambda each: each.score)
+class _Search:
+    """What was lived through and tried out so far."""
 
+    def __init__(
+        self,
+        learnt: LatentController,
+        environment: Environment,
+        plan: Plan,
+        seed: int,
+        tick: Callable[[str], None],
+    ) -> None:
+        self._learnt, self._environment, self._plan, self._tick = learnt, environment, plan, tick
+        self._first = {name: base + 10_000 * seed for name, base in _SEEDS.items()}
+        self._lived: list[Lived] = []
+        self.tried: list[_Candidate] = []
+        self.all_lived: list[Lived] = []
+        self.learnt_score = self._score(learnt)
 
-def _candidates(
-    learnt: LatentController, lived: Sequence[Lived], plan: Plan, goal: bool
-) -> Iterator[tuple[LatentController, float]]:
-    """Yield regulators of each size with what is left of the mismatch; sizes without one are left out."""
-    psi = np.concatenate([episode.features[:-1] for episode in lived])
-    u = learnt.control(psi)
-    effect = 1.0 - np.tanh(u) ** 2  # what a difference of u makes of the action
-    weight = np.mean(effect, axis=1) + 0.05
-    psi_ref, a_ref = (learnt.z_ref, np.zeros(u.shape[1])) if goal else _middle(learnt, psi, weight)
-    _, spread, directions = np.linalg.svd(psi - psi_ref, full_matrices=False)
-    directions = directions[spread > _SEEN * spread[0]]
-    for size in sorted({min(size, len(directions)) for size in plan.sizes}):
-        C = np.ascontiguousarray(directions[:size])
-        z_ref = C @ psi_ref
-        data = _snapshots(lived, C, z_ref, a_ref)
-        law = Law.seen(psi @ C.T - z_ref, u - a_ref, weight)
-        model = fit(data, plan.ridge)
-        for each in (model, _contracted(model)):
-            try:
-                Q, R, mismatch = fit_costs(each, law, np.ones(size), learnt.R)
-            except KoopmanError:
+    @property
+    def seen(self) -> list[Lived]:
+        """What models are fitted to; every fifth episode is kept from them."""
+        return [episode for number, episode in enumerate(self._lived) if number % 5]
+
+    def live(self, acting: LatentController, index: int) -> None:
+        """Live through the episodes of a round."""
+        self._tick(f"living through {self._plan.episodes} episodes")
+        noises = np.linspace(0.0, self._plan.noise, self._plan.episodes).tolist()
+        fresh = noisy_roll_outs(acting, self._environment, noises, self._first["live"] + 1000 * index)
+        self._lived += fresh
+        self.all_lived += fresh
+
+    def try_out(self, refit: Refit) -> None:
+        """Try one regulator after the other, until one keeps the return and predicts.
+
+        Raises:
+            KoopmanError: there is none at all.
+        """
+        for family, C in refit.projections(self._plan.sizes):
+            found = refit.regulator(family, C)
+            if found is None:
                 continue
-            found = LatentController(learnt.encoder, each, Q, R, z_ref, None, C, a_ref)
-            if found.residual < LARGEST_RESIDUAL:
-                yield found, mismatch
-            break
+            candidate = _Candidate(found, self._score(found.controller), self._error(found.controller))
+            self.tried.append(candidate)
+            self._tick(f"{len(C)} dimensions: {candidate.score:.4g} of {self.learnt_score:.4g}")
+            if all(candidate.meets(self.learnt_score, self._plan).values()):
+                return
+        if not self.tried:
+            raise KoopmanError("no regulator: the refitted model cannot be stabilised; learn longer")
+
+    def choose(self) -> _Candidate:
+        """Return the smallest that keeps the return and predicts.
+
+        Where none does both, the best predictor of those that keep the return; where none does that, what keeps it
+        best. All are held against the same episodes.
+        """
+        tried = [_Candidate(each.regulator, each.score, self._error(each.controller)) for each in self.tried]
+        self.tried = tried
+
+        def rank(each: _Candidate) -> tuple[float, ...]:
+            meets = each.meets(self.learnt_score, self._plan)
+            if all(meets.values()):
+                return (2.0, -len(each.controller.Q), each.score)
+            return (1.0, -each.error, each.score) if meets["return"] else (0.0, each.score, -each.error)
+
+        return max(tried, key=rank)
+
+    def measure(self, chosen: LatentController) -> list[Lived]:
+        """Return fresh noisy episodes of the learnt and the chosen controller, that nothing was chosen by."""
+        noises = np.linspace(0.0, self._plan.noise, max(2, self._plan.episodes // 5)).tolist()
+        first = self._first["measure"]
+        return [
+            episode
+            for index, each in enumerate((self._learnt, chosen))
+            for episode in noisy_roll_outs(each, self._environment, noises, first + 1000 * index)
+        ]
+
+    def report(self, controller: LatentController) -> list[Lived]:
+        """Return fresh episodes without noise."""
+        return evaluate(controller, self._environment, self._plan.report, self._first["report"])
+
+    def _score(self, controller: LatentController) -> float:
+        episodes = evaluate(controller, self._environment, self._plan.candidates, self._first["choose"])
+        self.all_lived += episodes
+        return mean_return(episodes)
+
+    def _error(self, controller: LatentController) -> float:
+        return _errors(controller, self._lived[::5])[0]
 
 
-def _middle(learnt: LatentController, psi: Array, weight: Array) -> tuple[Array, Array]:
-    """Return the middle of what is met, weighted, and the law's u there.
-
-    Where that u is beyond what actions can be, the nearest psi, by the spread of what is met, that has such a u.
-    """
-    psi_ref = np.average(psi, axis=0, weights=weight)
-    u_ref = learnt.control(psi_ref)
-    a_ref = np.clip(u_ref, -_INSIDE, _INSIDE)
-    spread = np.cov(psi.T, aweights=weight) @ learnt.K.T
-    shift = spread @ np.linalg.pinv(learnt.K @ spread) @ (u_ref - a_ref)
-    return psi_ref + shift, a_ref
-
-
-def _contracted(model: LinearModel) -> LinearModel:
-    """Return a model whose modes all fade: what a weak policy never moves cannot be regulated, and need not be."""
-    radius = float(np.abs(np.linalg.eigvals(model.A)).max())
-    return LinearModel(model.A * min(1.0, _FADING / radius), model.B)
-
-
-def _snapshots(lived: Sequence[Lived], C: Array, z_ref: Array, action_ref: Array) -> Snapshots:
-    """Return the deviations that the model is fitted to."""
-    z = [episode.features @ C.T - z_ref for episode in lived]
-    actions = np.concatenate([episode.actions for episode in lived]) - action_ref
-    return Snapshots(np.concatenate([each[:-1] for each in z]), actions, np.concatenate([each[1:] for each in z]))
-
-
-def _error(controller: LatentController, lived: Sequence[Lived]) -> float:
-    """Return the one-step error over that of "nothing changes", over all components."""
-    z = [controller.project(episode.features) for episode in lived]
-    actions = np.concatenate([episode.actions for episode in lived])
-    data = Snapshots(np.concatenate([each[:-1] for each in z]), actions, np.concatenate([each[1:] for each in z]))
-    missed = data.z_next - controller.predict(data.z, data.u)
-    error = np.sqrt(np.mean(missed**2, axis=0))
-    return float(np.linalg.norm(error) / np.linalg.norm(persistence_error(data)))
+def _errors(model: LatentController | Refit, lived: Sequence[Lived]) -> list[float]:
+    """Return the errors over persistence after 1, 2, ... steps, in what the model predicts."""
+    z = [model.project(episode.features) for episode in lived]
+    return horizon_errors(model.predict, z, [episode.actions for episode in lived], HORIZON)

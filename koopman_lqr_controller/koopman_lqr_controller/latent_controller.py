@@ -24,8 +24,9 @@ class LatentController:
 
     With a `horizon` the gain is that of Algorithm 1 after so many iterations, k follows the reference, the action is
     tanh(u), and the model is one of z: what learning optimises. Without, it is the regulator of the infinite horizon,
-    and the model is one of deviations from z_ref and a_ref: u = a_ref - K (z - z_ref) is the action itself, cut off at
-    -1 and 1. As a_ref lies inside, the loop as it is deployed is A - B K around z_ref: what consolidation makes.
+    and the model is one of deviations from z_ref and a_ref, with a drift: u = a_ref - K (z - z_ref) is the action
+    itself, cut off at -1 and 1. As a_ref lies inside, the loop as it is deployed is A - B K around z_ref: what
+    consolidation makes. The drift moves the loop's fixed point, not its poles.
 
     Attributes:
         encoder: psi.
@@ -34,6 +35,7 @@ class LatentController:
         R: diagonal of the control cost (m,).
         z_ref: goal (n,); zeros where there is none.
         a_ref: action at z_ref (m,), inside (-1, 1); zeros unless given. Only for the infinite horizon.
+        drift: what the model adds to z in a step at the reference (n,); zeros unless given, as for a_ref.
         horizon: Riccati iterations; None for infinitely many.
         projection: C (n, encoder's n), None for the identity: a reduced latent space.
         K: gain (m, n).
@@ -51,6 +53,7 @@ class LatentController:
     horizon: int | None = None
     projection: Array | None = None
     a_ref: Array | None = None
+    drift: Array | None = None
     K: Array = field(init=False)
     k: Array = field(init=False)
     P: Array = field(init=False)
@@ -60,6 +63,8 @@ class LatentController:
     def __post_init__(self) -> None:
         if self.a_ref is None:
             object.__setattr__(self, "a_ref", np.zeros(len(self.R)))
+        if self.drift is None:
+            object.__setattr__(self, "drift", np.zeros(len(self.Q)))
         self._check()
         if self.horizon is None:
             regulator = solve_lqr(self.model, np.diag(self.Q), np.diag(self.R))
@@ -81,6 +86,7 @@ class LatentController:
             "R": (self.R, (m,)),
             "z_ref": (self.z_ref, (n,)),
             "a_ref": (self._a_ref, (m,)),
+            "drift": (self._drift, (n,)),
         }
         for name, (array, shape) in shapes.items():
             if array.shape != shape:
@@ -89,8 +95,10 @@ class LatentController:
                 raise KoopmanError(f"{name} holds values that are not finite")
         if (self.Q < 0.0).any() or (self.R <= 0.0).any():
             raise KoopmanError("Q must not be negative, and R must be positive")
-        if self.horizon is not None and (self.horizon < 1 or self._a_ref.any()):
-            raise KoopmanError(f"horizon is {self.horizon}: must be at least 1 and without a_ref, or null for infinity")
+        if self.horizon is not None and (self.horizon < 1 or self._a_ref.any() or self._drift.any()):
+            raise KoopmanError(
+                f"horizon is {self.horizon}: must be at least 1 and without a_ref and drift, or null for infinity"
+            )
         if (np.abs(self._a_ref) >= 1.0).any():
             raise KoopmanError(f"a_ref is {self._a_ref}: must lie inside -1 .. 1, else the loop is not linear there")
         if self.projection is not None and (self.projection.ndim != 2 or self.projection.shape[0] != n):
@@ -100,6 +108,11 @@ class LatentController:
     def _a_ref(self) -> Array:
         assert self.a_ref is not None
         return self.a_ref
+
+    @property
+    def _drift(self) -> Array:
+        assert self.drift is not None
+        return self.drift
 
     def latent(self, x: ArrayLike) -> Array:
         """Return z (n,) or (N, n) for one observation or many."""
@@ -124,7 +137,7 @@ class LatentController:
     def predict(self, z: Array, action: Array) -> Array:
         """Return the model's next z under an action in [-1, 1]."""
         if self.horizon is None:
-            return self.z_ref + self.model.predict(z - self.z_ref, action - self._a_ref)
+            return self.z_ref + self._drift + self.model.predict(z - self.z_ref, action - self._a_ref)
         return self.model.predict(z, action)
 
     def cost_to_go(self, z: Array) -> float:

@@ -16,7 +16,8 @@ from koopman_lqr_controller.latent_policy import LatentPolicy, LidarWiring
 from koopman_lqr_controller.lidar_observation import LidarObservation
 
 FORMAT = "koopman-latent-2"
-_LQR = ("A", "B", "Q", "R", "z_ref", "a_ref")
+_LQR = ("A", "B", "Q", "R", "z_ref")
+_REFERENCE = ("a_ref", "drift")
 _WIRING = ("u_low", "u_high")
 
 
@@ -26,8 +27,8 @@ def describe_latent(policy: LatentPolicy) -> tuple[dict[str, Any], dict[str, NDA
     encoder, tensors = controller.encoder.describe()
     arrays: dict[str, NDArray[Any]] = {**tensors, "A": controller.model.A, "B": controller.model.B}
     arrays |= {"Q": controller.Q, "R": controller.R, "z_ref": controller.z_ref}
-    if controller.a_ref is not None:
-        arrays["a_ref"] = controller.a_ref
+    if controller.horizon is None:
+        arrays |= {name: getattr(controller, name) for name in _REFERENCE}
     if controller.projection is not None:
         arrays["projection"] = controller.projection
     header: dict[str, Any] = {
@@ -50,7 +51,8 @@ def build_latent(header: Mapping[str, Any], tensors: Mapping[str, NDArray[Any]])
         KoopmanError: the parts do not fit each other, or there is no regulator.
         KeyError, TypeError, ValueError: something is missing or of another kind.
     """
-    given = {name: np.ascontiguousarray(tensors[name], dtype=np.float64) for name in _LQR}
+    wanted = _LQR if header["horizon"] is not None else _LQR + _REFERENCE
+    given = {name: np.ascontiguousarray(tensors[name], dtype=np.float64) for name in wanted}
     projection = tensors.get("projection")
     controller = LatentController(
         encoder=Encoder.build(header["encoder"], tensors),
@@ -58,7 +60,8 @@ def build_latent(header: Mapping[str, Any], tensors: Mapping[str, NDArray[Any]])
         Q=given["Q"],
         R=given["R"],
         z_ref=given["z_ref"],
-        a_ref=given["a_ref"],
+        a_ref=given.get("a_ref"),
+        drift=given.get("drift"),
         horizon=header["horizon"],
         projection=None if projection is None else projection.astype(np.float64),
     )

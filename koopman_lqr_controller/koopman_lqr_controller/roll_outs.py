@@ -94,6 +94,11 @@ def saturated(lived: Sequence[Lived]) -> float:
     return float(np.average([each.saturated for each in lived], weights=[max(1, each.steps) for each in lived]))
 
 
+def interaction(lived: Sequence[Lived]) -> dict[str, int]:
+    """Return how many episodes and actions these are."""
+    return {"episodes": len(lived), "actions": sum(episode.steps for episode in lived)}
+
+
 def outcomes(lived: Sequence[Lived]) -> dict[str, int]:
     """Return how many episodes ended which way; nothing where the environment does not say."""
     ended = [str(episode.info["outcome"]) for episode in lived if "outcome" in episode.info]

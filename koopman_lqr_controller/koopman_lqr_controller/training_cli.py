@@ -131,11 +131,20 @@ def _report(found: dict[str, Any], path: Path) -> None:
     learnt = found["learnt"]
     before, after = (sum(each["returns"]) / len(each["returns"]) for each in (learnt, found))
     print(f"return               {before:.1f} as learnt, {after:.1f} consolidated ({len(found['returns'])} episodes)")
-    print(f"latent dimensions    {found['latent']}")
+    print(f"latent dimensions    {found['latent']} ({found['family']})")
     print(f"closed loop          spectral radius {learnt['spectral_radius']:.3f} -> {found['spectral_radius']:.3f}")
     print(f"Riccati residual     {found['dare_residual']:.1e}")
     errors = (learnt["error_over_persistence"], found["error_over_persistence"])
     print(f"one-step error       {errors[0]:.2f} -> {errors[1]:.2f} of that of 'nothing changes'")
+    curve = " ".join(
+        f"{found['horizon_errors'][step - 1]:.2f}" for step in (1, 2, 5, 10) if step <= len(found["horizon_errors"])
+    )
+    print(f"  after 1 2 5 10     {curve} steps")
+    print(f"steps cut off        {100 * found['saturated']:.0f} %")
+    if found["contraction"] < 1.0:
+        print(f"A was made smaller   by {found['contraction']:.4f}: the refitted model had no regulator")
+    missed = [name for name, met in found["meets"].items() if not met]
+    print(f"targets              {'met' if not missed else 'missed: ' + ', '.join(missed)}")
     print(f"policy               {path}")
 
 

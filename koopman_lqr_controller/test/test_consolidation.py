@@ -9,7 +9,8 @@ from koopman_lqr_controller.edmd import LinearModel
 from koopman_lqr_controller.encoder import Dense, Encoder
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.latent_controller import LatentController
-from koopman_lqr_controller.roll_outs import evaluate, mean_return
+from koopman_lqr_controller.regulators import Refit
+from koopman_lqr_controller.roll_outs import evaluate, mean_return, noisy_roll_outs
 
 A = np.array([[1.0, 0.1, 0.0], [0.0, 1.0, 0.1], [0.0, 0.05, 0.95]])
 B = np.array([[0.0], [0.1], [0.05]])
@@ -68,11 +69,25 @@ def test_it_is_the_regulator_of_its_own_model(consolidated) -> None:
     assert np.abs(riccati).max() < 1e-8 * max(1.0, np.abs(P).max())
     assert np.linalg.solve(R + model.B.T @ P @ model.B, model.B.T @ P @ model.A) == pytest.approx(K)
     assert controller.horizon is None
-    assert controller.control(controller.z_ref) == pytest.approx([0.0], abs=1e-9)
+    assert controller.control(controller.z_ref) == pytest.approx(controller.a_ref)
+    assert np.abs(controller.a_ref).max() <= 0.9
+
+
+def test_the_offset_of_the_law_is_kept() -> None:
+    """At its goal the learnt law, k - K z, asks for something: what comes of it asks for the same."""
+    learnt = learnt_controller()
+    lived = noisy_roll_outs(learnt, Line(), [0.0, 0.1, 0.2, 0.3], 0)
+    found = Refit(learnt, lived, 1e-4, True).regulator("principal", np.linalg.qr(learnt.encoder.layers[0].weight)[0].T)
+    psi = np.concatenate([episode.features for episode in lived])
+    asked = learnt.control(psi)
+    assert abs(float(learnt.control(learnt.z_ref)[0])) > 0.5
+    assert np.abs(found.controller.control(found.controller.project(psi)) - asked).max() < 0.1 * np.ptp(asked)
+    assert abs(np.mean(found.controller.control(found.controller.project(psi)) - asked)) < 0.05 * np.ptp(asked)
 
 
 def test_its_model_is_that_of_the_system(consolidated) -> None:
-    assert consolidated.figures["error_over_persistence"] < 0.05
+    assert consolidated.figures["unreduced_horizon_errors"][0] < 0.05
+    assert consolidated.figures["error_over_persistence"] < 0.15, "of two dimensions for three"
     assert consolidated.figures["learnt"]["error_over_persistence"] > 0.3
     assert len(consolidated.controller.Q) <= 3, "the system has three states"
     if len(consolidated.controller.Q) == 3:
@@ -100,6 +115,33 @@ def test_without_a_goal_it_stands_in_the_middle_of_what_is_met() -> None:
 def test_what_is_consolidated_is_not_consolidated_again(consolidated) -> None:
     with pytest.raises(KoopmanError, match="the regulator of its own model already"):
         consolidate(consolidated.controller, Line(), PLAN)
+
+
+def test_it_says_what_it_was_chosen_by_and_what_it_met(consolidated) -> None:
+    figures = consolidated.figures
+    assert figures["meets"] == {"return": True, "error": True}
+    assert figures["family"] == "observed", "what the law needs is tried first"
+    assert len(figures["horizon_errors"]) == len(figures["unreduced_horizon_errors"]) == 10
+    assert figures["horizon_errors"][0] == figures["error_over_persistence"]
+    assert figures["contraction"] == 1.0
+    tried = figures["candidates"]
+    assert all(row["latent"] >= figures["latent"] for row in tried if row["error_over_persistence"] < PLAN.error)
+    # 10 episodes in each of 2 rounds, 5 of the learnt policy and of each candidate, 60 steps each.
+    assert figures["interaction"]["episodes"] == 20 + 5 * (1 + len(tried))
+    assert figures["interaction"]["actions"] == 60 * figures["interaction"]["episodes"]
+
+
+def test_what_is_missed_is_said() -> None:
+    plan = Plan(episodes=10, noise=0.3, rounds=1, sizes=(1000,), candidates=2, report=2, error=0.0)
+    assert consolidate(learnt_controller(), Line(), plan).figures["meets"] == {"return": True, "error": False}
+
+
+def test_the_reported_error_is_of_episodes_that_nothing_was_chosen_by(consolidated) -> None:
+    chosen = consolidated.controller
+    noises = np.linspace(0.0, PLAN.noise, 2).tolist()
+    fresh = noisy_roll_outs(learnt_controller(), Line(), noises, 6_000_000)
+    fresh += noisy_roll_outs(chosen, Line(), noises, 6_001_000)
+    assert proof(chosen, fresh)["horizon_errors"] == consolidated.figures["horizon_errors"]
 
 
 def test_the_same_seed_gives_the_same(consolidated) -> None:
