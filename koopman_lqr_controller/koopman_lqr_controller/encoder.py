@@ -138,6 +138,14 @@ class Encoder:
     middle: Weights
     unit: Weights
 
+    def __post_init__(self) -> None:
+        arrays = [self.middle, self.unit]
+        arrays += [it for layer in self.layers for it in vars(layer).values() if isinstance(it, np.ndarray)]
+        if not all(np.isfinite(array).all() for array in arrays):
+            raise KoopmanError("the encoder holds values that are not finite")
+        if not (self.unit > 0.0).all():
+            raise KoopmanError("the encoder's unit must be positive")
+
     def __call__(self, x: ArrayLike) -> Array:
         """Return z (n,) or (N, n) for one observation (*shape) or many (N, *shape).
 

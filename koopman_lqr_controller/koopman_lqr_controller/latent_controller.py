@@ -66,6 +66,7 @@ class LatentController:
         if self.drift is None:
             object.__setattr__(self, "drift", np.zeros(len(self.Q)))
         self._check()
+        self._try_out()
         if self.horizon is None:
             regulator = solve_lqr(self.model, np.diag(self.Q), np.diag(self.R))
             K, P, k = regulator.K, regulator.P, self._a_ref + regulator.K @ self.z_ref
@@ -74,6 +75,8 @@ class LatentController:
             K, k, P = finite_horizon(self.model, self.Q, self.R, self.z_ref, self.horizon)
             radius = float(np.abs(np.linalg.eigvals(self.model.A - self.model.B @ K)).max())
             residual = float("inf")
+        if not (np.isfinite(K).all() and np.isfinite(k).all() and np.isfinite(P).all()):
+            raise KoopmanError("the gain of this model is not finite")
         for name, value in (("K", K), ("k", k), ("P", P), ("spectral_radius", radius), ("residual", residual)):
             object.__setattr__(self, name, value)
 
@@ -101,8 +104,21 @@ class LatentController:
             )
         if (np.abs(self._a_ref) >= 1.0).any():
             raise KoopmanError(f"a_ref is {self._a_ref}: must lie inside -1 .. 1, else the loop is not linear there")
+        if self.projection is not None and not np.isfinite(self.projection).all():
+            raise KoopmanError("the projection holds values that are not finite")
         if self.projection is not None and (self.projection.ndim != 2 or self.projection.shape[0] != n):
             raise KoopmanError(f"the projection has shape {self.projection.shape}, must have {n} rows")
+
+    def _try_out(self) -> None:
+        """Encode one observation: what cannot be encoded now will not be while a robot drives."""
+        try:
+            z = self.latent(np.zeros(self.encoder.shape, np.float32))
+        except ValueError as error:
+            raise KoopmanError(f"encoder and projection do not fit each other ({error})") from None
+        if z.shape != self.z_ref.shape or not np.isfinite(z).all():
+            raise KoopmanError(
+                f"an observation of zeros becomes {z.shape}, must become {len(self.z_ref)} finite numbers"
+            )
 
     @property
     def _a_ref(self) -> Array:

@@ -33,6 +33,8 @@ class LidarWiring:
     u_high: Array
 
     def __post_init__(self) -> None:
+        if not (np.isfinite(self.u_low).all() and np.isfinite(self.u_high).all()):
+            raise KoopmanError("u_low and u_high hold values that are not finite")
         if self.u_low.shape != (2,) or self.u_high.shape != (2,) or not (self.u_low < self.u_high).all():
             raise KoopmanError("u_low and u_high must be two numbers each, u_low below u_high")
 

@@ -94,6 +94,8 @@ class LidarDriver(SuiteNode):
             return
         try:
             command = self.decide(self._sensed(message, *self._odometry))
+            if not np.isfinite(command).all():
+                raise KoopmanError(f"the policy's command is {command}: not finite")
         except KoopmanError as error:
             self._counts["unusable"] += 1
             self._halt(str(error), answer)

@@ -148,6 +148,40 @@ def test_parts_that_do_not_fit_are_named(change: dict[str, object], words: str) 
         replace(some_controller(), **change)
 
 
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        ("encoder.0.weight", np.nan, "the encoder holds values that are not finite"),
+        ("encoder.2.bias", np.inf, "the encoder holds values that are not finite"),
+        ("encoder.unit", 0.0, "unit must be positive"),
+        ("encoder.unit", np.nan, "the encoder holds values that are not finite"),
+        ("projection", np.nan, "the projection holds values that are not finite"),
+        ("u_high", np.inf, "u_low and u_high hold values that are not finite"),
+    ],
+)
+def test_a_file_that_would_command_nothing_finite_is_refused(
+    name: str, value: float, words: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "policy.safetensors"
+    save_policy(some_policy(reduced=True), path)
+    with safe_open(path, framework="numpy") as file:
+        metadata = file.metadata()
+    tensors = load_file(path)
+    tensors[name].flat[0] = value
+    save_file(tensors, path, metadata)
+    with pytest.raises(KoopmanError, match=words):
+        load_policy(path)
+
+
+def test_an_encoder_of_another_size_is_refused() -> None:
+    with pytest.raises(KoopmanError, match="do not fit each other"):
+        replace(some_controller(), projection=np.ones((6, 9)))
+    with pytest.raises(KoopmanError, match="must become 6 finite numbers"):
+        replace(
+            some_controller(), encoder=replace(some_controller().encoder, layers=some_controller().encoder.layers[:1])
+        )
+
+
 def test_a_wiring_that_does_not_fit_is_named() -> None:
     wiring = LidarWiring(LidarObservation(count=36), np.zeros(2), np.ones(2))
     with pytest.raises(KoopmanError, match=r"the robot gives \(38,\)"):
