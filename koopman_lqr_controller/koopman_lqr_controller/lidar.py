@@ -7,7 +7,7 @@ TurtleBot 4 with a third of them infinite. A policy sees none of that: it sees o
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,10 @@ from numpy.typing import NDArray
 from koopman_lqr_controller.errors import KoopmanError
 
 Array = NDArray[np.float64]
+
+_EDGE = 1e-6
+"""Beams on a sector's edge belong to it on both sides of the robot, whatever rounding says [rad]."""
+_TURN = 2.0 * np.pi
 
 
 @dataclass(frozen=True)
@@ -68,16 +72,49 @@ class Sectors:
             raise KoopmanError(
                 f"scan with {len(ranges)} ranges of {scan.beams} in {scan.range_min} .. {scan.range_max} m"
             )
-        index = _sector_index(self, scan.beams, scan.angle_min, scan.angle_increment)
-        measured = _measured(ranges, scan, self.far)
-        values = np.append(measured, np.nan)[index]
-        counts = np.count_nonzero(~np.isnan(values), axis=1)
+        values = _measured(ranges, scan, self.far)[self._beams(scan)]
+        values.sort(axis=1)  # NaN last
+        counts = values.shape[1] - np.count_nonzero(np.isnan(values), axis=1)
         if not counts.any():
             raise KoopmanError("scan without any measurement")
-        values.sort(axis=1)  # NaN last
-        row, middle = np.arange(len(values)), np.maximum(counts - 1, 0) // 2
-        out = 0.5 * (values[row, middle] + values[row, np.minimum(counts // 2, np.maximum(counts - 1, 0))])
+        last = np.maximum(counts - 1, 0)
+        out = 0.5 * (values[self._rows, last // 2] + values[self._rows, np.minimum(counts // 2, last)])
         return self._filled(out, counts)
+
+    @cached_property
+    def _middles(self) -> Array:
+        return np.array(self.bearings)
+
+    @cached_property
+    def _rows(self) -> NDArray[np.intp]:
+        return np.arange(len(self.bearings))
+
+    def _beams(self, scan: ScanGeometry) -> NDArray[np.intp]:
+        """Return for each sector the indices of its beams, padded with `scan.beams` (sectors, most beams in one).
+
+        Beams come at equal angles, so that those of a sector follow each other, at most once over the end of the scan.
+        What a scan of more than a turn sees twice is looked at once.
+
+        Raises:
+            KoopmanError: the increment is zero or not finite.
+        """
+        beams, increment = scan.beams, scan.angle_increment
+        if not (np.isfinite(scan.angle_min) and np.isfinite(increment) and increment != 0.0):
+            raise KoopmanError(f"scan with angle_increment {increment} and angle_min {scan.angle_min}")
+        half, turn = self.half_width + _EDGE, _TURN / abs(increment)
+        edge = half if increment > 0.0 else -half
+        begin = (self._middles - (scan.angle_min + edge)) / increment % turn  # in beams, from the first
+        end = begin + 2.0 * half / abs(increment)
+        first = np.ceil(begin)
+        to_end = np.maximum(np.minimum(np.floor(end), beams - 1) - first + 1, 0)
+        over_end = np.minimum(np.maximum(np.floor(end - turn) + 1, 0), beams - to_end)
+        first = np.where(to_end > 0, first, 0).astype(np.intp)
+        count = (to_end + over_end).astype(np.intp)
+        column = np.arange(max(1, count.max()))
+        index = first[:, None] + column
+        index[index >= beams] -= beams
+        index[column >= count[:, None]] = beams
+        return index
 
     def _filled(self, distances: Array, counts: NDArray[np.intp]) -> Array:
         empty = counts == 0
@@ -89,28 +126,11 @@ class Sectors:
 
 
 def _measured(ranges: NDArray[np.float32], scan: ScanGeometry, far: float) -> Array:
-    """Return each beam's distance, `far` where nothing is there and NaN where nothing was measured (beams,) [m]."""
-    out = ranges.astype(np.float64)
-    out[(out == 0.0) | (out > scan.range_max)] = far
+    """Return each beam's distance [m], `far` where nothing is there, NaN where nothing was measured, and last a NaN."""
+    out = np.empty(len(ranges) + 1)
+    out[:-1], out[-1] = ranges, np.nan
+    nothing = (out == 0.0) | (out > scan.range_max)
     out[out == -np.inf] = scan.range_min
     out[out < scan.range_min] = np.nan
+    out[nothing] = far
     return np.minimum(out, far)
-
-
-@lru_cache(maxsize=64)
-def _sector_index(sectors: Sectors, beams: int, angle_min: float, angle_increment: float) -> NDArray[np.intp]:
-    """Return for each sector the indices of its beams, padded with `beams` (sectors, most beams in one).
-
-    Raises:
-        KoopmanError: the increment is zero or not finite.
-    """
-    if not (np.isfinite(angle_min) and np.isfinite(angle_increment) and angle_increment != 0.0):
-        raise KoopmanError(f"scan with angle_increment {angle_increment} and angle_min {angle_min}")
-    angles = angle_min + np.arange(beams) * angle_increment
-    apart = np.abs((angles - np.array(sectors.bearings)[:, None] + np.pi) % (2 * np.pi) - np.pi)
-    # Beams on a sector's edge belong to it on both sides of the robot, whatever rounding says.
-    inside = [np.flatnonzero(row <= sectors.half_width + 1e-6) for row in apart]
-    out = np.full((len(inside), max(1, *(len(row) for row in inside))), beams)
-    for row, indices in zip(out, inside, strict=True):
-        row[: len(indices)] = indices
-    return out
