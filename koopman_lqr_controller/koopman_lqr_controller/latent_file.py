@@ -34,6 +34,7 @@ def describe_latent(policy: LatentPolicy) -> tuple[dict[str, Any], dict[str, NDA
     header: dict[str, Any] = {
         "format": FORMAT,
         "encoder": encoder,
+        "dt": policy.dt,
         "horizon": controller.horizon,
         "manifest": dict(policy.manifest),
     }
@@ -69,4 +70,4 @@ def build_latent(header: Mapping[str, Any], tensors: Mapping[str, NDArray[Any]])
     if "observation" in header:
         low, high = (tensors[name].astype(np.float64) for name in _WIRING)
         wiring = LidarWiring(LidarObservation(**header["observation"]), low, high)
-    return LatentPolicy(controller, wiring, header["manifest"])
+    return LatentPolicy(controller, float(header["dt"]), wiring, header["manifest"])

@@ -49,15 +49,19 @@ class LatentPolicy:
 
     Attributes:
         controller: the latent controller.
+        dt: from one decision to the next, for which the model predicts [s].
         wiring: to a robot with a lidar; None for tasks that have none, e.g. those of the DeepMind control suite.
         manifest: what was learnt from, how, and how well: plain JSON values.
     """
 
     controller: LatentController
+    dt: float
     wiring: LidarWiring | None = None
     manifest: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        if not 0.0 < self.dt < float("inf"):
+            raise KoopmanError(f"dt is {self.dt} s: must be positive")
         if self.wiring is not None:
             wanted, controls = (len(self.wiring.observation.names),), len(self.controller.R)
             if self.controller.encoder.shape != wanted or controls != 2:

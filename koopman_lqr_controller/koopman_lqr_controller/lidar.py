@@ -19,6 +19,8 @@ Array = NDArray[np.float64]
 _EDGE = 1e-6
 """Beams on a sector's edge belong to it on both sides of the robot, whatever rounding says [rad]."""
 _TURN = 2.0 * np.pi
+_KNOWN = 8
+"""Geometries that are kept in mind: an LDS-01 has one, an LDS-02 a new one every time."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +74,7 @@ class Sectors:
             raise KoopmanError(
                 f"scan with {len(ranges)} ranges of {scan.beams} in {scan.range_min} .. {scan.range_max} m"
             )
-        values = _measured(ranges, scan, self.far)[self._beams(scan)]
+        values = _measured(ranges, scan, self.far)[self._index(scan)]
         values.sort(axis=1)  # NaN last
         counts = values.shape[1] - np.count_nonzero(np.isnan(values), axis=1)
         if not counts.any():
@@ -88,6 +90,20 @@ class Sectors:
     @cached_property
     def _rows(self) -> NDArray[np.intp]:
         return np.arange(len(self.bearings))
+
+    @cached_property
+    def _known(self) -> dict[tuple[int, float, float], NDArray[np.intp]]:
+        return {}
+
+    def _index(self, scan: ScanGeometry) -> NDArray[np.intp]:
+        key = (scan.beams, scan.angle_min, scan.angle_increment)
+        found = self._known.get(key)
+        if found is None:
+            found = self._beams(scan)
+            if len(self._known) >= _KNOWN:
+                self._known.clear()
+            self._known[key] = found
+        return found
 
     def _beams(self, scan: ScanGeometry) -> NDArray[np.intp]:
         """Return for each sector the indices of its beams, padded with `scan.beams` (sectors, most beams in one).

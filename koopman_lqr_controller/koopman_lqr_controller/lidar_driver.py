@@ -66,6 +66,9 @@ class LidarDriver(SuiteNode):
             KoopmanError: the input does not allow a command; the robot then stops.
         """
 
+    def halted(self) -> None:
+        """Forget what was expected: the robot was stopped."""
+
     def stop(self) -> None:
         """Leave the robot standing: the zero velocity has arrived before the publisher goes."""
         self._publish(np.zeros(2), self._now_header())
@@ -121,6 +124,7 @@ class LidarDriver(SuiteNode):
         if problem != self._problem:
             self.get_logger().warning(f"stopping: {problem}")
         self._problem = problem
+        self.halted()
         self._publish(np.zeros(2), header)
 
     def _age(self, then: object) -> float:

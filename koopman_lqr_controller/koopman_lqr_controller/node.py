@@ -8,11 +8,15 @@ import numpy as np
 from ctrl_rl_core.parameters import Parameter
 from ctrl_rl_core.ros import RESULT, run_node
 from numpy.typing import NDArray
+from rclpy.time import Time
 
 from ctrl_rl_msgs.msg import LatentState
 from koopman_lqr_controller.lidar_driver import DRIVER_PARAMETERS, LidarDriver, Sensed
-from koopman_lqr_controller.policy import Decision
+from koopman_lqr_controller.policy import Decision, DrivingPolicy
 from koopman_lqr_controller.policy_file import digest, find_policy, load_policy
+
+_SAME_STEP = 0.5
+"""A scan that comes earlier or later than the model's step by more than this part of it is not what was predicted."""
 
 
 class Controller(LidarDriver):
@@ -30,10 +34,18 @@ class Controller(LidarDriver):
     def __init__(self) -> None:
         super().__init__("koopman_lqr_controller")
         path = find_policy(self.settings["policy"])
-        self._policy = load_policy(path)
+        self._policy: DrivingPolicy = load_policy(path)
+        sectors = len(self._policy.sectors.bearings)  # a policy of another kind of robot ends here
         self._latent = self.create_publisher(LatentState, "~/latent", RESULT)
         self._last: Decision | None = None
-        self.get_logger().info(f"policy {path.name} ({digest(path)[:12]}), {len(self._policy.z_ref)} observables")
+        self._last_at = 0.0
+        self.get_logger().info(
+            f"policy {path.name} ({digest(path)[:12]}), {len(self._policy.z_ref)} observables, {sectors} sectors"
+        )
+
+    def halted(self) -> None:
+        """What was predicted is not what happens: the robot was stopped."""
+        self._last = None
 
     def decide(self, sensed: Sensed) -> NDArray[np.float64]:
         """Return the policy's command and publish how it came about."""
@@ -45,12 +57,18 @@ class Controller(LidarDriver):
             cost_to_go=decision.cost_to_go,
             prediction_error=float("nan"),
         )
-        if self._last is not None:
+        now = Time.from_msg(sensed.header.stamp).nanoseconds * 1e-9
+        if self._last is not None and self._in_step(now - self._last_at):
             out.z_predicted = self._last.z_next
             out.prediction_error = float(np.linalg.norm(decision.z - self._last.z_next))
-        self._last = decision
+        self._last, self._last_at = decision, now
         self._latent.publish(out)
         return decision.command
+
+    def _in_step(self, seconds: float) -> bool:
+        """Whether so much time since the last scan is what the model predicts for."""
+        dt = self._policy.dt
+        return dt is None or abs(seconds / dt - 1.0) < _SAME_STEP
 
 
 def main() -> int:

@@ -44,6 +44,10 @@ class DrivingPolicy(Protocol):
         """What was learned from, and how well: plain JSON values."""
 
     @property
+    def dt(self) -> float | None:
+        """Time for which the model predicts [s]; None where the file does not say."""
+
+    @property
     def z_ref(self) -> Array:
         """Where to be (n,)."""
 
@@ -100,6 +104,11 @@ class KoopmanPolicy:
                 raise KoopmanError(f"{name} holds values that are not finite")
         if not (self.u_low < self.u_high).all():
             raise KoopmanError("u_low must lie below u_high")
+
+    @property
+    def dt(self) -> None:
+        """A drive's own time between scans: its bags know it, the file does not."""
+        return None
 
     @property
     def sectors(self) -> Sectors:

@@ -13,6 +13,12 @@ import rclpy
 from ctrl_rl_core.bags import read_messages
 from ctrl_rl_core.ros import COMMAND, RESULT, SCAN_PUBLISHER, to_stamp
 from geometry_msgs.msg import Twist, TwistStamped
+from koopman_lqr_controller.edmd import LinearModel
+from koopman_lqr_controller.encoder import Dense, Encoder
+from koopman_lqr_controller.latent_controller import LatentController
+from koopman_lqr_controller.latent_policy import LatentPolicy, LidarWiring
+from koopman_lqr_controller.lidar_observation import LidarObservation
+from koopman_lqr_controller.policy_file import save_policy
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from sensor_msgs.msg import LaserScan
@@ -164,6 +170,42 @@ def test_a_bad_parameter_ends_it_with_one_clear_message(run_node: Callable, para
     assert controller.process.wait(20.0) != 0
     assert words in controller.output
     assert "Traceback" not in controller.output
+
+
+def a_policy(observations: int, wiring: LidarWiring | None) -> LatentPolicy:
+    weight = np.random.default_rng(0).normal(size=(3, observations)).astype(np.float32)
+    zeros = np.zeros(1, np.float32)
+    encoder = Encoder((Dense(weight, np.zeros(3, np.float32), False),), (observations,), zeros, zeros + 1)
+    model = LinearModel(0.9 * np.eye(3), np.ones((3, 2)))
+    controller = LatentController(encoder, model, np.ones(3), np.ones(2), np.zeros(3))
+    return LatentPolicy(controller, 0.1, wiring, {"task": "cheetah_run"})
+
+
+def test_a_policy_of_another_robot_ends_it_with_one_clear_message(run_node: Callable, tmp_path: Path) -> None:
+    save_policy(a_policy(17, None), tmp_path / "cheetah.safetensors")
+    controller = run_node("koopman_lqr_controller", "controller", f"policy:={tmp_path / 'cheetah.safetensors'}")
+    assert controller.process.wait(20.0) != 0
+    assert "of the task cheetah_run: it cannot drive from a lidar" in controller.output
+    assert "Traceback" not in controller.output
+
+
+def test_a_prediction_is_held_against_the_scan_that_it_was_made_for(
+    robot: Robot, run_node: Callable, tmp_path: Path
+) -> None:
+    """Neither across a halt, nor a scan that comes at another time than the model's step."""
+    observation = LidarObservation(count=12)
+    wiring = LidarWiring(observation, np.array([0.0, -1.5]), np.array([0.22, 1.5]))
+    save_policy(a_policy(len(observation.names), wiring), tmp_path / "corridor.safetensors")
+    policy = f"policy:={tmp_path / 'corridor.safetensors'}"
+    run_node("koopman_lqr_controller", "controller", policy, "scan_timeout:=5.0")
+    robot.wait_for_controller()
+    second = 1_000_000_000
+    for stamp in (second, int(1.1 * second), int(1.9 * second)):
+        ask(robot, corridor(0.0), stamp)
+    robot.send(np.full(360, np.nan), int(1.95 * second))
+    ask(robot, corridor(0.0), int(2.05 * second))
+    assert robot.spin(2.0, lambda: len(robot.latents) >= 4)
+    assert [bool(np.isfinite(latent.prediction_error)) for latent in robot.latents] == [False, True, False, False]
 
 
 def test_every_scan_of_a_real_drive_gets_a_finite_command_within_limits(

@@ -48,7 +48,7 @@ def some_controller(horizon: int | None = None, seed: int = 0, reduced: bool = F
 
 def some_policy(**given: object) -> LatentPolicy:
     wiring = LidarWiring(OBSERVATION, np.array([0.0, -1.5]), np.array([0.22, 1.5]))
-    return LatentPolicy(some_controller(**given), wiring, {"task": "curved_corridor", "command": "learn"})
+    return LatentPolicy(some_controller(**given), 0.1, wiring, {"task": "curved_corridor", "command": "learn"})
 
 
 def some_ranges(seed: int = 1) -> np.ndarray:
@@ -112,13 +112,14 @@ def test_a_file_gives_the_same_policy_back(given: dict[str, object], tmp_path: P
     assert np.array_equal(one.command, other.command)
     assert np.array_equal(one.z_next, other.z_next)
     assert again.manifest == policy.manifest
+    assert again.dt == policy.dt == 0.1
     with safe_open(path, framework="numpy") as file:
         assert not {"K", "P"} & set(file.keys()), "the gain follows from A, B, Q, R"
     assert path.stat().st_size < 1e6
 
 
 def test_a_policy_of_another_task_does_not_drive(tmp_path: Path) -> None:
-    policy = LatentPolicy(some_controller(), None, {"task": "cheetah_run"})
+    policy = LatentPolicy(some_controller(), 0.08, None, {"task": "cheetah_run"})
     save_policy(policy, tmp_path / "cheetah.safetensors")
     again = load_policy(tmp_path / "cheetah.safetensors")
     with pytest.raises(KoopmanError, match="of the task cheetah_run: it cannot drive from a lidar"):
@@ -182,10 +183,16 @@ def test_an_encoder_of_another_size_is_refused() -> None:
         )
 
 
+@pytest.mark.parametrize("dt", [0.0, -0.1, float("nan"), float("inf")])
+def test_a_time_step_that_is_none_is_refused(dt: float) -> None:
+    with pytest.raises(KoopmanError, match="dt is .* must be positive"):
+        replace(some_policy(), dt=dt)
+
+
 def test_a_wiring_that_does_not_fit_is_named() -> None:
     wiring = LidarWiring(LidarObservation(count=36), np.zeros(2), np.ones(2))
     with pytest.raises(KoopmanError, match=r"the robot gives \(38,\)"):
-        LatentPolicy(some_controller(), wiring)
+        LatentPolicy(some_controller(), 0.1, wiring)
     with pytest.raises(KoopmanError, match="u_low below u_high"):
         LidarWiring(OBSERVATION, np.zeros(2), np.zeros(2))
 

@@ -35,6 +35,9 @@ class ControlSuite(gymnasium.Env[Observation, NDArray[np.float32]]):
         repeat: steps of the suite that an action is held.
         pixels: rows and columns of a picture; 0 for states.
 
+    Attributes:
+        dt: for which an action is held [s].
+
     Raises:
         KoopmanError: pictures are wanted, and there is no OpenGL to draw them.
     """
@@ -46,6 +49,7 @@ class ControlSuite(gymnasium.Env[Observation, NDArray[np.float32]]):
         self._random = np.random.RandomState(0)
         self._suite = suite.load(domain, task, task_kwargs={"random": self._random})
         self._repeat, self._pixels = repeat, pixels
+        self.dt: float = repeat * self._suite.control_timestep()
         self._renderer: Any = None
         self._pictures: list[NDArray[np.uint8]] = []
         actions = self._suite.action_spec()

@@ -61,7 +61,8 @@ class Corridor(gymnasium.Env[Vector, Vector]):
             KoopmanError: the physics are not as quick as the task's time step wants.
         """
         self.task = _task(learning)
-        steps = self.task.episode.time_step * _RATE
+        self.dt = self.task.episode.time_step
+        steps = self.dt * _RATE
         if abs(steps - round(steps)) > 1e-6:
             raise KoopmanError(f"task '{self.task.name}': its time step is not a whole number of 1/{_RATE} s")
         self._steps = round(steps)

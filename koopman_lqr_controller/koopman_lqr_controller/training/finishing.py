@@ -75,7 +75,7 @@ def consolidate_policy(
         "command": command or learnt.manifest.get("command", ""),
         **found.figures,
     }
-    return LatentPolicy(found.controller, learnt.wiring, manifest), found.figures
+    return LatentPolicy(found.controller, learnt.dt, learnt.wiring, manifest), found.figures
 
 
 def load_latent(file: Path) -> LatentPolicy:

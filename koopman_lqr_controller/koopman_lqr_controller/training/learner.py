@@ -154,7 +154,9 @@ class _Learning:
         fresh = evaluate(policy.controller, self._tested, self._options.final_evaluations, _FINAL_SEED)
         last = {"returns": [episode.total for episode in fresh], "outcomes": outcomes(fresh)}
         manifest = {**policy.manifest, **last}
-        save_policy(LatentPolicy(policy.controller, policy.wiring, manifest), self._folder / POLICY_FILE, True)
+        save_policy(
+            LatentPolicy(policy.controller, policy.dt, policy.wiring, manifest), self._folder / POLICY_FILE, True
+        )
         result = {"run": _terms(self._run, self._options), "curve": self._curve, "best": self._best, **last}
         write_whole(result_file(self._options.folder, self._run), json.dumps(result) + "\n")
         for name in (_CHECKPOINT_FILE, _BEST_FILE):
@@ -194,7 +196,8 @@ class _Learning:
                 self._best = {"return": out[name], "actions": self._actions, "which": name}
                 wiring = getattr(self._environment, "wiring", None)
                 manifest = {**self._run.description, "method": _METHOD, "command": self._run.command, **self._best}
-                save_policy(LatentPolicy(controller, wiring, manifest), self._folder / _BEST_FILE, overwrite=True)
+                policy = LatentPolicy(controller, self._environment.dt, wiring, manifest)
+                save_policy(policy, self._folder / _BEST_FILE, overwrite=True)
         return out
 
     def _save(self) -> None:
