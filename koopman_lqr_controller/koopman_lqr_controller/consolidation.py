@@ -65,9 +65,9 @@ class Plan:
     report: int = 20
 
     @classmethod
-    def with_report(cls, episodes: int, **changes: Any) -> Plan:
-        """Return a plan of so many fresh episodes, the others in proportion to them."""
-        return cls(episodes=max(5, 3 * episodes // 2), candidates=max(2, episodes // 2), report=episodes, **changes)
+    def of(cls, episodes: int, report: int, **changes: Any) -> Plan:
+        """Return a plan of so many episodes in a round, candidates in proportion to them, and so many fresh ones."""
+        return cls(episodes=max(5, episodes), candidates=max(2, episodes // 3), report=report, **changes)
 
 
 @dataclass(frozen=True)

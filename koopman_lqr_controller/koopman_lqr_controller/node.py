@@ -44,7 +44,7 @@ class Controller(LidarDriver):
         )
 
     def halted(self) -> None:
-        """What was predicted is not what happens: the robot was stopped."""
+        """Forget the prediction: it was made for a robot that goes on."""
         self._last = None
 
     def decide(self, sensed: Sensed) -> NDArray[np.float64]:

@@ -15,6 +15,9 @@ from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.training.problems import PROBLEMS, find_problem
 
 _FOLDER = Path("runs/koopman")
+_LEARN_WORDS = ("chunks", "actions", "episodes", "consolidation", "device")
+_CONSOLIDATE_WORDS = ("latent", "episodes", "live", "noise", "seed")
+"""Options that say what comes out: a policy's file tells them."""
 _TASKS = "\n".join(
     f"  {problem.name:<24} {problem.about}; {problem.chunks} chunks of {problem.chunk} actions"
     for problem in PROBLEMS.values()
@@ -43,10 +46,16 @@ def learn(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--episodes", type=int, default=20, help="fresh ones at the end, for each policy (default %(default)s)"
     )
+    parser.add_argument(
+        "--consolidation", type=int, default=30, help="episodes of each round of it (default %(default)s)"
+    )
     parser.add_argument("--device", default="cpu", choices=("cpu", "cuda"), help="of the networks (default cpu)")
     parser.add_argument("--results", type=Path, help="JSON file to write table and curves to")
     options = parser.parse_args(arguments)
-    return run_command("learn", lambda: _learn(options))
+    return run_command(
+        "learn",
+        lambda: _learn(options, _words(parser, options, _LEARN_WORDS)),
+    )
 
 
 def consolidate(arguments: Sequence[str] | None = None) -> int:
@@ -59,19 +68,30 @@ def consolidate(arguments: Sequence[str] | None = None) -> int:
         "--episodes",
         type=int,
         default=20,
-        help="fresh ones at the end, others in proportion (default %(default)s)",
+        help="fresh ones at the end, for each policy (default %(default)s)",
     )
+    parser.add_argument("--live", type=int, default=30, help="episodes of each round (default %(default)s)")
     parser.add_argument("--noise", type=float, default=0.5, help="most that is added to u (default %(default)s)")
     parser.add_argument("--seed", type=int, default=0, help="of all episodes (default %(default)s)")
     parser.add_argument("--overwrite", action="store_true", help="replace an existing policy file")
     options = parser.parse_args(arguments)
-    return run_command("consolidate", lambda: _consolidate(options))
+    return run_command(
+        "consolidate",
+        lambda: _consolidate(options, _words(parser, options, _CONSOLIDATE_WORDS)),
+    )
 
 
-def _learn(options: argparse.Namespace) -> int:
+def _learn(options: argparse.Namespace, words: Sequence[str]) -> int:
     problem = find_problem(options.task)
     chunks, actions = options.chunks or problem.chunks, options.actions or problem.chunk
-    for name, least in (("seeds", 1), ("workers", 0), ("chunks", 0), ("actions", 0), ("episodes", 1)):
+    for name, least in (
+        ("seeds", 1),
+        ("workers", 0),
+        ("chunks", 0),
+        ("actions", 0),
+        ("episodes", 1),
+        ("consolidation", 5),
+    ):
         if getattr(options, name) < least:
             raise KoopmanError(f"--{name} must be at least {least}")
     changes = _changes(options.set)
@@ -82,9 +102,9 @@ def _learn(options: argparse.Namespace) -> int:
     from koopman_lqr_controller.training.finishing import CONSOLIDATED_FILE, collect, learn_and_consolidate
     from koopman_lqr_controller.training.learner import LearningRun
 
-    command = _command("learn", "--task", options.task, *(["--set", *options.set] if options.set else []))
+    command = _command("learn", "--task", options.task, *(["--set", *options.set] if options.set else []), *words)
     runs = [
-        LearningRun(problem.name, seed, changes, options.device, f"{command} --seeds {seed + 1}")
+        LearningRun(problem.name, seed, changes, options.device, f"{command} --seeds {seed + 1}", options.consolidation)
         for seed in range(options.seeds)
     ]
     how = Options(options.folder, chunks, actions, problem.evaluations, options.episodes)
@@ -100,21 +120,21 @@ def _learn(options: argparse.Namespace) -> int:
     return 0
 
 
-def _consolidate(options: argparse.Namespace) -> int:
+def _consolidate(options: argparse.Namespace, words: Sequence[str]) -> int:
     from tqdm import tqdm
 
     from koopman_lqr_controller.consolidation import Plan
     from koopman_lqr_controller.policy_file import save_policy
     from koopman_lqr_controller.training.finishing import consolidate_policy, load_latent
 
-    if options.episodes < 1 or min(options.latent or [1]) < 1:
-        raise KoopmanError("--episodes and --latent must be at least 1")
+    if options.episodes < 1 or min(options.latent or [1]) < 1 or options.live < 5 or not options.noise > 0.0:
+        raise KoopmanError("--episodes and --latent must be at least 1, --live at least 5, and --noise positive")
     if options.output.exists() and not options.overwrite:
         raise KoopmanError(f"{options.output} exists: give another name, or ask to --overwrite it")
     problem = find_problem(str(load_latent(options.policy).manifest.get("task")))
     sizes = {"sizes": tuple(options.latent)} if options.latent else {}
-    plan = Plan.with_report(options.episodes, noise=options.noise, **sizes)
-    command = _command("consolidate", str(options.policy))
+    plan = Plan.of(options.live, options.episodes, noise=options.noise, **sizes)
+    command = _command("consolidate", options.policy.name, "--output", options.output.name, *words)
     with tqdm(desc="consolidating", unit="candidate", disable=None) as bar:
 
         def tick(what: str) -> None:
@@ -161,6 +181,16 @@ def _changes(given: Sequence[str]) -> tuple[tuple[str, int | float], ...]:
     return tuple(sorted(out.items()))
 
 
+def _words(parser: argparse.ArgumentParser, options: argparse.Namespace, names: Sequence[str]) -> list[str]:
+    """Return those of the named options that are not as they are unless asked otherwise."""
+    out: list[str] = []
+    for name in names:
+        value = getattr(options, name)
+        if value != parser.get_default(name):
+            out += [f"--{name}", *(str(each) for each in (value if isinstance(value, list) else [value]))]
+    return out
+
+
 def _command(*words: str) -> str:
-    """Return what makes the same again, without paths of this machine where there are none in it."""
+    """Return what makes the same again; of files it says the names, not where they were."""
     return shlex.join(["ros2", "run", "koopman_lqr_controller", *words])

@@ -185,7 +185,7 @@ def test_an_encoder_of_another_size_is_refused() -> None:
 
 @pytest.mark.parametrize("dt", [0.0, -0.1, float("nan"), float("inf")])
 def test_a_time_step_that_is_none_is_refused(dt: float) -> None:
-    with pytest.raises(KoopmanError, match="dt is .* must be positive"):
+    with pytest.raises(KoopmanError, match=r"dt is .* must be positive"):
         replace(some_policy(), dt=dt)
 
 

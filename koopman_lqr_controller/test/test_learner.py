@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,8 @@ from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.policy_file import load_policy
 from koopman_lqr_controller.roll_outs import evaluate
 from koopman_lqr_controller.training.agent import Agent, Sight
-from koopman_lqr_controller.training.learner import POLICY_FILE, LearningRun, learn_one
+from koopman_lqr_controller.training.learner import LEARNT_FILE, POLICY_FILE, LearningRun, learn_one
+from koopman_lqr_controller.training.problems import PROBLEMS
 from koopman_lqr_controller.training.replay import Transitions
 from koopman_lqr_controller.training.settings import Settings
 
@@ -29,11 +31,15 @@ def options(folder: Path, chunks: int = 3) -> Options:
     return Options(folder, chunks, 40, 1, 2)
 
 
+def learnt_file(folder: Path) -> Path:
+    return result_file(folder, RUN).with_name(LEARNT_FILE)
+
+
 def learnt(folder: Path) -> tuple[dict, bytes]:
     """Return everything that the run leaves, but for what it took."""
-    result = json.loads(result_file(folder, RUN).read_text(encoding="utf-8"))
+    result = json.loads(learnt_file(folder).read_text(encoding="utf-8"))
     for point in result["curve"]:
-        del point["seconds"]
+        del point["seconds"], point["cpu_seconds"]
     return result, result_file(folder, RUN).with_name(POLICY_FILE).read_bytes()
 
 
@@ -51,10 +57,10 @@ def test_a_run_that_was_cut_off_ends_bit_by_bit_as_if_it_had_not_been(tmp_path: 
     for _ in range(2):
         with pytest.raises(CutOffError):
             learn_one(RUN, options(cut), cut_off)
-    assert not result_file(cut, RUN).exists()
+    assert not learnt_file(cut).exists()
     learn_one(RUN, options(cut))
     assert learnt(cut) == learnt(whole)
-    assert {file.name for file in result_file(cut, RUN).parent.iterdir()} == {"result.json", POLICY_FILE}
+    assert {file.name for file in result_file(cut, RUN).parent.iterdir()} == {LEARNT_FILE, POLICY_FILE}
 
 
 def test_a_run_that_was_killed_goes_on_exactly(tmp_path: Path) -> None:
@@ -89,9 +95,9 @@ def test_what_is_learnt_is_what_is_evaluated_and_says_where_it_comes_from(tmp_pa
     environment = RUN.problem.make(False)
     assert [episode.total for episode in evaluate(policy.controller, environment, 2, 2_000_000)] == result["returns"]
     assert evaluate(policy.controller, environment, 1, 1_000_000)[0].total == result["best"]["return"]
-    before = result_file(tmp_path, RUN).stat().st_mtime_ns
+    before = learnt_file(tmp_path).stat().st_mtime_ns
     assert learn_one(RUN, options(tmp_path)) == result
-    assert result_file(tmp_path, RUN).stat().st_mtime_ns == before
+    assert learnt_file(tmp_path).stat().st_mtime_ns == before
 
 
 def test_a_run_made_with_other_settings_is_not_taken(tmp_path: Path) -> None:
@@ -100,8 +106,42 @@ def test_a_run_made_with_other_settings_is_not_taken(tmp_path: Path) -> None:
     with pytest.raises(KoopmanError, match=r"checkpoint\.safetensors: was made with chunks 3, now it is 2: use"):
         learn_one(RUN, options(tmp_path, 2))
     learn_one(RUN, options(tmp_path))
-    with pytest.raises(KoopmanError, match=r"result\.json: was made with chunks 3, now it is 2: use"):
+    with pytest.raises(KoopmanError, match=r"learnt\.json: was made with chunks 3, now it is 2: use"):
         learn_one(RUN, options(tmp_path, 2))
+
+
+@pytest.mark.parametrize("change", [{"evaluations": 2}, {"final_evaluations": 3}])
+def test_a_run_that_was_evaluated_otherwise_is_not_taken(change: dict[str, int], tmp_path: Path) -> None:
+    learn_one(RUN, options(tmp_path, 1))
+    with pytest.raises(KoopmanError, match=r"learnt\.json: was made with .*evaluations"):
+        learn_one(RUN, replace(options(tmp_path, 1), **change))
+
+
+def test_what_it_took_is_counted(tmp_path: Path) -> None:
+    result = learn_one(RUN, options(tmp_path))
+    assert [point["episodes"] for point in result["curve"]] == [1, 2, 3], "chunks of 40 actions, episodes of 125"
+    assert result["interaction"]["learning"] == {"episodes": 3, "actions": 120}
+    assert result["interaction"]["choosing"] == {"episodes": 6, "actions": 6 * 125}
+
+
+@pytest.mark.parametrize("cut", [False, True])
+def test_learning_ends_with_its_episodes(cut: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(PROBLEMS, RUN.problem_name, replace(PROBLEMS[RUN.problem_name], episodes=2))
+    longer = Options(tmp_path, 3, 150, 1, 2)
+    if cut:
+        with pytest.raises(CutOffError):
+            learn_one(RUN, longer, cut_off)
+    result = learn_one(RUN, longer)
+    assert [point["actions"] for point in result["curve"]] == [150], "an episode of 125 actions and one of 25"
+    assert result["interaction"]["learning"] == {"episodes": 2, "actions": 150}
+
+
+def test_learning_ends_when_nothing_gets_better(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(PROBLEMS, RUN.problem_name, replace(PROBLEMS[RUN.problem_name], patience=1))
+    result = learn_one(RUN, options(tmp_path, 12))
+    ends = [point["actions"] for point in result["curve"]]
+    assert len(ends) < 12
+    assert ends[-2:] == [result["best"]["actions"], result["best"]["actions"] + 40]
 
 
 def test_a_broken_checkpoint_is_named(tmp_path: Path) -> None:

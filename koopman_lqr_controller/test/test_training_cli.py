@@ -1,6 +1,7 @@
 """The commands `learn` and `consolidate` from beginning to end, and their errors in one line."""
 
 import json
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -13,7 +14,7 @@ from koopman_lqr_controller.training.learner import POLICY_FILE
 from koopman_lqr_controller.training_cli import consolidate, learn
 
 TINY = ["--set", "batch=16", "hidden=16", "latent=6", "first_steps=30", "--chunks", "2", "--actions", "60"]
-TINY += ["--episodes", "3"]
+TINY += ["--episodes", "3", "--consolidation", "5"]
 
 
 @pytest.fixture(scope="module")
@@ -41,16 +42,44 @@ def test_a_run_leaves_policies_and_results(learnt: Path) -> None:
             policy = load_policy(folder / name)
             assert isinstance(policy, LatentPolicy)
             assert policy.controller.horizon == horizon
-            assert "learn --task cartpole_swingup --set" in policy.manifest["command"]
+            command = policy.manifest["command"]
+            assert "learn --task cartpole_swingup --set batch=16" in command
+            assert "--chunks 2 --actions 60 --episodes 3 --consolidation 5 --seeds " in command
+
+
+def test_what_was_cut_off_while_it_was_consolidated_goes_on_in_a_worker(
+    learnt: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A finished learning alone is no finished run."""
+    folder = tmp_path / "runs"
+    shutil.copytree(learnt, folder)
+    run = next(folder.glob("*-s0"))
+    expected = (run / CONSOLIDATED_FILE).read_bytes()
+    result = json.loads((run / "result.json").read_text(encoding="utf-8"))
+    for name in ("result.json", CONSOLIDATED_FILE):
+        (run / name).unlink()
+    again = ["--task", "cartpole_swingup", "--folder", str(folder), *TINY]
+    assert learn(again) == 0
+    assert (run / CONSOLIDATED_FILE).read_bytes() == expected
+    assert json.loads((run / "result.json").read_text(encoding="utf-8")) == result
+    (run / CONSOLIDATED_FILE).write_bytes(b"another")
+    capsys.readouterr()
+    assert learn(again) == 1
+    assert "result.json: was made with consolidated.safetensors " in capsys.readouterr().err
+    assert learn([*again, "--consolidation", "6"]) == 1
+    assert "result.json: was made with plan " in capsys.readouterr().err
 
 
 def test_consolidating_again_by_command(learnt: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     policy = next(learnt.glob("*-s0")) / POLICY_FILE
     output = tmp_path / "again.safetensors"
-    given = [str(policy), "--output", str(output), "--latent", "3", "--episodes", "3"]
+    given = [str(policy), "--output", str(output), "--latent", "3", "--episodes", "3", "--live", "5"]
     assert consolidate(given) == 0
     assert "latent dimensions    3" in capsys.readouterr().out
-    assert load_policy(output).controller.projection.shape == (3, 6)
+    again = load_policy(output)
+    assert again.controller.projection.shape == (3, 6)
+    words = "consolidate policy.safetensors --output again.safetensors --latent 3 --episodes 3 --live 5"
+    assert again.manifest["command"].endswith(words), "and not where the files were"
     assert consolidate(given) == 1
     assert "exists: give another name" in capsys.readouterr().err
 
@@ -61,6 +90,10 @@ def test_consolidating_again_by_command(learnt: Path, tmp_path: Path, capsys: py
         (["--set", "latnt=3"], "learn: no setting latnt: there are latent, "),
         (["--set", "latent"], "learn: --set latent: must be NAME=VALUE with a number"),
         (["--set", "latent=many"], "learn: --set latent=many: must be NAME=VALUE with a number"),
+        (["--set", "latent=3.5"], "learn: latent is 3.5: must be a whole number"),
+        (["--set", "discount=2"], "learn: discount is 2.0: must be at most 1"),
+        (["--set", "noise=nan"], "learn: --set noise=nan: must be NAME=VALUE with a number"),
+        (["--set", "learning_rate=1e999"], "learn: learning_rate is inf: must be positive"),
         (["--seeds", "0"], "learn: --seeds must be at least 1"),
         (["--chunks", "-1"], "learn: --chunks must be at least 0"),
     ],

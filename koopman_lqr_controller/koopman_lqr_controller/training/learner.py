@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,11 +25,13 @@ from numpy.typing import NDArray
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.latent_policy import LatentPolicy
 from koopman_lqr_controller.policy_file import load_policy, save_policy
-from koopman_lqr_controller.roll_outs import evaluate, mean_return, outcomes
+from koopman_lqr_controller.roll_outs import Lived, evaluate, interaction, mean_return, outcomes
 from koopman_lqr_controller.training.agent import Agent, Sight
 from koopman_lqr_controller.training.problems import AnyEnvironment, Problem, find_problem
 from koopman_lqr_controller.training.replay import Replay
 
+LEARNT_FILE = "learnt.json"
+"""What `learn_one` returns, in the folder of a run; its result.json comes when all is done, see `finishing`."""
 POLICY_FILE = "policy.safetensors"
 """What is learnt, in the folder of a run."""
 _BEST_FILE, _CHECKPOINT_FILE = "best.safetensors", "checkpoint.safetensors"
@@ -46,6 +48,7 @@ class LearningRun:
         changes: of the problem's `Settings`, by name.
         device: of the networks: "cpu", whose runs can be repeated exactly, or "cuda".
         command: that made it, for the policy file.
+        consolidation: episodes of each round of what follows, see `finishing`.
     """
 
     problem_name: str
@@ -53,6 +56,7 @@ class LearningRun:
     changes: tuple[tuple[str, Any], ...] = ()
     device: str = "cpu"
     command: str = ""
+    consolidation: int = 30
 
     @property
     def name(self) -> str:
@@ -85,26 +89,27 @@ class LearningRun:
 def learn_one(run: LearningRun, options: Options, report: Report = lambda *_: None, /) -> dict[str, Any]:
     """Learn, or go on where an earlier call was cut off; a finished run is read, never computed again.
 
-    The folder of the run then holds result.json (what is returned) and policy.safetensors, the policy that was best
+    The folder of the run then holds learnt.json (what is returned) and policy.safetensors, the policy that was best
     in the evaluations after each chunk; on the way also best.safetensors and checkpoint.safetensors.
 
     Args:
         run: what is learnt.
-        options: iterations is the number of chunks, samples the actions of one.
+        options: iterations is the largest number of chunks, samples the actions of one.
         report: called after each chunk with the best return so far.
 
     Returns:
-        `run` (its description), `curve` (for each chunk: actions, steps of the system, returns of the actor and of its
-        average, seconds), `best` (actions, evaluated return, which of both) and, of fresh episodes, `returns` and
-        `outcomes`.
+        `run` (its description), `curve` (for each chunk: actions and episodes so far, steps of the system, returns of
+        the actor and of its average, what it took to evaluate them, seconds and those of the CPU), `best` (actions,
+        evaluated return, which of both), `interaction` (episodes and actions that were learnt from, and those that the
+        best was chosen by) and, of fresh episodes, `returns` and `outcomes`.
 
     Raises:
         CtrlRlError: the run asks for what is not there, or its checkpoint cannot be used.
     """
-    finished = result_file(options.folder, run)
+    finished = result_file(options.folder, run).with_name(LEARNT_FILE)
     if finished.is_file():
         result: dict[str, Any] = json.loads(finished.read_text(encoding="utf-8"))
-        _check_same(finished, result["run"], _terms(run, options))
+        check_same(finished, result["run"], terms(run, options))
         return result
     torch.set_num_threads(1)
     if run.device != "cpu" and not torch.cuda.is_available():
@@ -136,17 +141,24 @@ class _Learning:
         self._agent = Agent(sight, problem.settings, run.seed, run.device)
         capacity = min(problem.settings.replay, 2 * options.iterations * options.samples)
         self._replay = Replay(capacity, sight.shape, sight.controls, seen.dtype.type)
+        self._actions = self._episodes = 0
         self._curve: list[dict[str, Any]] = []
         self._best: dict[str, Any] = {"return": -float("inf"), "actions": 0}
         self._resume()
 
     def finish(self, report: Report) -> dict[str, Any]:
         """Learn what is left and write everything, the result last."""
-        while len(self._curve) < self._options.iterations:
-            begin = time.perf_counter()
+        while not self._over:
+            begin, cpu = time.perf_counter(), time.process_time()
             self._live()
-            point = {"actions": self._actions, "steps": self._actions * self._run.problem.repeat, **self._evaluate()}
-            self._curve.append({**point, "seconds": round(time.perf_counter() - begin, 2)})
+            point = {
+                "actions": self._actions,
+                "episodes": self._episodes,
+                "steps": self._actions * self._run.problem.repeat,
+                **self._evaluate(),
+            }
+            seconds, cpu_seconds = time.perf_counter() - begin, time.process_time() - cpu
+            self._curve.append({**point, "seconds": round(seconds, 2), "cpu_seconds": round(cpu_seconds, 2)})
             self._save()
             report(self._run, len(self._curve), self._best["return"])
         policy = load_policy(self._folder / _BEST_FILE)
@@ -154,58 +166,80 @@ class _Learning:
         fresh = evaluate(policy.controller, self._tested, self._options.final_evaluations, _FINAL_SEED)
         last = {"returns": [episode.total for episode in fresh], "outcomes": outcomes(fresh)}
         manifest = {**policy.manifest, **last}
-        save_policy(
-            LatentPolicy(policy.controller, policy.dt, policy.wiring, manifest), self._folder / POLICY_FILE, True
-        )
-        result = {"run": _terms(self._run, self._options), "curve": self._curve, "best": self._best, **last}
-        write_whole(result_file(self._options.folder, self._run), json.dumps(result) + "\n")
+        save_policy(replace(policy, manifest=manifest), self._folder / POLICY_FILE, overwrite=True)
+        tested = [point["evaluated"] for point in self._curve]
+        result = {
+            "run": terms(self._run, self._options),
+            "curve": self._curve,
+            "best": self._best,
+            "interaction": {
+                "learning": {"episodes": self._episodes, "actions": self._actions},
+                "choosing": {name: sum(each[name] for each in tested) for name in ("episodes", "actions")},
+            },
+            **last,
+        }
+        write_whole(self._folder / LEARNT_FILE, json.dumps(result) + "\n")
         for name in (_CHECKPOINT_FILE, _BEST_FILE):
             (self._folder / name).unlink(missing_ok=True)
         return result
 
     @property
-    def _actions(self) -> int:
-        return (len(self._curve) + 1) * self._options.samples
+    def _over(self) -> bool:
+        """Whether the chunks, the episodes, or the patience are used up."""
+        problem, chunks = self._run.problem, self._curve
+        since_best = sum(point["actions"] > self._best["actions"] for point in chunks)
+        return (
+            len(chunks) >= self._options.iterations
+            or bool(problem.episodes and self._episodes >= problem.episodes)
+            or bool(problem.patience and since_best >= problem.patience)
+        )
 
     def _live(self) -> None:
         """Act and learn for one chunk."""
-        number, settings = len(self._curve), self._run.problem.settings
+        number, settings, budget = len(self._curve), self._run.problem.settings, self._run.problem.episodes
         random = np.random.default_rng((self._run.seed, number))
         generator = torch.Generator().manual_seed(int(random.integers(2**63)))
         environment, agent, shape = self._environment, self._agent, self._environment.action_space.shape
         x, _ = environment.reset(seed=int(random.integers(2**31)))
         for step in range(self._options.samples):
-            learning = number * self._options.samples + step >= settings.first_steps
+            learning = self._actions >= settings.first_steps
             u = agent.act(x, generator) if learning else random.uniform(-1.0, 1.0, shape).astype(np.float32)
             after, paid, terminated, truncated, _ = environment.step(u)
             self._replay.add(x, u, float(paid), bool(terminated))
-            x = after
-            if terminated or truncated or step == self._options.samples - 1:
+            x, self._actions = after, self._actions + 1
+            ended = terminated or truncated or step == self._options.samples - 1
+            if ended:
                 self._replay.end_episode(after)
+                self._episodes += 1
                 x, _ = environment.reset(seed=int(random.integers(2**31)))
-            if learning:
+            if learning and self._actions % settings.update_every == 0:
                 agent.update(self._replay.draw(settings.batch, random), generator)
+            if ended and self._episodes == budget:
+                return
 
     def _evaluate(self) -> dict[str, Any]:
         """Evaluate the actor and its average on seeds of their own; keep the better one if it is the best so far."""
         out: dict[str, Any] = {}
+        lived: list[Lived] = []
         for name, actor in (("averaged", self._agent.averaged), ("actor", self._agent.actor)):
             controller = actor.deploy()
-            out[name] = mean_return(evaluate(controller, self._tested, self._options.evaluations, _EVALUATION_SEED))
+            episodes = evaluate(controller, self._tested, self._options.evaluations, _EVALUATION_SEED)
+            lived += episodes
+            out[name] = mean_return(episodes)
             if out[name] > self._best["return"]:
                 self._best = {"return": out[name], "actions": self._actions, "which": name}
                 wiring = getattr(self._environment, "wiring", None)
                 manifest = {**self._run.description, "method": _METHOD, "command": self._run.command, **self._best}
                 policy = LatentPolicy(controller, self._environment.dt, wiring, manifest)
                 save_policy(policy, self._folder / _BEST_FILE, overwrite=True)
-        return out
+        return {**out, "evaluated": interaction(lived)}
 
     def _save(self) -> None:
         agent = self._agent
         tensors = tensors_of({"agent": agent}, agent.optimizers)
         tensors |= {f"replay.{name}": array for name, array in self._replay.arrays().items()}
         header = {
-            "run": _terms(self._run, self._options),
+            "run": terms(self._run, self._options),
             "curve": self._curve,
             "best": self._best,
             "updates": agent.updates,
@@ -218,12 +252,13 @@ class _Learning:
             return
 
         def take(header: Mapping[str, Any], tensors: Mapping[str, NDArray[Any]]) -> None:
-            _check_same(file, header["run"], _terms(self._run, self._options))
+            check_same(file, header["run"], terms(self._run, self._options))
             restore(tensors, {"agent": self._agent}, self._agent.optimizers)
             prefix = "replay."
             self._replay.restore({n.removeprefix(prefix): a for n, a in tensors.items() if n.startswith(prefix)})
             self._curve, self._best = header["curve"], header["best"]
             self._agent.updates = header["updates"]
+            self._actions, self._episodes = (self._curve[-1][name] for name in ("actions", "episodes"))
 
         read_checkpoint(file, take)
 
@@ -231,12 +266,23 @@ class _Learning:
 _METHOD = "task-oriented Koopman control with contrastive encoder (thesis 4.2)"
 
 
-def _terms(run: LearningRun, options: Options) -> dict[str, Any]:
+def terms(run: LearningRun, options: Options) -> dict[str, Any]:
     """Return what must be the same for a run to go on, or to be taken as it is."""
-    return {**run.description, "actions_per_chunk": options.samples, "chunks": options.iterations}
+    return {
+        **run.description,
+        "actions_per_chunk": options.samples,
+        "chunks": options.iterations,
+        "evaluations": options.evaluations,
+        "final_evaluations": options.final_evaluations,
+    }
 
 
-def _check_same(file: Path, before: Mapping[str, Any], now: Mapping[str, Any]) -> None:
+def check_same(file: Path, before: Mapping[str, Any], now: Mapping[str, Any]) -> None:
+    """Refuse what was made with other terms.
+
+    Raises:
+        KoopmanError: it was; the message says which.
+    """
     for name, value in now.items():
         if before.get(name) != value:
             raise KoopmanError(

@@ -30,10 +30,13 @@ class Problem:
         chunk: actions between two evaluations, whole episodes where these have one length.
         chunks: how many, unless asked otherwise.
         evaluations: episodes of an evaluation.
+        episodes: largest number to learn from, those that end with a chunk included; 0 for any.
+        patience: chunks without a new best after which learning ends; 0 for any.
         goal: observation of the goal; None for z_ref = 0.
         middle: of the observation, becomes 0 in the encoder.
         unit: becomes 1 above it.
         thesis: return that the thesis reached; None where it names none.
+        version: of the environment's own code, what it shows and pays; a new one for each change of it.
     """
 
     name: str
@@ -44,17 +47,20 @@ class Problem:
     chunk: int
     chunks: int
     evaluations: int = 5
+    episodes: int = 0
+    patience: int = 0
     goal: tuple[float, ...] | None = None
     middle: float = 0.0
     unit: float = 1.0
     thesis: float | None = None
+    version: int = 1
 
     @property
     def digest(self) -> str:
-        """SHA-256 of what defines the task, however it is learnt (hex)."""
-        if self.name == "curved_corridor":
-            return task_digest(load_navigation_task(self.name))
-        return hashlib.sha256(json.dumps([self.name, self.about, self.repeat]).encode()).hexdigest()
+        """SHA-256 of what defines the task, however long it is learnt (hex)."""
+        task = task_digest(load_navigation_task(self.name)) if self.name == "curved_corridor" else None
+        parts = [self.name, self.version, self.repeat, self.goal, self.middle, self.unit, task]
+        return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
 
     def with_settings(self, **changes: Any) -> Problem:
         """Return the same task with other numbers.
@@ -105,6 +111,7 @@ _ALL = (
         repeat=8,
         chunk=500,
         chunks=36,
+        patience=10,
         goal=(0.0, 1.0, 0.0, 0.0, 0.0),
         thesis=846.88,
     ),
@@ -112,7 +119,7 @@ _ALL = (
         name="cartpole_swingup_pixels",
         about="the same from three grey pictures",
         make=_suite("cartpole", "swingup", 8, 72),
-        settings=Settings(depth=4, crop=64, batch=64, learning_rate=1e-3),
+        settings=Settings(depth=4, crop=64, batch=32, learning_rate=1e-3, update_every=2),
         repeat=8,
         chunk=1000,
         chunks=25,
@@ -127,7 +134,7 @@ _ALL = (
         settings=Settings(learning_rate=3e-4),
         repeat=4,
         chunk=2500,
-        chunks=32,
+        chunks=24,
         evaluations=3,
         thesis=464.0,
     ),
@@ -139,8 +146,9 @@ _ALL = (
         repeat=1,
         chunk=1000,
         chunks=28,
-        evaluations=10,
+        evaluations=5,
+        episodes=40,
     ),
 )
 PROBLEMS = {problem.name: problem for problem in _ALL}
-"""By name. The corridor's chunks are the thesis's 40 episodes of 700 steps."""
+"""By name. The corridor is learnt from 40 episodes, as many as in the thesis, of at most 700 steps."""
