@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 from koopman_lqr_controller.errors import KoopmanError
+
+_KINDS = {"int": "a whole number", "float": "a number"}
+_MAY_BE_ZERO = ("crop", "noise", "first_steps")
+_SHARES = ("discount", "critic_rate", "encoder_rate", "average_rate")
 
 
 @dataclass(frozen=True)
@@ -27,6 +32,7 @@ class Settings:
         deviation: standard deviation of the controls to begin with, before tanh.
         critic_rate: at which the target critic follows.
         encoder_rate: at which the key encoder follows.
+        update_every: actions for one update.
         actor_every: updates of the critic for one of actor and targets.
         noise: eta of Eq. 4.5.
         average_rate: at which the averaged actor follows.
@@ -46,6 +52,7 @@ class Settings:
     deviation: float = 1.0
     critic_rate: float = 0.01
     encoder_rate: float = 0.05
+    update_every: int = 1
     actor_every: int = 2
     noise: float = 0.1
     average_rate: float = 0.005
@@ -53,8 +60,15 @@ class Settings:
     def __post_init__(self) -> None:
         for field in fields(self):
             value = getattr(self, field.name)
-            if value < 0 or (value == 0 and field.name not in ("crop", "noise", "first_steps")):
+            if field.type == "float" and type(value) is int:
+                value = float(value)  # 1 and 1.0 are the same setting
+                object.__setattr__(self, field.name, value)
+            if type(value).__name__ != field.type:
+                raise KoopmanError(f"{field.name} is {value!r}: must be {_KINDS[str(field.type)]}")
+            if not math.isfinite(value) or value < 0 or (value == 0 and field.name not in _MAY_BE_ZERO):
                 raise KoopmanError(f"{field.name} is {value}: must be positive")
+            if field.name in _SHARES and value > 1.0:
+                raise KoopmanError(f"{field.name} is {value}: must be at most 1")
 
     def as_json(self) -> dict[str, Any]:
         """Return all of them by name."""
