@@ -59,7 +59,7 @@ def train_all(
     with alone(options.folder / f".{title}.lock"):
         if todo:
             _run(todo, options, min(len(todo), workers or os.cpu_count() or 1), title, train, say)
-    return [train(run, options) for run in runs]
+        return [train(run, options) for run in runs]
 
 
 def _run(
