@@ -208,6 +208,18 @@ def test_the_density_of_an_action_is_that_of_a_squashed_normal() -> None:
     assert log_density[inside].detach().numpy() == pytest.approx(expected[inside].detach().numpy(), abs=1e-2)
 
 
+@pytest.mark.parametrize("deviation", [0.01, 1.0, 2.5])
+def test_the_deviation_of_the_controls_can_always_move(deviation: float) -> None:
+    agent, _ = some_agent(deviation=deviation)
+    assert agent.actor.log_deviation.exp().item() == pytest.approx(deviation)
+    with torch.no_grad():
+        agent.actor.raw_deviation.mul_(2.0)  # towards a limit
+    agent.actor.log_deviation.sum().backward()
+    assert agent.actor.raw_deviation.grad.abs().item() > 1e-3
+    with pytest.raises(KoopmanError, match=r"deviation is 3\.0: must lie between"):
+        some_agent(deviation=3.0)
+
+
 def test_the_deployed_controller_acts_like_the_learnt_one() -> None:
     agent, data = some_agent()
     controller = agent.actor.deploy()

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from koopman_lqr_controller.edmd import LinearModel
+from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.latent_controller import LatentController
 from koopman_lqr_controller.training.contrastive import info_nce, noisy, random_crop
 from koopman_lqr_controller.training.differentiable_lqr import LatentLqr
@@ -27,6 +28,7 @@ from koopman_lqr_controller.training.replay import Transitions
 from koopman_lqr_controller.training.settings import Settings
 
 _LOG_DEVIATIONS = (-5.0, 1.0)
+"""Between which the logarithm of the controls' deviation stays."""
 Array = NDArray[np.float64]
 
 
@@ -54,7 +56,7 @@ class Actor(nn.Module):
     Attributes:
         encoder: psi.
         lqr: A, B, Q, R.
-        log_deviation: of the controls before tanh, one for all (1,).
+        raw_deviation: what tanh makes the logarithm of the controls' deviation from, one for all (1,).
         goal: x_ref (1, *shape), empty where there is none.
     """
 
@@ -67,7 +69,13 @@ class Actor(nn.Module):
             sight.shape, settings.latent, settings.hidden, settings.depth, middle, unit, settings.crop or None
         )
         self.lqr = LatentLqr(settings.latent, sight.controls, settings.riccati_iterations)
-        self.log_deviation = nn.Parameter(torch.tensor([math.log(settings.deviation)]))
+        low, high = _LOG_DEVIATIONS
+        if not math.exp(low) < settings.deviation < math.exp(high):
+            raise KoopmanError(
+                f"deviation is {settings.deviation}: must lie between {math.exp(low):.3g} and {math.exp(high):.3g}"
+            )
+        share = 2.0 * (math.log(settings.deviation) - low) / (high - low) - 1.0
+        self.raw_deviation = nn.Parameter(torch.tensor([math.atanh(share)]))
         goal = torch.zeros(0, *sight.shape) if sight.goal is None else torch.from_numpy(sight.goal)[None]
         self.register_buffer("goal", goal)
 
@@ -80,10 +88,16 @@ class Actor(nn.Module):
         K, k = self.lqr.gain(self.z_ref())
         return k - z @ K.T
 
+    @property
+    def log_deviation(self) -> Tensor:
+        """Logarithm of the controls' deviation before tanh (1,); unlike a clamp it has a gradient everywhere."""
+        low, high = _LOG_DEVIATIONS
+        return low + 0.5 * (high - low) * (torch.tanh(self.raw_deviation) + 1.0)
+
     def sample(self, z: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor]:
         """Return actions in [-1, 1] (N, m) and the logarithm of their density (N,)."""
         mean = self.mean(z)
-        log_deviation = self.log_deviation.clamp(*_LOG_DEVIATIONS)
+        log_deviation = self.log_deviation
         noise = torch.randn(mean.shape, generator=generator).to(mean.device)
         u = mean + log_deviation.exp() * noise
         normal = -0.5 * noise.square() - log_deviation - 0.5 * math.log(2.0 * math.pi)
