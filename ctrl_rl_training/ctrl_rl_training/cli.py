@@ -56,7 +56,7 @@ def train_and_collect(
         CtrlRlError: see `train_all`.
     """
     from ctrl_rl_training.matrix import train_all
-    from ctrl_rl_training.training import Options
+    from ctrl_rl_training.run_folder import Options
 
     task = runs[0].task
     train_all(runs, Options(options.folder, options.iterations), options.workers, task.name)

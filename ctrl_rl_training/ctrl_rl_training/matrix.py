@@ -15,14 +15,14 @@ from ctrl_rl_core.lock import alone
 from ctrl_rl_core.workers import CONTEXT, in_processes
 from tqdm import tqdm
 
-from ctrl_rl_training.training import Named, Options, Report, result_file, train_one
+from ctrl_rl_training.run_folder import Named, Options, Report, result_file
 
 
 class Train(Protocol):
     """One run from beginning to end, or on from where it was cut off, or read; importable by name."""
 
     def __call__(self, run: Any, options: Options, report: Report = ..., /) -> dict[str, Any]:
-        """Return the result, see `train_one`."""
+        """Return the result, see `ctrl_rl_training.training.train_one`."""
 
 
 def percent(value: float) -> str:
@@ -35,7 +35,7 @@ def train_all(
     options: Options,
     workers: int = 0,
     title: str = "training",
-    train: Train = train_one,
+    train: Train | None = None,
     say: Callable[[float], str] = percent,
 ) -> list[dict[str, Any]]:
     """Run what is not finished yet and return the results of all, see `train_one`.
@@ -47,13 +47,17 @@ def train_all(
         options: of all.
         workers: runs at a time; 0 for one for each core.
         title: of the progress bar, and of the lock that keeps a second call with it out of the folder.
-        train: what one run is.
+        train: what one run is; `train_one` unless given.
         say: how progress shows what a run reports.
 
     Raises:
         LockError: another call works in the folder.
         CtrlRlError: a run refuses, or a worker was killed.
     """
+    if train is None:
+        from ctrl_rl_training.training import train_one  # imports Stable-Baselines3, which takes seconds
+
+        train = train_one
     todo = [run for run in runs if not result_file(options.folder, run).is_file()]
     options.folder.mkdir(parents=True, exist_ok=True)
     with alone(options.folder / f".{title}.lock"):

@@ -9,7 +9,8 @@ from typing import Any, TypeVar
 
 from ctrl_rl_core.results import ResultsError
 
-from ctrl_rl_training.training import Run, result_file
+from ctrl_rl_training.run_folder import result_file
+from ctrl_rl_training.training import Run
 
 AnyRun = TypeVar("AnyRun", bound=Run)
 GOOD = 0.9

@@ -2,7 +2,7 @@
 
     result = train_one(run, Options(Path("runs/mine")))        # run: see `Run`
 
-It goes in iterations of `ITERATION` samples. Each begins with fresh episodes and draws its random numbers from the seed
+It goes in iterations, see `Options`. Each begins with fresh episodes and draws its random numbers from the seed
 and its own number, so that a run that goes on from its last checkpoint ends exactly as if it had not been cut off.
 """
 
@@ -10,9 +10,6 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -26,24 +23,14 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 
 from ctrl_rl_training.actor import Actor
-from ctrl_rl_training.algorithms import ROLL_OUT, extract_actor
-from ctrl_rl_training.checkpoint import load_checkpoint, save_checkpoint
+from ctrl_rl_training.algorithms import extract_actor
 from ctrl_rl_training.environment import DEPLOYED_RATE, Environment, observation_names
-from ctrl_rl_training.errors import TrainingError
+from ctrl_rl_training.run_folder import Named, Options, Report, check_same, result_file
+from ctrl_rl_training.sb3_checkpoint import load_checkpoint, save_checkpoint
 from ctrl_rl_training.visits import Visits
 
-ITERATION = 5 * ROLL_OUT
-"""Samples of an iteration."""
 _EVALUATION_SEED = 1_000_000
 _SUCCESS = Outcome.GOAL.name
-
-
-class Named(Protocol):
-    """Anything that is run and has a folder of its own."""
-
-    @property
-    def name(self) -> str:
-        """Name of it, and of its folder."""
 
 
 class Run(Named, Protocol):
@@ -71,34 +58,6 @@ class Run(Named, Protocol):
         """Return what else the curve shall say, as JSON; called after each iteration."""
 
 
-@dataclass(frozen=True)
-class Options:
-    """How runs go.
-
-    Attributes:
-        folder: where each has a folder of its own.
-        iterations: how many.
-        samples: of an iteration.
-        evaluations: episodes after each iteration.
-        final_evaluations: episodes after the last one.
-    """
-
-    folder: Path
-    iterations: int = 10
-    samples: int = ITERATION
-    evaluations: int = 20
-    final_evaluations: int = 50
-
-
-Report = Callable[[Any, int, float], None]
-"""What is told of an iteration: the run, the iterations done, and how the evaluation went, as a success rate."""
-
-
-def result_file(folder: Path, run: Named) -> Path:
-    """Return the file that says that a run is finished, and how it went."""
-    return folder / run.name / "result.json"
-
-
 def train_one(run: Run, options: Options, report: Report = lambda *_: None) -> dict[str, Any]:
     """Learn, or go on where an earlier call was cut off; a finished run is read, never computed again.
 
@@ -121,7 +80,8 @@ def train_one(run: Run, options: Options, report: Report = lambda *_: None) -> d
     finished = result_file(options.folder, run)
     if finished.is_file():
         result: dict[str, Any] = json.loads(finished.read_text(encoding="utf-8"))
-        _check_same(finished, {**result["run"], "iterations": len(result["curve"])}, run, options.iterations)
+        before = {**result["run"], "iterations": len(result["curve"])}
+        check_same(finished, before, {**_terms(run), "iterations": options.iterations})
         return result
     torch.set_num_threads(1)
     model = run.model(options.samples * options.iterations)
@@ -153,7 +113,7 @@ def _learn(
     visits = Visits(run.task)
     if checkpoint.is_file():
         progress, arrays = load_checkpoint(checkpoint, model)
-        _check_same(checkpoint, progress["run"], run)
+        check_same(checkpoint, progress["run"], _terms(run))
         curve, visits = progress["curve"], visits.with_counts(arrays)
     while len(curve) < options.iterations:
         begin = time.perf_counter()
@@ -182,15 +142,6 @@ def _learn(
 def _terms(run: Run) -> dict[str, Any]:
     """Return what must be the same for a run to go on, or to be taken as it is."""
     return {**run.description, "task_digest": task_digest(run.task)}
-
-
-def _check_same(file: Path, before: dict[str, Any], run: Run, iterations: int | None = None) -> None:
-    now = _terms(run) if iterations is None else {**_terms(run), "iterations": iterations}
-    for name, value in now.items():
-        if before.get(name) != value:
-            raise TrainingError(
-                f"{file}: was made with {name} {before.get(name)}, now it is {value}: use another folder, or delete it"
-            )
 
 
 def _iterate(model: BaseAlgorithm, seed: int, samples: int, visits: Visits) -> list[str]:

@@ -97,7 +97,7 @@ def _learn(options: argparse.Namespace, words: Sequence[str]) -> int:
     changes = _changes(options.set)
     problem = problem.with_settings(**dict(changes))  # refuses what is wrong before torch, which takes seconds, is here
     from ctrl_rl_training.matrix import train_all
-    from ctrl_rl_training.training import Options, result_file
+    from ctrl_rl_training.run_folder import Options, result_file
 
     from koopman_lqr_controller.training.finishing import CONSOLIDATED_FILE, collect, learn_and_consolidate
     from koopman_lqr_controller.training.learner import LearningRun

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import torch
 from ctrl_rl_training.errors import TrainingError
-from ctrl_rl_training.training import Options, result_file
+from ctrl_rl_training.run_folder import Options, result_file
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.policy_file import load_policy
 from koopman_lqr_controller.roll_outs import evaluate
@@ -67,7 +67,7 @@ def test_a_run_that_was_killed_goes_on_exactly(tmp_path: Path) -> None:
     whole, killed = tmp_path / "whole", tmp_path / "killed"
     learn_one(RUN, options(whole))
     program = (
-        "import sys; from pathlib import Path\nfrom ctrl_rl_training.training import Options\n"
+        "import sys; from pathlib import Path\nfrom ctrl_rl_training.run_folder import Options\n"
         "from koopman_lqr_controller.training.learner import *\n"
         f"learn_one(LearningRun({RUN.problem_name!r}, {RUN.seed}, {TINY!r}, command={RUN.command!r}), "
         f"Options(Path({str(killed)!r}), 3, 40, 1, 2))"
@@ -103,17 +103,17 @@ def test_what_is_learnt_is_what_is_evaluated_and_says_where_it_comes_from(tmp_pa
 def test_a_run_made_with_other_settings_is_not_taken(tmp_path: Path) -> None:
     with pytest.raises(CutOffError):
         learn_one(RUN, options(tmp_path), cut_off)
-    with pytest.raises(KoopmanError, match=r"checkpoint\.safetensors: was made with chunks 3, now it is 2: use"):
+    with pytest.raises(TrainingError, match=r"checkpoint\.safetensors: was made with chunks 3, now it is 2: use"):
         learn_one(RUN, options(tmp_path, 2))
     learn_one(RUN, options(tmp_path))
-    with pytest.raises(KoopmanError, match=r"learnt\.json: was made with chunks 3, now it is 2: use"):
+    with pytest.raises(TrainingError, match=r"learnt\.json: was made with chunks 3, now it is 2: use"):
         learn_one(RUN, options(tmp_path, 2))
 
 
 @pytest.mark.parametrize("change", [{"evaluations": 2}, {"final_evaluations": 3}])
 def test_a_run_that_was_evaluated_otherwise_is_not_taken(change: dict[str, int], tmp_path: Path) -> None:
     learn_one(RUN, options(tmp_path, 1))
-    with pytest.raises(KoopmanError, match=r"learnt\.json: was made with .*evaluations"):
+    with pytest.raises(TrainingError, match=r"learnt\.json: was made with .*evaluations"):
         learn_one(RUN, replace(options(tmp_path, 1), **change))
 
 
@@ -233,3 +233,11 @@ def test_a_device_that_is_not_there_is_named(tmp_path: Path) -> None:
         pytest.skip("this machine has one")
     with pytest.raises(KoopmanError, match="device cuda: torch sees none; use cpu"):
         learn_one(LearningRun("cartpole_swingup", 0, TINY, "cuda"), options(tmp_path))
+
+
+def test_learning_needs_no_other_library_of_learning() -> None:
+    program = (
+        "import sys, koopman_lqr_controller.training.finishing, ctrl_rl_training.matrix\n"
+        "sys.exit(any(name in sys.modules for name in ('stable_baselines3', 'pybullet', 'casadi')))"
+    )
+    assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0

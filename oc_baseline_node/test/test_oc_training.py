@@ -8,8 +8,8 @@ import pytest
 from ctrl_rl_core.tasks import load_navigation_task, task_digest, task_file
 from ctrl_rl_core.value_function import ValueFunctionError
 from ctrl_rl_training.actor import Actor
-from ctrl_rl_training.algorithms import ROLL_OUT
-from ctrl_rl_training.training import Options, result_file, train_one
+from ctrl_rl_training.run_folder import ROLL_OUT, Options, result_file
+from ctrl_rl_training.training import train_one
 from oc_baseline_node.errors import OcError
 from oc_baseline_node.training.environment import PaidTimeOut
 from oc_baseline_node.training.methods import GROUPS, METHODS

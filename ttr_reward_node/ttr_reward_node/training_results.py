@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from ctrl_rl_core.results import Result
 from ctrl_rl_training.results import GOOD, curves, finished_runs, samples_to
-from ctrl_rl_training.training import result_file
+from ctrl_rl_training.run_folder import result_file
 from ctrl_rl_training.visits import load_visits
 from numpy.typing import NDArray
 

@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 from ctrl_rl_core.results import Result
 from ctrl_rl_core.whole_file import write_whole
-from ctrl_rl_training.training import Options, Report, result_file
+from ctrl_rl_training.run_folder import Options, Report, check_same, result_file
 
 from koopman_lqr_controller.consolidation import Plan, consolidate
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.latent_policy import LatentPolicy
 from koopman_lqr_controller.policy_file import digest, load_policy, save_policy
-from koopman_lqr_controller.training.learner import POLICY_FILE, LearningRun, check_same, learn_one, terms
+from koopman_lqr_controller.training.learner import POLICY_FILE, LearningRun, learn_one, terms
 from koopman_lqr_controller.training.problems import Problem
 
 CONSOLIDATED_FILE = "consolidated.safetensors"

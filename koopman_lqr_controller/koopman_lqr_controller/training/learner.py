@@ -12,14 +12,13 @@ import json
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 from ctrl_rl_core.whole_file import write_whole
 from ctrl_rl_training.checkpoint import read_checkpoint, restore, tensors_of, write_checkpoint
-from ctrl_rl_training.training import Options, Report, result_file
+from ctrl_rl_training.run_folder import Options, Report, check_same, result_file
 from numpy.typing import NDArray
 
 from koopman_lqr_controller.errors import KoopmanError
@@ -275,16 +274,3 @@ def terms(run: LearningRun, options: Options) -> dict[str, Any]:
         "evaluations": options.evaluations,
         "final_evaluations": options.final_evaluations,
     }
-
-
-def check_same(file: Path, before: Mapping[str, Any], now: Mapping[str, Any]) -> None:
-    """Refuse what was made with other terms.
-
-    Raises:
-        KoopmanError: it was; the message says which.
-    """
-    for name, value in now.items():
-        if before.get(name) != value:
-            raise KoopmanError(
-                f"{file}: was made with {name} {before.get(name)}, now it is {value}: use another folder, or delete it"
-            )

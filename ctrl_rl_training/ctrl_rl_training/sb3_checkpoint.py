@@ -1,0 +1,86 @@
+"""What an algorithm of Stable-Baselines3 goes on from: its networks, optimisers and replay."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from operator import attrgetter
+from pathlib import Path
+from typing import Any
+
+import torch
+from numpy.typing import NDArray
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.buffers import ReplayBuffer
+
+from ctrl_rl_training.checkpoint import read_checkpoint, restore, tensors_of, write_checkpoint
+
+_REPLAY = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
+_HISTORY = "history."
+
+
+def save_checkpoint(
+    path: Path, model: BaseAlgorithm, progress: Mapping[str, Any], history: Mapping[str, NDArray[Any]]
+) -> None:
+    """Write a checkpoint.
+
+    Args:
+        path: of the file; replaced if it exists.
+        model: between two calls of its `learn`.
+        progress: what else to go on with, as JSON.
+        history: the same as arrays.
+    """
+    tensors = tensors_of(_networks(model), _optimizers(model))
+    replay = _replay(model)
+    if replay is not None:
+        tensors |= {f"replay.{name}": getattr(replay, name)[: replay.pos] for name in _REPLAY}
+    tensors |= {f"{_HISTORY}{name}": array for name, array in history.items()}
+    write_checkpoint(path, tensors, {"samples": model.num_timesteps, "progress": dict(progress)})
+
+
+def load_checkpoint(path: Path, model: BaseAlgorithm) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """Bring a new model to where a checkpoint was and return progress and history.
+
+    Raises:
+        TrainingError: the file cannot be read, or is of another algorithm or network.
+    """
+    progress: dict[str, Any] = {}
+
+    def take(header: Mapping[str, Any], tensors: Mapping[str, NDArray[Any]]) -> None:
+        restore(tensors, _networks(model), _optimizers(model))
+        _restore_replay(model, tensors)
+        model.num_timesteps = header["samples"]
+        progress.update(header["progress"])
+
+    tensors = read_checkpoint(path, take)
+    history = {name.removeprefix(_HISTORY): array for name, array in tensors.items() if name.startswith(_HISTORY)}
+    return progress, history
+
+
+def _restore_replay(model: BaseAlgorithm, tensors: Mapping[str, NDArray[Any]]) -> None:
+    replay = _replay(model)
+    if replay is not None:
+        end = len(tensors["replay.rewards"])
+        for name in _REPLAY:
+            getattr(replay, name)[:end] = tensors[f"replay.{name}"]
+        replay.pos = end
+
+
+def _networks(model: BaseAlgorithm) -> dict[str, torch.nn.Module]:
+    """Return the networks that the algorithm itself names as part of it."""
+    return {path: getattr(model, path) for path in _parts(model) if not path.endswith("optimizer")}
+
+
+def _optimizers(model: BaseAlgorithm) -> dict[str, torch.optim.Optimizer]:
+    """Return its optimisers, by names without dots."""
+    paths = [path for path in _parts(model) if path.endswith("optimizer")]
+    return {path.removeprefix("policy.").replace(".", "_"): attrgetter(path)(model) for path in paths}
+
+
+def _parts(model: BaseAlgorithm) -> list[str]:
+    parts: list[str] = model._get_torch_save_params()[0]
+    return parts
+
+
+def _replay(model: BaseAlgorithm) -> ReplayBuffer | None:
+    """Return the samples of earlier roll-outs that the algorithm still learns from."""
+    return getattr(model, "replay_buffer", None)
