@@ -42,6 +42,11 @@ class LidarWiring:
         """Return the command (2,) of an action (2,)."""
         return self.u_low + 0.5 * (action + 1.0) * (self.u_high - self.u_low)
 
+    def action(self, command: Array) -> Array:
+        """Return the action in [-1, 1] nearest to commands (2,) or (N, 2)."""
+        share = (command - self.u_low) / (self.u_high - self.u_low)
+        return np.clip(2.0 * share - 1.0, -1.0, 1.0)
+
 
 @dataclass(frozen=True)
 class LatentPolicy:
