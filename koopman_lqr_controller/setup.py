@@ -17,9 +17,13 @@ setup(
     zip_safe=False,
     entry_points={
         "console_scripts": [
+            "analyse = koopman_lqr_controller.analysis_cli:analyse",
             "consolidate = koopman_lqr_controller.training_cli:consolidate",
             "controller = koopman_lqr_controller.node:main",
+            "evaluate = koopman_lqr_controller.offline_cli:evaluate",
+            "fit = koopman_lqr_controller.offline_cli:fit",
             "learn = koopman_lqr_controller.training_cli:learn",
+            "learn_offline = koopman_lqr_controller.offline_cli:learn_offline",
             "scripted_driver = koopman_lqr_controller.scripted_driver_node:main",
             "train = koopman_lqr_controller.cli:main",
         ],

@@ -83,6 +83,25 @@ class ControlSuite(gymnasium.Env[Observation, NDArray[np.float32]]):
         terminated = step.last() and step.discount == 0.0
         return self._observe(step), paid, terminated, step.last() and not terminated, {}
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What each component of an observed state is."""
+        parts = ((name, int(np.prod(spec.shape))) for name, spec in self._suite.observation_spec().items())
+        return tuple(f"{name} {index}" for name, size in parts for index in range(size))
+
+    @property
+    def state(self) -> NDArray[np.float64]:
+        """Positions and velocities of the simulated system (n,)."""
+        return np.array(self._suite.physics.get_state(), dtype=np.float64)
+
+    def place(self, state: NDArray[np.float64]) -> Observation:
+        """Begin an episode in a state of the simulated system (n,)."""
+        step = self._suite.reset()
+        with self._suite.physics.reset_context():
+            self._suite.physics.set_state(state)
+        self._pictures = []
+        return self._observe(step._replace(observation=self._suite.task.get_observation(self._suite.physics)))
+
     def close(self) -> None:
         """Give the renderer back."""
         if self._renderer is not None:

@@ -115,11 +115,19 @@ class Corridor(gymnasium.Env[Vector, Vector]):
         """Return how far along the path the robot is [m]."""
         return float(self._path_coordinates(self._world.pose(0))[0])
 
-    def _observe(self) -> Vector:
+    def scan(self) -> tuple[NDArray[np.float32], ScanGeometry]:
+        """Return the lidar's ranges (beams,) [m] and their geometry."""
         scan = self._world.laser_scan(0)
         geometry = ScanGeometry(len(scan.ranges), scan.angle_min, scan.angle_increment, scan.range_min, scan.range_max)
+        return scan.ranges, geometry
+
+    def speeds(self) -> tuple[float, float]:
+        """Return the odometry's speed [m/s] and turn rate [rad/s]."""
         forward, _, turn = self._world.odometry(0).velocity
-        return self.wiring.observation.observe(scan.ranges, geometry, forward, turn).astype(np.float32)
+        return forward, turn
+
+    def _observe(self) -> Vector:
+        return self.wiring.observation.observe(*self.scan(), *self.speeds()).astype(np.float32)
 
     def _info(self) -> dict[str, Any]:
         episode = self._world.episode(0)
