@@ -14,6 +14,7 @@ from koopman_lqr_controller.latent_controller import LatentController
 from koopman_lqr_controller.lidar import ScanGeometry, Sectors
 from koopman_lqr_controller.lidar_observation import LidarObservation
 from koopman_lqr_controller.policy import Decision
+from koopman_lqr_controller.region import Region, check_region
 
 Array = NDArray[np.float64]
 
@@ -43,9 +44,8 @@ class LidarWiring:
         return self.u_low + 0.5 * (action + 1.0) * (self.u_high - self.u_low)
 
     def action(self, command: Array) -> Array:
-        """Return the action in [-1, 1] nearest to commands (2,) or (N, 2)."""
-        share = (command - self.u_low) / (self.u_high - self.u_low)
-        return np.clip(2.0 * share - 1.0, -1.0, 1.0)
+        """Return the action (2,), in [-1, 1], whose command is nearest to this."""
+        return np.clip(2.0 * (command - self.u_low) / (self.u_high - self.u_low) - 1.0, -1.0, 1.0)
 
 
 @dataclass(frozen=True)
@@ -57,16 +57,19 @@ class LatentPolicy:
         dt: from one decision to the next, for which the model predicts [s].
         wiring: to a robot with a lidar; None for tasks that have none, e.g. those of the DeepMind control suite.
         manifest: what was learnt from, how, and how well: plain JSON values.
+        region: what training saw; None where it was not written down.
     """
 
     controller: LatentController
     dt: float
     wiring: LidarWiring | None = None
     manifest: Mapping[str, Any] = field(default_factory=dict)
+    region: Region | None = None
 
     def __post_init__(self) -> None:
         if not 0.0 < self.dt < float("inf"):
             raise KoopmanError(f"dt is {self.dt} s: must be positive")
+        check_region(self.region, len(self.z_ref))
         if self.wiring is not None:
             wanted, controls = (len(self.wiring.observation.names),), len(self.controller.R)
             if self.controller.encoder.shape != wanted or controls != 2:
@@ -89,6 +92,11 @@ class LatentPolicy:
         """
         return self._wired().observation.sectors
 
+    @property
+    def loop(self) -> Array:
+        """A - B K (n, n)."""
+        return self.controller.model.A - self.controller.model.B @ self.controller.K
+
     def decide(self, ranges: NDArray[np.float32], scan: ScanGeometry, v: float, omega: float) -> Decision:
         """Return the command for one scan and the odometry's speed [m/s] and turn rate [rad/s].
 
@@ -99,9 +107,15 @@ class LatentPolicy:
         wiring, controller = self._wired(), self.controller
         z = controller.latent(wiring.observation.observe(ranges, scan, v, omega))
         u = controller.control(z)
-        action = controller.saturate(u)
-        z_next = controller.predict(z, action)
-        return Decision(wiring.command(action), wiring.command(u), z, z_next, controller.cost_to_go(z))
+        return Decision(wiring.command(controller.saturate(u)), wiring.command(u), z)
+
+    def predict(self, z: Array, command: Array) -> Array:
+        """Return the model's next z (n,) under a command (2,), which counts as the nearest within the limits."""
+        return self.controller.predict(z, self._wired().action(command))
+
+    def cost_to_go(self, z: Array) -> float:
+        """Return (z - z_ref)^T P (z - z_ref)."""
+        return self.controller.cost_to_go(z)
 
     def _wired(self) -> LidarWiring:
         if self.wiring is None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -22,9 +23,11 @@ from koopman_lqr_controller.latent_file import build_latent, describe_latent
 from koopman_lqr_controller.latent_policy import LatentPolicy
 from koopman_lqr_controller.observables import CorridorObservables
 from koopman_lqr_controller.policy import KoopmanPolicy
+from koopman_lqr_controller.region import Region
 
 FORMAT = "koopman-lqr-1"
 _TENSORS = ("A", "B", "K", "P", "z_ref", "u_ref", "u_low", "u_high")
+_REGION = ("distance", "error")
 _OBSERVABLES = ("bearings_deg", "half_width_deg", "near", "closest", "far")
 
 
@@ -61,6 +64,9 @@ def save_policy(policy: KoopmanPolicy | LatentPolicy, path: Path, overwrite: boo
     if path.exists() and not overwrite:
         raise KoopmanError(f"{path} exists: give another name, or ask to overwrite it")
     header, tensors = describe_latent(policy) if isinstance(policy, LatentPolicy) else _describe_edmd(policy)
+    if policy.region is not None:
+        header["region"] = {name: getattr(policy.region, name) for name in _REGION}
+        tensors |= {"region.mean": policy.region.mean, "region.covariance": policy.region.covariance}
     content = save(
         {name: np.ascontiguousarray(array) for name, array in tensors.items()}, {"policy": json.dumps(header)}
     )
@@ -92,11 +98,19 @@ def load_policy(path: Path) -> KoopmanPolicy | LatentPolicy:
         known = f"'{FORMAT}' or '{LATENT_FORMAT}'"
         raise KoopmanError(f"{path}: format is '{header.get('format')}', must be {known}: train it again")
     try:
-        return build(header, tensors)
+        return replace(build(header, tensors), region=_region(header, tensors))
     except (KeyError, TypeError, ValueError) as error:
         raise KoopmanError(f"{path}: wrong manifest ({error}): train it again") from None
     except KoopmanError as error:
         raise KoopmanError(f"{path}: {error}") from None
+
+
+def _region(header: Mapping[str, Any], tensors: Mapping[str, NDArray[Any]]) -> Region | None:
+    """Return what training saw; files from before it was written down have none."""
+    if "region" not in header:
+        return None
+    mean, covariance = (tensors[f"region.{name}"].astype(np.float64) for name in ("mean", "covariance"))
+    return Region(mean, covariance, *(float(header["region"][name]) for name in _REGION))
 
 
 def _describe_edmd(policy: KoopmanPolicy) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
@@ -120,7 +134,7 @@ def _build_edmd(header: Mapping[str, Any], tensors: Mapping[str, NDArray[Any]]) 
     if missing:
         raise KoopmanError(f"lacks {', '.join(missing)}: train it again")
     given = header["observables"] | {"bearings_deg": tuple(header["observables"]["bearings_deg"])}
-    arrays = {name: tensors[name].astype(np.float64) for name in _TENSORS}
+    arrays: dict[str, Any] = {name: tensors[name].astype(np.float64) for name in _TENSORS}
     return KoopmanPolicy(
         observables=CorridorObservables(**given),
         model=LinearModel(arrays.pop("A"), arrays.pop("B")),

@@ -15,6 +15,7 @@ from koopman_lqr_controller.edmd import Snapshots, fit, persistence_error
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.observables import CorridorObservables
 from koopman_lqr_controller.policy import KoopmanPolicy
+from koopman_lqr_controller.region import region_of
 from koopman_lqr_controller.riccati import solve_lqr
 
 
@@ -74,6 +75,8 @@ def train(
     R = np.diag([weights.acceleration, weights.turning])
     regulator = solve_lqr(model, Q, R)
     test = unseen.centred(z_ref, u_ref)
+    both = np.vstack((seen.z, seen.z * observables.mirror))
+    region = region_of(both, np.linalg.norm(test.z_next - model.predict(test.z, test.u), axis=1))
     error, persistence = model.one_step_error(test), persistence_error(test)
     figures = {
         "method": "EDMD and infinite-horizon LQR, two stages (thesis 2.3.1)",
@@ -88,7 +91,7 @@ def train(
     }
     low, high = np.array(limits).T
     return KoopmanPolicy(
-        observables, model, regulator.K, regulator.P, z_ref, u_ref, low, high, {**(manifest or {}), **figures}
+        observables, model, regulator.K, regulator.P, z_ref, u_ref, low, high, {**(manifest or {}), **figures}, region
     )
 
 
