@@ -44,7 +44,7 @@ class LidarWiring:
         return self.u_low + 0.5 * (action + 1.0) * (self.u_high - self.u_low)
 
     def action(self, command: Array) -> Array:
-        """Return the action (2,), in [-1, 1], whose command is nearest to this."""
+        """Return the actions (2,) or (N, 2), in [-1, 1], whose commands are nearest to these."""
         return np.clip(2.0 * (command - self.u_low) / (self.u_high - self.u_low) - 1.0, -1.0, 1.0)
 
 

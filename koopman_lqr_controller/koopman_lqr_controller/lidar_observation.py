@@ -54,6 +54,13 @@ class LidarObservation:
         degrees = (360.0 * index / self.count for index in range(self.count))
         return (*(f"nearness at {angle:g} deg" for angle in degrees), "speed", "turn rate")
 
+    @property
+    def mirror(self) -> tuple[NDArray[np.intp], Array]:
+        """Order and sign of x's components when left and right are swapped (count + 2,): x[order] * sign."""
+        sectors = -np.arange(self.count) % self.count
+        order = np.concatenate((sectors, (self.count, self.count + 1))).astype(np.intp)
+        return order, np.concatenate((np.ones(self.count + 1), (-1.0,)))
+
     def observe(self, ranges: NDArray[np.float32], scan: ScanGeometry, v: float, omega: float) -> Array:
         """Return x (count + 2,) for one scan and the odometry's speed [m/s] and turn rate [rad/s].
 
