@@ -25,9 +25,9 @@ def analyse(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         prog="analyse",
         description=analyse.__doc__,
-        epilog="The folder then holds analysis.md, its pictures, and analysis.json, which they are made from. Parts that "
-        "need an\nenvironment or a bag are left out where there is none, with a line that says so.\n\nexample:\n  analyse "
-        "runs/koopman/cartpole_swingup-s0/policy.safetensors",
+        epilog="The folder then holds analysis.md, its pictures, and analysis.json, which they are made from.\n"
+        "Parts that need an environment or a bag are left out where there is none, with a line that says so.\n\n"
+        "example:\n  analyse runs/koopman/cartpole_swingup-s0/policy.safetensors",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("policy", help="policy file of either kind, or the name of one that comes with the package")

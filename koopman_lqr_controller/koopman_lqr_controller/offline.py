@@ -15,11 +15,11 @@ from koopman_lqr_controller.encoder import Dense
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.latent_controller import LatentController
 from koopman_lqr_controller.latent_policy import LatentPolicy
-from koopman_lqr_controller.linear_loop import controls_of
+from koopman_lqr_controller.linear_loop import controls_of, wiring_of
 from koopman_lqr_controller.region import region_of_episodes
 from koopman_lqr_controller.regulators import Refit, Regulator
 from koopman_lqr_controller.roll_outs import Lived
-from koopman_lqr_controller.shrinkage import fit_shrunk
+from koopman_lqr_controller.shrinkage import Shrunk, fit_shrunk
 
 Array = NDArray[np.float64]
 
@@ -30,20 +30,32 @@ _SAME_LAW = 0.1
 
 
 class OfflineRefit(Refit):
-    """As `Refit`, for the little that a drive shows: the models are shrunk towards "nothing changes"."""
+    """As `Refit`, for the little that a drive shows: the models are shrunk towards "nothing changes".
 
-    def __init__(self, learnt: LatentController, lived: Sequence[Lived], goal: bool) -> None:
-        super().__init__(learnt, lived, 0.0, goal)
+    Args:
+        learnt: the controller; every action counts as if it had acted.
+        lived: the drives.
+        mirrored: the same with left and right swapped, as true as they are.
+        goal: whether z_ref is a goal, else the middle of what is met takes its place.
+    """
+
+    def __init__(self, learnt: LatentController, lived: Sequence[Lived], mirrored: Sequence[Lived], goal: bool) -> None:
+        self._drives, self._mirrored = lived, mirrored
+        super().__init__(learnt, [*lived, *mirrored], 0.0, goal)
 
     def model(self, C: Array) -> tuple[LinearModel, Array]:
         """Return the model of C psi around the reference, and its drift there."""
-        found = fit_shrunk(self.snapshots(C))
+        found = self.shrunk(C)
         return found.model, found.drift
 
-    def snapshots(self, C: Array) -> Snapshots:
-        """Return what was lived through as deviations of C psi and of the actions from the reference."""
-        z = [(episode.features - self._psi_ref) @ C.T for episode in self._lived]
-        u = np.concatenate([episode.actions for episode in self._lived]) - self._a_ref
+    def shrunk(self, C: Array) -> Shrunk:
+        """Return the same, and how it was chosen."""
+        return fit_shrunk(self._snapshots(C, self._drives), self._snapshots(C, self._mirrored))
+
+    def _snapshots(self, C: Array, lived: Sequence[Lived]) -> Snapshots:
+        """Return drives as deviations of C psi and of the actions from the reference."""
+        z = [(episode.features - self._psi_ref) @ C.T for episode in lived]
+        u = np.concatenate([episode.actions for episode in lived]) - self._a_ref
         return Snapshots(np.concatenate([each[:-1] for each in z]), u, np.concatenate([each[1:] for each in z]))
 
 
@@ -61,15 +73,16 @@ def refit(policy: LatentPolicy, drives: Sequence[Drive], sizes: Sequence[int] = 
         KoopmanError: the policy is of another task, the drives are too short, or no model has a regulator.
     """
     learnt = _unprojected(policy.controller)
-    lived = [_lived(learnt, policy, drive) for drive in drives]
-    if not lived:
+    if not drives:
         raise KoopmanError("no drive to fit to")
-    found = OfflineRefit(learnt, lived, goal=bool(learnt.z_ref.any()))
+    lived = [_lived(learnt, policy, drive) for drive in drives]
+    mirrored = [_lived(learnt, policy, _mirrored(policy, drive)) for drive in drives]
+    found = OfflineRefit(learnt, lived, mirrored, goal=bool(learnt.z_ref.any()))
     tried: list[tuple[Regulator, float, float]] = []
     for family, C in found.projections(sizes):
         regulator = found.regulator(family, C)
         if regulator is not None:
-            shrunk = fit_shrunk(found.snapshots(C))
+            shrunk = found.shrunk(C)
             tried.append((regulator, shrunk.crossed, shrunk.ridge))
     if not tried:
         raise KoopmanError("no regulator: the refitted model cannot be stabilised; record a livelier drive")
@@ -78,8 +91,9 @@ def refit(policy: LatentPolicy, drives: Sequence[Drive], sizes: Sequence[int] = 
         min(same, key=lambda each: each[1]) if same else min(tried, key=lambda each: each[0].mismatch)
     )
     controller = chosen.controller
-    z = [controller.project(episode.features) for episode in lived]
-    region = region_of_episodes(controller.predict, z, [episode.actions for episode in lived])
+    both = [*lived, *mirrored]
+    z = [controller.project(episode.features) for episode in both]
+    region = region_of_episodes(controller.predict, z, [episode.actions for episode in both])
     figures = {
         "latent": len(controller.Q),
         "family": chosen.family,
@@ -99,6 +113,12 @@ def _lived(learnt: LatentController, policy: LatentPolicy, drive: Drive) -> Live
     actions = controls_of(policy, drive.u)
     none: dict[str, Any] = {}
     return Lived(learnt.encoder(drive.x), actions, float("nan"), len(actions), 0.0, none)
+
+
+def _mirrored(policy: LatentPolicy, drive: Drive) -> Drive:
+    """Return a drive as it would have been had left and right been swapped."""
+    order, sign = wiring_of(policy).observation.mirror
+    return Drive(drive.x[:, order] * sign, drive.u * (1.0, -1.0), drive.dt)
 
 
 def _unprojected(controller: LatentController) -> LatentController:

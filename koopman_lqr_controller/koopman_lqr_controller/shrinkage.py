@@ -40,39 +40,49 @@ class Shrunk:
     crossed: float
 
 
-def fit_shrunk(data: Snapshots, ridges: Sequence[float] = RIDGES) -> Shrunk:
+def fit_shrunk(data: Snapshots, twin: Snapshots | None = None, drift: bool = True) -> Shrunk:
     """Return the model of snapshots in the order of time; neighbours stay together when parts are left out.
+
+    Args:
+        data: the snapshots.
+        twin: as many more, e.g. the same mirrored; each is left out together with its own.
+        drift: whether there may be one; else the model is of deviations from a fixed point.
 
     Raises:
         KoopmanError: fewer than two rows for each part, values that are not finite, or nothing moves.
     """
     if len(data) < 2 * _FOLDS:
         raise KoopmanError(f"{len(data)} steps are too few to choose a model by: record a longer drive")
+    parts = [[rows] for rows in np.array_split(np.arange(len(data)), _FOLDS)]
+    if twin is not None:
+        parts = [[rows, rows + len(data)] for (rows,) in parts]
+        data = data + twin
     X, Y = np.hstack((data.z, data.u)), data.z_next - data.z
     if not (np.isfinite(X).all() and np.isfinite(Y).all()):
         raise KoopmanError("snapshots hold values that are not finite")
-    middle, spread, moved = X.mean(axis=0), X.std(axis=0), Y.mean(axis=0)
-    X = (X - middle) / np.where(spread > 0.0, spread, 1.0)
-    Y = Y - moved
     if not Y.any():
         raise KoopmanError("nothing changes in this drive")
-    errors = _crossed(X, Y, moved, ridges)
-    ridge = _chosen(errors)
-    W = _solve(X.T @ X, X.T @ Y, len(X), ridges[ridge]).T / np.where(spread > 0.0, spread, 1.0)
+    middle, moved = (X.mean(axis=0), Y.mean(axis=0)) if drift else (np.zeros(X.shape[1]), np.zeros(Y.shape[1]))
+    unit = X.std(axis=0)
+    unit[unit == 0.0] = 1.0
+    X, Y = (X - middle) / unit, Y - moved
+    errors = _crossed(X, Y, moved, [np.concatenate(part) for part in parts])
+    chosen = _chosen(errors)
+    W = _solve(X.T @ X, X.T @ Y, len(X), RIDGES[chosen]).T / unit
     n = data.z.shape[1]
     model = LinearModel(np.eye(n) + W[:, :n], np.ascontiguousarray(W[:, n:]))
-    return Shrunk(model, moved - W @ middle, ridges[ridge], float(np.sqrt(errors[:, ridge].mean())))
+    return Shrunk(model, moved - W @ middle, RIDGES[chosen], float(np.sqrt(errors[:, chosen].mean())))
 
 
-def _crossed(X: Array, Y: Array, moved: Array, ridges: Sequence[float]) -> Array:
+def _crossed(X: Array, Y: Array, moved: Array, parts: Sequence[NDArray[np.intp]]) -> Array:
     """Return squared errors over those of persistence (parts, ridges), each part predicted by the others."""
     G, M = X.T @ X, X.T @ Y
     out = []
-    for rows in np.array_split(np.arange(len(X)), _FOLDS):
+    for rows in parts:
         x, y = X[rows], Y[rows]
         G_rest, M_rest, rest = G - x.T @ x, M - x.T @ y, len(X) - len(rows)
         still = max(float(np.sum((y + moved) ** 2)), np.finfo(float).tiny)
-        out.append([np.sum((y - x @ _solve(G_rest, M_rest, rest, ridge)) ** 2) / still for ridge in ridges])
+        out.append([np.sum((y - x @ _solve(G_rest, M_rest, rest, ridge)) ** 2) / still for ridge in RIDGES])
     return np.array(out)
 
 

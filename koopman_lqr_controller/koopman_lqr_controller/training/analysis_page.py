@@ -68,8 +68,8 @@ def _about(found: Found) -> str:
 def _poles(found: Found) -> str:
     open_, closed = (np.hypot(*np.array(found["poles"][which]).T) for which in ("open", "closed"))
     text = (
-        f"Of the model's {len(open_)} poles {int(np.sum(open_ > 1.0))} lie outside the unit circle without control, the "
-        f"farthest at {open_[0]:.3f}; with the policy {int(np.sum(closed > 1.0))}, the farthest at {closed[0]:.3f}."
+        f"Of the model's {len(open_)} poles {int(np.sum(open_ > 1.0))} lie outside the unit circle without control, "
+        f"the farthest at {open_[0]:.3f}; with the policy {int(np.sum(closed > 1.0))}, the farthest at {closed[0]:.3f}."
     )
     true = found.get("true_poles")
     if true is None:
@@ -98,9 +98,10 @@ def _controllability(found: Found) -> str:
     sizes = np.hypot(*np.array(found["poles"]["open"]).T)
     fast = pbh[sizes >= 1.0]
     text = (
-        f"Kalman's rank depends on the tolerance: {low} at 1e-16, {part['usual_rank']} at the usual one, {high} near 1. "
-        f"Evenly used, its directions would be {part['participation_ratio']:.1f} (participation ratio). "
-        f"By the PBH test the least controllable mode is {pbh.min():.1e} of the model's norm away from being out of reach"
+        f"Kalman's rank depends on the tolerance: {low} at 1e-16, {part['usual_rank']} at the usual one, {high} near "
+        f"1. Evenly used, its directions would be {part['participation_ratio']:.1f} (participation ratio). "
+        f"By the PBH test the least controllable mode is {pbh.min():.1e} of the model's norm away from being out of "
+        "reach"
     )
     text += f"; of those that do not fade, {fast.min():.1e}." if len(fast) else "; all of them fade by themselves."
     if "latents" in found:
