@@ -33,6 +33,8 @@ RUN_TIME_MODULES = (
     "koopman_lqr_controller.scripted_driver_node",
     "koopman_lqr_controller.cli",
     "koopman_lqr_controller.consolidation",
+    "koopman_lqr_controller.analysis_cli",
+    "koopman_lqr_controller.offline_cli",
     "koopman_lqr_controller.training_cli",
     "ttr_reward_node.cli",
     "ttr_reward_node.node",

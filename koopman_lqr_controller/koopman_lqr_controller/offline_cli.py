@@ -11,7 +11,6 @@ from operator import add
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from ctrl_rl_core.command import check_least, run_command
 from ctrl_rl_core.units import Interval
 from ctrl_rl_core.whole_file import write_whole
@@ -178,6 +177,6 @@ def _print(figures: dict[str, Any]) -> None:
         for name, each in found["commands"].items():
             share = "it never changes" if each["explained"] is None else f"{100 * each['explained']:.0f} % explained"
             print(f"{'':<18}{name}: differs by {each['difference']:.3f} of {each['spread']:.3f}, {share}")
-    told = figures.get(_HELD_OUT)
-    if told is not None and not np.less(told["over_persistence"][0], 1.0):
+    unseen = figures.get(_HELD_OUT)
+    if unseen is not None and not unseen["over_persistence"][0] < 1.0:
         print("One step ahead the model is no better than 'nothing changes' on what it was not fitted to.")

@@ -11,6 +11,7 @@ from ctrl_rl_core.drawing import save_figure
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 Found = Mapping[str, Any]
 
@@ -121,7 +122,7 @@ def _prediction(found: Found) -> Figure:
     ax.axhline(1.0 / 3.0, color="0.6", linestyle=":", linewidth=1)
     ax.set(xlabel="steps ahead", ylabel="error over that of 'nothing changes'")
     ax.set_ylim(0.0, min(5.0, 1.1 * max(1.1, *ratio)))
-    ax.xaxis.get_major_locator().set_params(integer=True)
+    ax.xaxis.set_major_locator(MaxNLocator(integer=True))
     ax.legend(fontsize=8)
     return figure
 
@@ -129,7 +130,8 @@ def _prediction(found: Found) -> Figure:
 def _tsne(found: Found) -> Figure:
     figure, ax = plt.subplots(figsize=(6.0, 5.5), layout="constrained")
     for name, colour, label in (("true", _TRUE, "z of the next observation"), ("predicted", _MODEL, "predicted z")):
-        ax.scatter(*np.array(found["tsne"][name]).T, s=9, color=colour, alpha=0.6, linewidths=0, label=label)
+        x, y = np.array(found["tsne"][name]).T
+        ax.scatter(x, y, s=9, color=colour, alpha=0.6, linewidths=0, label=label)
     ax.set_xticks([])
     ax.set_yticks([])
     ax.legend(fontsize=8)

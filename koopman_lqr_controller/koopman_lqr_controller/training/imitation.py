@@ -63,7 +63,7 @@ def imitate(
     drives: Sequence[Drive],
     observation: LidarObservation,
     settings: ImitationSettings | None = None,
-    tick: Callable[[], None] = lambda: None,
+    tick: Callable[[], object] = lambda: None,
 ) -> LatentPolicy:
     """Return the policy as learnt, with the gain of a few Riccati iterations; `offline.refit` makes it consolidated.
 
@@ -161,8 +161,8 @@ class _Imitation:
         torch.autograd.backward(loss)
         self._optimizer.step()
         with torch.no_grad():
-            slow, fast = list(self._keys.parameters()), list(self._encoder.parameters())
-            torch._foreach_lerp_(slow, fast, settings.key_rate)
+            for slow, fast in zip(self._keys.parameters(), self._encoder.parameters(), strict=True):
+                slow.lerp_(fast, settings.key_rate)
 
     def deploy(self) -> LatentController:
         """Return what was learnt, without torch."""

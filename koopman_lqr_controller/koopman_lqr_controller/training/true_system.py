@@ -58,7 +58,7 @@ def suite_system(environment: ControlSuite, goal: Array, policy: LatentPolicy) -
 
     def closed(state: Array) -> Array:
         action = policy.controller.action(environment.place(state))
-        environment.step(action)
+        environment.step(action.astype(np.float32))
         return environment.state
 
     controls = np.zeros(len(policy.controller.R))
