@@ -88,7 +88,7 @@ def test_a_command_of_long_ago_does_not_count(tmp_path: Path) -> None:
         bag.drive(range(4))
         bag.drive(range(4, 15), commanded=False)
     (drive,) = drives_of(tmp_path / "bag", lambda *_: np.zeros(1))
-    assert len(drive) == 7, "3 with commands of their own, and 4 more until the last one is older than a second"
+    assert len(drive) == 8, "the last command, of step 3, holds for the five steps of a second"
 
 
 @settings(deadline=None)
