@@ -84,7 +84,7 @@ def linear_loop(policy: KoopmanPolicy | LatentPolicy) -> LinearLoop:
         model=policy.model,
         K=policy.K,
         P=policy.P,
-        Q=np.diag(Q).copy(),
+        Q=np.maximum(np.diag(Q), 0.0),  # what was 0 comes back as rounding
         R=np.diag(R).copy(),
         z_ref=z_ref,
         slope=np.ones(len(u_ref)),
