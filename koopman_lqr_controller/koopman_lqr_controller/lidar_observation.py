@@ -63,6 +63,7 @@ class LidarObservation:
         """
         if not (math.isfinite(v) and math.isfinite(omega)):
             raise KoopmanError(f"odometry with speed {v} and turn rate {omega}")
-        distances = self.sectors.distances(ranges, scan)
-        nearness = self.near / np.maximum(distances, self.closest)
-        return np.concatenate((nearness, (v / self.speed, omega / self.turn)))
+        x = np.empty(self.count + 2)
+        np.divide(self.near, np.maximum(self.sectors.distances(ranges, scan), self.closest), out=x[:-2])
+        x[-2], x[-1] = v / self.speed, omega / self.turn
+        return x
