@@ -124,7 +124,8 @@ def test_stale_scans_are_said_in_latent_and_diagnostics(robot: Robot, run_node: 
     ask(robot, corridor(0.1), SECOND)
     assert robot.spin(5.0, lambda: any(latent.stop == "no recent scan" for latent in robot.latents))
     last = next(latent for latent in robot.latents if latent.stop == "no recent scan")
-    assert len(last.z) == 0
+    assert len(last.z) == 19
+    assert np.isnan(last.z).all()
     assert list(last.command) == [0.0, 0.0]
     assert diagnosed(robot, "no recent scan").level == DiagnosticStatus.WARN
 
