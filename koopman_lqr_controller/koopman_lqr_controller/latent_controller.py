@@ -136,15 +136,15 @@ class LatentController:
 
     def project(self, psi: Array) -> Array:
         """Return z = C psi (n,) or (N, n)."""
-        return psi if self.projection is None else psi @ self.projection.T
+        return psi if self.projection is None else psi.dot(self.projection.T)
 
     def control(self, z: Array) -> Array:
         """Return u (m,) or (N, m): what the linear law asks for."""
-        return self.k - z @ self.K.T
+        return self.k - z.dot(self.K.T)
 
     def saturate(self, u: Array) -> Array:
         """Return the action in [-1, 1] that stands for u."""
-        return np.clip(u, -1.0, 1.0) if self.horizon is None else np.tanh(u)
+        return np.minimum(np.maximum(u, -1.0), 1.0) if self.horizon is None else np.tanh(u)
 
     def action(self, x: ArrayLike) -> Array:
         """Return the action (m,) in [-1, 1] for one observation."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -41,7 +42,11 @@ class LidarWiring:
 
     def command(self, action: Array) -> Array:
         """Return the command (2,) of an action (2,)."""
-        return self.u_low + 0.5 * (action + 1.0) * (self.u_high - self.u_low)
+        return self.u_low + (action + 1.0) * self._half
+
+    @cached_property
+    def _half(self) -> Array:
+        return 0.5 * (self.u_high - self.u_low)
 
     def action(self, command: Array) -> Array:
         """Return the actions (2,) or (N, 2), in [-1, 1], whose commands are nearest to these."""

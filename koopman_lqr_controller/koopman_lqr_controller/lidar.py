@@ -6,6 +6,7 @@ TurtleBot 4 with a third of them infinite. A policy sees none of that: it sees o
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -74,14 +75,12 @@ class Sectors:
             raise KoopmanError(
                 f"scan with {len(ranges)} ranges of {scan.beams} in {scan.range_min} .. {scan.range_max} m"
             )
-        values = _measured(ranges, scan, self.far)[self._index(scan)]
+        values = _measured(ranges, scan, self.far).take(self._index(scan))
         values.sort(axis=1)  # NaN last
-        counts = values.shape[1] - np.count_nonzero(np.isnan(values), axis=1)
-        if not counts.any():
-            raise KoopmanError("scan without any measurement")
-        last = np.maximum(counts - 1, 0)
-        out = 0.5 * (values[self._rows, last // 2] + values[self._rows, np.minimum(counts // 2, last)])
-        return self._filled(out, counts)
+        blind = np.isnan(values)
+        counts = values.shape[1] - np.add.reduce(blind, axis=1)
+        out = 0.5 * (values[self._rows, (counts - 1) >> 1] + values[self._rows, counts >> 1])
+        return self._filled(out, blind[:, 0])
 
     @cached_property
     def _middles(self) -> Array:
@@ -106,7 +105,7 @@ class Sectors:
         return found
 
     def _beams(self, scan: ScanGeometry) -> NDArray[np.intp]:
-        """Return for each sector the indices of its beams, padded with `scan.beams` (sectors, most beams in one).
+        """Return for each sector where in `_measured` its beams are, padded with the last (sectors, most beams in one).
 
         Beams come at equal angles, so that those of a sector follow each other, at most once over the end of the scan.
         What a scan of more than a turn sees twice is looked at once.
@@ -115,38 +114,52 @@ class Sectors:
             KoopmanError: the increment is zero or not finite.
         """
         beams, increment = scan.beams, scan.angle_increment
-        if not (np.isfinite(scan.angle_min) and np.isfinite(increment) and increment != 0.0):
+        if not (math.isfinite(scan.angle_min) and math.isfinite(increment) and increment != 0.0):
             raise KoopmanError(f"scan with angle_increment {increment} and angle_min {scan.angle_min}")
         half, turn = self.half_width + _EDGE, _TURN / abs(increment)
         edge = half if increment > 0.0 else -half
         begin = (self._middles - (scan.angle_min + edge)) / increment % turn  # in beams, from the first
-        end = begin + 2.0 * half / abs(increment)
+        width = 2.0 * half / abs(increment)
+        end = begin + width
         first = np.ceil(begin)
-        to_end = np.maximum(np.minimum(np.floor(end), beams - 1) - first + 1, 0)
-        over_end = np.minimum(np.maximum(np.floor(end - turn) + 1, 0), beams - to_end)
-        first = np.where(to_end > 0, first, 0).astype(np.intp)
-        count = (to_end + over_end).astype(np.intp)
-        column = np.arange(max(1, count.max()))
-        index = first[:, None] + column
-        index[index >= beams] -= beams
-        index[column >= count[:, None]] = beams
+        to_end = np.maximum(np.minimum(np.floor(end), beams - 1) - first + 1, 0.0)
+        over_end = np.minimum(np.maximum(np.floor(end - turn) + 1, 0.0), beams - to_end)
+        first *= to_end > 0.0
+        count = to_end + over_end
+        column = np.arange(int(min(width, beams)) + 1)
+        index = first.astype(np.intp)[:, None] + column
+        index[column >= count[:, None]] = 2 * beams
         return index
 
-    def _filled(self, distances: Array, counts: NDArray[np.intp]) -> Array:
-        empty = counts == 0
-        if empty.any():
-            both = np.roll(distances, 1) + np.roll(distances, -1)
-            distances = np.where(empty, 0.5 * both, distances)
-            distances = np.where(np.isnan(distances), self.far, distances)
-        return distances
+    def _filled(self, distances: Array, empty: NDArray[np.bool_]) -> Array:
+        """Return the distances with those of empty sectors.
+
+        Raises:
+            KoopmanError: all are empty.
+        """
+        if not empty.any():
+            return distances
+        if empty.all():
+            raise KoopmanError("scan without any measurement")
+        both = np.roll(distances, 1) + np.roll(distances, -1)
+        distances = np.where(empty, 0.5 * both, distances)
+        return np.where(np.isnan(distances), self.far, distances)
 
 
 def _measured(ranges: NDArray[np.float32], scan: ScanGeometry, far: float) -> Array:
-    """Return each beam's distance [m], `far` where nothing is there, NaN where nothing was measured, and last a NaN."""
-    out = np.empty(len(ranges) + 1)
-    out[:-1], out[-1] = ranges, np.nan
-    nothing = (out == 0.0) | (out > scan.range_max)
-    out[out == -np.inf] = scan.range_min
-    out[out < scan.range_min] = np.nan
-    out[nothing] = far
-    return np.minimum(out, far)
+    """Return each beam's distance [m], `far` where nothing is there, NaN where nothing was measured.
+
+    All of it comes twice, so that what goes over the end of the scan goes on, and then a NaN (2 beams + 1,).
+    """
+    beams = len(ranges)
+    both = np.empty(2 * beams + 1)
+    out = both[:beams]
+    out[:] = ranges
+    np.putmask(out, out == 0.0, np.inf)
+    np.putmask(out, out == -np.inf, scan.range_min)
+    np.putmask(out, out < scan.range_min, np.nan)
+    if scan.range_max < far:
+        np.putmask(out, out > scan.range_max, far)
+    np.minimum(out, far, out=out)
+    both[beams:-1], both[-1] = out, np.nan
+    return both

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -67,8 +68,9 @@ class LidarObservation:
         Raises:
             KoopmanError: nothing can be seen in the scan, or speed or turn rate are not finite.
         """
-        if not (np.isfinite(v) and np.isfinite(omega)):
+        if not (math.isfinite(v) and math.isfinite(omega)):
             raise KoopmanError(f"odometry with speed {v} and turn rate {omega}")
-        distances = self.sectors.distances(ranges, scan)
-        nearness = self.near / np.maximum(distances, self.closest)
-        return np.concatenate((nearness, (v / self.speed, omega / self.turn)))
+        x = np.empty(self.count + 2)
+        np.divide(self.near, np.maximum(self.sectors.distances(ranges, scan), self.closest), out=x[:-2])
+        x[-2], x[-1] = v / self.speed, omega / self.turn
+        return x

@@ -121,7 +121,9 @@ class Controller(LidarDriver):
         out = LatentState(header=header, prediction_error=nan, cost_to_go=nan, distance=nan, stop=problem, dry_run=dry)
         out.command = _doubles(command)
         self._next = None  # not for a robot of which something is not known
-        if thought is not None:
+        if thought is None:
+            out.z, out.control = _doubles(np.full_like(self._policy.z_ref, nan)), _doubles(np.full(2, nan))
+        else:
             z = thought.decision.z
             out.z, out.control = _doubles(z), _doubles(thought.decision.control)
             out.cost_to_go, out.distance = self._policy.cost_to_go(z), self._guard.outside

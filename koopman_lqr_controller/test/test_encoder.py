@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 import torch
-from koopman_lqr_controller.encoder import Encoder
+from koopman_lqr_controller.encoder import EPSILON, Dense, Encoder, LayerNorm
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.training.networks import TorchEncoder
 
@@ -61,3 +61,24 @@ def test_an_unknown_layer_is_named() -> None:
     description["layers"][1]["kind"] = "magic"
     with pytest.raises(KoopmanError, match="layer 1 is no dense"):
         Encoder.build(description, tensors)
+
+
+def test_what_makes_it_quick_changes_no_bit() -> None:
+    """One observation, by the plain formulas."""
+    random = np.random.default_rng(2)
+    weights = [random.normal(size=shape).astype(np.float32) for shape in ((64, 38), (50, 64))]
+    scale, shift = (random.normal(size=50).astype(np.float32) for _ in range(2))
+    layers = (
+        Dense(weights[0], weights[0][:, 0], True),
+        Dense(weights[1], weights[1][:, 0], False),
+        LayerNorm(scale, shift),
+    )
+    encoder = Encoder(layers, (38,), np.full(38, 0.5, np.float32), np.full(38, 2.0, np.float32))
+    for x in random.normal(size=(20, 38)):
+        y = (x.astype(np.float32) - np.float32(0.5)) / np.float32(2.0)
+        y = np.maximum(y @ weights[0].T + weights[0][:, 0], np.float32(0.0))
+        y = y @ weights[1].T + weights[1][:, 0]
+        centred = y - y.mean(keepdims=True)
+        variance = np.einsum("i,i->", centred, centred) / np.float32(50)
+        expected = centred / np.sqrt(variance + EPSILON) * scale + shift
+        assert np.array_equal(encoder(x), expected.astype(np.float64))
