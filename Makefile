@@ -5,7 +5,7 @@ SHELL := /bin/bash
 RUN := set -eo pipefail; source scripts/workspace.bash;
 LINKED := ctrl_rl_core sim_bridge ctrl_rl_training ttr_reward_node oc_baseline_node koopman_lqr_controller option_coordinator ctrl_rl_bringup
 
-.PHONY: help setup build demo trials train ttr oc test test-all lint bench results clean
+.PHONY: help setup build demo trials train ttr oc options test test-all lint bench results clean
 
 help: ## say what there is
 	@grep -E '^[a-z-]+:.*##' Makefile | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 18
@@ -41,6 +41,11 @@ oc: build ## learn with every baseline of thesis 3.3, five seeds, and analyse; h
 	ros2 run oc_baseline_node analyse mismatch; \
 	ros2 run oc_baseline_node analyse mpc --learnt docs/results/oc_training_quad_navigation.json; \
 	ros2 run oc_baseline_node analyse gradient
+
+options: build ## learn joint options with every method of thesis 5.3, ten seeds; hours, may be cut off
+	@$(RUN) for task in tool_delivery water_filling; do \
+	ros2 run option_coordinator train --task $$task --methods all --seeds 10 --results docs/results/options_$$task.json $(ARGS); \
+	ros2 run option_coordinator training_figures docs/results/options_$$task.json; done
 
 test: build lint ## the tests, in about ten minutes
 	@$(RUN) python -m pytest -m "not slow" $(ARGS)

@@ -33,7 +33,9 @@ from koopman_lqr_controller.roll_outs import (
 
 HORIZON = 10
 """Steps that the model's error is told for."""
-_SEEDS = {"live": 3_000_000, "choose": 4_000_000, "report": 5_000_000, "measure": 6_000_000}
+REPORT_SEED = 5_000_000
+"""Where the seeds of fresh episodes begin that returns are reported on."""
+_SEEDS = {"live": 3_000_000, "choose": 4_000_000, "report": REPORT_SEED, "measure": 6_000_000}
 """Where the seeds of episodes begin: of those to learn from, to choose by, and to report returns and errors on."""
 
 
@@ -116,6 +118,7 @@ def consolidate(
     goal: bool = True,
     seed: int = 0,
     tick: Callable[[str], None] = lambda _: None,
+    reported: Sequence[Lived] | None = None,
 ) -> Consolidated:
     """Return the regulator that does what a learnt controller does.
 
@@ -126,6 +129,8 @@ def consolidate(
         goal: whether z_ref is a goal; else the middle of what the policy goes through takes its place.
         seed: of all episodes.
         tick: told what is done, once for each candidate.
+        reported: fresh episodes of the learnt controller from `REPORT_SEED` on, where there are some already; else it
+            is evaluated.
 
     Raises:
         KoopmanError: no candidate has a regulator, or the controller is consolidated already.
@@ -143,7 +148,8 @@ def consolidate(
     chosen = search.choose()
     found = chosen.regulator
     measured = search.measure(chosen.controller)
-    before, after = (search.report(each) for each in (learnt, chosen.controller))
+    before = search.report(learnt) if reported is None else reported
+    after = search.report(chosen.controller)
     figures = {
         "returns": [episode.total for episode in after],
         "outcomes": outcomes(after),

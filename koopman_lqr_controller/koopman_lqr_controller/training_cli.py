@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from ctrl_rl_core.command import run_command
+from ctrl_rl_core.command import check_least, run_command
 from ctrl_rl_core.results import write_results
 
 from koopman_lqr_controller.errors import KoopmanError
@@ -84,31 +84,23 @@ def consolidate(arguments: Sequence[str] | None = None) -> int:
 def _learn(options: argparse.Namespace, words: Sequence[str]) -> int:
     problem = find_problem(options.task)
     chunks, actions = options.chunks or problem.chunks, options.actions or problem.chunk
-    for name, least in (
-        ("seeds", 1),
-        ("workers", 0),
-        ("chunks", 0),
-        ("actions", 0),
-        ("episodes", 1),
-        ("consolidation", 5),
-    ):
-        if getattr(options, name) < least:
-            raise KoopmanError(f"--{name} must be at least {least}")
+    check_least(options, seeds=1, workers=0, chunks=0, actions=0, episodes=1, consolidation=5)
     changes = _changes(options.set)
     problem = problem.with_settings(**dict(changes))  # refuses what is wrong before torch, which takes seconds, is here
     from ctrl_rl_training.matrix import train_all
-    from ctrl_rl_training.run_folder import Options, result_file
+    from ctrl_rl_training.run_folder import result_file
 
-    from koopman_lqr_controller.training.finishing import CONSOLIDATED_FILE, collect, learn_and_consolidate
-    from koopman_lqr_controller.training.learner import LearningRun
+    from koopman_lqr_controller.training.course import CONSOLIDATED_FILE, LearningOptions
+    from koopman_lqr_controller.training.results import collect
+    from koopman_lqr_controller.training.runs import LearningRun, learn_one
 
     command = _command("learn", "--task", options.task, *(["--set", *options.set] if options.set else []), *words)
     runs = [
         LearningRun(problem.name, seed, changes, options.device, f"{command} --seeds {seed + 1}", options.consolidation)
         for seed in range(options.seeds)
     ]
-    how = Options(options.folder, chunks, actions, problem.evaluations, options.episodes)
-    results = train_all(runs, how, options.workers, problem.name, learn_and_consolidate, lambda best: f"{best:.1f}")
+    how = LearningOptions(options.folder, chunks, actions, problem.evaluations, options.episodes)
+    results = train_all(runs, how, options.workers, problem.name, learn_one)
     rows, figures = collect(problem, results)
     for row in rows:
         print(f"{row.method:<38} {row.metric:<32} {' '.join(f'{value:8.4g}' for value in row.values)}")
@@ -132,16 +124,20 @@ def _consolidate(options: argparse.Namespace, words: Sequence[str]) -> int:
     if options.output.exists() and not options.overwrite:
         raise KoopmanError(f"{options.output} exists: give another name, or ask to --overwrite it")
     problem = find_problem(str(load_latent(options.policy).manifest.get("task")))
+    environment = problem.make(False)
     sizes = {"sizes": tuple(options.latent)} if options.latent else {}
     plan = Plan.of(options.live, options.episodes, noise=options.noise, **sizes)
     command = _command("consolidate", options.policy.name, "--output", options.output.name, *words)
-    with tqdm(desc="consolidating", unit="candidate", disable=None) as bar:
+    try:
+        with tqdm(desc="consolidating", unit="candidate", disable=None) as bar:
 
-        def tick(what: str) -> None:
-            bar.set_postfix_str(what)
-            bar.update()
+            def tick(what: str) -> None:
+                bar.set_postfix_str(what)
+                bar.update()
 
-        policy, found = consolidate_policy(options.policy, problem, command, plan, options.seed, tick)
+            policy, found = consolidate_policy(options.policy, problem, environment, plan, command, options.seed, tick)
+    finally:
+        environment.close()
     save_policy(policy, options.output, overwrite=options.overwrite)
     _report(found, options.output)
     return 0

@@ -13,33 +13,32 @@ import numpy as np
 import pytest
 import torch
 from ctrl_rl_training.errors import TrainingError
-from ctrl_rl_training.run_folder import Options, result_file
+from ctrl_rl_training.run_folder import result_file
+from koopman_lqr_controller.consolidation import REPORT_SEED
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.policy_file import load_policy
 from koopman_lqr_controller.roll_outs import evaluate
 from koopman_lqr_controller.training.agent import Agent, Sight
-from koopman_lqr_controller.training.learner import LEARNT_FILE, POLICY_FILE, LearningRun, learn_one
+from koopman_lqr_controller.training.course import CONSOLIDATED_FILE, POLICY_FILE, LearningOptions
 from koopman_lqr_controller.training.problems import PROBLEMS
 from koopman_lqr_controller.training.replay import Transitions
+from koopman_lqr_controller.training.runs import LearningRun, learn_one
 from koopman_lqr_controller.training.settings import Settings
 
 TINY = (("batch", 16), ("first_steps", 30), ("hidden", 16), ("latent", 6))
-RUN = LearningRun("cartpole_swingup", 2, TINY, command="learn --task cartpole_swingup")
+RUN = LearningRun("cartpole_swingup", 2, TINY, command="learn --task cartpole_swingup", consolidation=0)
 
 
-def options(folder: Path, chunks: int = 3) -> Options:
-    return Options(folder, chunks, 40, 1, 2)
-
-
-def learnt_file(folder: Path) -> Path:
-    return result_file(folder, RUN).with_name(LEARNT_FILE)
+def options(folder: Path, chunks: int = 3) -> LearningOptions:
+    return LearningOptions(folder, chunks, 40, 1, 2)
 
 
 def learnt(folder: Path) -> tuple[dict, bytes]:
     """Return everything that the run leaves, but for what it took."""
-    result = json.loads(learnt_file(folder).read_text(encoding="utf-8"))
+    result = json.loads(result_file(folder, RUN).read_text(encoding="utf-8"))
     for point in result["curve"]:
         del point["seconds"], point["cpu_seconds"]
+    del result["cpu_seconds"]
     return result, result_file(folder, RUN).with_name(POLICY_FILE).read_bytes()
 
 
@@ -52,25 +51,26 @@ def cut_off(*_: object) -> None:
 
 
 def test_a_run_that_was_cut_off_ends_bit_by_bit_as_if_it_had_not_been(tmp_path: Path) -> None:
-    whole, cut = tmp_path / "whole", tmp_path / "cut"
-    learn_one(RUN, options(whole))
-    for _ in range(2):
+    """Between chunks, and between the last of them and consolidation."""
+    run, whole, cut = replace(RUN, consolidation=5), tmp_path / "whole", tmp_path / "cut"
+    learn_one(run, options(whole))
+    for _ in range(3):
         with pytest.raises(CutOffError):
-            learn_one(RUN, options(cut), cut_off)
-    assert not learnt_file(cut).exists()
-    learn_one(RUN, options(cut))
+            learn_one(run, options(cut), cut_off)
+    assert not result_file(cut, run).exists()
+    learn_one(run, options(cut))
     assert learnt(cut) == learnt(whole)
-    assert {file.name for file in result_file(cut, RUN).parent.iterdir()} == {LEARNT_FILE, POLICY_FILE}
+    left = [file.name for file in sorted(result_file(cut, run).parent.iterdir())]
+    assert left == [CONSOLIDATED_FILE, POLICY_FILE, "result.json"]
 
 
 def test_a_run_that_was_killed_goes_on_exactly(tmp_path: Path) -> None:
     whole, killed = tmp_path / "whole", tmp_path / "killed"
     learn_one(RUN, options(whole))
     program = (
-        "import sys; from pathlib import Path\nfrom ctrl_rl_training.run_folder import Options\n"
-        "from koopman_lqr_controller.training.learner import *\n"
-        f"learn_one(LearningRun({RUN.problem_name!r}, {RUN.seed}, {TINY!r}, command={RUN.command!r}), "
-        f"Options(Path({str(killed)!r}), 3, 40, 1, 2))"
+        "from pathlib import Path\nfrom koopman_lqr_controller.training.course import LearningOptions\n"
+        "from koopman_lqr_controller.training.runs import LearningRun, learn_one\n"
+        f"learn_one({RUN!r}, LearningOptions(Path({str(killed)!r}), 3, 40, 1, 2))"
     )
     process = subprocess.Popen([sys.executable, "-c", program])
     checkpoint = result_file(killed, RUN).with_name("checkpoint.safetensors")
@@ -87,33 +87,35 @@ def test_what_is_learnt_is_what_is_evaluated_and_says_where_it_comes_from(tmp_pa
     said = []
     result = learn_one(RUN, options(tmp_path), lambda run, done, best: said.append((run.name, done, best)))
     assert [done for _, done, _ in said] == [1, 2, 3]
-    assert said[-1][2] == result["best"]["return"] == max(max(p["actor"], p["averaged"]) for p in result["curve"])
+    best = result["best"]["return"]
+    assert said[-1][2] == f"{best:.1f}"
+    assert best == max(max(point["returns"].values()) for point in result["curve"])
     policy = load_policy(result_file(tmp_path, RUN).with_name(POLICY_FILE))
     assert policy.manifest["command"] == RUN.command
     assert policy.manifest["task_digest"] == RUN.problem.digest
     assert policy.manifest["settings"]["latent"] == 6
     environment = RUN.problem.make(False)
-    assert [episode.total for episode in evaluate(policy.controller, environment, 2, 2_000_000)] == result["returns"]
+    assert [episode.total for episode in evaluate(policy.controller, environment, 2, REPORT_SEED)] == result["returns"]
     assert evaluate(policy.controller, environment, 1, 1_000_000)[0].total == result["best"]["return"]
-    before = learnt_file(tmp_path).stat().st_mtime_ns
+    before = result_file(tmp_path, RUN).stat().st_mtime_ns
     assert learn_one(RUN, options(tmp_path)) == result
-    assert learnt_file(tmp_path).stat().st_mtime_ns == before
+    assert result_file(tmp_path, RUN).stat().st_mtime_ns == before
 
 
 def test_a_run_made_with_other_settings_is_not_taken(tmp_path: Path) -> None:
     with pytest.raises(CutOffError):
         learn_one(RUN, options(tmp_path), cut_off)
-    with pytest.raises(TrainingError, match=r"checkpoint\.safetensors: was made with chunks 3, now it is 2: use"):
+    with pytest.raises(TrainingError, match=r"checkpoint\.safetensors: was made with iterations 3, now it is 2: use"):
         learn_one(RUN, options(tmp_path, 2))
     learn_one(RUN, options(tmp_path))
-    with pytest.raises(TrainingError, match=r"learnt\.json: was made with chunks 3, now it is 2: use"):
+    with pytest.raises(TrainingError, match=r"result\.json: was made with iterations 3, now it is 2: use"):
         learn_one(RUN, options(tmp_path, 2))
 
 
 @pytest.mark.parametrize("change", [{"evaluations": 2}, {"final_evaluations": 3}])
 def test_a_run_that_was_evaluated_otherwise_is_not_taken(change: dict[str, int], tmp_path: Path) -> None:
     learn_one(RUN, options(tmp_path, 1))
-    with pytest.raises(TrainingError, match=r"learnt\.json: was made with .*evaluations"):
+    with pytest.raises(TrainingError, match=r"result\.json: was made with .*evaluations"):
         learn_one(RUN, replace(options(tmp_path, 1), **change))
 
 
@@ -127,7 +129,7 @@ def test_what_it_took_is_counted(tmp_path: Path) -> None:
 @pytest.mark.parametrize("cut", [False, True])
 def test_learning_ends_with_its_episodes(cut: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(PROBLEMS, RUN.problem_name, replace(PROBLEMS[RUN.problem_name], episodes=2))
-    longer = Options(tmp_path, 3, 150, 1, 2)
+    longer = LearningOptions(tmp_path, 3, 150, 1, 2)
     if cut:
         with pytest.raises(CutOffError):
             learn_one(RUN, longer, cut_off)
@@ -237,7 +239,7 @@ def test_a_device_that_is_not_there_is_named(tmp_path: Path) -> None:
 
 def test_learning_needs_no_other_library_of_learning() -> None:
     program = (
-        "import sys, koopman_lqr_controller.training.finishing, ctrl_rl_training.matrix\n"
+        "import sys, koopman_lqr_controller.training.runs, ctrl_rl_training.matrix\n"
         "sys.exit(any(name in sys.modules for name in ('stable_baselines3', 'pybullet', 'casadi')))"
     )
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
