@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 import torch
-from koopman_lqr_controller.encoder import Encoder
+from koopman_lqr_controller.encoder import Dense, Encoder
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.training.networks import TorchEncoder
 
@@ -61,3 +61,12 @@ def test_an_unknown_layer_is_named() -> None:
     description["layers"][1]["kind"] = "magic"
     with pytest.raises(KoopmanError, match="layer 1 is no dense"):
         Encoder.build(description, tensors)
+
+
+def test_an_inclusive_encoder_begins_with_the_normalised_observation() -> None:
+    layer = Dense(np.ones((2, 3), np.float32), np.zeros(2, np.float32), rectified=False)
+    encoder = Encoder((layer,), (3,), np.float32(1.0) * np.ones((), np.float32), np.full((), 2.0, np.float32), True)
+    x = np.array([[1.0, 3.0, 5.0], [1.0, 1.0, 1.0]])
+    assert encoder(x).tolist() == [[0.0, 1.0, 2.0, 3.0, 3.0], [0.0, 0.0, 0.0, 0.0, 0.0]]
+    description, tensors = encoder.describe()
+    assert np.array_equal(Encoder.build(description, tensors)(x), encoder(x))

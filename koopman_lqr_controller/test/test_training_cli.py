@@ -82,14 +82,15 @@ def test_consolidating_again_by_command(learnt: Path, tmp_path: Path, capsys: py
     ("arguments", "words"),
     [
         (["--set", "latnt=3"], "learn: no setting latnt: there are latent, "),
-        (["--set", "latent"], "learn: --set latent: must be NAME=VALUE with a number"),
-        (["--set", "latent=many"], "learn: --set latent=many: must be NAME=VALUE with a number"),
+        (["--set", "latent"], "learn: --set latent: must be NAME=VALUE"),
+        (["--set", "latent=many"], "learn: latent is 'many': must be a whole number"),
+        (["--set", "policy=best"], "learn: policy is best: must be lqr or network"),
         (["--set", "latent=3.5"], "learn: latent is 3.5: must be a whole number"),
         (["--set", "discount=2"], "learn: discount is 2.0: must be at most 1"),
-        (["--set", "noise=nan"], "learn: --set noise=nan: must be NAME=VALUE with a number"),
+        (["--set", "noise=nan"], "learn: noise is nan: must be positive"),
         (["--set", "learning_rate=1e999"], "learn: learning_rate is inf: must be positive"),
-        (["--seeds", "0"], "learn: --seeds must be at least 1"),
-        (["--chunks", "-1"], "learn: --chunks must be at least 0"),
+        (["--seeds", "0"], "learn: --seeds must be at least 1, not 0"),
+        (["--chunks", "-1"], "learn: --chunks must be at least 0, not -1"),
     ],
 )
 def test_what_is_wrong_is_said_in_one_line(

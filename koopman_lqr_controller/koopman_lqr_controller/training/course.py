@@ -15,8 +15,10 @@ from koopman_lqr_controller.consolidation import REPORT_SEED, Plan
 from koopman_lqr_controller.latent_controller import LatentController
 from koopman_lqr_controller.latent_policy import LatentPolicy
 from koopman_lqr_controller.policy_file import digest, save_policy
-from koopman_lqr_controller.roll_outs import Lived, evaluate, interaction, mean_return, outcomes
+from koopman_lqr_controller.prediction import horizon_errors, squared_error
+from koopman_lqr_controller.roll_outs import Episode, evaluate, interaction, mean_return, outcomes
 from koopman_lqr_controller.training.finishing import consolidate_policy, load_latent
+from koopman_lqr_controller.training.network_policy import NetworkPolicy
 from koopman_lqr_controller.training.problems import AnyEnvironment, Problem
 
 POLICY_FILE = "policy.safetensors"
@@ -63,7 +65,7 @@ class Learner(Protocol):
             Actions done and episodes begun.
         """
 
-    def candidates(self) -> dict[str, LatentController]:
+    def candidates(self) -> Mapping[str, LatentController | NetworkPolicy]:
         """Return what may be deployed now, by name; the first is what curves show."""
 
     def arrays(self) -> Arrays:
@@ -106,37 +108,62 @@ class Course:
         """Learn for one chunk, evaluate the candidates, and keep the best of them all.
 
         Returns:
-            `actions` and `episodes` so far, `steps` of the system, `returns` of the candidates, `best` return so far
-            and its `best_actions`, and what it took to find out: `evaluated`.
+            `actions` and `episodes` so far, `steps` of the system, `returns` and `model_errors` of the candidates (see
+            `model_errors`), `best` return so far and its `best_actions`, and what it took to find out: `evaluated`.
         """
         before = curve[-1] if curve else {"actions": 0, "episodes": 0}
         left = self._problem.episodes - before["episodes"] if self._problem.episodes else 0
         actions, episodes = self._learner.learn(len(curve), before["actions"], self._options.samples, left)
         done = before["actions"] + actions
-        returns, evaluated = self._evaluate(done)
+        returns, errors, evaluated = self._evaluate(done)
         return {
             "actions": done,
             "episodes": before["episodes"] + episodes,
             "steps": done * self._problem.repeat,
             "returns": returns,
+            "model_errors": errors,
             "best": self._best["return"],
             "best_actions": self._best["actions"],
             "evaluated": interaction(evaluated),
         }
 
-    def _evaluate(self, actions: int) -> tuple[dict[str, float], list[Lived]]:
+    def _evaluate(self, actions: int) -> tuple[dict[str, float], dict[str, float], list[Episode]]:
+        """Return returns and model errors of the candidates, and the episodes that this took."""
         returns: dict[str, float] = {}
-        lived: list[Lived] = []
+        errors: dict[str, float] = {}
+        everything: list[Episode] = []
         for name, controller in self._learner.candidates().items():
-            episodes = evaluate(controller, self._tested, self._options.evaluations, _EVALUATION_SEED)
-            lived += episodes
+            episodes = evaluate(controller, self._tested, self._options.evaluations, _EVALUATION_SEED, keep=True)
+            everything += episodes
             returns[name] = mean_return(episodes)
+            if isinstance(controller, LatentController):
+                errors[name] = model_errors(controller, episodes)["model_error"]
             if returns[name] > self._best["return"]:
-                self._best = {"return": returns[name], "actions": actions, "which": name}
-                wiring = getattr(self._tested, "wiring", None)
-                policy = LatentPolicy(controller, self._tested.dt, wiring, {**self._manifest, **self._best})
-                save_policy(policy, self._folder / POLICY_FILE, overwrite=True)
-        return returns, lived
+                self._best = {
+                    "return": returns[name],
+                    "actions": actions,
+                    "which": name,
+                    "kind": type(controller).__name__,
+                }
+                self._write(controller, {**self._manifest, **self._best})
+        return returns, errors, everything
+
+    def _write(self, controller: LatentController | NetworkPolicy, manifest: Mapping[str, Any]) -> None:
+        file = self._folder / POLICY_FILE
+        if isinstance(controller, NetworkPolicy):
+            replace(controller, manifest=manifest).save(file)
+        else:
+            wiring = getattr(self._tested, "wiring", None)
+            save_policy(LatentPolicy(controller, self._tested.dt, wiring, manifest), file, overwrite=True)
+
+    def _read(self) -> tuple[LatentController | NetworkPolicy, Mapping[str, Any]]:
+        """Return the best policy so far and its manifest."""
+        file = self._folder / POLICY_FILE
+        if self._best["kind"] == NetworkPolicy.__name__:
+            network = NetworkPolicy.load(file)
+            return network, network.manifest
+        policy = load_latent(file)
+        return policy.controller, policy.manifest
 
     def save(self, path: Path, progress: Mapping[str, Any], /) -> None:
         """Write a checkpoint."""
@@ -155,19 +182,21 @@ class Course:
 
         Returns:
             `best` (return, actions, which candidate), `interaction` (episodes and actions that were learnt from, and
-            those that the best was chosen by), of fresh episodes `returns` and `outcomes`, `consolidated` (the figures
-            of `Consolidated`, or None) and `digests` of the policies.
+            those that the best was chosen by), of fresh episodes `returns`, `outcomes` and, where there is a model,
+            what `model_errors` says, `consolidated` (the figures of `Consolidated`, or None) and `digests` of the
+            policies.
         """
-        file = folder / POLICY_FILE
-        policy = load_latent(file)
-        fresh = evaluate(policy.controller, self._tested, self._options.final_evaluations, REPORT_SEED)
-        last = {"returns": [episode.total for episode in fresh], "outcomes": outcomes(fresh)}
-        save_policy(replace(policy, manifest={**policy.manifest, **last}), file, overwrite=True)
-        files, consolidated = [file], None
-        if self._plan is not None:
-            files.append(folder / CONSOLIDATED_FILE)
-            found, consolidated = consolidate_policy(file, self._problem, self._tested, self._plan, reported=fresh)
-            save_policy(found, files[-1], overwrite=True)
+        file, files, consolidated = folder / POLICY_FILE, [POLICY_FILE], None
+        controller, manifest = self._read()
+        fresh = evaluate(controller, self._tested, self._options.final_evaluations, REPORT_SEED, keep=True)
+        last: dict[str, Any] = {"returns": [episode.total for episode in fresh], "outcomes": outcomes(fresh)}
+        self._write(controller, {**manifest, **last})
+        if isinstance(controller, LatentController):
+            last |= model_errors(controller, fresh)
+            if self._plan is not None and controller.horizon is not None:
+                found, consolidated = consolidate_policy(file, self._problem, self._tested, self._plan, reported=fresh)
+                save_policy(found, folder / CONSOLIDATED_FILE, overwrite=True)
+                files.append(CONSOLIDATED_FILE)
         tested = [point["evaluated"] for point in self._curve]
         learning = {name: self._curve[-1][name] for name in ("episodes", "actions")}
         choosing = {name: sum(each[name] for each in tested) for name in ("episodes", "actions")}
@@ -176,8 +205,22 @@ class Course:
             "interaction": {"learning": learning, "choosing": choosing},
             **last,
             "consolidated": consolidated,
-            "digests": {each.name: digest(each) for each in files},
+            "digests": {name: digest(folder / name) for name in files},
         }
+
+
+def model_errors(controller: LatentController, episodes: Sequence[Episode]) -> dict[str, float]:
+    """Return the one-step errors of a model on episodes without noise.
+
+    Returns:
+        `model_error`, the mean square over all latent components, and `error_over_persistence`, see `horizon_errors`.
+    """
+    z = [controller.project(episode.features) for episode in episodes]
+    actions = [episode.actions for episode in episodes]
+    return {
+        "model_error": squared_error(controller.predict, z, actions),
+        "error_over_persistence": horizon_errors(controller.predict, z, actions, 1)[0],
+    }
 
 
 def over(curve: Sequence[Point], problem: Problem) -> bool:

@@ -10,7 +10,7 @@ from koopman_lqr_controller.consolidation import Plan, consolidate
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.latent_policy import LatentPolicy
 from koopman_lqr_controller.policy_file import digest, load_policy
-from koopman_lqr_controller.roll_outs import Environment, Lived
+from koopman_lqr_controller.roll_outs import Environment, Episode
 from koopman_lqr_controller.training.problems import Problem
 
 
@@ -22,7 +22,7 @@ def consolidate_policy(
     command: str = "",
     seed: int = 0,
     tick: Callable[[str], None] = lambda _: None,
-    reported: Sequence[Lived] | None = None,
+    reported: Sequence[Episode] | None = None,
 ) -> tuple[LatentPolicy, dict[str, Any]]:
     """Return the consolidated form of a learnt policy, and its figures.
 

@@ -9,9 +9,10 @@ so that a run that goes on from its last checkpoint ends exactly as if it had no
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
+from functools import partial
 from typing import Any
 
 import torch
@@ -21,9 +22,10 @@ from ctrl_rl_training.run_folder import check_same, result_file
 from koopman_lqr_controller.consolidation import Plan
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.policy_file import digest
-from koopman_lqr_controller.training.course import Course, LearningOptions, over
+from koopman_lqr_controller.training.course import Course, Learner, LearningOptions, over
 from koopman_lqr_controller.training.learner import KoopmanLearner
 from koopman_lqr_controller.training.problems import Problem, find_problem
+from koopman_lqr_controller.training.two_stage_learner import TwoStageLearner
 
 
 @dataclass(frozen=True)
@@ -36,7 +38,8 @@ class LearningRun:
         changes: of the problem's `Settings`, by name.
         device: of the networks: "cpu", whose runs can be repeated exactly, or "cuda".
         command: that made it, for the policy file.
-        consolidation: episodes of each round of consolidation; 0 for none.
+        consolidation: episodes of each round of consolidation; 0 for none, and none unless an LQR was learnt.
+        learner: one of `methods.LEARNERS`.
     """
 
     problem_name: str
@@ -45,12 +48,14 @@ class LearningRun:
     device: str = "cpu"
     command: str = ""
     consolidation: int = 30
+    learner: str = "koopman"
 
     @property
     def name(self) -> str:
         """Its name, which is that of its folder too."""
+        learner = "" if self.learner == "koopman" else f"-{self.learner}"
         changes = "".join(f"-{name}_{value}" for name, value in self.changes)
-        return f"{self.problem_name}{changes}-s{self.seed}"
+        return f"{self.problem_name}{learner}{changes}-s{self.seed}"
 
     @property
     def problem(self) -> Problem:
@@ -68,6 +73,7 @@ class LearningRun:
         return {
             "task": problem.name,
             "task_digest": problem.digest,
+            "learner": self.learner,
             "seed": self.seed,
             "device": self.device,
             "settings": problem.settings.as_json(),
@@ -98,7 +104,8 @@ def learn_one(run: LearningRun, options: LearningOptions, report: Report = lambd
     torch.set_num_threads(1)
     if run.device != "cpu" and not torch.cuda.is_available():
         raise KoopmanError(f"device {run.device}: torch sees none; use cpu")
-    plan = Plan.of(run.consolidation, options.final_evaluations) if run.consolidation else None
+    regulated = run.learner == "koopman" and run.problem.settings.policy == "lqr"
+    plan = Plan.of(run.consolidation, options.final_evaluations) if run.consolidation and regulated else None
     terms = {
         **run.description,
         "iterations": options.iterations,
@@ -133,9 +140,23 @@ def learn_one(run: LearningRun, options: LearningOptions, report: Report = lambd
     return result
 
 
+def _sac(*terms: Any) -> Learner:
+    from koopman_lqr_controller.training.sac_learner import SacLearner  # its library is for no other learner
+
+    return SacLearner(*terms)
+
+
+_LEARNERS: Mapping[str, Callable[..., Learner]] = {
+    "koopman": KoopmanLearner,
+    "sac": _sac,
+    "two_stage": TwoStageLearner,
+    "edmd": partial(TwoStageLearner, learnt=False),
+}
+
+
 def _course(run: LearningRun, options: LearningOptions, plan: Plan | None, environment: Any, tested: Any) -> Course:
     capacity = 2 * options.iterations * options.samples
-    learner = KoopmanLearner(run.problem, environment, run.seed, capacity, run.device)
+    learner = _LEARNERS[run.learner](run.problem, environment, run.seed, capacity, run.device)
     manifest = {**run.description, "command": run.command}
     return Course(learner, run.problem, tested, options, result_file(options.folder, run).parent, manifest, plan)
 
