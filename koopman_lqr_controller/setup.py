@@ -17,6 +17,8 @@ setup(
     zip_safe=False,
     entry_points={
         "console_scripts": [
+            "compare = koopman_lqr_controller.compare_cli:compare",
+            "comparison_figures = koopman_lqr_controller.compare_cli:comparison_figures",
             "consolidate = koopman_lqr_controller.training_cli:consolidate",
             "controller = koopman_lqr_controller.node:main",
             "learn = koopman_lqr_controller.training_cli:learn",
