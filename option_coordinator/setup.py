@@ -7,7 +7,7 @@ setup(
     version="0.1.0",
     description="Grants options to robots that finish at different times (thesis 2.4 and 5).",
     license="Apache-2.0",
-    packages=[NAME],
+    packages=[NAME, f"{NAME}.tasks", f"{NAME}.training"],
     package_data={"option_coordinator": ["py.typed"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
@@ -15,4 +15,11 @@ setup(
     ],
     install_requires=["setuptools"],
     zip_safe=False,
+    entry_points={
+        "console_scripts": [
+            "replay = option_coordinator.cli:replay",
+            "train = option_coordinator.training.training_cli:train",
+            "training_figures = option_coordinator.training.training_cli:training_figures",
+        ],
+    },
 )

@@ -19,8 +19,19 @@ MAY_IMPORT = {
     "ctrl_rl_bringup": {"ctrl_rl_core", "sim_bridge", *METHODS},
 }
 ROS_PACKAGE = re.compile(r"rclpy|launch\w*|ament_index_python|\w+_(msgs|srvs|interfaces)")
-HEAVY = {"torch", "pybullet", "pybullet_data", "casadi", "gymnasium", "stable_baselines3", "sb3_contrib", "matplotlib"}
-HEAVY |= {"mujoco", "dm_control"}
+HEAVY = {
+    "torch",
+    "pybullet",
+    "pybullet_data",
+    "casadi",
+    "gymnasium",
+    "pettingzoo",
+    "stable_baselines3",
+    "sb3_contrib",
+    "matplotlib",
+    "mujoco",
+    "dm_control",
+}
 RUN_TIME_MODULES = (
     "ctrl_rl_core.recorder_node",
     "ctrl_rl_core.bag_cli",
@@ -32,10 +43,14 @@ RUN_TIME_MODULES = (
     "koopman_lqr_controller.node",
     "koopman_lqr_controller.scripted_driver_node",
     "koopman_lqr_controller.cli",
+    "koopman_lqr_controller.compare_cli",
     "koopman_lqr_controller.consolidation",
     "koopman_lqr_controller.analysis_cli",
     "koopman_lqr_controller.offline_cli",
     "koopman_lqr_controller.training_cli",
+    "option_coordinator.cli",
+    "option_coordinator.policy_file",
+    "option_coordinator.tasks",
     "ttr_reward_node.cli",
     "ttr_reward_node.node",
 )

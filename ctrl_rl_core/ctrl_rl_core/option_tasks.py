@@ -82,6 +82,6 @@ class WaterFilling(TaskHeader):
     drop_divisor: float = Field(gt=0)
     drop_deviation: float = Field(ge=0)
     episode_option_steps: int = Field(gt=0)
-    training_option_steps: int = Field(gt=0)
+    training_samples: int = Field(gt=0)
     batch_samples: int = Field(gt=0)
     level_offset: float = Field(gt=0)

@@ -22,10 +22,11 @@ from ctrl_rl_training.actor import Actor
 from ctrl_rl_training.algorithm_names import ALGORITHMS
 from ctrl_rl_training.environment import observation_scales
 from ctrl_rl_training.errors import TrainingError
-from ctrl_rl_training.run_folder import ROLL_OUT
 
 REWARD_SCALE = 0.01
 """Every reward is multiplied by it before learning, so that values are of the order of 1 to 10."""
+ROLL_OUT = 2048
+"""Samples between two updates of PPO; TRPO updates twice as often."""
 
 _GAMMA = 0.98
 _HIDDEN = (64, 64)

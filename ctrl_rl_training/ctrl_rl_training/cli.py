@@ -6,16 +6,27 @@ import argparse
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 from ctrl_rl_core.command import check_least
 from ctrl_rl_core.results import Result, ResultsError, write_results
-from ctrl_rl_core.tasks import NavigationTask, load_navigation_task, task_digest, task_names
+from ctrl_rl_core.tasks import NavigationTask, Task, load_navigation_task, task_digest, task_names
+
+from ctrl_rl_training.run_folder import Named
 
 if TYPE_CHECKING:
-    from ctrl_rl_training.training import Run
+    from ctrl_rl_training.training import Options
 
-AnyRun = TypeVar("AnyRun", bound="Run")
+
+class RunOfTask(Named, Protocol):
+    """A run that learns a task."""
+
+    @property
+    def task(self) -> Task:
+        """The task."""
+
+
+AnyRun = TypeVar("AnyRun", bound=RunOfTask)
 
 
 def add_run_options(parser: argparse.ArgumentParser, folder: Path, iterations: int) -> None:
@@ -42,6 +53,8 @@ def train_and_collect(
     title: str,
     collect: Callable[[Sequence[AnyRun], Path], tuple[list[Result], dict[str, Any]]],
     as_text: Callable[[list[Result]], str],
+    how: Any = None,
+    train: Callable[..., dict[str, Any]] | None = None,
 ) -> None:
     """Run what is not finished yet, print the table, and write it and the figures' data where that is asked for.
 
@@ -51,21 +64,28 @@ def train_and_collect(
         title: the experiment's name is this and the task's.
         collect: returns the rows and the figures' data of the runs that are finished in a folder.
         as_text: returns what is printed of the rows.
+        how: the runs go, see `train_all`; `Options` of Stable-Baselines3 unless given.
+        train: what learns, see `train_all`; with Stable-Baselines3 unless given.
 
     Raises:
         CtrlRlError: see `train_all`.
     """
     from ctrl_rl_training.matrix import train_all
-    from ctrl_rl_training.run_folder import Options
 
     task = runs[0].task
-    train_all(runs, Options(options.folder, options.iterations), options.workers, task.name)
+    train_all(runs, how or _usual(options), options.workers, task.name, train)
     rows, figures = collect(runs, options.folder)
     print(as_text(rows))
     if options.results is not None:
         terms = {"task": task.name, "task_digest": task_digest(task)}
         write_results(options.results, f"{title}_{task.name}", range(options.seeds), rows, {**terms, **figures})
         print(f"results    {options.results}")
+
+
+def _usual(options: argparse.Namespace) -> Options:
+    from ctrl_rl_training.training import Options  # its simulator and library are not for every run
+
+    return Options(options.folder, options.iterations)
 
 
 def add_figure_options(parser: argparse.ArgumentParser) -> None:

@@ -1,6 +1,8 @@
 """Many runs, as many at a time as there are cores; may be cut off at any time.
 
-results = train_all(runs, Options(Path("runs/mine")))
+    results = train_all(runs, Options(Path("runs/mine")))
+
+What a run is, and how it learns, is its own matter: `train_one` unless another function is given.
 """
 
 from __future__ import annotations
@@ -8,35 +10,43 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from functools import partial
+from pathlib import Path
 from queue import Empty
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 from ctrl_rl_core.lock import alone
 from ctrl_rl_core.workers import CONTEXT, in_processes
 from tqdm import tqdm
 
-from ctrl_rl_training.run_folder import Named, Options, Report, result_file
+from ctrl_rl_training.run_folder import Named, result_file
 
 
-class Train(Protocol):
-    """One run from beginning to end, or on from where it was cut off, or read; importable by name."""
+class HowRunsGo(Protocol):
+    """How runs go, as far as it matters here."""
 
-    def __call__(self, run: Any, options: Options, report: Report = ..., /) -> dict[str, Any]:
-        """Return the result, see `ctrl_rl_training.training.train_one`."""
+    @property
+    def folder(self) -> Path:
+        """Where each has a folder of its own."""
+
+    @property
+    def iterations(self) -> int:
+        """How many reports each makes."""
 
 
-def percent(value: float) -> str:
-    """Return a success rate as progress shows it."""
-    return f"{100 * value:.0f} %"
+AnyRun = TypeVar("AnyRun", bound=Named)
+How = TypeVar("How", bound=HowRunsGo)
+Report = Callable[[AnyRun, int, float | str], None]
+"""What is told of an iteration: the run, the iterations done, and a success rate or other words on how it goes."""
+Train = Callable[[AnyRun, How, Report[AnyRun]], dict[str, Any]]
+"""Learns, or reads what is finished; see `train_one`."""
 
 
 def train_all(
-    runs: Sequence[Named],
-    options: Options,
+    runs: Sequence[AnyRun],
+    options: How,
     workers: int = 0,
     title: str = "training",
-    train: Train | None = None,
-    say: Callable[[float], str] = percent,
+    train: Train[AnyRun, How] | None = None,
 ) -> list[dict[str, Any]]:
     """Run what is not finished yet and return the results of all, see `train_one`.
 
@@ -47,43 +57,43 @@ def train_all(
         options: of all.
         workers: runs at a time; 0 for one for each core.
         title: of the progress bar, and of the lock that keeps a second call with it out of the folder.
-        train: what one run is; `train_one` unless given.
-        say: how progress shows what a run reports.
+        train: what learns, importable by name; `train_one` unless given.
 
     Raises:
         LockError: another call works in the folder.
         CtrlRlError: a run refuses, or a worker was killed.
     """
-    if train is None:
-        from ctrl_rl_training.training import train_one  # imports Stable-Baselines3, which takes seconds
-
-        train = train_one
+    train = train or _train_one()
     todo = [run for run in runs if not result_file(options.folder, run).is_file()]
     options.folder.mkdir(parents=True, exist_ok=True)
     with alone(options.folder / f".{title}.lock"):
         if todo:
-            _run(todo, options, min(len(todo), workers or os.cpu_count() or 1), title, train, say)
-        return [train(run, options) for run in runs]
+            _run(todo, options, min(len(todo), workers or os.cpu_count() or 1), title, train)
+        return [train(run, options, lambda *_: None) for run in runs]
 
 
-def _run(
-    todo: Sequence[Named], options: Options, workers: int, title: str, train: Train, say: Callable[[float], str]
-) -> None:
+def _train_one() -> Train[Any, Any]:
+    from ctrl_rl_training.training import train_one  # its simulator and library are not for every run
+
+    return train_one
+
+
+def _run(todo: Sequence[AnyRun], options: How, workers: int, title: str, train: Train[AnyRun, How]) -> None:
     reports: Any = CONTEXT.Queue()
     with tqdm(total=len(todo) * options.iterations, desc=title, unit="iteration", mininterval=5.0) as bar:
-        work, show = partial(_train, options=options, train=train), partial(_show, bar, reports, say)
+        work, show = partial(_train, options=options, train=train), partial(_show, bar, reports)
         for _ in in_processes(work, todo, workers, _begin_worker, (reports,), show):
             show()
 
 
-def _show(bar: tqdm[Any], reports: Any, say: Callable[[float], str]) -> None:
+def _show(bar: tqdm[Any], reports: Any) -> None:
     while True:
         try:
-            name, done, value = reports.get_nowait()
+            name, done, how = reports.get_nowait()
         except Empty:
             return
         bar.update(min(1, int(bar.total or 0) - bar.n))
-        bar.set_postfix_str(f"{name} {done}: {say(value)}")
+        bar.set_postfix_str(f"{name} {done}: {how if isinstance(how, str) else f'{100 * how:.0f} %'}")
 
 
 _worker: dict[str, Any] = {}
@@ -93,8 +103,8 @@ def _begin_worker(reports: Any) -> None:
     _worker["reports"] = reports
 
 
-def _train(run: Named, options: Options, train: Train) -> None:
-    def report(run: Named, done: int, value: float) -> None:
-        _worker["reports"].put((run.name, done, value))
+def _train(run: AnyRun, options: How, train: Train[AnyRun, How]) -> None:
+    def report(run: AnyRun, done: int, how: float | str) -> None:
+        _worker["reports"].put((run.name, done, how))
 
     train(run, options, report)

@@ -7,12 +7,12 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
-from ctrl_rl_core.results import ResultsError
+import numpy as np
+from ctrl_rl_core.results import Result, ResultsError
 
-from ctrl_rl_training.run_folder import result_file
-from ctrl_rl_training.training import Run
+from ctrl_rl_training.run_folder import Named, read_result, result_file
 
-AnyRun = TypeVar("AnyRun", bound=Run)
+AnyRun = TypeVar("AnyRun", bound=Named)
 GOOD = 0.9
 """Success that counts as learnt (thesis 3.2.3)."""
 
@@ -25,13 +25,13 @@ def finished_runs(
     for run in todo:
         file = result_file(folder, run)
         if file.is_file():
-            runs.setdefault(label(run), []).append((run, json.loads(file.read_text(encoding="utf-8"))))
+            runs.setdefault(label(run), []).append((run, read_result(file)))
     return runs
 
 
-def samples_to(curve: Sequence[Mapping[str, Any]]) -> float | None:
-    """Return after how many samples the evaluation first was `GOOD` and the next one too; None if it never was."""
-    good = [point["evaluation"] >= GOOD for point in curve]
+def samples_to(curve: Sequence[Mapping[str, Any]], key: str = "evaluation", least: float = GOOD) -> float | None:
+    """Return after how many samples what `key` names first was enough and the next was too; None if it never was."""
+    good = [point[key] >= least for point in curve]
     for index, point in enumerate(curve):
         if good[index] and (index + 1 == len(curve) or good[index + 1]):
             return float(point["samples"])
@@ -45,6 +45,27 @@ def curves(results: Sequence[Mapping[str, Any]], **names: str) -> dict[str, list
     for name, key in names.items():
         out[name] = [[point[key] for point in result["curve"][:length]] for result in results]
     return out
+
+
+def as_table(rows: Sequence[Result], labels: Mapping[str, str]) -> str:
+    """Return rows as text: mean and standard deviation over the seeds, and the thesis's figure.
+
+    Args:
+        rows: of results.
+        labels: of methods, for those whose own name does not say enough.
+    """
+    head = ("method", "metric", "ours", "thesis")
+    lines = [head, *(_cells(row, labels.get(row.method, row.method)) for row in rows)]
+    widths = [max(len(line[column]) for line in lines) for column in range(len(head))]
+    return "\n".join(
+        f"{method:<{widths[0]}}   {metric:<{widths[1]}}   {ours:>{widths[2]}}   {thesis}".rstrip()
+        for method, metric, ours, thesis in lines
+    )
+
+
+def _cells(row: Result, label: str) -> tuple[str, str, str, str]:
+    ours = f"{np.mean(row.values):.4g} ± {np.std(row.values):.2g}"
+    return label, row.metric, ours, "" if row.thesis is None else f"{row.thesis:g}"
 
 
 def read_figures(file: Path, parts: Sequence[str]) -> dict[str, Any]:

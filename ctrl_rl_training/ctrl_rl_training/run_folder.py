@@ -1,49 +1,21 @@
-"""What all kinds of runs have in common: a name, a folder, how long they go, and when what lies there may be taken."""
+"""Where a run leaves what it learnt."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Protocol
 
 from ctrl_rl_training.errors import TrainingError
 
-ROLL_OUT = 2048
-"""Samples between two updates of PPO; TRPO updates twice as often."""
-ITERATION = 5 * ROLL_OUT
-"""Samples of an iteration."""
-
 
 class Named(Protocol):
-    """Anything that is run and has a folder of its own."""
+    """A run, as far as its folder matters."""
 
     @property
     def name(self) -> str:
         """Name of it, and of its folder."""
-
-
-@dataclass(frozen=True)
-class Options:
-    """How runs go.
-
-    Attributes:
-        folder: where each has a folder of its own.
-        iterations: how many.
-        samples: of an iteration.
-        evaluations: episodes after each iteration.
-        final_evaluations: episodes after the last one.
-    """
-
-    folder: Path
-    iterations: int = 10
-    samples: int = ITERATION
-    evaluations: int = 20
-    final_evaluations: int = 50
-
-
-Report = Callable[[Any, int, float], None]
-"""What is told of an iteration: the run, the iterations done, and how the evaluation went, as a success rate."""
 
 
 def result_file(folder: Path, run: Named) -> Path:
@@ -51,11 +23,25 @@ def result_file(folder: Path, run: Named) -> Path:
     return folder / run.name / "result.json"
 
 
-def check_same(file: Path, before: Mapping[str, Any], now: Mapping[str, Any]) -> None:
-    """Refuse a file that was made with other terms than those of now.
+def read_result(file: Path) -> dict[str, Any]:
+    """Return what a finished run left, see `result_file`: at least its `run` and its `curve`.
 
     Raises:
-        TrainingError: it was; the message says which.
+        TrainingError: the file is damaged.
+    """
+    try:
+        result = json.loads(file.read_text(encoding="utf-8"))
+        len(result["curve"]), result["run"].items()
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        raise TrainingError(f"{file}: is not what a finished run leaves: delete it to have it learnt again") from None
+    return dict(result)
+
+
+def check_same(file: Path, before: Mapping[str, Any], now: Mapping[str, Any]) -> None:
+    """Refuse a file of a run that was another one.
+
+    Raises:
+        TrainingError: names the first difference.
     """
     for name, value in now.items():
         if before.get(name) != value:

@@ -2,39 +2,46 @@
 
     result = train_one(run, Options(Path("runs/mine")))        # run: see `Run`
 
-It goes in iterations, see `Options`. Each begins with fresh episodes and draws its random numbers from the seed
+It goes in iterations of `ITERATION` samples. Each begins with fresh episodes and draws its random numbers from the seed
 and its own number, so that a run that goes on from its last checkpoint ends exactly as if it had not been cut off.
 """
 
 from __future__ import annotations
 
-import json
-import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import torch
 from ctrl_rl_core.outcome import Outcome
 from ctrl_rl_core.tasks import NavigationTask, task_digest
-from ctrl_rl_core.whole_file import write_whole
 from numpy.typing import NDArray
 from stable_baselines3 import DDPG
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 
 from ctrl_rl_training.actor import Actor
-from ctrl_rl_training.algorithms import extract_actor
+from ctrl_rl_training.algorithms import ROLL_OUT, extract_actor
+from ctrl_rl_training.checkpoint import load_checkpoint, save_checkpoint
 from ctrl_rl_training.environment import DEPLOYED_RATE, Environment, observation_names
-from ctrl_rl_training.run_folder import Named, Options, Report, check_same, result_file
-from ctrl_rl_training.sb3_checkpoint import load_checkpoint, save_checkpoint
+from ctrl_rl_training.resumable import Point, resumable
 from ctrl_rl_training.visits import Visits
 
+ITERATION = 5 * ROLL_OUT
+"""Samples of an iteration."""
 _EVALUATION_SEED = 1_000_000
 _SUCCESS = Outcome.GOAL.name
 
 
-class Run(Named, Protocol):
+class Run(Protocol):
     """What is learnt: everything about it, and nothing that cannot be sent to another process."""
+
+    @property
+    def name(self) -> str:
+        """Name of it, and of its folder."""
 
     @property
     def seed(self) -> int:
@@ -58,6 +65,29 @@ class Run(Named, Protocol):
         """Return what else the curve shall say, as JSON; called after each iteration."""
 
 
+@dataclass(frozen=True)
+class Options:
+    """How runs go.
+
+    Attributes:
+        folder: where each has a folder of its own.
+        iterations: how many.
+        samples: of an iteration.
+        evaluations: episodes after each iteration.
+        final_evaluations: episodes after the last one.
+    """
+
+    folder: Path
+    iterations: int = 10
+    samples: int = ITERATION
+    evaluations: int = 20
+    final_evaluations: int = 50
+
+
+Report = Callable[[Run, int, float], None]
+"""What is told of an iteration: the run, the iterations done, and the success rate of the evaluation."""
+
+
 def train_one(run: Run, options: Options, report: Report = lambda *_: None) -> dict[str, Any]:
     """Learn, or go on where an earlier call was cut off; a finished run is read, never computed again.
 
@@ -77,70 +107,90 @@ def train_one(run: Run, options: Options, report: Report = lambda *_: None) -> d
     Raises:
         CtrlRlError: the run asks for what is not there, or its checkpoint cannot be used.
     """
-    finished = result_file(options.folder, run)
-    if finished.is_file():
-        result: dict[str, Any] = json.loads(finished.read_text(encoding="utf-8"))
-        before = {**result["run"], "iterations": len(result["curve"])}
-        check_same(finished, before, {**_terms(run), "iterations": options.iterations})
-        return result
+    return resumable(
+        run,
+        options.folder,
+        options.iterations,
+        _terms(run),
+        lambda: _learning(run, options),
+        lambda done, point: report(run, done, point["evaluation"]),
+    )
+
+
+@contextmanager
+def _learning(run: Run, options: Options) -> Iterator[_Learning]:
     torch.set_num_threads(1)
     model = run.model(options.samples * options.iterations)
     test_environment = run.environment()
     try:
-        curve, visits = _learn(run, options, report, model, test_environment)
+        yield _Learning(run, options, model, test_environment)
     finally:
         test_environment.close()
         if model.env is not None:
             model.env.close()
-    manifest = {
-        **_terms(run),
-        "observation": observation_names(run.task),
-        "commands": list(run.task.robot.commands),
-    }
-    return _finish(run, options, extract_actor(model, run.task, manifest), curve, visits)
 
 
-def _learn(
-    run: Run,
-    options: Options,
-    report: Report,
-    model: BaseAlgorithm,
-    test_environment: Environment,
-) -> tuple[list[dict[str, Any]], Visits]:
-    checkpoint = options.folder / run.name / "checkpoint.safetensors"
-    checkpoint.parent.mkdir(parents=True, exist_ok=True)
-    curve: list[dict[str, Any]] = []
-    visits = Visits(run.task)
-    if checkpoint.is_file():
-        progress, arrays = load_checkpoint(checkpoint, model)
-        check_same(checkpoint, progress["run"], _terms(run))
-        curve, visits = progress["curve"], visits.with_counts(arrays)
-    while len(curve) < options.iterations:
-        begin = time.perf_counter()
-        seed = _seed_of(run.seed, len(curve))
-        outcomes = _iterate(model, seed, options.samples, visits)
+class _Learning:
+    """An algorithm of Stable-Baselines3 as `resumable` wants it."""
+
+    def __init__(self, run: Run, options: Options, model: BaseAlgorithm, test_environment: Environment) -> None:
+        self._run = run
+        self._options = options
+        self._model = model
+        self._test_environment = test_environment
+        self._visits = Visits(run.task)
+
+    def iterate(self, curve: Sequence[Point], /) -> Point:
+        run, model, options = self._run, self._model, self._options
+        outcomes = _iterate(model, _seed_of(run.seed, len(curve)), options.samples, self._visits)
         actor = extract_actor(model, run.task, {})
-        tested = evaluate(actor, test_environment, options.evaluations, _EVALUATION_SEED)
-        success = _rate([episode.outcome for episode in tested])
-        curve.append(
-            {
-                "samples": model.num_timesteps,
-                "episodes": len(outcomes),
-                "ended": _count(outcomes),
-                "evaluation": success,
-                "return": float(np.mean([episode.total for episode in tested])) if tested else 0.0,
-                "notes": run.notes(model),
-                "seconds": round(time.perf_counter() - begin, 2),
-            }
-        )
-        visits.end_iteration()
-        save_checkpoint(checkpoint, model, {"run": _terms(run), "curve": curve}, visits.counts())
-        report(run, len(curve), success)
-    return curve, visits
+        tested = evaluate(actor, self._test_environment, options.evaluations, _EVALUATION_SEED)
+        self._visits.end_iteration()
+        return {
+            "samples": model.num_timesteps,
+            "episodes": len(outcomes),
+            "ended": _count(outcomes),
+            "evaluation": _rate([episode.outcome for episode in tested]),
+            "return": float(np.mean([episode.total for episode in tested])) if tested else 0.0,
+            "notes": run.notes(model),
+        }
+
+    def save(self, path: Path, progress: Mapping[str, Any], /) -> None:
+        save_checkpoint(path, self._model, progress, self._visits.counts())
+
+    def load(self, path: Path, /) -> dict[str, Any]:
+        progress, arrays = load_checkpoint(path, self._model)
+        self._visits = self._visits.with_counts(arrays)
+        return progress
+
+    def finish(self, folder: Path, /) -> dict[str, Any]:
+        """Evaluate at the rate of the deployed robots, and write policy and visits."""
+        run = self._run
+        manifest = {
+            **_terms(run),
+            "observation": observation_names(run.task),
+            "commands": list(run.task.robot.commands),
+        }
+        actor = extract_actor(self._model, run.task, manifest)
+        environment = run.environment(DEPLOYED_RATE)
+        try:
+            episodes = evaluate(actor, environment, self._options.final_evaluations, 2 * _EVALUATION_SEED)
+        finally:
+            environment.close()
+        actor.save(folder / "policy.safetensors")
+        self._visits.save(folder / "visits.safetensors")
+        outcomes = [episode.outcome for episode in episodes]
+        lasted = [len(episode.states) - 1 for episode in episodes if episode.outcome == _SUCCESS]
+        return {
+            "success": _rate(outcomes),
+            "ended": _count(outcomes),
+            "seconds_to_goal": float(np.mean(lasted)) * run.task.episode.time_step if lasted else None,
+            "returns": [episode.total for episode in episodes],
+            "paths": [{"outcome": one.outcome, "states": one.states.round(4).tolist()} for one in episodes[:3]],
+        }
 
 
 def _terms(run: Run) -> dict[str, Any]:
-    """Return what must be the same for a run to go on, or to be taken as it is."""
     return {**run.description, "task_digest": task_digest(run.task)}
 
 
@@ -209,38 +259,6 @@ def evaluate(actor: Actor, environment: Environment, episodes: int, seed: int) -
             over = terminated or truncated
         found.append(EvaluatedEpisode(info["outcome"], np.array(states), total))
     return found
-
-
-def _finish(
-    run: Run,
-    options: Options,
-    actor: Actor,
-    curve: list[dict[str, Any]],
-    visits: Visits,
-) -> dict[str, Any]:
-    """Evaluate at the rate of the deployed robots, write everything, the result last, and drop the checkpoint."""
-    environment = run.environment(DEPLOYED_RATE)
-    try:
-        episodes = evaluate(actor, environment, options.final_evaluations, 2 * _EVALUATION_SEED)
-    finally:
-        environment.close()
-    outcomes = [episode.outcome for episode in episodes]
-    lasted = [len(episode.states) - 1 for episode in episodes if episode.outcome == _SUCCESS]
-    result = {
-        "run": _terms(run),
-        "curve": curve,
-        "success": _rate(outcomes),
-        "ended": _count(outcomes),
-        "seconds_to_goal": float(np.mean(lasted)) * run.task.episode.time_step if lasted else None,
-        "returns": [episode.total for episode in episodes],
-        "paths": [{"outcome": one.outcome, "states": one.states.round(4).tolist()} for one in episodes[:3]],
-    }
-    file = result_file(options.folder, run)
-    actor.save(file.with_name("policy.safetensors"))
-    visits.save(file.with_name("visits.safetensors"))
-    write_whole(file, json.dumps(result) + "\n")
-    file.with_name("checkpoint.safetensors").unlink(missing_ok=True)
-    return result
 
 
 def _rate(outcomes: list[str]) -> float:

@@ -2,7 +2,7 @@
 
 What learning leaves is a gain after a few Riccati iterations, on a model that serves the gain more than prediction: the
 closed loop of that model is often not even stable. Consolidation keeps the encoder and what the policy does, and makes
-the rest true. It lives through noisy episodes and refits A and B to them by least squares. It finds diagonal Q and R
+the rest true. It runs noisy episodes and refits A and B to them by least squares. It finds diagonal Q and R
 whose infinite-horizon gain does the same as the policy (inverse LQR), in units of actions: what is deployed is that
 law, cut off at -1 and 1, so that the loop of the proof is the loop that runs. It takes as few latent dimensions as keep
 the return and predict. What comes out proves itself: its gain is computed from A, B, Q, R whenever it is loaded.
@@ -19,10 +19,11 @@ import numpy as np
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.latent_controller import LatentController
 from koopman_lqr_controller.prediction import horizon_errors
+from koopman_lqr_controller.region import Region, region_of_episodes
 from koopman_lqr_controller.regulators import LARGEST_RESIDUAL, Refit, Regulator
 from koopman_lqr_controller.roll_outs import (
     Environment,
-    Lived,
+    Episode,
     evaluate,
     interaction,
     mean_return,
@@ -33,7 +34,9 @@ from koopman_lqr_controller.roll_outs import (
 
 HORIZON = 10
 """Steps that the model's error is told for."""
-_SEEDS = {"live": 3_000_000, "choose": 4_000_000, "report": 5_000_000, "measure": 6_000_000}
+REPORT_SEED = 5_000_000
+"""Where the seeds of fresh episodes begin that returns are reported on."""
+_SEEDS = {"fit": 3_000_000, "choose": 4_000_000, "report": REPORT_SEED, "measure": 6_000_000}
 """Where the seeds of episodes begin: of those to learn from, to choose by, and to report returns and errors on."""
 
 
@@ -42,7 +45,7 @@ class Plan:
     """How is consolidated.
 
     Attributes:
-        episodes: lived through in each round; a fifth is kept from the fit, to choose by the model's error.
+        episodes: of each round; a fifth is kept from the fit, to choose by the model's error.
         noise: largest standard deviation added to u, the least is none.
         rounds: the first with the learnt policy, the others with the best candidate so far, which the learnt policy
             tells what it would have done.
@@ -76,10 +79,12 @@ class Consolidated:
 
     Attributes:
         controller: with the infinite horizon.
+        region: of the noisy episodes that its model was fitted to and chosen by.
         figures: learnt and consolidated returns, and what control theory says, as JSON.
     """
 
     controller: LatentController
+    region: Region
     figures: dict[str, Any]
 
 
@@ -116,6 +121,7 @@ def consolidate(
     goal: bool = True,
     seed: int = 0,
     tick: Callable[[str], None] = lambda _: None,
+    reported: Sequence[Episode] | None = None,
 ) -> Consolidated:
     """Return the regulator that does what a learnt controller does.
 
@@ -126,6 +132,8 @@ def consolidate(
         goal: whether z_ref is a goal; else the middle of what the policy goes through takes its place.
         seed: of all episodes.
         tick: told what is done, once for each candidate.
+        reported: fresh episodes of the learnt controller from `REPORT_SEED` on, where there are some already; else it
+            is evaluated.
 
     Raises:
         KoopmanError: no candidate has a regulator, or the controller is consolidated already.
@@ -136,14 +144,15 @@ def consolidate(
     search = _Search(learnt, environment, plan, seed, tick)
     acting = learnt
     for index in range(plan.rounds):
-        search.live(acting, index)
+        search.run(acting, index)
         refit = Refit(learnt, search.seen, plan.ridge, goal)
         search.try_out(refit)
         acting = max(search.tried, key=lambda candidate: candidate.score).controller
     chosen = search.choose()
     found = chosen.regulator
     measured = search.measure(chosen.controller)
-    before, after = (search.report(each) for each in (learnt, chosen.controller))
+    before = search.report(learnt) if reported is None else reported
+    after = search.report(chosen.controller)
     figures = {
         "returns": [episode.total for episode in after],
         "outcomes": outcomes(after),
@@ -162,13 +171,13 @@ def consolidate(
             "spectral_radius": learnt.spectral_radius,
             "error_over_persistence": _errors(learnt, measured)[0],
         },
-        "interaction": interaction(search.all_lived),
+        "interaction": interaction(search.all_episodes),
         "candidates": [each.row() for each in search.tried],
     }
-    return Consolidated(chosen.controller, figures)
+    return Consolidated(chosen.controller, search.region(chosen.controller), figures)
 
 
-def proof(controller: LatentController, lived: Sequence[Lived]) -> dict[str, Any]:
+def proof(controller: LatentController, episodes: Sequence[Episode]) -> dict[str, Any]:
     """Return what shows that a controller is the LQR of its own model, and that the model predicts.
 
     Raises:
@@ -177,7 +186,7 @@ def proof(controller: LatentController, lived: Sequence[Lived]) -> dict[str, Any
     if not (controller.spectral_radius < 1.0 and controller.residual < LARGEST_RESIDUAL):
         found = f"spectral radius {controller.spectral_radius:.4f}, Riccati residual {controller.residual:.1e}"
         raise KoopmanError(f"{found}: not the regulator of its own model")
-    errors = _errors(controller, lived)
+    errors = _errors(controller, episodes)
     return {
         "spectral_radius": controller.spectral_radius,
         "dare_residual": controller.residual,
@@ -187,7 +196,7 @@ def proof(controller: LatentController, lived: Sequence[Lived]) -> dict[str, Any
 
 
 class _Search:
-    """What was lived through and tried out so far."""
+    """The episodes so far, and what was tried out."""
 
     def __init__(
         self,
@@ -199,23 +208,23 @@ class _Search:
     ) -> None:
         self._learnt, self._environment, self._plan, self._tick = learnt, environment, plan, tick
         self._first = {name: base + 10_000 * seed for name, base in _SEEDS.items()}
-        self._lived: list[Lived] = []
+        self._episodes: list[Episode] = []
         self.tried: list[_Candidate] = []
-        self.all_lived: list[Lived] = []
+        self.all_episodes: list[Episode] = []
         self.learnt_score = self._score(learnt)
 
     @property
-    def seen(self) -> list[Lived]:
+    def seen(self) -> list[Episode]:
         """What models are fitted to; every fifth episode is kept from them."""
-        return [episode for number, episode in enumerate(self._lived) if number % 5]
+        return [episode for number, episode in enumerate(self._episodes) if number % 5]
 
-    def live(self, acting: LatentController, index: int) -> None:
-        """Live through the episodes of a round."""
-        self._tick(f"living through {self._plan.episodes} episodes")
+    def run(self, acting: LatentController, index: int) -> None:
+        """Run the episodes of a round."""
+        self._tick(f"{self._plan.episodes} episodes")
         noises = np.linspace(0.0, self._plan.noise, self._plan.episodes).tolist()
-        fresh = noisy_roll_outs(acting, self._environment, noises, self._first["live"] + 1000 * index)
-        self._lived += fresh
-        self.all_lived += fresh
+        fresh = noisy_roll_outs(acting, self._environment, noises, self._first["fit"] + 1000 * index)
+        self._episodes += fresh
+        self.all_episodes += fresh
 
     def try_out(self, refit: Refit) -> None:
         """Try one regulator after the other, until one keeps the return and predicts.
@@ -252,7 +261,7 @@ class _Search:
 
         return max(tried, key=rank)
 
-    def measure(self, chosen: LatentController) -> list[Lived]:
+    def measure(self, chosen: LatentController) -> list[Episode]:
         """Return fresh noisy episodes of the learnt and the chosen controller, that nothing was chosen by."""
         noises = np.linspace(0.0, self._plan.noise, max(2, self._plan.episodes // 5)).tolist()
         first = self._first["measure"]
@@ -262,20 +271,25 @@ class _Search:
             for episode in noisy_roll_outs(each, self._environment, noises, first + 1000 * index)
         ]
 
-    def report(self, controller: LatentController) -> list[Lived]:
+    def region(self, controller: LatentController) -> Region:
+        """Return where a controller may be trusted: what the noisy episodes went through."""
+        z = [controller.project(episode.features) for episode in self._episodes]
+        return region_of_episodes(controller.predict, z, [episode.actions for episode in self._episodes])
+
+    def report(self, controller: LatentController) -> list[Episode]:
         """Return fresh episodes without noise."""
         return evaluate(controller, self._environment, self._plan.report, self._first["report"])
 
     def _score(self, controller: LatentController) -> float:
         episodes = evaluate(controller, self._environment, self._plan.candidates, self._first["choose"])
-        self.all_lived += episodes
+        self.all_episodes += episodes
         return mean_return(episodes)
 
     def _error(self, controller: LatentController) -> float:
-        return _errors(controller, self._lived[::5])[0]
+        return _errors(controller, self._episodes[::5])[0]
 
 
-def _errors(model: LatentController | Refit, lived: Sequence[Lived]) -> list[float]:
+def _errors(model: LatentController | Refit, episodes: Sequence[Episode]) -> list[float]:
     """Return the errors over persistence after 1, 2, ... steps, in what the model predicts."""
-    z = [model.project(episode.features) for episode in lived]
-    return horizon_errors(model.predict, z, [episode.actions for episode in lived], HORIZON)
+    z = [model.project(episode.features) for episode in episodes]
+    return horizon_errors(model.predict, z, [episode.actions for episode in episodes], HORIZON)

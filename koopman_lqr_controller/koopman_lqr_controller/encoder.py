@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
@@ -136,12 +136,14 @@ class Encoder:
         shape: of one observation.
         middle: what becomes 0, in the observation's units; broadcasts to `shape`.
         unit: what becomes 1 above it.
+        inclusive: whether the normalised observation, a vector, comes first in z and the layers' outputs after it.
     """
 
     layers: Sequence[Layer]
     shape: tuple[int, ...]
     middle: Weights
     unit: Weights
+    inclusive: bool = False
 
     def __post_init__(self) -> None:
         arrays = [self.middle, self.unit]
@@ -160,10 +162,17 @@ class Encoder:
         given = np.asarray(x, dtype=np.float32)
         if given.shape[-len(self.shape) :] != self.shape:
             raise KoopmanError(f"observation has shape {given.shape}, the encoder wants {self.shape}")
-        y: Weights = (given - self.middle) / self.unit
+        normalised: Weights = (given - self.middle) / self.unit
+        y = normalised
         for layer in self.layers:
             y = layer(y)
+        if self.inclusive:
+            y = np.concatenate((normalised, y), axis=-1)
         return y.astype(np.float64)
+
+    def followed_by(self, layers: Sequence[Layer]) -> Encoder:
+        """Return it with more layers."""
+        return replace(self, layers=(*self.layers, *layers))
 
     def describe(self) -> tuple[dict[str, Any], dict[str, Weights]]:
         """Return what `build` makes it from again: JSON and tensors."""
@@ -174,7 +183,8 @@ class Encoder:
             tensors |= {f"encoder.{index}.{name}": it for name, it in fields.items() if isinstance(it, np.ndarray)}
             plain = {name: it for name, it in fields.items() if not isinstance(it, np.ndarray)}
             layers.append({"kind": type(layer).__dict__["NAME"], **plain})
-        return {"shape": list(self.shape), "layers": layers}, tensors
+        description: dict[str, Any] = {"shape": list(self.shape), "layers": layers}
+        return {**description, "inclusive": True} if self.inclusive else description, tensors
 
     @classmethod
     def build(cls, description: Mapping[str, Any], tensors: Mapping[str, NDArray[Any]]) -> Encoder:
@@ -198,4 +208,4 @@ class Encoder:
             layers.append(kind(**arrays, **rest))
         shape = tuple(int(size) for size in description["shape"])
         middle, unit = (tensors[f"encoder.{name}"].astype(np.float32) for name in ("middle", "unit"))
-        return cls(tuple(layers), shape, middle, unit)
+        return cls(tuple(layers), shape, middle, unit, bool(description.get("inclusive", False)))

@@ -18,7 +18,7 @@ from koopman_lqr_controller.latent_policy import LatentPolicy
 from koopman_lqr_controller.linear_loop import controls_of, wiring_of
 from koopman_lqr_controller.region import region_of_episodes
 from koopman_lqr_controller.regulators import Refit, Regulator
-from koopman_lqr_controller.roll_outs import Lived
+from koopman_lqr_controller.roll_outs import Episode
 from koopman_lqr_controller.shrinkage import Shrunk, fit_shrunk
 
 Array = NDArray[np.float64]
@@ -34,14 +34,16 @@ class OfflineRefit(Refit):
 
     Args:
         learnt: the controller; every action counts as if it had acted.
-        lived: the drives.
+        episodes: the drives.
         mirrored: the same with left and right swapped, as true as they are.
         goal: whether z_ref is a goal, else the middle of what is met takes its place.
     """
 
-    def __init__(self, learnt: LatentController, lived: Sequence[Lived], mirrored: Sequence[Lived], goal: bool) -> None:
-        self._drives, self._mirrored = lived, mirrored
-        super().__init__(learnt, [*lived, *mirrored], 0.0, goal)
+    def __init__(
+        self, learnt: LatentController, episodes: Sequence[Episode], mirrored: Sequence[Episode], goal: bool
+    ) -> None:
+        self._drives, self._mirrored = episodes, mirrored
+        super().__init__(learnt, [*episodes, *mirrored], 0.0, goal)
 
     def model(self, C: Array) -> tuple[LinearModel, Array]:
         """Return the model of C psi around the reference, and its drift there."""
@@ -52,10 +54,10 @@ class OfflineRefit(Refit):
         """Return the same, and how it was chosen."""
         return fit_shrunk(self._snapshots(C, self._drives), self._snapshots(C, self._mirrored))
 
-    def _snapshots(self, C: Array, lived: Sequence[Lived]) -> Snapshots:
+    def _snapshots(self, C: Array, episodes: Sequence[Episode]) -> Snapshots:
         """Return drives as deviations of C psi and of the actions from the reference."""
-        z = [(episode.features - self._psi_ref) @ C.T for episode in lived]
-        u = np.concatenate([episode.actions for episode in lived]) - self._a_ref
+        z = [(episode.features - self._psi_ref) @ C.T for episode in episodes]
+        u = np.concatenate([episode.actions for episode in episodes]) - self._a_ref
         return Snapshots(np.concatenate([each[:-1] for each in z]), u, np.concatenate([each[1:] for each in z]))
 
 
@@ -75,9 +77,9 @@ def refit(policy: LatentPolicy, drives: Sequence[Drive], sizes: Sequence[int] = 
     learnt = _unprojected(policy.controller)
     if not drives:
         raise KoopmanError("no drive to fit to")
-    lived = [_lived(learnt, policy, drive) for drive in drives]
-    mirrored = [_lived(learnt, policy, _mirrored(policy, drive)) for drive in drives]
-    found = OfflineRefit(learnt, lived, mirrored, goal=bool(learnt.z_ref.any()))
+    episodes = [_episode(learnt, policy, drive) for drive in drives]
+    mirrored = [_episode(learnt, policy, _mirrored(policy, drive)) for drive in drives]
+    found = OfflineRefit(learnt, episodes, mirrored, goal=bool(learnt.z_ref.any()))
     tried: list[tuple[Regulator, float, float]] = []
     for family, C in found.projections(sizes):
         regulator = found.regulator(family, C)
@@ -91,7 +93,7 @@ def refit(policy: LatentPolicy, drives: Sequence[Drive], sizes: Sequence[int] = 
         min(same, key=lambda each: each[1]) if same else min(tried, key=lambda each: each[0].mismatch)
     )
     controller = chosen.controller
-    both = [*lived, *mirrored]
+    both = [*episodes, *mirrored]
     z = [controller.project(episode.features) for episode in both]
     region = region_of_episodes(controller.predict, z, [episode.actions for episode in both])
     figures = {
@@ -108,11 +110,11 @@ def refit(policy: LatentPolicy, drives: Sequence[Drive], sizes: Sequence[int] = 
     return LatentPolicy(controller, _usual_step(drives), policy.wiring, manifest, region)
 
 
-def _lived(learnt: LatentController, policy: LatentPolicy, drive: Drive) -> Lived:
+def _episode(learnt: LatentController, policy: LatentPolicy, drive: Drive) -> Episode:
     """Return a drive as an episode; nobody paid for it."""
     actions = controls_of(policy, drive.u)
     none: dict[str, Any] = {}
-    return Lived(learnt.encoder(drive.x), actions, float("nan"), len(actions), 0.0, none)
+    return Episode(learnt.encoder(drive.x), actions, float("nan"), len(actions), 0.0, none)
 
 
 def _mirrored(policy: LatentPolicy, drive: Drive) -> Drive:

@@ -12,9 +12,22 @@ from koopman_lqr_controller.errors import KoopmanError
 Array = NDArray[np.float64]
 
 
-def horizon_errors(
-    predict: Callable[[Array, Array], Array], z: Sequence[Array], actions: Sequence[Array], steps: int
-) -> list[float]:
+Predict = Callable[[Array, Array], Array]
+
+
+def squared_error(predict: Predict, z: Sequence[Array], actions: Sequence[Array]) -> float:
+    """Return the mean squared error of one step, over all components: the thesis's model error.
+
+    Args:
+        predict: next z (N, n) of z (N, n) and actions (N, m).
+        z: of each episode (T + 1, n).
+        actions: of each episode (T, m).
+    """
+    missed = [here[1:] - predict(here[:-1], done) for here, done in zip(z, actions, strict=True)]
+    return float(np.mean(np.concatenate(missed) ** 2))
+
+
+def horizon_errors(predict: Predict, z: Sequence[Array], actions: Sequence[Array], steps: int) -> list[float]:
     """Return the error over that of persistence after 1, 2, ... `steps` steps, over all components.
 
     The model goes on from its own prediction, under the actions that were done.

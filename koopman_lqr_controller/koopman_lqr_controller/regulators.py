@@ -13,7 +13,7 @@ from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.inverse_lqr import Law, fit_costs
 from koopman_lqr_controller.latent_controller import LatentController
 from koopman_lqr_controller.reduction import observed, principal
-from koopman_lqr_controller.roll_outs import Lived
+from koopman_lqr_controller.roll_outs import Episode
 
 Array = NDArray[np.float64]
 
@@ -48,7 +48,7 @@ class Refit:
 
     Args:
         learnt: the controller; every action counts as if it had acted.
-        lived: the episodes.
+        episodes: the episodes.
         ridge: of the refit, relative to each regressor's variance.
         goal: whether z_ref is a goal, else the middle of what is met takes its place.
 
@@ -57,9 +57,9 @@ class Refit:
         directions: of psi that vary, those that vary most first (r, n).
     """
 
-    def __init__(self, learnt: LatentController, lived: Sequence[Lived], ridge: float, goal: bool) -> None:
-        self.learnt, self._lived, self._ridge = learnt, lived, ridge
-        self._psi = np.concatenate([episode.features[:-1] for episode in lived])
+    def __init__(self, learnt: LatentController, episodes: Sequence[Episode], ridge: float, goal: bool) -> None:
+        self.learnt, self._episodes, self._ridge = learnt, episodes, ridge
+        self._psi = np.concatenate([episode.features[:-1] for episode in episodes])
         self._u = learnt.control(self._psi)
         # What a difference of u makes of the action: where all of it is lost, the law need not be the same.
         self._weight = np.mean(1.0 - np.tanh(self._u) ** 2, axis=1) + 0.05
@@ -82,8 +82,8 @@ class Refit:
     def model(self, C: Array) -> tuple[LinearModel, Array]:
         """Return the least-squares model of C psi around the reference, and its drift there."""
         z_ref = C @ self._psi_ref
-        z = [episode.features @ C.T - z_ref for episode in self._lived]
-        actions = np.concatenate([episode.actions for episode in self._lived]) - self._a_ref
+        z = [episode.features @ C.T - z_ref for episode in self._episodes]
+        actions = np.concatenate([episode.actions for episode in self._episodes]) - self._a_ref
         here, after = (np.concatenate([each[cut] for each in z]) for cut in (slice(None, -1), slice(1, None)))
         means = [part.mean(axis=0) for part in (here, actions, after)]
         model = fit(Snapshots(here - means[0], actions - means[1], after - means[2]), self._ridge)

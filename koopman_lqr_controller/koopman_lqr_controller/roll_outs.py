@@ -1,15 +1,13 @@
-"""Episodes of a latent controller in any environment: their returns, and what the model is fitted to."""
+"""Episodes of a policy in any environment: their returns, and what a model is fitted to."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-
-from koopman_lqr_controller.latent_controller import LatentController
 
 Array = NDArray[np.float64]
 
@@ -24,8 +22,25 @@ class Environment(Protocol):
         """Hold an action; return observation, reward, whether it terminated or was truncated, and more."""
 
 
+class Policy(Protocol):
+    """What acts, from x over features and latent state to u and the action that stands for it."""
+
+    @property
+    def encoder(self) -> Callable[[Any], Array]:
+        """Returns the features psi(x)."""
+
+    def project(self, z: Array, /) -> Array:
+        """Return the latent state of features."""
+
+    def control(self, z: Array, /) -> Array:
+        """Return u."""
+
+    def saturate(self, u: Array, /) -> Array:
+        """Return the action in [-1, 1]."""
+
+
 @dataclass(frozen=True)
-class Lived:
+class Episode:
     """One episode.
 
     Attributes:
@@ -46,12 +61,12 @@ class Lived:
 
 
 def roll_out(
-    controller: LatentController,
+    controller: Policy,
     environment: Environment,
     seed: int,
     noise: float = 0.0,
     keep: bool = False,
-) -> Lived:
+) -> Episode:
     """Return one episode.
 
     Args:
@@ -68,45 +83,45 @@ def roll_out(
         psi = controller.encoder(x)
         u = controller.control(controller.project(psi))
         action = controller.saturate(u + noise * random.standard_normal(u.shape) if noise else u)
-        x, paid, terminated, truncated, info = environment.step(action)
-        total, steps, beyond = total + float(paid), steps + 1, beyond + float(np.mean(np.abs(u) > 1.0))
+        x, reward, terminated, truncated, info = environment.step(action)
+        total, steps, beyond = total + float(reward), steps + 1, beyond + float(np.mean(np.abs(u) > 1.0))
         over = terminated or truncated
         if keep:
             features.append(psi)
             actions.append(action)
     if keep:
         features.append(controller.encoder(x))
-    return Lived(np.array(features), np.array(actions), total, steps, beyond / max(1, steps), info)
+    return Episode(np.array(features), np.array(actions), total, steps, beyond / max(1, steps), info)
 
 
-def evaluate(controller: LatentController, environment: Environment, episodes: int, seed: int) -> list[Lived]:
-    """Return the episodes `seed`, `seed` + 1 and so on, without their features."""
-    return [roll_out(controller, environment, seed + episode) for episode in range(episodes)]
+def evaluate(
+    controller: Policy, environment: Environment, episodes: int, seed: int, keep: bool = False
+) -> list[Episode]:
+    """Return the episodes `seed`, `seed` + 1 and so on; features and actions only where they are to `keep`."""
+    return [roll_out(controller, environment, seed + episode, keep=keep) for episode in range(episodes)]
 
 
-def mean_return(lived: Sequence[Lived]) -> float:
+def mean_return(episodes: Sequence[Episode]) -> float:
     """Return the mean undiscounted return."""
-    return float(np.mean([episode.total for episode in lived]))
+    return float(np.mean([episode.total for episode in episodes]))
 
 
-def saturated(lived: Sequence[Lived]) -> float:
+def saturated(episodes: Sequence[Episode]) -> float:
     """Return the share of all steps that the law wanted beyond -1 or 1."""
-    return float(np.average([each.saturated for each in lived], weights=[max(1, each.steps) for each in lived]))
+    return float(np.average([each.saturated for each in episodes], weights=[max(1, each.steps) for each in episodes]))
 
 
-def interaction(lived: Sequence[Lived]) -> dict[str, int]:
+def interaction(episodes: Sequence[Episode]) -> dict[str, int]:
     """Return how many episodes and actions these are."""
-    return {"episodes": len(lived), "actions": sum(episode.steps for episode in lived)}
+    return {"episodes": len(episodes), "actions": sum(episode.steps for episode in episodes)}
 
 
-def outcomes(lived: Sequence[Lived]) -> dict[str, int]:
+def outcomes(episodes: Sequence[Episode]) -> dict[str, int]:
     """Return how many episodes ended which way; nothing where the environment does not say."""
-    ended = [str(episode.info["outcome"]) for episode in lived if "outcome" in episode.info]
+    ended = [str(episode.info["outcome"]) for episode in episodes if "outcome" in episode.info]
     return {outcome: ended.count(outcome) for outcome in sorted(set(ended))}
 
 
-def noisy_roll_outs(
-    controller: LatentController, environment: Environment, noises: Sequence[float], seed: int
-) -> list[Lived]:
+def noisy_roll_outs(controller: Policy, environment: Environment, noises: Sequence[float], seed: int) -> list[Episode]:
     """Return one episode for each noise."""
     return [roll_out(controller, environment, seed + index, noise, keep=True) for index, noise in enumerate(noises)]

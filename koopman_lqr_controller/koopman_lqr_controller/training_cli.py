@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -12,10 +11,11 @@ from ctrl_rl_core.command import run_command
 from ctrl_rl_core.results import write_results
 
 from koopman_lqr_controller.errors import KoopmanError
+from koopman_lqr_controller.learning_cli import add_learning_options, as_command, check_learning_options, given_words
+from koopman_lqr_controller.training.methods import LEARNERS
 from koopman_lqr_controller.training.problems import PROBLEMS, find_problem
 
-_FOLDER = Path("runs/koopman")
-_LEARN_WORDS = ("chunks", "actions", "episodes", "consolidation", "device")
+_LEARN_WORDS = ("learner", "chunks", "actions", "episodes", "consolidation", "device")
 _CONSOLIDATE_WORDS = ("latent", "episodes", "live", "noise", "seed")
 """Options that say what comes out: a policy's file tells them."""
 _TASKS = "\n".join(
@@ -35,26 +35,13 @@ def learn(arguments: Sequence[str] | None = None) -> int:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--task", required=True, choices=PROBLEMS, metavar="TASK", help="one of the tasks below")
-    parser.add_argument("--folder", type=Path, default=_FOLDER, help="of the runs (default %(default)s)")
-    parser.add_argument("--seeds", type=int, default=1, help="how many, from 0 (default %(default)s)")
-    parser.add_argument("--workers", type=int, default=0, help="runs at a time (default: one for each core)")
-    parser.add_argument("--chunks", type=int, default=0, help="between two evaluations each (default: the task's)")
-    parser.add_argument("--actions", type=int, default=0, help="in a chunk (default: the task's)")
-    parser.add_argument(
-        "--set", nargs="+", default=[], metavar="NAME=VALUE", help="numbers of the learner, e.g. riccati_iterations=3"
-    )
-    parser.add_argument(
-        "--episodes", type=int, default=20, help="fresh ones at the end, for each policy (default %(default)s)"
-    )
-    parser.add_argument(
-        "--consolidation", type=int, default=30, help="episodes of each round of it (default %(default)s)"
-    )
-    parser.add_argument("--device", default="cpu", choices=("cpu", "cuda"), help="of the networks (default cpu)")
+    parser.add_argument("--learner", default="koopman", choices=LEARNERS, help="default %(default)s")
+    add_learning_options(parser, seeds=1)
     parser.add_argument("--results", type=Path, help="JSON file to write table and curves to")
     options = parser.parse_args(arguments)
     return run_command(
         "learn",
-        lambda: _learn(options, _words(parser, options, _LEARN_WORDS)),
+        lambda: _learn(options, given_words(parser, options, _LEARN_WORDS)),
     )
 
 
@@ -77,43 +64,42 @@ def consolidate(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     return run_command(
         "consolidate",
-        lambda: _consolidate(options, _words(parser, options, _CONSOLIDATE_WORDS)),
+        lambda: _consolidate(options, given_words(parser, options, _CONSOLIDATE_WORDS)),
     )
 
 
 def _learn(options: argparse.Namespace, words: Sequence[str]) -> int:
     problem = find_problem(options.task)
     chunks, actions = options.chunks or problem.chunks, options.actions or problem.chunk
-    for name, least in (
-        ("seeds", 1),
-        ("workers", 0),
-        ("chunks", 0),
-        ("actions", 0),
-        ("episodes", 1),
-        ("consolidation", 5),
-    ):
-        if getattr(options, name) < least:
-            raise KoopmanError(f"--{name} must be at least {least}")
-    changes = _changes(options.set)
+    changes = check_learning_options(options)
     problem = problem.with_settings(**dict(changes))  # refuses what is wrong before torch, which takes seconds, is here
     from ctrl_rl_training.matrix import train_all
-    from ctrl_rl_training.run_folder import Options, result_file
+    from ctrl_rl_training.run_folder import result_file
 
-    from koopman_lqr_controller.training.finishing import CONSOLIDATED_FILE, collect, learn_and_consolidate
-    from koopman_lqr_controller.training.learner import LearningRun
+    from koopman_lqr_controller.training.course import LearningOptions
+    from koopman_lqr_controller.training.results import collect
+    from koopman_lqr_controller.training.runs import LearningRun, learn_one
 
-    command = _command("learn", "--task", options.task, *(["--set", *options.set] if options.set else []), *words)
+    command = as_command("learn", "--task", options.task, *(["--set", *options.set] if options.set else []), *words)
     runs = [
-        LearningRun(problem.name, seed, changes, options.device, f"{command} --seeds {seed + 1}", options.consolidation)
+        LearningRun(
+            problem.name,
+            seed,
+            changes,
+            options.device,
+            f"{command} --seeds {seed + 1}",
+            options.consolidation,
+            options.learner,
+        )
         for seed in range(options.seeds)
     ]
-    how = Options(options.folder, chunks, actions, problem.evaluations, options.episodes)
-    results = train_all(runs, how, options.workers, problem.name, learn_and_consolidate, lambda best: f"{best:.1f}")
+    how = LearningOptions(options.folder, chunks, actions, problem.evaluations, options.episodes)
+    results = train_all(runs, how, options.workers, problem.name, learn_one)
     rows, figures = collect(problem, results)
     for row in rows:
         print(f"{row.method:<38} {row.metric:<32} {' '.join(f'{value:8.4g}' for value in row.values)}")
-    for run in runs:
-        print(f"policy     {result_file(options.folder, run).with_name(CONSOLIDATED_FILE)}")
+    for run, result in zip(runs, results, strict=True):
+        print(f"policy     {result_file(options.folder, run).with_name(list(result['digests'])[-1])}")
     if options.results is not None:
         write_results(options.results, f"koopman_{problem.name}", range(options.seeds), rows, figures)
         print(f"results    {options.results}")
@@ -132,16 +118,20 @@ def _consolidate(options: argparse.Namespace, words: Sequence[str]) -> int:
     if options.output.exists() and not options.overwrite:
         raise KoopmanError(f"{options.output} exists: give another name, or ask to --overwrite it")
     problem = find_problem(str(load_latent(options.policy).manifest.get("task")))
+    environment = problem.make(False)
     sizes = {"sizes": tuple(options.latent)} if options.latent else {}
     plan = Plan.of(options.live, options.episodes, noise=options.noise, **sizes)
-    command = _command("consolidate", options.policy.name, "--output", options.output.name, *words)
-    with tqdm(desc="consolidating", unit="candidate", disable=None) as bar:
+    command = as_command("consolidate", options.policy.name, "--output", options.output.name, *words)
+    try:
+        with tqdm(desc="consolidating", unit="candidate", disable=None) as bar:
 
-        def tick(what: str) -> None:
-            bar.set_postfix_str(what)
-            bar.update()
+            def tick(what: str) -> None:
+                bar.set_postfix_str(what)
+                bar.update()
 
-        policy, found = consolidate_policy(options.policy, problem, command, plan, options.seed, tick)
+            policy, found = consolidate_policy(options.policy, problem, environment, plan, command, options.seed, tick)
+    finally:
+        environment.close()
     save_policy(policy, options.output, overwrite=options.overwrite)
     _report(found, options.output)
     return 0
@@ -166,31 +156,3 @@ def _report(found: dict[str, Any], path: Path) -> None:
     missed = [name for name, met in found["meets"].items() if not met]
     print(f"targets              {'met' if not missed else 'missed: ' + ', '.join(missed)}")
     print(f"policy               {path}")
-
-
-def _changes(given: Sequence[str]) -> tuple[tuple[str, int | float], ...]:
-    out: dict[str, int | float] = {}
-    for text in given:
-        name, separator, value = text.partition("=")
-        try:
-            out[name] = float(value) if any(sign in value for sign in ".e") else int(value)
-        except ValueError:
-            separator = ""
-        if not separator:
-            raise KoopmanError(f"--set {text}: must be NAME=VALUE with a number")
-    return tuple(sorted(out.items()))
-
-
-def _words(parser: argparse.ArgumentParser, options: argparse.Namespace, names: Sequence[str]) -> list[str]:
-    """Return those of the named options that are not as they are unless asked otherwise."""
-    out: list[str] = []
-    for name in names:
-        value = getattr(options, name)
-        if value != parser.get_default(name):
-            out += [f"--{name}", *(str(each) for each in (value if isinstance(value, list) else [value]))]
-    return out
-
-
-def _command(*words: str) -> str:
-    """Return what makes the same again; of files it says the names, not where they were."""
-    return shlex.join(["ros2", "run", "koopman_lqr_controller", *words])

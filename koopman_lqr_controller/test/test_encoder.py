@@ -82,3 +82,12 @@ def test_what_makes_it_quick_changes_no_bit() -> None:
         variance = np.einsum("i,i->", centred, centred) / np.float32(50)
         expected = centred / np.sqrt(variance + EPSILON) * scale + shift
         assert np.array_equal(encoder(x), expected.astype(np.float64))
+
+
+def test_an_inclusive_encoder_begins_with_the_normalised_observation() -> None:
+    layer = Dense(np.ones((2, 3), np.float32), np.zeros(2, np.float32), rectified=False)
+    encoder = Encoder((layer,), (3,), np.float32(1.0) * np.ones((), np.float32), np.full((), 2.0, np.float32), True)
+    x = np.array([[1.0, 3.0, 5.0], [1.0, 1.0, 1.0]])
+    assert encoder(x).tolist() == [[0.0, 1.0, 2.0, 3.0, 3.0], [0.0, 0.0, 0.0, 0.0, 0.0]]
+    description, tensors = encoder.describe()
+    assert np.array_equal(Encoder.build(description, tensors)(x), encoder(x))

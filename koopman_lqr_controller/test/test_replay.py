@@ -46,3 +46,37 @@ def test_what_was_kept_can_be_taken_up_again() -> None:
         live(replay, [3], first=30)
     drawn = [replay.draw(50, np.random.default_rng(1)) for replay in (one, other)]
     assert all(np.array_equal(a, b) for a, b in zip(*drawn, strict=True))
+
+
+@settings(deadline=None, max_examples=50)
+@given(st.lists(st.integers(1, 9), min_size=1, max_size=8), st.integers(14, 30), st.integers(0, 99))
+def test_single_pictures_give_the_stacks_that_were_seen(lengths: list[int], capacity: int, seed: int) -> None:
+    """A picture shows its number; the first one of an episode stands for those before it."""
+    replay, count, stacks = Replay(capacity, (3, 1, 1), 1, np.uint8), 0, {}
+    for length in lengths:
+        first = count
+        for step in range(length + 1):
+            stack = np.array([max(first, count - back) for back in (2, 1, 0)], np.uint8).reshape(3, 1, 1)
+            stacks[count] = stack
+            if step < length:
+                replay.add(stack, np.zeros(1, np.float32), count, False)
+            else:
+                replay.end_episode(stack)
+            count += 1
+    drawn = replay.draw(200, np.random.default_rng(seed))
+    for x, x_next, number in zip(drawn.x, drawn.x_next, drawn.reward, strict=True):
+        assert np.array_equal(x, stacks[int(number)])
+        assert np.array_equal(x_next, stacks[int(number) + 1])
+    assert all(np.array_equal(x, stacks[int(n)]) for x, n in zip(*replay.everything()[:3:2], strict=True))
+
+
+def test_a_stack_can_be_taken_up_again_within_an_episode() -> None:
+    one, other = (Replay(16, (2, 1, 1), 1, np.uint8) for _ in range(2))
+    for number in range(3):
+        one.add(np.full((2, 1, 1), number, np.uint8), np.zeros(1, np.float32), 0.0, False)
+    other.restore({name: array.copy() for name, array in one.arrays().items()})
+    for replay in (one, other):
+        replay.add(np.full((2, 1, 1), 3, np.uint8), np.zeros(1, np.float32), 0.0, False)
+        replay.end_episode(np.full((2, 1, 1), 4, np.uint8))
+    assert np.array_equal(one.everything().x, other.everything().x)
+    assert one.everything().x[:, :, 0, 0].tolist() == [[0, 0], [0, 1], [1, 2], [2, 3]]

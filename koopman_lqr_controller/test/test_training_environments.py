@@ -24,8 +24,8 @@ def episode(environment, seed: int, steps: int) -> list:
     x, _ = environment.reset(seed=seed)
     record = [x]
     for _ in range(steps):
-        x, paid, terminated, truncated, _ = environment.step(random.uniform(-1, 1, environment.action_space.shape))
-        record += [x, paid, terminated, truncated]
+        x, reward, terminated, truncated, _ = environment.step(random.uniform(-1, 1, environment.action_space.shape))
+        record += [x, reward, terminated, truncated]
         if terminated or truncated:
             break
     return record
@@ -64,9 +64,9 @@ def test_the_goal_of_the_cartpole_is_an_equilibrium_that_pays_all() -> None:
     physics = environment._suite.physics
     with physics.reset_context():
         physics.data.qpos[:] = physics.data.qvel[:] = 0.0
-    x, paid, *_ = environment.step(np.zeros(1, np.float32))
+    x, reward, *_ = environment.step(np.zeros(1, np.float32))
     assert x == pytest.approx(PROBLEMS["cartpole_swingup"].goal, abs=1e-6)
-    assert paid == pytest.approx(8.0, abs=1e-6)
+    assert reward == pytest.approx(8.0, abs=1e-6)
 
 
 def test_pixels_are_the_last_pictures_oldest_first() -> None:
@@ -85,8 +85,8 @@ def test_the_corridor_pays_for_progress_and_the_firmware_truncates() -> None:
     corridor = Corridor(learning=False, dropout=0.0)
     corridor.reset(seed=1)
     ahead = np.array([1.0, 0.0], np.float32)
-    paid = [corridor.step(ahead)[1] for _ in range(5)]
-    assert paid[-1] == pytest.approx(1.0, abs=0.35)  # heading is up to 20 deg off
+    reward = [corridor.step(ahead)[1] for _ in range(5)]
+    assert reward[-1] == pytest.approx(1.0, abs=0.35)  # heading is up to 20 deg off
     x = corridor.step(np.array([-0.05, 0.004], np.float32))[0]  # 0.1045 m/s and 0.006 rad/s: 0.10 and 0.0 come through
     x = corridor.step(np.array([-0.05, 0.004], np.float32))[0]
     assert x[-2] * 0.22 == pytest.approx(0.10, abs=2e-3)
@@ -98,11 +98,11 @@ def test_a_collision_costs_and_ends_the_episode() -> None:
     corridor = Corridor()
     corridor.reset(seed=0)
     for _ in range(100):
-        _, paid, terminated, _, info = corridor.step(np.array([1.0, 0.2], np.float32))
+        _, reward, terminated, _, info = corridor.step(np.array([1.0, 0.2], np.float32))
         if terminated:
             break
     assert info["outcome"] == "COLLISION"
-    assert paid < -19.0
+    assert reward < -19.0
     assert info["clearance"] <= 0.0
     corridor.close()
 
@@ -126,3 +126,16 @@ def test_what_is_not_there_is_named() -> None:
         find_problem("cheetah_run").with_settings(latnt=3)
     with pytest.raises(KoopmanError, match="batch is 0: must be positive"):
         find_problem("cheetah_run").with_settings(batch=0)
+
+
+def test_an_episode_that_stands_still_is_cut_off() -> None:
+    environment = Corridor(learning=False)
+    environment.reset(seed=0)
+    steps, over = 0, False
+    while not over:
+        _, _, terminated, over, info = environment.step(np.array([-1.0, 0.0], np.float32))
+        steps += 1
+        assert not terminated
+    assert info["outcome"] == "TIMEOUT"
+    assert 10.0 < steps * environment.dt < 11.0
+    environment.close()

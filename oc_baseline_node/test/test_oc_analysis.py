@@ -8,7 +8,7 @@ import pytest
 import torch
 from ctrl_rl_core.systems import make_system
 from ctrl_rl_core.tasks import load_navigation_task
-from ctrl_rl_training.run_folder import ROLL_OUT
+from ctrl_rl_training.algorithms import ROLL_OUT
 from hypothesis import given
 from hypothesis import strategies as st
 from oc_baseline_node.training import gradients

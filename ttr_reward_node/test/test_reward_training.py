@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from ctrl_rl_core.outcome import Outcome
 from ctrl_rl_core.tasks import load_navigation_task, task_file
+from ctrl_rl_training.algorithms import ROLL_OUT
 from ctrl_rl_training.results import samples_to
-from ctrl_rl_training.run_folder import ROLL_OUT, Options
-from ctrl_rl_training.training import train_one
+from ctrl_rl_training.training import Options, train_one
 from ttr_reward_node.errors import TimeToReachError
 from ttr_reward_node.rewards import make_reward
 from ttr_reward_node.training import RewardRun, reward_runs

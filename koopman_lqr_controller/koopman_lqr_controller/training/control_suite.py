@@ -74,14 +74,14 @@ class ControlSuite(gymnasium.Env[Observation, NDArray[np.float32]]):
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Hold an action (m,)."""
         share = 0.5 * (np.clip(np.asarray(action, dtype=float), -1.0, 1.0) + 1.0)
-        control, paid = self._low + share * (self._high - self._low), 0.0
+        control, reward = self._low + share * (self._high - self._low), 0.0
         for _ in range(self._repeat):
             step = self._suite.step(control)
-            paid += step.reward
+            reward += step.reward
             if step.last():
                 break
         terminated = step.last() and step.discount == 0.0
-        return self._observe(step), paid, terminated, step.last() and not terminated, {}
+        return self._observe(step), reward, terminated, step.last() and not terminated, {}
 
     @property
     def names(self) -> tuple[str, ...]:

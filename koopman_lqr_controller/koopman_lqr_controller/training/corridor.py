@@ -1,6 +1,6 @@
 """The simulated corridor for learning: lidar and odometry of a TurtleBot3, commands as its firmware takes them.
 
-What is paid is this suite's own, the thesis says nothing of it: progress along the path, less the nearer the walls are,
+The reward is this suite's own, the thesis says nothing of it: progress along the path, less the nearer the walls are,
 and at the end what the task pays for goal and collision, as multiples of what a step at full speed pays.
 """
 
@@ -29,6 +29,8 @@ _RATE = 60
 _SPEED, _TURN = 0.22, 1.5
 _NEAR_WALL = 0.15
 """Clearance below which a step pays less [m]."""
+_ADVANCE, _STALL = 0.05, 10.0
+"""An episode in which the robot comes no further than so far in so long is cut off [m], [s]."""
 _COLLISION_SCALE, _GOAL_SCALE = 1 / 20, 1 / 50
 """Of what the task pays, in steps at full speed: -20 and 20 of them."""
 
@@ -80,7 +82,8 @@ class Corridor(gymnasium.Env[Vector, Vector]):
         path = self._world.geometry.path
         assert path is not None
         self._path_coordinates = PathCoordinates(path)  # the same at every width
-        self._along = 0.0
+        self._along = self._furthest = 0.0
+        self._since = 0
         size = len(self.wiring.observation.names)
         self.observation_space = spaces.Box(-np.inf, np.inf, (size,), np.float32)
         self.action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
@@ -89,8 +92,9 @@ class Corridor(gymnasium.Env[Vector, Vector]):
         """Begin an episode; the same seed gives the same one. `options` has no effect."""
         super().reset(seed=seed, options=options)
         self._world.reset(int(self.np_random.integers(2**32)))
-        self._along = self._s()
-        return self._observe(), self._info()
+        self._along = self._furthest = self._s()
+        self._since = 0
+        return self._observe(), self._info(Outcome.RUNNING)
 
     def step(self, action: Vector) -> tuple[Vector, float, bool, bool, dict[str, Any]]:
         """Hold an action (2,) for the task's time step."""
@@ -98,14 +102,15 @@ class Corridor(gymnasium.Env[Vector, Vector]):
         self._world.step(self._steps)
         episode, before = self._world.episode(0), self._along
         self._along = self._s()
-        paid = (self._along - before) / self._full_step
-        paid -= max(0.0, 1.0 - max(0.0, episode.clearance) / _NEAR_WALL)
-        truncated = episode.outcome is Outcome.TIMEOUT
-        terminated = episode.outcome is not Outcome.RUNNING and not truncated
+        reward = (self._along - before) / self._full_step
+        reward -= max(0.0, 1.0 - max(0.0, episode.clearance) / _NEAR_WALL)
+        outcome = Outcome.TIMEOUT if episode.outcome is Outcome.RUNNING and self._stalls() else episode.outcome
+        truncated = outcome is Outcome.TIMEOUT
+        terminated = outcome is not Outcome.RUNNING and not truncated
         if terminated:
-            scale = _GOAL_SCALE if episode.outcome is Outcome.GOAL else _COLLISION_SCALE
-            paid += scale * episode.reward(self.task.rewards)
-        return self._observe(), paid, terminated, truncated, self._info()
+            scale = _GOAL_SCALE if outcome is Outcome.GOAL else _COLLISION_SCALE
+            reward += scale * episode.reward(self.task.rewards)
+        return self._observe(), reward, terminated, truncated, self._info(outcome)
 
     def close(self) -> None:
         """Give the physics client back."""
@@ -129,10 +134,17 @@ class Corridor(gymnasium.Env[Vector, Vector]):
     def _observe(self) -> Vector:
         return self.wiring.observation.observe(*self.scan(), *self.speeds()).astype(np.float32)
 
-    def _info(self) -> dict[str, Any]:
+    def _stalls(self) -> bool:
+        """Return whether the robot has come no further for too long."""
+        if self._along > self._furthest + _ADVANCE:
+            self._furthest, self._since = self._along, 0
+        self._since += 1
+        return self._since * self.dt > _STALL
+
+    def _info(self, outcome: Outcome) -> dict[str, Any]:
         episode = self._world.episode(0)
         progress = 0.0 if math.isnan(episode.progress) else episode.progress
-        return {"outcome": episode.outcome.name, "progress": progress, "clearance": episode.clearance}
+        return {"outcome": outcome.name, "progress": progress, "clearance": episode.clearance}
 
 
 def _task(learning: bool) -> NavigationTask:

@@ -57,6 +57,10 @@ class LatentLqr(nn.Module):
         """Return K (m, n) and k (m,) for a goal (n,)."""
         return riccati_gain(self.A, self.B, self.log_Q.exp(), self.log_R.exp(), z_ref, self.iterations)
 
+    def predict(self, z: Tensor, u: Tensor) -> Tensor:
+        """Return the next z (N, n) of z (N, n) and actions (N, m) (Eq. 4.6)."""
+        return z @ self.A.T + u @ self.B.T
+
     def model_loss(self, z: Tensor, u: Tensor, z_next: Tensor) -> Tensor:
         """Return the mean squared prediction error L_m (Eq. 4.7), summed over the latent state."""
-        return (z_next - z @ self.A.T - u @ self.B.T).square().sum(dim=1).mean()
+        return (z_next - self.predict(z, u)).square().sum(dim=1).mean()

@@ -52,38 +52,74 @@ class TorchEncoder(nn.Module):
         self.shape, self.crop = shape, crop
         self.register_buffer("middle", middle)
         self.register_buffer("unit", unit)
-        seen = shape if crop is None else (shape[0], crop, crop)
-        body = _convolutions(shape, depth) if len(shape) == 3 else _dense(shape[0], hidden, depth)
+        body = _convolutions(shape, depth) if len(shape) == 3 else dense(shape[0], hidden, depth)
         with torch.no_grad():
-            width = int(nn.Sequential(*body)(torch.zeros(1, *seen)).shape[1])
+            width = int(nn.Sequential(*body)(torch.zeros(1, *self.seen)).shape[1])
         self.layers = nn.Sequential(*body, nn.Linear(width, latent), nn.LayerNorm(latent))
 
     def forward(self, x: Tensor) -> Tensor:
         """Return z (N, latent) of observations (N, *shape), or of images that are cropped already."""
+        z: Tensor = self.layers(self.normalise(x))
+        return z
+
+    @property
+    def seen(self) -> tuple[int, ...]:
+        """Shape of what is looked at."""
+        return self.shape if self.crop is None else (self.shape[0], self.crop, self.crop)
+
+    def normalise(self, x: Tensor) -> Tensor:
+        """Return what the first layer gets (N, *seen)."""
         if self.crop is not None:
             x = centre_crop(x, self.crop)
-        z: Tensor = self.layers((x - self.middle) / self.unit)
-        return z
+        return (x - self.middle) / self.unit
 
     def deploy(self) -> deployed.Encoder:
         """Return the same encoder without torch."""
         layers: list[deployed.Layer] = [] if self.crop is None else [deployed.CentreCrop(self.crop)]
-        modules = list(self.layers)
-        for index, module in enumerate(modules):
-            if isinstance(module, nn.Linear):
-                rectified = index + 1 < len(modules) and isinstance(modules[index + 1], nn.ReLU)
-                layers.append(deployed.Dense(_array(module.weight), _array(module.bias), rectified))
-            elif isinstance(module, nn.Conv2d):
-                assert module.bias is not None
-                layers.append(deployed.Convolution(_array(module.weight), _array(module.bias), int(module.stride[0])))
-            elif isinstance(module, nn.LayerNorm):
-                layers.append(deployed.LayerNorm(_array(module.weight), _array(module.bias)))
-            elif isinstance(module, nn.Flatten):
-                layers.append(deployed.Flatten())
+        layers += deploy_layers(self.layers)
         return deployed.Encoder(tuple(layers), self.shape, _array(self.middle), _array(self.unit))
 
 
-def _dense(inputs: int, hidden: int, depth: int) -> list[nn.Module]:
+def deploy_layers(layers: nn.Sequential) -> list[deployed.Layer]:
+    """Return the same layers without torch."""
+    out: list[deployed.Layer] = []
+    modules = list(layers)
+    for index, module in enumerate(modules):
+        if isinstance(module, nn.Linear):
+            rectified = index + 1 < len(modules) and isinstance(modules[index + 1], nn.ReLU)
+            out.append(deployed.Dense(_array(module.weight), _array(module.bias), rectified))
+        elif isinstance(module, nn.Conv2d):
+            assert module.bias is not None
+            out.append(deployed.Convolution(_array(module.weight), _array(module.bias), int(module.stride[0])))
+        elif isinstance(module, nn.LayerNorm):
+            out.append(deployed.LayerNorm(_array(module.weight), _array(module.bias)))
+        elif isinstance(module, nn.Flatten):
+            out.append(deployed.Flatten())
+    return out
+
+
+class Decoder(nn.Module):
+    """From z back to what an encoder looks at, normalised: its layers, turned around.
+
+    Attributes:
+        layers: in their order.
+    """
+
+    def __init__(self, seen: tuple[int, ...], latent: int, hidden: int, depth: int) -> None:
+        super().__init__()
+        if len(seen) == 1:
+            self.layers = nn.Sequential(*dense(latent, hidden, depth), nn.Linear(hidden, seen[0]))
+        else:
+            self.layers = nn.Sequential(*_transposed_convolutions(seen, latent, depth))
+
+    def forward(self, z: Tensor) -> Tensor:
+        """Return (N, *seen) of latent states (N, latent)."""
+        x: Tensor = self.layers(z)
+        return x
+
+
+def dense(inputs: int, hidden: int, depth: int) -> list[nn.Module]:
+    """Return hidden layers with ReLU."""
     out: list[nn.Module] = []
     for _ in range(depth):
         out += [nn.Linear(inputs, hidden), nn.ReLU()]
@@ -95,9 +131,34 @@ def _convolutions(shape: tuple[int, ...], depth: int) -> list[nn.Module]:
     """Return convolutions, the first two with stride 2: a quarter of the work of one, at the sizes used here."""
     channels, out = shape[0], list[nn.Module]()
     for index in range(depth):
-        out += [nn.Conv2d(channels, _FILTERS, _KERNEL, stride=2 if index < 2 else 1), nn.ReLU()]
+        out += [nn.Conv2d(channels, _FILTERS, _KERNEL, stride=_stride(index)), nn.ReLU()]
         channels = _FILTERS
     return [*out, nn.Flatten()]
+
+
+def _stride(index: int) -> int:
+    return 2 if index < 2 else 1
+
+
+def _transposed_convolutions(seen: tuple[int, ...], latent: int, depth: int) -> list[nn.Module]:
+    """Return what undoes `_convolutions`, rows and columns to the pixel."""
+    channels, *size = seen
+    sizes = [size]
+    for index in range(depth):
+        sizes.append([(length - _KERNEL) // _stride(index) + 1 for length in sizes[-1]])
+    rows, columns = sizes[-1]
+    out = [nn.Linear(latent, _FILTERS * rows * columns), nn.ReLU(), nn.Unflatten(1, (_FILTERS, rows, columns))]
+    for index in reversed(range(depth)):
+        stride = _stride(index)
+        lost = [
+            before - ((after - 1) * stride + _KERNEL)
+            for before, after in zip(sizes[index], sizes[index + 1], strict=True)
+        ]
+        outputs = channels if index == 0 else _FILTERS
+        out.append(nn.ConvTranspose2d(_FILTERS, outputs, _KERNEL, stride, output_padding=(lost[0], lost[1])))
+        if index:
+            out.append(nn.ReLU())
+    return out
 
 
 class TwinCritic(nn.Module):

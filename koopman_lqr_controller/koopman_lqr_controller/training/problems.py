@@ -123,6 +123,7 @@ _ALL = (
         repeat=8,
         chunk=1000,
         chunks=25,
+        patience=10,
         middle=127.5,
         unit=127.5,
         thesis=873.0,
@@ -135,6 +136,7 @@ _ALL = (
         repeat=4,
         chunk=2500,
         chunks=24,
+        patience=10,
         evaluations=3,
         thesis=464.0,
     ),
@@ -146,8 +148,9 @@ _ALL = (
         repeat=1,
         chunk=1000,
         chunks=28,
-        evaluations=5,
+        evaluations=3,
         episodes=40,
+        version=2,
     ),
 )
 PROBLEMS = {problem.name: problem for problem in _ALL}

@@ -9,6 +9,11 @@ from typing import Any
 from koopman_lqr_controller.errors import KoopmanError
 
 _KINDS = {"int": "a whole number", "float": "a number"}
+_CHOICES = {
+    "encoder_loss": ("contrastive", "reconstruction", "reconstruction_prediction"),
+    "policy": ("lqr", "network"),
+    "cost": ("Q1", "Q2", "Q3", "Q4"),
+}
 _MAY_BE_ZERO = ("crop", "noise", "first_steps")
 _SHARES = ("discount", "critic_rate", "encoder_rate", "average_rate")
 
@@ -36,6 +41,10 @@ class Settings:
         actor_every: updates of the critic for one of actor and targets.
         noise: eta of Eq. 4.5.
         average_rate: at which the averaged actor follows.
+        encoder_loss: of the encoder besides the task's: "contrastive" (Eq. 4.4), or that of an autoencoder,
+            "reconstruction", or "reconstruction_prediction", which decodes the model's next z as well (4.3.5).
+        policy: "lqr", or "network" as in CURL.
+        cost: that a hand has tuned for the two stages, see `two_stage_learner`; of no effect elsewhere.
     """
 
     latent: int = 50
@@ -56,10 +65,17 @@ class Settings:
     actor_every: int = 2
     noise: float = 0.1
     average_rate: float = 0.005
+    encoder_loss: str = "contrastive"
+    policy: str = "lqr"
+    cost: str = "Q1"
 
     def __post_init__(self) -> None:
         for field in fields(self):
             value = getattr(self, field.name)
+            if field.name in _CHOICES:
+                if value not in _CHOICES[field.name]:
+                    raise KoopmanError(f"{field.name} is {value}: must be {' or '.join(_CHOICES[field.name])}")
+                continue
             if field.type == "float" and type(value) is int:
                 value = float(value)  # 1 and 1.0 are the same setting
                 object.__setattr__(self, field.name, value)
@@ -69,6 +85,9 @@ class Settings:
                 raise KoopmanError(f"{field.name} is {value}: must be positive")
             if field.name in _SHARES and value > 1.0:
                 raise KoopmanError(f"{field.name} is {value}: must be at most 1")
+
+        if self.policy == "network" and self.encoder_loss == "reconstruction_prediction":
+            raise KoopmanError("encoder_loss reconstruction_prediction needs a model: policy must be lqr")
 
     def as_json(self) -> dict[str, Any]:
         """Return all of them by name."""

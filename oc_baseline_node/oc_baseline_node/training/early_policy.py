@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from ctrl_rl_training.run_folder import ROLL_OUT
+from ctrl_rl_training.algorithms import ROLL_OUT
 from ctrl_rl_training.training import Recorder
 from stable_baselines3.common.base_class import BaseAlgorithm
 

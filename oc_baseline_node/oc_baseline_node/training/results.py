@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 from ctrl_rl_core.results import Result
-from ctrl_rl_training.results import GOOD, curves, finished_runs, samples_to
+from ctrl_rl_training.results import GOOD, as_table, curves, finished_runs, samples_to
 
 from oc_baseline_node.training.methods import METHODS
 from oc_baseline_node.training.runs import OcRun
@@ -75,15 +75,9 @@ def collect(todo: Sequence[OcRun], folder: Path) -> tuple[list[Result], dict[str
     return rows, figures
 
 
-def as_table(rows: Sequence[Result]) -> str:
-    """Return the rows as text: mean and standard deviation over the seeds, and the thesis's figure."""
-    lines = [f"{'method':<28} {'metric':<22} {'ours':>20}   thesis"]
-    for row in rows:
-        ours = f"{np.mean(row.values):.4g} ± {np.std(row.values):.2g}"
-        thesis = "" if row.thesis is None else f"{row.thesis:g}"
-        label = METHODS[row.method].label if row.method in METHODS else row.method
-        lines.append(f"{label:<28} {row.metric:<22} {ours:>20}   {thesis}")
-    return "\n".join(lines)
+def table(rows: Sequence[Result]) -> str:
+    """Return the rows as text."""
+    return as_table(rows, {name: method.label for name, method in METHODS.items()})
 
 
 def _rate(result: dict[str, Any], outcome: str) -> float:

@@ -47,13 +47,13 @@ def training_figures(arguments: Sequence[str] | None = None) -> int:
 def _train(options: argparse.Namespace) -> int:
     check_run_options(options)
     load_navigation_task(options.task)  # refuses an unknown one before torch, which takes seconds to import
-    from oc_baseline_node.training.results import as_table, collect
+    from oc_baseline_node.training.results import collect, table
     from oc_baseline_node.training.runs import oc_runs
 
     runs = oc_runs(options.task, _methods(options), options.seeds, options.value)
     for run in runs:
         run.description  # noqa: B018 - refuses a missing or wrong V_oc before workers start
-    train_and_collect(options, runs, "oc_training", collect, as_table)
+    train_and_collect(options, runs, "oc_training", collect, table)
     return 0
 
 

@@ -1,0 +1,50 @@
+"""What a learner goes on from, as named arrays: the parameters of its networks and the state of its optimisers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import torch
+from numpy.typing import NDArray
+
+Arrays = dict[str, NDArray[Any]]
+
+
+def state_arrays(networks: Mapping[str, torch.nn.Module], optimizers: Mapping[str, torch.optim.Optimizer]) -> Arrays:
+    """Return the arrays; names of optimisers hold no dots."""
+    arrays: Arrays = {}
+    for prefix, network in networks.items():
+        arrays |= {f"{prefix}.{name}": tensor.cpu().numpy() for name, tensor in network.state_dict().items()}
+    for prefix, optimizer in optimizers.items():
+        for index, state in optimizer.state_dict()["state"].items():
+            arrays |= {f"{prefix}.{index}.{key}": tensor.cpu().numpy() for key, tensor in state.items()}
+    return arrays
+
+
+def restore_state(
+    networks: Mapping[str, torch.nn.Module],
+    optimizers: Mapping[str, torch.optim.Optimizer],
+    arrays: Mapping[str, NDArray[Any]],
+) -> None:
+    """Bring networks and optimisers to where `state_arrays` found them.
+
+    Raises:
+        RuntimeError: the arrays are of other networks.
+    """
+    for prefix, network in networks.items():
+        network.load_state_dict(_part(arrays, f"{prefix}."))
+    for prefix, optimizer in optimizers.items():
+        state: dict[int, dict[str, torch.Tensor]] = {}
+        for key, tensor in _part(arrays, f"{prefix}.").items():
+            index, _, field = key.partition(".")
+            state.setdefault(int(index), {})[field] = tensor
+        optimizer.load_state_dict({"state": state, "param_groups": optimizer.state_dict()["param_groups"]})
+
+
+def _part(arrays: Mapping[str, NDArray[Any]], prefix: str) -> dict[str, torch.Tensor]:
+    return {
+        name.removeprefix(prefix): torch.from_numpy(array.copy())
+        for name, array in arrays.items()
+        if name.startswith(prefix)
+    }

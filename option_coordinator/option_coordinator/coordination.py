@@ -1,0 +1,344 @@
+"""Grants options to robots that ask when they are ready (thesis Algorithm 3, deployed). Pure: no ROS, and no clock.
+
+A coordinator listens for one lease before it decides anything: robots say what they run, and which epoch they have
+seen; its own is the next. Robots obey the highest epoch only, so of two coordinators the newer one is heard. What a
+robot says that it carries out is true: a grant that was on its way when a coordinator died is adopted, never doubled.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from option_coordinator.choice import Choice, Chooses, choose_or_safe
+from option_coordinator.errors import OptionError
+from option_coordinator.exchange import AgentState, Grant, GrantStatus, JointStep, Request, Status
+from option_coordinator.ledger import Entry, Ledger, State
+from option_coordinator.robot import Robot, Times
+
+_LOT_BITS = 16
+
+
+@dataclass(frozen=True)
+class Answers:
+    """What is to be sent now, in this order."""
+
+    grants: list[Grant] = field(default_factory=list)
+    steps: list[JointStep] = field(default_factory=list)
+
+
+class Coordinator:
+    """Decides for a team. Its methods return what is to be sent; `tick` is to be called often, each millisecond or so.
+
+    Args:
+        robots: in the policy's order.
+        policy: chooses, see `choice`.
+        digest: of its file.
+        now: the time [s].
+        times: see there.
+        seed: of what the epochs of two coordinators that begin at once differ by.
+
+    Attributes:
+        ledger: who runs what.
+        epoch: of this coordinator, 0 while it listens or has stepped down.
+        counts: how often what happened, for diagnostics.
+    """
+
+    def __init__(
+        self,
+        robots: Sequence[Robot],
+        policy: Chooses,
+        digest: str,
+        now: float,
+        times: Times | None = None,
+        seed: int | None = None,
+    ) -> None:
+        self._robots = {robot.agent.name: robot for robot in robots}
+        self._index = {name: index for index, name in enumerate(self._robots)}
+        self._times = times or Times()
+        self._policy, self._digest = policy, digest
+        self.counts: Counter[str] = Counter()
+        self._highest = 0
+        self._random = np.random.default_rng(seed)
+        self.listen(now)
+
+    def listen(self, now: float) -> None:
+        """Begin anew: decide nothing for one lease, hear who runs what, then take over."""
+        self.ledger = Ledger(self._robots)
+        self.epoch = 0
+        self._step = 0
+        self._open: dict[str, Request] = {}
+        self._observed = [np.zeros(robot.agent.observation_size, np.float32) for robot in self._robots.values()]
+        self._repeat_at: dict[str, float] = {}
+        self._done: set[str] = set()
+        self._reward = 0.0
+        self._decided_at = now
+        self._batch_at = math.inf
+        self._takes_over_at = now + self._times.lease
+
+    @property
+    def stepped_down(self) -> bool:
+        """Whether another coordinator has taken over; this one is silent until `listen`."""
+        return self._takes_over_at == math.inf and self.epoch == 0
+
+    def replace_policy(self, policy: Chooses, digest: str) -> None:
+        """Decide by another policy from the next decision on."""
+        self._policy, self._digest = policy, digest
+        self.counts["policies replaced"] += 1
+
+    def on_epoch(self, epoch: int) -> None:
+        """Note an epoch that anyone has seen or uses, as of any JointOptionStep; step down on one above the own."""
+        self._highest = max(self._highest, epoch)
+        if 0 < self.epoch < epoch:
+            self.counts["stepped down"] += 1
+            self.epoch, self._takes_over_at = 0, math.inf
+            self._open.clear()
+
+    def on_request(self, request: Request, now: float) -> Answers:
+        """Take a request: it is decided, at once or by a `tick`, answered as before, or refused with a reason."""
+        self.on_epoch(request.coordinator_epoch)
+        if request.agent not in self._robots:
+            return self._refuse(request, now, "this team has no such robot") if self.epoch else Answers()
+        entry = self.ledger[request.agent]
+        try:
+            self._hear(entry, request.incarnation, now)
+        except OptionError as error:
+            return self._refuse(request, now, str(error)) if self.epoch else Answers()
+        if not self.epoch:
+            return Answers()  # it asks again; what it runs, its status says
+        if entry.answered(request.request_id):
+            self.counts["duplicate requests"] += 1
+            return Answers([self._grant_of(entry, now)])
+        if request.request_id < entry.request_id:
+            return self._refuse(request, now, f"request {entry.request_id} has been sent since")
+        if request.terminated:
+            return self._finish(entry, request, now)
+        reason = self._fault(request, now)
+        if reason:
+            return self._refuse(request, now, reason)
+        if entry.request_id != request.request_id or entry.agent in self._done:
+            self._reward += request.option_reward
+        self._done.discard(entry.agent)
+        entry.ask(request.request_id)
+        self._open[entry.agent] = request
+        self._observed[self._index[entry.agent]] = np.asarray(request.observation, np.float32)
+        self._batch_at = min(self._batch_at, now + self._times.window)
+        return self._decide(now) if self._all_wait() else self._decide_when_due(now)
+
+    def on_status(self, status: Status, now: float) -> Answers:
+        """Take a heartbeat: a sign of life, an acknowledgement, or news of what a robot runs."""
+        self.on_epoch(status.coordinator_epoch)
+        if status.agent not in self._robots:
+            self.counts["unknown robots"] += 1
+            return Answers()
+        entry = self.ledger[status.agent]
+        try:
+            self._hear(entry, status.incarnation, now)
+        except OptionError:
+            return Answers()
+        if status.request_id < entry.request_id:
+            return Answers()  # it was sent before the request
+        if status.state is AgentState.RUNNING:
+            self._believe(entry, status, now)
+        elif entry.holds and (status.state is AgentState.IDLE or status.request_id > entry.request_id):
+            entry.end()
+        return Answers()
+
+    def tick(self, now: float, alone: bool = False) -> Answers:
+        """Let time pass: take over, decide, repeat what was not acknowledged, call off what takes too long.
+
+        Args:
+            now: the time [s].
+            alone: no other coordinator is there; one that has stepped down listens again.
+        """
+        if self.stepped_down and alone:
+            self.listen(now)
+        if not self.epoch and now < self._takes_over_at:
+            return Answers()
+        if not self.epoch:
+            self._highest = _next_epoch(self._highest, self._random)
+            self.epoch, self._takes_over_at = self._highest, math.inf
+        for entry in self.ledger:
+            if entry.fall_silent(now, self._times.lease, self._times.lost_after):
+                self.counts["lost robots"] += 1
+                self._open.pop(entry.agent, None)
+        grants = [grant for entry in self.ledger for grant in self._overdue(entry, now)]
+        decided = self._decide_when_due(now)
+        return Answers(grants + decided.grants, decided.steps)
+
+    def _hear(self, entry: Entry, incarnation: int, now: float) -> None:
+        before, lost = entry.incarnation, entry.silence is State.LOST
+        entry.heard(incarnation, now)
+        if incarnation != before:
+            self._open.pop(entry.agent, None)
+            self._done.discard(entry.agent)
+        elif lost:
+            self.counts["returned robots"] += 1
+
+    def _fault(self, request: Request, now: float) -> str:
+        """Return what is wrong with a request, or nothing."""
+        agent = self._robots[request.agent].agent
+        observation, legal = np.asarray(request.observation), np.asarray(request.legal)
+        if 0 < request.coordinator_epoch < self.epoch:
+            return f"epoch {request.coordinator_epoch} is over, this is {self.epoch}: ask again"
+        if observation.shape != (agent.observation_size,):
+            return f"observation has shape {observation.shape}, must be ({agent.observation_size},)"
+        if not np.isfinite(observation).all() or not math.isfinite(request.option_reward):
+            return "not all numbers of observation and reward are finite"
+        if legal.size not in (0, len(agent.options)) or (legal.size and not legal.any()):
+            return f"legal options {legal.tolist()}: must be {len(agent.options)} with one legal at least, or none"
+        if now - request.stamp > self._times.stale:
+            return f"the observation is {now - request.stamp:.2f} s old: observe and ask again"
+        return ""
+
+    def _refuse(self, request: Request, now: float, reason: str) -> Answers:
+        self.counts["refused requests"] += 1
+        answer = Grant(
+            stamp=now,
+            agent=request.agent,
+            incarnation=request.incarnation,
+            request_id=request.request_id,
+            coordinator_epoch=self.epoch,
+            grant_id=0,
+            status=GrantStatus.REFUSED,
+            reason=reason,
+        )
+        return Answers([answer])
+
+    def _finish(self, entry: Entry, request: Request, now: float) -> Answers:
+        """Note that the task is over for a robot; the last one's word closes the episode."""
+        if entry.agent in self._done:
+            return self._refuse(request, now, "the task is over")
+        entry.ask(request.request_id)
+        entry.end()
+        self._open.pop(entry.agent, None)
+        self._done.add(entry.agent)
+        self._reward += request.option_reward if math.isfinite(request.option_reward) else 0.0
+        steps = [] if any(e.runs or e.state is State.WAITING for e in self.ledger) else [self._joint_step(now)]
+        return Answers(self._refuse(request, now, "the task is over").grants, steps)
+
+    def _believe(self, entry: Entry, status: Status, now: float) -> None:
+        """Acknowledge a grant, or adopt one that this coordinator has not given."""
+        told = (status.coordinator_epoch, status.request_id, status.grant_id, status.option)
+        if entry.option != -1 and told == (entry.epoch, entry.request_id, entry.grant_id, entry.option):
+            if entry.phase is State.GRANTED:
+                entry.acknowledge()
+                entry.granted_at = max(entry.granted_at, now - status.elapsed)
+            return
+        if not 0 <= status.option < len(self._robots[entry.agent].durations) or status.grant_id < 1:
+            self.counts["impossible statuses"] += 1
+            return
+        entry.adopt(status.coordinator_epoch, status.request_id, status.grant_id, status.option, now - status.elapsed)
+        self._open.pop(entry.agent, None)
+        self.counts["adopted grants"] += 1
+
+    def _overdue(self, entry: Entry, now: float) -> list[Grant]:
+        """Return what a robot must be told, or told again."""
+        if not entry.runs:
+            return []
+        duration = self._robots[entry.agent].durations[entry.option]
+        if not entry.cancelled and now - entry.granted_at > duration:
+            entry.cancel()
+            self.counts["overruns"] += 1
+            self._repeat_at[entry.agent] = now
+        unheard = entry.cancelled or entry.phase is State.GRANTED
+        if not unheard or now < self._repeat_at.get(entry.agent, now):
+            return []
+        self._repeat_at[entry.agent] = now + self._times.repeat
+        return [self._grant_of(entry, now)]
+
+    def _grant_of(self, entry: Entry, now: float) -> Grant:
+        """Return what stands for a robot's latest request."""
+        robot = self._robots[entry.agent]
+        return Grant(
+            stamp=now if entry.cancelled else entry.granted_at,
+            agent=entry.agent,
+            incarnation=entry.incarnation,
+            request_id=entry.request_id,
+            coordinator_epoch=self.epoch if entry.cancelled else entry.epoch,
+            grant_id=entry.grant_id,
+            status=GrantStatus.CANCELLED if entry.cancelled else GrantStatus.GRANTED,
+            reason="it takes longer than it may: ask again" if entry.cancelled else "",
+            option=entry.option,
+            option_name=robot.agent.options[entry.option],
+            deadline=robot.durations[entry.option],
+        )
+
+    def _all_wait(self) -> bool:
+        heard = [entry for entry in self.ledger if entry.phase is not State.UNKNOWN and entry.silence is None]
+        return all(entry.phase is State.WAITING for entry in heard)
+
+    def _decide_when_due(self, now: float) -> Answers:
+        return self._decide(now) if now >= self._batch_at else Answers()
+
+    def _decide(self, now: float) -> Answers:
+        """Decide for all that wait and are heard; who fell silent meanwhile asks again when it returns."""
+        self._batch_at = math.inf
+        asking = {e.agent: self._open.pop(e.agent) for e in self.ledger if e.state is State.WAITING}
+        choice = choose_or_safe(self._choice(asking), self._policy, self._times.policy_limit, self._safe_options())
+        self.counts.update(choice.faults)
+        grants = []
+        for name, request in asking.items():
+            entry, option = self.ledger[name], choice.options[self._index[name]]
+            if option < 0:
+                entry.end()
+                grants += self._refuse(request, now, "policy failed, and the safe option is not legal").grants
+                continue
+            entry.grant(self.epoch, int(option), now)
+            self._repeat_at[name] = now + self._times.repeat
+            grants.append(self._grant_of(entry, now))
+        if all(grant.status is GrantStatus.REFUSED for grant in grants):
+            return Answers(grants)
+        return Answers(grants, [self._joint_step(now, asking, choice.log_probability, choice.by_policy)])
+
+    def _choice(self, asking: Mapping[str, Request]) -> Choice:
+        """Return what the policy is asked."""
+        counts = [len(robot.agent.options) for robot in self._robots.values()]
+        legal = np.arange(max(counts)) < np.array(counts)[:, None]
+        for name, request in asking.items():
+            if np.size(request.legal):
+                legal[self._index[name], : np.size(request.legal)] = request.legal
+        return Choice(
+            observation=np.concatenate(self._observed),
+            choosing=np.array([name in asking for name in self._robots]),
+            running=np.array([e.option if e.runs and e.agent not in asking else -1 for e in self.ledger]),
+            legal=legal,
+        )
+
+    def _safe_options(self) -> list[int]:
+        return [robot.safe_option for robot in self._robots.values()]
+
+    def _joint_step(
+        self, now: float, asking: Mapping[str, Request] | None = None, log_probability: float = 0.0, by: bool = False
+    ) -> JointStep:
+        asked = self._choice(asking or {})
+        options = np.array([entry.option if entry.runs else -1 for entry in self.ledger])
+        out = JointStep(
+            stamp=now,
+            coordinator_epoch=self.epoch,
+            step=self._step,
+            policy_digest=self._digest if by else "",
+            running=asked.running >= 0,
+            absent=options < 0,
+            options=options,
+            legal=asked.legal,
+            observation=asked.observation,
+            log_probability=log_probability,
+            reward=self._reward,
+            duration=round((now - self._decided_at) / self._times.time_step),
+            terminated=not asking,
+        )
+        self._step, self._reward, self._decided_at = self._step + 1, 0.0, now
+        return out
+
+
+def _next_epoch(highest: int, random: np.random.Generator) -> int:
+    """Return an epoch above the highest: its upper bits count, the lower 16 are a lot.
+
+    Two coordinators that begin at once hear of the same highest; with plain counting both would decide in one epoch.
+    """
+    return ((highest >> _LOT_BITS) + 1 << _LOT_BITS) + int(random.integers(1 << _LOT_BITS))

@@ -1,0 +1,95 @@
+"""What robots and coordinator tell each other, as in ctrl_rl_msgs and without ROS. Times are seconds of one clock."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from option_coordinator.decision import NONE
+from option_coordinator.options import Mask, Observation
+
+
+class GrantStatus(IntEnum):
+    """OptionGrant.status."""
+
+    GRANTED = 0
+    REFUSED = 1
+    CANCELLED = 2
+
+
+class AgentState(IntEnum):
+    """AgentStatus.state."""
+
+    IDLE = 0
+    WAITING = 1
+    RUNNING = 2
+    FALLBACK = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Request:
+    """OptionRequest."""
+
+    stamp: float
+    agent: str
+    incarnation: int
+    request_id: int
+    coordinator_epoch: int
+    observation: Observation
+    legal: Mask
+    option_reward: float = 0.0
+    option_duration: int = 0
+    terminated: bool = False
+
+
+@dataclass(frozen=True)
+class Status:
+    """AgentStatus."""
+
+    agent: str
+    incarnation: int
+    state: AgentState
+    coordinator_epoch: int = 0
+    request_id: int = 0
+    grant_id: int = 0
+    option: int = 0
+    elapsed: float = 0.0
+
+
+@dataclass(frozen=True)
+class Grant:
+    """OptionGrant; its option is `NONE` where nothing is granted."""
+
+    stamp: float
+    agent: str
+    incarnation: int
+    request_id: int
+    coordinator_epoch: int
+    grant_id: int
+    status: GrantStatus
+    reason: str = ""
+    option: int = NONE
+    option_name: str = ""
+    deadline: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class JointStep:
+    """JointOptionStep; legal (N, K) as in `Decision`, observation of all, one after the other."""
+
+    stamp: float
+    coordinator_epoch: int
+    step: int
+    policy_digest: str
+    running: Mask
+    absent: Mask
+    options: NDArray[np.int64]
+    legal: Mask
+    observation: Observation
+    log_probability: float
+    reward: float
+    duration: int
+    terminated: bool

@@ -1,0 +1,65 @@
+"""The tasks with options, as environments.
+
+environment = make_environment("tool_delivery")
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from ctrl_rl_core.option_tasks import ToolDelivery, WaterFilling
+from ctrl_rl_core.tasks import load_task
+
+from option_coordinator.errors import OptionError
+from option_coordinator.event_driven import OptionEnvironment, Synchronisation
+from option_coordinator.options import Simulation
+from option_coordinator.tasks.tool_delivery import ToolDeliverySimulation
+from option_coordinator.tasks.tool_delivery_actions import ToolDeliveryActions
+from option_coordinator.tasks.water_filling import OptionSet, Sight, WaterFillingSimulation
+
+OptionTask = ToolDelivery | WaterFilling
+Level = Literal["options", "thesis", "actions"]
+"""What is chosen: the published options, those of thesis Table 5.1, or a low-level action at each step."""
+DISCOUNT = 0.99
+"""gamma of a low-level step (published settings)."""
+
+
+def load_option_task(name_or_path: str) -> OptionTask:
+    """Read a task that must be one with options.
+
+    Raises:
+        CtrlRlError: no such task, or it is of another kind.
+    """
+    task = load_task(name_or_path)
+    if not isinstance(task, ToolDelivery | WaterFilling):
+        raise OptionError(f"task '{task.name}' is of kind '{task.kind}': one with options is needed here")
+    return task
+
+
+def make_simulation(task: OptionTask, level: Level = "options", sight: Sight = "features") -> Simulation:
+    """Return a task's low-level world, to be led by options or by low-level actions ("end2end").
+
+    Raises:
+        OptionError: images, or the thesis's options, are asked of a task that has none.
+    """
+    if isinstance(task, WaterFilling):
+        options: OptionSet = "published" if level == "options" else level
+        return WaterFillingSimulation(task, options, sight)
+    if sight == "image":
+        raise OptionError(f"task '{task.name}' has no images: leave --sight away")
+    if level == "thesis":
+        raise OptionError(f"task '{task.name}' has the options of thesis Table 5.1 and Wait: there is no other set")
+    return ToolDeliverySimulation(task) if level == "options" else ToolDeliveryActions(task)
+
+
+def make_environment(
+    name_or_path: str,
+    synchronisation: Synchronisation = "async",
+    discount: float = DISCOUNT,
+    level: Level = "options",
+    sight: Sight = "features",
+    film: bool = False,
+) -> OptionEnvironment:
+    """Return a task as an event-driven environment. Errors as for `load_option_task` and `make_simulation`."""
+    simulation = make_simulation(load_option_task(name_or_path), level, sight)
+    return OptionEnvironment(simulation, discount, synchronisation, film)

@@ -1,0 +1,1 @@
+"""Learning joint policies: what imports torch."""

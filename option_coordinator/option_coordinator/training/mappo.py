@@ -1,0 +1,154 @@
+"""Asynchronous option-based MAPPO: Algorithm 3 with the conditional policy in roll-out and update alike (Eq. 5.4)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from option_coordinator.joint_policy import JointPolicy
+from option_coordinator.options import Agent
+from option_coordinator.policy_file import make_policy
+from option_coordinator.training.head_parts import Choice
+from option_coordinator.training.heads import as_numpy, make_head
+from option_coordinator.training.learner import Learner, as_choice, as_tensor
+from option_coordinator.training.value import ValueNetwork
+from option_coordinator.trajectory import Trajectory, advantages
+
+
+@dataclass(frozen=True)
+class MappoSettings:
+    """The published ones, but for the minibatch, which was all that Water Filling gathers between updates.
+
+    Attributes:
+        learning_rate: of policy and value.
+        clip: of the ratio, epsilon.
+        entropy: coefficient of the entropy bonus.
+        gae_lambda: lambda.
+        epochs: of an update.
+        minibatch: option steps that are learnt from at once; what is gathered goes whole, or in parts of about this.
+        huber: where the value's loss turns linear, on its learnt scale.
+        gradient_norm: at most this long.
+    """
+
+    learning_rate: float = 5e-4
+    clip: float = 0.2
+    entropy: float = 0.01
+    gae_lambda: float = 0.95
+    epochs: int = 10
+    minibatch: int = 256
+    huber: float = 10.0
+    gradient_norm: float = 10.0
+
+
+class Mappo(Learner):
+    """Conditional MAPPO; with `partial`, one policy for each agent (Eq. 5.5) and still one value of all.
+
+    Args:
+        agents: whose options are learnt.
+        head: kind of joint policy.
+        partial: whether each agent has one of its own.
+        settings: of the algorithm.
+    """
+
+    greedy = False
+
+    def __init__(
+        self, agents: Sequence[Agent], head: str, partial: bool = False, settings: MappoSettings | None = None
+    ) -> None:
+        self.settings = settings or MappoSettings()
+        counts = tuple(len(agent.options) for agent in agents)
+        self.network = make_head(head, agents, partial)
+        self.value = ValueNetwork(sum(agent.observation_size for agent in agents), counts)
+        parameters = [*self.network.parameters(), *self.value.parameters()]
+        self._optimizer = torch.optim.Adam(parameters, self.settings.learning_rate, eps=1e-5, fused=True)
+        self._policy = make_policy(head, as_numpy(self.network), counts, partial)
+
+    def behaviour(self, progress: float) -> JointPolicy:  # noqa: ARG002 - it explores by its own draws
+        """Return the policy, which goes on changing as it learns."""
+        return self._policy
+
+    def networks(self) -> Mapping[str, nn.Module]:
+        """Return all networks by name."""
+        return {"policy": self.network, "value": self.value}
+
+    def optimizers(self) -> Mapping[str, torch.optim.Optimizer]:
+        """Return all optimisers by name."""
+        return {"optimizer": self._optimizer}
+
+    def learn(self, trajectory: Trajectory, generator: np.random.Generator) -> dict[str, float]:
+        """Learn from what was gathered.
+
+        Returns:
+            `ratio`: how far the first ratios are from 1 at most; `entropy` of the choices; `value_loss`.
+        """
+        batch = self._batch(trajectory)
+        figures: dict[str, float] = {}
+        for _ in range(self.settings.epochs):
+            for part in _parts(len(trajectory), self.settings.minibatch, generator):
+                found = self._step(batch if part is None else batch.at(part))
+                figures = found | ({"ratio": figures["ratio"]} if figures else {})
+        return figures
+
+    def _batch(self, trajectory: Trajectory) -> _Batch:
+        observation = as_tensor(trajectory.observation)
+        running = torch.from_numpy(trajectory.running)
+        with torch.no_grad():
+            values = self.value.values(observation, running)
+            after = self.value.values(as_tensor(trajectory.next_observation), torch.from_numpy(trajectory.next_running))
+        gains = advantages(trajectory, values.double().numpy(), after.double().numpy(), self.settings.gae_lambda)
+        return _Batch(
+            choice=as_choice(trajectory),
+            running=running,
+            log_prob=as_tensor(trajectory.log_prob),
+            gain=as_tensor((gains - gains.mean()) / (gains.std() + 1e-5)),
+            returns=as_tensor(gains) + values,
+        )
+
+    def _step(self, batch: _Batch) -> dict[str, float]:
+        settings = self.settings
+        score = self.network(batch.choice)
+        ratio = torch.exp(score.log_prob - batch.log_prob)
+        clipped = ratio.clamp(1.0 - settings.clip, 1.0 + settings.clip)
+        entropy = score.entropy.mean()
+        loss = -torch.minimum(ratio * batch.gain, clipped * batch.gain).mean() - settings.entropy * entropy
+        targets = self.value.scale.count(batch.returns)
+        values = self.value(batch.choice.observation, batch.running)
+        value_loss = nn.functional.huber_loss(values, targets, delta=settings.huber)
+        self._optimizer.zero_grad()
+        (loss + value_loss).backward()  # they share no parameter
+        for network in self.networks().values():
+            nn.utils.clip_grad_norm_(network.parameters(), settings.gradient_norm)
+        self._optimizer.step()
+        return {
+            "ratio": float((ratio - 1.0).abs().max().detach()),
+            "entropy": float(entropy.detach()),
+            "value_loss": float(value_loss.detach()),
+        }
+
+
+class _Batch(NamedTuple):
+    """What an update learns from, as tensors (B, ...)."""
+
+    choice: Choice
+    running: Tensor
+    log_prob: Tensor
+    gain: Tensor
+    returns: Tensor
+
+    def at(self, rows: Tensor) -> _Batch:
+        """Return some of it."""
+        choice, *rest = self
+        return _Batch(Choice(*(part[rows] for part in choice)), *(part[rows] for part in rest))
+
+
+def _parts(steps: int, size: int, generator: np.random.Generator) -> list[Tensor | None]:
+    """Return the rows of an epoch's minibatches, in random order; None where one takes all."""
+    count = round(steps / size)
+    if count <= 1:
+        return [None]
+    return [torch.from_numpy(rows) for rows in np.array_split(generator.permutation(steps), count)]

@@ -1,0 +1,43 @@
+"""Pictures of learning joint options: the curves of Fig. 5.4."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from ctrl_rl_core.drawing import save_figure
+from ctrl_rl_training.pictures import draw_curve
+from matplotlib import pyplot as plt
+
+from option_coordinator.training.methods import METHODS
+
+_COLOURS = (
+    "tab:red",
+    "tab:orange",
+    "tab:green",
+    "tab:purple",
+    "tab:blue",
+    "tab:cyan",
+    "0.5",
+    "tab:brown",
+    "tab:pink",
+    "tab:olive",
+)
+
+
+def draw_curves(figures: Mapping[str, Any], path: Path) -> None:
+    """Draw what episodes of learning gave against low-level samples: mean and standard deviation over the seeds."""
+    figure, ax = plt.subplots(figsize=(7.0, 4.2), layout="constrained")
+    for name, colour in zip(METHODS, _COLOURS, strict=True):
+        if name in figures["curves"] and not METHODS[name].budget:  # who takes longer would squeeze the others
+            curve = figures["curves"][name]
+            draw_curve(ax, curve["samples"], curve["values"], METHODS[name].label, colour, start=None)
+    ax.axhline(figures["scripted"], color="k", linewidth=0.8, linestyle=":", label="scripted")
+    ax.set_xlabel("low-level samples [thousands]")
+    ax.set_ylabel(figures["metric"])
+    ax.grid(alpha=0.3)
+    ax.legend(fontsize=8)
+    seeds = max((len(curve["values"]) for curve in figures["curves"].values()), default=0)
+    ax.set_title(f"{figures['task']}: mean and standard deviation of {seeds} seeds", fontsize=10)
+    save_figure(figure, path)

@@ -1,0 +1,82 @@
+"""The commands `train` and `training_figures`: learning joint options with every method, and what comes of it."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+from ctrl_rl_core.command import check_least, run_command
+
+from option_coordinator.tasks import load_option_task, make_environment
+from option_coordinator.training.methods import METHODS
+
+FOLDER = Path("runs/options")
+ITERATIONS = 25
+_MAIN = ("async", "sync_wait")
+
+
+def train(arguments: Sequence[str] | None = None) -> int:
+    """Learn joint options (thesis 5.3) from several seeds; go on where it was cut off."""
+    parser = argparse.ArgumentParser(
+        prog="train",
+        description=train.__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        epilog="methods:\n" + "\n".join(f"  {name:<22} {method.label}" for name, method in METHODS.items()),
+    )
+    parser.add_argument("--task", required=True, help="tool_delivery, water_filling, or a task file")
+    parser.add_argument(
+        "--methods", nargs="+", choices=[*METHODS, "all"], default=_MAIN, help="default: async sync_wait"
+    )
+    parser.add_argument("--sight", choices=("features", "image"), default="features", help="of Water Filling's robots")
+    parser.add_argument("--folder", type=Path, default=FOLDER, help="of the runs (default %(default)s)")
+    parser.add_argument("--seeds", type=int, default=5, help="how many, from 0 (default %(default)s)")
+    parser.add_argument("--samples", type=int, help="low-level samples of a run (default: the task's)")
+    parser.add_argument("--evaluations", type=int, default=50, help="episodes at the end (default %(default)s)")
+    parser.add_argument("--workers", type=int, default=0, help="runs at a time (default: 0, one for each core)")
+    parser.add_argument("--results", type=Path, help="JSON file to write table and curves to")
+    options = parser.parse_args(arguments)
+    return run_command("train", lambda: _train(options))
+
+
+def training_figures(arguments: Sequence[str] | None = None) -> int:
+    """Draw the curves of learning (thesis Fig. 5.4) from the results that `train` wrote."""
+    parser = argparse.ArgumentParser(prog="training_figures", description=training_figures.__doc__)
+    parser.add_argument("results", type=Path, help="JSON file of `train --results`")
+    parser.add_argument("--output", type=Path, default=Path("docs/images"), help="folder (default %(default)s)")
+    options = parser.parse_args(arguments)
+    return run_command("training_figures", lambda: _figures(options))
+
+
+def _train(options: argparse.Namespace) -> int:
+    task = load_option_task(options.task)  # refuses an unknown one before torch is imported and workers start
+    longest = make_environment(options.task).simulation.step_limit
+    least = 2 * longest * ITERATIONS  # so that an episode ends in every iteration, whatever the one before overshot
+    check_least(options, seeds=1, evaluations=1, workers=0, samples=least)
+    samples = task.training_samples if options.samples is None else options.samples
+    from ctrl_rl_training.cli import train_and_collect
+
+    from option_coordinator.training.results import collect, table
+    from option_coordinator.training.runs import OptionRun, RunOptions, option_runs, train_one
+
+    every = [name for name, method in METHODS.items() if task.kind in method.kinds]
+    methods = every if "all" in options.methods else options.methods
+    runs = option_runs(options.task, methods, options.seeds, options.sight)
+    for name in dict.fromkeys(methods):
+        OptionRun(options.task, name, 0, options.sight).environment()  # refuses images or options that are not there
+    how = RunOptions(options.folder, ITERATIONS, samples // ITERATIONS, options.evaluations)
+    train_and_collect(options, runs, "options", collect, table, how, train_one)
+    return 0
+
+
+def _figures(options: argparse.Namespace) -> int:
+    from ctrl_rl_training.results import read_figures
+
+    from option_coordinator.training.pictures import draw_curves  # matplotlib is not for robots
+
+    figures = read_figures(options.results, ("task", "metric", "scripted", "curves"))
+    options.output.mkdir(parents=True, exist_ok=True)
+    file = options.output / f"{figures['task']}_options.png"
+    draw_curves(figures, file)
+    print(f"picture    {file}")
+    return 0
