@@ -18,8 +18,8 @@ setup(
     entry_points={
         "console_scripts": [
             "analyse = koopman_lqr_controller.analysis_cli:analyse",
-            "compare = koopman_lqr_controller.compare_cli:compare",
-            "comparison_figures = koopman_lqr_controller.compare_cli:comparison_figures",
+            "compare = koopman_lqr_controller.training.compare_cli:compare",
+            "comparison_figures = koopman_lqr_controller.training.compare_cli:comparison_figures",
             "consolidate = koopman_lqr_controller.training_cli:consolidate",
             "controller = koopman_lqr_controller.node:main",
             "evaluate = koopman_lqr_controller.offline_cli:evaluate",

@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 
 import pytest
-from koopman_lqr_controller.compare_cli import compare, comparison_figures
+from koopman_lqr_controller.training.compare_cli import compare, comparison_figures
 from koopman_lqr_controller.training.comparison_results import collect_comparison
 from koopman_lqr_controller.training.comparisons import COMPARISONS
 from koopman_lqr_controller.training.methods import LEARNERS, METHODS
