@@ -5,7 +5,7 @@ SHELL := /bin/bash
 RUN := set -eo pipefail; source scripts/workspace.bash;
 LINKED := ctrl_rl_core sim_bridge ctrl_rl_training ttr_reward_node oc_baseline_node koopman_lqr_controller option_coordinator ctrl_rl_bringup
 
-.PHONY: help setup build demo trials train ttr oc options test test-all lint bench results clean
+.PHONY: help setup build demo trials train ttr oc options koopman test test-all lint bench results clean
 
 help: ## say what there is
 	@grep -E '^[a-z-]+:.*##' Makefile | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 18
@@ -46,6 +46,14 @@ options: build ## learn joint options with every method of thesis 5.3, ten seeds
 	@$(RUN) for task in tool_delivery water_filling; do \
 	ros2 run option_coordinator train --task $$task --methods all --seeds 10 --results docs/results/options_$$task.json $(ARGS); \
 	ros2 run option_coordinator training_figures docs/results/options_$$task.json; done
+
+koopman: build ## learn the tasks of thesis 4.3, every method and ablation, and draw; many hours, may be cut off
+	@$(RUN) koopman() { ros2 run koopman_lqr_controller "$$@"; }; \
+	for task in cartpole_swingup cheetah_run cartpole_swingup_pixels curved_corridor; do \
+	koopman learn --task $$task --seeds 5 --results docs/results/koopman_$$task.json $(ARGS); done; \
+	for number in 4.1 4.2 4.3 4.4; do koopman compare --table $$number $(ARGS); done; \
+	for number in 4.3 4.8 4.9; do koopman compare --figure $$number $(ARGS); done; \
+	koopman comparison_figures docs/results/koopman_figure_*.json
 
 test: build lint ## the tests, in about ten minutes
 	@$(RUN) python -m pytest -m "not slow" $(ARGS)

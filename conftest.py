@@ -95,8 +95,9 @@ def check_resuming(tmp_path: Path, cut_off: Callable[..., None]) -> Callable[...
 
     def learnt(folder: Path) -> tuple[Any, bytes]:
         result = json.loads((folder / "result.json").read_text(encoding="utf-8"))
-        for point in result["curve"]:
-            del point["seconds"]
+        for measured in (result, *result["curve"]):
+            for name in ("seconds", "cpu_seconds"):
+                measured.pop(name, None)
         return result, (folder / "policy.safetensors").read_bytes()
 
     def check(train: Callable[..., Any], run: Any, options: Callable[[Path], Any]) -> Path:

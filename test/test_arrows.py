@@ -29,6 +29,8 @@ HEAVY = {
     "stable_baselines3",
     "sb3_contrib",
     "matplotlib",
+    "mujoco",
+    "dm_control",
 }
 RUN_TIME_MODULES = (
     "ctrl_rl_core.recorder_node",
@@ -41,6 +43,11 @@ RUN_TIME_MODULES = (
     "koopman_lqr_controller.node",
     "koopman_lqr_controller.scripted_driver_node",
     "koopman_lqr_controller.cli",
+    "koopman_lqr_controller.training.compare_cli",
+    "koopman_lqr_controller.consolidation",
+    "koopman_lqr_controller.analysis_cli",
+    "koopman_lqr_controller.offline_cli",
+    "koopman_lqr_controller.training_cli",
     "option_coordinator.cli",
     "option_coordinator.policy_file",
     "option_coordinator.tasks",

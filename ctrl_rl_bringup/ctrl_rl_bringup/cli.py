@@ -7,6 +7,7 @@ import os
 from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
+from typing import Any
 
 from ctrl_rl_core.command import run_command
 from ctrl_rl_core.results import Result, as_markdown, read_benchmarks, read_results, write_results
@@ -16,6 +17,9 @@ from ctrl_rl_bringup.drive import drive, drive_seeds, follow_running, record_scr
 from ctrl_rl_bringup.report import Drive, read_drive
 from ctrl_rl_bringup.stack import DriveOptions
 from ctrl_rl_msgs.msg import TaskOutcome
+
+_AS_REAL = ("lidar", "scan_dropout", "scan_noise", "odom_drift", "command_delay", "command_truncation")
+"""Parameters of the simulator that options ask for."""
 
 
 def demo() -> int:
@@ -85,6 +89,19 @@ def _parser(program: str, description: str, speed: float = 1.0) -> argparse.Argu
     parser.add_argument("--width", type=float, default=0.0, help="of the corridor [m] (default: the task's)")
     parser.add_argument("--random-width", action="store_true", help="draw the width from the task's range")
     parser.add_argument("--gui", action="store_true", help="show PyBullet's window")
+    real = parser.add_argument_group("what the simulator does as a real robot does")
+    real.add_argument("--lidar", help="lds01 or lds02: what reads like these (default: the task's)")
+    real.add_argument("--dropout", type=float, dest="scan_dropout", help="probability that a beam is lost")
+    real.add_argument("--noise", type=float, dest="scan_noise", help="standard deviation of a range [m]")
+    real.add_argument("--drift", type=float, dest="odom_drift", help="of odometry's relative errors")
+    real.add_argument("--delay", type=float, dest="command_delay", help="from a command to its effect [s]")
+    real.add_argument(
+        "--truncation",
+        action="store_const",
+        const=True,
+        dest="command_truncation",
+        help="cut commands to 0.01 m/s and 0.01 rad/s, as the firmware does",
+    )
     return parser
 
 
@@ -99,7 +116,13 @@ def _options(options: argparse.Namespace, name: str, seed: int) -> DriveOptions:
         width=options.width,
         gui=options.gui,
         randomise_width=options.random_width,
+        simulation=_simulation(options),
     )
+
+
+def _simulation(options: argparse.Namespace) -> dict[str, Any]:
+    """Return the parameters of the simulator that were asked for; it refuses by itself what it does not take."""
+    return {name: getattr(options, name) for name in _AS_REAL if getattr(options, name) is not None}
 
 
 def _run(program: str, work: Callable[[], int]) -> int:
@@ -129,7 +152,7 @@ def _trials(options: argparse.Namespace) -> int:
     reached = [float(episode.outcome == TaskOutcome.GOAL) for episode in episodes]
     times = [episode.elapsed for episode in episodes]
     clearances = [episode.smallest_clearance for episode in episodes]
-    method = f"policy {options.policy}, width {f'{options.width:g} m' if options.width else 'nominal'}"
+    method = ", ".join((f"policy {Path(options.policy).stem}", *_conditions(run)))
     if options.results:
         rows = [
             Result(method, "goal reached", "1", reached),
@@ -143,6 +166,12 @@ def _trials(options: argparse.Namespace) -> int:
     print(f"bag                 {run.bag}")
     needed = options.at_least if options.at_least is not None else 0.95 * len(reached)
     return 0 if sum(reached) >= needed else 1
+
+
+def _conditions(run: DriveOptions) -> list[str]:
+    """Return in words what a drive is like."""
+    width = "random" if run.randomise_width else f"{run.width:g} m" if run.width else "nominal"
+    return [f"width {width}", *(f"{name} {value}".lower() for name, value in run.simulation.items())]
 
 
 def _record_drives(options: argparse.Namespace) -> int:

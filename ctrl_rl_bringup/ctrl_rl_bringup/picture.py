@@ -21,6 +21,7 @@ def draw_drive(drive: Drive, path: Path) -> None:
     rows = ["clearance", "speed", "turn"]
     rows += ["reach"] if len(drive.rewards) else []
     rows += ["value"] if len(drive.oc_values) else []
+    rows += ["error"] if len(drive.predictions) else []
     figure, axes = plt.subplot_mosaic(
         [["map", row] for row in rows],
         width_ratios=(1.5, 1),
@@ -78,3 +79,8 @@ def _draw_over_time(axes: dict[str, Axes], drive: Drive) -> None:
     if "value" in axes:
         axes["value"].plot(*drive.oc_values.T, color="tab:brown")
         axes["value"].set_ylabel("optimal\nvalue")
+    if "error" in axes:
+        axes["error"].plot(*drive.predictions[:, :2].T, color="tab:cyan", label="model")
+        axes["error"].plot(*drive.predictions[:, [0, 2]].T, color="0.5", linewidth=1, label="nothing changes")
+        axes["error"].set_ylabel("one-step\nerror")
+        axes["error"].legend(fontsize=7, frameon=False)

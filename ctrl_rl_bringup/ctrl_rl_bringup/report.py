@@ -13,6 +13,7 @@ from ctrl_rl_core.bags import BagError, bag_info, read_messages
 from ctrl_rl_core.tasks import load_navigation_task
 from numpy.typing import NDArray
 
+from ctrl_rl_bringup.latent_model import LatentModel, read_latent_model
 from ctrl_rl_bringup.monitor import OUTCOMES
 from ctrl_rl_bringup.transport import answer_latencies, lost_messages, read_sent
 from ctrl_rl_msgs.msg import TaskOutcome
@@ -40,6 +41,8 @@ class Drive:
         latencies: from the publication of a scan to that of the command that answers it [s].
         messages: recorded.
         lost: published while the recorder listened, but not recorded.
+        predictions: (n, 3) time, one-step error of the latent model, and that of "nothing changes".
+        latent: the linear model that drove; None where none did.
     """
 
     task: str
@@ -57,6 +60,8 @@ class Drive:
     latencies: Array
     messages: int
     lost: int
+    predictions: Array
+    latent: LatentModel | None
 
     @property
     def reached(self) -> bool:
@@ -87,6 +92,7 @@ class Drive:
             "latency_p99_ms": 1e3 * self.latency(99),
             "messages_recorded": self.messages,
             "messages_lost": self.lost,
+            "latent_model": self.latent.as_dict() if self.latent else None,
         }
 
     def text(self) -> str:
@@ -104,6 +110,7 @@ class Drive:
                 f"optimal value       {value}",
                 f"control latency     {ms[0]:.2f} ms median, {ms[1]:.2f} ms p99, {len(self.latencies)} scans",
                 f"messages            {self.messages} recorded, {self.lost} lost",
+                *(self.latent.text() if self.latent else ()),
             )
         )
 
@@ -134,6 +141,7 @@ def read_drive(bag: Path) -> Drive:
         return np.column_stack((np.array(stamps[topic]) - begin, np.array(rows[topic]).reshape(len(rows[topic]), -1)))
 
     sent = read_sent(bag)
+    latent = read_latent_model(bag)
     return Drive(
         task=task,
         width=width,
@@ -150,6 +158,8 @@ def read_drive(bag: Path) -> Drive:
         latencies=answer_latencies(sent["/scan"], sent["/cmd_vel"]),
         messages=info.message_count,
         lost=lost_messages(sent),
+        predictions=latent.steps - (begin, 0.0, 0.0) if latent else np.empty((0, 3)),
+        latent=latent,
     )
 
 

@@ -38,6 +38,7 @@ class DriveOptions:
         width: of the corridor [m]; 0 for the task's own.
         gui: whether PyBullet shows a window.
         randomise_width: whether each reset draws the corridor's width from the task's range.
+        simulation: more parameters of the simulator, by name: lidar, drop-outs, delay and so on.
     """
 
     folder: Path
@@ -48,6 +49,7 @@ class DriveOptions:
     width: float = 0.0
     gui: bool = False
     randomise_width: bool = False
+    simulation: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def bag(self) -> Path:
@@ -65,6 +67,7 @@ def simulator(options: DriveOptions) -> NodeSpec:
         "gui": options.gui,
         "randomise_width": options.randomise_width,
         "start_paused": True,
+        **options.simulation,
     }
     return NodeSpec("sim_bridge", "bridge", parameters)
 

@@ -9,16 +9,14 @@ from typing import Any
 
 import torch
 from numpy.typing import NDArray
-from safetensors import SafetensorError
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.buffers import ReplayBuffer
 
 from ctrl_rl_training.array_file import load_arrays, save_arrays
-from ctrl_rl_training.errors import TrainingError
-from ctrl_rl_training.learner_state import restore_state, state_arrays
+from ctrl_rl_training.learner_state import Arrays, restore_state, state_arrays
 
-_REPLAY = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
-_HISTORY = "history."
+_REPLAYED = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
+_HISTORY, _VARIABLE, _REPLAY = "history.", "variable.", "replay."
 
 
 def save_checkpoint(
@@ -32,10 +30,7 @@ def save_checkpoint(
         progress: what else to go on with, as JSON.
         history: the same as arrays.
     """
-    tensors = state_arrays(_networks(model), _optimizers(model))
-    replay = _replay(model)
-    if replay is not None:
-        tensors |= {f"replay.{name}": getattr(replay, name)[: replay.pos] for name in _REPLAY}
+    tensors = model_arrays(model)
     tensors |= {f"{_HISTORY}{name}": array for name, array in history.items()}
     save_arrays(path, tensors, {"samples": model.num_timesteps, "progress": dict(progress)})
 
@@ -44,26 +39,39 @@ def load_checkpoint(path: Path, model: BaseAlgorithm) -> tuple[dict[str, Any], d
     """Bring a new model to where a checkpoint was and return progress and history.
 
     Raises:
-        TrainingError: the file cannot be read, or is of another algorithm or network.
+        Exception: one of `ctrl_rl_training.resumable.UNUSABLE`.
     """
-    try:
-        tensors, header = load_arrays(path)
-        _restore(model, tensors)
-        model.num_timesteps = header["samples"]
-        progress: dict[str, Any] = header["progress"]
-    except (OSError, SafetensorError, ValueError, KeyError, RuntimeError) as error:
-        raise TrainingError(f"{path}: cannot go on from it ({error}); delete it to begin anew") from None
+    tensors, header = load_arrays(path)
+    restore_model(model, tensors)
+    model.num_timesteps = header["samples"]
     history = {name.removeprefix(_HISTORY): array for name, array in tensors.items() if name.startswith(_HISTORY)}
-    return progress, history
+    return header["progress"], history
 
 
-def _restore(model: BaseAlgorithm, tensors: Mapping[str, NDArray[Any]]) -> None:
-    restore_state(_networks(model), _optimizers(model), tensors)
+def model_arrays(model: BaseAlgorithm) -> Arrays:
+    """Return networks, optimisers, single variables and replay."""
+    arrays = state_arrays(_networks(model), _optimizers(model))
+    arrays |= {f"{_VARIABLE}{name}": value.detach().cpu().numpy() for name, value in _variables(model).items()}
     replay = _replay(model)
     if replay is not None:
-        end = len(tensors["replay.rewards"])
-        for name in _REPLAY:
-            getattr(replay, name)[:end] = tensors[f"replay.{name}"]
+        arrays |= {f"{_REPLAY}{name}": getattr(replay, name)[: replay.pos] for name in _REPLAYED}
+    return arrays
+
+
+def restore_model(model: BaseAlgorithm, arrays: Mapping[str, NDArray[Any]]) -> None:
+    """Bring a new model to where `model_arrays` found it.
+
+    Raises:
+        KeyError, RuntimeError: the arrays are of another algorithm or network.
+    """
+    restore_state(_networks(model), _optimizers(model), arrays)
+    for name, variable in _variables(model).items():
+        variable.data.copy_(torch.from_numpy(arrays[f"{_VARIABLE}{name}"]))
+    replay = _replay(model)
+    if replay is not None:
+        end = len(arrays[f"{_REPLAY}rewards"])
+        for name in _REPLAYED:
+            getattr(replay, name)[:end] = arrays[f"{_REPLAY}{name}"]
         replay.pos = end
 
 
@@ -76,6 +84,11 @@ def _optimizers(model: BaseAlgorithm) -> dict[str, torch.optim.Optimizer]:
     """Return its optimisers, by names without dots."""
     paths = [path for path in _parts(model) if path.endswith("optimizer")]
     return {path.removeprefix("policy.").replace(".", "_"): attrgetter(path)(model) for path in paths}
+
+
+def _variables(model: BaseAlgorithm) -> dict[str, torch.Tensor]:
+    """Return what is learnt and belongs to no network."""
+    return {name: attrgetter(name)(model) for name in model._get_torch_save_params()[1]}
 
 
 def _parts(model: BaseAlgorithm) -> list[str]:

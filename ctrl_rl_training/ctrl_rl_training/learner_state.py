@@ -15,10 +15,10 @@ def state_arrays(networks: Mapping[str, torch.nn.Module], optimizers: Mapping[st
     """Return the arrays; names of optimisers hold no dots."""
     arrays: Arrays = {}
     for prefix, network in networks.items():
-        arrays |= {f"{prefix}.{name}": tensor.numpy() for name, tensor in network.state_dict().items()}
+        arrays |= {f"{prefix}.{name}": tensor.cpu().numpy() for name, tensor in network.state_dict().items()}
     for prefix, optimizer in optimizers.items():
         for index, state in optimizer.state_dict()["state"].items():
-            arrays |= {f"{prefix}.{index}.{key}": tensor.numpy() for key, tensor in state.items()}
+            arrays |= {f"{prefix}.{index}.{key}": tensor.cpu().numpy() for key, tensor in state.items()}
     return arrays
 
 

@@ -74,7 +74,7 @@ def train_all(
     with alone(options.folder / f".{title}.lock"):
         if todo:
             _run(todo, options, min(len(todo), workers or os.cpu_count() or 1), title, train)
-    return [train(run, options, lambda *_: None) for run in runs]
+        return [train(run, options, lambda *_: None) for run in runs]
 
 
 def _train_one() -> Train[Any, Any]:

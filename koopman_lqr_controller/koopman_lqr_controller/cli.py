@@ -14,7 +14,7 @@ from koopman_lqr_controller.edmd import Snapshots
 from koopman_lqr_controller.observables import CorridorObservables
 from koopman_lqr_controller.policy import KoopmanPolicy
 from koopman_lqr_controller.policy_file import save_policy
-from koopman_lqr_controller.training import train
+from koopman_lqr_controller.two_stage import train
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -1,8 +1,9 @@
-"""From bags of a drive to snapshots for EDMD."""
+"""From bags to what a policy would have seen in them, and what was commanded."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,22 +15,53 @@ from numpy.typing import NDArray
 from koopman_lqr_controller.edmd import Snapshots
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.lidar import ScanGeometry
+from koopman_lqr_controller.lidar_mounting import yaw_of_lidar
+from koopman_lqr_controller.linear_loop import See
 from koopman_lqr_controller.observables import CorridorObservables
 
+Array = NDArray[np.float64]
+
 _EPISODE = Extractor(lambda message: (message.episode, message.outcome.value), ("episode", "outcome"))
+_OLDEST = 1.0
+"""Commands and odometry older than this do not count: a base stops without them [s]."""
 _SAME_STEP = 0.25
 """Steps that differ from the usual one by more than this part are left out: a scan was lost."""
 
 
-def snapshots_of(bag: Path, observables: CorridorObservables, robot: str = "") -> list[Snapshots]:
-    """Return the snapshots of one bag, apart for each sequence without a gap.
+@dataclass(frozen=True)
+class Drive:
+    """A part of a drive without a gap.
 
-    Where the bag holds ground truth about episodes (a simulator's), what follows a collision or the goal is left out.
+    Attributes:
+        x: what was seen at each scan (T + 1, n).
+        u: commands from each scan to the next (T, 2): speed [m/s], turn rate [rad/s].
+        dt: from scan to scan, the usual one [s].
+    """
+
+    x: Array
+    u: Array
+    dt: float
+
+    def __len__(self) -> int:
+        return len(self.u)
+
+    def cut(self, begin: int, end: int) -> Drive:
+        """Return the steps from `begin` to before `end`."""
+        return Drive(self.x[begin : end + 1], self.u[begin:end], self.dt)
+
+
+def drives_of(bag: Path, see: See, robot: str = "", lidar_yaw: float | None = None) -> list[Drive]:
+    """Return what was seen and commanded in one bag, apart for each sequence without a gap.
+
+    Where the bag holds ground truth about episodes (a simulator's), what follows a collision or the goal is left out;
+    so is what has no command or odometry of the last second.
 
     Args:
         bag: with the topics scan, odom and cmd_vel (Twist or TwistStamped).
-        observables: Psi.
+        see: what to take of scan and odometry.
         robot: namespace of the topics.
+        lidar_yaw: direction of the scan's zero bearing in the robot's frame [rad]; None for what the bag's /tf_static
+            says, and 0 where it says nothing.
 
     Raises:
         KoopmanError: a topic is missing or holds nothing usable.
@@ -45,13 +77,48 @@ def snapshots_of(bag: Path, observables: CorridorObservables, robot: str = "") -
     if episode in info:
         topics[episode] = _EPISODE
     stamped = info[command].endswith("TwistStamped")
+    yaw = yaw_of_lidar(bag, scan, prefix) if lidar_yaw is None else lidar_yaw
     sequences = align(bag, _extractors(topics, info), reference=scan, methods={odom: "linear"})
-    out: list[Snapshots] = []
+    out: list[Drive] = []
     for sequence in sequences:
-        out += _pieces(sequence, observables, (scan, odom, command, episode), stamped)
+        out += _pieces(sequence, see, yaw, (scan, odom, command, episode), stamped)
     if not out:
         raise KoopmanError(f"{bag}: no two consecutive scans with odometry and a command: was the robot driven?")
     return out
+
+
+def snapshots_of(
+    bag: Path, observables: CorridorObservables, robot: str = "", lidar_yaw: float | None = None
+) -> list[Snapshots]:
+    """Return the snapshots of one bag, apart for each sequence without a gap: see `drives_of`.
+
+    Raises:
+        KoopmanError: a topic is missing or holds nothing usable.
+        BagError: the bag cannot be read.
+    """
+
+    def lift(ranges: NDArray[np.float32], scan: ScanGeometry, v: float, omega: float) -> Array:
+        return observables.lift(observables.sectors.distances(ranges, scan), v, omega)
+
+    return [Snapshots(drive.x[:-1], drive.u, drive.x[1:]) for drive in drives_of(bag, lift, robot, lidar_yaw)]
+
+
+def split(drives: Sequence[Drive], held_out: float) -> tuple[list[Drive], list[Drive]]:
+    """Return drives to fit to, and the last part of all steps, to measure on.
+
+    Args:
+        drives: in the order of their bags.
+        held_out: part of the steps, 0 <= held_out <= 1.
+    """
+    left = sum(len(drive) for drive in drives) - round(held_out * sum(len(drive) for drive in drives))
+    seen: list[Drive] = []
+    unseen: list[Drive] = []
+    for drive in drives:
+        here = min(max(left, 0), len(drive))
+        seen += [drive.cut(0, here)] if here else []
+        unseen += [drive.cut(here, len(drive))] if here < len(drive) else []
+        left -= here
+    return seen, unseen
 
 
 def _extractors(topics: Mapping[str, Extractor | None], info: Mapping[str, str]) -> dict[str, Extractor]:
@@ -64,31 +131,32 @@ def _extractors(topics: Mapping[str, Extractor | None], info: Mapping[str, str])
     return out
 
 
-def _pieces(
-    sequence: Aligned, observables: CorridorObservables, topics: Sequence[str], stamped: bool
-) -> list[Snapshots]:
+def _pieces(sequence: Aligned, see: See, yaw: float, topics: Sequence[str], stamped: bool) -> list[Drive]:
     scan, odom, command, episode = topics
     odometry, commands = sequence.values[odom], sequence.values[command]
-    z = np.array([_lift(observables, s, o) for s, o in zip(sequence.values[scan], odometry, strict=True)])
+    seen = [_seen(see, s, yaw, o) for s, o in zip(sequence.values[scan], odometry, strict=True)]
+    width = max((len(x) for x in seen if x is not None), default=0)
+    x = np.array([np.full(width, np.nan) if it is None else it for it in seen])
     # A stamped command carries the stamp of the scan it answers; an unstamped one was sent after it, before the next.
-    u = commands[:-1] if stamped else commands[1:]
-    step = np.diff(sequence.seconds)
-    usable = np.isfinite(z[:-1]).all(axis=1) & np.isfinite(z[1:]).all(axis=1) & np.isfinite(u).all(axis=1)
-    if len(step):
-        usable &= np.abs(step / np.median(step) - 1.0) < _SAME_STEP
+    held = slice(None, -1) if stamped else slice(1, None)
+    u, step = commands[held], np.diff(sequence.seconds)
+    usable = np.isfinite(x[:-1]).all(axis=1) & np.isfinite(x[1:]).all(axis=1) & np.isfinite(u).all(axis=1)
+    usable &= (sequence.ages[command][held] < _OLDEST) & (sequence.ages[odom][:-1] < _OLDEST)
+    usual = float(np.median(step)) if len(step) else np.nan
+    usable &= np.abs(step / usual - 1.0) < _SAME_STEP
     if episode in sequence.values:
         number, outcome = sequence.values[episode].T
         usable &= (number[:-1] == number[1:]) & (outcome[1:] == 0)
     cuts = np.flatnonzero(~usable)
     runs = np.split(np.arange(len(usable)), np.unique(np.concatenate((cuts, cuts + 1))))
-    return [Snapshots(z[rows], u[rows], z[rows + 1]) for rows in runs if len(rows) and usable[rows].all()]
+    return [Drive(x[rows[0] : rows[-1] + 2], u[rows], usual) for rows in runs if len(rows) and usable[rows].all()]
 
 
-def _lift(observables: CorridorObservables, scan: Any, odometry: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return Psi of one sample, NaN where the scan shows nothing."""
-    geometry = ScanGeometry(len(scan.ranges), scan.angle_min, scan.angle_increment, scan.range_min, scan.range_max)
+def _seen(see: See, scan: Any, yaw: float, odometry: NDArray[np.float64]) -> Array | None:
+    """Return x of one sample, None where the scan shows nothing."""
+    bearing = scan.angle_min + yaw
+    geometry = ScanGeometry(len(scan.ranges), bearing, scan.angle_increment, scan.range_min, scan.range_max)
     try:
-        distances = observables.sectors.distances(scan.ranges, geometry)
+        return see(scan.ranges, geometry, odometry[3], odometry[4])
     except KoopmanError:
-        return np.full(len(observables.names), np.nan)
-    return observables.lift(distances, v=odometry[3], omega=odometry[4])
+        return None

@@ -6,8 +6,9 @@ TurtleBot 4 with a third of them infinite. A policy sees none of that: it sees o
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,12 @@ from numpy.typing import NDArray
 from koopman_lqr_controller.errors import KoopmanError
 
 Array = NDArray[np.float64]
+
+_EDGE = 1e-6
+"""Beams on a sector's edge belong to it on both sides of the robot, whatever rounding says [rad]."""
+_TURN = 2.0 * np.pi
+_KNOWN = 8
+"""Geometries that are kept in mind: an LDS-01 has one, an LDS-02 a new one every time."""
 
 
 @dataclass(frozen=True)
@@ -68,49 +75,91 @@ class Sectors:
             raise KoopmanError(
                 f"scan with {len(ranges)} ranges of {scan.beams} in {scan.range_min} .. {scan.range_max} m"
             )
-        index = _sector_index(self, scan.beams, scan.angle_min, scan.angle_increment)
-        measured = _measured(ranges, scan, self.far)
-        values = np.append(measured, np.nan)[index]
-        counts = np.count_nonzero(~np.isnan(values), axis=1)
-        if not counts.any():
-            raise KoopmanError("scan without any measurement")
+        values = _measured(ranges, scan, self.far).take(self._index(scan))
         values.sort(axis=1)  # NaN last
-        row, middle = np.arange(len(values)), np.maximum(counts - 1, 0) // 2
-        out = 0.5 * (values[row, middle] + values[row, np.minimum(counts // 2, np.maximum(counts - 1, 0))])
-        return self._filled(out, counts)
+        blind = np.isnan(values)
+        counts = values.shape[1] - np.add.reduce(blind, axis=1)
+        out = 0.5 * (values[self._rows, (counts - 1) >> 1] + values[self._rows, counts >> 1])
+        return self._filled(out, blind[:, 0])
 
-    def _filled(self, distances: Array, counts: NDArray[np.intp]) -> Array:
-        empty = counts == 0
-        if empty.any():
-            both = np.roll(distances, 1) + np.roll(distances, -1)
-            distances = np.where(empty, 0.5 * both, distances)
-            distances = np.where(np.isnan(distances), self.far, distances)
-        return distances
+    @cached_property
+    def _middles(self) -> Array:
+        return np.array(self.bearings)
+
+    @cached_property
+    def _rows(self) -> NDArray[np.intp]:
+        return np.arange(len(self.bearings))
+
+    @cached_property
+    def _known(self) -> dict[tuple[int, float, float], NDArray[np.intp]]:
+        return {}
+
+    def _index(self, scan: ScanGeometry) -> NDArray[np.intp]:
+        key = (scan.beams, scan.angle_min, scan.angle_increment)
+        found = self._known.get(key)
+        if found is None:
+            found = self._beams(scan)
+            if len(self._known) >= _KNOWN:
+                self._known.clear()
+            self._known[key] = found
+        return found
+
+    def _beams(self, scan: ScanGeometry) -> NDArray[np.intp]:
+        """Return for each sector where in `_measured` its beams are, padded with the last (sectors, most beams in one).
+
+        Beams come at equal angles, so that those of a sector follow each other, at most once over the end of the scan.
+        What a scan of more than a turn sees twice is looked at once.
+
+        Raises:
+            KoopmanError: the increment is zero or not finite.
+        """
+        beams, increment = scan.beams, scan.angle_increment
+        if not (math.isfinite(scan.angle_min) and math.isfinite(increment) and increment != 0.0):
+            raise KoopmanError(f"scan with angle_increment {increment} and angle_min {scan.angle_min}")
+        half, turn = self.half_width + _EDGE, _TURN / abs(increment)
+        edge = half if increment > 0.0 else -half
+        begin = (self._middles - (scan.angle_min + edge)) / increment % turn  # in beams, from the first
+        width = 2.0 * half / abs(increment)
+        end = begin + width
+        first = np.ceil(begin)
+        to_end = np.maximum(np.minimum(np.floor(end), beams - 1) - first + 1, 0.0)
+        over_end = np.minimum(np.maximum(np.floor(end - turn) + 1, 0.0), beams - to_end)
+        first *= to_end > 0.0
+        count = to_end + over_end
+        column = np.arange(int(min(width, beams)) + 1)
+        index = first.astype(np.intp)[:, None] + column
+        index[column >= count[:, None]] = 2 * beams
+        return index
+
+    def _filled(self, distances: Array, empty: NDArray[np.bool_]) -> Array:
+        """Return the distances with those of empty sectors.
+
+        Raises:
+            KoopmanError: all are empty.
+        """
+        if not empty.any():
+            return distances
+        if empty.all():
+            raise KoopmanError("scan without any measurement")
+        both = np.roll(distances, 1) + np.roll(distances, -1)
+        distances = np.where(empty, 0.5 * both, distances)
+        return np.where(np.isnan(distances), self.far, distances)
 
 
 def _measured(ranges: NDArray[np.float32], scan: ScanGeometry, far: float) -> Array:
-    """Return each beam's distance, `far` where nothing is there and NaN where nothing was measured (beams,) [m]."""
-    out = ranges.astype(np.float64)
-    out[(out == 0.0) | (out > scan.range_max)] = far
-    out[out == -np.inf] = scan.range_min
-    out[out < scan.range_min] = np.nan
-    return np.minimum(out, far)
+    """Return each beam's distance [m], `far` where nothing is there, NaN where nothing was measured.
 
-
-@lru_cache(maxsize=64)
-def _sector_index(sectors: Sectors, beams: int, angle_min: float, angle_increment: float) -> NDArray[np.intp]:
-    """Return for each sector the indices of its beams, padded with `beams` (sectors, most beams in one).
-
-    Raises:
-        KoopmanError: the increment is zero or not finite.
+    All of it comes twice, so that what goes over the end of the scan goes on, and then a NaN (2 beams + 1,).
     """
-    if not (np.isfinite(angle_min) and np.isfinite(angle_increment) and angle_increment != 0.0):
-        raise KoopmanError(f"scan with angle_increment {angle_increment} and angle_min {angle_min}")
-    angles = angle_min + np.arange(beams) * angle_increment
-    apart = np.abs((angles - np.array(sectors.bearings)[:, None] + np.pi) % (2 * np.pi) - np.pi)
-    # Beams on a sector's edge belong to it on both sides of the robot, whatever rounding says.
-    inside = [np.flatnonzero(row <= sectors.half_width + 1e-6) for row in apart]
-    out = np.full((len(inside), max(1, *(len(row) for row in inside))), beams)
-    for row, indices in zip(out, inside, strict=True):
-        row[: len(indices)] = indices
-    return out
+    beams = len(ranges)
+    both = np.empty(2 * beams + 1)
+    out = both[:beams]
+    out[:] = ranges
+    np.putmask(out, out == 0.0, np.inf)
+    np.putmask(out, out == -np.inf, scan.range_min)
+    np.putmask(out, out < scan.range_min, np.nan)
+    if scan.range_max < far:
+        np.putmask(out, out > scan.range_max, far)
+    np.minimum(out, far, out=out)
+    both[beams:-1], both[-1] = out, np.nan
+    return both

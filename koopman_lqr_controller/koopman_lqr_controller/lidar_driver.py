@@ -8,6 +8,7 @@ from collections import deque
 from typing import ClassVar, NamedTuple
 
 import numpy as np
+from builtin_interfaces.msg import Time
 from ctrl_rl_core.parameters import Parameter
 from ctrl_rl_core.ros import COMMAND, SENSOR, Status, SuiteNode, ok, warn
 from geometry_msgs.msg import Twist, TwistStamped
@@ -25,9 +26,11 @@ DRIVER_PARAMETERS = (
     Parameter("scan_timeout", 0.5, "Age of the last scan or odometry that stops the robot [s].", 0.05, 10.0),
     Parameter("lidar_yaw", 0.0, "Direction of the scan's zero bearing in the robot's frame [rad].", -3.1416, 3.1416),
     Parameter("base_frame", "base_link", "Frame of the commands."),
+    Parameter("dry_run", False, "Decide and say so, but send nothing on cmd_vel.", live=True),
 )
 _RECENT = 1000
 _LAST_WORD = Duration(seconds=0.3)
+_STAND = np.zeros(2)
 
 
 class Sensed(NamedTuple):
@@ -41,17 +44,23 @@ class Sensed(NamedTuple):
 
 
 class LidarDriver(SuiteNode):
-    """Publishes one clamped cmd_vel for each scan, zero velocity on stale or unusable input and when it stops."""
+    """Publishes one clamped cmd_vel for each scan, zero velocity on stale or unusable input and when it stops.
+
+    In a dry run all is as ever, but nothing is sent.
+    """
 
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = DRIVER_PARAMETERS
 
     def __init__(self, name: str) -> None:
         super().__init__(name)
-        self._stamped: bool = self.settings["enable_stamped_cmd_vel"]
-        self._publisher = self.create_publisher(TwistStamped if self._stamped else Twist, "cmd_vel", COMMAND)
+        stamped: bool = self.settings["enable_stamped_cmd_vel"]
+        # One message for all commands: to make one takes as long as to decide.
+        self._out = TwistStamped(header=Header(frame_id=self.settings["base_frame"])) if stamped else Twist()
+        self._stamp, self._twist = (self._out.header, self._out.twist) if stamped else (Header(), self._out)
+        self._publisher = self.create_publisher(type(self._out), "cmd_vel", COMMAND)
         self._odometry: tuple[float, float] | None = None
         self._odometry_at = self._scan_at = self.get_clock().now()
-        self._counts = {"scans": 0, "commands": 0, "unusable": 0, "stale": 0}
+        self._counts = {"scans": 0, "commands": 0, "stopped": 0, "stale": 0}
         self._problem = "waiting for scan and odometry"
         self._latencies: deque[float] = deque(maxlen=_RECENT)
         self.create_subscription(Odometry, "odom", self._on_odometry, SENSOR)
@@ -63,13 +72,28 @@ class LidarDriver(SuiteNode):
         """Return speed [m/s] and turn rate [rad/s] (2,) for one scan, within the robot's limits.
 
         Raises:
-            KoopmanError: the input does not allow a command; the robot then stops.
+            KoopmanError: there is no command; the robot then stops, for the reason that the error says.
         """
+
+    def answered(self, header: Header, command: NDArray[np.float64], problem: str) -> None:
+        """Take note of what was sent, or in a dry run would have been; nobody waits for it any more.
+
+        Args:
+            header: of the scan; where scans stay away, of now.
+            command: speed [m/s], turn rate [rad/s] (2,).
+            problem: why the robot stands, empty while it drives.
+        """
+
+    def setting_changed(self, name: str) -> None:
+        """Let the robot stand when a dry run begins: it must not go on with the last command."""
+        if name == "dry_run" and self.settings["dry_run"]:
+            self._send(_STAND, self._now())
 
     def stop(self) -> None:
         """Leave the robot standing: the zero velocity has arrived before the publisher goes."""
-        self._publish(np.zeros(2), self._now_header())
-        self._publisher.wait_for_all_acked(_LAST_WORD)
+        if not self.settings["dry_run"]:
+            self._send(_STAND, self._now())
+            self._publisher.wait_for_all_acked(_LAST_WORD)
 
     def status(self) -> Status:
         """Say whether commands flow, and how quickly."""
@@ -77,7 +101,8 @@ class LidarDriver(SuiteNode):
         if self._latencies:
             p50, p99 = np.percentile(self._latencies, (50, 99)) * 1e3
             figures |= {"decision p50 [ms]": f"{p50:.3f}", "decision p99 [ms]": f"{p99:.3f}"}
-        return warn(self._problem, **figures) if self._problem else ok("driving", **figures)
+        dry = "dry run, nothing is sent: " if self.settings["dry_run"] else ""
+        return warn(f"{dry}{self._problem}", **figures) if self._problem else ok(f"{dry}driving", **figures)
 
     def _on_odometry(self, message: Odometry) -> None:
         twist = message.twist.twist
@@ -88,20 +113,26 @@ class LidarDriver(SuiteNode):
         begin = time.perf_counter()
         self._counts["scans"] += 1
         self._scan_at = self.get_clock().now()
-        answer = Header(stamp=message.header.stamp, frame_id=self.settings["base_frame"])
-        if self._odometry is None or self._age(self._odometry_at) > self.settings["scan_timeout"]:
-            self._halt("no recent odometry", answer)
-            return
         try:
-            command = self.decide(self._sensed(message, *self._odometry))
+            command = self._command(message)
         except KoopmanError as error:
-            self._counts["unusable"] += 1
-            self._halt(str(error), answer)
+            self._counts["stopped"] += 1
+            self._halt(str(error), message.header)
             return
-        self._problem = ""
-        self._counts["commands"] += 1
-        self._publish(command, answer)
+        if not self.settings["dry_run"]:
+            self._counts["commands"] += 1
+            self._send(command, message.header.stamp)
         self._latencies.append(time.perf_counter() - begin)
+        self._problem = ""
+        self.answered(message.header, command, "")
+
+    def _command(self, message: LaserScan) -> NDArray[np.float64]:
+        if self._odometry is None or self._age(self._odometry_at) > self.settings["scan_timeout"]:
+            raise KoopmanError("no recent odometry")
+        command = self.decide(self._sensed(message, *self._odometry))
+        if not np.isfinite(command).all():
+            raise KoopmanError(f"the policy's command is {command}: not finite")
+        return command
 
     def _sensed(self, message: LaserScan, v: float, omega: float) -> Sensed:
         ranges = np.frombuffer(message.ranges, np.float32)
@@ -113,21 +144,23 @@ class LidarDriver(SuiteNode):
         """Stop the robot when scans stay away; the clock is ROS's, so that a paused simulation is not stale."""
         if self._age(self._scan_at) > self.settings["scan_timeout"]:
             self._counts["stale"] += 1
-            self._halt("no recent scan", self._now_header())
+            self._halt("no recent scan", Header(stamp=self._now(), frame_id=self.settings["base_frame"]))
 
     def _halt(self, problem: str, header: Header) -> None:
+        if not self.settings["dry_run"]:
+            self._send(_STAND, header.stamp)
         if problem != self._problem:
             self.get_logger().warning(f"stopping: {problem}")
         self._problem = problem
-        self._publish(np.zeros(2), header)
+        self.answered(header, _STAND, problem)
 
     def _age(self, then: object) -> float:
         return float((self.get_clock().now() - then).nanoseconds) * 1e-9
 
-    def _now_header(self) -> Header:
-        return Header(stamp=self.get_clock().now().to_msg(), frame_id=self.settings["base_frame"])
+    def _now(self) -> Time:
+        return self.get_clock().now().to_msg()
 
-    def _publish(self, command: NDArray[np.float64], header: Header) -> None:
-        twist = Twist()
-        twist.linear.x, twist.angular.z = float(command[0]), float(command[1])
-        self._publisher.publish(TwistStamped(header=header, twist=twist) if self._stamped else twist)
+    def _send(self, command: NDArray[np.float64], stamp: Time) -> None:
+        self._stamp.stamp = stamp
+        self._twist.linear.x, self._twist.angular.z = command.tolist()
+        self._publisher.publish(self._out)

@@ -2,55 +2,172 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+import math
+from array import array
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from ctrl_rl_core.parameters import Parameter
-from ctrl_rl_core.ros import RESULT, run_node
+from ctrl_rl_core.ros import RESULT, Status, run_node, seconds
 from numpy.typing import NDArray
+from std_msgs.msg import Header
 
 from ctrl_rl_msgs.msg import LatentState
+from koopman_lqr_controller.errors import KoopmanError
+from koopman_lqr_controller.guards import Guard
+from koopman_lqr_controller.lidar import ScanGeometry
 from koopman_lqr_controller.lidar_driver import DRIVER_PARAMETERS, LidarDriver, Sensed
-from koopman_lqr_controller.policy import Decision
+from koopman_lqr_controller.policy import Decision, DrivingPolicy
 from koopman_lqr_controller.policy_file import digest, find_policy, load_policy
+
+_SAME_STEP = 0.5
+"""A scan that comes earlier or later than the model's step by more than this part of it is not what was predicted."""
+_SOME_SCAN = ScanGeometry(360, 0.0, 2.0 * np.pi / 360, 0.1, 3.5)
+_GUARDS = ("largest_distance", "largest_error", "error_patience")
+
+
+class _Thought(NamedTuple):
+    """What was thought of one scan, until its answer is out."""
+
+    decision: Decision
+    predicted: NDArray[np.float64] | None
+    error: float
+    measured: tuple[float, float]
 
 
 class Controller(LidarDriver):
     """Drives a robot from its lidar with a Koopman-LQR policy.
 
     Subscribes to scan and odom, publishes cmd_vel and ~/latent. Each cmd_vel carries the stamp of the scan that it
-    answers. Without a recent, usable scan and odometry the robot stands still.
+    answers. Without a recent, usable scan and odometry the robot stands still; so it does outside what the policy's
+    training saw, and while the policy's model predicts badly. Another policy may be given while it drives.
     """
 
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = (
         *DRIVER_PARAMETERS,
-        Parameter("policy", "curved_corridor_edmd", "A policy that comes with the package, or a .safetensors file."),
+        Parameter(
+            "policy",
+            "curved_corridor_edmd",
+            "A policy that comes with the package, or a .safetensors file; another one drives from the next scan on.",
+            live=True,
+        ),
+        Parameter(
+            "largest_distance",
+            1.0,
+            "Distance from the latents of training that stops the robot, over that of 99.9 % of them; 0.0 for none.",
+            0.0,
+            1000.0,
+            live=True,
+        ),
+        Parameter(
+            "largest_error",
+            1.0,
+            "Prediction error that stops the robot if it stays, over that of 99 % of training; 0.0 for none.",
+            0.0,
+            1000.0,
+            live=True,
+        ),
+        Parameter("error_patience", 1.0, "How long the prediction error may stay too large [s].", 0.0, 60.0, live=True),
     )
 
     def __init__(self) -> None:
         super().__init__("koopman_lqr_controller")
-        path = find_policy(self.settings["policy"])
-        self._policy = load_policy(path)
         self._latent = self.create_publisher(LatentState, "~/latent", RESULT)
-        self._last: Decision | None = None
-        self.get_logger().info(f"policy {path.name} ({digest(path)[:12]}), {len(self._policy.z_ref)} observables")
+        self._policy: DrivingPolicy
+        self._thought: _Thought | None = None
+        self._next: NDArray[np.float64] | None = None
+        self._next_since = math.nan
+        self._load(self.settings["policy"])
+
+    def setting_changed(self, name: str) -> None:
+        """Drive with another policy from the next scan on, or watch it otherwise."""
+        if name == "policy":
+            self._load(self.settings["policy"])
+        elif name in _GUARDS:
+            self._guard = self._make_guard(self._policy)
+        else:
+            super().setting_changed(name)
+
+    def status(self) -> Status:
+        """Say whether commands flow, which policy gives them, and how far from its training the robot is."""
+        level, message, figures = super().status()
+        watched = (
+            f"{self._guard.outside:.2f}" if self._policy.region else "not watched: the policy's file has no region"
+        )
+        return level, message, {**figures, **self._served, "distance over the region's": watched}
 
     def decide(self, sensed: Sensed) -> NDArray[np.float64]:
-        """Return the policy's command and publish how it came about."""
+        """Return the policy's command.
+
+        Raises:
+            KoopmanError: it cannot be made, or would not be as in training.
+        """
         decision = self._policy.decide(sensed.ranges, sensed.scan, sensed.v, sensed.omega)
-        out = LatentState(
-            header=sensed.header,
-            z=decision.z,
-            control=decision.control,
-            cost_to_go=decision.cost_to_go,
-            prediction_error=float("nan"),
-        )
-        if self._last is not None:
-            out.z_predicted = self._last.z_next
-            out.prediction_error = float(np.linalg.norm(decision.z - self._last.z_next))
-        self._last = decision
-        self._latent.publish(out)
+        now, predicted, error = seconds(sensed.header.stamp), None, math.nan
+        if self._next is not None and self._in_step(now - self._next_since):
+            predicted = self._next
+            missed = decision.z - predicted
+            error = math.sqrt(missed.dot(missed))
+        self._thought = _Thought(decision, predicted, error, (sensed.v, sensed.omega))
+        reason = self._guard.see(now, decision.z, error)
+        if reason:
+            raise KoopmanError(reason)
         return decision.command
+
+    def answered(self, header: Header, command: NDArray[np.float64], problem: str) -> None:
+        """Publish how the answer came about, and predict what comes of it."""
+        dry, thought, self._thought = self.settings["dry_run"], self._thought, None
+        nan = math.nan
+        out = LatentState(header=header, prediction_error=nan, cost_to_go=nan, distance=nan, stop=problem, dry_run=dry)
+        out.command = _doubles(command)
+        self._next = None  # not for a robot of which something is not known
+        if thought is None:
+            out.z, out.control = _doubles(np.full_like(self._policy.z_ref, nan)), _doubles(np.full(2, nan))
+        else:
+            z = thought.decision.z
+            out.z, out.control = _doubles(z), _doubles(thought.decision.control)
+            out.cost_to_go, out.distance = self._policy.cost_to_go(z), self._guard.outside
+            if thought.predicted is not None:
+                out.z_predicted, out.prediction_error = _doubles(thought.predicted), thought.error
+            # In a dry run somebody else drives, or nobody: what the robot does is what it does by odometry.
+            self._next = self._policy.predict(z, np.array(thought.measured) if dry else command)
+            self._next_since = seconds(header.stamp)
+        self._latent.publish(out)
+
+    def _load(self, name: str) -> None:
+        """Read, try out and take over a policy.
+
+        Raises:
+            KoopmanError: it does not serve; the one before goes on.
+        """
+        path = find_policy(name)
+        policy: DrivingPolicy = load_policy(path)
+        policy.decide(np.ones(_SOME_SCAN.beams, np.float32), _SOME_SCAN, 0.0, 0.0)  # one of another robot ends here
+        served = {"policy": path.name, "policy digest": digest(path)}
+        # Only what is right in every respect takes the place of what drives.
+        self._guard, self._served, self._next = self._make_guard(policy), served, None
+        self._policy = policy
+        self.get_logger().info(
+            f"policy {path.name} ({served['policy digest'][:12]}), {len(policy.z_ref)} observables, "
+            f"{len(policy.sectors.bearings)} sectors"
+        )
+        if policy.region is None:
+            self.get_logger().warning(
+                f"{path.name} does not say what its training saw: only stale and unusable input stops the robot"
+            )
+
+    def _make_guard(self, policy: DrivingPolicy) -> Guard:
+        return Guard(policy.region, *(float(self.settings[name]) for name in _GUARDS))
+
+    def _in_step(self, elapsed: float) -> bool:
+        """Whether so much time [s] since the last scan is what the model predicts for."""
+        dt = self._policy.dt
+        return dt is None or abs(elapsed / dt - 1.0) < _SAME_STEP
+
+
+def _doubles(values: NDArray[np.float64]) -> array[float]:
+    """Return `values` as the array that a float64[] field takes whole; of an ndarray it looks at each element."""
+    return array("d", values.tobytes())
 
 
 def main() -> int:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,7 +38,7 @@ class CorridorObservables:
     closest: float = 0.12
     far: float = 3.5
 
-    @property
+    @cached_property
     def sectors(self) -> Sectors:
         """What must be taken from a scan: around the robot, from behind right over ahead to behind left."""
         left = np.deg2rad(self.bearings_deg)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from koopman_lqr_controller.edmd import LinearModel
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.lidar import ScanGeometry, Sectors
 from koopman_lqr_controller.observables import CorridorObservables
+from koopman_lqr_controller.region import Region, check_region
 
 Array = NDArray[np.float64]
 
@@ -25,15 +27,48 @@ class Decision:
         command: u clamped to the limits (2,): speed [m/s], turn rate [rad/s].
         control: u before clamping (2,).
         z: lifted state (n,).
-        z_next: the model's prediction of the next z under `command` (n,).
-        cost_to_go: (z - z_ref)^T P (z - z_ref).
     """
 
     command: Array
     control: Array
     z: Array
-    z_next: Array
-    cost_to_go: float
+
+
+class DrivingPolicy(Protocol):
+    """What a node needs of a policy, however it was learnt."""
+
+    @property
+    def manifest(self) -> Mapping[str, Any]:
+        """What was learned from, and how well: plain JSON values."""
+
+    @property
+    def dt(self) -> float | None:
+        """Time for which the model predicts [s]; None where the file does not say."""
+
+    @property
+    def z_ref(self) -> Array:
+        """Where to be (n,)."""
+
+    @property
+    def sectors(self) -> Sectors:
+        """What the policy takes from a scan."""
+
+    @property
+    def region(self) -> Region | None:
+        """What training saw; None where the file does not say."""
+
+    @property
+    def loop(self) -> Array:
+        """A - B K (n, n)."""
+
+    def decide(self, ranges: NDArray[np.float32], scan: ScanGeometry, v: float, omega: float) -> Decision:
+        """Return the command for one scan and the odometry's speed [m/s] and turn rate [rad/s]."""
+
+    def predict(self, z: Array, command: Array) -> Array:
+        """Return the model's next z (n,) under a command (2,), which counts as the nearest within the limits."""
+
+    def cost_to_go(self, z: Array) -> float:
+        """Return (z - z_ref)^T P (z - z_ref)."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +85,7 @@ class KoopmanPolicy:
         u_low: least command (2,).
         u_high: largest command (2,).
         manifest: what was learned from, and how well: plain JSON values.
+        region: what training saw; None where it was not written down.
     """
 
     observables: CorridorObservables
@@ -61,6 +97,7 @@ class KoopmanPolicy:
     u_low: Array
     u_high: Array
     manifest: Mapping[str, Any] = field(default_factory=dict)
+    region: Region | None = None
 
     def __post_init__(self) -> None:
         n, m = len(self.observables.names), 2
@@ -81,11 +118,22 @@ class KoopmanPolicy:
                 raise KoopmanError(f"{name} holds values that are not finite")
         if not (self.u_low < self.u_high).all():
             raise KoopmanError("u_low must lie below u_high")
+        check_region(self.region, n)
+
+    @property
+    def dt(self) -> None:
+        """A drive's own time between scans: its bags know it, the file does not."""
+        return None
 
     @property
     def sectors(self) -> Sectors:
         """What the policy takes from a scan."""
         return self.observables.sectors
+
+    @property
+    def loop(self) -> Array:
+        """A - B K (n, n)."""
+        return self.model.A - self.model.B @ self.K
 
     def decide(self, ranges: NDArray[np.float32], scan: ScanGeometry, v: float, omega: float) -> Decision:
         """Return the command for one scan and the odometry's speed [m/s] and turn rate [rad/s].
@@ -93,11 +141,18 @@ class KoopmanPolicy:
         Raises:
             KoopmanError: nothing can be seen in the scan, or speed or turn rate are not finite.
         """
-        if not (np.isfinite(v) and np.isfinite(omega)):
+        if not (math.isfinite(v) and math.isfinite(omega)):
             raise KoopmanError(f"odometry with speed {v} and turn rate {omega}")
         z = self.observables.lift(self.sectors.distances(ranges, scan), v, omega)
+        control = self.u_ref - self.K.dot(z - self.z_ref)
+        return Decision(np.minimum(np.maximum(control, self.u_low), self.u_high), control, z)
+
+    def predict(self, z: Array, command: Array) -> Array:
+        """Return the model's next z (n,) under a command (2,), which counts as the nearest within the limits."""
+        command = np.clip(command, self.u_low, self.u_high)
+        return self.z_ref + self.model.predict(z - self.z_ref, command - self.u_ref)
+
+    def cost_to_go(self, z: Array) -> float:
+        """Return (z - z_ref)^T P (z - z_ref)."""
         deviation = z - self.z_ref
-        control = self.u_ref - self.K @ deviation
-        command = np.clip(control, self.u_low, self.u_high)
-        z_next = self.z_ref + self.model.predict(deviation, command - self.u_ref)
-        return Decision(command, control, z, z_next, float(deviation @ self.P @ deviation))
+        return float(deviation @ self.P @ deviation)

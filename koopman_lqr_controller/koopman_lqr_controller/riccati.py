@@ -1,4 +1,4 @@
-"""The linear quadratic regulator of a linear model: infinite horizon, discrete time."""
+"""The linear quadratic regulator of a linear model in discrete time: infinite and finite horizon."""
 
 from __future__ import annotations
 
@@ -58,3 +58,32 @@ def solve_lqr(model: LinearModel, Q: Array, R: Array) -> Regulator:
     if radius >= 1.0:
         raise KoopmanError(f"the closed loop's spectral radius is {radius:.3f}: the model cannot be stabilised")
     return Regulator(K=K, P=P, spectral_radius=radius, residual=float(residual))
+
+
+def finite_horizon(model: LinearModel, Q: Array, R: Array, z_ref: Array, iterations: int) -> tuple[Array, Array, Array]:
+    """Return the first step's law u = k - K z after so many Riccati iterations (thesis Algorithm 1), and P.
+
+    It minimises sum (z - z_ref)^T Q (z - z_ref) + u^T R u; k comes from the linear part of the cost-to-go, whose
+    recursion begins with Q z_ref.
+
+    Args:
+        model: A (n, n), B (n, m).
+        Q: diagonal (n,), not negative.
+        R: diagonal (m,), positive.
+        z_ref: goal (n,).
+        iterations: M of Algorithm 1.
+
+    Returns:
+        K (m, n), k (m,), P (n, n).
+    """
+    A, B = model.A, model.B
+    P, v = np.diag(Q), Q * z_ref
+    for _ in range(iterations):
+        closed = A - B @ np.linalg.solve(np.diag(R) + B.T @ P @ B, B.T @ P @ A)
+        v = closed.T @ v + Q * z_ref
+        P = A.T @ P @ closed + np.diag(Q)
+        P = 0.5 * (P + P.T)
+    S = np.diag(R) + B.T @ P @ B
+    K: Array = np.asarray(np.linalg.solve(S, B.T @ P @ A), dtype=np.float64)
+    k: Array = np.asarray(np.linalg.solve(S, B.T @ v), dtype=np.float64)
+    return K, k, P

@@ -4,81 +4,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ctrl_rl_core.bags import BagWriter, Topic
-from koopman_lqr_controller.drives import snapshots_of
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from koopman_lqr_controller.drives import Drive, drives_of, snapshots_of, split
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.observables import CorridorObservables
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from recorded import KINDS, STEP, Bag
 
-STORE = get_typestore(Stores.ROS2_JAZZY)
-MESSAGES = Path(__file__).parents[2] / "ctrl_rl_msgs" / "msg"
-for _name in ("TaskOutcome", "EpisodeStatus"):
-    STORE.register(get_types_from_msg((MESSAGES / f"{_name}.msg").read_text(), f"ctrl_rl_msgs/msg/{_name}"))
-KINDS = {
-    "/scan": "sensor_msgs/msg/LaserScan",
-    "/odom": "nav_msgs/msg/Odometry",
-    "/cmd_vel": "geometry_msgs/msg/TwistStamped",
-    "/episode": "ctrl_rl_msgs/msg/EpisodeStatus",
-}
 OBSERVABLES = CorridorObservables()
-STEP = 200_000_000
-
-
-def build(kind: str, **fields):
-    """Return a message of zeros with some fields set; a dict is a message of its own."""
-    cls = STORE.types[kind]
-    values = {}
-    for name, (node, detail) in STORE.get_msgdef(kind).fields:
-        given = fields.get(name)
-        if node.name == "NAME":
-            values[name] = build(detail, **(given or {}))
-        elif node.name == "BASE":
-            values[name] = given if given is not None else ("" if detail[0] == "string" else 0)
-        elif node.name == "ARRAY":
-            values[name] = np.zeros(detail[1])
-        else:
-            values[name] = given if given is not None else np.zeros(0, np.float32)
-    return cls(**values)
-
-
-def stamp(time: int) -> dict:
-    return {"stamp": {"sec": time // 10**9, "nanosec": time % 10**9}, "frame_id": "base_link"}
-
-
-def twist(v: float, omega: float) -> dict:
-    return {"linear": {"x": v}, "angular": {"z": omega}}
-
-
-class Bag:
-    """A drive: at step k the robot turns at 0.1 k rad/s and the command is 0.01 k m/s."""
-
-    def __init__(self, folder: Path, kinds: dict[str, str]) -> None:
-        self.folder, self.kinds = folder, kinds
-        self.writer = BagWriter(folder)
-        for name, kind in kinds.items():
-            definition, _ = STORE.generate_msgdef(kind, ros_version=2)
-            self.writer.add_topic(Topic(name, kind, definition, STORE.hash_rihs01(kind), ()))
-
-    def put(self, topic: str, time: int, delay: int = 0, **fields) -> None:
-        message = build(self.kinds[topic], header=stamp(time), **fields)
-        self.writer.write(topic, bytes(STORE.serialize_cdr(message, self.kinds[topic])), 10**12 + time + delay)
-
-    def drive(self, steps: range, beams: int = 360, distance: float = 0.3) -> None:
-        for k in steps:
-            time = k * STEP
-            self.put("/odom", time, twist={"twist": twist(0.1, 0.1 * k)})
-            ranges = np.full(beams + k % 3, distance, np.float32)
-            self.put("/scan", time, 1, angle_increment=2 * np.pi / len(ranges), range_max=3.5, ranges=ranges)
-            if self.kinds["/cmd_vel"].endswith("Stamped"):
-                self.put("/cmd_vel", time, 2, twist=twist(0.01 * k, 0.0))
-            else:
-                self.put("/cmd_vel", time, 2, **twist(0.01 * k, 0.0))
-
-    def __enter__(self) -> "Bag":
-        return self
-
-    def __exit__(self, *_) -> None:
-        self.writer.close()
 
 
 def without(*names: str, **changed: str) -> dict[str, str]:
@@ -124,3 +57,45 @@ def test_says_which_topic_is_missing_and_when_nothing_is_usable(tmp_path: Path) 
         bag.drive(range(1))
     with pytest.raises(KoopmanError, match="was the robot driven"):
         snapshots_of(tmp_path / "b", OBSERVABLES)
+
+
+def test_the_lidar_is_taken_as_it_is_mounted(tmp_path: Path) -> None:
+    """The left half of what a lidar sees that looks to the left is behind the robot."""
+    kinds = {**without("/episode"), "/tf_static": "tf2_msgs/msg/TFMessage"}
+
+    def ahead(ranges, scan, _v, _omega):
+        return np.array([ranges[round((0.0 - scan.angle_min) / scan.angle_increment) % scan.beams]])
+
+    for name, turned, expected in (("level", 0.5**0.5, 270.0), ("tilted", 0.0, None)):
+        with Bag(tmp_path / name, kinds) as bag:
+            rotation = {"z": turned, "w": turned} if turned else {"x": 1.0}
+            bag.mount("laser", rotation)
+            for k in range(3):
+                ranges = np.arange(360, dtype=np.float32)
+                bag.drive(range(k, k + 1), ranges=ranges, frame="laser")
+        if expected is None:
+            with pytest.raises(KoopmanError, match="does not lie flat and upright"):
+                drives_of(tmp_path / name, ahead)
+        else:
+            (drive,) = drives_of(tmp_path / name, ahead)
+            assert drive.x[0, 0] == expected
+        (drive,) = drives_of(tmp_path / name, ahead, lidar_yaw=0.0)
+        assert drive.x[0, 0] == 0.0
+
+
+def test_a_command_of_long_ago_does_not_count(tmp_path: Path) -> None:
+    with Bag(tmp_path / "bag", without("/episode", cmd_vel="geometry_msgs/msg/Twist")) as bag:
+        bag.drive(range(4))
+        bag.drive(range(4, 15), commanded=False)
+    (drive,) = drives_of(tmp_path / "bag", lambda *_: np.zeros(1))
+    assert len(drive) == 8, "the last command, of step 3, holds for the five steps of a second"
+
+
+@settings(deadline=None)
+@given(st.lists(st.integers(1, 9), min_size=1, max_size=5), st.floats(0.0, 1.0))
+def test_the_last_part_is_held_out(lengths: list[int], held_out: float) -> None:
+    drives = [Drive(np.arange(n + 1.0)[:, None] + 100 * i, np.zeros((n, 2)), 0.2) for i, n in enumerate(lengths)]
+    seen, unseen = split(drives, held_out)
+    assert sum(map(len, unseen)) == round(held_out * sum(lengths))
+    steps = [(x, after) for part in (*seen, *unseen) for x, after in zip(part.x[:-1, 0], part.x[1:, 0], strict=True)]
+    assert steps == [(x, x + 1) for drive in drives for x in drive.x[:-1, 0]]

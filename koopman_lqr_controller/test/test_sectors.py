@@ -75,6 +75,49 @@ def test_whatever_comes_distances_are_finite_and_within_limits(ranges: list[floa
     assert (out <= FAR).all()
 
 
+def plain(ranges: np.ndarray, scan: ScanGeometry) -> np.ndarray:
+    """Say the same in the words of the docstring, one beam after the other."""
+
+    def meant(value: float) -> float:
+        if value in (0.0, np.inf) or value > scan.range_max:
+            return FAR
+        if value == -np.inf:
+            return min(scan.range_min, FAR)
+        return np.nan if not value >= scan.range_min else min(value, FAR)
+
+    ranges = np.array([meant(float(value)) for value in ranges])
+    angles = scan.angle_min + np.arange(scan.beams) * scan.angle_increment
+    apart = np.abs((angles - np.array(SECTORS.bearings)[:, None] + np.pi) % (2 * np.pi) - np.pi)
+    inside = [ranges[(row <= SECTORS.half_width + 1e-6) & ~np.isnan(ranges)] for row in apart]
+    out = np.array([np.median(each) if len(each) else np.nan for each in inside])
+    both = 0.5 * (np.roll(out, 1) + np.roll(out, -1))
+    return np.where(np.isnan(out), np.where(np.isnan(both), FAR, both), out)
+
+
+@settings(deadline=None)
+@given(
+    st.integers(20, 720),
+    st.floats(-7.0, 7.0),
+    st.floats(0.3, 1.0),
+    st.sampled_from([-1, 1]),
+    st.floats(0.0, 0.8),
+    st.sampled_from([2.0, FAR, 100.0]),
+    st.integers(0, 2**32 - 1),
+)
+def test_whatever_the_scan_a_sector_is_the_median_of_its_beams(
+    beams: int, angle_min: float, turns: float, direction: int, missed: float, reach: float, seed: int
+) -> None:
+    """Less than a turn or a whole one, in either direction, from any bearing, with misses of all kinds; bit by bit."""
+    scan = ScanGeometry(beams, angle_min, direction * turns * 2 * np.pi / beams, 0.12, reach)
+    random = np.random.default_rng(seed)
+    ranges = random.uniform(0.05, 5.0, beams).astype(np.float32)
+    ranges[random.random(beams) < missed] = random.choice([np.nan, np.inf, -np.inf, 0.0])
+    expected = plain(ranges, scan)
+    if (expected == FAR).all():
+        return
+    assert distances(ranges, scan).tolist() == expected.tolist()
+
+
 @pytest.mark.parametrize(
     ("ranges", "scan"),
     [

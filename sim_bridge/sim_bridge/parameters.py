@@ -7,6 +7,7 @@ from typing import Any
 
 from ctrl_rl_core.parameters import Parameter, ParameterError
 
+from sim_bridge.lidar import LIDARS
 from sim_bridge.world import SimulationOptions
 
 PARAMETERS = (
@@ -28,11 +29,10 @@ PARAMETERS = (
         "odom_rate", 30.0, "Odometry, ground truth and episode states per second [Hz].", minimum=1.0, maximum=240.0
     ),
     Parameter("clock_rate", 100.0, "Most messages on /clock per second [Hz].", minimum=1.0, maximum=100.0),
+    Parameter("lidar", "task", "The task's own, or what reads like a TurtleBot3's LDS-01 or LDS-02.", choices=LIDARS),
     Parameter("scan_noise", -1.0, "Standard deviation of a range [m]; -1.0 for the task's.", minimum=-1.0, maximum=1.0),
     Parameter("scan_dropout", -1.0, "Probability that a beam is lost; -1.0 for the task's.", minimum=-1.0, maximum=1.0),
-    Parameter(
-        "dropout_value", "nan", "What a lost beam reads; the LDS-01 writes zero.", choices=("nan", "inf", "zero")
-    ),
+    Parameter("dropout_value", "nan", "What a lost beam of the task's lidar reads.", choices=("nan", "inf", "zero")),
     Parameter(
         "odom_drift",
         0.0,
@@ -69,6 +69,7 @@ def simulation_options(settings: Mapping[str, Any]) -> SimulationOptions:
         scan_noise=_given(settings["scan_noise"]),
         scan_dropout=_given(settings["scan_dropout"]),
         lost_beam=settings["dropout_value"],
+        lidar=settings["lidar"],
         odom_drift=settings["odom_drift"],
         command_truncation=settings["command_truncation"],
         command_delay=settings["command_delay"],

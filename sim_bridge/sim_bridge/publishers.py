@@ -58,7 +58,8 @@ class RobotPublisher:
         self._episode = CountedPublisher(node, EpisodeStatus, frames.topic("episode"), RESULT)
         self.publishers = (self._scan, self._odom, self._truth, self._episode)
         # A message is serialised while it is published, so each is made once and filled again and again.
-        self._scan_message = self._empty_scan()
+        self._scan_message = LaserScan(scan_time=1.0 / world.lidar.spec.rate)
+        self._scan_message.header.frame_id = frames.scan
         self._odom_message = _empty_odometry(frames.odom, frames.base)
         self._truth_message = _empty_odometry(WORLD_FRAME, frames.base)
         self._episode_message = EpisodeStatus()
@@ -66,9 +67,13 @@ class RobotPublisher:
 
     def publish_scan(self, time: int) -> None:
         """Send the ranges at simulation time `time` [ns]."""
-        self._scan_message.header.stamp = to_stamp(time)
-        self._scan_message.ranges = float32_array(self._world.scan(self._robot))
-        self._scan.publish(self._scan_message)
+        message, scan = self._scan_message, self._world.laser_scan(self._robot)
+        message.header.stamp = to_stamp(time)
+        message.ranges = float32_array(scan.ranges)
+        message.angle_min, message.angle_increment = scan.angle_min, scan.angle_increment
+        message.angle_max = scan.angle_min + scan.angle_increment * (len(scan.ranges) - 1)
+        message.range_min, message.range_max = scan.range_min, scan.range_max
+        self._scan.publish(message)
 
     def publish_odometry(self, time: int) -> None:
         """Send odometry, its transform and the ground truth at simulation time `time` [ns]."""
@@ -92,19 +97,6 @@ class RobotPublisher:
         message.progress = episode.progress
         message.outcome.value = int(episode.outcome)
         self._episode.publish(message)
-
-    def _empty_scan(self) -> LaserScan:
-        spec = self._world.lidar.spec
-        message = LaserScan(
-            angle_min=spec.angle_min,
-            angle_max=spec.angle_min + spec.angle_increment * (spec.beams - 1),
-            angle_increment=spec.angle_increment,
-            scan_time=1.0 / spec.rate,
-            range_min=spec.range.low,
-            range_max=spec.range.high,
-        )
-        message.header.frame_id = self._frames.scan
-        return message
 
 
 class ClockPublisher:

@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 from sim_bridge.bodies import Body, make_body
 from sim_bridge.commands import CommandChannel
 from sim_bridge.episode import Episode, Judge
-from sim_bridge.lidar import Lidar
+from sim_bridge.lidar import Lidar, Scan
 from sim_bridge.odometry import Odometry
 from sim_bridge.physics import Physics
 from sim_bridge.starts import draw_starts
@@ -55,7 +55,8 @@ class SimulationOptions:
         gui: show PyBullet's window.
         scan_noise: standard deviation of a range [m], None for the task's.
         scan_dropout: probability that a beam is lost, None for the task's.
-        lost_beam: what a lost beam reads: "nan", "inf" or "zero".
+        lost_beam: what a lost beam of the task's lidar reads: "nan", "inf" or "zero".
+        lidar: one of `sim_bridge.lidar.LIDARS`.
         odom_drift: standard deviation of odometry's relative errors, see `Odometry`.
         command_truncation: cut commands of a drive to hundredths, as the TurtleBot3 firmware does.
         command_delay: from arrival of a command to its effect [s].
@@ -68,6 +69,7 @@ class SimulationOptions:
     scan_noise: float | None = None
     scan_dropout: float | None = None
     lost_beam: str = "nan"
+    lidar: str = "task"
     odom_drift: float = 0.0
     command_truncation: bool = False
     command_delay: float = 0.0
@@ -140,7 +142,8 @@ class SimulatedWorld:
         self.options = options or SimulationOptions()
         self.task = task
         self.system: System = task.system.build()
-        self.lidar = Lidar(task.lidar, self.options.scan_noise, self.options.scan_dropout, self.options.lost_beam)
+        noise, dropout = self.options.scan_noise, self.options.scan_dropout
+        self.lidar = Lidar(task.lidar, noise, dropout, self.options.lost_beam, self.options.lidar)
         self._count, self._width = robots, width
         self.plane = task.plane
         self._sense = 1.0 if self.plane == "xy" else -1.0  # psi turns clockwise in the x-z plane
@@ -271,7 +274,11 @@ class SimulatedWorld:
         return OdometryReading(pose, np.array((forward, sideways, turn)))
 
     def scan(self, robot: int = 0) -> NDArray[np.float32]:
-        """Return ranges (beams,) [m] as REP-117 wants them; each call draws new noise."""
+        """Return ranges (beams,) [m], see `laser_scan`."""
+        return self.laser_scan(robot).ranges
+
+    def laser_scan(self, robot: int = 0) -> Scan:
+        """Return one turn of the lidar; each call draws new noise."""
         entry = self._robots[robot]
         frame = entry.body.sensor()
         buried = False

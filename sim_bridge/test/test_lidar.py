@@ -124,3 +124,33 @@ def test_beams_of_the_quadrotor_turn_with_it_in_the_x_z_plane():
     assert ranges[down] == pytest.approx((pose[1] - 0.6) / np.cos(pose[2]), abs=2e-3)
     assert ranges[up] < 9.85 - pose[1]  # a box hangs above the start
     world.close()
+
+
+def test_an_lds01_reads_zero_where_it_measures_nothing(make_room):
+    options = SimulationOptions(lidar="lds01", scan_dropout=0.1)
+    world = SimulatedWorld(make_room(x=-1.8), options=options)
+    scan = world.laser_scan(0)
+    assert len(scan.ranges) == 360
+    assert scan.ranges[0] == 0.0  # the wall ahead is 3.8 m away, beyond its reach
+    assert np.isfinite(scan.ranges).all()
+    assert 0.05 < np.mean(scan.ranges == 0.0) < 0.4
+    world.close()
+
+
+def test_an_lds02_varies_its_beams_claims_much_and_fills_with_nan(make_room):
+    options = SimulationOptions(lidar="lds02", scan_dropout=0.1, scan_noise=0.0)
+    world = SimulatedWorld(make_room(x=0.3, theta=0.4), options=options)
+    scans = [world.laser_scan(0) for _ in range(20)]
+    counts = {len(scan.ranges) for scan in scans}
+    assert len(counts) > 3
+    assert counts <= set(range(268, 275))
+    origin = np.array((0.3, 0.0)) - 0.032 * np.array((np.cos(0.4), np.sin(0.4)))
+    for scan in scans:
+        assert (scan.range_min, scan.range_max) == (0.0, 100.0)
+        bearings = scan.angle_min + scan.angle_increment * np.arange(len(scan.ranges))
+        assert bearings[-1] < 2 * np.pi <= bearings[-1] + scan.angle_increment + 1e-9
+        seen = np.isfinite(scan.ranges)
+        assert 0.8 < seen.mean() < 0.98
+        assert np.isnan(scan.ranges[~seen]).all()
+        np.testing.assert_allclose(scan.ranges[seen], room_ranges(origin, 0.4, bearings, 8.0)[seen], atol=2e-3)
+    world.close()

@@ -8,9 +8,7 @@ from typing import Any
 
 from ctrl_rl_training.array_file import load_arrays, save_arrays
 from ctrl_rl_training.learner_state import restore_state, state_arrays
-from safetensors import SafetensorError
 
-from option_coordinator.errors import OptionError
 from option_coordinator.training.learner import Learner
 
 _MEMORY = "memory."
@@ -27,12 +25,9 @@ def load_checkpoint(path: Path, learner: Learner) -> dict[str, Any]:
     """Bring a new learner to where a checkpoint was and return the progress.
 
     Raises:
-        OptionError: the file cannot be read, or is of another learner.
+        Exception: one of `ctrl_rl_training.resumable.UNUSABLE`.
     """
-    try:
-        arrays, progress = load_arrays(path)
-        restore_state(learner.networks(), learner.optimizers(), arrays)
-        learner.recall({name.removeprefix(_MEMORY): a for name, a in arrays.items() if name.startswith(_MEMORY)})
-    except (OSError, SafetensorError, ValueError, KeyError, RuntimeError, TypeError) as error:
-        raise OptionError(f"{path}: cannot go on from it ({error}); delete it to begin anew") from None
+    arrays, progress = load_arrays(path)
+    restore_state(learner.networks(), learner.optimizers(), arrays)
+    learner.recall({name.removeprefix(_MEMORY): a for name, a in arrays.items() if name.startswith(_MEMORY)})
     return progress

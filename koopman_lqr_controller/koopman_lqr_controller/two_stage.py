@@ -15,7 +15,9 @@ from koopman_lqr_controller.edmd import Snapshots, fit, persistence_error
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.observables import CorridorObservables
 from koopman_lqr_controller.policy import KoopmanPolicy
+from koopman_lqr_controller.region import region_of
 from koopman_lqr_controller.riccati import solve_lqr
+from koopman_lqr_controller.shrinkage import fit_shrunk
 
 
 @dataclass(frozen=True)
@@ -45,6 +47,7 @@ def train(
     weights: Weights | None = None,
     held_out: float = 0.2,
     manifest: dict[str, Any] | None = None,
+    shrunk: bool = False,
 ) -> KoopmanPolicy:
     """Fit model and regulator and return the policy, with its figures in the manifest.
 
@@ -56,6 +59,7 @@ def train(
         weights: of the cost; the defaults where left out.
         held_out: part of the snapshots that is kept for the measure, 0 <= held_out < 1.
         manifest: more to be kept in the policy.
+        shrunk: towards "nothing changes", for little and noisy data; see `shrinkage`.
 
     Raises:
         KoopmanError: too little data, or no stabilising regulator.
@@ -69,11 +73,14 @@ def train(
     u_ref = np.array([speed, 0.0])
     # What was driven left could have been driven right: the mirrored drive is as true, and makes the model symmetric.
     data = seen.centred(z_ref, u_ref)
-    model = fit(data + data.mirrored(observables.mirror, np.array([1.0, -1.0])))
+    mirrored = data.mirrored(observables.mirror, np.array([1.0, -1.0]))
+    model = fit_shrunk(data, mirrored, drift=False).model if shrunk else fit(data + mirrored)
     Q = np.diag(observables.state_cost(weights.side, weights.ahead, weights.speed))
     R = np.diag([weights.acceleration, weights.turning])
     regulator = solve_lqr(model, Q, R)
     test = unseen.centred(z_ref, u_ref)
+    both = np.vstack((seen.z, seen.z * observables.mirror))
+    region = region_of(both, np.linalg.norm(test.z_next - model.predict(test.z, test.u), axis=1))
     error, persistence = model.one_step_error(test), persistence_error(test)
     figures = {
         "method": "EDMD and infinite-horizon LQR, two stages (thesis 2.3.1)",
@@ -88,7 +95,7 @@ def train(
     }
     low, high = np.array(limits).T
     return KoopmanPolicy(
-        observables, model, regulator.K, regulator.P, z_ref, u_ref, low, high, {**(manifest or {}), **figures}
+        observables, model, regulator.K, regulator.P, z_ref, u_ref, low, high, {**(manifest or {}), **figures}, region
     )
 
 

@@ -1,0 +1,95 @@
+"""When a robot is better stopped than driven by its model: pure logic, time is passed in.
+
+Two alarms watch a policy: that of the region, which the latent may not leave, and that of the prediction, whose error
+may not stay high. Each rises when what it watches was above its limit for some time, and ends when it was well below
+for as long.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from koopman_lqr_controller.region import Region
+
+Array = NDArray[np.float64]
+
+RELEASE = 0.8
+"""Part of the limit below which an alarm ends: what hovers at the limit does not stop and go."""
+
+
+@dataclass
+class Alarm:
+    """A limit with patience and hysteresis.
+
+    Attributes:
+        limit: of what is watched; 0 for none.
+        patience: how long it may stay above the limit, and must stay below RELEASE of it again [s].
+        raised: whether it stayed above for too long.
+    """
+
+    limit: float
+    patience: float = 0.0
+    raised: bool = False
+    _since: float = field(default=math.nan, repr=False)
+
+    def see(self, now: float, value: float) -> bool:
+        """Take a value at a time [s], NaN for none, and return whether the alarm is raised."""
+        if self.limit <= 0.0:
+            self.raised = False
+        elif not math.isnan(value):
+            wrong = value < RELEASE * self.limit if self.raised else value > self.limit
+            if not wrong:
+                self._since = math.nan
+            else:
+                if not self._since <= now:  # the first time, or the clock was set back
+                    self._since = now
+                if now - self._since >= self.patience:
+                    self.raised, self._since = not self.raised, math.nan
+        return self.raised
+
+
+class Guard:
+    """Holds a policy's latents and prediction errors against what training saw.
+
+    Attributes:
+        region: of the policy; None where its file has none: then nothing is watched.
+        outside: how far outside the last latent was, see `Region.outside`; NaN where there is no region.
+    """
+
+    def __init__(
+        self, region: Region | None, largest_distance: float, largest_error: float, error_patience: float
+    ) -> None:
+        """Set it up.
+
+        Args:
+            region: of the policy.
+            largest_distance: that is allowed, in those of the region's border; 0 for any.
+            largest_error: that may stay, in the region's own; 0 for any.
+            error_patience: how long it may stay [s].
+        """
+        self.region, self.outside = region, math.nan
+        self._region_alarm = Alarm(largest_distance)
+        self._error_alarm = Alarm(largest_error, error_patience)
+
+    def see(self, now: float, z: Array, error: float) -> str:
+        """Return why the robot must stop, empty where it need not.
+
+        Args:
+            now: time of the scan [s].
+            z: its latent (n,).
+            error: |z - z_predicted|; NaN where nothing was predicted.
+        """
+        if self.region is None:
+            return ""
+        self.outside = self.region.outside(z)
+        left = self._region_alarm.see(now, self.outside)
+        missed = self._error_alarm.see(now, error / self.region.error)
+        if left:
+            return "the latent has left the region seen in training (parameter largest_distance)"
+        if missed:
+            return "the prediction error stays high (parameter largest_error)"
+        return ""

@@ -1,0 +1,133 @@
+"""Regulators that do what a learnt controller does: one for each latent size and way of reducing it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from koopman_lqr_controller.edmd import LinearModel, Snapshots, fit
+from koopman_lqr_controller.errors import KoopmanError
+from koopman_lqr_controller.inverse_lqr import Law, fit_costs
+from koopman_lqr_controller.latent_controller import LatentController
+from koopman_lqr_controller.reduction import observed, principal
+from koopman_lqr_controller.roll_outs import Episode
+
+Array = NDArray[np.float64]
+
+LARGEST_RESIDUAL = 1e-8
+"""Of the Riccati equation, relative; what is above it is refused."""
+_SEEN = 1e-4
+"""Directions of the latent space that vary by less than this part of the first one say nothing but rounding."""
+_FADING = 0.999
+_INSIDE = 0.9
+"""Largest action at the reference: the loop is linear around it."""
+
+
+@dataclass(frozen=True)
+class Regulator:
+    """A candidate.
+
+    Attributes:
+        controller: of the infinite horizon.
+        family: how its dimensions were found: "observed" or "principal", see `reduction`.
+        mismatch: what is left of the difference to the law, see `Law.mismatch`.
+        contraction: what the refitted A was multiplied by, 1 for nothing: see `regulators`.
+    """
+
+    controller: LatentController
+    family: str
+    mismatch: float
+    contraction: float
+
+
+class Refit:
+    """What the episodes say about a learnt controller: its law as data, and the model of all of psi.
+
+    Args:
+        learnt: the controller; every action counts as if it had acted.
+        episodes: the episodes.
+        ridge: of the refit, relative to each regressor's variance.
+        goal: whether z_ref is a goal, else the middle of what is met takes its place.
+
+    Attributes:
+        learnt: the controller.
+        directions: of psi that vary, those that vary most first (r, n).
+    """
+
+    def __init__(self, learnt: LatentController, episodes: Sequence[Episode], ridge: float, goal: bool) -> None:
+        self.learnt, self._episodes, self._ridge = learnt, episodes, ridge
+        self._psi = np.concatenate([episode.features[:-1] for episode in episodes])
+        self._u = learnt.control(self._psi)
+        # What a difference of u makes of the action: where all of it is lost, the law need not be the same.
+        self._weight = np.mean(1.0 - np.tanh(self._u) ** 2, axis=1) + 0.05
+        self._psi_ref, self._a_ref = self._reference(goal)
+        self.directions = principal(self._psi - self._psi_ref, _SEEN)
+        self._full = self.model(self.directions)
+
+    def _reference(self, goal: bool) -> tuple[Array, Array]:
+        """Return the goal, or the weighted middle of what is met, and the law's u there, its offset.
+
+        Where that u is beyond what actions can be, the nearest psi, by the spread of what is met, that has such a u.
+        """
+        learnt = self.learnt
+        psi_ref = learnt.z_ref if goal else np.average(self._psi, axis=0, weights=self._weight)
+        u_ref = learnt.control(psi_ref)
+        a_ref = np.clip(u_ref, -_INSIDE, _INSIDE)
+        spread = np.cov(self._psi.T, aweights=self._weight) @ learnt.K.T
+        return psi_ref + spread @ np.linalg.pinv(learnt.K @ spread) @ (u_ref - a_ref), a_ref
+
+    def model(self, C: Array) -> tuple[LinearModel, Array]:
+        """Return the least-squares model of C psi around the reference, and its drift there."""
+        z_ref = C @ self._psi_ref
+        z = [episode.features @ C.T - z_ref for episode in self._episodes]
+        actions = np.concatenate([episode.actions for episode in self._episodes]) - self._a_ref
+        here, after = (np.concatenate([each[cut] for each in z]) for cut in (slice(None, -1), slice(1, None)))
+        means = [part.mean(axis=0) for part in (here, actions, after)]
+        model = fit(Snapshots(here - means[0], actions - means[1], after - means[2]), self._ridge)
+        return model, means[2] - model.predict(means[0], means[1])
+
+    def predict(self, psi: Array, action: Array) -> Array:
+        """Return the full model's next psi."""
+        C, (model, drift) = self.directions, self._full
+        return self._psi_ref + (drift + model.predict((psi - self._psi_ref) @ C.T, action - self._a_ref)) @ C
+
+    def project(self, psi: Array) -> Array:
+        """Return psi: the model is of all of it."""
+        return psi
+
+    def projections(self, sizes: Sequence[int]) -> Iterator[tuple[str, Array]]:
+        """Yield families and projections, what the law needs before what varies, small ones before large ones.
+
+        Sizes beyond what varies stand for all of it.
+        """
+        n = len(self.directions)
+        wanted = sorted({min(size, n) for size in sizes})
+        K = self.learnt.K @ self.directions.T
+        for size in wanted:
+            C = observed(K, self._full[0].A, size)
+            if len(C) == size < n:
+                yield "observed", C @ self.directions
+        for size in wanted:
+            yield "principal", self.directions[:size]
+
+    def regulator(self, family: str, C: Array) -> Regulator | None:
+        """Return the regulator for a projection; None where the model has none.
+
+        What a weak policy never moves cannot be regulated, and need not be: where the refitted model has no regulator,
+        one whose modes all fade is taken instead, and `contraction` says so.
+        """
+        (model, drift), z_ref = self.model(C), C @ self._psi_ref
+        law = Law.seen(self._psi @ C.T - z_ref, self._u - self._a_ref, self._weight)
+        radius = float(np.abs(np.linalg.eigvals(model.A)).max())
+        for contraction in (1.0, min(1.0, _FADING / radius)):
+            each = LinearModel(contraction * model.A, model.B)
+            try:
+                Q, R, mismatch = fit_costs(each, law, np.ones(len(C)), self.learnt.R)
+            except KoopmanError:
+                continue
+            found = LatentController(self.learnt.encoder, each, Q, R, z_ref, None, C, self._a_ref, drift)
+            return Regulator(found, family, mismatch, contraction) if found.residual < LARGEST_RESIDUAL else None
+        return None

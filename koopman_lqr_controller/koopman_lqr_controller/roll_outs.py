@@ -1,0 +1,127 @@
+"""Episodes of a policy in any environment: their returns, and what a model is fitted to."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+class Environment(Protocol):
+    """What is needed of an environment: Gymnasium's form, actions in [-1, 1]."""
+
+    def reset(self, *, seed: int | None = None) -> tuple[Any, dict[str, Any]]:
+        """Begin an episode and return an observation."""
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        """Hold an action; return observation, reward, whether it terminated or was truncated, and more."""
+
+
+class Policy(Protocol):
+    """What acts, from x over features and latent state to u and the action that stands for it."""
+
+    @property
+    def encoder(self) -> Callable[[Any], Array]:
+        """Returns the features psi(x)."""
+
+    def project(self, z: Array, /) -> Array:
+        """Return the latent state of features."""
+
+    def control(self, z: Array, /) -> Array:
+        """Return u."""
+
+    def saturate(self, u: Array, /) -> Array:
+        """Return the action in [-1, 1]."""
+
+
+@dataclass(frozen=True)
+class Episode:
+    """One episode.
+
+    Attributes:
+        features: psi(x) of each observation, before any projection (T + 1, n).
+        actions: what was done (T, m).
+        total: undiscounted return.
+        steps: how many actions were done, T.
+        saturated: share of these that the law wanted beyond -1 or 1, over all controls.
+        info: the environment's last word.
+    """
+
+    features: Array
+    actions: Array
+    total: float
+    steps: int
+    saturated: float
+    info: dict[str, Any]
+
+
+def roll_out(
+    controller: Policy,
+    environment: Environment,
+    seed: int,
+    noise: float = 0.0,
+    keep: bool = False,
+) -> Episode:
+    """Return one episode.
+
+    Args:
+        controller: what acts.
+        environment: where.
+        seed: of the episode and of the noise.
+        noise: standard deviation of what is added to u before saturation: it excites the model.
+        keep: whether features and actions are wanted; else they are empty.
+    """
+    random = np.random.default_rng(seed)
+    x, info = environment.reset(seed=seed)
+    features, actions, total, beyond, steps, over = [], [], 0.0, 0.0, 0, False
+    while not over:
+        psi = controller.encoder(x)
+        u = controller.control(controller.project(psi))
+        action = controller.saturate(u + noise * random.standard_normal(u.shape) if noise else u)
+        x, reward, terminated, truncated, info = environment.step(action)
+        total, steps, beyond = total + float(reward), steps + 1, beyond + float(np.mean(np.abs(u) > 1.0))
+        over = terminated or truncated
+        if keep:
+            features.append(psi)
+            actions.append(action)
+    if keep:
+        features.append(controller.encoder(x))
+    return Episode(np.array(features), np.array(actions), total, steps, beyond / max(1, steps), info)
+
+
+def evaluate(
+    controller: Policy, environment: Environment, episodes: int, seed: int, keep: bool = False
+) -> list[Episode]:
+    """Return the episodes `seed`, `seed` + 1 and so on; features and actions only where they are to `keep`."""
+    return [roll_out(controller, environment, seed + episode, keep=keep) for episode in range(episodes)]
+
+
+def mean_return(episodes: Sequence[Episode]) -> float:
+    """Return the mean undiscounted return."""
+    return float(np.mean([episode.total for episode in episodes]))
+
+
+def saturated(episodes: Sequence[Episode]) -> float:
+    """Return the share of all steps that the law wanted beyond -1 or 1."""
+    return float(np.average([each.saturated for each in episodes], weights=[max(1, each.steps) for each in episodes]))
+
+
+def interaction(episodes: Sequence[Episode]) -> dict[str, int]:
+    """Return how many episodes and actions these are."""
+    return {"episodes": len(episodes), "actions": sum(episode.steps for episode in episodes)}
+
+
+def outcomes(episodes: Sequence[Episode]) -> dict[str, int]:
+    """Return how many episodes ended which way; nothing where the environment does not say."""
+    ended = [str(episode.info["outcome"]) for episode in episodes if "outcome" in episode.info]
+    return {outcome: ended.count(outcome) for outcome in sorted(set(ended))}
+
+
+def noisy_roll_outs(controller: Policy, environment: Environment, noises: Sequence[float], seed: int) -> list[Episode]:
+    """Return one episode for each noise."""
+    return [roll_out(controller, environment, seed + index, noise, keep=True) for index, noise in enumerate(noises)]

@@ -1,0 +1,106 @@
+"""The comparisons of thesis 4.3, each with the figures that the thesis gives. Imports no torch."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+_CARTPOLE, _PIXELS, _CHEETAH = "cartpole_swingup", "cartpole_swingup_pixels", "cheetah_run"
+_TASKS = (_CARTPOLE, _PIXELS, _CHEETAH)
+_M, _LATENT = ("iterations_3", "koopman", "iterations_10"), ("latent_30", "latent_100")
+
+Figures = Mapping[tuple[str, str], tuple[float | None, float | None]]
+"""By task and method: return and model error; None where the thesis gives none."""
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What is run for a table or a figure.
+
+    Attributes:
+        about: in a line.
+        methods: names of `methods.METHODS`.
+        tasks: that the thesis compares on.
+        thesis: its figures.
+        kind: "finals" (a row for each method), "levels" (returns by model error), "curves" (returns while learning)
+            or "gaps" (a reference return less these).
+        levels: of the model's error, for "levels".
+    """
+
+    about: str
+    methods: tuple[str, ...]
+    tasks: tuple[str, ...] = (_CARTPOLE,)
+    thesis: Figures = field(default_factory=dict)
+    kind: str = "finals"
+    levels: tuple[float, ...] = ()
+
+
+REFERENCE = {_CARTPOLE: 841.0, _PIXELS: 841.0, _CHEETAH: 518.0}
+"""Returns that Figure 4.3 measures against: those of CURL after 500,000 steps, from its paper."""
+
+LEVELS: Mapping[tuple[str, float], float] = {
+    ("two_stage", 1e-4): 188.10,
+    ("two_stage", 1e-3): 107.67,
+    ("two_stage", 1e-2): 64.32,
+    ("koopman", 1e-4): 872.18,
+    ("koopman", 1e-3): 846.88,
+    ("koopman", 1e-2): 784.01,
+}
+"""Table 4.1: returns by method and level of the model's error."""
+
+
+def _ablation(task: str, *figures: tuple[float, float]) -> dict[tuple[str, str], tuple[float | None, float | None]]:
+    names = (*_M, *_LATENT)
+    return {(task, name): each for name, each in zip(names, figures, strict=True)}
+
+
+COMPARISONS = {
+    "table-4.1": Comparison(
+        "model error against cost",
+        ("two_stage", "edmd", "koopman"),
+        kind="levels",
+        levels=(1e-4, 1e-3, 1e-2, 1e-1, 1.0),
+    ),
+    "table-4.2": Comparison(
+        "costs that a hand has tuned against learnt ones",
+        ("two_stage", "two_stage_q2", "two_stage_q3", "two_stage_q4", "koopman"),
+        thesis={
+            (_CARTPOLE, "two_stage"): (188.10, None),
+            (_CARTPOLE, "two_stage_q2"): (109.23, None),
+            (_CARTPOLE, "two_stage_q3"): (70.65, None),
+            (_CARTPOLE, "two_stage_q4"): (124.80, None),
+            (_CARTPOLE, "koopman"): (846.88, None),
+        },
+    ),
+    "table-4.3": Comparison(
+        "fewer latent dimensions, and a network as policy",
+        ("koopman", "latent_6", "latent_4", "network"),
+        thesis={
+            (_CARTPOLE, "koopman"): (846.88, 7.76e-3),
+            (_CARTPOLE, "latent_6"): (834.18, 6.3e-3),
+            (_CARTPOLE, "latent_4"): (253.80, 5.4e-2),
+            (_CARTPOLE, "network"): (841.0, None),
+        },
+    ),
+    "table-4.4": Comparison(
+        "Riccati iterations and latent dimensions",
+        (*_M, *_LATENT),
+        _TASKS,
+        {
+            **_ablation(_PIXELS, (863, 0.075), (873, 0.058), (835, 0.269), (848, 0.165), (813, 0.038)),
+            **_ablation(_CARTPOLE, (751, 4.7e-4), (762, 3.1e-4), (769, 4.2e-4), (777, 4.3e-4), (667, 2e-4)),
+            **_ablation(_CHEETAH, (436, 0.732), (464, 0.862), (448, 0.842), (477, 0.653), (235, 0.046)),
+        },
+    ),
+    "figure-4.3": Comparison("reference cost against ours while learning", ("koopman",), _TASKS, kind="gaps"),
+    "figure-4.8": Comparison(
+        "other ways of learning on the same budget", ("koopman", "network", "sac"), _TASKS, kind="curves"
+    ),
+    "figure-4.9": Comparison(
+        "contrastive encoder against autoencoders",
+        ("koopman", "reconstruction", "reconstruction_prediction"),
+        _TASKS,
+        kind="curves",
+    ),
+}
+"""By table or figure of the thesis."""

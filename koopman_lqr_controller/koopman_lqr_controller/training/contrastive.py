@@ -1,0 +1,55 @@
+"""The contrastive loss of the encoder and the augmentations that it compares (thesis Eq. 4.4, 4.5)."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+
+def info_nce(queries: Tensor, keys: Tensor, W: Tensor) -> Tensor:
+    """Return the mean of -log of Eq. 4.4: how badly each query finds its own key among all keys.
+
+    Args:
+        queries: z^q (N, n).
+        keys: z^k (N, n); row i belongs to query i, all others are its negatives.
+        W: of the bilinear similarity z^q^T W z^k (n, n).
+    """
+    similarity = queries @ W @ keys.T
+    return torch.nn.functional.cross_entropy(similarity, torch.arange(len(queries), device=queries.device))
+
+
+def noisy(x: Tensor, eta: float, generator: torch.Generator) -> Tensor:
+    """Return x + dx, dx uniform in -eta |x| .. eta |x| (Eq. 4.5).
+
+    Args:
+        x: observations (N, ...).
+        eta: relative size of the noise.
+        generator: on the CPU.
+    """
+    share = torch.rand(x.shape, generator=generator).to(x.device)
+    return x + eta * x.abs() * (2.0 * share - 1.0)
+
+
+def random_crop(images: Tensor, size: int, generator: torch.Generator) -> Tensor:
+    """Return from each image a window of its own, drawn uniformly.
+
+    Args:
+        images: (N, channels, height, width).
+        size: rows and columns of a window.
+        generator: on the CPU.
+    """
+    count, channels, height, width = images.shape
+    tops = torch.randint(height - size + 1, (count,), generator=generator).to(images.device)
+    lefts = torch.randint(width - size + 1, (count,), generator=generator).to(images.device)
+    along = torch.arange(size, device=images.device)
+    rows = (tops[:, None] + along)[:, None, :, None].expand(count, channels, size, size)
+    columns = (lefts[:, None] + along)[:, None, None, :].expand(count, channels, size, size)
+    which = torch.arange(count, device=images.device)[:, None, None, None]
+    plane = torch.arange(channels, device=images.device)[None, :, None, None]
+    return images[which, plane, rows, columns]
+
+
+def centre_crop(images: Tensor, size: int) -> Tensor:
+    """Return the middle window (..., size, size) of images (..., height, width)."""
+    top, left = ((length - size) // 2 for length in images.shape[-2:])
+    return images[..., top : top + size, left : left + size]

@@ -1,0 +1,155 @@
+"""The simulated corridor for learning: lidar and odometry of a TurtleBot3, commands as its firmware takes them.
+
+The reward is this suite's own, the thesis says nothing of it: progress along the path, less the nearer the walls are,
+and at the end what the task pays for goal and collision, as multiples of what a step at full speed pays.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import gymnasium
+import numpy as np
+from ctrl_rl_core.outcome import Outcome
+from ctrl_rl_core.task_sets import PathCoordinates
+from ctrl_rl_core.tasks import NavigationTask, load_navigation_task
+from gymnasium import spaces
+from numpy.typing import NDArray
+from sim_bridge.world import SimulatedWorld, SimulationOptions
+
+from koopman_lqr_controller.errors import KoopmanError
+from koopman_lqr_controller.latent_policy import LidarWiring
+from koopman_lqr_controller.lidar import ScanGeometry
+from koopman_lqr_controller.lidar_observation import LidarObservation
+
+_TASK = "curved_corridor"
+_LEARNING_STARTS = {"s": "0.25 .. 5.5 m", "lateral": "-0.12 .. 0.12 m", "heading": "-30.0 .. 30.0 deg"}
+_RATE = 60
+_SPEED, _TURN = 0.22, 1.5
+_NEAR_WALL = 0.15
+"""Clearance below which a step pays less [m]."""
+_ADVANCE, _STALL = 0.05, 10.0
+"""An episode in which the robot comes no further than so far in so long is cut off [m], [s]."""
+_COLLISION_SCALE, _GOAL_SCALE = 1 / 20, 1 / 50
+"""Of what the task pays, in steps at full speed: -20 and 20 of them."""
+
+Vector = NDArray[np.float32]
+
+
+class Corridor(gymnasium.Env[Vector, Vector]):
+    """The task `curved_corridor` with random widths, drop-outs and the firmware's truncation.
+
+    Observation: `LidarObservation`. Action: [-1, 1] for speed and turn rate, mapped to the wiring's commands. Info:
+    `outcome`, `progress` and `clearance` [m].
+
+    Attributes:
+        task: what is simulated.
+        wiring: of the robot to a policy.
+    """
+
+    metadata = {"render_modes": []}  # noqa: RUF012 - gymnasium's own form
+
+    def __init__(self, learning: bool = True, lidar: str = "lds01", dropout: float = 0.02, delay: float = 0.0) -> None:
+        """Build the world.
+
+        Args:
+            learning: begin anywhere along the corridor, to see all of it from the first episode on; else at its start.
+            lidar: one of `sim_bridge.lidar.LIDARS`.
+            dropout: probability that a beam is lost.
+            delay: from a command to its effect [s].
+
+        Raises:
+            KoopmanError: the physics are not as quick as the task's time step wants.
+        """
+        self.task = _task(learning)
+        self.dt = self.task.episode.time_step
+        steps = self.dt * _RATE
+        if abs(steps - round(steps)) > 1e-6:
+            raise KoopmanError(f"task '{self.task.name}': its time step is not a whole number of 1/{_RATE} s")
+        self._steps = round(steps)
+        options = SimulationOptions(
+            rate=_RATE,
+            lidar=lidar,
+            scan_dropout=dropout,
+            command_truncation=True,
+            command_delay=delay,
+            randomise_width=True,
+        )
+        self._world = SimulatedWorld(self.task, options=options)
+        self.wiring = LidarWiring(LidarObservation(), np.array((0.0, -_TURN)), np.array((_SPEED, _TURN)))
+        self._full_step = _SPEED * self.task.episode.time_step
+        path = self._world.geometry.path
+        assert path is not None
+        self._path_coordinates = PathCoordinates(path)  # the same at every width
+        self._along = self._furthest = 0.0
+        self._since = 0
+        size = len(self.wiring.observation.names)
+        self.observation_space = spaces.Box(-np.inf, np.inf, (size,), np.float32)
+        self.action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Vector, dict[str, Any]]:
+        """Begin an episode; the same seed gives the same one. `options` has no effect."""
+        super().reset(seed=seed, options=options)
+        self._world.reset(int(self.np_random.integers(2**32)))
+        self._along = self._furthest = self._s()
+        self._since = 0
+        return self._observe(), self._info(Outcome.RUNNING)
+
+    def step(self, action: Vector) -> tuple[Vector, float, bool, bool, dict[str, Any]]:
+        """Hold an action (2,) for the task's time step."""
+        self._world.command(0, self.wiring.command(np.clip(np.asarray(action, dtype=float), -1.0, 1.0)))
+        self._world.step(self._steps)
+        episode, before = self._world.episode(0), self._along
+        self._along = self._s()
+        reward = (self._along - before) / self._full_step
+        reward -= max(0.0, 1.0 - max(0.0, episode.clearance) / _NEAR_WALL)
+        outcome = Outcome.TIMEOUT if episode.outcome is Outcome.RUNNING and self._stalls() else episode.outcome
+        truncated = outcome is Outcome.TIMEOUT
+        terminated = outcome is not Outcome.RUNNING and not truncated
+        if terminated:
+            scale = _GOAL_SCALE if outcome is Outcome.GOAL else _COLLISION_SCALE
+            reward += scale * episode.reward(self.task.rewards)
+        return self._observe(), reward, terminated, truncated, self._info(outcome)
+
+    def close(self) -> None:
+        """Give the physics client back."""
+        self._world.close()
+
+    def _s(self) -> float:
+        """Return how far along the path the robot is [m]."""
+        return float(self._path_coordinates(self._world.pose(0))[0])
+
+    def scan(self) -> tuple[NDArray[np.float32], ScanGeometry]:
+        """Return the lidar's ranges (beams,) [m] and their geometry."""
+        scan = self._world.laser_scan(0)
+        geometry = ScanGeometry(len(scan.ranges), scan.angle_min, scan.angle_increment, scan.range_min, scan.range_max)
+        return scan.ranges, geometry
+
+    def speeds(self) -> tuple[float, float]:
+        """Return the odometry's speed [m/s] and turn rate [rad/s]."""
+        forward, _, turn = self._world.odometry(0).velocity
+        return forward, turn
+
+    def _observe(self) -> Vector:
+        return self.wiring.observation.observe(*self.scan(), *self.speeds()).astype(np.float32)
+
+    def _stalls(self) -> bool:
+        """Return whether the robot has come no further for too long."""
+        if self._along > self._furthest + _ADVANCE:
+            self._furthest, self._since = self._along, 0
+        self._since += 1
+        return self._since * self.dt > _STALL
+
+    def _info(self, outcome: Outcome) -> dict[str, Any]:
+        episode = self._world.episode(0)
+        progress = 0.0 if math.isnan(episode.progress) else episode.progress
+        return {"outcome": outcome.name, "progress": progress, "clearance": episode.clearance}
+
+
+def _task(learning: bool) -> NavigationTask:
+    task = load_navigation_task(_TASK)
+    if not learning:
+        return task
+    start = type(task.start).model_validate(_LEARNING_STARTS)
+    return task.model_copy(update={"start": start})

@@ -1,0 +1,66 @@
+"""The differentiable LQR of thesis Algorithm 1: from A, B, Q, R to a gain, with gradients."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+_INITIAL_DECAY = 0.95
+"""A begins as so much of the identity: with independent normal entries its spectral radius would begin at about 6."""
+_INITIAL_INFLUENCE = 0.1
+
+
+def riccati_gain(A: Tensor, B: Tensor, Q: Tensor, R: Tensor, z_ref: Tensor, iterations: int) -> tuple[Tensor, Tensor]:
+    """Return K (m, n) and k (m,) of u = k - K z after so many iterations; `riccati.finite_horizon` without gradients.
+
+    Args:
+        A: (n, n).
+        B: (n, m).
+        Q: diagonal (n,).
+        R: diagonal (m,).
+        z_ref: goal (n,).
+        iterations: M of Algorithm 1.
+    """
+    P, v = torch.diag(Q), Q * z_ref
+    R_full, Q_full = torch.diag(R), torch.diag(Q)
+    for _ in range(iterations):
+        PB = P @ B
+        closed = A - B @ torch.linalg.solve(R_full + B.T @ PB, PB.T @ A)
+        v = closed.T @ v + Q * z_ref
+        P = A.T @ P @ closed + Q_full
+        P = 0.5 * (P + P.T)
+    PB = P @ B
+    law = torch.linalg.solve(R_full + B.T @ PB, torch.cat((PB.T @ A, (B.T @ v)[:, None]), dim=1))
+    return law[:, :-1], law[:, -1]
+
+
+class LatentLqr(nn.Module):
+    """The Koopman operator A, B (Eq. 4.6) and the cost Q, R of its regulator (Eq. 4.8), all learnt.
+
+    Attributes:
+        A: (n, n).
+        B: (n, m).
+        log_Q: logarithm of Q's diagonal (n,).
+        log_R: logarithm of R's diagonal (m,).
+        iterations: M.
+    """
+
+    def __init__(self, n: int, m: int, iterations: int) -> None:
+        super().__init__()
+        self.A = nn.Parameter(_INITIAL_DECAY * torch.eye(n))
+        self.B = nn.Parameter(_INITIAL_INFLUENCE * torch.randn(n, m))
+        self.log_Q = nn.Parameter(torch.zeros(n))
+        self.log_R = nn.Parameter(torch.zeros(m))
+        self.iterations = iterations
+
+    def gain(self, z_ref: Tensor) -> tuple[Tensor, Tensor]:
+        """Return K (m, n) and k (m,) for a goal (n,)."""
+        return riccati_gain(self.A, self.B, self.log_Q.exp(), self.log_R.exp(), z_ref, self.iterations)
+
+    def predict(self, z: Tensor, u: Tensor) -> Tensor:
+        """Return the next z (N, n) of z (N, n) and actions (N, m) (Eq. 4.6)."""
+        return z @ self.A.T + u @ self.B.T
+
+    def model_loss(self, z: Tensor, u: Tensor, z_next: Tensor) -> Tensor:
+        """Return the mean squared prediction error L_m (Eq. 4.7), summed over the latent state."""
+        return (z_next - self.predict(z, u)).square().sum(dim=1).mean()

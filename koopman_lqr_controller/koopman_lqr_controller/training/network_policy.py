@@ -1,0 +1,52 @@
+"""A deterministic policy that is one network, for comparison: what acts where there is no linear model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from ctrl_rl_training.array_file import load_arrays, save_arrays
+from numpy.typing import NDArray
+
+from koopman_lqr_controller.encoder import Encoder
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class NetworkPolicy:
+    """The action is tanh(u), u = network(x); in a roll-out u itself takes the place of z.
+
+    Attributes:
+        encoder: the network, from x to u.
+        manifest: what was learnt, how, and how well: plain JSON values.
+    """
+
+    encoder: Encoder
+    manifest: Mapping[str, Any] = field(default_factory=dict)
+
+    def project(self, z: Array) -> Array:
+        """Return u."""
+        return z
+
+    def control(self, z: Array) -> Array:
+        """Return u."""
+        return z
+
+    def saturate(self, u: Array) -> Array:
+        """Return the action in [-1, 1] that stands for u."""
+        return np.tanh(u)
+
+    def save(self, path: Path) -> None:
+        """Write it; the file, replaced if it exists, is there whole or not at all."""
+        description, tensors = self.encoder.describe()
+        save_arrays(path, tensors, {"network": description, "manifest": dict(self.manifest)})
+
+    @classmethod
+    def load(cls, path: Path) -> NetworkPolicy:
+        """Return what `save` wrote."""
+        tensors, header = load_arrays(path)
+        return cls(Encoder.build(header["network"], tensors), header["manifest"])

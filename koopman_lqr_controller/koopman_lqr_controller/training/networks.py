@@ -1,0 +1,188 @@
+"""The networks around the linear controller: encoders of vectors and of images, and SAC's two critics."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from koopman_lqr_controller import encoder as deployed
+from koopman_lqr_controller.training.contrastive import centre_crop
+
+_FILTERS, _KERNEL = 32, 3
+
+
+class TorchEncoder(nn.Module):
+    """psi: normalise, hidden layers with ReLU, a linear layer, LayerNorm.
+
+    Attributes:
+        shape: of an observation.
+        crop: rows and columns of an image that are looked at, its middle; None for all, and for vectors.
+        layers: in their order.
+    """
+
+    middle: Tensor
+    unit: Tensor
+
+    def __init__(
+        self,
+        shape: tuple[int, ...],
+        latent: int,
+        hidden: int,
+        depth: int,
+        middle: Tensor,
+        unit: Tensor,
+        crop: int | None = None,
+    ) -> None:
+        """Make one with random weights.
+
+        Args:
+            shape: (n,) of a vector or (channels, height, width) of an image.
+            latent: dimension of z.
+            hidden: units of each hidden layer; filters are `_FILTERS`.
+            depth: hidden layers, or convolutions of an image.
+            middle: what becomes 0; broadcasts to `shape`.
+            unit: what becomes 1 above it.
+            crop: see above.
+        """
+        super().__init__()
+        self.shape, self.crop = shape, crop
+        self.register_buffer("middle", middle)
+        self.register_buffer("unit", unit)
+        body = _convolutions(shape, depth) if len(shape) == 3 else dense(shape[0], hidden, depth)
+        with torch.no_grad():
+            width = int(nn.Sequential(*body)(torch.zeros(1, *self.seen)).shape[1])
+        self.layers = nn.Sequential(*body, nn.Linear(width, latent), nn.LayerNorm(latent))
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Return z (N, latent) of observations (N, *shape), or of images that are cropped already."""
+        z: Tensor = self.layers(self.normalise(x))
+        return z
+
+    @property
+    def seen(self) -> tuple[int, ...]:
+        """Shape of what is looked at."""
+        return self.shape if self.crop is None else (self.shape[0], self.crop, self.crop)
+
+    def normalise(self, x: Tensor) -> Tensor:
+        """Return what the first layer gets (N, *seen)."""
+        if self.crop is not None:
+            x = centre_crop(x, self.crop)
+        return (x - self.middle) / self.unit
+
+    def deploy(self) -> deployed.Encoder:
+        """Return the same encoder without torch."""
+        layers: list[deployed.Layer] = [] if self.crop is None else [deployed.CentreCrop(self.crop)]
+        layers += deploy_layers(self.layers)
+        return deployed.Encoder(tuple(layers), self.shape, _array(self.middle), _array(self.unit))
+
+
+def deploy_layers(layers: nn.Sequential) -> list[deployed.Layer]:
+    """Return the same layers without torch."""
+    out: list[deployed.Layer] = []
+    modules = list(layers)
+    for index, module in enumerate(modules):
+        if isinstance(module, nn.Linear):
+            rectified = index + 1 < len(modules) and isinstance(modules[index + 1], nn.ReLU)
+            out.append(deployed.Dense(_array(module.weight), _array(module.bias), rectified))
+        elif isinstance(module, nn.Conv2d):
+            assert module.bias is not None
+            out.append(deployed.Convolution(_array(module.weight), _array(module.bias), int(module.stride[0])))
+        elif isinstance(module, nn.LayerNorm):
+            out.append(deployed.LayerNorm(_array(module.weight), _array(module.bias)))
+        elif isinstance(module, nn.Flatten):
+            out.append(deployed.Flatten())
+    return out
+
+
+class Decoder(nn.Module):
+    """From z back to what an encoder looks at, normalised: its layers, turned around.
+
+    Attributes:
+        layers: in their order.
+    """
+
+    def __init__(self, seen: tuple[int, ...], latent: int, hidden: int, depth: int) -> None:
+        super().__init__()
+        if len(seen) == 1:
+            self.layers = nn.Sequential(*dense(latent, hidden, depth), nn.Linear(hidden, seen[0]))
+        else:
+            self.layers = nn.Sequential(*_transposed_convolutions(seen, latent, depth))
+
+    def forward(self, z: Tensor) -> Tensor:
+        """Return (N, *seen) of latent states (N, latent)."""
+        x: Tensor = self.layers(z)
+        return x
+
+
+def dense(inputs: int, hidden: int, depth: int) -> list[nn.Module]:
+    """Return hidden layers with ReLU."""
+    out: list[nn.Module] = []
+    for _ in range(depth):
+        out += [nn.Linear(inputs, hidden), nn.ReLU()]
+        inputs = hidden
+    return out
+
+
+def _convolutions(shape: tuple[int, ...], depth: int) -> list[nn.Module]:
+    """Return convolutions, the first two with stride 2: a quarter of the work of one, at the sizes used here."""
+    channels, out = shape[0], list[nn.Module]()
+    for index in range(depth):
+        out += [nn.Conv2d(channels, _FILTERS, _KERNEL, stride=_stride(index)), nn.ReLU()]
+        channels = _FILTERS
+    return [*out, nn.Flatten()]
+
+
+def _stride(index: int) -> int:
+    return 2 if index < 2 else 1
+
+
+def _transposed_convolutions(seen: tuple[int, ...], latent: int, depth: int) -> list[nn.Module]:
+    """Return what undoes `_convolutions`, rows and columns to the pixel."""
+    channels, *size = seen
+    sizes = [size]
+    for index in range(depth):
+        sizes.append([(length - _KERNEL) // _stride(index) + 1 for length in sizes[-1]])
+    rows, columns = sizes[-1]
+    out = [nn.Linear(latent, _FILTERS * rows * columns), nn.ReLU(), nn.Unflatten(1, (_FILTERS, rows, columns))]
+    for index in reversed(range(depth)):
+        stride = _stride(index)
+        lost = [
+            before - ((after - 1) * stride + _KERNEL)
+            for before, after in zip(sizes[index], sizes[index + 1], strict=True)
+        ]
+        outputs = channels if index == 0 else _FILTERS
+        out.append(nn.ConvTranspose2d(_FILTERS, outputs, _KERNEL, stride, output_padding=(lost[0], lost[1])))
+        if index:
+            out.append(nn.ReLU())
+    return out
+
+
+class TwinCritic(nn.Module):
+    """Q_1 and Q_2 of Eq. 4.10, computed together."""
+
+    def __init__(self, latent: int, controls: int, hidden: int) -> None:
+        super().__init__()
+        sizes = (latent + controls, hidden, hidden, 1)
+        self.weights, self.biases = nn.ParameterList(), nn.ParameterList()
+        for inputs, outputs in pairwise(sizes):
+            reach = inputs**-0.5
+            self.weights.append(nn.Parameter((2.0 * torch.rand(2, inputs, outputs) - 1.0) * reach))
+            self.biases.append(nn.Parameter((2.0 * torch.rand(2, 1, outputs) - 1.0) * reach))
+
+    def forward(self, z: Tensor, u: Tensor) -> Tensor:
+        """Return both values (2, N) of latent states (N, n) and actions (N, m)."""
+        x = torch.cat((z, u), dim=1).expand(2, -1, -1)
+        last = len(self.weights) - 1
+        for index, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+            x = torch.baddbmm(bias, x, weight)
+            if index < last:
+                x = torch.relu(x)
+        return x.squeeze(-1)
+
+
+def _array(tensor: Tensor) -> NDArray[np.float32]:
+    return tensor.detach().cpu().numpy().astype(np.float32).copy()

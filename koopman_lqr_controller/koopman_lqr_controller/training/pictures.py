@@ -1,0 +1,41 @@
+"""Pictures of comparisons: returns while learning (thesis Fig. 4.8, 4.9), or how far from a reference (4.3)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from ctrl_rl_core.drawing import save_figure
+from ctrl_rl_training.pictures import draw_curve
+from matplotlib import pyplot as plt
+
+from koopman_lqr_controller.training.methods import METHODS
+
+_COLOURS = ("tab:blue", "tab:orange", "tab:green", "tab:red", "tab:purple", "tab:brown")
+
+
+def draw_comparison(figures: Mapping[str, Any], path: Path) -> None:
+    """Draw mean and standard deviation over the seeds.
+
+    Args:
+        figures: of `collect_comparison`.
+        path: of the picture.
+    """
+    gaps = figures["kind"] == "gaps"
+    figure, ax = plt.subplots(figsize=(7.0, 4.2), layout="constrained")
+    for number, (method, curve) in enumerate(figures["curves"].items()):
+        values = np.array(curve["values"])
+        shown = figures["reference"] - values if gaps else values
+        colour = _COLOURS[number % len(_COLOURS)]
+        draw_curve(ax, curve["samples"], shown.tolist(), METHODS[method].label, colour, start=None)
+    if gaps:
+        ax.axhline(0.0, color="k", linewidth=0.8, linestyle=":")
+    ax.set_xlabel("steps of the system [thousands]")
+    ax.set_ylabel("reference return less ours" if gaps else "return")
+    ax.grid(alpha=0.3)
+    ax.legend(fontsize=8)
+    seeds = max(len(curve["values"]) for curve in figures["curves"].values())
+    ax.set_title(f"{figures['task']}: mean and standard deviation of {seeds} seeds", fontsize=10)
+    save_figure(figure, path)

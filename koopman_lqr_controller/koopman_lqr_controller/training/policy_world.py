@@ -1,0 +1,90 @@
+"""The world a policy was made for, as its manifest names it, and episodes of the policy in it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from koopman_lqr_controller.errors import KoopmanError
+from koopman_lqr_controller.latent_policy import LidarWiring
+from koopman_lqr_controller.linear_loop import LinearLoop
+from koopman_lqr_controller.policy import KoopmanPolicy
+from koopman_lqr_controller.training.corridor import Corridor, Vector
+from koopman_lqr_controller.training.problems import AnyEnvironment, find_problem
+
+Array = NDArray[np.float64]
+_CORRIDOR = "curved_corridor"
+
+
+@dataclass(frozen=True)
+class Episode:
+    """What was seen and done.
+
+    Attributes:
+        x: observations (T + 1, *shape).
+        u: the model's controls (T, m).
+        rewards: (T,); none where nobody pays.
+        info: the environment's last word.
+    """
+
+    x: NDArray[Any]
+    u: Array
+    rewards: Array
+    info: Mapping[str, Any]
+
+
+class LiftedCorridor(Corridor):
+    """The corridor as a two-stage policy sees it: observations are Psi, actions span the policy's own limits."""
+
+    def __init__(self, policy: KoopmanPolicy) -> None:
+        self._policy = policy
+        super().__init__(learning=False)
+        self.wiring = LidarWiring(self.wiring.observation, policy.u_low, policy.u_high)
+
+    def _observe(self) -> Vector:
+        scan, observables = self.scan(), self._policy.observables
+        v, omega = self.speeds()
+        return observables.lift(observables.sectors.distances(*scan), v, omega).astype(np.float32)
+
+
+def make_world(policy: KoopmanPolicy | Any) -> AnyEnvironment:
+    """Return the environment that a policy is of.
+
+    Raises:
+        KoopmanError: its manifest names none that there is.
+        ModuleNotFoundError: a simulator is not installed.
+    """
+    task = str(policy.manifest.get("task"))
+    if isinstance(policy, KoopmanPolicy):
+        if task != _CORRIDOR:
+            raise KoopmanError(f"there is no environment for the task {task}")
+        return LiftedCorridor(policy)
+    return find_problem(task).make(False)
+
+
+def live(loop: LinearLoop, environment: AnyEnvironment, seed: int, noise: float = 0.0) -> Episode:
+    """Return one episode.
+
+    Args:
+        loop: what acts.
+        environment: where.
+        seed: of the episode and of the noise.
+        noise: standard deviation of what is added to the action, which spans -1 to 1: it excites the model.
+    """
+    random = np.random.default_rng(seed)
+    x, info = environment.reset(seed=seed)
+    seen, done, paid, over = [x], [], [], False
+    half = 0.5 * (loop.high - loop.low)
+    while not over:
+        u = loop.control(loop.latent(x))
+        u = np.clip(u + noise * half * random.standard_normal(u.shape), loop.low, loop.high)
+        x, reward, terminated, truncated, info = environment.step(loop.action(u).astype(np.float32))
+        seen.append(x)
+        done.append(u)
+        paid.append(float(reward))
+        over = terminated or truncated
+    return Episode(np.array(seen), np.array(done), np.array(paid), info)

@@ -1,0 +1,157 @@
+"""What can be learnt: environments, the numbers that suit them, and what the thesis reached. Imports no torch."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+from ctrl_rl_core.tasks import load_navigation_task, task_digest
+
+from koopman_lqr_controller.errors import KoopmanError
+from koopman_lqr_controller.training.settings import Settings
+
+AnyEnvironment = Any
+"""A gymnasium.Env: its package is imported when one is made."""
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A task to learn.
+
+    Attributes:
+        name: of it.
+        about: in a line.
+        make: makes an environment, to learn in (True) or to evaluate in (False).
+        settings: that suit it.
+        repeat: steps of the simulated system for one action.
+        chunk: actions between two evaluations, whole episodes where these have one length.
+        chunks: how many, unless asked otherwise.
+        evaluations: episodes of an evaluation.
+        episodes: largest number to learn from, those that end with a chunk included; 0 for any.
+        patience: chunks without a new best after which learning ends; 0 for any.
+        goal: observation of the goal; None for z_ref = 0.
+        middle: of the observation, becomes 0 in the encoder.
+        unit: becomes 1 above it.
+        thesis: return that the thesis reached; None where it names none.
+        version: of the environment's own code, what it shows and pays; a new one for each change of it.
+    """
+
+    name: str
+    about: str
+    make: Callable[[bool], AnyEnvironment]
+    settings: Settings
+    repeat: int
+    chunk: int
+    chunks: int
+    evaluations: int = 5
+    episodes: int = 0
+    patience: int = 0
+    goal: tuple[float, ...] | None = None
+    middle: float = 0.0
+    unit: float = 1.0
+    thesis: float | None = None
+    version: int = 1
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of what defines the task, however long it is learnt (hex)."""
+        task = task_digest(load_navigation_task(self.name)) if self.name == "curved_corridor" else None
+        parts = [self.name, self.version, self.repeat, self.goal, self.middle, self.unit, task]
+        return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
+
+    def with_settings(self, **changes: Any) -> Problem:
+        """Return the same task with other numbers.
+
+        Raises:
+            KoopmanError: there is no such number, or it is out of range.
+        """
+        try:
+            return replace(self, settings=replace(self.settings, **changes))
+        except TypeError:
+            unknown = set(changes) - set(self.settings.as_json())
+            known = ", ".join(self.settings.as_json())
+            raise KoopmanError(f"no setting {', '.join(sorted(unknown))}: there are {known}") from None
+
+
+def find_problem(name: str) -> Problem:
+    """Return a problem by name.
+
+    Raises:
+        KoopmanError: there is none of that name.
+    """
+    if name not in PROBLEMS:
+        raise KoopmanError(f"no task '{name}': there are {', '.join(PROBLEMS)}")
+    return PROBLEMS[name]
+
+
+def _suite(domain: str, task: str, repeat: int, pixels: int = 0) -> Callable[[bool], AnyEnvironment]:
+    def make(_: bool) -> AnyEnvironment:
+        from koopman_lqr_controller.training.control_suite import ControlSuite
+
+        return ControlSuite(domain, task, repeat, pixels)
+
+    return make
+
+
+def _corridor(learning: bool) -> AnyEnvironment:
+    from koopman_lqr_controller.training.corridor import Corridor
+
+    return Corridor(learning)
+
+
+_ALL = (
+    Problem(
+        name="cartpole_swingup",
+        about="DeepMind control suite: swing a pole up and hold it, from position and velocity",
+        make=_suite("cartpole", "swingup", 8),
+        settings=Settings(),
+        repeat=8,
+        chunk=500,
+        chunks=36,
+        patience=10,
+        goal=(0.0, 1.0, 0.0, 0.0, 0.0),
+        thesis=846.88,
+    ),
+    Problem(
+        name="cartpole_swingup_pixels",
+        about="the same from three grey pictures",
+        make=_suite("cartpole", "swingup", 8, 72),
+        settings=Settings(depth=4, crop=64, batch=32, learning_rate=1e-3, update_every=2),
+        repeat=8,
+        chunk=1000,
+        chunks=25,
+        patience=10,
+        middle=127.5,
+        unit=127.5,
+        thesis=873.0,
+    ),
+    Problem(
+        name="cheetah_run",
+        about="DeepMind control suite: a planar cheetah runs",
+        make=_suite("cheetah", "run", 4),
+        settings=Settings(learning_rate=3e-4),
+        repeat=4,
+        chunk=2500,
+        chunks=24,
+        patience=10,
+        evaluations=3,
+        thesis=464.0,
+    ),
+    Problem(
+        name="curved_corridor",
+        about="a simulated TurtleBot3 drives along a narrow curved path, from lidar and odometry",
+        make=_corridor,
+        settings=Settings(first_steps=500, discount=0.97),
+        repeat=1,
+        chunk=1000,
+        chunks=28,
+        evaluations=3,
+        episodes=40,
+        version=2,
+    ),
+)
+PROBLEMS = {problem.name: problem for problem in _ALL}
+"""By name. The corridor is learnt from 40 episodes, as many as in the thesis, of at most 700 steps."""

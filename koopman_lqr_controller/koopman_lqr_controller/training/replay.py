@@ -1,0 +1,133 @@
+"""What was met, to learn from again and again."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Batch = dict[str, NDArray[np.generic]]
+
+
+class Transitions(NamedTuple):
+    """Steps drawn from a replay.
+
+    Attributes:
+        x: observations (N, *shape).
+        u: actions in [-1, 1] (N, m).
+        reward: (N,).
+        x_next: observations that followed (N, *shape).
+        terminated: whether nothing comes after these, 0 or 1 (N,).
+    """
+
+    x: NDArray[np.generic]
+    u: NDArray[np.float32]
+    reward: NDArray[np.float32]
+    x_next: NDArray[np.generic]
+    terminated: NDArray[np.float32]
+
+
+class Replay:
+    """A ring of observations in the order they were met: the next one of a step lies behind it and is kept once.
+
+    The last observation of each episode is kept too; no step begins there. Of an observation that is the last few
+    pictures only the newest is kept: those before it are those of the observations before it.
+    """
+
+    def __init__(self, capacity: int, shape: tuple[int, ...], controls: int, kind: type[np.generic]) -> None:
+        """Make an empty one.
+
+        Args:
+            capacity: observations.
+            shape: of one: (n,) of a vector, or (pictures, height, width), oldest first, the first one of an episode
+                repeated where there is none before it.
+            controls: how many.
+            kind: of an observation's entries.
+        """
+        self._pictures = shape[0] if len(shape) == 3 else 0
+        self._arrays: dict[str, NDArray[np.generic]] = {
+            "x": np.zeros((capacity, *(shape[1:] if self._pictures else shape)), kind),
+            "u": np.zeros((capacity, controls), np.float32),
+            "reward": np.zeros(capacity, np.float32),
+            "terminated": np.zeros(capacity, np.float32),
+            "begins": np.zeros(capacity, np.bool_),
+            "age": np.zeros(capacity, np.int32),
+        }
+        self._capacity, self._end, self._full, self._age = capacity, 0, False, 0
+
+    def add(self, x: NDArray[np.generic], u: NDArray[np.float32], reward: float, terminated: bool) -> None:
+        """Add a step that begins at x; what follows it is what is added next."""
+        self._put(x, u, reward, terminated, True)
+
+    def end_episode(self, x: NDArray[np.generic]) -> None:
+        """Add an episode's last observation."""
+        self._put(x, np.float32(0.0), 0.0, False, False)
+        self._age = 0
+
+    def _put(self, x: NDArray[np.generic], u: NDArray[np.float32] | np.float32, *rest: float) -> None:
+        values = (x[-1] if self._pictures else x, u, *rest, self._age)
+        for array, value in zip(self._arrays.values(), values, strict=True):
+            array[self._end] = value
+        self._age += 1
+        self._end += 1
+        if self._end == self._capacity:
+            self._end, self._full = 0, True
+
+    def draw(self, count: int, random: np.random.Generator) -> Transitions:
+        """Return so many steps, drawn uniformly with replacement; at least one must be complete."""
+        chosen = np.zeros(0, np.intp)
+        while len(chosen) < count:
+            index = random.integers(self.filled, size=count)
+            chosen = np.concatenate((chosen, index[self._complete(index)]))
+        return self._take(chosen[:count])
+
+    def _complete(self, index: NDArray[np.intp]) -> NDArray[np.bool_]:
+        """Return whether a step begins there whose next observation is there, and so are the pictures before it."""
+        newest = (self._end - 1) % self._capacity
+        kept = (index - self._end) % self._capacity if self._full else index
+        whole = kept >= self._before(index, self._pictures - 1)
+        return self._arrays["begins"][index].astype(np.bool_) & (index != newest) & whole
+
+    def _before(self, index: NDArray[np.intp], most: int) -> NDArray[np.intp]:
+        """Return how many places an observation's oldest picture is before its newest, at most so many."""
+        return np.minimum(self._arrays["age"][index].astype(np.intp), max(0, most))
+
+    def _observation(self, index: NDArray[np.intp]) -> NDArray[np.generic]:
+        x = self._arrays["x"]
+        if not self._pictures:
+            return x[index]
+        steps = range(self._pictures - 1, -1, -1)
+        return np.stack([x[(index - self._before(index, most)) % self._capacity] for most in steps], axis=1)
+
+    def _take(self, index: NDArray[np.intp]) -> Transitions:
+        a, after = self._arrays, (index + 1) % self._capacity
+        return Transitions(
+            x=self._observation(index),
+            u=a["u"][index].astype(np.float32, copy=False),
+            reward=a["reward"][index].astype(np.float32, copy=False),
+            x_next=self._observation(after),
+            terminated=a["terminated"][index].astype(np.float32, copy=False),
+        )
+
+    def everything(self) -> Transitions:
+        """Return all complete steps, oldest episodes first unless it has turned around."""
+        index = np.arange(self.filled)
+        return self._take(index[self._complete(index)])
+
+    @property
+    def filled(self) -> int:
+        """Places in use."""
+        return self._capacity if self._full else self._end
+
+    def arrays(self) -> Batch:
+        """Return all that is in it, and where its end is, as arrays."""
+        out = {name: array[: self.filled] for name, array in self._arrays.items()}
+        return {**out, "end": np.array([self._end, self._full, self._age], np.int64)}
+
+    def restore(self, arrays: Batch) -> None:
+        """Take what `arrays` gave."""
+        for name, array in self._arrays.items():
+            array[: len(arrays[name])] = arrays[name]
+        self._end, full, self._age = (int(value) for value in arrays["end"])
+        self._full = bool(full)

@@ -1,0 +1,94 @@
+"""The numbers of a learner, the same for all tasks but for what a problem changes."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass, fields
+from typing import Any
+
+from koopman_lqr_controller.errors import KoopmanError
+
+_KINDS = {"int": "a whole number", "float": "a number"}
+_CHOICES = {
+    "encoder_loss": ("contrastive", "reconstruction", "reconstruction_prediction"),
+    "policy": ("lqr", "network"),
+    "cost": ("Q1", "Q2", "Q3", "Q4"),
+}
+_MAY_BE_ZERO = ("crop", "noise", "first_steps")
+_SHARES = ("discount", "critic_rate", "encoder_rate", "average_rate")
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How is learnt.
+
+    Attributes:
+        latent: dimension of z.
+        riccati_iterations: M of Algorithm 1.
+        hidden: units of each hidden layer.
+        depth: hidden layers of an encoder of vectors, convolutions of one of images.
+        crop: rows and columns of an image that the encoder looks at; 0 for vectors.
+        learning_rate: of all networks.
+        batch: steps in an update.
+        discount: gamma.
+        first_steps: actions at random before learning begins.
+        replay: steps that are remembered.
+        temperature: alpha to begin with.
+        deviation: standard deviation of the controls to begin with, before tanh.
+        critic_rate: at which the target critic follows.
+        encoder_rate: at which the key encoder follows.
+        update_every: actions for one update.
+        actor_every: updates of the critic for one of actor and targets.
+        noise: eta of Eq. 4.5.
+        average_rate: at which the averaged actor follows.
+        encoder_loss: of the encoder besides the task's: "contrastive" (Eq. 4.4), or that of an autoencoder,
+            "reconstruction", or "reconstruction_prediction", which decodes the model's next z as well (4.3.5).
+        policy: "lqr", or "network" as in CURL.
+        cost: that a hand has tuned for the two stages, see `two_stage_learner`; of no effect elsewhere.
+    """
+
+    latent: int = 50
+    riccati_iterations: int = 5
+    hidden: int = 256
+    depth: int = 2
+    crop: int = 0
+    learning_rate: float = 5e-4
+    batch: int = 256
+    discount: float = 0.99
+    first_steps: int = 1000
+    replay: int = 100_000
+    temperature: float = 0.1
+    deviation: float = 1.0
+    critic_rate: float = 0.01
+    encoder_rate: float = 0.05
+    update_every: int = 1
+    actor_every: int = 2
+    noise: float = 0.1
+    average_rate: float = 0.005
+    encoder_loss: str = "contrastive"
+    policy: str = "lqr"
+    cost: str = "Q1"
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if field.name in _CHOICES:
+                if value not in _CHOICES[field.name]:
+                    raise KoopmanError(f"{field.name} is {value}: must be {' or '.join(_CHOICES[field.name])}")
+                continue
+            if field.type == "float" and type(value) is int:
+                value = float(value)  # 1 and 1.0 are the same setting
+                object.__setattr__(self, field.name, value)
+            if type(value).__name__ != field.type:
+                raise KoopmanError(f"{field.name} is {value!r}: must be {_KINDS[str(field.type)]}")
+            if not math.isfinite(value) or value < 0 or (value == 0 and field.name not in _MAY_BE_ZERO):
+                raise KoopmanError(f"{field.name} is {value}: must be positive")
+            if field.name in _SHARES and value > 1.0:
+                raise KoopmanError(f"{field.name} is {value}: must be at most 1")
+
+        if self.policy == "network" and self.encoder_loss == "reconstruction_prediction":
+            raise KoopmanError("encoder_loss reconstruction_prediction needs a model: policy must be lqr")
+
+    def as_json(self) -> dict[str, Any]:
+        """Return all of them by name."""
+        return asdict(self)

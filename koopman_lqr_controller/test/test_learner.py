@@ -1,0 +1,311 @@
+"""Learning with the real thing on a tiny budget: it resumes exactly, and leaves a policy that needs no torch."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from ctrl_rl_training.errors import TrainingError
+from ctrl_rl_training.run_folder import result_file
+from koopman_lqr_controller.consolidation import REPORT_SEED
+from koopman_lqr_controller.errors import KoopmanError
+from koopman_lqr_controller.policy_file import load_policy
+from koopman_lqr_controller.roll_outs import evaluate
+from koopman_lqr_controller.training.actor import Interface
+from koopman_lqr_controller.training.agent import Agent
+from koopman_lqr_controller.training.course import POLICY_FILE, LearningOptions
+from koopman_lqr_controller.training.encoder_losses import Seen
+from koopman_lqr_controller.training.problems import PROBLEMS
+from koopman_lqr_controller.training.replay import Transitions
+from koopman_lqr_controller.training.runs import LearningRun, learn_one
+from koopman_lqr_controller.training.settings import Settings
+
+TINY = (("batch", 16), ("first_steps", 30), ("hidden", 16), ("latent", 6))
+RUN = LearningRun("cartpole_swingup", 2, TINY, command="learn --task cartpole_swingup", consolidation=0)
+
+
+def options(folder: Path, chunks: int = 3) -> LearningOptions:
+    return LearningOptions(folder, chunks, 40, 1, 2)
+
+
+def learnt(folder: Path, run: LearningRun = RUN) -> tuple[dict, bytes]:
+    """Return everything that the run leaves, but for what it took."""
+    result = json.loads(result_file(folder, run).read_text(encoding="utf-8"))
+    for point in result["curve"]:
+        del point["seconds"], point["cpu_seconds"]
+    del result["cpu_seconds"]
+    return result, result_file(folder, run).with_name(POLICY_FILE).read_bytes()
+
+
+ENCODER_LOSSES = ("contrastive", "reconstruction", "reconstruction_prediction")
+
+
+class CutOffError(Exception):
+    """Stands for a kill between two chunks."""
+
+
+def cut_off(*_: object) -> None:
+    raise CutOffError
+
+
+OTHERS = (
+    replace(RUN, changes=(*TINY, ("policy", "network"))),
+    replace(RUN, changes=(*TINY, ("encoder_loss", "reconstruction_prediction"))),
+    replace(RUN, learner="sac"),
+    replace(RUN, learner="two_stage"),
+    replace(RUN, learner="edmd"),
+)
+
+
+@pytest.mark.parametrize("run", OTHERS, ids=lambda run: run.name)
+def test_other_ways_of_learning_go_on_exactly_too(run: LearningRun, tmp_path: Path) -> None:
+    whole, cut = tmp_path / "whole", tmp_path / "cut"
+    result = learn_one(run, options(whole, 2))
+    with pytest.raises(CutOffError):
+        learn_one(run, options(cut, 2), cut_off)
+    learn_one(run, options(cut, 2))
+    assert learnt(cut, run) == learnt(whole, run)
+    assert [point["actions"] for point in result["curve"]] == [40, 80]
+    assert result["interaction"]["learning"] == {"episodes": 2, "actions": 80}
+    assert len(result["returns"]) == 2
+    assert ("model_error" in result) == (run.learner != "sac" and ("policy", "network") not in run.changes)
+
+
+def test_two_stages_put_the_costs_of_the_thesis_on_the_observation(tmp_path: Path) -> None:
+    learn_one(replace(RUN, learner="two_stage", changes=(*TINY, ("cost", "Q4"))), options(tmp_path, 1))
+    controller = load_policy(next(tmp_path.rglob(POLICY_FILE))).controller
+    x = np.array([0.3, -1.0, 0.1, 2.0, -3.0], np.float32)
+    assert controller.latent(x)[:5] == pytest.approx(x)
+    assert controller.z_ref[:5].tolist() == [0.0, 1.0, 0.0, 0.0, 0.0]
+    assert controller.Q.tolist() == [10.0, 60.0, 60.0, 10.0, 10.0, *[0.1] * 6]
+    assert controller.spectral_radius < 1.0
+
+
+@pytest.mark.parametrize(
+    ("run", "words"),
+    [
+        (replace(RUN, problem_name="cheetah_run", learner="two_stage"), "needs costs that a hand has tuned"),
+        (replace(RUN, changes=(("cost", "Q5"),)), "cost is Q5: must be Q1 or Q2"),
+        (
+            replace(RUN, changes=(("encoder_loss", "reconstruction_prediction"), ("policy", "network"))),
+            "needs a model: policy must be lqr",
+        ),
+    ],
+)
+def test_what_cannot_be_learnt_is_refused(run: LearningRun, words: str, tmp_path: Path) -> None:
+    with pytest.raises(KoopmanError, match=words):
+        learn_one(run, options(tmp_path))
+
+
+def test_a_run_that_was_cut_off_ends_bit_by_bit_as_if_it_had_not_been(tmp_path: Path) -> None:
+    """Between chunks, and after the last of them."""
+    whole, cut = tmp_path / "whole", tmp_path / "cut"
+    learn_one(RUN, options(whole))
+    for _ in range(3):
+        with pytest.raises(CutOffError):
+            learn_one(RUN, options(cut), cut_off)
+    assert not result_file(cut, RUN).exists()
+    learn_one(RUN, options(cut))
+    assert learnt(cut) == learnt(whole)
+    assert [file.name for file in sorted(result_file(cut, RUN).parent.iterdir())] == [POLICY_FILE, "result.json"]
+
+
+def test_a_run_that_was_killed_goes_on_exactly(tmp_path: Path) -> None:
+    whole, killed = tmp_path / "whole", tmp_path / "killed"
+    learn_one(RUN, options(whole))
+    program = (
+        "from pathlib import Path\nfrom koopman_lqr_controller.training.course import LearningOptions\n"
+        "from koopman_lqr_controller.training.runs import LearningRun, learn_one\n"
+        f"learn_one({RUN!r}, LearningOptions(Path({str(killed)!r}), 3, 40, 1, 2))"
+    )
+    process = subprocess.Popen([sys.executable, "-c", program])
+    checkpoint = result_file(killed, RUN).with_name("checkpoint.safetensors")
+    while process.poll() is None and not checkpoint.exists():
+        time.sleep(0.005)
+    time.sleep(0.05)
+    os.kill(process.pid, signal.SIGKILL)
+    process.wait()
+    learn_one(RUN, options(killed))
+    assert learnt(killed) == learnt(whole)
+
+
+def test_what_is_learnt_is_what_is_evaluated_and_says_where_it_comes_from(tmp_path: Path) -> None:
+    said = []
+    result = learn_one(RUN, options(tmp_path), lambda run, done, best: said.append((run.name, done, best)))
+    assert [done for _, done, _ in said] == [1, 2, 3]
+    best = result["best"]["return"]
+    assert said[-1][2] == f"{best:.1f}"
+    assert best == max(max(point["returns"].values()) for point in result["curve"])
+    policy = load_policy(result_file(tmp_path, RUN).with_name(POLICY_FILE))
+    assert policy.manifest["command"] == RUN.command
+    assert policy.manifest["task_digest"] == RUN.problem.digest
+    assert policy.manifest["settings"]["latent"] == 6
+    environment = RUN.problem.make(False)
+    assert [episode.total for episode in evaluate(policy.controller, environment, 2, REPORT_SEED)] == result["returns"]
+    assert evaluate(policy.controller, environment, 1, 1_000_000)[0].total == result["best"]["return"]
+    before = result_file(tmp_path, RUN).stat().st_mtime_ns
+    assert learn_one(RUN, options(tmp_path)) == result
+    assert result_file(tmp_path, RUN).stat().st_mtime_ns == before
+
+
+def test_a_run_made_with_other_settings_is_not_taken(tmp_path: Path) -> None:
+    with pytest.raises(CutOffError):
+        learn_one(RUN, options(tmp_path), cut_off)
+    with pytest.raises(TrainingError, match=r"checkpoint\.safetensors: was made with iterations 3, now it is 2: use"):
+        learn_one(RUN, options(tmp_path, 2))
+    learn_one(RUN, options(tmp_path))
+    with pytest.raises(TrainingError, match=r"result\.json: was made with iterations 3, now it is 2: use"):
+        learn_one(RUN, options(tmp_path, 2))
+
+
+@pytest.mark.parametrize("change", [{"evaluations": 2}, {"final_evaluations": 3}])
+def test_a_run_that_was_evaluated_otherwise_is_not_taken(change: dict[str, int], tmp_path: Path) -> None:
+    learn_one(RUN, options(tmp_path, 1))
+    with pytest.raises(TrainingError, match=r"result\.json: was made with .*evaluations"):
+        learn_one(RUN, replace(options(tmp_path, 1), **change))
+
+
+def test_what_it_took_is_counted(tmp_path: Path) -> None:
+    result = learn_one(RUN, options(tmp_path))
+    assert [point["episodes"] for point in result["curve"]] == [1, 2, 3], "chunks of 40 actions, episodes of 125"
+    assert result["interaction"]["learning"] == {"episodes": 3, "actions": 120}
+    assert result["interaction"]["choosing"] == {"episodes": 6, "actions": 6 * 125}
+
+
+@pytest.mark.parametrize("cut", [False, True])
+def test_learning_ends_with_its_episodes(cut: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(PROBLEMS, RUN.problem_name, replace(PROBLEMS[RUN.problem_name], episodes=2))
+    longer = LearningOptions(tmp_path, 3, 150, 1, 2)
+    if cut:
+        with pytest.raises(CutOffError):
+            learn_one(RUN, longer, cut_off)
+    result = learn_one(RUN, longer)
+    assert [point["actions"] for point in result["curve"]] == [150], "an episode of 125 actions and one of 25"
+    assert result["interaction"]["learning"] == {"episodes": 2, "actions": 150}
+
+
+def test_learning_ends_when_nothing_gets_better(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(PROBLEMS, RUN.problem_name, replace(PROBLEMS[RUN.problem_name], patience=1))
+    result = learn_one(RUN, options(tmp_path, 12))
+    ends = [point["actions"] for point in result["curve"]]
+    assert len(ends) < 12
+    assert ends[-2:] == [result["best"]["actions"], result["best"]["actions"] + 40]
+
+
+def test_a_broken_checkpoint_is_named(tmp_path: Path) -> None:
+    checkpoint = result_file(tmp_path, RUN).with_name("checkpoint.safetensors")
+    checkpoint.parent.mkdir()
+    checkpoint.write_bytes(b"half a file")
+    with pytest.raises(TrainingError, match=r"checkpoint\.safetensors: cannot go on from it .* delete it"):
+        learn_one(RUN, options(tmp_path))
+
+
+def some_agent(shape: tuple[int, ...] = (3,), **changes: object) -> tuple[Agent, Transitions]:
+    settings = Settings(**{"hidden": 16, "latent": 5, "batch": 32, **changes})
+    goal = None if len(shape) > 1 else np.array([0.0, 1.0, 0.0], np.float32)
+    interface = Interface(shape, 2, np.zeros((), np.float32), np.ones((), np.float32), goal)
+    random = np.random.default_rng(0)
+    x, x_next = random.normal(size=(2, 32, *shape)).astype(np.float32)
+    u, reward = random.uniform(-1, 1, (32, 2)).astype(np.float32), random.normal(size=32).astype(np.float32)
+    return Agent(interface, settings, seed=0), Transitions(x, u, reward, x_next, np.zeros(32, np.float32))
+
+
+@pytest.mark.parametrize("encoder_loss", ENCODER_LOSSES)
+def test_each_loss_moves_what_it_should_and_nothing_else(encoder_loss: str) -> None:
+    agent, data = some_agent(encoder_loss=encoder_loss)
+    generator = torch.Generator().manual_seed(0)
+    parts = {"encoder": agent.actor.encoder, "critic": agent.critic, "lqr": agent.actor.lqr}
+    x, u, reward, x_next, end = (torch.from_numpy(part) for part in data)
+
+    def moved(learn) -> set[str]:
+        before = {name: [p.clone() for p in part.parameters()] for name, part in parts.items()}
+        learn()
+        return {
+            name
+            for name, part in parts.items()
+            if any(not torch.equal(a, b) for a, b in zip(before[name], part.parameters(), strict=True))
+        }
+
+    def critic() -> dict[str, torch.Tensor]:
+        return {"critic": agent._critic_loss(agent.actor.encoder(x), u, reward, x_next, end, generator)[0]}
+
+    def encoder() -> dict[str, torch.Tensor]:
+        seen = Seen(x, x, u, x_next, agent.key_encoder, agent.lqr)
+        return {"encoder": agent.encoder_loss(agent.actor.encoder(x), seen)}
+
+    z = agent.actor.encoder(x).detach()
+    assert moved(lambda: agent._step(critic())) == {"encoder", "critic"}
+    assert moved(lambda: agent._step(encoder())) == {"encoder"}
+    assert moved(lambda: agent._step({"model": agent.actor.lqr.model_loss(z, u, z)})) == {"lqr"}
+    assert moved(lambda: agent._step(agent._actor_losses(x, generator))) == {"encoder", "lqr"}
+
+
+@pytest.mark.parametrize("shape", [(3,), (2, 26, 26)])
+@pytest.mark.parametrize("encoder_loss", ENCODER_LOSSES)
+def test_updates_of_vectors_and_images_are_finite_and_the_average_follows(
+    encoder_loss: str, shape: tuple[int, ...]
+) -> None:
+    agent, data = some_agent(shape, encoder_loss=encoder_loss, **({"crop": 24, "depth": 3} if shape[1:] else {}))
+    generator = torch.Generator().manual_seed(0)
+    first = agent.averaged.lqr.A.clone()
+    for _ in range(4):
+        agent.update(data, generator)
+    assert agent.updates == 4
+    assert all(torch.isfinite(p).all() for p in agent.parameters())
+    assert 0 < (agent.averaged.lqr.A - first).abs().max() < (agent.actor.lqr.A - first).abs().max()
+
+
+def test_the_density_of_an_action_is_that_of_a_squashed_normal() -> None:
+    agent, _ = some_agent()
+    z = torch.randn(1, 5, generator=torch.Generator().manual_seed(1)).expand(20_000, 5)
+    u, log_density = agent.actor.sample(z, torch.Generator().manual_seed(0))
+    mean = agent.actor.mean(z)
+    normal = torch.distributions.Normal(mean, agent.actor.log_deviation.exp())
+    squashed = torch.distributions.TransformedDistribution(normal, torch.distributions.TanhTransform(cache_size=1))
+    inside = (u.abs() < 0.99).all(dim=1)
+    expected = squashed.log_prob(u).sum(dim=1)
+    assert log_density[inside].detach().numpy() == pytest.approx(expected[inside].detach().numpy(), abs=1e-2)
+
+
+@pytest.mark.parametrize("deviation", [0.01, 1.0, 2.5])
+def test_the_deviation_of_the_controls_can_always_move(deviation: float) -> None:
+    agent, _ = some_agent(deviation=deviation)
+    assert agent.actor.log_deviation.exp().item() == pytest.approx(deviation)
+    with torch.no_grad():
+        agent.actor.raw_deviation.mul_(2.0)  # towards a limit
+    agent.actor.log_deviation.sum().backward()
+    assert agent.actor.raw_deviation.grad.abs().item() > 1e-3
+    with pytest.raises(KoopmanError, match=r"deviation is 3\.0: must lie between"):
+        some_agent(deviation=3.0)
+
+
+@pytest.mark.parametrize("policy", ["lqr", "network"])
+def test_the_deployed_policy_acts_like_the_learnt_one(policy: str) -> None:
+    agent, data = some_agent(policy=policy)
+    controller = agent.actor.deploy()
+    x = torch.from_numpy(data.x)
+    expected = torch.tanh(agent.actor.mean(agent.actor.encoder(x))).detach().numpy()
+    u = controller.control(controller.project(controller.encoder(data.x)))
+    assert controller.saturate(u) == pytest.approx(expected, abs=1e-5)
+
+
+def test_a_device_that_is_not_there_is_named(tmp_path: Path) -> None:
+    if torch.cuda.is_available():
+        pytest.skip("this machine has one")
+    with pytest.raises(KoopmanError, match="device cuda: torch sees none; use cpu"):
+        learn_one(LearningRun("cartpole_swingup", 0, TINY, "cuda"), options(tmp_path))
+
+
+def test_learning_needs_no_other_library_of_learning() -> None:
+    program = (
+        "import sys, koopman_lqr_controller.training.runs, ctrl_rl_training.matrix\n"
+        "sys.exit(any(name in sys.modules for name in ('stable_baselines3', 'pybullet', 'casadi')))"
+    )
+    assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0

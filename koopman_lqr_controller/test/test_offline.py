@@ -1,0 +1,187 @@
+"""From recorded drives alone to policies: fit, evaluate, learn; a real drive too, where there is one."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from koopman_lqr_controller.drives import Drive
+from koopman_lqr_controller.edmd import LinearModel
+from koopman_lqr_controller.encoder import Dense, Encoder
+from koopman_lqr_controller.errors import KoopmanError
+from koopman_lqr_controller.evaluation import judge
+from koopman_lqr_controller.latent_controller import LatentController
+from koopman_lqr_controller.latent_policy import LatentPolicy, LidarWiring
+from koopman_lqr_controller.lidar_observation import LidarObservation
+from koopman_lqr_controller.offline import refit
+from koopman_lqr_controller.offline_cli import evaluate, fit, learn_offline
+from koopman_lqr_controller.policy_file import find_policy, load_policy, save_policy
+from koopman_lqr_controller.straight_corridor import StraightCorridor
+from koopman_lqr_controller.training.imitation import ImitationSettings, imitate
+from recorded import KINDS, Bag
+
+CORRIDOR = StraightCorridor(0.7, 0.2)
+OBSERVATION = LidarObservation(count=12)
+LIMITS = np.array([0.0, -1.0]), np.array([0.22, 1.0])
+
+
+def driven(steps: int, seed: int) -> tuple[list[np.ndarray], np.ndarray]:
+    """Return the states (steps + 1) and commands of a driver who keeps to the middle on slippery ground."""
+    random = np.random.default_rng(seed)
+    state, states, commands = np.array([0.1, 0.0, 0.15, 0.0]), [], []
+    for _ in range(steps + 1):
+        states.append(state)
+        turn = -3.0 * state[0] - 1.5 * state[1] + 0.1 * random.normal()
+        command = np.clip([0.15 - 0.3 * (state[2] - 0.15) + 0.02 * random.normal(), turn], *LIMITS)
+        commands.append(command)
+        slip = np.array([0.0, 0.1, 0.02, 0.1]) * random.normal(size=4)
+        state = CORRIDOR.step(state, command) + slip
+    return states, np.array(commands)
+
+
+def seen(steps: int = 300, seed: int = 0) -> Drive:
+    states, commands = driven(steps, seed)
+    x = [OBSERVATION.observe(CORRIDOR.scan(s), CORRIDOR.geometry, s[2], s[3]) for s in states]
+    return Drive(np.array(x), commands[:-1], CORRIDOR.dt)
+
+
+def some_policy(task: str = "curved_corridor") -> LatentPolicy:
+    """Return a policy whose latent is a mixture of what is seen, and whose model is nonsense."""
+    random, n = np.random.default_rng(3), 4
+    inputs = len(OBSERVATION.names)
+    one = np.ones(1, np.float32)
+    encoder = Encoder(
+        (Dense(random.normal(size=(n, inputs)).astype(np.float32), one * 0, False),), (inputs,), 0 * one, one
+    )
+    model = LinearModel(0.5 * np.eye(n), 0.1 * random.normal(size=(n, 2)))
+    controller = LatentController(encoder, model, np.ones(n), np.ones(2), np.zeros(n), 3)
+    return LatentPolicy(controller, 0.2, LidarWiring(OBSERVATION, *LIMITS), {"task": task, "returns": [1.0]})
+
+
+@pytest.fixture(scope="module")
+def bags(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Give two drives with a lidar whose number of beams varies."""
+    folders = []
+    for seed in range(2):
+        folders.append(tmp_path_factory.mktemp("bags") / f"drive_{seed}")
+        kinds = {name: kind for name, kind in KINDS.items() if name != "/episode"}
+        states, commands = driven(150, seed)
+        random = np.random.default_rng(seed)
+        with Bag(folders[-1], kinds) as bag:
+            for k, (state, command) in enumerate(zip(states, commands, strict=True)):
+                exact = CORRIDOR.scan(state)
+                beams = 268 + k % 7
+                ranges = exact[(np.arange(beams) * len(exact) / beams).astype(int)]
+                ranges[random.random(beams) < 0.02] = np.nan
+                bag.put_step(k, ranges.astype(np.float32), state[2:], command)
+    return folders
+
+
+def test_a_refitted_policy_predicts_and_does_what_the_first_did() -> None:
+    learnt, drive, fresh = some_policy(), seen(), seen(200, seed=5)
+    assert judge(learnt, [fresh])["over_persistence"][0] > 1.0
+    once = refit(learnt, [drive.cut(0, 200), drive.cut(200, 300)], sizes=(3,))
+    assert once.controller.projection is not None
+    twice = refit(once, [seen(seed=1)])
+    for before, found in ((learnt, once), (once, twice)):
+        assert judge(found, [fresh])["over_persistence"][0] < 0.9
+        assert found.controller.horizon is None
+        assert found.controller.spectral_radius < 1.0
+        assert len(found.controller.Q) == 3
+        assert found.region is not None
+        assert found.region.outside(found.controller.latent(fresh.x[100])) < 1.5
+        done, wanted = (each.controller.action(fresh.x) for each in (found, before))
+        assert np.sqrt(np.mean((done - wanted) ** 2)) < 0.5 * np.sqrt(np.mean(wanted**2))
+
+
+def test_agreement_is_whole_for_a_policy_that_was_recorded_itself() -> None:
+    policy, drive = some_policy(), seen(50)
+    u = policy.wiring.command(policy.controller.action(drive.x[:-1]))
+    found = judge(policy, [Drive(drive.x, u, 0.2)])
+    assert [each["explained"] for each in found["commands"].values()] == pytest.approx([1.0, 1.0])
+    other = judge(policy, [Drive(drive.x, u[::-1], 0.2)])
+    assert other["commands"]["turn rate [rad/s]"]["explained"] < 1.0
+    with pytest.raises(KoopmanError, match="no steps"):
+        judge(policy, [])
+
+
+def test_two_stages_are_fitted_and_evaluated_by_command(
+    bags: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    output = tmp_path / "fitted.safetensors"
+    given = ["curved_corridor_edmd", *map(str, bags), "--output", str(output)]
+    assert fit(given) == 0
+    fitted = load_policy(output)
+    assert fitted.manifest["drives"]["held out"]["over_persistence"][0] < 1.0
+    assert fitted.manifest["bags"] == ["drive_0", "drive_1"]
+    assert np.array_equal(fitted.u_high, load_policy(find_policy("curved_corridor_edmd")).u_high)
+    assert fit(given) == 1
+    assert "exists: give another name" in capsys.readouterr().err
+    assert evaluate([str(output), *map(str, bags), "--json", str(tmp_path / "figures.json")]) == 0
+    out = capsys.readouterr().out
+    assert "held out      60 steps: error 0." in out
+    figures = json.loads((tmp_path / "figures.json").read_text(encoding="utf-8"))
+    assert figures == json.loads(json.dumps(fitted.manifest["drives"]))
+
+
+def test_a_latent_policy_is_learnt_from_bags_alone(bags: list[Path], tmp_path: Path) -> None:
+    output = tmp_path / "learnt.safetensors"
+    given = [*map(str, bags), "--output", str(output), "--latent", "6", "--updates", "300", "--held-out", "0.25"]
+    assert learn_offline(given) == 0
+    learnt = load_policy(output)
+    assert isinstance(learnt, LatentPolicy)
+    assert learnt.region is not None
+    assert learnt.dt == pytest.approx(0.2)
+    figures = learnt.manifest["drives"]
+    assert figures["held out"]["over_persistence"][0] < 1.0
+    assert figures["fitted"]["commands"]["turn rate [rad/s]"]["explained"] > 0.3
+    command = learnt.decide(CORRIDOR.scan(np.array([0.15, 0.2, 0.15, 0.0])), CORRIDOR.geometry, 0.15, 0.0).command
+    assert command[1] < -0.1, "left of the middle and pointing left: turn right"
+
+
+def test_the_same_seed_learns_the_same_again() -> None:
+    settings = ImitationSettings(latent=4, hidden=8, updates=5)
+    one, other = (imitate([seen(150)], OBSERVATION, settings).controller for _ in range(2))
+    assert np.array_equal(one.K, other.K)
+    assert np.array_equal(one.encoder.layers[0].weight, other.encoder.layers[0].weight)
+
+
+def test_what_cannot_be_is_said_in_one_line(
+    bags: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cartpole = tmp_path / "cartpole.safetensors"
+    policy = some_policy("cartpole_swingup")
+    save_policy(LatentPolicy(policy.controller, 0.08, None, policy.manifest), cartpole)
+    out = ["--output", str(tmp_path / "out.safetensors")]
+    for command, given, words in (
+        (evaluate, [str(cartpole), str(bags[0])], "of the task cartpole_swingup: it knows no lidar"),
+        (evaluate, [str(cartpole), str(bags[0]), "--held-out", "1"], "knows no lidar"),
+        (evaluate, ["curved_corridor_edmd", str(bags[0]), "--held-out", "1"], "--held-out is 1.0: must be"),
+        (fit, ["nothing", str(bags[0]), *out], "no policy 'nothing'"),
+        (fit, ["curved_corridor_edmd", str(tmp_path / "none"), *out], "none"),
+        (learn_offline, [str(bags[0]), *out, "--held-out", "0.9"], "steps are too few to learn from"),
+        (learn_offline, [str(bags[0]), *out, "--latent", "1"], "--latent must be at least 2"),
+    ):
+        assert command(given) == 1
+        error = capsys.readouterr().err
+        assert words in error
+        assert "Traceback" not in error
+    assert not (tmp_path / "out.safetensors").exists()
+
+
+def test_the_mirror_of_an_observation_is_that_of_the_mirrored_world() -> None:
+    order, sign = OBSERVATION.mirror
+    state = np.array([0.1, 0.3, 0.15, 0.4])
+    here, there = (
+        OBSERVATION.observe(CORRIDOR.scan(s), CORRIDOR.geometry, s[2], s[3]) for s in (state, state * (-1, -1, 1, -1))
+    )
+    assert here[order] * sign == pytest.approx(there, rel=1e-4)
+
+
+def test_a_real_drive_is_predicted_better_than_by_nothing_changes(real_drive: Path, tmp_path: Path) -> None:
+    """On its last fifth, which was not fitted: commands of a person, 720 beams, a lidar that looks to the left."""
+    output = tmp_path / "real.safetensors"
+    assert fit(["curved_corridor_edmd", str(real_drive), "--output", str(output)]) == 0
+    held_out = load_policy(output).manifest["drives"]["held out"]
+    assert held_out["steps"] == 51
+    assert held_out["over_persistence"][0] < 0.97

@@ -1,0 +1,82 @@
+"""The replay: every step with what followed it, across episodes and after it has turned around."""
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from koopman_lqr_controller.training.replay import Replay
+
+
+def live(replay: Replay, lengths: list[int], first: int = 0) -> None:
+    """Add episodes; an observation is its number in all, an action and a reward are those of their observation."""
+    count = first
+    for length in lengths:
+        for step in range(length):
+            replay.add(np.array([count], np.float32), np.array([count / 1000], np.float32), count, step == length - 1)
+            count += 1
+        replay.end_episode(np.array([count], np.float32))
+        count += 1
+
+
+@settings(deadline=None, max_examples=50)
+@given(st.lists(st.integers(1, 9), min_size=1, max_size=8), st.integers(12, 30), st.integers(0, 99))
+def test_a_step_is_drawn_with_what_followed_it(lengths: list[int], capacity: int, seed: int) -> None:
+    replay = Replay(capacity, (1,), 1, np.float32)
+    live(replay, lengths)
+    drawn = replay.draw(200, np.random.default_rng(seed))
+    assert np.array_equal(drawn.x_next, drawn.x + 1)
+    assert np.array_equal(drawn.reward, drawn.x[:, 0])
+    ends = np.cumsum(np.array(lengths) + 1) - 2
+    assert np.array_equal(drawn.terminated, np.isin(drawn.x[:, 0], ends).astype(np.float32))
+    newest = sum(lengths) + len(lengths) - 1
+    assert drawn.x.min() > newest - capacity
+
+
+def test_an_unfinished_episode_gives_all_steps_but_its_last() -> None:
+    replay = Replay(10, (1,), 1, np.float32)
+    for number in range(4):
+        replay.add(np.array([number], np.float32), np.zeros(1, np.float32), 0.0, False)
+    assert set(replay.draw(100, np.random.default_rng(0)).x[:, 0]) == {0.0, 1.0, 2.0}
+
+
+def test_what_was_kept_can_be_taken_up_again() -> None:
+    one, other = Replay(16, (1,), 1, np.uint8), Replay(16, (1,), 1, np.uint8)
+    live(one, [5, 4, 7, 3])
+    other.restore({name: array.copy() for name, array in one.arrays().items()})
+    for replay in (one, other):
+        live(replay, [3], first=30)
+    drawn = [replay.draw(50, np.random.default_rng(1)) for replay in (one, other)]
+    assert all(np.array_equal(a, b) for a, b in zip(*drawn, strict=True))
+
+
+@settings(deadline=None, max_examples=50)
+@given(st.lists(st.integers(1, 9), min_size=1, max_size=8), st.integers(14, 30), st.integers(0, 99))
+def test_single_pictures_give_the_stacks_that_were_seen(lengths: list[int], capacity: int, seed: int) -> None:
+    """A picture shows its number; the first one of an episode stands for those before it."""
+    replay, count, stacks = Replay(capacity, (3, 1, 1), 1, np.uint8), 0, {}
+    for length in lengths:
+        first = count
+        for step in range(length + 1):
+            stack = np.array([max(first, count - back) for back in (2, 1, 0)], np.uint8).reshape(3, 1, 1)
+            stacks[count] = stack
+            if step < length:
+                replay.add(stack, np.zeros(1, np.float32), count, False)
+            else:
+                replay.end_episode(stack)
+            count += 1
+    drawn = replay.draw(200, np.random.default_rng(seed))
+    for x, x_next, number in zip(drawn.x, drawn.x_next, drawn.reward, strict=True):
+        assert np.array_equal(x, stacks[int(number)])
+        assert np.array_equal(x_next, stacks[int(number) + 1])
+    assert all(np.array_equal(x, stacks[int(n)]) for x, n in zip(*replay.everything()[:3:2], strict=True))
+
+
+def test_a_stack_can_be_taken_up_again_within_an_episode() -> None:
+    one, other = (Replay(16, (2, 1, 1), 1, np.uint8) for _ in range(2))
+    for number in range(3):
+        one.add(np.full((2, 1, 1), number, np.uint8), np.zeros(1, np.float32), 0.0, False)
+    other.restore({name: array.copy() for name, array in one.arrays().items()})
+    for replay in (one, other):
+        replay.add(np.full((2, 1, 1), 3, np.uint8), np.zeros(1, np.float32), 0.0, False)
+        replay.end_episode(np.full((2, 1, 1), 4, np.uint8))
+    assert np.array_equal(one.everything().x, other.everything().x)
+    assert one.everything().x[:, :, 0, 0].tolist() == [[0, 0], [0, 1], [1, 2], [2, 3]]

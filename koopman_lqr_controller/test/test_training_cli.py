@@ -1,0 +1,122 @@
+"""The commands `learn` and `consolidate` from beginning to end, and their errors in one line."""
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from koopman_lqr_controller.latent_policy import LatentPolicy
+from koopman_lqr_controller.policy_file import find_policy, load_policy
+from koopman_lqr_controller.training.course import CONSOLIDATED_FILE, POLICY_FILE
+from koopman_lqr_controller.training_cli import consolidate, learn
+
+TINY = ["--set", "batch=16", "hidden=16", "latent=6", "first_steps=30", "--chunks", "2", "--actions", "60"]
+TINY += ["--episodes", "3", "--consolidation", "5"]
+
+
+@pytest.fixture(scope="module")
+def learnt(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("runs")
+    where = ["--folder", str(folder), "--results", str(folder / "results.json")]
+    assert learn(["--task", "cartpole_swingup", "--seeds", "2", "--workers", "1", *where, *TINY]) == 0
+    return folder
+
+
+def test_a_run_leaves_policies_and_results(learnt: Path) -> None:
+    results = json.loads((learnt / "results.json").read_text(encoding="utf-8"))
+    assert results["experiment"] == "koopman_cartpole_swingup"
+    rows = {(row["method"], row["metric"]): row for row in results["rows"]}
+    assert rows["task-oriented Koopman", "return"]["thesis"] == 846.88
+    consolidated = "task-oriented Koopman, consolidated"
+    assert all(len(row["values"]) == 2 for row in rows.values())
+    assert max(rows[consolidated, "spectral radius of A - B K"]["values"]) < 1.0
+    assert max(rows[consolidated, "Riccati residual"]["values"]) < 1e-8
+    assert [len(curve) for curve in results["figures"]["curves"]["steps"]] == [2, 2]
+    folders = sorted(folder for folder in learnt.iterdir() if folder.is_dir())
+    assert len(folders) == 2
+    for folder in folders:
+        for name, horizon in ((POLICY_FILE, 5), (CONSOLIDATED_FILE, None)):
+            policy = load_policy(folder / name)
+            assert isinstance(policy, LatentPolicy)
+            assert policy.controller.horizon == horizon
+            command = policy.manifest["command"]
+            assert "learn --task cartpole_swingup --set batch=16" in command
+            assert "--chunks 2 --actions 60 --episodes 3 --consolidation 5 --seeds " in command
+
+
+def test_a_finished_run_is_taken_only_as_it_was_left(
+    learnt: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "runs"
+    shutil.copytree(learnt, folder)
+    run = next(folder.glob("*-s0"))
+    again = ["--task", "cartpole_swingup", "--folder", str(folder), *TINY]
+    before = (run / "result.json").stat().st_mtime_ns
+    assert learn(again) == 0
+    assert (run / "result.json").stat().st_mtime_ns == before
+    (run / CONSOLIDATED_FILE).write_bytes(b"another")
+    capsys.readouterr()
+    assert learn(again) == 1
+    assert "result.json: was made with consolidated.safetensors " in capsys.readouterr().err
+    assert learn([*again, "--consolidation", "6"]) == 1
+    assert "result.json: was made with consolidation " in capsys.readouterr().err
+
+
+def test_consolidating_again_by_command(learnt: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    policy = next(learnt.glob("*-s0")) / POLICY_FILE
+    output = tmp_path / "again.safetensors"
+    given = [str(policy), "--output", str(output), "--latent", "3", "--episodes", "3", "--live", "5"]
+    assert consolidate(given) == 0
+    assert "latent dimensions    3" in capsys.readouterr().out
+    again = load_policy(output)
+    assert again.controller.projection.shape == (3, 6)
+    words = "consolidate policy.safetensors --output again.safetensors --latent 3 --episodes 3 --live 5"
+    assert again.manifest["command"].endswith(words), "and not where the files were"
+    assert consolidate(given) == 1
+    assert "exists: give another name" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--set", "latnt=3"], "learn: no setting latnt: there are latent, "),
+        (["--set", "latent"], "learn: --set latent: must be NAME=VALUE"),
+        (["--set", "latent=many"], "learn: latent is 'many': must be a whole number"),
+        (["--set", "policy=best"], "learn: policy is best: must be lqr or network"),
+        (["--set", "latent=3.5"], "learn: latent is 3.5: must be a whole number"),
+        (["--set", "discount=2"], "learn: discount is 2.0: must be at most 1"),
+        (["--set", "noise=nan"], "learn: noise is nan: must be positive"),
+        (["--set", "learning_rate=1e999"], "learn: learning_rate is inf: must be positive"),
+        (["--seeds", "0"], "learn: --seeds must be at least 1, not 0"),
+        (["--chunks", "-1"], "learn: --chunks must be at least 0, not -1"),
+    ],
+)
+def test_what_is_wrong_is_said_in_one_line(
+    arguments: list[str], words: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    assert learn(["--task", "cheetah_run", "--folder", str(tmp_path), *arguments]) == 1
+    error = capsys.readouterr().err
+    assert error.startswith(words)
+    assert error.count("\n") == 1
+
+
+def test_a_policy_that_was_not_learnt_here_cannot_be_consolidated(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    output = ["--output", str(tmp_path / "out.safetensors")]
+    assert consolidate([str(find_policy("curved_corridor_edmd")), *output]) == 1
+    assert "is a policy of fixed observables" in capsys.readouterr().err
+    assert consolidate([str(tmp_path / "none.safetensors"), *output]) == 1
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_help_comes_without_torch() -> None:
+    program = (
+        "import sys\nfrom koopman_lqr_controller.training_cli import learn\n"
+        "try: learn(['--help'])\nexcept SystemExit: sys.exit('torch' in sys.modules)"
+    )
+    answer = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert answer.returncode == 0
+    assert "curved_corridor" in answer.stdout

@@ -1,0 +1,141 @@
+"""What is learnt in: the same seed gives the same episode, and what a policy sees is what a robot gives."""
+
+import os
+from ctypes.util import find_library
+
+import numpy as np
+import pytest
+from koopman_lqr_controller.errors import KoopmanError
+from koopman_lqr_controller.training.control_suite import FRAMES, ControlSuite
+from koopman_lqr_controller.training.corridor import Corridor
+from koopman_lqr_controller.training.problems import PROBLEMS, find_problem
+
+if find_library("EGL"):
+    os.environ.setdefault("MUJOCO_GL", "egl")  # else MuJoCo comes without OpenGL where states are simulated first
+
+
+def needs_egl() -> None:
+    if os.environ.get("MUJOCO_GL") != "egl":
+        pytest.skip("pictures need libegl1")
+
+
+def episode(environment, seed: int, steps: int) -> list:
+    random = np.random.default_rng(0)
+    x, _ = environment.reset(seed=seed)
+    record = [x]
+    for _ in range(steps):
+        x, reward, terminated, truncated, _ = environment.step(random.uniform(-1, 1, environment.action_space.shape))
+        record += [x, reward, terminated, truncated]
+        if terminated or truncated:
+            break
+    return record
+
+
+def same(one: list, other: list) -> bool:
+    return len(one) == len(other) and all(np.array_equal(a, b) for a, b in zip(one, other, strict=True))
+
+
+@pytest.mark.parametrize("name", PROBLEMS)
+def test_the_same_seed_gives_the_same_episode_whatever_came_before(name: str) -> None:
+    if PROBLEMS[name].settings.crop:
+        needs_egl()
+    first, second = find_problem(name).make(True), find_problem(name).make(True)
+    expected = episode(first, 3, 6)
+    episode(second, 4, 4)
+    assert same(episode(second, 3, 6), expected)
+    assert not np.array_equal(episode(second, 5, 1)[0], expected[0])
+    assert expected[0].shape == first.observation_space.shape
+    assert expected[0].dtype == first.observation_space.dtype
+    first.close()
+    second.close()
+
+
+def test_an_episode_of_the_suite_is_1000_of_its_steps_and_is_cut_not_ended() -> None:
+    environment = ControlSuite("cartpole", "swingup", 8)
+    record = episode(environment, 0, 1000)
+    assert len(record) == 1 + 4 * 125
+    assert record[-2:] == [False, True]
+    assert sum(record[2::4]) <= 1000.0
+
+
+def test_the_goal_of_the_cartpole_is_an_equilibrium_that_pays_all() -> None:
+    environment = ControlSuite("cartpole", "swingup", 8)
+    environment.reset(seed=0)
+    physics = environment._suite.physics
+    with physics.reset_context():
+        physics.data.qpos[:] = physics.data.qvel[:] = 0.0
+    x, reward, *_ = environment.step(np.zeros(1, np.float32))
+    assert x == pytest.approx(PROBLEMS["cartpole_swingup"].goal, abs=1e-6)
+    assert reward == pytest.approx(8.0, abs=1e-6)
+
+
+def test_pixels_are_the_last_pictures_oldest_first() -> None:
+    needs_egl()
+    environment = ControlSuite("cartpole", "swingup", 8, pixels=24)
+    x, _ = environment.reset(seed=0)
+    assert x.shape == (FRAMES, 24, 24)
+    assert np.array_equal(x[0], x[2])
+    after = environment.step(np.ones(1, np.float32))[0]
+    assert np.array_equal(after[:2], x[1:])
+    assert not np.array_equal(after[2], after[1])
+    environment.close()
+
+
+def test_the_corridor_pays_for_progress_and_the_firmware_truncates() -> None:
+    corridor = Corridor(learning=False, dropout=0.0)
+    corridor.reset(seed=1)
+    ahead = np.array([1.0, 0.0], np.float32)
+    reward = [corridor.step(ahead)[1] for _ in range(5)]
+    assert reward[-1] == pytest.approx(1.0, abs=0.35)  # heading is up to 20 deg off
+    x = corridor.step(np.array([-0.05, 0.004], np.float32))[0]  # 0.1045 m/s and 0.006 rad/s: 0.10 and 0.0 come through
+    x = corridor.step(np.array([-0.05, 0.004], np.float32))[0]
+    assert x[-2] * 0.22 == pytest.approx(0.10, abs=2e-3)
+    assert x[-1] * 1.5 == pytest.approx(0.0, abs=1e-3)
+    corridor.close()
+
+
+def test_a_collision_costs_and_ends_the_episode() -> None:
+    corridor = Corridor()
+    corridor.reset(seed=0)
+    for _ in range(100):
+        _, reward, terminated, _, info = corridor.step(np.array([1.0, 0.2], np.float32))
+        if terminated:
+            break
+    assert info["outcome"] == "COLLISION"
+    assert reward < -19.0
+    assert info["clearance"] <= 0.0
+    corridor.close()
+
+
+@pytest.mark.parametrize("lidar", ["task", "lds01", "lds02"])
+def test_all_lidars_look_alike_to_the_policy(lidar: str) -> None:
+    views = []
+    for kind in ("task", lidar):
+        corridor = Corridor(learning=False, lidar=kind, dropout=0.1 if kind == lidar else 0.0)
+        views.append(corridor.reset(seed=5)[0])
+        corridor.close()
+    difference = np.abs(views[0] - views[1])
+    assert np.median(difference) < 0.03
+    assert np.quantile(difference, 0.8) < 0.2
+
+
+def test_what_is_not_there_is_named() -> None:
+    with pytest.raises(KoopmanError, match="no task 'walker': there are cartpole_swingup, "):
+        find_problem("walker")
+    with pytest.raises(KoopmanError, match="no setting latnt: there are latent, "):
+        find_problem("cheetah_run").with_settings(latnt=3)
+    with pytest.raises(KoopmanError, match="batch is 0: must be positive"):
+        find_problem("cheetah_run").with_settings(batch=0)
+
+
+def test_an_episode_that_stands_still_is_cut_off() -> None:
+    environment = Corridor(learning=False)
+    environment.reset(seed=0)
+    steps, over = 0, False
+    while not over:
+        _, _, terminated, over, info = environment.step(np.array([-1.0, 0.0], np.float32))
+        steps += 1
+        assert not terminated
+    assert info["outcome"] == "TIMEOUT"
+    assert 10.0 < steps * environment.dt < 11.0
+    environment.close()

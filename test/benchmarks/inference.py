@@ -1,0 +1,114 @@
+"""From a scan's ranges to a command, without ROS: both kinds of policy, both lidars of the TurtleBot3.
+
+First what resamples the scan, then all of it. Beside the floor: the matrix products alone that the policy cannot do
+without, in the same loop. The learnt policy has the size of those that `learn` makes for the corridor, with random
+weights: its numbers do not matter here.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from _common import Row, row
+from koopman_lqr_controller.edmd import LinearModel
+from koopman_lqr_controller.encoder import Dense, Encoder, LayerNorm
+from koopman_lqr_controller.latent_controller import LatentController
+from koopman_lqr_controller.latent_policy import LatentPolicy, LidarWiring
+from koopman_lqr_controller.lidar import ScanGeometry
+from koopman_lqr_controller.lidar_observation import LidarObservation
+from koopman_lqr_controller.policy import DrivingPolicy, KoopmanPolicy
+from koopman_lqr_controller.policy_file import find_policy, load_policy
+
+SCANS = 5000
+WARM_UP = 500
+HIDDEN, LATENT, REDUCED = 256, 50, 8
+
+
+def learnt() -> LatentPolicy:
+    """Return a learnt policy of the usual size."""
+    random = np.random.default_rng(0)
+    observation = LidarObservation()
+    inputs = len(observation.names)
+
+    def dense(outputs: int, inputs: int, rectified: bool) -> Dense:
+        weight = random.normal(scale=inputs**-0.5, size=(outputs, inputs)).astype(np.float32)
+        return Dense(weight, np.zeros(outputs, np.float32), rectified)
+
+    norm = LayerNorm(np.ones(LATENT, np.float32), np.zeros(LATENT, np.float32))
+    layers = (dense(HIDDEN, inputs, True), dense(HIDDEN, HIDDEN, True), dense(LATENT, HIDDEN, False), norm)
+    encoder = Encoder(layers, (inputs,), np.zeros(inputs, np.float32), np.ones(inputs, np.float32))
+    model = LinearModel(0.9 * np.eye(REDUCED), random.normal(size=(REDUCED, 2)))
+    C = np.linalg.qr(random.normal(size=(LATENT, REDUCED)))[0].T
+    controller = LatentController(encoder, model, np.ones(REDUCED), np.ones(2), np.zeros(REDUCED), None, C)
+    return LatentPolicy(controller, 0.2, LidarWiring(observation, np.array([0.0, -1.5]), np.array([0.22, 1.5])))
+
+
+def products(policy: DrivingPolicy) -> Callable[[], None]:
+    """Return what multiplies by each matrix of a policy once."""
+    if isinstance(policy, KoopmanPolicy):
+        matrices = [policy.K]
+    else:
+        assert isinstance(policy, LatentPolicy)
+        controller = policy.controller
+        matrices = [layer.weight for layer in controller.encoder.layers if isinstance(layer, Dense)]
+        matrices += [each for each in (controller.projection, controller.K) if each is not None]
+    work = [(matrix, np.ones(matrix.shape[1], matrix.dtype)) for matrix in matrices]
+
+    def multiply() -> None:
+        for matrix, vector in work:
+            matrix.dot(vector)
+
+    return multiply
+
+
+def scans(lidar: str) -> list[tuple[np.ndarray, ScanGeometry]]:
+    """Return scans: of an LDS-01 all alike but for its zeros, of an LDS-02 each of another count, with NaN."""
+    random = np.random.default_rng(1)
+    out = []
+    for _ in range(SCANS):
+        count = random.uniform(220.0, 240.0) if lidar == "LDS-02" else 360.0
+        ranges = random.uniform(0.2, 3.4, int(np.ceil(count))).astype(np.float32)
+        ranges[random.random(len(ranges)) < 0.1] = np.nan if lidar == "LDS-02" else 0.0
+        out.append((ranges, ScanGeometry(len(ranges), 0.0, 2.0 * np.pi / count, 0.1, 3.5)))
+    return out
+
+
+def rows() -> list[Row]:
+    """Return median and 99th percentile of each policy with each lidar."""
+    out: list[Row] = []
+    policies = {"EDMD": load_policy(find_policy("curved_corridor_edmd")), "learnt": learnt()}
+    for name, policy in policies.items():
+        for lidar in ("LDS-01", "LDS-02"):
+            whole, part, floor = _times(policy, scans(lidar), products(policy))
+            for label, percentile in (("median", 50), ("p99", 99)):
+                least = float(np.percentile(floor, percentile))
+                against = f"its matrix products alone, {least:.2f} us"
+                for what, times in (("resampling", part), ("scan to command", whole)):
+                    value = float(np.percentile(times, percentile))
+                    out.append(row(f"{what}, {name}, {lidar}, {label}", value, "us", against, value / least))
+    return out
+
+
+def _times(
+    policy: DrivingPolicy, given: list[tuple[np.ndarray, ScanGeometry]], multiply: Callable[[], None]
+) -> np.ndarray:
+    """Return how long the whole, resampling alone and the floor took (3, n) [us], one after the other."""
+    times = []
+    sectors = replace(policy.sectors)  # it has not seen the scan yet when it is its turn
+    for ranges, geometry in given:
+        marks = [time.perf_counter()]
+        policy.decide(ranges, geometry, 0.1, 0.2)
+        marks.append(time.perf_counter())
+        sectors.distances(ranges, geometry)
+        marks.append(time.perf_counter())
+        multiply()
+        marks.append(time.perf_counter())
+        times.append(np.diff(marks))
+    return 1e6 * np.array(times[WARM_UP:]).T
+
+
+if __name__ == "__main__":
+    print(*rows(), sep="\n")
