@@ -85,6 +85,6 @@ def scan_points(ranges: NDArray[np.float32], angle_min: float, angle_increment: 
         angle_increment: between two [rad].
         forward: where the lidar sits, ahead of the robot's middle [m].
     """
-    bearings = angle_min + angle_increment * np.arange(len(ranges))
-    seen = np.isfinite(ranges) & (ranges > 0.0)
-    return np.column_stack((forward + ranges * np.cos(bearings), ranges * np.sin(bearings)))[seen].astype(float)
+    seen = np.flatnonzero(np.isfinite(ranges) & (ranges > 0.0))
+    bearings, near = angle_min + angle_increment * seen, ranges[seen].astype(float)
+    return np.column_stack((forward + near * np.cos(bearings), near * np.sin(bearings)))

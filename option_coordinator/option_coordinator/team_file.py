@@ -112,18 +112,29 @@ class TeamFile(Part):
         return tuple(Robot(Agent(name, self.option_names, len(OBSERVED)), durations, safe) for name in self.robots)
 
 
+def team_file(name_or_path: str) -> Path:
+    """Return the file of a team that comes with the package, by name, or the path itself.
+
+    Raises:
+        OptionError: there is no such team.
+    """
+    path = Path(name_or_path)
+    if path.suffix in (".yaml", ".yml"):
+        return path
+    path = FOLDER / f"{name_or_path}.yaml"
+    if not path.is_file():
+        names = ", ".join(sorted(file.stem for file in FOLDER.glob("*_team.yaml")))
+        raise OptionError(f"no team '{name_or_path}': there is {names}, or give a .yaml file")
+    return path
+
+
 def load_team(name_or_path: str) -> TeamFile:
-    """Read a team that comes with the package, by name, or a file.
+    """Read a team by name, or from a file.
 
     Raises:
         OptionError: there is none, or it is wrong; the message names file and key.
     """
-    path = Path(name_or_path)
-    if path.suffix not in (".yaml", ".yml"):
-        path = FOLDER / f"{name_or_path}.yaml"
-        if not path.is_file():
-            names = ", ".join(sorted(file.stem for file in FOLDER.glob("*_team.yaml")))
-            raise OptionError(f"no team '{name_or_path}': there is {names}, or give a .yaml file")
+    path = team_file(name_or_path)
     try:
         return TeamFile.model_validate(yaml.safe_load(path.read_text(encoding="utf-8")))
     except OSError as error:

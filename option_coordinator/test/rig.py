@@ -27,7 +27,7 @@ LEASE, LOST_AFTER = 0.5, 1.0
 _NUMBERS = itertools.count()
 
 
-def write_policy(path, seed=0, robots=2, hidden=None):
+def write_policy(path, seed=0, robots=2):
     """A policy of robots r0, r1, ... with three options each, as far from uniform as weights are random."""
     agents = tuple(Agent(f"r{i}", ("stay", "go", "look"), 2) for i in range(robots))
     tensors = random_tensors("mixture", (3,) * robots, 2 * robots, np.random.default_rng(seed), 0.1)
