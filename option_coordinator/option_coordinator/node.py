@@ -11,6 +11,7 @@ import numpy as np
 from ctrl_rl_core.parameters import Parameter, ParameterError
 from ctrl_rl_core.ros import Status, SuiteNode, ok, run_node, warn
 from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
 
 from ctrl_rl_msgs.msg import AgentStatus, JointOptionStep, OptionGrant, OptionRequest
@@ -26,6 +27,7 @@ from option_coordinator.team_file import load_team
 
 _HOUSEKEEPING_S = 0.02
 _RECENT = 1000
+_LAST_WORD = Duration(seconds=0.3)
 _SCRIPTED = ("spread", "uniform")
 _FINE = ("duplicate requests", "policies replaced", "adopted grants", "returned robots")
 """What is counted without being a fault."""
@@ -119,8 +121,9 @@ class OptionCoordinator(SuiteNode):
         return warn(", ".join(faults), **figures) if faults else ok("deciding", **figures)
 
     def stop(self) -> None:
-        """Close the episode that is recorded."""
+        """Close the episode that is recorded; the word has arrived before the publisher goes."""
         self._send(self._coordinator.close(self._now()))
+        self._steps.wait_for_all_acked(_LAST_WORD)
 
     def _prepare(self) -> tuple[Times, float]:
         """Find out who the robots are, and return what times and discount they go by."""

@@ -29,9 +29,9 @@ class Steering:
 
     speed: float = 0.2
     turn: float = 1.5
-    half_width: float = 0.17
+    half_width: float = 0.2
     look_ahead: float = 0.55
-    stop: float = 0.22
+    stop: float = 0.27
     arrived: float = 0.08
 
     def there(self, pose: Array, place: tuple[float, float]) -> bool:

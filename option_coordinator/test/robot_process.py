@@ -18,7 +18,7 @@ class TestRobot(SuiteNode):
         Parameter("robot", "r0", "Name."),
         Parameter("lasts", 0.2, "How long each option lasts [s]."),
         Parameter("patience", 1.0, "Until it falls back [s]."),
-        Parameter("broken", "", "What its observation is.", choices=("", "nan", "size")),
+        Parameter("broken", "", "What its observation is.", choices=("", "number", "size")),
     )
 
     def __init__(self):
@@ -34,7 +34,7 @@ class TestRobot(SuiteNode):
         return 1e-9 * self.get_clock().now().nanoseconds
 
     def observe(self):
-        broken = {"": np.zeros(2), "nan": np.array((0.0, math.nan)), "size": np.zeros(3)}
+        broken = {"": np.zeros(2), "number": np.array((0.0, math.nan)), "size": np.zeros(3)}
         return Seen(broken[self.settings["broken"]], np.ones(3, bool))
 
     def begin(self, option):

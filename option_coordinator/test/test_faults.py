@@ -210,7 +210,7 @@ def test_robots_ignore_a_lower_epoch(rig):
     assert rig.running("r0").grant_id == running.grant_id
 
 
-@pytest.mark.parametrize(("broken", "kind"), [("nan", "refused: not finite"), ("size", "refused: wrong size")])
+@pytest.mark.parametrize(("broken", "kind"), [("number", "refused: not finite"), ("size", "refused: wrong size")])
 def test_what_no_policy_may_see_is_refused_counted_and_said(rig, broken, kind):
     rig.coordinator()
     rig.robot("r0", broken=broken, patience=0.3)
