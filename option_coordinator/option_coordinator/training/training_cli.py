@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from ctrl_rl_core.command import check_least, run_command
+from ctrl_rl_core.command import CommandError, check_least, run_command
 
 from option_coordinator.tasks import load_option_task, make_environment
 from option_coordinator.training.methods import METHODS
@@ -29,6 +29,9 @@ def train(arguments: Sequence[str] | None = None) -> int:
         "--methods", nargs="+", choices=[*METHODS, "all"], default=_MAIN, help="default: async sync_wait"
     )
     parser.add_argument("--sight", choices=("features", "image"), default="features", help="of Water Filling's robots")
+    parser.add_argument(
+        "--drop", type=float, default=0.0, help="chance that a robot vanishes in an episode (default 0, as compared)"
+    )
     parser.add_argument("--folder", type=Path, default=FOLDER, help="of the runs (default %(default)s)")
     parser.add_argument("--seeds", type=int, default=5, help="how many, from 0 (default %(default)s)")
     parser.add_argument("--samples", type=int, help="low-level samples of a run (default: the task's)")
@@ -53,17 +56,19 @@ def _train(options: argparse.Namespace) -> int:
     longest = make_environment(options.task).simulation.step_limit
     least = 2 * longest * ITERATIONS  # so that an episode ends in every iteration, whatever the one before overshot
     check_least(options, seeds=1, evaluations=1, workers=0, samples=least)
+    if not 0.0 <= options.drop <= 1.0:
+        raise CommandError(f"--drop must be a probability, 0 to 1, not {options.drop:g}")
     samples = task.training_samples if options.samples is None else options.samples
     from ctrl_rl_training.cli import train_and_collect
 
     from option_coordinator.training.results import collect, table
-    from option_coordinator.training.runs import OptionRun, RunOptions, option_runs, train_one
+    from option_coordinator.training.runs import RunOptions, option_runs, train_one
 
     every = [name for name, method in METHODS.items() if task.kind in method.kinds]
     methods = every if "all" in options.methods else options.methods
-    runs = option_runs(options.task, methods, options.seeds, options.sight)
-    for name in dict.fromkeys(methods):
-        OptionRun(options.task, name, 0, options.sight).environment()  # refuses images or options that are not there
+    runs = option_runs(options.task, methods, options.seeds, options.sight, options.drop)
+    for run in runs:
+        run.environment()  # refuses images, options or robots that vanish where there are none
     how = RunOptions(options.folder, ITERATIONS, samples // ITERATIONS, options.evaluations)
     train_and_collect(options, runs, "options", collect, table, how, train_one)
     return 0
