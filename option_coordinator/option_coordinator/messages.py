@@ -125,9 +125,12 @@ class StepMessages:
 
     Args:
         agents: the robots, in the policy's order.
+        discount: gamma of a low-level step.
+        time_step: how long one lasts [s].
     """
 
-    def __init__(self, agents: tuple[Agent, ...]) -> None:
+    def __init__(self, agents: tuple[Agent, ...], discount: float, time_step: float) -> None:
+        self._discount, self._time_step = discount, time_step
         self._names = [agent.name for agent in agents]
         self._counts = [len(agent.options) for agent in agents]
         self._sizes = [agent.observation_size for agent in agents]
@@ -151,6 +154,8 @@ class StepMessages:
             log_probability=float(step.log_probability),
             reward=float(step.reward),
             duration=max(0, step.duration),
+            discount=self._discount,
+            time_step=self._time_step,
             terminated=step.terminated,
             truncated=step.truncated,
         )

@@ -54,7 +54,7 @@ PARAMETERS = (
     Parameter("longest_option", 60.0, "Longest that an option may take where no team says so [s].", 0.01, 86400.0),
     Parameter("safe_option", 0, "Index of the option that is safe where no team says so.", 0, 10000),
     Parameter("step_length", 1.0, "Of a low-level step where no team says so [s].", 0.001, 3600.0),
-    Parameter("discount", 0.99, "gamma of a low-level step where no team says so.", 0.0, 1.0),
+    Parameter("discount", 0.99, "gamma of a low-level step where no team says so.", 0.001, 1.0),
     Parameter("seed", 0, "Of what is drawn.", minimum=0),
 )
 
@@ -80,7 +80,7 @@ class OptionCoordinator(SuiteNode):
         self._began = False
         chooses, digest = self._chooser(settings["policy"])
         self._coordinator = Coordinator(self._robots, chooses, digest, 0.0, times, discount=discount)
-        self._step_message = StepMessages(tuple(robot.agent for robot in self._robots))
+        self._step_message = StepMessages(tuple(robot.agent for robot in self._robots), discount, times.time_step)
         self._grants = self.create_publisher(OptionGrant, "option_grants", EXCHANGE)
         self._steps = self.create_publisher(JointOptionStep, "joint_option_step", JOINT_STEPS)
         self.create_subscription(OptionRequest, "option_requests", self._on_request, EXCHANGE)
