@@ -18,7 +18,7 @@ from ctrl_rl_bringup.prepare import new_run
 from ctrl_rl_bringup.processes import Processes
 from ctrl_rl_bringup.progress import ProgressDisplay
 from ctrl_rl_bringup.stack import recorder
-from ctrl_rl_msgs.msg import JointOptionStep, OptionGrant
+from ctrl_rl_msgs.msg import AgentStatus, JointOptionStep, OptionGrant
 
 _SILENT_S = 60.0
 
@@ -41,20 +41,22 @@ class TeamMonitor(Monitor):
         self._granted: set[tuple[str, int]] = set()
         self._node.create_subscription(JointOptionStep, "joint_option_step", self._on_step, JOINT_STEPS)
         self._node.create_subscription(OptionGrant, "option_grants", self._on_grant, EXCHANGE)
+        self._node.create_subscription(AgentStatus, "agent_status", self._on_status, EXCHANGE)
 
     def follow_team(self) -> None:
         """Show how much of the work is done until it is over.
 
         Raises:
-            MonitorError: nothing happens any more.
+            MonitorError: nothing is heard of the robots any more.
         """
+        self._heard = time.monotonic()
         display = ProgressDisplay("working", 10)
         wanted = len(self._team.robots) * (2 * self._team.deliveries + 1)
         try:
             while not self._over:
                 self._spin()
                 if time.monotonic() - self._heard > _SILENT_S:
-                    raise MonitorError(f"nobody was granted anything for {_SILENT_S:g} s")
+                    raise MonitorError(f"no robot said anything for {_SILENT_S:g} s: do they still run?")
                 display.show(min(1.0, len(self._granted) / wanted), f"{len(self._granted)} options granted")
         finally:
             display.close()
@@ -62,8 +64,10 @@ class TeamMonitor(Monitor):
     def _on_step(self, message: JointOptionStep) -> None:
         self._over = self._over or message.terminated
 
-    def _on_grant(self, message: OptionGrant) -> None:
+    def _on_status(self, _message: AgentStatus) -> None:
         self._heard = time.monotonic()
+
+    def _on_grant(self, message: OptionGrant) -> None:
         if message.status == GrantStatus.GRANTED and self._team.options[message.option_name].work is not Work.WAIT:
             self._granted.add((message.agent, message.grant_id))
 
