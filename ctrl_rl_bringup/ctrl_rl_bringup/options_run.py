@@ -10,6 +10,8 @@ import rclpy
 from ctrl_rl_core.tasks import task_file
 from option_coordinator.exchange import GrantStatus
 from option_coordinator.messages import EXCHANGE, JOINT_STEPS
+from option_coordinator.policy_file import OptionPolicy
+from option_coordinator.scripted_choice import SCRIPTED
 from option_coordinator.team_file import TeamFile, Work, team_file
 
 from ctrl_rl_bringup.monitor import RECORDER, Monitor, MonitorError
@@ -86,10 +88,11 @@ class TeamMonitor(Monitor):
 def run_team(options: TeamOptions) -> Path:
     """Let a team work once, record everything, and return the bag."""
     team = team_of(options)
-    new_run(options.drive)
     digests = {"task": task_file(options.room), "team": team_file(options.team)}
-    if options.policy.endswith(".safetensors"):
+    if options.policy not in SCRIPTED:
         digests["policy"] = Path(options.policy)
+        OptionPolicy.load(options.policy)
+    new_run(options.drive)
     others = [coordinator(options), *agents(options, team)]
     rclpy.init()
     try:

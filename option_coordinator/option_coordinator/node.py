@@ -22,13 +22,12 @@ from option_coordinator.joint_policy import Options
 from option_coordinator.messages import EXCHANGE, JOINT_STEPS, StepMessages, grant_message, request_of, status_of
 from option_coordinator.policy_file import OptionPolicy
 from option_coordinator.robot import Robot, Times
-from option_coordinator.scripted_choice import spread_chooser, uniform_chooser
+from option_coordinator.scripted_choice import SCRIPTED, spread_chooser, uniform_chooser
 from option_coordinator.team_file import load_team
 
 _HOUSEKEEPING_S = 0.02
 _RECENT = 1000
 _LAST_WORD = Duration(seconds=0.3)
-_SCRIPTED = ("spread", "uniform")
 _FINE = ("duplicate requests", "policies replaced", "adopted grants", "returned robots")
 """What is counted without being a fault."""
 
@@ -134,7 +133,7 @@ class OptionCoordinator(SuiteNode):
         if settings["team"]:
             team = load_team(settings["team"])
             self._robots, step, discount = team.coordinated, team.time_step, team.discount
-        elif settings["policy"] in _SCRIPTED:
+        elif settings["policy"] in SCRIPTED:
             raise ParameterError("parameter 'team' is needed where 'policy' is no file: who are the robots?")
         else:
             self._robots = self._robots_of(OptionPolicy.load(settings["policy"]))
@@ -153,7 +152,7 @@ class OptionCoordinator(SuiteNode):
             OptionError: there is none, it is another one than promised, or it is another team's.
         """
         generator = np.random.default_rng(self.settings["seed"])
-        if name in _SCRIPTED:
+        if name in SCRIPTED:
             scripted = uniform_chooser(generator) if name == "uniform" else spread_chooser(self._robots, generator)
             return self._timed(scripted), ""
         policy = OptionPolicy.load(Path(name))

@@ -11,6 +11,8 @@ from option_coordinator.choice import Choice, Chooses
 from option_coordinator.joint_policy import Options
 from option_coordinator.robot import Robot
 
+SCRIPTED = ("spread", "uniform")
+"""Their names."""
 _Candidates = Callable[[int, Options], Options]
 
 
