@@ -18,6 +18,8 @@ from option_coordinator.choice import Choice, Chooses, choose_or_safe
 from option_coordinator.decision import NONE
 from option_coordinator.errors import OptionError
 from option_coordinator.exchange import AgentState, Grant, GrantStatus, JointStep, Request, Status
+from option_coordinator.joint_policy import Options
+from option_coordinator.journal import Journal
 from option_coordinator.ledger import Entry, Ledger, State
 from option_coordinator.refusal import Refusal, refusal_of
 from option_coordinator.robot import Robot, Times
@@ -78,13 +80,11 @@ class Coordinator:
         """Begin anew: decide nothing for one lease, hear who runs what, then take over."""
         self.ledger = Ledger(self._robots)
         self.epoch = 0
-        self._step, self._step_open = 0, False
+        self._journal = Journal(now, self._times.time_step, self._discount)
         self._open: dict[str, Request] = {}
         self._observed = [np.zeros(robot.agent.observation_size, np.float32) for robot in self._robots.values()]
         self._repeat_at: dict[str, float] = {}
         self._done: set[str] = set()
-        self._reward = 0.0
-        self._decided_at = now
         self._batch_at = math.inf
         self._takes_over_at = now + self._times.lease
 
@@ -192,7 +192,7 @@ class Coordinator:
 
     def close(self, now: float) -> Answers:
         """Cut the episode off: say so where it has begun and is not over."""
-        return Answers(steps=[self._joint_step(now, truncated=True)] if self.epoch and self._step_open else [])
+        return Answers(steps=[self._last_step(now, terminated=False)] if self.epoch and self._journal.open else [])
 
     def _hear(self, entry: Entry, incarnation: int, now: float) -> None:
         before, lost = entry.incarnation, entry.silence is State.LOST
@@ -218,13 +218,9 @@ class Coordinator:
         return Answers([answer])
 
     def _credit(self, entry: Entry, request: Request) -> None:
-        """Count, once, what the robot's last option brought, as seen from the last decision, when it ran already.
-
-        So discounted, the joint rewards of an episode add up to what its options' rewards do.
-        """
+        """Count, once, what the robot's last option brought."""
         if entry.option != NONE:
-            steps = round((entry.granted_at - self._decided_at) / self._times.time_step)
-            self._reward += self._discount**steps * request.option_reward
+            self._journal.credit(request.option_reward, entry.granted_at)
 
     def _finish(self, entry: Entry, request: Request, now: float) -> Answers:
         """Note that the task is over for a robot; the last one's word closes the episode."""
@@ -236,7 +232,8 @@ class Coordinator:
         entry.end()
         self._open.pop(entry.agent, None)
         self._done.add(entry.agent)
-        steps = [] if any(e.runs or e.state is State.WAITING for e in self.ledger) else [self._joint_step(now)]
+        at_work = any(e.runs or e.state is State.WAITING for e in self.ledger)
+        steps = [] if at_work else [self._last_step(now, terminated=True)]
         return Answers(self._refuse(request, now, _TASK_OVER).grants, steps)
 
     def _believe(self, entry: Entry, status: Status, now: float) -> None:
@@ -297,7 +294,8 @@ class Coordinator:
         """Decide for all that wait and are heard; who fell silent meanwhile asks again when it returns."""
         self._batch_at = math.inf
         asking = {e.agent: self._open.pop(e.agent) for e in self.ledger if e.state is State.WAITING}
-        choice = choose_or_safe(self._choice(asking), self._policy, self._times.policy_limit, self._safe_options())
+        asked = self._choice(asking)
+        choice = choose_or_safe(asked, self._policy, self._times.policy_limit, self._safe_options())
         self.counts.update(choice.faults)
         grants = []
         for name, request in asking.items():
@@ -311,7 +309,9 @@ class Coordinator:
             grants.append(self._grant_of(entry, now))
         if all(grant.status is GrantStatus.REFUSED for grant in grants):
             return Answers(grants)
-        return Answers(grants, [self._joint_step(now, asking, choice.log_probability, choice.by_policy)])
+        digest = self._digest if choice.by_policy else ""
+        step = self._journal.decision(now, self.epoch, asked, self._all_run(), choice.log_probability, digest)
+        return Answers(grants, [step])
 
     def _choice(self, asking: Mapping[str, Request]) -> Choice:
         """Return what the policy is asked."""
@@ -323,42 +323,19 @@ class Coordinator:
         return Choice(
             observation=np.concatenate(self._observed),
             choosing=np.array([name in asking for name in self._robots]),
-            running=np.array([e.option if e.runs and e.agent not in asking else -1 for e in self.ledger]),
+            running=np.array([e.option if e.runs and e.agent not in asking else NONE for e in self.ledger]),
             legal=legal,
         )
 
     def _safe_options(self) -> list[int]:
         return [robot.safe_option for robot in self._robots.values()]
 
-    def _joint_step(
-        self,
-        now: float,
-        asking: Mapping[str, Request] | None = None,
-        log_probability: float = 0.0,
-        by: bool = False,
-        truncated: bool = False,
-    ) -> JointStep:
-        asked = self._choice(asking or {})
-        options = np.array([entry.option if entry.runs else -1 for entry in self.ledger])
-        out = JointStep(
-            stamp=now,
-            coordinator_epoch=self.epoch,
-            step=self._step,
-            policy_digest=self._digest if by else "",
-            running=asked.running >= 0,
-            absent=options < 0,
-            options=options,
-            legal=asked.legal,
-            observation=asked.observation,
-            log_probability=log_probability,
-            reward=self._reward,
-            duration=round((now - self._decided_at) / self._times.time_step),
-            terminated=not asking and not truncated,
-            truncated=truncated,
-        )
-        self._step_open = not (out.terminated or out.truncated)
-        self._step, self._reward, self._decided_at = self._step + 1, 0.0, now
-        return out
+    def _all_run(self) -> Options:
+        """Return what each robot carries out now (N,)."""
+        return np.array([entry.option if entry.runs else NONE for entry in self.ledger])
+
+    def _last_step(self, now: float, terminated: bool) -> JointStep:
+        return self._journal.end(now, self.epoch, self._choice({}), self._all_run(), terminated)
 
 
 def _next_epoch(highest: int, random: np.random.Generator) -> int:
