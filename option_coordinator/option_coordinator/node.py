@@ -36,7 +36,7 @@ PARAMETERS = (
     Parameter(
         "policy",
         "spread",
-        "A .safetensors file; 'spread': any legal option that nobody else runs; 'uniform': any legal option.",
+        "A .safetensors file; 'spread': a legal option whose station is free; 'uniform': any legal option.",
         live=True,
     ),
     Parameter("policy_digest", "", "SHA-256 that a policy file must have from now on; empty for any.", live=True),
@@ -130,9 +130,11 @@ class OptionCoordinator(SuiteNode):
         if settings["lost_after"] < settings["lease"]:
             raise ParameterError("parameter 'lost_after' is less than 'lease': a robot is suspect before it is lost")
         step, discount = settings["step_length"], settings["discount"]
+        self._shared: tuple[str, ...] = ()
         if settings["team"]:
             team = load_team(settings["team"])
-            self._robots, step, discount = team.coordinated, team.time_step, team.discount
+            self._robots, self._shared = team.coordinated, team.shared
+            step, discount = team.time_step, team.discount
         elif settings["policy"] in SCRIPTED:
             raise ParameterError("parameter 'team' is needed where 'policy' is no file: who are the robots?")
         else:
@@ -153,8 +155,9 @@ class OptionCoordinator(SuiteNode):
         """
         generator = np.random.default_rng(self.settings["seed"])
         if name in SCRIPTED:
-            scripted = uniform_chooser(generator) if name == "uniform" else spread_chooser(self._robots, generator)
-            return self._timed(scripted), ""
+            if name == "uniform":
+                return self._timed(uniform_chooser(generator)), ""
+            return self._timed(spread_chooser(self._robots, generator, self._shared)), ""
         policy = OptionPolicy.load(Path(name))
         promised = self.settings["policy_digest"]
         if promised and policy.digest != promised:

@@ -25,14 +25,21 @@ def uniform_chooser(generator: np.random.Generator) -> Chooses:
     return chooses
 
 
-def spread_chooser(robots: Sequence[Robot], generator: np.random.Generator) -> Chooses:
-    """Return a policy that draws from the legal options that nobody else runs by that name; else the safe one."""
+def spread_chooser(robots: Sequence[Robot], generator: np.random.Generator, shared: Sequence[str] = ()) -> Chooses:
+    """Return a policy that draws from the legal options that nobody else runs by that name; else the safe one.
+
+    Args:
+        robots: in the policy's order.
+        generator: of the draws.
+        shared: names of options that many may run at a time.
+    """
     names = [robot.agent.options for robot in robots]
     safe = [robot.safe_option for robot in robots]
 
     def chooses(choice: Choice) -> tuple[Options, float]:
         def candidates(agent: int, options: Options) -> Options:
             taken = {names[other][option] for other, option in enumerate(options) if other != agent and option >= 0}
+            taken -= set(shared)
             legal = np.flatnonzero(choice.legal[agent])
             free = [option for option in legal if option != safe[agent] and names[agent][option] not in taken]
             if free:

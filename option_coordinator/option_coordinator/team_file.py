@@ -104,6 +104,11 @@ class TeamFile(Part):
         """Of each robot, in order."""
         return tuple(self.options)
 
+    @property
+    def shared(self) -> tuple[str, ...]:
+        """Options that any number of robots may run at a time: they lead to no station."""
+        return tuple(name for name, option in self.options.items() if option.station is None)
+
     @cached_property
     def coordinated(self) -> tuple[Robot, ...]:
         """The robots as a coordinator wants them."""

@@ -123,6 +123,13 @@ def test_robots_spread_over_what_nobody_else_runs():
     assert log_probability == 0.0
 
 
+def test_many_may_go_home_at_a_time():
+    assert TEAM.shared == ("wait", "home")
+    chooses = spread_chooser(TEAM.coordinated, np.random.default_rng(0), TEAM.shared)
+    options, _ = chooses(choice([HOME, -1, -1], [[1, 0, 0, 0, 0, 1]] * 3))
+    assert options.tolist() == [HOME, HOME, HOME]
+
+
 def test_any_legal_option_is_as_likely():
     chooses = uniform_chooser(np.random.default_rng(0))
     asked = choice([-1, -1, HOME], [[1, 1, 1, 0, 0, 0], [0, 0, 0, 1, 1, 0], [1] * 6])
