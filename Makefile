@@ -5,7 +5,7 @@ SHELL := /bin/bash
 RUN := set -eo pipefail; source scripts/workspace.bash;
 LINKED := ctrl_rl_core sim_bridge ctrl_rl_training ttr_reward_node oc_baseline_node koopman_lqr_controller option_coordinator ctrl_rl_bringup
 
-.PHONY: help setup build demo trials train ttr oc options koopman test test-all lint bench results clean
+.PHONY: help setup build demo demo-options trials train ttr oc options koopman test test-all lint bench results clean
 
 help: ## say what there is
 	@grep -E '^[a-z-]+:.*##' Makefile | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 18
@@ -18,6 +18,9 @@ build: setup ## build the workspace with colcon
 
 demo: build ## drive the corridor, record it, report (ARGS="--seed 3 --speed 2")
 	@$(RUN) ros2 run ctrl_rl_bringup demo $(ARGS)
+
+demo-options: build ## let three TurtleBots carry parcels under the coordinator, record it, draw who did what when
+	@$(RUN) ros2 run ctrl_rl_bringup options_demo $(ARGS)
 
 trials: build ## drive the corridor from 20 random starts
 	@$(RUN) ros2 run ctrl_rl_bringup trials --results docs/results/curved_corridor_trials.json $(ARGS)

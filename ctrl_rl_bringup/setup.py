@@ -23,6 +23,9 @@ setup(
         "console_scripts": [
             "demo = ctrl_rl_bringup.cli:demo",
             "monitor = ctrl_rl_bringup.cli:monitor",
+            "options_demo = ctrl_rl_bringup.options_cli:demo",
+            "options_monitor = ctrl_rl_bringup.options_cli:monitor",
+            "options_report = ctrl_rl_bringup.options_cli:report",
             "record_drives = ctrl_rl_bringup.cli:record_drives",
             "report = ctrl_rl_bringup.cli:report",
             "results = ctrl_rl_bringup.cli:results",

@@ -8,7 +8,7 @@ setup(
     description="Grants options to robots that finish at different times (thesis 2.4 and 5).",
     license="Apache-2.0",
     packages=[NAME, f"{NAME}.tasks", f"{NAME}.training"],
-    package_data={"option_coordinator": ["py.typed"]},
+    package_data={"option_coordinator": ["py.typed", "teams/*.yaml"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
@@ -17,6 +17,8 @@ setup(
     zip_safe=False,
     entry_points={
         "console_scripts": [
+            "coordinator = option_coordinator.node:main",
+            "navigation_agent = option_coordinator.navigation_agent:main",
             "replay = option_coordinator.cli:replay",
             "train = option_coordinator.training.training_cli:train",
             "training_figures = option_coordinator.training.training_cli:training_figures",

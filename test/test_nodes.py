@@ -18,6 +18,8 @@ NODES = {
     "controller": ("koopman_lqr_controller", ()),
     "scripted_driver": ("koopman_lqr_controller", ()),
     "reward": ("ttr_reward_node", ("grid:={grid}",)),
+    "coordinator": ("option_coordinator", ("team:=delivery_team",)),
+    "navigation_agent": ("option_coordinator", ("robot:=robot_1",)),
 }
 BAD = {
     "bridge": ("task:=nowhere", "no task 'nowhere'"),
@@ -25,6 +27,8 @@ BAD = {
     "controller": ("scan_timeout:=-1.0", "parameter 'scan_timeout' is out of range: must be 0.05 to 10"),
     "scripted_driver": ("speed:=fast", "parameter 'speed' is 'fast': must be a number"),
     "reward": ("grid:={folder}/none.safetensors", "none.safetensors: there is no such file"),
+    "coordinator": ("team:=nobody", "no team 'nobody'"),
+    "navigation_agent": ("robot:=nobody", "team 'delivery_team' has robot_1"),
 }
 
 
@@ -103,7 +107,14 @@ def test_diagnostics_carry_name_level_and_figures(start: Callable, listener) -> 
         rclpy.spin_once(node, timeout_sec=0.05)
         if len(heard) == len(NODES):
             break
-    assert set(heard) == {"/sim_bridge", "/recorder", "/koopman_lqr_controller", "/scripted_driver", "/ttr_reward_node"}
+    methods = {
+        "/koopman_lqr_controller",
+        "/scripted_driver",
+        "/ttr_reward_node",
+        "/option_coordinator",
+        "/navigation_agent",
+    }
+    assert set(heard) == {"/sim_bridge", "/recorder", *methods}
     for message in heard.values():
         assert message.header.stamp.sec > 0 or message.status[0].name != "/recorder"
         assert message.status[0].message

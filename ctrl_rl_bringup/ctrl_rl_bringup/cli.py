@@ -27,7 +27,7 @@ def demo() -> int:
     parser = _parser("demo", "Drive a TurtleBot3 through the corridor in the simulator, record it, report.")
     parser.add_argument("--seed", type=int, default=0, help="of start pose and noise (default %(default)s)")
     options = parser.parse_args()
-    return _run("demo", lambda: _demo(_options(options, "demo", options.seed)))
+    return run_here("demo", lambda: _demo(_options(options, "demo", options.seed)))
 
 
 def trials() -> int:
@@ -37,7 +37,7 @@ def trials() -> int:
     parser.add_argument("--at-least", type=int, help="exit with 1 if fewer reach the goal (default: 95 %%)")
     parser.add_argument("--results", type=Path, help="JSON file to write the figures to")
     options = parser.parse_args()
-    return _run("trials", lambda: _trials(options))
+    return run_here("trials", lambda: _trials(options))
 
 
 def record_drives() -> int:
@@ -46,7 +46,7 @@ def record_drives() -> int:
     parser.add_argument("--episodes", type=int, default=12, help="how many drives (default %(default)s)")
     parser.add_argument("--seed", type=int, default=1000, help="of the first drive (default %(default)s)")
     options = parser.parse_args()
-    return _run("record_drives", lambda: _record_drives(options))
+    return run_here("record_drives", lambda: _record_drives(options))
 
 
 def report() -> int:
@@ -54,7 +54,7 @@ def report() -> int:
     parser = argparse.ArgumentParser(prog="report", description="Report on a recorded drive, and draw it.")
     parser.add_argument("folder", type=Path, help="folder of the run, with its bag in 'bag'")
     options = DriveOptions(parser.parse_args().folder)
-    return _run("report", lambda: _report(read_drive(options.bag), options))
+    return run_here("report", lambda: _report(read_drive(options.bag), options))
 
 
 def monitor() -> int:
@@ -62,7 +62,7 @@ def monitor() -> int:
     parser = argparse.ArgumentParser(prog="monitor", description=monitor.__doc__)
     parser.add_argument("--topics", default="", help="that the drive waits for besides its own, with commas between")
     options, _ = parser.parse_known_args()  # launch adds --ros-args
-    return _run("monitor", lambda: follow_running(list(filter(None, options.topics.split(",")))))
+    return run_here("monitor", lambda: follow_running(list(filter(None, options.topics.split(",")))))
 
 
 def results() -> int:
@@ -77,7 +77,7 @@ def results() -> int:
         write_whole(options.page, page)
         return 0
 
-    return _run("results", work)
+    return run_here("results", work)
 
 
 def _parser(program: str, description: str, speed: float = 1.0) -> argparse.ArgumentParser:
@@ -125,7 +125,8 @@ def _simulation(options: argparse.Namespace) -> dict[str, Any]:
     return {name: getattr(options, name) for name in _AS_REAL if getattr(options, name) is not None}
 
 
-def _run(program: str, work: Callable[[], int]) -> int:
+def run_here(program: str, work: Callable[[], int]) -> int:
+    """Run a command whose nodes talk on this machine, and return its exit code."""
     # A demo is for this machine; whoever wants it on the network says so with ROS's own variable.
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     return run_command(program, work, failure=2)

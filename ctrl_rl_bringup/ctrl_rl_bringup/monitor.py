@@ -24,7 +24,7 @@ OUTCOMES = {
     TaskOutcome.TRAP: "trapped",
     TaskOutcome.TIMEOUT: "time-out",
 }
-_RECORDER = "recorder"
+RECORDER = "recorder"
 _RECORDED = ("scan", "odom", "cmd_vel", "episode", "clock", "ground_truth")
 _READY_S = 30.0
 _SILENT_S = 20.0
@@ -135,21 +135,25 @@ class Monitor:
     def _missing(self) -> str:
         """Return in words what is not there yet, empty if all is."""
         for topic in self._topics:
-            subscribers = {info.node_name for info in self._node.get_subscriptions_info_by_topic(f"/{topic}")}
+            subscribers = self._subscribers(topic)
             publishers = self._node.count_publishers(topic)
             if publishers == 0:
                 return f"nobody publishes {topic}"
             if publishers > 1:
                 raise MonitorError(f"{publishers} nodes publish {topic}: end the other run, or set ROS_DOMAIN_ID")
-            if _RECORDER not in subscribers:
+            if RECORDER not in subscribers:
                 return f"the recorder does not hear {topic}"
-            if topic in ("scan", "odom") and len(subscribers) < 2:
+            kind = topic.rsplit("/", 1)[-1]
+            if kind in ("scan", "odom") and len(subscribers) < 2:
                 return f"no driver hears {topic}"
-            if topic == "cmd_vel" and len(subscribers) < 2:
-                return "the simulator does not hear cmd_vel"
+            if kind == "cmd_vel" and len(subscribers) < 2:
+                return f"the simulator does not hear {topic}"
         return (
             "" if self._pause.service_is_ready() and self._reset.service_is_ready() else "no pause and reset services"
         )
+
+    def _subscribers(self, topic: str) -> set[str]:
+        return {info.node_name for info in self._node.get_subscriptions_info_by_topic(f"/{topic}")}
 
     def _call(self, client: rclpy.client.Client, request: object) -> Any:
         future = client.call_async(request)

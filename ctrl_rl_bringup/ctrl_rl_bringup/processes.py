@@ -42,7 +42,7 @@ def executable_path(spec: NodeSpec) -> Path:
 class Processes:
     """Running nodes, ended in the order in which they are given; a context that leaves none behind.
 
-    Each node's output goes to `<folder>/<executable>.log`.
+    Each node's output goes to `<folder>/<name>.log`.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -57,9 +57,10 @@ class Processes:
             ProcessError: one of them is not built.
         """
         for spec in specs:
-            with (self._folder / f"{spec.executable}.log").open("ab") as log:
-                self._running[spec.executable] = subprocess.Popen(
-                    [executable_path(spec), "--ros-args", "--params-file", self._parameter_file(spec)],
+            namespace = ["-r", f"__ns:=/{spec.namespace}"] if spec.namespace else []
+            with (self._folder / f"{spec.name}.log").open("ab") as log:
+                self._running[spec.name] = subprocess.Popen(
+                    [executable_path(spec), "--ros-args", *namespace, "--params-file", self._parameter_file(spec)],
                     stdin=subprocess.DEVNULL,
                     stdout=log,
                     stderr=subprocess.STDOUT,
@@ -111,7 +112,7 @@ class Processes:
         self._parameters.cleanup()
 
     def _parameter_file(self, spec: NodeSpec) -> str:
-        path = Path(self._parameters.name) / f"{spec.executable}.yaml"
+        path = Path(self._parameters.name) / f"{spec.name}.yaml"
         path.write_text(yaml.safe_dump({"/**": {"ros__parameters": dict(spec.parameters)}}), encoding="utf-8")
         return str(path)
 

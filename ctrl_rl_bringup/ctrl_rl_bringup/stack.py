@@ -17,12 +17,19 @@ class NodeSpec:
         executable: as `ros2 run PACKAGE EXECUTABLE` names it.
         parameters: by name.
         publishes: topics of it that a drive waits for.
+        namespace: of its names, empty for none.
     """
 
     package: str
     executable: str
     parameters: Mapping[str, Any] = field(default_factory=dict)
     publishes: tuple[str, ...] = ()
+    namespace: str = ""
+
+    @property
+    def name(self) -> str:
+        """What its process is called: several may have one executable."""
+        return f"{self.namespace}.{self.executable}" if self.namespace else self.executable
 
 
 @dataclass(frozen=True)

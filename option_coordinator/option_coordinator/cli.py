@@ -88,7 +88,8 @@ def _prepare(options: argparse.Namespace) -> tuple[OptionEnvironment, Chooser]:
     learnt = policy.manifest
     if learnt.get("task_digest") != task_digest(load_option_task(options.task)):
         raise OptionError(f"{options.policy}: was learnt for another task '{learnt.get('task')}', not '{options.task}'")
-    how: dict[str, Any] = {name: learnt[name] for name in ("synchronisation", "level", "sight") if name in learnt}
+    world = ("synchronisation", "level", "sight", "drop")
+    how: dict[str, Any] = {name: learnt[name] for name in world if name in learnt}
     if options.synchronisation is not None:
         how["synchronisation"] = options.synchronisation
     if options.choose is not None:

@@ -15,12 +15,19 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from option_coordinator.choice import Choice, Chooses, choose_or_safe
+from option_coordinator.decision import NONE
 from option_coordinator.errors import OptionError
 from option_coordinator.exchange import AgentState, Grant, GrantStatus, JointStep, Request, Status
+from option_coordinator.joint_policy import Options
+from option_coordinator.journal import Journal
 from option_coordinator.ledger import Entry, Ledger, State
+from option_coordinator.refusal import Refusal, refusal_of
 from option_coordinator.robot import Robot, Times
 
 _LOT_BITS = 16
+_UNKNOWN_ROBOT = Refusal("unknown robot", "this team has no such robot")
+_TASK_OVER = Refusal("task over", "the task is over")
+_NOTHING_SAFE = Refusal("nothing safe", "policy failed, and the safe option is not legal")
 
 
 @dataclass(frozen=True)
@@ -41,6 +48,7 @@ class Coordinator:
         now: the time [s].
         times: see there.
         seed: of what the epochs of two coordinators that begin at once differ by.
+        discount: gamma of a low-level step.
 
     Attributes:
         ledger: who runs what.
@@ -56,11 +64,13 @@ class Coordinator:
         now: float,
         times: Times | None = None,
         seed: int | None = None,
+        discount: float = 1.0,
     ) -> None:
         self._robots = {robot.agent.name: robot for robot in robots}
         self._index = {name: index for index, name in enumerate(self._robots)}
         self._times = times or Times()
         self._policy, self._digest = policy, digest
+        self._discount = discount
         self.counts: Counter[str] = Counter()
         self._highest = 0
         self._random = np.random.default_rng(seed)
@@ -70,13 +80,11 @@ class Coordinator:
         """Begin anew: decide nothing for one lease, hear who runs what, then take over."""
         self.ledger = Ledger(self._robots)
         self.epoch = 0
-        self._step = 0
+        self._journal = Journal(now, self._times.time_step, self._discount)
         self._open: dict[str, Request] = {}
         self._observed = [np.zeros(robot.agent.observation_size, np.float32) for robot in self._robots.values()]
         self._repeat_at: dict[str, float] = {}
         self._done: set[str] = set()
-        self._reward = 0.0
-        self._decided_at = now
         self._batch_at = math.inf
         self._takes_over_at = now + self._times.lease
 
@@ -84,6 +92,16 @@ class Coordinator:
     def stepped_down(self) -> bool:
         """Whether another coordinator has taken over; this one is silent until `listen`."""
         return self._takes_over_at == math.inf and self.epoch == 0
+
+    @property
+    def digest(self) -> str:
+        """Of the policy's file, empty for one that has none."""
+        return self._digest
+
+    @property
+    def batches(self) -> bool:
+        """Whether a request waits for others to be decided with."""
+        return self._batch_at < math.inf
 
     def replace_policy(self, policy: Chooses, digest: str) -> None:
         """Decide by another policy from the next decision on."""
@@ -102,26 +120,26 @@ class Coordinator:
         """Take a request: it is decided, at once or by a `tick`, answered as before, or refused with a reason."""
         self.on_epoch(request.coordinator_epoch)
         if request.agent not in self._robots:
-            return self._refuse(request, now, "this team has no such robot") if self.epoch else Answers()
+            return self._refuse(request, now, _UNKNOWN_ROBOT) if self.epoch else Answers()
         entry = self.ledger[request.agent]
         try:
             self._hear(entry, request.incarnation, now)
         except OptionError as error:
-            return self._refuse(request, now, str(error)) if self.epoch else Answers()
+            return self._refuse(request, now, Refusal("old life", str(error))) if self.epoch else Answers()
         if not self.epoch:
             return Answers()  # it asks again; what it runs, its status says
         if entry.answered(request.request_id):
             self.counts["duplicate requests"] += 1
             return Answers([self._grant_of(entry, now)])
         if request.request_id < entry.request_id:
-            return self._refuse(request, now, f"request {entry.request_id} has been sent since")
+            return self._refuse(request, now, Refusal("old request", f"request {entry.request_id} has been sent since"))
         if request.terminated:
             return self._finish(entry, request, now)
-        reason = self._fault(request, now)
-        if reason:
-            return self._refuse(request, now, reason)
-        if entry.request_id != request.request_id or entry.agent in self._done:
-            self._reward += request.option_reward
+        agent = self._robots[request.agent].agent
+        refusal = refusal_of(request, agent, self.epoch, now - request.stamp, self._times.stale)
+        if refusal is not None:
+            return self._refuse(request, now, refusal)
+        self._credit(entry, request)
         self._done.discard(entry.agent)
         entry.ask(request.request_id)
         self._open[entry.agent] = request
@@ -153,11 +171,13 @@ class Coordinator:
 
         Args:
             now: the time [s].
-            alone: no other coordinator is there; one that has stepped down listens again.
+            alone: no other coordinator is there: one that has stepped down listens again, and one that has heard all
+                robots of its team has heard enough.
         """
         if self.stepped_down and alone:
             self.listen(now)
-        if not self.epoch and now < self._takes_over_at:
+        heard_enough = alone and all(entry.phase is not State.UNKNOWN for entry in self.ledger)
+        if not self.epoch and now < self._takes_over_at and not heard_enough:
             return Answers()
         if not self.epoch:
             self._highest = _next_epoch(self._highest, self._random)
@@ -170,6 +190,10 @@ class Coordinator:
         decided = self._decide_when_due(now)
         return Answers(grants + decided.grants, decided.steps)
 
+    def close(self, now: float) -> Answers:
+        """Cut the episode off: say so where it has begun and is not over."""
+        return Answers(steps=[self._last_step(now, terminated=False)] if self.epoch and self._journal.open else [])
+
     def _hear(self, entry: Entry, incarnation: int, now: float) -> None:
         before, lost = entry.incarnation, entry.silence is State.LOST
         entry.heard(incarnation, now)
@@ -179,24 +203,8 @@ class Coordinator:
         elif lost:
             self.counts["returned robots"] += 1
 
-    def _fault(self, request: Request, now: float) -> str:
-        """Return what is wrong with a request, or nothing."""
-        agent = self._robots[request.agent].agent
-        observation, legal = np.asarray(request.observation), np.asarray(request.legal)
-        if 0 < request.coordinator_epoch < self.epoch:
-            return f"epoch {request.coordinator_epoch} is over, this is {self.epoch}: ask again"
-        if observation.shape != (agent.observation_size,):
-            return f"observation has shape {observation.shape}, must be ({agent.observation_size},)"
-        if not np.isfinite(observation).all() or not math.isfinite(request.option_reward):
-            return "not all numbers of observation and reward are finite"
-        if legal.size not in (0, len(agent.options)) or (legal.size and not legal.any()):
-            return f"legal options {legal.tolist()}: must be {len(agent.options)} with one legal at least, or none"
-        if now - request.stamp > self._times.stale:
-            return f"the observation is {now - request.stamp:.2f} s old: observe and ask again"
-        return ""
-
-    def _refuse(self, request: Request, now: float, reason: str) -> Answers:
-        self.counts["refused requests"] += 1
+    def _refuse(self, request: Request, now: float, refusal: Refusal) -> Answers:
+        self.counts[f"refused: {refusal.kind}"] += 1
         answer = Grant(
             stamp=now,
             agent=request.agent,
@@ -205,26 +213,33 @@ class Coordinator:
             coordinator_epoch=self.epoch,
             grant_id=0,
             status=GrantStatus.REFUSED,
-            reason=reason,
+            reason=refusal.reason,
         )
         return Answers([answer])
+
+    def _credit(self, entry: Entry, request: Request) -> None:
+        """Count, once, what the robot's last option brought."""
+        if entry.option != NONE:
+            self._journal.credit(request.option_reward, entry.granted_at)
 
     def _finish(self, entry: Entry, request: Request, now: float) -> Answers:
         """Note that the task is over for a robot; the last one's word closes the episode."""
         if entry.agent in self._done:
-            return self._refuse(request, now, "the task is over")
+            return self._refuse(request, now, _TASK_OVER)
+        if math.isfinite(request.option_reward):
+            self._credit(entry, request)
         entry.ask(request.request_id)
         entry.end()
         self._open.pop(entry.agent, None)
         self._done.add(entry.agent)
-        self._reward += request.option_reward if math.isfinite(request.option_reward) else 0.0
-        steps = [] if any(e.runs or e.state is State.WAITING for e in self.ledger) else [self._joint_step(now)]
-        return Answers(self._refuse(request, now, "the task is over").grants, steps)
+        at_work = any(e.runs or e.state is State.WAITING for e in self.ledger)
+        steps = [] if at_work else [self._last_step(now, terminated=True)]
+        return Answers(self._refuse(request, now, _TASK_OVER).grants, steps)
 
     def _believe(self, entry: Entry, status: Status, now: float) -> None:
         """Acknowledge a grant, or adopt one that this coordinator has not given."""
         told = (status.coordinator_epoch, status.request_id, status.grant_id, status.option)
-        if entry.option != -1 and told == (entry.epoch, entry.request_id, entry.grant_id, entry.option):
+        if entry.option != NONE and told == (entry.epoch, entry.request_id, entry.grant_id, entry.option):
             if entry.phase is State.GRANTED:
                 entry.acknowledge()
                 entry.granted_at = max(entry.granted_at, now - status.elapsed)
@@ -279,21 +294,24 @@ class Coordinator:
         """Decide for all that wait and are heard; who fell silent meanwhile asks again when it returns."""
         self._batch_at = math.inf
         asking = {e.agent: self._open.pop(e.agent) for e in self.ledger if e.state is State.WAITING}
-        choice = choose_or_safe(self._choice(asking), self._policy, self._times.policy_limit, self._safe_options())
+        asked = self._choice(asking)
+        choice = choose_or_safe(asked, self._policy, self._times.policy_limit, self._safe_options())
         self.counts.update(choice.faults)
         grants = []
         for name, request in asking.items():
             entry, option = self.ledger[name], choice.options[self._index[name]]
             if option < 0:
                 entry.end()
-                grants += self._refuse(request, now, "policy failed, and the safe option is not legal").grants
+                grants += self._refuse(request, now, _NOTHING_SAFE).grants
                 continue
             entry.grant(self.epoch, int(option), now)
             self._repeat_at[name] = now + self._times.repeat
             grants.append(self._grant_of(entry, now))
         if all(grant.status is GrantStatus.REFUSED for grant in grants):
             return Answers(grants)
-        return Answers(grants, [self._joint_step(now, asking, choice.log_probability, choice.by_policy)])
+        digest = self._digest if choice.by_policy else ""
+        step = self._journal.decision(now, self.epoch, asked, self._all_run(), choice.log_probability, digest)
+        return Answers(grants, [step])
 
     def _choice(self, asking: Mapping[str, Request]) -> Choice:
         """Return what the policy is asked."""
@@ -305,35 +323,19 @@ class Coordinator:
         return Choice(
             observation=np.concatenate(self._observed),
             choosing=np.array([name in asking for name in self._robots]),
-            running=np.array([e.option if e.runs and e.agent not in asking else -1 for e in self.ledger]),
+            running=np.array([e.option if e.runs and e.agent not in asking else NONE for e in self.ledger]),
             legal=legal,
         )
 
     def _safe_options(self) -> list[int]:
         return [robot.safe_option for robot in self._robots.values()]
 
-    def _joint_step(
-        self, now: float, asking: Mapping[str, Request] | None = None, log_probability: float = 0.0, by: bool = False
-    ) -> JointStep:
-        asked = self._choice(asking or {})
-        options = np.array([entry.option if entry.runs else -1 for entry in self.ledger])
-        out = JointStep(
-            stamp=now,
-            coordinator_epoch=self.epoch,
-            step=self._step,
-            policy_digest=self._digest if by else "",
-            running=asked.running >= 0,
-            absent=options < 0,
-            options=options,
-            legal=asked.legal,
-            observation=asked.observation,
-            log_probability=log_probability,
-            reward=self._reward,
-            duration=round((now - self._decided_at) / self._times.time_step),
-            terminated=not asking,
-        )
-        self._step, self._reward, self._decided_at = self._step + 1, 0.0, now
-        return out
+    def _all_run(self) -> Options:
+        """Return what each robot carries out now (N,)."""
+        return np.array([entry.option if entry.runs else NONE for entry in self.ledger])
+
+    def _last_step(self, now: float, terminated: bool) -> JointStep:
+        return self._journal.end(now, self.epoch, self._choice({}), self._all_run(), terminated)
 
 
 def _next_epoch(highest: int, random: np.random.Generator) -> int:

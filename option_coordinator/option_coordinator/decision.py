@@ -23,7 +23,8 @@ class Decision:
         observation: of all, one after the other; each as it is now, or as it was when the agent's own option ended: see
             `Simulation.observes_while_running`.
         choosing: (N,) who is ready, U_kappa.
-        running: (N,) option that each carries out, `NONE` for who is ready.
+        running: (N,) option that each carries out, `NONE` for who is ready or absent.
+        present: (N,) who is there; the absent neither choose nor run an option.
         legal: (N, K) which options each that runs none may begin, all its options for the others; K is the largest
             number of options, what lies beyond is False.
         reward: discounted sum of the joint rewards since the last decision, sum_i gamma^i r_i (0 at a reset).
@@ -38,6 +39,7 @@ class Decision:
     observation: Observation
     choosing: Mask
     running: NDArray[np.int64]
+    present: Mask
     legal: Mask
     reward: float
     rewards: tuple[float, ...]

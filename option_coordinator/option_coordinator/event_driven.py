@@ -22,6 +22,7 @@ import numpy as np
 from option_coordinator.decision import NONE, Decision
 from option_coordinator.errors import OptionError
 from option_coordinator.options import Agent, Mask, Observation, Scene, Simulation, check_option
+from option_coordinator.outage import Outage, draw_outage
 from option_coordinator.trace import Trace
 
 Synchronisation = Literal["async", "wait", "cut"]
@@ -34,6 +35,7 @@ class OptionEnvironment:
         simulation: the low-level world.
         discount: gamma of a low-level step.
         synchronisation: who chooses when.
+        drop: chance that a robot vanishes for a while in an episode, see `outage`.
         film: whether to keep a scene of every low-level step, to be drawn.
 
     Attributes:
@@ -48,11 +50,13 @@ class OptionEnvironment:
         discount: float = 0.99,
         synchronisation: Synchronisation = "async",
         film: bool = False,
+        drop: float = 0.0,
     ) -> None:
         self.simulation = simulation
         self.agents = simulation.agents
         self.discount = discount
         self.synchronisation = synchronisation
+        self.drop = drop
         self.trace = Trace()
         self.scenes: list[Scene] = []
         self.steps = 0
@@ -60,17 +64,22 @@ class OptionEnvironment:
         self._index = {agent.name: i for i, agent in enumerate(self.agents)}
         self._seen: list[Observation] = []
         self._running = np.full(len(self.agents), NONE)
+        self._present = np.ones(len(self.agents), dtype=bool)
+        self._outage: Outage | None = None
         self._decision: Decision | None = None
         self._mask = option_mask(self.agents)
 
     def reset(self, seed: int | np.random.Generator | None = None) -> Decision:
         """Begin an episode, in which all are ready."""
-        self.simulation.reset(np.random.default_rng(seed))
+        generator = np.random.default_rng(seed)
+        self.simulation.reset(generator)
+        self._outage = draw_outage(self.drop, len(self.agents), self.simulation.step_limit, generator)
         self.trace = Trace()
         self.scenes = []
         self._take_scene()
         self.steps = 0
         self._running[:] = NONE
+        self._present[:] = True
         count = len(self.agents)
         self._seen = [self.simulation.observe(i) for i in range(count)]
         return self._decide(np.ones(count, dtype=bool), (), terminated=False, truncated=False)
@@ -96,10 +105,28 @@ class OptionEnvironment:
             self._take_scene()
             for index in np.flatnonzero(ended):
                 self._end(int(index), finished=True)
+            self._vanish_or_return()
             truncated = not terminated and self.steps >= self.simulation.step_limit
-            idle = self._running == NONE
-            if terminated or truncated or (idle.all() if self.synchronisation == "wait" else idle.any()):
+            if terminated or truncated or self._is_time():
                 return self._pause(rewards, terminated, truncated)
+
+    def _is_time(self) -> bool:
+        """Whether somebody must choose."""
+        runs_none = self._running == NONE
+        ready = bool((runs_none & self._present).any())
+        return ready and (self.synchronisation != "wait" or bool(runs_none.all()))
+
+    def _vanish_or_return(self) -> None:
+        if self._outage is None:
+            return
+        agent, begin, end = self._outage
+        if self.steps == begin:
+            self._present[agent] = False
+            if self._running[agent] != NONE:
+                self.simulation.interrupt(agent)
+                self._end(agent, finished=False)
+        elif self.steps == end:
+            self._present[agent] = True
 
     def _take_scene(self) -> None:
         if self._film:
@@ -114,8 +141,8 @@ class OptionEnvironment:
                 self._end(int(agent), finished=False)
         if over:
             self.trace.close(self.steps)
-        idle = self._running == NONE
-        looking = np.ones_like(idle) if self.simulation.observes_while_running else idle
+        idle = self._present & (self._running == NONE)
+        looking = self._present if self.simulation.observes_while_running else idle
         for agent in np.flatnonzero(looking):
             self._seen[agent] = self.simulation.observe(int(agent))
         return self._decide(idle, tuple(rewards), terminated, truncated)
@@ -133,6 +160,7 @@ class OptionEnvironment:
             observation=np.concatenate(self._seen),
             choosing=idle & (not (terminated or truncated)),
             running=self._running.copy(),
+            present=self._present.copy(),
             legal=legal,
             reward=discounted(rewards, self.discount),
             rewards=rewards,

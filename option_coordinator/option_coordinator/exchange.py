@@ -93,3 +93,4 @@ class JointStep:
     reward: float
     duration: int
     terminated: bool
+    truncated: bool = False

@@ -32,7 +32,7 @@ def draw_timeline(environment: OptionEnvironment, title: str, path: Path) -> Non
         OptionError: there was none.
     """
     figure, ax = plt.subplots(figsize=(10.0, 0.9 + 0.45 * len(environment.agents)), layout="constrained")
-    _draw_spans(ax, environment)
+    _draw_episode(ax, environment)
     ax.set_title(title, fontsize=10)
     save_figure(figure, path)
 
@@ -48,7 +48,7 @@ def draw_replay(environment: OptionEnvironment, title: str, path: Path) -> None:
     figure, (room, line) = plt.subplots(
         2, 1, figsize=(7.0, 6.0), dpi=80, height_ratios=(3, 1.2), layout="constrained", squeeze=True
     )
-    _draw_spans(line, environment)
+    _draw_episode(line, environment)
     now = line.axvline(0.0, color="k", linewidth=1.0)
     bodies = _draw_room(room, environment)
     canvas = FigureCanvasAgg(figure)
@@ -94,13 +94,21 @@ def _draw_room(ax: Axes, environment: OptionEnvironment) -> dict[str, Any]:
     return bodies
 
 
-def _draw_spans(ax: Axes, environment: OptionEnvironment) -> None:
-    spans = environment.trace.spans
-    if not spans:
-        raise OptionError("there is no episode to draw: play one first")
-    unit = environment.simulation.time_step
-    rows = {agent.name: row for row, agent in enumerate(reversed(environment.agents))}
-    colours = _colours(environment)
+def draw_spans(
+    ax: Axes, spans: Sequence[Span], agents: Sequence[str], options: Sequence[str], unit: float = 1.0
+) -> None:
+    """Draw who ran which option when, a row for each agent; pale if it was not finished.
+
+    Args:
+        ax: to draw on.
+        spans: what ran.
+        agents: names, from top to bottom.
+        options: names of all, for their colours.
+        unit: of a span's times [s].
+    """
+    rows = {agent: row for row, agent in enumerate(reversed(agents))}
+    palette = colormaps["tab20"]
+    colours = {name: palette((index % 20) / 20.0 + 0.025) for index, name in enumerate(sorted(set(options)))}
     length = max(span.end for span in spans)
     for span in spans:
         _draw_span(ax, span, rows[span.agent], colours[span.option], unit, length)
@@ -110,14 +118,16 @@ def _draw_spans(ax: Axes, environment: OptionEnvironment) -> None:
     ax.set_xlabel("time [s]")
 
 
-def _draw_span(ax: Axes, span: Span, row: int, colour: Any, unit: float, length: int) -> None:
+def _draw_episode(ax: Axes, environment: OptionEnvironment) -> None:
+    if not environment.trace.spans:
+        raise OptionError("there is no episode to draw: play one first")
+    options = [option for agent in environment.agents for option in agent.options]
+    names = [agent.name for agent in environment.agents]
+    draw_spans(ax, environment.trace.spans, names, options, environment.simulation.time_step)
+
+
+def _draw_span(ax: Axes, span: Span, row: int, colour: Any, unit: float, length: float) -> None:
     left, width = span.begin * unit, (span.end - span.begin) * unit
     ax.barh(row, width, left=left, height=0.8, color=colour, edgecolor="w", alpha=0.9 if span.finished else 0.35)
     if (span.end - span.begin) / length > _LABEL_CHARACTER * len(span.option):
         ax.text(left + 0.5 * width, row, span.option, ha="center", va="center", fontsize=7)
-
-
-def _colours(environment: OptionEnvironment) -> dict[str, Any]:
-    names: Sequence[str] = sorted({option for agent in environment.agents for option in agent.options})
-    palette = colormaps["tab20"]
-    return {name: palette((index % 20) / 20.0 + 0.025) for index, name in enumerate(names)}

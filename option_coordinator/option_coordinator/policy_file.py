@@ -28,6 +28,7 @@ from option_coordinator.mixture import Mixture
 from option_coordinator.network import Tensors, part
 from option_coordinator.options import Agent
 from option_coordinator.partial import Partial
+from option_coordinator.presence import Presence
 
 FORMAT = "option-policy-1"
 _HEADER_KEY = "option_policy"
@@ -40,7 +41,9 @@ HEADS: Mapping[str, Callable[[Tensors, tuple[int, ...]], JointPolicy]] = {
 """Kinds of joint policy by name."""
 
 
-def make_policy(head: str, tensors: Tensors, counts: tuple[int, ...], partial: bool) -> JointPolicy:
+def make_policy(
+    head: str, tensors: Tensors, counts: tuple[int, ...], partial: bool, presence: bool = False
+) -> JointPolicy:
     """Return a joint policy from its tensors; those of a partial one are named "0.", "1." and so on.
 
     Raises:
@@ -48,10 +51,13 @@ def make_policy(head: str, tensors: Tensors, counts: tuple[int, ...], partial: b
     """
     if head not in HEADS:
         raise OptionError(f"no kind of joint policy '{head}': there are {', '.join(HEADS)}")
+    if partial and presence:
+        raise OptionError("a partially centralised policy is not told who is there: make it without presence")
     try:
         if partial:
             return Partial([HEADS[head](part(tensors, f"{i}."), counts) for i in range(len(counts))])
-        return HEADS[head](tensors, counts)
+        policy = HEADS[head](tensors, counts)
+        return Presence(policy) if presence else policy
     except KeyError as error:
         raise OptionError(f"joint policy '{head}': tensor {error} is missing") from None
 
@@ -65,6 +71,7 @@ class OptionPolicy:
         head: kind of joint policy, a key of `HEADS`.
         partial: whether each agent has one of its own (Eq. 5.5).
         tensors: of its networks.
+        presence: it is told who is there, see `presence`.
         greedy: it is meant to be used by its mode; else by draws.
         manifest: anything else worth keeping: task, digest, method, figures.
     """
@@ -73,6 +80,7 @@ class OptionPolicy:
     head: str
     partial: bool
     tensors: Tensors
+    presence: bool = False
     greedy: bool = False
     manifest: Mapping[str, Any] = field(default_factory=dict)
 
@@ -80,7 +88,7 @@ class OptionPolicy:
     def joint(self) -> JointPolicy:
         """The joint policy."""
         counts = tuple(len(agent.options) for agent in self.agents)
-        policy = make_policy(self.head, self.tensors, counts, self.partial)
+        policy = make_policy(self.head, self.tensors, counts, self.partial, self.presence)
         size = sum(agent.observation_size for agent in self.agents)
         if policy.observation_size != size:
             raise OptionError(f"the policy observes {policy.observation_size} numbers, its agents {size}")
@@ -109,6 +117,7 @@ class OptionPolicy:
             ],
             "head": self.head,
             "partial": self.partial,
+            "presence": self.presence,
             "greedy": self.greedy,
             "manifest": dict(self.manifest),
         }
@@ -135,6 +144,7 @@ class OptionPolicy:
                 head=header["head"],
                 partial=header["partial"],
                 tensors=load(content),
+                presence=header.get("presence", False),
                 greedy=header["greedy"],
                 manifest=header["manifest"],
             )

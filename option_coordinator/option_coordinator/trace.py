@@ -12,15 +12,15 @@ class Span(NamedTuple):
     Attributes:
         agent: name of the robot.
         option: name of the option.
-        begin: low-level step at which it began.
+        begin: low-level step at which it began; a time [s] where it was recorded of robots.
         end: and ended.
         finished: by itself, not interrupted and not cut off with the episode.
     """
 
     agent: str
     option: str
-    begin: int
-    end: int
+    begin: float
+    end: float
     finished: bool
 
 

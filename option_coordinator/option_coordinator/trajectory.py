@@ -34,7 +34,8 @@ class Trajectory:
         duration: low-level steps until then, tau (T,).
         discount: gamma^tau (T,).
         next_observation: s_kappa+1 (T, D).
-        next_running: what runs on at the next decision, -1 for those that choose (T, N).
+        next_running: what runs on at the next decision, -1 for those that choose or are absent (T, N).
+        next_present: who is there then (T, N).
         next_legal: what they may choose then (T, N, K).
         terminated: the task ended: the next decision is worth nothing (T,).
         last: the next step is of another episode, or there is none (T,).
@@ -50,6 +51,7 @@ class Trajectory:
     discount: Array
     next_observation: NDArray[np.float32]
     next_running: NDArray[np.int64]
+    next_present: Mask
     next_legal: Mask
     terminated: Mask
     last: Mask
@@ -64,8 +66,13 @@ class Trajectory:
 
     @property
     def running(self) -> NDArray[np.int64]:
-        """What ran on at each decision, -1 for those that chose (T, N)."""
+        """What ran on at each decision, -1 for those that chose or were absent (T, N)."""
         return np.where(self.choosing, -1, self.options)
+
+    @property
+    def present(self) -> Mask:
+        """Who was there at each decision (T, N)."""
+        return self.options != -1
 
     @classmethod
     def joined(cls, parts: Sequence[Self]) -> Self:
@@ -123,6 +130,7 @@ class TrajectoryWriter:
             discount=np.array([decision.discount for decision in after]),
             next_observation=np.stack([decision.observation for decision in after]),
             next_running=np.stack([decision.running for decision in after]),
+            next_present=np.stack([decision.present for decision in after]),
             next_legal=np.stack([decision.legal for decision in after]),
             terminated=np.array([decision.terminated for decision in after]),
             last=last,

@@ -1,7 +1,7 @@
 """A simulated team under coordinators: robots as they should behave, on a network that loses, delays and doubles."""
 
 import heapq
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import count
 
 import numpy as np
@@ -9,10 +9,11 @@ from option_coordinator.coordination import Coordinator
 from option_coordinator.exchange import AgentState, Grant, GrantStatus, JointStep, Request, Status
 from option_coordinator.options import Agent
 from option_coordinator.robot import Robot, Times
+from option_coordinator.robot_side import Earned, Patience, RobotSide, Seen
 
 TIMES = Times(window=0.01)
 STEP = 0.02  # s, of the simulation
-BEAT = 0.1
+PATIENCE = Patience(waiting=1.0)
 LONGEST_DELAY = 0.4
 AGENTS = [Robot(Agent(f"r{i}", tuple("abc"[: 2 + i % 2]), 2), (2.0,) * (2 + i % 2)) for i in range(4)]
 INCARNATIONS = count(100)
@@ -30,93 +31,60 @@ def uniform(seed):
     return chooses
 
 
-@dataclass
 class SimulatedRobot:
-    robot: Robot
-    random: np.random.Generator
-    alive: bool = True
-    frozen: bool = False
+    """The real robot's side, with options that last as they like."""
 
-    def __post_init__(self):
-        self.epoch = 0
+    def __init__(self, robot, random):
+        self.robot, self.random = robot, random
         self.start(0.0)
 
     def start(self, now):
         """A new life: what it has seen is forgotten."""
-        self.alive, self.frozen, self.epoch = True, False, 0
-        self.incarnation = next(INCARNATIONS)
-        self.request_id = self.grant_id = self.option = 0
-        self.grant_epoch = 0
-        self.began = now
-        self.next_word = now
+        self.alive, self.frozen = True, False
         self.inbox = []
+        self.running = None
+        size = len(self.robot.durations)
+        self.side = RobotSide(self.robot.agent.name, size, self, next(INCARNATIONS), patience=PATIENCE)
         self.ask(now)
 
     def ask(self, now):
-        self.state = AgentState.WAITING
         self.asked_at = now
-        self.request_id += 1
+        self.side.ask(now)
+
+    def observe(self):
         size = len(self.robot.durations)
         self.legal = self.random.random(size) < 0.5
         self.legal[self.random.integers(size)] = True
-        self.observe(now)
+        return Seen(np.zeros(2, np.float32), self.legal)
 
-    def observe(self, now):
-        self.stamp = now
-        self.next_word = now
+    def begin(self, option):
+        assert self.running is None, "two options at once"
+        assert self.legal[option] or self.side.state is AgentState.FALLBACK
+        self.running = option
+        self.lasts = np.inf if self.random.random() < 0.1 else self.random.uniform(0.05, 1.5)
+
+    def leave(self):
+        self.running = None
+        return Earned()
 
     def words(self, now):
         """What it says at this moment."""
         if not self.alive or self.frozen:
-            return
+            return []
+        request_id = self.side.request_id
         for grant in self.inbox:
-            self.take(grant, now)
+            state = self.side.state
+            self.side.on_grant(grant, now)
+            if state is not AgentState.RUNNING and self.side.state is AgentState.RUNNING:
+                self.began, self.ends = now, now + self.lasts
         self.inbox = []
-        if self.state is AgentState.RUNNING and now >= self.ends:
-            self.ask(now)
-        if now < self.next_word:
-            return
-        self.next_word = now + BEAT
-        if self.state is AgentState.WAITING:
-            yield self.request()
-        yield self.status(now)
-
-    def request(self):
-        name, observation = self.robot.agent.name, np.zeros(2, np.float32)
-        return Request(self.stamp, name, self.incarnation, self.request_id, self.epoch, observation, self.legal)
-
-    def status(self, now):
-        running = self.state is AgentState.RUNNING
-        return Status(
-            self.robot.agent.name,
-            self.incarnation,
-            self.state,
-            self.grant_epoch if running else self.epoch,
-            self.request_id,
-            self.grant_id,
-            self.option,
-            now - self.began if running else 0.0,
-        )
-
-    def take(self, grant, now):
-        if grant.incarnation != self.incarnation or grant.coordinator_epoch < self.epoch:
-            return
-        self.epoch = grant.coordinator_epoch
-        if grant.request_id != self.request_id:
-            return
-        waiting = self.state is AgentState.WAITING
-        if grant.status is GrantStatus.GRANTED and waiting:
-            assert self.legal[grant.option]
-            self.state, self.began = AgentState.RUNNING, now
-            self.option, self.grant_id, self.grant_epoch = grant.option, grant.grant_id, grant.coordinator_epoch
-            hangs = self.random.random() < 0.1
-            self.ends = np.inf if hangs else now + self.random.uniform(0.05, 1.5)
-        elif grant.status is GrantStatus.GRANTED and grant.coordinator_epoch == self.grant_epoch:
-            assert (grant.grant_id, grant.option) == (self.grant_id, self.option)
-        elif grant.status is GrantStatus.CANCELLED and (waiting or grant.grant_id == self.grant_id):
-            self.ask(now)
-        elif grant.status is GrantStatus.REFUSED and waiting:
-            self.observe(now)
+        self.side.tick(now)
+        if self.side.state is AgentState.RUNNING and now >= self.ends:
+            self.running = None
+            self.side.ended(now)
+        if self.side.request_id != request_id:
+            self.asked_at = now
+        return self.side.words(now)
 
 
 class Team:
@@ -233,8 +201,17 @@ class Team:
             if name in self.gone:
                 assert not entry.runs
                 continue
-            assert robot.state is AgentState.RUNNING or self.now - robot.asked_at < 0.3, "a request without an answer"
-            if robot.state is AgentState.RUNNING and self.now - robot.began > 0.3:
+            side = robot.side
+            runs = side.state is AgentState.RUNNING
+            assert runs or self.now - robot.asked_at < 0.3, "a request without an answer"
+            if runs and self.now - robot.began > 0.3:
                 held = (entry.incarnation, entry.request_id, entry.grant_id, entry.option, entry.epoch)
-                runs = (robot.incarnation, robot.request_id, robot.grant_id, robot.option, robot.grant_epoch)
-                assert held == runs
+                grant = side.grant
+                assert grant.option == robot.running
+                assert held == (
+                    side.incarnation,
+                    side.request_id,
+                    grant.grant_id,
+                    grant.option,
+                    grant.coordinator_epoch,
+                )

@@ -353,6 +353,7 @@ def test_parts_of_a_trajectory_are_what_the_document_says():
     _, trajectory, _ = gathered(200)
     steps, agents, most = len(trajectory), 3, 6
     shapes = {"observation": (30,), "options": (agents,), "choosing": (agents,), "legal": (agents, most)}
-    shapes |= {f"next_{name}": shapes[name] for name in ("observation", "legal")} | {"next_running": (agents,)}
+    shapes |= {f"next_{name}": shapes[name] for name in ("observation", "legal")}
+    shapes |= {"next_running": (agents,), "next_present": (agents,)}
     for field in fields(trajectory):
         assert getattr(trajectory, field.name).shape == (steps, *shapes.get(field.name, ()))

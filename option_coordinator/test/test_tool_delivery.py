@@ -1,6 +1,8 @@
-"""Tool Delivery as specified: golden traces, its rules one by one, and what holds for any choices."""
+"""Tool Delivery as specified: the published environment's courses, its rules, and what holds for any choices."""
 
+import json
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -72,17 +74,31 @@ def test_the_first_observations_of_the_script():
     assert bits(at_workshop, "turtlebot_1") == "1000010000000"  # delivered in step 19: the human is at stage 1
 
 
-@pytest.mark.parametrize(
-    ("seed", "paid", "steps", "deliveries", "failed_passes"),
-    [(0, 10.0, 150, 2, 4), (2, -250.0, 150, 0, 10), (5, 156.0, 94, 3, 5)],
-)
-def test_golden_traces_of_random_choices(seed, paid, steps, deliveries, failed_passes):
-    """Of the simulation as it was when it agreed with the published environment step for step."""
-    environment = make_environment("tool_delivery")
-    decisions = play(environment, RandomChooser(seed))
-    assert total(decisions) == paid
-    assert environment.figures() == {"steps": steps, "deliveries": deliveries, "failed_passes": failed_passes}
-    assert decisions[-1].terminated == (deliveries == 3)
+PUBLISHED = json.loads((Path(__file__).parent / "tool_delivery_published.json").read_text(encoding="utf-8"))
+
+
+def test_it_goes_as_the_published_environment_step_for_step():
+    """Observations, rewards and ends of 120 episodes recorded there, see record_published.py."""
+    environment, steps, deliveries = make_environment("tool_delivery"), 0, []
+    for episode in PUBLISHED:
+        decision = environment.reset(0)
+        for options, duration, rewards, ready, seen in episode:
+            assert not decision.over
+            chosen = {a.name: int(o) for a, o in zip(environment.agents, options, strict=True) if o != "-"}
+            decision = environment.step(chosen)
+            expected = [-1.0] * duration
+            for step, reward in rewards:
+                expected[step] = reward
+            assert decision.rewards == tuple(expected)
+            if not decision.over:
+                assert "".join(str(int(chooses)) for chooses in decision.choosing) == ready
+                bits = f"{int(seen, 16):030b}"
+                assert "".join(str(int(bit)) for bit in decision.observation) == bits
+        assert decision.over
+        steps += environment.steps
+        deliveries.append(environment.simulation.deliveries)
+    assert (len(PUBLISHED), steps) == (120, 10_491)
+    assert set(deliveries) == {0, 1, 2, 3}
 
 
 def test_a_reward_is_discounted_over_its_option():

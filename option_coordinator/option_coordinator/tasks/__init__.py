@@ -59,7 +59,8 @@ def make_environment(
     level: Level = "options",
     sight: Sight = "features",
     film: bool = False,
+    drop: float = 0.0,
 ) -> OptionEnvironment:
     """Return a task as an event-driven environment. Errors as for `load_option_task` and `make_simulation`."""
     simulation = make_simulation(load_option_task(name_or_path), level, sight)
-    return OptionEnvironment(simulation, discount, synchronisation, film)
+    return OptionEnvironment(simulation, discount, synchronisation, film, drop)

@@ -49,13 +49,16 @@ _HEADS: Mapping[str, type[TableHead | MixtureHead | AutoregressiveHead]] = {
 }
 
 
-def make_head(kind: str, agents: Sequence[Agent], partial: bool = False) -> nn.Module:
-    """Return an untrained joint policy of the kind's name; its weights come from torch's generator."""
+def make_head(kind: str, agents: Sequence[Agent], partial: bool = False, presence: bool = False) -> nn.Module:
+    """Return an untrained joint policy of the kind's name, whose observations may tell `presence` too.
+
+    Its weights come from torch's generator.
+    """
     counts = [len(agent.options) for agent in agents]
     sizes = [agent.observation_size for agent in agents]
     if partial:
         return PartialHeads([_HEADS[kind](size, counts) for size in sizes], sizes)
-    return _HEADS[kind](sum(sizes), counts)
+    return _HEADS[kind](sum(sizes) + presence * len(agents), counts)
 
 
 def as_numpy(network: nn.Module) -> dict[str, NDArray[np.floating]]:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from option_coordinator.joint_policy import JointPolicy
+from option_coordinator.presence import with_presence
 from option_coordinator.training.head_parts import Choice
 from option_coordinator.trajectory import Trajectory
 
@@ -54,10 +55,11 @@ class Learner(ABC):
         """Take up what `memory` returned."""
 
 
-def as_choice(trajectory: Trajectory) -> Choice:
-    """Return a trajectory's choices as tensors."""
+def as_choice(trajectory: Trajectory, presence: bool = False) -> Choice:
+    """Return a trajectory's choices as tensors, the observation with who is there if `presence`."""
+    seen = trajectory.observation
     return Choice(
-        observation=as_tensor(trajectory.observation),
+        observation=as_tensor(with_presence(seen, trajectory.present) if presence else seen),
         options=torch.from_numpy(trajectory.options),
         choosing=torch.from_numpy(trajectory.choosing),
         legal=torch.from_numpy(trajectory.legal),
@@ -67,3 +69,11 @@ def as_choice(trajectory: Trajectory) -> Choice:
 def as_tensor(array: NDArray[np.floating]) -> Tensor:
     """Return an array as a tensor of torch's default type."""
     return torch.from_numpy(array).to(torch.get_default_dtype())
+
+
+def minibatches(steps: int, size: int, generator: np.random.Generator) -> list[Tensor | None]:
+    """Return the rows of an epoch's minibatches of about this size, in random order; None where one takes all."""
+    count = round(steps / size)
+    if count <= 1:
+        return [None]
+    return [torch.from_numpy(rows) for rows in np.array_split(generator.permutation(steps), count)]

@@ -13,9 +13,10 @@ from torch import Tensor, nn
 from option_coordinator.joint_policy import JointPolicy
 from option_coordinator.options import Agent
 from option_coordinator.policy_file import make_policy
+from option_coordinator.presence import with_presence
 from option_coordinator.training.head_parts import Choice
 from option_coordinator.training.heads import as_numpy, make_head
-from option_coordinator.training.learner import Learner, as_choice, as_tensor
+from option_coordinator.training.learner import Learner, as_choice, as_tensor, minibatches
 from option_coordinator.training.value import ValueNetwork
 from option_coordinator.trajectory import Trajectory, advantages
 
@@ -53,20 +54,28 @@ class Mappo(Learner):
         head: kind of joint policy.
         partial: whether each agent has one of its own.
         settings: of the algorithm.
+        presence: whether policy and value are told who is there.
     """
 
     greedy = False
 
     def __init__(
-        self, agents: Sequence[Agent], head: str, partial: bool = False, settings: MappoSettings | None = None
+        self,
+        agents: Sequence[Agent],
+        head: str,
+        partial: bool = False,
+        settings: MappoSettings | None = None,
+        presence: bool = False,
     ) -> None:
         self.settings = settings or MappoSettings()
         counts = tuple(len(agent.options) for agent in agents)
-        self.network = make_head(head, agents, partial)
-        self.value = ValueNetwork(sum(agent.observation_size for agent in agents), counts)
+        self.network = make_head(head, agents, partial, presence)
+        size = sum(agent.observation_size for agent in agents) + presence * len(agents)
+        self.value = ValueNetwork(size, counts)
+        self._presence = presence
         parameters = [*self.network.parameters(), *self.value.parameters()]
         self._optimizer = torch.optim.Adam(parameters, self.settings.learning_rate, eps=1e-5, fused=True)
-        self._policy = make_policy(head, as_numpy(self.network), counts, partial)
+        self._policy = make_policy(head, as_numpy(self.network), counts, partial, presence)
 
     def behaviour(self, progress: float) -> JointPolicy:  # noqa: ARG002 - it explores by its own draws
         """Return the policy, which goes on changing as it learns."""
@@ -89,20 +98,30 @@ class Mappo(Learner):
         batch = self._batch(trajectory)
         figures: dict[str, float] = {}
         for _ in range(self.settings.epochs):
-            for part in _parts(len(trajectory), self.settings.minibatch, generator):
-                found = self._step(batch if part is None else batch.at(part))
+            for rows in minibatches(len(trajectory), self.settings.minibatch, generator):
+                found = self._step(batch if rows is None else batch.at(rows))
                 figures = found | ({"ratio": figures["ratio"]} if figures else {})
         return figures
 
+    def learn_value(self, trajectory: Trajectory, generator: np.random.Generator) -> None:
+        """Learn what was gathered is worth, and leave the policy as it is."""
+        batch = self._batch(trajectory)
+        for _ in range(self.settings.epochs):
+            for rows in minibatches(len(trajectory), self.settings.minibatch, generator):
+                self._descend(self._value_loss(batch if rows is None else batch.at(rows)))
+
     def _batch(self, trajectory: Trajectory) -> _Batch:
-        observation = as_tensor(trajectory.observation)
+        choice = as_choice(trajectory, self._presence)
         running = torch.from_numpy(trajectory.running)
+        following = trajectory.next_observation
+        if self._presence:
+            following = with_presence(following, trajectory.next_present)
         with torch.no_grad():
-            values = self.value.values(observation, running)
-            after = self.value.values(as_tensor(trajectory.next_observation), torch.from_numpy(trajectory.next_running))
+            values = self.value.values(choice.observation, running)
+            after = self.value.values(as_tensor(following), torch.from_numpy(trajectory.next_running))
         gains = advantages(trajectory, values.double().numpy(), after.double().numpy(), self.settings.gae_lambda)
         return _Batch(
-            choice=as_choice(trajectory),
+            choice=choice,
             running=running,
             log_prob=as_tensor(trajectory.log_prob),
             gain=as_tensor((gains - gains.mean()) / (gains.std() + 1e-5)),
@@ -116,19 +135,25 @@ class Mappo(Learner):
         clipped = ratio.clamp(1.0 - settings.clip, 1.0 + settings.clip)
         entropy = score.entropy.mean()
         loss = -torch.minimum(ratio * batch.gain, clipped * batch.gain).mean() - settings.entropy * entropy
-        targets = self.value.scale.count(batch.returns)
-        values = self.value(batch.choice.observation, batch.running)
-        value_loss = nn.functional.huber_loss(values, targets, delta=settings.huber)
-        self._optimizer.zero_grad()
-        (loss + value_loss).backward()  # they share no parameter
-        for network in self.networks().values():
-            nn.utils.clip_grad_norm_(network.parameters(), settings.gradient_norm)
-        self._optimizer.step()
+        value_loss = self._value_loss(batch)
+        self._descend(loss + value_loss)  # they share no parameter
         return {
             "ratio": float((ratio - 1.0).abs().max().detach()),
             "entropy": float(entropy.detach()),
             "value_loss": float(value_loss.detach()),
         }
+
+    def _value_loss(self, batch: _Batch) -> Tensor:
+        targets = self.value.scale.count(batch.returns)
+        values = self.value(batch.choice.observation, batch.running)
+        return nn.functional.huber_loss(values, targets, delta=self.settings.huber)
+
+    def _descend(self, loss: Tensor) -> None:
+        self._optimizer.zero_grad()
+        loss.backward()  # type: ignore[no-untyped-call]
+        for network in self.networks().values():
+            nn.utils.clip_grad_norm_(network.parameters(), self.settings.gradient_norm)
+        self._optimizer.step()
 
 
 class _Batch(NamedTuple):
@@ -144,11 +169,3 @@ class _Batch(NamedTuple):
         """Return some of it."""
         choice, *rest = self
         return _Batch(Choice(*(part[rows] for part in choice)), *(part[rows] for part in rest))
-
-
-def _parts(steps: int, size: int, generator: np.random.Generator) -> list[Tensor | None]:
-    """Return the rows of an epoch's minibatches, in random order; None where one takes all."""
-    count = round(steps / size)
-    if count <= 1:
-        return [None]
-    return [torch.from_numpy(rows) for rows in np.array_split(generator.permutation(steps), count)]

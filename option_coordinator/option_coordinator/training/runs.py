@@ -44,18 +44,21 @@ class OptionRun:
         method_name: one of `METHODS`.
         seed: of everything random.
         sight: what Water Filling's robots see.
+        drop: chance that a robot vanishes for a while in an episode; with one, the policy is told who is there.
     """
 
     task_name: str
     method_name: str
     seed: int
     sight: Sight = "features"
+    drop: float = 0.0
 
     @property
     def name(self) -> str:
         """Its name, which is that of its folder too."""
         seen = "" if self.sight == "features" else f"-{self.sight}"
-        return f"{self.task.name}-{self.method_name}{seen}-s{self.seed}"
+        dropped = f"-drop{self.drop:g}" if self.drop else ""
+        return f"{self.task.name}-{self.method_name}{seen}{dropped}-s{self.seed}"
 
     @cached_property
     def task(self) -> OptionTask:
@@ -83,6 +86,7 @@ class OptionRun:
             "method": self.method_name,
             "seed": self.seed,
             "sight": self.sight,
+            "drop": self.drop,
             "level": self.method.level,
             "synchronisation": self.method.synchronisation,
         }
@@ -93,9 +97,17 @@ class OptionRun:
         return self.method.budget.get(self.task.kind, 1)
 
     def environment(self) -> OptionEnvironment:
-        """Return its environment."""
+        """Return its environment.
+
+        Raises:
+            OptionError: images, options or robots that vanish are asked of what has none.
+        """
         method = self.method
-        return make_environment(self.task_name, method.synchronisation, DISCOUNT, method.level, self.sight)
+        if self.drop and (method.partial or method.learner != "mappo"):
+            raise OptionError(f"method '{self.method_name}' has no place for robots that vanish: leave --drop away")
+        return make_environment(
+            self.task_name, method.synchronisation, DISCOUNT, method.level, self.sight, drop=self.drop
+        )
 
     def learner(self) -> Learner:
         """Return the untrained learner."""
@@ -103,7 +115,7 @@ class OptionRun:
         agents = self.environment().agents
         if self.method.learner == "mac_dqn":
             return MacDqn(agents)
-        return Mappo(agents, self.method.head, self.method.partial)
+        return Mappo(agents, self.method.head, self.method.partial, presence=self.drop > 0.0)
 
     def batch(self, learner: Learner) -> int:
         """Return the low-level samples between two updates."""
@@ -116,6 +128,7 @@ class OptionRun:
             head=self.method.head,
             partial=self.method.partial,
             tensors=as_numpy(learner.network),
+            presence=self.drop > 0.0,
             greedy=learner.greedy,
             manifest={**self.description, **figures},
         )
@@ -141,10 +154,12 @@ class RunOptions:
 Report = Callable[[OptionRun, int, float | str], None]
 
 
-def option_runs(task_name: str, methods: Sequence[str], seeds: int, sight: Sight = "features") -> list[OptionRun]:
+def option_runs(
+    task_name: str, methods: Sequence[str], seeds: int, sight: Sight = "features", drop: float = 0.0
+) -> list[OptionRun]:
     """Return all runs of a task, those that matter most first."""
     ordered = sorted(set(methods), key=list(METHODS).index)
-    return [OptionRun(task_name, method, seed, sight) for method in ordered for seed in range(seeds)]
+    return [OptionRun(task_name, method, seed, sight, drop) for method in ordered for seed in range(seeds)]
 
 
 def train_one(run: OptionRun, options: RunOptions, report: Report = lambda *_: None) -> dict[str, Any]:

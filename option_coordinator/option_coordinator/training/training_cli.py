@@ -1,4 +1,4 @@
-"""The commands `train` and `training_figures`: learning joint options with every method, and what comes of it."""
+"""The commands `train` and `training_figures`: learning joint options, in simulation or from bags."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from ctrl_rl_core.command import check_least, run_command
+from ctrl_rl_core.command import CommandError, check_least, run_command
 
+from option_coordinator.policy_file import HEADS
 from option_coordinator.tasks import load_option_task, make_environment
 from option_coordinator.training.methods import METHODS
 
@@ -22,13 +23,23 @@ def train(arguments: Sequence[str] | None = None) -> int:
         prog="train",
         description=train.__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
-        epilog="methods:\n" + "\n".join(f"  {name:<22} {method.label}" for name, method in METHODS.items()),
+        epilog="methods:\n"
+        + "\n".join(f"  {name:<22} {method.label}" for name, method in METHODS.items())
+        + "\nfrom bags: train --bags runs/*/bag --from policy.safetensors --task tool_delivery",
     )
-    parser.add_argument("--task", required=True, help="tool_delivery, water_filling, or a task file")
+    parser.add_argument("--task", help="tool_delivery, water_filling, or a task file; with --bags: to judge in")
+    parser.add_argument(
+        "--bags", nargs="+", type=Path, help="to learn from: a policy's own decisions by MAPPO, others by imitation"
+    )
+    parser.add_argument("--from", dest="start", type=Path, help="policy to go on from, with --bags")
+    parser.add_argument("--head", choices=tuple(HEADS), default="table", help="of a policy learnt from bags alone")
     parser.add_argument(
         "--methods", nargs="+", choices=[*METHODS, "all"], default=_MAIN, help="default: async sync_wait"
     )
     parser.add_argument("--sight", choices=("features", "image"), default="features", help="of Water Filling's robots")
+    parser.add_argument(
+        "--drop", type=float, default=0.0, help="chance that a robot vanishes in an episode (default 0, as compared)"
+    )
     parser.add_argument("--folder", type=Path, default=FOLDER, help="of the runs (default %(default)s)")
     parser.add_argument("--seeds", type=int, default=5, help="how many, from 0 (default %(default)s)")
     parser.add_argument("--samples", type=int, help="low-level samples of a run (default: the task's)")
@@ -36,7 +47,7 @@ def train(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--workers", type=int, default=0, help="runs at a time (default: 0, one for each core)")
     parser.add_argument("--results", type=Path, help="JSON file to write table and curves to")
     options = parser.parse_args(arguments)
-    return run_command("train", lambda: _train(options))
+    return run_command("train", lambda: _train(options) if options.bags is None else _train_on_bags(options))
 
 
 def training_figures(arguments: Sequence[str] | None = None) -> int:
@@ -49,23 +60,47 @@ def training_figures(arguments: Sequence[str] | None = None) -> int:
 
 
 def _train(options: argparse.Namespace) -> int:
+    if options.task is None or options.start is not None:
+        raise CommandError("give a --task to learn in, or --bags to learn from; --from goes with --bags")
     task = load_option_task(options.task)  # refuses an unknown one before torch is imported and workers start
     longest = make_environment(options.task).simulation.step_limit
     least = 2 * longest * ITERATIONS  # so that an episode ends in every iteration, whatever the one before overshot
     check_least(options, seeds=1, evaluations=1, workers=0, samples=least)
+    if not 0.0 <= options.drop <= 1.0:
+        raise CommandError(f"--drop must be a probability, 0 to 1, not {options.drop:g}")
     samples = task.training_samples if options.samples is None else options.samples
     from ctrl_rl_training.cli import train_and_collect
 
     from option_coordinator.training.results import collect, table
-    from option_coordinator.training.runs import OptionRun, RunOptions, option_runs, train_one
+    from option_coordinator.training.runs import RunOptions, option_runs, train_one
 
     every = [name for name, method in METHODS.items() if task.kind in method.kinds]
     methods = every if "all" in options.methods else options.methods
-    runs = option_runs(options.task, methods, options.seeds, options.sight)
-    for name in dict.fromkeys(methods):
-        OptionRun(options.task, name, 0, options.sight).environment()  # refuses images or options that are not there
+    runs = option_runs(options.task, methods, options.seeds, options.sight, options.drop)
+    for run in runs:
+        run.environment()  # refuses images, options or robots that vanish where there are none
     how = RunOptions(options.folder, ITERATIONS, samples // ITERATIONS, options.evaluations)
     train_and_collect(options, runs, "options", collect, table, how, train_one)
+    return 0
+
+
+def _train_on_bags(options: argparse.Namespace) -> int:
+    check_least(options, evaluations=1)
+    from ctrl_rl_training.matrix import train_all
+
+    from option_coordinator.training.bag_runs import ROUNDS, BagOptions, BagRun, train_on_bags
+
+    run = BagRun(tuple(options.bags), options.start, options.task, options.head)
+    run.environment()  # refuses a task of other robots, as `way` and `name` refuse what cannot be learnt from
+    whose = f"this policy's own, {run.left_out} others are left out" if run.way == "mappo" else "imitated"
+    print(f"learning   {len(run.trajectory)} decisions, {whose}", flush=True)
+    how = BagOptions(options.folder, ROUNDS[run.way], options.evaluations)
+    (result,) = train_all([run], how, 1, run.name, train_on_bags)
+    for when in ("before", "after"):
+        if when in result:
+            draws, mode = (result[when][use]["return"] for use in ("draws", "mode"))
+            print(f"{when:<10} return {draws:.4g} by draws, {mode:.4g} by most likely options")
+    print(f"policy     {options.folder / run.name / 'policy.safetensors'}")
     return 0
 
 

@@ -1,0 +1,84 @@
+"""Which nodes make up a run of a team under its coordinator, said once, as `stack.py` for a drive."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from option_coordinator.team_file import FOLDER, TeamFile, load_team
+
+from ctrl_rl_bringup.stack import DriveOptions, NodeSpec, simulator
+
+_LEASE = 0.5
+_HEARTBEAT = 0.1
+
+
+@dataclass(frozen=True)
+class TeamOptions:
+    """What can be chosen about a team's run.
+
+    Attributes:
+        folder: of the run, new; bag, logs, report and picture go there.
+        team: name of a team, or its file.
+        room: name of a navigation task, or its file.
+        policy: as the coordinator's parameter.
+        seed: of starts, noise and draws.
+        speed: simulation time per wall time.
+        gui: whether PyBullet shows a window.
+    """
+
+    folder: Path
+    team: str = "delivery_team"
+    room: str = str(FOLDER / "delivery_room.yaml")
+    policy: str = "spread"
+    seed: int = 0
+    speed: float = 1.0
+    gui: bool = False
+
+    @property
+    def drive(self) -> DriveOptions:
+        """The part that is as for a single robot."""
+        return DriveOptions(
+            self.folder, task=self.room, policy=self.policy, seed=self.seed, speed=self.speed, gui=self.gui
+        )
+
+
+def team_simulator(options: TeamOptions, team: TeamFile) -> NodeSpec:
+    """Return the bridge with the team's robots, each in its namespace; it starts paused."""
+    spec = simulator(options.drive)
+    parameters = {**spec.parameters, "robots": list(team.robots), "odom_rate": 10.0}
+    return NodeSpec(spec.package, spec.executable, parameters)
+
+
+def coordinator(options: TeamOptions) -> NodeSpec:
+    """Return the coordinator; what it waits for is longer in a simulation that runs faster than it can."""
+    lease = _LEASE * max(1.0, options.speed)
+    parameters = {
+        "use_sim_time": True,
+        "team": options.team,
+        "policy": options.policy,
+        "seed": options.seed,
+        "lease": lease,
+        "lost_after": 4.0 * lease,
+        "stale": 4.0 * lease,
+        "repeat": _HEARTBEAT * max(1.0, options.speed),
+    }
+    return NodeSpec("option_coordinator", "coordinator", parameters)
+
+
+def agents(options: TeamOptions, team: TeamFile) -> list[NodeSpec]:
+    """Return the robots' own nodes."""
+    factor = max(1.0, options.speed)
+    parameters = {
+        "use_sim_time": True,
+        "team": options.team,
+        "heartbeat": _HEARTBEAT * factor,
+        "patience": 4.0 * factor,
+        "sensor_timeout": factor,
+    }
+    return [NodeSpec("option_coordinator", "navigation_agent", parameters, namespace=name) for name in team.robots]
+
+
+def team_of(options: TeamOptions) -> TeamFile:
+    """Return the team of a run."""
+    return load_team(options.team)

@@ -1,0 +1,103 @@
+"""The robot's side as a part of any node: three topics and a timer around `RobotSide`.
+
+    class Robot(SuiteNode):
+        def __init__(self):
+            ...
+            self.agent = OptionAgent(self, "robot_1", ("wait", "shelf", "desk"), executes=self)
+            self.agent.start()
+
+`executes` has three methods, `observe`, `begin` and `leave` (see `Executes`). Who carries an option out to its end says
+`agent.ended(...)`. All else, repetitions, heartbeats, acknowledgements, cancellation, the safe option, is done here.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+
+from rclpy.node import Node
+
+from ctrl_rl_msgs.msg import AgentStatus, OptionGrant, OptionRequest
+from option_coordinator.exchange import AgentState, Request
+from option_coordinator.messages import EXCHANGE, grant_of, request_message, status_message
+from option_coordinator.robot_side import Earned, Executes, Patience, RobotSide
+
+
+class OptionAgent:
+    """A robot that is granted options.
+
+    Args:
+        node: whose topics, timer and clock are used.
+        name: of the robot, as its team knows it.
+        options: names of its options.
+        executes: carries them out.
+        safe_option: index of the one that is carried out without a grant.
+        patience: how long it waits for what.
+        namespace: of the coordinator's topics.
+
+    Attributes:
+        side: what it knows.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        name: str,
+        options: Sequence[str],
+        executes: Executes,
+        safe_option: int = 0,
+        patience: Patience | None = None,
+        namespace: str = "",
+    ) -> None:
+        patience = patience or Patience()
+        self._clock = node.get_clock()
+        # Lives of a robot are told apart, and ordered, by when they began: of the wall's clock, which goes on.
+        self.side = RobotSide(name, len(options), executes, time.time_ns(), safe_option, patience)
+        prefix = f"{namespace.rstrip('/')}/" if namespace else ""
+        self._requests = node.create_publisher(OptionRequest, f"{prefix}option_requests", EXCHANGE)
+        self._statuses = node.create_publisher(AgentStatus, f"{prefix}agent_status", EXCHANGE)
+        node.create_subscription(OptionGrant, f"{prefix}option_grants", self._on_grant, EXCHANGE)
+        node.create_timer(0.25 * min(patience.heartbeat, patience.repeat), self._tick)
+
+    @property
+    def option(self) -> int | None:
+        """The option that was granted and runs, None for none."""
+        running = self.side.state is AgentState.RUNNING and self.side.grant is not None
+        return self.side.grant.option if running and self.side.grant is not None else None
+
+    def start(self) -> None:
+        """Ask for the first option."""
+        self.side.ask(self._now())
+        self._say()
+
+    def ended(self, reward: float = 0.0, steps: int = 0, terminated: bool = False) -> None:
+        """Say that the option has ended by itself, and ask for the next one.
+
+        Args:
+            reward: what the option brought, see `Earned`.
+            steps: low-level steps that it took.
+            terminated: the task is over for this robot: nothing more is asked for.
+        """
+        self.side.ended(self._now(), Earned(reward, steps), terminated)
+        self._say()
+
+    def _on_grant(self, message: OptionGrant) -> None:
+        grant = grant_of(message)
+        if grant is not None:
+            self.side.on_grant(grant, self._now())
+            self._say()
+
+    def _tick(self) -> None:
+        self.side.tick(self._now())
+        self._say()
+
+    def _say(self) -> None:
+        now = self._now()
+        for word in self.side.words(now):
+            if isinstance(word, Request):
+                self._requests.publish(request_message(word))
+            else:
+                self._statuses.publish(status_message(word, now))
+
+    def _now(self) -> float:
+        return 1e-9 * float(self._clock.now().nanoseconds)

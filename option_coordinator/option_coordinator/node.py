@@ -1,0 +1,231 @@
+"""The coordinator node: requests and heartbeats in, grants and joint steps out."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter, deque
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+from ctrl_rl_core.parameters import Parameter, ParameterError
+from ctrl_rl_core.ros import Status, SuiteNode, ok, run_node, warn
+from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
+from rclpy.event_handler import SubscriptionEventCallbacks
+
+from ctrl_rl_msgs.msg import AgentStatus, JointOptionStep, OptionGrant, OptionRequest
+from option_coordinator.choice import Choice, Chooses, policy_chooser
+from option_coordinator.coordination import Answers, Coordinator
+from option_coordinator.errors import OptionError
+from option_coordinator.joint_policy import Options
+from option_coordinator.messages import EXCHANGE, JOINT_STEPS, StepMessages, grant_message, request_of, status_of
+from option_coordinator.policy_file import OptionPolicy
+from option_coordinator.robot import Robot, Times
+from option_coordinator.scripted_choice import SCRIPTED, spread_chooser, uniform_chooser
+from option_coordinator.team_file import load_team
+
+_HOUSEKEEPING_S = 0.02
+_RECENT = 1000
+_LAST_WORD = Duration(seconds=0.3)
+_FINE = ("duplicate requests", "policies replaced", "adopted grants", "returned robots")
+"""What is counted without being a fault."""
+
+PARAMETERS = (
+    Parameter("team", "", "Team that comes with the package, or its .yaml file; empty for the robots of the policy."),
+    Parameter(
+        "policy",
+        "spread",
+        "A .safetensors file; 'spread': a legal option whose station is free; 'uniform': any legal option.",
+        live=True,
+    ),
+    Parameter("policy_digest", "", "SHA-256 that a policy file must have from now on; empty for any.", live=True),
+    Parameter("batch_window", 0.0005, "For which a request waits for others to be decided with [s].", 0.0, 1.0),
+    Parameter(
+        "lease", 0.5, "Silence that makes a robot suspect; for so long a coordinator listens first [s].", 0.05, 60.0
+    ),
+    Parameter("lost_after", 2.0, "Silence after which nobody counts on a robot [s].", 0.05, 600.0),
+    Parameter("repeat", 0.1, "Between repetitions of a grant that was not acknowledged [s].", 0.01, 10.0),
+    Parameter("stale", 2.0, "Age at which an observation is refused [s].", 0.05, 600.0),
+    Parameter(
+        "policy_limit", 0.05, "Time after which a policy has failed and safe options are granted [s].", 0.001, 10.0
+    ),
+    Parameter("longest_option", 60.0, "Longest that an option may take where no team says so [s].", 0.01, 86400.0),
+    Parameter("safe_option", 0, "Index of the option that is safe where no team says so.", 0, 10000),
+    Parameter("step_length", 1.0, "Of a low-level step where no team says so [s].", 0.001, 3600.0),
+    Parameter("discount", 0.99, "gamma of a low-level step where no team says so.", 0.001, 1.0),
+    Parameter("seed", 0, "Of what is drawn.", minimum=0),
+)
+
+
+class OptionCoordinator(SuiteNode):
+    """Grants options to robots that ask when they are ready; nobody waits for anybody.
+
+    Subscribes to option_requests and agent_status; publishes option_grants, and a joint_option_step for each decision,
+    which a bag can be trained on. The policy may be changed while it runs: the next decision is by the new one. Of two
+    coordinators the newer decides, the other stands by.
+    """
+
+    PARAMETERS: ClassVar[tuple[Parameter, ...]] = PARAMETERS
+
+    def __init__(self) -> None:
+        super().__init__("option_coordinator")
+        settings = self.settings
+        times, discount = self._prepare()
+        self._policy_times: deque[float] = deque(maxlen=_RECENT)
+        self._reported: Counter[str] = Counter()
+        self._others = 0
+        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._began = False
+        chooses, digest = self._chooser(settings["policy"])
+        self._coordinator = Coordinator(self._robots, chooses, digest, 0.0, times, discount=discount)
+        self._step_message = StepMessages(tuple(robot.agent for robot in self._robots), discount, times.time_step)
+        self._grants = self.create_publisher(OptionGrant, "option_grants", EXCHANGE)
+        self._steps = self.create_publisher(JointOptionStep, "joint_option_step", JOINT_STEPS)
+        self.create_subscription(OptionRequest, "option_requests", self._on_request, EXCHANGE)
+        self.create_subscription(AgentStatus, "agent_status", self._on_status, EXCHANGE)
+        others = SubscriptionEventCallbacks(liveliness=self._on_liveliness)
+        self.create_subscription(
+            JointOptionStep, "joint_option_step", self._on_step, JOINT_STEPS, event_callbacks=others
+        )
+        self._batch = self.create_timer(max(times.window, 1e-4), self._end_batch, clock=self._steady)
+        self._batch.cancel()
+        self.create_timer(_HOUSEKEEPING_S, self._tick, clock=self._steady)
+        self.get_logger().info(f"policy {self._policy_name(settings['policy'], digest)}, {len(self._robots)} robots")
+
+    def setting_changed(self, name: str) -> None:
+        """Take another policy for all decisions to come."""
+        if name == "policy":
+            chooses, digest = self._chooser(self.settings["policy"])
+            self._coordinator.replace_policy(chooses, digest)
+            self.get_logger().info(f"policy {self._policy_name(self.settings['policy'], digest)} from now on")
+
+    def status(self) -> Status:
+        """Say who decides, who runs what, and what went wrong."""
+        coordinator, counts = self._coordinator, self._coordinator.counts
+        new = counts - self._reported
+        self._reported = counts.copy()
+        states = Counter(str(entry.state) for entry in coordinator.ledger)
+        figures: dict[str, object] = {"epoch": coordinator.epoch, "policy": coordinator.digest or "scripted"}
+        figures |= {f"robots {state}": count for state, count in states.items()} | dict(counts)
+        figures["other coordinators"] = self._others
+        if self._policy_times:
+            p50, p99 = np.percentile(self._policy_times, (50, 99)) * 1e3
+            figures |= {"policy p50 [ms]": f"{p50:.3f}", "policy p99 [ms]": f"{p99:.3f}"}
+        faults = [f"{count} {kind}" for kind, count in new.items() if kind not in _FINE]
+        if coordinator.stepped_down:
+            return ok("another coordinator decides", **figures)
+        if not coordinator.epoch:
+            return ok("listening", **figures)
+        return warn(", ".join(faults), **figures) if faults else ok("deciding", **figures)
+
+    def stop(self) -> None:
+        """Close the episode that is recorded; the word has arrived before the publisher goes."""
+        self._send(self._coordinator.close(self._now()))
+        self._steps.wait_for_all_acked(_LAST_WORD)
+
+    def _prepare(self) -> tuple[Times, float]:
+        """Find out who the robots are, and return what times and discount they go by."""
+        settings = self.settings
+        if settings["lost_after"] < settings["lease"]:
+            raise ParameterError("parameter 'lost_after' is less than 'lease': a robot is suspect before it is lost")
+        step, discount = settings["step_length"], settings["discount"]
+        self._shared: tuple[str, ...] = ()
+        if settings["team"]:
+            team = load_team(settings["team"])
+            self._robots, self._shared = team.coordinated, team.shared
+            step, discount = team.time_step, team.discount
+        elif settings["policy"] in SCRIPTED:
+            raise ParameterError("parameter 'team' is needed where 'policy' is no file: who are the robots?")
+        else:
+            self._robots = self._robots_of(OptionPolicy.load(settings["policy"]))
+        names = ("lease", "lost_after", "repeat", "stale", "policy_limit")
+        times = Times(window=settings["batch_window"], time_step=step, **{name: settings[name] for name in names})
+        return times, discount
+
+    def _robots_of(self, policy: OptionPolicy) -> tuple[Robot, ...]:
+        longest, safe = self.settings["longest_option"], self.settings["safe_option"]
+        return tuple(Robot(agent, (longest,) * len(agent.options), safe) for agent in policy.agents)
+
+    def _chooser(self, name: str) -> tuple[Chooses, str]:
+        """Return a policy and its digest.
+
+        Raises:
+            OptionError: there is none, it is another one than promised, or it is another team's.
+        """
+        generator = np.random.default_rng(self.settings["seed"])
+        if name in SCRIPTED:
+            if name == "uniform":
+                return self._timed(uniform_chooser(generator)), ""
+            return self._timed(spread_chooser(self._robots, generator, self._shared)), ""
+        policy = OptionPolicy.load(Path(name))
+        promised = self.settings["policy_digest"]
+        if promised and policy.digest != promised:
+            raise OptionError(f"{name}: its digest is {policy.digest[:12]}, 'policy_digest' wants {promised[:12]}")
+        if policy.agents != tuple(robot.agent for robot in self._robots):
+            raise OptionError(
+                f"{name}: is a policy of other robots or options: {', '.join(a.name for a in policy.agents)}"
+            )
+        return self._timed(policy_chooser(policy, generator)), policy.digest
+
+    def _timed(self, chooses: Chooses) -> Chooses:
+        def timed(choice: Choice) -> tuple[Options, float]:
+            begin = time.perf_counter()
+            try:
+                return chooses(choice)
+            finally:
+                self._policy_times.append(time.perf_counter() - begin)
+
+        return timed
+
+    def _on_request(self, message: OptionRequest) -> None:
+        if self._listens():
+            self._send(self._coordinator.on_request(request_of(message), self._now()))
+
+    def _on_status(self, message: AgentStatus) -> None:
+        status = status_of(message)
+        if status is not None and self._listens():
+            self._send(self._coordinator.on_status(status, self._now()))
+
+    def _on_step(self, message: JointOptionStep) -> None:
+        """Hear of another coordinator's epoch, or of the own one."""
+        self._coordinator.on_epoch(message.coordinator_epoch)
+
+    def _on_liveliness(self, event: Any) -> None:
+        """Count the other coordinators that live; a node is not told of itself."""
+        self._others = event.alive_count
+
+    def _end_batch(self) -> None:
+        self._batch.cancel()
+        self._tick()
+
+    def _tick(self) -> None:
+        if self._listens():
+            self._send(self._coordinator.tick(self._now(), alone=self._others == 0))
+
+    def _send(self, answers: Answers) -> None:
+        for grant in answers.grants:
+            self._grants.publish(grant_message(grant))
+        for step in answers.steps:
+            self._steps.publish(self._step_message(step))
+        if self._coordinator.batches and self._batch.is_canceled():
+            self._batch.reset()
+
+    def _listens(self) -> bool:
+        """Return whether there is a time yet; from its first moment on the coordinator listens for a lease."""
+        if not self._began and (now := self._now()) > 0.0:
+            self._coordinator.listen(now)
+            self._began = True
+        return self._began
+
+    def _now(self) -> float:
+        return 1e-9 * float(self.get_clock().now().nanoseconds)
+
+    @staticmethod
+    def _policy_name(name: str, digest: str) -> str:
+        return f"{Path(name).name} ({digest[:12]})" if digest else f"'{name}'"
+
+
+def main() -> int:
+    """Run the node."""
+    return run_node(OptionCoordinator)

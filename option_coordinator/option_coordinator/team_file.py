@@ -1,0 +1,152 @@
+"""A team of robots that drive between stations, as YAML: what coordinator and robots must both know.
+
+Each robot fetches parcels from shelves, brings them to desks and goes home after its last one. Its options are the
+same as everybody's: to wait, or to drive to a station and do what is done there.
+"""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from functools import cached_property
+from pathlib import Path
+
+import yaml
+from ctrl_rl_core.task_parts import Part
+from ctrl_rl_core.units import Point, PositiveTime
+from pydantic import Field, ValidationError, model_validator
+
+from option_coordinator.errors import OptionError
+from option_coordinator.options import Agent
+from option_coordinator.robot import Robot
+
+FOLDER = Path(__file__).parent / "teams"
+OBSERVED = ("x", "y", "carries", "deliveries")
+"""What a robot tells of itself: position [m], whether it carries a parcel, and how many it has delivered."""
+
+
+class Work(StrEnum):
+    """What is done where an option leads to."""
+
+    WAIT = "wait"
+    FETCH = "fetch"
+    DELIVER = "deliver"
+    REST = "rest"
+
+
+class NavigationOption(Part):
+    """One option: what it is for, the longest it may take, and where it leads, but for the two that lead nowhere else.
+
+    Attributes:
+        work: done at its end; `wait` stands still, `rest` leads home.
+        longest: time it may take [s].
+        station: where it leads [m].
+        lasts: how long the work takes [s].
+    """
+
+    work: Work
+    longest: PositiveTime
+    station: Point | None = None
+    lasts: PositiveTime = 1.0
+
+    @model_validator(mode="after")
+    def _leads_somewhere(self) -> NavigationOption:
+        if (self.station is None) == (self.work in (Work.FETCH, Work.DELIVER)):
+            raise ValueError("'fetch' and 'deliver' need a 'station', 'wait' and 'rest' have none")
+        return self
+
+
+class TeamRobot(Part):
+    """One robot: where it rests [m]."""
+
+    home: Point
+
+
+class TeamRewards(Part):
+    """What a robot adds to the team's reward."""
+
+    step: float
+    delivery: float
+
+
+class TeamFile(Part):
+    """A team.
+
+    Attributes:
+        name: that of the file.
+        about: a sentence.
+        time_step: of a low-level step, in which options are counted [s].
+        discount: gamma of a low-level step.
+        deliveries: that each robot makes.
+        options: of each robot, by name and in order.
+        safe_option: name of the one that a robot carries out when nothing is granted.
+        robots: by name, which is also the namespace of its topics.
+        rewards: of a low-level step, and of a delivery.
+    """
+
+    name: str
+    about: str
+    time_step: PositiveTime
+    discount: float = Field(gt=0.0, le=1.0)
+    deliveries: int = Field(gt=0)
+    options: dict[str, NavigationOption] = Field(min_length=1)
+    safe_option: str
+    robots: dict[str, TeamRobot] = Field(min_length=1)
+    rewards: TeamRewards
+
+    @model_validator(mode="after")
+    def _safe(self) -> TeamFile:
+        if self.safe_option not in self.options:
+            raise ValueError(f"safe_option: '{self.safe_option}' is none of the options")
+        return self
+
+    @property
+    def option_names(self) -> tuple[str, ...]:
+        """Of each robot, in order."""
+        return tuple(self.options)
+
+    @property
+    def shared(self) -> tuple[str, ...]:
+        """Options that any number of robots may run at a time: they lead to no station."""
+        return tuple(name for name, option in self.options.items() if option.station is None)
+
+    @cached_property
+    def coordinated(self) -> tuple[Robot, ...]:
+        """The robots as a coordinator wants them."""
+        durations = tuple(option.longest for option in self.options.values())
+        safe = self.option_names.index(self.safe_option)
+        return tuple(Robot(Agent(name, self.option_names, len(OBSERVED)), durations, safe) for name in self.robots)
+
+
+def team_file(name_or_path: str) -> Path:
+    """Return the file of a team that comes with the package, by name, or the path itself.
+
+    Raises:
+        OptionError: there is no such team.
+    """
+    path = Path(name_or_path)
+    if path.suffix in (".yaml", ".yml"):
+        return path
+    path = FOLDER / f"{name_or_path}.yaml"
+    if not path.is_file():
+        names = ", ".join(sorted(file.stem for file in FOLDER.glob("*_team.yaml")))
+        raise OptionError(f"no team '{name_or_path}': there is {names}, or give a .yaml file")
+    return path
+
+
+def load_team(name_or_path: str) -> TeamFile:
+    """Read a team by name, or from a file.
+
+    Raises:
+        OptionError: there is none, or it is wrong; the message names file and key.
+    """
+    path = team_file(name_or_path)
+    try:
+        return TeamFile.model_validate(yaml.safe_load(path.read_text(encoding="utf-8")))
+    except OSError as error:
+        raise OptionError(f"{path}: {error.strerror}") from None
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise OptionError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from None
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        key = ".".join(str(part) for part in first["loc"])
+        raise OptionError(f"{path}: {f'{key}: ' if key else ''}{first['msg'].removeprefix('Value error, ')}") from None

@@ -1,0 +1,167 @@
+"""Coordinators and robots as processes of their own, with whatever is said between them written down."""
+
+import itertools
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from option_coordinator.exchange import AgentState, GrantStatus, Request, Status
+from option_coordinator.messages import EXCHANGE, JOINT_STEPS, grant_of, request_message, request_of, status_message
+from option_coordinator.options import Agent
+from option_coordinator.policy_file import OptionPolicy
+from policies import random_tensors
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
+
+from ctrl_rl_msgs.msg import AgentStatus, JointOptionStep, OptionGrant, OptionRequest
+
+COORDINATOR = [sys.executable, "-c", "import sys; from option_coordinator.node import main; sys.exit(main())"]
+ROBOT = [sys.executable, str(Path(__file__).with_name("robot_process.py"))]
+PATIENCE = 120.0  # s of wall time, for a busy machine
+LEASE, LOST_AFTER = 0.5, 1.0
+_NUMBERS = itertools.count()
+
+
+def write_policy(path, seed=0, robots=2):
+    """A policy of robots r0, r1, ... with three options each, as far from uniform as weights are random."""
+    agents = tuple(Agent(f"r{i}", ("stay", "go", "look"), 2) for i in range(robots))
+    tensors = random_tensors("mixture", (3,) * robots, 2 * robots, np.random.default_rng(seed), 0.1)
+    policy = OptionPolicy(agents, "mixture", False, tensors)
+    policy.save(path)
+    return OptionPolicy.load(path).digest
+
+
+class Rig:
+    """A namespace of its own with processes in it."""
+
+    def __init__(self, folder):
+        self.namespace = f"/rig{next(_NUMBERS)}"
+        self.policy = folder / "policy.safetensors"
+        self.digest = write_policy(self.policy)
+        self.processes = {}
+        self.node = rclpy.create_node("watcher", namespace=self.namespace)
+        self.requests, self.grants, self.statuses, self.steps, self.diagnostics = [], [], [], [], []
+        self._listen(OptionRequest, "option_requests", lambda m: self.requests.append(request_of(m)))
+        self._listen(OptionGrant, "option_grants", lambda m: self.grants.append(grant_of(m)))
+        self._listen(AgentStatus, "agent_status", self.statuses.append)
+        self._listen(JointOptionStep, "joint_option_step", self.steps.append, JOINT_STEPS)
+        self._listen(DiagnosticArray, "diagnostics", self.diagnostics.append, 100)
+        self.request_publisher = self.node.create_publisher(OptionRequest, "option_requests", EXCHANGE)
+        self.status_publisher = self.node.create_publisher(AgentStatus, "agent_status", EXCHANGE)
+        self.grant_publisher = self.node.create_publisher(OptionGrant, "option_grants", EXCHANGE)
+
+    def _listen(self, kind, topic, take, qos=EXCHANGE):
+        self.node.create_subscription(kind, topic, take, qos)
+
+    def _start(self, name, command, **parameters):
+        settings = [part for key, value in parameters.items() for part in ("-p", f"{key}:={value}")]
+        self.processes[name] = subprocess.Popen(
+            [*command, "--ros-args", "-r", f"__ns:={self.namespace}", *settings, "--log-level", "error"]
+        )
+
+    def coordinator(self, name="coordinator", **parameters):
+        """Start one with short times."""
+        times = {"lease": LEASE, "lost_after": LOST_AFTER, "repeat": 0.05, "policy_limit": 10.0, "stale": 30.0}
+        self._start(name, COORDINATOR, **({"policy": self.policy, "longest_option": 600.0} | times | parameters))
+
+    def robot(self, name, **parameters):
+        self._start(name, ROBOT, robot=name, **parameters)
+
+    def signal(self, name, number):
+        self.processes[name].send_signal(number)
+        if number == signal.SIGKILL:
+            self.processes[name].wait()
+
+    def kill(self, name):
+        self.signal(name, signal.SIGKILL)
+        del self.processes[name]
+
+    def until(self, condition, what):
+        """Return what `condition` gives once it is true; nothing depends on how long that takes."""
+        deadline = time.monotonic() + PATIENCE
+        while not (found := condition()):
+            rclpy.spin_once(self.node, timeout_sec=0.02)
+            for name, process in self.processes.items():
+                assert process.poll() is None, f"{name} ended with {process.returncode}"
+            assert time.monotonic() < deadline, f"not within {PATIENCE:g} s: {what}"
+        return found
+
+    def let_pass(self, seconds):
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            rclpy.spin_once(self.node, timeout_sec=0.02)
+
+    def given(self, agent, status=GrantStatus.GRANTED):
+        """Distinct answers of one kind to one robot, in order."""
+        found = {}
+        for grant in self.grants:
+            if grant.agent == agent and grant.status is status:
+                found.setdefault((grant.coordinator_epoch, grant.incarnation, grant.request_id), grant)
+        return list(found.values())
+
+    def granted(self, agent, count=1):
+        self.until(lambda: len(self.given(agent)) >= count, f"{count} grants for {agent}")
+        return self.given(agent)[-1]
+
+    def running(self, agent):
+        """The latest word of a robot, where it says that it carries out an option."""
+        last = next((s for s in reversed(self.statuses) if s.agent == agent), None)
+        return last if last is not None and last.state == AgentState.RUNNING else None
+
+    def new_step(self, condition, what):
+        """Return the next joint step for which `condition` holds."""
+        seen = len(self.steps)
+        return self.until(lambda: next((s for s in self.steps[seen:] if condition(s)), None), what)
+
+    def counted(self, kind, node="option_coordinator"):
+        """How often a node's diagnostics say that something happened."""
+        for message in reversed(self.diagnostics):
+            status = message.status[0]
+            if status.name.endswith(node):
+                return int({v.key: v.value for v in status.values}.get(kind, 0))
+        return 0
+
+    def ask(self, agent="r0", request_id=1, incarnation=1, epoch=0, **changes):
+        """Ask by hand."""
+        now = 1e-9 * self.node.get_clock().now().nanoseconds
+        fields = {"observation": np.zeros(2, np.float32), "legal": np.ones(3, bool), "stamp": now} | changes
+        request = Request(
+            agent=agent, request_id=request_id, incarnation=incarnation, coordinator_epoch=epoch, **fields
+        )
+        self.request_publisher.publish(request_message(request))
+
+    def say(self, state, agent="r0", incarnation=1, **told):
+        """Send a heartbeat by hand."""
+        self.status_publisher.publish(status_message(Status(agent, incarnation, state, **told), 0.0))
+
+    def answer(self, condition, what, **request):
+        """Ask by hand until an answer comes for which `condition` holds."""
+        seen = len(self.grants)
+
+        def answered():
+            self.ask(**request)
+            self.let_pass(0.05)
+            return next((g for g in self.grants[seen:] if g.agent == request.get("agent", "r0") and condition(g)), None)
+
+        return self.until(answered, what)
+
+    def set_parameter(self, name, value):
+        """Return what the coordinator says to another value."""
+        client = self.node.create_client(SetParameters, "option_coordinator/set_parameters")
+        self.until(client.service_is_ready, "the coordinator's parameters")
+        parameter = Parameter(name, value=value).to_parameter_msg()
+        future = client.call_async(SetParameters.Request(parameters=[parameter]))
+        self.until(future.done, "an answer to another parameter")
+        self.node.destroy_client(client)
+        return future.result().results[0]
+
+    def close(self):
+        for process in self.processes.values():
+            process.kill()
+            process.wait()
+        self.node.destroy_node()

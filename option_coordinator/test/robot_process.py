@@ -1,0 +1,60 @@
+"""A robot of tests as a process: real agent, real topics; its options do nothing but last."""
+
+import math
+import sys
+from typing import ClassVar
+
+import numpy as np
+from ctrl_rl_core.parameters import Parameter
+from ctrl_rl_core.ros import SuiteNode, ok, run_node
+from option_coordinator.agent import OptionAgent
+from option_coordinator.robot_side import Earned, Patience, Seen
+
+
+class TestRobot(SuiteNode):
+    """Carries out options that last `lasts` seconds each; 0.0 for ever."""
+
+    PARAMETERS: ClassVar = (
+        Parameter("robot", "r0", "Name."),
+        Parameter("lasts", 0.2, "How long each option lasts [s]."),
+        Parameter("patience", 1.0, "Until it falls back [s]."),
+        Parameter("broken", "", "What its observation is.", choices=("", "number", "size")),
+    )
+
+    def __init__(self):
+        super().__init__("robot")
+        self.running = None
+        self.ends = math.inf
+        patience = Patience(heartbeat=0.05, repeat=0.05, waiting=self.settings["patience"])
+        self.agent = OptionAgent(self, self.settings["robot"], ("stay", "go", "look"), self, patience=patience)
+        self.create_timer(0.005, self.work)
+        self.agent.start()
+
+    def now(self):
+        return 1e-9 * self.get_clock().now().nanoseconds
+
+    def observe(self):
+        broken = {"": np.zeros(2), "number": np.array((0.0, math.nan)), "size": np.zeros(3)}
+        return Seen(broken[self.settings["broken"]], np.ones(3, bool))
+
+    def begin(self, option):
+        if self.running is not None:
+            sys.exit("two options at once")
+        self.running = option
+        self.ends = self.now() + (self.settings["lasts"] or math.inf)
+
+    def leave(self):
+        self.running = None
+        return Earned(1.0, 1)
+
+    def work(self):
+        if self.running is not None and self.now() >= self.ends:
+            self.running = None
+            self.agent.ended(1.0, 1)
+
+    def status(self):
+        return ok("works", **self.agent.side.counts)
+
+
+if __name__ == "__main__":
+    sys.exit(run_node(TestRobot))

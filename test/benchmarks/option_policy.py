@@ -1,0 +1,72 @@
+"""What a decision costs: a mixture policy's conditional, half of the robots asking, against the number of robots.
+
+python test/benchmarks/option_policy.py FILE.png draws it.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+from _common import Row, row
+from option_coordinator.choice import Choice, policy_chooser
+from option_coordinator.options import Agent
+from option_coordinator.policy_file import OptionPolicy
+from option_coordinator.training.heads import as_numpy, make_head
+
+ROBOTS = (2, 5, 10, 20, 50, 100, 150, 200, 300)
+OPTIONS = 6
+DECISIONS = 300
+
+
+def rows() -> list[Row]:
+    """Return the median time of a decision for each number of robots, with the ratio to two robots'."""
+    times = {robots: decision_time(robots) for robots in ROBOTS}
+    least = times[ROBOTS[0]]
+    return [
+        row(f"decision for {robots} robots", took, "ms", f"{ROBOTS[0]} robots, {least:.3f} ms", took / least)
+        for robots, took in times.items()
+    ]
+
+
+def decision_time(robots: int) -> float:
+    """Return the median time of a decision [ms], observations and running options drawn anew for each."""
+    agents = tuple(Agent(f"r{i}", tuple("abcdef"[:OPTIONS]), 4) for i in range(robots))
+    policy = OptionPolicy(agents, "mixture", False, as_numpy(make_head("mixture", agents)))
+    random = np.random.default_rng(0)
+    chooses = policy_chooser(policy, random)
+    times = []
+    for _ in range(DECISIONS):
+        choosing = random.permutation(robots) < max(1, robots // 2)
+        choice = Choice(
+            observation=random.normal(size=4 * robots).astype(np.float32),
+            choosing=choosing,
+            running=np.where(choosing, -1, random.integers(OPTIONS, size=robots)),
+            legal=np.ones((robots, OPTIONS), bool),
+        )
+        begin = time.perf_counter()
+        chooses(choice)
+        times.append(1e3 * (time.perf_counter() - begin))
+    return float(np.median(times))
+
+
+def draw(path: Path) -> None:
+    """Write the picture of cost against number of robots."""
+    from ctrl_rl_core.drawing import save_figure
+    from matplotlib import pyplot as plt
+
+    figure, axes = plt.subplots(figsize=(6, 4), layout="constrained")
+    axes.plot(ROBOTS, [decision_time(robots) for robots in ROBOTS], "o-")
+    axes.axhline(1.5, color="0.6", linewidth=1, linestyle="--")
+    axes.set(xlabel="robots, half of them asking", ylabel="decision, median [ms]", ylim=(0.0, None))
+    axes.grid(alpha=0.3)
+    save_figure(figure, path)
+
+
+if __name__ == "__main__":
+    if len(sys.argv) > 1:
+        draw(Path(sys.argv[1]))
+    else:
+        print(*rows(), sep="\n")

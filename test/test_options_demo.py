@@ -1,0 +1,84 @@
+"""Three TurtleBots under the coordinator, on real processes: the work is done, and the bag is data to learn from."""
+
+import json
+import os
+import subprocess
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from ament_index_python.packages import get_package_prefix
+from option_coordinator.bag_trajectory import recordings
+from option_coordinator.team_file import load_team
+
+TEAM = load_team("delivery_team")
+
+
+def command(executable: str, *arguments: object) -> subprocess.CompletedProcess[str]:
+    path = Path(get_package_prefix("ctrl_rl_bringup")) / "lib" / "ctrl_rl_bringup" / executable
+    return subprocess.run(
+        [path, *map(str, arguments)], capture_output=True, text=True, env=os.environ, timeout=280, check=False
+    )
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, subprocess.CompletedProcess[str]]:
+    folder = tmp_path_factory.mktemp("options") / "run"
+    return folder, command("options_demo", "--speed", 3, "--seed", 1, "--output", folder)
+
+
+def test_all_parcels_are_delivered_and_nobody_collides(run) -> None:
+    folder, answer = run
+    assert answer.returncode == 0, answer.stderr
+    report = json.loads((folder / "report.json").read_text())
+    assert report["finished"]
+    assert sum(report["options"][name] for name in ("desk_1", "desk_2")) >= 2 * len(TEAM.robots)
+    assert report["options"]["home"] >= len(TEAM.robots)
+    assert report["smallest_clearance_m"] > 0.0
+    assert report["messages_lost"] == 0
+    assert (folder / "timeline.png").read_bytes().startswith(b"\x89PNG")
+    assert "all work done" in answer.stdout
+    assert "not learnt" in answer.stdout
+
+
+def test_no_robot_runs_two_options_at_once(run) -> None:
+    folder, _ = run
+    spans = json.loads((folder / "report.json").read_text())["spans"]
+    for robot in TEAM.robots:
+        own = sorted((span for span in spans if span["agent"] == robot), key=lambda span: span["begin"])
+        assert all(before["end"] <= after["begin"] + 1e-6 for before, after in pairwise(own))
+
+
+def test_the_bag_is_data_to_learn_from(run) -> None:
+    folder, _ = run
+    parts = recordings(folder / "bag")
+    report = json.loads((folder / "report.json").read_text())
+    assert {part.team.names for part in parts} == {tuple(TEAM.robots)}
+    assert sum(float(np.sum(part.trajectory.reward)) for part in parts) == pytest.approx(report["return"])
+    assert parts[-1].trajectory.terminated[-1]
+    assert (parts[-1].trajectory.discount < 1.0).any()
+
+
+def test_the_report_can_be_made_again_from_the_bag_alone(run) -> None:
+    folder, first = run
+    (folder / "timeline.png").unlink()
+    again = command("options_report", folder)
+    assert again.returncode == 0, again.stderr
+    assert again.stdout.splitlines()[:8] == first.stdout.splitlines()[1:9]
+    assert (folder / "timeline.png").exists()
+
+
+@pytest.mark.parametrize(
+    ("option", "words"),
+    [
+        (("--team", "nobody"), "no team 'nobody'"),
+        (("--policy", "nowhere.safetensors"), "nowhere.safetensors"),
+        (("--speed", "0"), "must be more than 0"),
+    ],
+)
+def test_a_wrong_option_gives_one_clear_message(tmp_path: Path, option: tuple[str, str], words: str) -> None:
+    answer = command("options_demo", "--output", tmp_path / "run", *option)
+    assert answer.returncode == 2
+    assert words in answer.stderr
+    assert "Traceback" not in answer.stderr
