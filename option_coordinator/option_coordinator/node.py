@@ -74,7 +74,7 @@ class OptionCoordinator(SuiteNode):
         times, discount = self._prepare()
         self._policy_times: deque[float] = deque(maxlen=_RECENT)
         self._reported: Counter[str] = Counter()
-        self._others = 0
+        self._alive = 0
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._began = False
         chooses, digest = self._chooser(settings["policy"])
@@ -108,7 +108,7 @@ class OptionCoordinator(SuiteNode):
         states = Counter(str(entry.state) for entry in coordinator.ledger)
         figures: dict[str, object] = {"epoch": coordinator.epoch, "policy": coordinator.digest or "scripted"}
         figures |= {f"robots {state}": count for state, count in states.items()} | dict(counts)
-        figures["other coordinators"] = self._others
+        figures["alone"] = str(self._alone).lower()
         if self._policy_times:
             p50, p99 = np.percentile(self._policy_times, (50, 99)) * 1e3
             figures |= {"policy p50 [ms]": f"{p50:.3f}", "policy p99 [ms]": f"{p99:.3f}"}
@@ -192,8 +192,8 @@ class OptionCoordinator(SuiteNode):
         self._coordinator.on_epoch(message.coordinator_epoch)
 
     def _on_liveliness(self, event: Any) -> None:
-        """Count the other coordinators that live; a node is not told of itself."""
-        self._others = event.alive_count
+        """Count the coordinators that live; whether a node is told of itself is the middleware's choice."""
+        self._alive = event.alive_count
 
     def _end_batch(self) -> None:
         self._batch.cancel()
@@ -201,7 +201,12 @@ class OptionCoordinator(SuiteNode):
 
     def _tick(self) -> None:
         if self._listens():
-            self._send(self._coordinator.tick(self._now(), alone=self._others == 0))
+            self._send(self._coordinator.tick(self._now(), self._alone))
+
+    @property
+    def _alone(self) -> bool:
+        """Whether no other coordinator lives."""
+        return self._alive == 0 or self.count_publishers("joint_option_step") <= 1
 
     def _send(self, answers: Answers) -> None:
         for grant in answers.grants:

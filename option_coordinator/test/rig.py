@@ -65,9 +65,12 @@ class Rig:
         )
 
     def coordinator(self, name="coordinator", **parameters):
-        """Start one with short times."""
+        """Start one with short times, and return once it is heard: what it says first is not to be missed."""
+        said = len(self.diagnostics)
         times = {"lease": LEASE, "lost_after": LOST_AFTER, "repeat": 0.05, "policy_limit": 10.0, "stale": 30.0}
         self._start(name, COORDINATOR, **({"policy": self.policy, "longest_option": 600.0} | times | parameters))
+        own = f"{self.namespace}/option_coordinator"
+        self.until(lambda: any(d.status[0].name == own for d in self.diagnostics[said:]), "a coordinator")
 
     def robot(self, name, **parameters):
         self._start(name, ROBOT, robot=name, **parameters)
