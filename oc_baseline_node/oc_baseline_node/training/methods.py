@@ -52,6 +52,8 @@ METHODS: Mapping[str, Method] = MappingProxyType(
         "q_prop": Method("PPO, Q-Prop", baseline="q_prop"),
         **{f"entropy_{c:g}": Method(f"PPO, entropy {c:g}", entropy=c) for c in ENTROPIES},
         **{f"noise_{s:g}": Method(f"PPO, OC baseline, noise {s:g}", "ppo", "oc", "oc", noise=s) for s in NOISES},
+        "oc_lambda_0.7": Method("PPO, OC baseline, λ = 0.7", baseline="oc", end="oc", gae_lambda=0.7),
+        "lambda_0.7": Method("PPO, λ = 0.7", gae_lambda=0.7),
         "oc_lambda_1": Method("PPO, OC baseline, λ = 1", baseline="oc", end="oc", gae_lambda=1.0),
         "oc_own_end": Method("PPO, OC baseline, G on own V", baseline="oc", end="value"),
     }
@@ -64,7 +66,7 @@ GROUPS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "baselines": ("oc_ppo", "ppo", "stein", "q_prop"),
         "noise": ("oc_ppo", *(f"noise_{s:g}" for s in NOISES)),
         "entropy": ("oc_ppo", "ppo", *(f"entropy_{c:g}" for c in ENTROPIES)),
-        "ends": ("oc_ppo", "oc_lambda_1", "oc_own_end", "ppo"),
+        "ends": ("oc_ppo", "oc_lambda_0.7", "lambda_0.7", "oc_lambda_1", "oc_own_end", "ppo"),
     }
 )
 """Which methods are compared with each other: Fig. 3.10, 3.12 and 3.14, Fig. 3.13, Fig. 3.16, Table 3.6, and what
