@@ -155,10 +155,13 @@ class JointPolicy(ABC):
 
 def log_sum_exp(x: Array, axis: int | tuple[int, ...] | None = None) -> Array:
     """Return log sum exp, -inf where everything is."""
-    top = np.max(x, axis=axis, keepdims=True, initial=-np.inf)
-    safe = np.where(np.isfinite(top), top, 0.0)
-    with np.errstate(divide="ignore"):
-        out = np.log(np.sum(np.exp(x - safe), axis=axis, keepdims=True)) + safe
+    top = x.max(axis=axis, keepdims=True, initial=-np.inf)
+    if np.isfinite(top).all():  # as nearly always: the rest costs more than this
+        out = np.log(np.exp(x - top).sum(axis=axis, keepdims=True)) + top
+    else:
+        safe = np.where(np.isfinite(top), top, 0.0)
+        with np.errstate(divide="ignore"):
+            out = np.log(np.exp(x - safe).sum(axis=axis, keepdims=True)) + safe
     return np.squeeze(out, axis=axis) if axis is not None else out.reshape(())
 
 

@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections import defaultdict
 from pathlib import Path
 
 import numpy as np
@@ -47,7 +48,8 @@ class Rig:
         self.node = rclpy.create_node("watcher", namespace=self.namespace)
         self.requests, self.grants, self.statuses, self.steps, self.diagnostics = [], [], [], [], []
         self._listen(OptionRequest, "option_requests", lambda m: self.requests.append(request_of(m)))
-        self._listen(OptionGrant, "option_grants", lambda m: self.grants.append(grant_of(m)))
+        self._given = defaultdict(dict)
+        self._listen(OptionGrant, "option_grants", self._on_grant)
         self._listen(AgentStatus, "agent_status", self.statuses.append)
         self._listen(JointOptionStep, "joint_option_step", self.steps.append, JOINT_STEPS)
         self._listen(DiagnosticArray, "diagnostics", self.diagnostics.append, 100)
@@ -57,6 +59,12 @@ class Rig:
 
     def _listen(self, kind, topic, take, qos=EXCHANGE):
         self.node.create_subscription(kind, topic, take, qos)
+
+    def _on_grant(self, message):
+        grant = grant_of(message)
+        self.grants.append(grant)
+        key = (grant.coordinator_epoch, grant.incarnation, grant.request_id)
+        self._given[grant.agent, grant.status].setdefault(key, grant)
 
     def _start(self, name, command, **parameters):
         settings = [part for key, value in parameters.items() for part in ("-p", f"{key}:={value}")]
@@ -91,8 +99,13 @@ class Rig:
             rclpy.spin_once(self.node, timeout_sec=0.02)
             for name, process in self.processes.items():
                 assert process.poll() is None, f"{name} ended with {process.returncode}"
-            assert time.monotonic() < deadline, f"not within {PATIENCE:g} s: {what}"
+            assert time.monotonic() < deadline, f"not within {PATIENCE:g} s: {what}\n{self.summary()}"
         return found
+
+    def summary(self):
+        """What is known last of everybody, for who has to find out why nothing happens."""
+        last = {s.agent: s for s in self.statuses} | {d.status[0].name: d.status[0] for d in self.diagnostics}
+        return "\n".join(str(word) for word in [*last.values(), *self.requests[-1:], *self.grants[-1:]])
 
     def let_pass(self, seconds):
         end = time.monotonic() + seconds
@@ -101,14 +114,11 @@ class Rig:
 
     def given(self, agent, status=GrantStatus.GRANTED):
         """Distinct answers of one kind to one robot, in order."""
-        found = {}
-        for grant in self.grants:
-            if grant.agent == agent and grant.status is status:
-                found.setdefault((grant.coordinator_epoch, grant.incarnation, grant.request_id), grant)
-        return list(found.values())
+        return list(self._given[agent, status].values())
 
     def granted(self, agent, count=1):
-        self.until(lambda: len(self.given(agent)) >= count, f"{count} grants for {agent}")
+        given = self._given[agent, GrantStatus.GRANTED]
+        self.until(lambda: len(given) >= count, f"{count} grants for {agent}")
         return self.given(agent)[-1]
 
     def running(self, agent):
