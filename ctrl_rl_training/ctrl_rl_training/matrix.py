@@ -64,17 +64,16 @@ def train_all(
         CtrlRlError: a run refuses, or a worker was killed.
     """
     train = train or _train_one()
-    todo = []
-    for run in runs:
-        if result_file(options.folder, run).is_file():
-            train(run, options, lambda *_: None)  # refuses what does not fit now, not after hours of the others
-        else:
-            todo.append(run)
+    # What is finished is read first: what does not fit is refused now, not after hours of the others.
+    finished = [run for run in runs if result_file(options.folder, run).is_file()]
+    known = {run.name: train(run, options, lambda *_: None) for run in finished}
+    todo = [run for run in runs if run.name not in known]
     options.folder.mkdir(parents=True, exist_ok=True)
     with alone(options.folder / f".{title}.lock"):
         if todo:
             _run(todo, options, min(len(todo), workers or os.cpu_count() or 1), title, train)
-        return [train(run, options, lambda *_: None) for run in runs]
+        known |= {run.name: train(run, options, lambda *_: None) for run in todo}
+    return [known[run.name] for run in runs]
 
 
 def _train_one() -> Train[Any, Any]:

@@ -29,6 +29,7 @@ from koopman_lqr_controller.roll_outs import (
     mean_return,
     noisy_roll_outs,
     outcomes,
+    projected,
     saturated,
 )
 
@@ -273,8 +274,7 @@ class _Search:
 
     def region(self, controller: LatentController) -> Region:
         """Return where a controller may be trusted: what the noisy episodes went through."""
-        z = [controller.project(episode.features) for episode in self._episodes]
-        return region_of_episodes(controller.predict, z, [episode.actions for episode in self._episodes])
+        return region_of_episodes(controller.predict, *projected(controller.project, self._episodes))
 
     def report(self, controller: LatentController) -> list[Episode]:
         """Return fresh episodes without noise."""
@@ -291,5 +291,4 @@ class _Search:
 
 def _errors(model: LatentController | Refit, episodes: Sequence[Episode]) -> list[float]:
     """Return the errors over persistence after 1, 2, ... steps, in what the model predicts."""
-    z = [model.project(episode.features) for episode in episodes]
-    return horizon_errors(model.predict, z, [episode.actions for episode in episodes], HORIZON)
+    return horizon_errors(model.predict, *projected(model.project, episodes), HORIZON)

@@ -18,7 +18,7 @@ from koopman_lqr_controller.latent_policy import LatentPolicy
 from koopman_lqr_controller.linear_loop import controls_of, wiring_of
 from koopman_lqr_controller.region import region_of_episodes
 from koopman_lqr_controller.regulators import Refit, Regulator
-from koopman_lqr_controller.roll_outs import Episode
+from koopman_lqr_controller.roll_outs import Episode, projected
 from koopman_lqr_controller.shrinkage import Shrunk, fit_shrunk
 
 Array = NDArray[np.float64]
@@ -93,9 +93,7 @@ def refit(policy: LatentPolicy, drives: Sequence[Drive], sizes: Sequence[int] = 
         min(same, key=lambda each: each[1]) if same else min(tried, key=lambda each: each[0].mismatch)
     )
     controller = chosen.controller
-    both = [*episodes, *mirrored]
-    z = [controller.project(episode.features) for episode in both]
-    region = region_of_episodes(controller.predict, z, [episode.actions for episode in both])
+    region = region_of_episodes(controller.predict, *projected(controller.project, [*episodes, *mirrored]))
     figures = {
         "latent": len(controller.Q),
         "family": chosen.family,

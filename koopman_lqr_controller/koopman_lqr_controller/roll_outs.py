@@ -60,6 +60,11 @@ class Episode:
     info: dict[str, Any]
 
 
+def projected(project: Callable[[Array], Array], episodes: Sequence[Episode]) -> tuple[list[Array], list[Array]]:
+    """Return the latent states (T + 1, n) and the actions (T, m) of each episode: what models are held against."""
+    return [project(episode.features) for episode in episodes], [episode.actions for episode in episodes]
+
+
 def roll_out(
     controller: Policy,
     environment: Environment,

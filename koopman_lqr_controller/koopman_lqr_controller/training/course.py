@@ -16,7 +16,7 @@ from koopman_lqr_controller.latent_controller import LatentController
 from koopman_lqr_controller.latent_policy import LatentPolicy
 from koopman_lqr_controller.policy_file import digest, save_policy
 from koopman_lqr_controller.prediction import horizon_errors, squared_error
-from koopman_lqr_controller.roll_outs import Episode, evaluate, interaction, mean_return, outcomes
+from koopman_lqr_controller.roll_outs import Episode, evaluate, interaction, mean_return, outcomes, projected
 from koopman_lqr_controller.training.finishing import consolidate_policy, load_latent
 from koopman_lqr_controller.training.network_policy import NetworkPolicy
 from koopman_lqr_controller.training.problems import AnyEnvironment, Problem
@@ -215,8 +215,7 @@ def model_errors(controller: LatentController, episodes: Sequence[Episode]) -> d
     Returns:
         `model_error`, the mean square over all latent components, and `error_over_persistence`, see `horizon_errors`.
     """
-    z = [controller.project(episode.features) for episode in episodes]
-    actions = [episode.actions for episode in episodes]
+    z, actions = projected(controller.project, episodes)
     return {
         "model_error": squared_error(controller.predict, z, actions),
         "error_over_persistence": horizon_errors(controller.predict, z, actions, 1)[0],

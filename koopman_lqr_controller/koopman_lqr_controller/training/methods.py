@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from koopman_lqr_controller.errors import KoopmanError
-
 LEARNERS = ("koopman", "sac", "two_stage", "edmd")
 """What learns, see `runs`."""
 Changes = tuple[tuple[str, int | float | str], ...]
@@ -47,14 +45,3 @@ METHODS = {
     "latent_100": Method("latent 100", (("latent", 100),)),
 }
 """By name; the settings of "koopman" are M = 5 and latent 50."""
-
-
-def find_method(name: str) -> Method:
-    """Return a method by name.
-
-    Raises:
-        KoopmanError: there is none of that name.
-    """
-    if name not in METHODS:
-        raise KoopmanError(f"no method '{name}': there are {', '.join(METHODS)}")
-    return METHODS[name]
