@@ -9,7 +9,7 @@ from pathlib import Path
 import rclpy
 from ctrl_rl_core.tasks import task_file
 from option_coordinator.exchange import GrantStatus
-from option_coordinator.messages import EXCHANGE, JOINT_STEPS
+from option_coordinator.messages import EXCHANGE
 from option_coordinator.policy_file import OptionPolicy
 from option_coordinator.scripted_choice import SCRIPTED
 from option_coordinator.team_file import TeamFile, Work, team_file
@@ -41,7 +41,7 @@ class TeamMonitor(Monitor):
         self._shared = ("option_requests", "agent_status")
         self._over = False
         self._granted: set[tuple[str, int]] = set()
-        self._node.create_subscription(JointOptionStep, "joint_option_step", self._on_step, JOINT_STEPS)
+        self._node.create_subscription(JointOptionStep, "joint_option_step", self._on_step, EXCHANGE)
         self._node.create_subscription(OptionGrant, "option_grants", self._on_grant, EXCHANGE)
         self._node.create_subscription(AgentStatus, "agent_status", self._on_status, EXCHANGE)
 

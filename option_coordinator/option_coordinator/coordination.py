@@ -1,8 +1,8 @@
 """Grants options to robots that ask when they are ready (thesis Algorithm 3, deployed). Pure: no ROS, and no clock.
 
-A coordinator listens for one lease before it decides anything: robots say what they run, and which epoch they have
-seen; its own is the next. Robots obey the highest epoch only, so of two coordinators the newer one is heard. What a
-robot says that it carries out is true: a grant that was on its way when a coordinator died is adopted, never doubled.
+A coordinator listens for a lease before it decides anything, and for as long as another one does (see `election`):
+robots say what they run, and which epoch they have seen; its own is above that, and robots obey the highest only. What
+a robot says that it carries out is true: a grant that was on its way when a coordinator died is adopted, never doubled.
 """
 
 from __future__ import annotations
@@ -10,32 +10,23 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 
 import numpy as np
 
 from option_coordinator.choice import Choice, Chooses, choose_or_safe
 from option_coordinator.decision import NONE
+from option_coordinator.election import Election
 from option_coordinator.errors import OptionError
-from option_coordinator.exchange import AgentState, Grant, GrantStatus, JointStep, Request, Status
+from option_coordinator.exchange import AgentState, Answers, Grant, GrantStatus, JointStep, Request, Status
 from option_coordinator.joint_policy import Options
 from option_coordinator.journal import Journal
 from option_coordinator.ledger import Entry, Ledger, State
 from option_coordinator.refusal import Refusal, refusal_of
 from option_coordinator.robot import Robot, Times
 
-_LOT_BITS = 16
 _UNKNOWN_ROBOT = Refusal("unknown robot", "this team has no such robot")
 _TASK_OVER = Refusal("task over", "the task is over")
 _NOTHING_SAFE = Refusal("nothing safe", "policy failed, and the safe option is not legal")
-
-
-@dataclass(frozen=True)
-class Answers:
-    """What is to be sent now, in this order."""
-
-    grants: list[Grant] = field(default_factory=list)
-    steps: list[JointStep] = field(default_factory=list)
 
 
 class Coordinator:
@@ -47,12 +38,11 @@ class Coordinator:
         digest: of its file.
         now: the time [s].
         times: see there.
-        seed: of what the epochs of two coordinators that begin at once differ by.
+        seed: of its epochs, see `Election`.
         discount: gamma of a low-level step.
 
     Attributes:
         ledger: who runs what.
-        epoch: of this coordinator, 0 while it listens or has stepped down.
         counts: how often what happened, for diagnostics.
     """
 
@@ -72,26 +62,25 @@ class Coordinator:
         self._policy, self._digest = policy, digest
         self._discount = discount
         self.counts: Counter[str] = Counter()
-        self._highest = 0
-        self._random = np.random.default_rng(seed)
-        self.listen(now)
+        self._observed = [np.zeros(robot.agent.observation_size, np.float32) for robot in robots]
+        self._batch_at = math.inf
+        self._election = Election(now, self._times.lease, seed)
+        self._forget(now)
 
     def listen(self, now: float) -> None:
         """Begin anew: decide nothing for one lease, hear who runs what, then take over."""
-        self.ledger = Ledger(self._robots)
-        self.epoch = 0
-        self._journal = Journal(now, self._times.time_step, self._discount)
-        self._open: dict[str, Request] = {}
-        self._observed = [np.zeros(robot.agent.observation_size, np.float32) for robot in self._robots.values()]
-        self._repeat_at: dict[str, float] = {}
-        self._done: set[str] = set()
-        self._batch_at = math.inf
-        self._takes_over_at = now + self._times.lease
+        self._election.listen(now)
+        self._forget(now)
 
     @property
-    def stepped_down(self) -> bool:
-        """Whether another coordinator has taken over; this one is silent until `listen`."""
-        return self._takes_over_at == math.inf and self.epoch == 0
+    def epoch(self) -> int:
+        """Of this coordinator, 0 while it listens."""
+        return self._election.epoch
+
+    @property
+    def stands_by(self) -> bool:
+        """Whether it listens because another coordinator decides."""
+        return self._election.stands_by
 
     @property
     def digest(self) -> str:
@@ -108,17 +97,14 @@ class Coordinator:
         self._policy, self._digest = policy, digest
         self.counts["policies replaced"] += 1
 
-    def on_epoch(self, epoch: int) -> None:
-        """Note an epoch that anyone has seen or uses, as of any JointOptionStep; step down on one above the own."""
-        self._highest = max(self._highest, epoch)
-        if 0 < self.epoch < epoch:
-            self.counts["stepped down"] += 1
-            self.epoch, self._takes_over_at = 0, math.inf
-            self._open.clear()
+    def on_word(self, epoch: int, now: float) -> None:
+        """Hear that a coordinator decides in an epoch: another one, or this one itself."""
+        if self._election.on_word(epoch, now):
+            self._step_down(now)
 
     def on_request(self, request: Request, now: float) -> Answers:
         """Take a request: it is decided, at once or by a `tick`, answered as before, or refused with a reason."""
-        self.on_epoch(request.coordinator_epoch)
+        self._on_epoch(request.coordinator_epoch, now)
         if request.agent not in self._robots:
             return self._refuse(request, now, _UNKNOWN_ROBOT) if self.epoch else Answers()
         entry = self.ledger[request.agent]
@@ -126,8 +112,12 @@ class Coordinator:
             self._hear(entry, request.incarnation, now)
         except OptionError as error:
             return self._refuse(request, now, Refusal("old life", str(error))) if self.epoch else Answers()
-        if not self.epoch:
-            return Answers()  # it asks again; what it runs, its status says
+        agent = self._robots[request.agent].agent
+        refusal = refusal_of(request, agent, self.epoch, now - request.stamp, self._times.stale)
+        if not self.epoch:  # it asks again; what it runs, its status says
+            if refusal is None:
+                self._observe(request)
+            return Answers()
         if entry.answered(request.request_id):
             self.counts["duplicate requests"] += 1
             return Answers([self._grant_of(entry, now)])
@@ -135,21 +125,19 @@ class Coordinator:
             return self._refuse(request, now, Refusal("old request", f"request {entry.request_id} has been sent since"))
         if request.terminated:
             return self._finish(entry, request, now)
-        agent = self._robots[request.agent].agent
-        refusal = refusal_of(request, agent, self.epoch, now - request.stamp, self._times.stale)
         if refusal is not None:
             return self._refuse(request, now, refusal)
         self._credit(entry, request)
         self._done.discard(entry.agent)
         entry.ask(request.request_id)
         self._open[entry.agent] = request
-        self._observed[self._index[entry.agent]] = np.asarray(request.observation, np.float32)
+        self._observe(request)
         self._batch_at = min(self._batch_at, now + self._times.window)
         return self._decide(now) if self._all_wait() else self._decide_when_due(now)
 
     def on_status(self, status: Status, now: float) -> Answers:
         """Take a heartbeat: a sign of life, an acknowledgement, or news of what a robot runs."""
-        self.on_epoch(status.coordinator_epoch)
+        self._on_epoch(status.coordinator_epoch, now)
         if status.agent not in self._robots:
             self.counts["unknown robots"] += 1
             return Answers()
@@ -166,33 +154,46 @@ class Coordinator:
             entry.end()
         return Answers()
 
-    def tick(self, now: float, alone: bool = False) -> Answers:
-        """Let time pass: take over, decide, repeat what was not acknowledged, call off what takes too long.
-
-        Args:
-            now: the time [s].
-            alone: no other coordinator is there: one that has stepped down listens again, and one that has heard all
-                robots of its team has heard enough.
-        """
-        if self.stepped_down and alone:
-            self.listen(now)
-        heard_enough = alone and all(entry.phase is not State.UNKNOWN for entry in self.ledger)
-        if not self.epoch and now < self._takes_over_at and not heard_enough:
-            return Answers()
-        if not self.epoch:
-            self._highest = _next_epoch(self._highest, self._random)
-            self.epoch, self._takes_over_at = self._highest, math.inf
+    def tick(self, now: float) -> Answers:
+        """Let time pass: take over, decide, repeat what was not acknowledged, call off what takes too long."""
         for entry in self.ledger:
             if entry.fall_silent(now, self._times.lease, self._times.lost_after):
                 self.counts["lost robots"] += 1
                 self._open.pop(entry.agent, None)
+        listened = not self.epoch
+        word_due = self._election.tick(now)
+        if not self.epoch:
+            return Answers()
+        if listened:
+            self._journal = self._new_journal(now)
         grants = [grant for entry in self.ledger for grant in self._overdue(entry, now)]
         decided = self._decide_when_due(now)
-        return Answers(grants + decided.grants, decided.steps)
+        return Answers(grants + decided.grants, decided.steps, self.epoch if word_due else 0)
 
     def close(self, now: float) -> Answers:
         """Cut the episode off: say so where it has begun and is not over."""
         return Answers(steps=[self._last_step(now, terminated=False)] if self.epoch and self._journal.open else [])
+
+    def _forget(self, now: float) -> None:
+        self.ledger = Ledger(self._robots)
+        self._journal = self._new_journal(now)
+        self._open: dict[str, Request] = {}
+        self._repeat_at: dict[str, float] = {}
+        self._done: set[str] = set()
+        self._batch_at = math.inf
+
+    def _new_journal(self, now: float) -> Journal:
+        return Journal(now, self._times.time_step, self._discount)
+
+    def _on_epoch(self, epoch: int, now: float) -> None:
+        """Note an epoch that a robot has seen."""
+        if self._election.on_epoch(epoch, now):
+            self._step_down(now)
+
+    def _step_down(self, now: float) -> None:
+        """Leave it to another one: what this one has granted may never have been obeyed."""
+        self.counts["stepped down"] += 1
+        self._forget(now)
 
     def _hear(self, entry: Entry, incarnation: int, now: float) -> None:
         before, lost = entry.incarnation, entry.silence is State.LOST
@@ -202,6 +203,9 @@ class Coordinator:
             self._done.discard(entry.agent)
         elif lost:
             self.counts["returned robots"] += 1
+
+    def _observe(self, request: Request) -> None:
+        self._observed[self._index[request.agent]] = np.asarray(request.observation, np.float32)
 
     def _refuse(self, request: Request, now: float, refusal: Refusal) -> Answers:
         self.counts[f"refused: {refusal.kind}"] += 1
@@ -336,11 +340,3 @@ class Coordinator:
 
     def _last_step(self, now: float, terminated: bool) -> JointStep:
         return self._journal.end(now, self.epoch, self._choice({}), self._all_run(), terminated)
-
-
-def _next_epoch(highest: int, random: np.random.Generator) -> int:
-    """Return an epoch above the highest: its upper bits count, the lower 16 are a lot.
-
-    Two coordinators that begin at once hear of the same highest; with plain counting both would decide in one epoch.
-    """
-    return ((highest >> _LOT_BITS) + 1 << _LOT_BITS) + int(random.integers(1 << _LOT_BITS))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum
 
 import numpy as np
@@ -94,3 +94,18 @@ class JointStep:
     duration: int
     terminated: bool
     truncated: bool = False
+
+
+@dataclass(frozen=True)
+class Answers:
+    """What a coordinator has to send now, in this order: grants, joint steps, and, where it is due, that it decides.
+
+    Attributes:
+        grants: to robots.
+        steps: for the bag.
+        word: its epoch, for other coordinators; 0 for nothing.
+    """
+
+    grants: list[Grant] = field(default_factory=list)
+    steps: list[JointStep] = field(default_factory=list)
+    word: int = 0

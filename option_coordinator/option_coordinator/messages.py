@@ -5,20 +5,15 @@ from __future__ import annotations
 import numpy as np
 from builtin_interfaces.msg import Time as TimeMsg
 from ctrl_rl_core.ros import float32_array, seconds, to_stamp
-from rclpy.duration import Duration
-from rclpy.qos import LivelinessPolicy, QoSProfile
+from rclpy.qos import QoSProfile
 from std_msgs.msg import Header
 
-from ctrl_rl_msgs.msg import AgentStatus, JointOptionStep, OptionGrant, OptionRequest
+from ctrl_rl_msgs.msg import AgentStatus, CoordinatorStatus, JointOptionStep, OptionGrant, OptionRequest
 from option_coordinator.exchange import AgentState, Grant, GrantStatus, JointStep, Request, Status
 from option_coordinator.options import Agent
 
 EXCHANGE = QoSProfile(depth=1000)
-"""Of requests, grants and statuses, on both sides: with a depth of 10 most of 100 simultaneous ones are lost."""
-JOINT_STEPS = QoSProfile(
-    depth=1000, liveliness=LivelinessPolicy.AUTOMATIC, liveliness_lease_duration=Duration(seconds=1.0)
-)
-"""Who publishes joint steps is a coordinator: the others hear within a second whether it lives."""
+"""Of all topics, on both sides: with a depth of 10 most of 100 simultaneous messages are lost."""
 
 
 def request_message(request: Request) -> OptionRequest:
@@ -118,6 +113,11 @@ def grant_of(message: OptionGrant) -> Grant | None:
         option_name=message.option_name,
         deadline=message.deadline,
     )
+
+
+def word_message(epoch: int, now: float) -> CoordinatorStatus:
+    """Return that a coordinator decides in an epoch, to be sent at a time [s]."""
+    return CoordinatorStatus(header=_header(now), coordinator_epoch=epoch)
 
 
 class StepMessages:

@@ -5,21 +5,21 @@ from __future__ import annotations
 import time
 from collections import Counter, deque
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from ctrl_rl_core.parameters import Parameter, ParameterError
 from ctrl_rl_core.ros import Status, SuiteNode, ok, run_node, warn
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
-from rclpy.event_handler import SubscriptionEventCallbacks
 
-from ctrl_rl_msgs.msg import AgentStatus, JointOptionStep, OptionGrant, OptionRequest
+from ctrl_rl_msgs.msg import AgentStatus, CoordinatorStatus, JointOptionStep, OptionGrant, OptionRequest
 from option_coordinator.choice import Choice, Chooses, policy_chooser
-from option_coordinator.coordination import Answers, Coordinator
+from option_coordinator.coordination import Coordinator
 from option_coordinator.errors import OptionError
+from option_coordinator.exchange import Answers
 from option_coordinator.joint_policy import Options
-from option_coordinator.messages import EXCHANGE, JOINT_STEPS, StepMessages, grant_message, request_of, status_of
+from option_coordinator.messages import EXCHANGE, StepMessages, grant_message, request_of, status_of, word_message
 from option_coordinator.policy_file import OptionPolicy
 from option_coordinator.robot import Robot, Times
 from option_coordinator.scripted_choice import SCRIPTED, spread_chooser, uniform_chooser
@@ -42,7 +42,7 @@ PARAMETERS = (
     Parameter("policy_digest", "", "SHA-256 that a policy file must have from now on; empty for any.", live=True),
     Parameter("batch_window", 0.0005, "For which a request waits for others to be decided with [s].", 0.0, 1.0),
     Parameter(
-        "lease", 0.5, "Silence that makes a robot suspect; for so long a coordinator listens first [s].", 0.05, 60.0
+        "lease", 0.5, "Silence that makes a robot suspect, or a coordinator take another one's place [s].", 0.05, 60.0
     ),
     Parameter("lost_after", 2.0, "Silence after which nobody counts on a robot [s].", 0.05, 600.0),
     Parameter("repeat", 0.1, "Between repetitions of a grant that was not acknowledged [s].", 0.01, 10.0),
@@ -62,8 +62,8 @@ class OptionCoordinator(SuiteNode):
     """Grants options to robots that ask when they are ready; nobody waits for anybody.
 
     Subscribes to option_requests and agent_status; publishes option_grants, and a joint_option_step for each decision,
-    which a bag can be trained on. The policy may be changed while it runs: the next decision is by the new one. Of two
-    coordinators the newer decides, the other stands by.
+    which a bag can be trained on. The policy may be changed while it runs: the next decision is by the new one. Several
+    coordinators hear of each other by coordinator_status: one decides, the others stand by.
     """
 
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = PARAMETERS
@@ -74,20 +74,17 @@ class OptionCoordinator(SuiteNode):
         times, discount = self._prepare()
         self._policy_times: deque[float] = deque(maxlen=_RECENT)
         self._reported: Counter[str] = Counter()
-        self._alive = 0
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._began = False
         chooses, digest = self._chooser(settings["policy"])
         self._coordinator = Coordinator(self._robots, chooses, digest, 0.0, times, discount=discount)
         self._step_message = StepMessages(tuple(robot.agent for robot in self._robots), discount, times.time_step)
         self._grants = self.create_publisher(OptionGrant, "option_grants", EXCHANGE)
-        self._steps = self.create_publisher(JointOptionStep, "joint_option_step", JOINT_STEPS)
+        self._steps = self.create_publisher(JointOptionStep, "joint_option_step", EXCHANGE)
+        self._words = self.create_publisher(CoordinatorStatus, "coordinator_status", EXCHANGE)
         self.create_subscription(OptionRequest, "option_requests", self._on_request, EXCHANGE)
         self.create_subscription(AgentStatus, "agent_status", self._on_status, EXCHANGE)
-        others = SubscriptionEventCallbacks(liveliness=self._on_liveliness)
-        self.create_subscription(
-            JointOptionStep, "joint_option_step", self._on_step, JOINT_STEPS, event_callbacks=others
-        )
+        self.create_subscription(CoordinatorStatus, "coordinator_status", self._on_word, EXCHANGE)
         self._batch = self.create_timer(max(times.window, 1e-4), self._end_batch, clock=self._steady)
         self._batch.cancel()
         self.create_timer(_HOUSEKEEPING_S, self._tick, clock=self._steady)
@@ -108,12 +105,11 @@ class OptionCoordinator(SuiteNode):
         states = Counter(str(entry.state) for entry in coordinator.ledger)
         figures: dict[str, object] = {"epoch": coordinator.epoch, "policy": coordinator.digest or "scripted"}
         figures |= {f"robots {state}": count for state, count in states.items()} | dict(counts)
-        figures["alone"] = str(self._alone).lower()
         if self._policy_times:
             p50, p99 = np.percentile(self._policy_times, (50, 99)) * 1e3
             figures |= {"policy p50 [ms]": f"{p50:.3f}", "policy p99 [ms]": f"{p99:.3f}"}
         faults = [f"{count} {kind}" for kind, count in new.items() if kind not in _FINE]
-        if coordinator.stepped_down:
+        if coordinator.stands_by:
             return ok("another coordinator decides", **figures)
         if not coordinator.epoch:
             return ok("listening", **figures)
@@ -187,13 +183,9 @@ class OptionCoordinator(SuiteNode):
         if status is not None and self._listens():
             self._send(self._coordinator.on_status(status, self._now()))
 
-    def _on_step(self, message: JointOptionStep) -> None:
-        """Hear of another coordinator's epoch, or of the own one."""
-        self._coordinator.on_epoch(message.coordinator_epoch)
-
-    def _on_liveliness(self, event: Any) -> None:
-        """Count the coordinators that live; whether a node is told of itself is the middleware's choice."""
-        self._alive = event.alive_count
+    def _on_word(self, message: CoordinatorStatus) -> None:
+        if self._listens():
+            self._coordinator.on_word(message.coordinator_epoch, self._now())
 
     def _end_batch(self) -> None:
         self._batch.cancel()
@@ -201,18 +193,15 @@ class OptionCoordinator(SuiteNode):
 
     def _tick(self) -> None:
         if self._listens():
-            self._send(self._coordinator.tick(self._now(), self._alone))
-
-    @property
-    def _alone(self) -> bool:
-        """Whether no other coordinator lives."""
-        return self._alive == 0 or self.count_publishers("joint_option_step") <= 1
+            self._send(self._coordinator.tick(self._now()))
 
     def _send(self, answers: Answers) -> None:
         for grant in answers.grants:
             self._grants.publish(grant_message(grant))
         for step in answers.steps:
             self._steps.publish(self._step_message(step))
+        if answers.word:
+            self._words.publish(word_message(answers.word, self._now()))
         if self._coordinator.batches and self._batch.is_canceled():
             self._batch.reset()
 

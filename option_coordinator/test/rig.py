@@ -12,7 +12,7 @@ import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from option_coordinator.exchange import AgentState, GrantStatus, Request, Status
-from option_coordinator.messages import EXCHANGE, JOINT_STEPS, grant_of, request_message, request_of, status_message
+from option_coordinator.messages import EXCHANGE, grant_of, request_message, request_of, status_message
 from option_coordinator.options import Agent
 from option_coordinator.policy_file import OptionPolicy
 from policies import random_tensors
@@ -25,6 +25,7 @@ COORDINATOR = [sys.executable, "-c", "import sys; from option_coordinator.node i
 ROBOT = [sys.executable, str(Path(__file__).with_name("robot_process.py"))]
 PATIENCE = 120.0  # s of wall time, for a busy machine
 LEASE, LOST_AFTER = 0.5, 1.0
+STANDS_BY = "another coordinator decides"
 _NUMBERS = itertools.count()
 
 
@@ -51,7 +52,7 @@ class Rig:
         self._given = defaultdict(dict)
         self._listen(OptionGrant, "option_grants", self._on_grant)
         self._listen(AgentStatus, "agent_status", self.statuses.append)
-        self._listen(JointOptionStep, "joint_option_step", self.steps.append, JOINT_STEPS)
+        self._listen(JointOptionStep, "joint_option_step", self.steps.append)
         self._listen(DiagnosticArray, "diagnostics", self.diagnostics.append, 100)
         self.request_publisher = self.node.create_publisher(OptionRequest, "option_requests", EXCHANGE)
         self.status_publisher = self.node.create_publisher(AgentStatus, "agent_status", EXCHANGE)
@@ -68,17 +69,18 @@ class Rig:
 
     def _start(self, name, command, **parameters):
         settings = [part for key, value in parameters.items() for part in ("-p", f"{key}:={value}")]
-        self.processes[name] = subprocess.Popen(
-            [*command, "--ros-args", "-r", f"__ns:={self.namespace}", *settings, "--log-level", "error"]
-        )
+        names = ["-r", f"__ns:={self.namespace}", "-r", f"__node:={name}"]
+        self.processes[name] = subprocess.Popen([*command, "--ros-args", *names, *settings, "--log-level", "error"])
 
-    def coordinator(self, name="coordinator", **parameters):
-        """Start one with short times, and return once it is heard: what it says first is not to be missed."""
+    def coordinator(self, *names, **parameters):
+        """Start some with short times; return once they are heard: what they say first is not to be missed."""
         said = len(self.diagnostics)
         times = {"lease": LEASE, "lost_after": LOST_AFTER, "repeat": 0.05, "policy_limit": 10.0, "stale": 30.0}
-        self._start(name, COORDINATOR, **({"policy": self.policy, "longest_option": 600.0} | times | parameters))
-        own = f"{self.namespace}/option_coordinator"
-        self.until(lambda: any(d.status[0].name == own for d in self.diagnostics[said:]), "a coordinator")
+        own = names or ("coordinator",)
+        for name in own:
+            self._start(name, COORDINATOR, **({"policy": self.policy, "longest_option": 600.0} | times | parameters))
+        for name in own:
+            self.until(lambda name=name: self.status(name, said), f"the coordinator '{name}'")
 
     def robot(self, name, **parameters):
         self._start(name, ROBOT, robot=name, **parameters)
@@ -131,13 +133,21 @@ class Rig:
         seen = len(self.steps)
         return self.until(lambda: next((s for s in self.steps[seen:] if condition(s)), None), what)
 
-    def counted(self, kind, node="option_coordinator"):
+    def status(self, name, said=0):
+        """The latest diagnostics of a node, None where there are none, the first `said` messages left out."""
+        found = (m.status[0] for m in reversed(self.diagnostics[said:]))
+        return next((s for s in found if s.name == f"{self.namespace}/{name}"), None)
+
+    def counted(self, kind, name="coordinator"):
         """How often a node's diagnostics say that something happened."""
-        for message in reversed(self.diagnostics):
-            status = message.status[0]
-            if status.name.endswith(node):
-                return int({v.key: v.value for v in status.values}.get(kind, 0))
-        return 0
+        status = self.status(name)
+        return 0 if status is None else int({v.key: v.value for v in status.values}.get(kind, 0))
+
+    def deciding(self, *names):
+        """Which of some coordinators decides, by its latest diagnostics; None unless it is exactly one."""
+        said = [status for name in names if (status := self.status(name)) is not None]
+        found = [s.name.rsplit("/", 1)[-1] for s in said if s.message not in ("listening", STANDS_BY)]
+        return found[0] if len(found) == 1 and len(said) == len(names) else None
 
     def ask(self, agent="r0", request_id=1, incarnation=1, epoch=0, **changes):
         """Ask by hand."""
@@ -165,7 +175,7 @@ class Rig:
 
     def set_parameter(self, name, value):
         """Return what the coordinator says to another value."""
-        client = self.node.create_client(SetParameters, "option_coordinator/set_parameters")
+        client = self.node.create_client(SetParameters, "coordinator/set_parameters")
         self.until(client.service_is_ready, "the coordinator's parameters")
         parameter = Parameter(name, value=value).to_parameter_msg()
         future = client.call_async(SetParameters.Request(parameters=[parameter]))

@@ -1,12 +1,12 @@
 """A simulated team under coordinators: robots as they should behave, on a network that loses, delays and doubles."""
 
 import heapq
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import count
 
 import numpy as np
 from option_coordinator.coordination import Coordinator
-from option_coordinator.exchange import AgentState, Grant, GrantStatus, JointStep, Request, Status
+from option_coordinator.exchange import AgentState, Answers, Grant, GrantStatus, Request, Status
 from option_coordinator.options import Agent
 from option_coordinator.robot import Robot, Times
 from option_coordinator.robot_side import Earned, Patience, RobotSide, Seen
@@ -31,6 +31,31 @@ def uniform(seed):
     return chooses
 
 
+@dataclass(frozen=True)
+class Word:
+    """That a coordinator decides."""
+
+    epoch: int
+
+
+class SimulatedCoordinator:
+    """The real one, and what has arrived that it has not taken yet."""
+
+    def __init__(self, now, seed):
+        self.core = Coordinator(AGENTS, uniform(seed), "digest", now, TIMES, seed)
+        self.frozen = False
+        self.inbox = []
+
+    def take(self, message, now):
+        """Take one message."""
+        if isinstance(message, Request):
+            return self.core.on_request(message, now)
+        if isinstance(message, Status):
+            return self.core.on_status(message, now)
+        self.core.on_word(message.epoch, now)
+        return Answers()
+
+
 class SimulatedRobot:
     """The real robot's side, with options that last as they like."""
 
@@ -43,6 +68,7 @@ class SimulatedRobot:
         self.alive, self.frozen = True, False
         self.inbox = []
         self.running = None
+        self.accepted = set()
         size = len(self.robot.durations)
         self.side = RobotSide(self.robot.agent.name, size, self, next(INCARNATIONS), patience=PATIENCE)
         self.ask(now)
@@ -60,6 +86,9 @@ class SimulatedRobot:
     def begin(self, option):
         assert self.running is None, "two options at once"
         assert self.legal[option] or self.side.state is AgentState.FALLBACK
+        if self.side.state is AgentState.RUNNING:
+            assert self.side.request_id not in self.accepted, "two grants of one request"
+            self.accepted.add(self.side.request_id)
         self.running = option
         self.lasts = np.inf if self.random.random() < 0.1 else self.random.uniform(0.05, 1.5)
 
@@ -105,8 +134,7 @@ class Team:
         self.start_coordinator()
 
     def start_coordinator(self):
-        seed = int(self.random.integers(2**32))
-        self.coordinators.append(Coordinator(AGENTS, uniform(seed), "digest", self.now, TIMES, seed))
+        self.coordinators.append(SimulatedCoordinator(self.now, int(self.random.integers(2**32))))
 
     def send(self, message, sender=None):
         self.events += 1
@@ -122,7 +150,8 @@ class Team:
             self.send(grant)
         for step in answers.steps:
             self.check_step(step)
-            self.send(step)
+        if answers.word:
+            self.send(Word(answers.word))
 
     def check_grant(self, coordinator, grant):
         if grant.status is not GrantStatus.GRANTED:
@@ -150,12 +179,7 @@ class Team:
                     robot.inbox.append(message)
                 continue
             for coordinator in self.coordinators:
-                if isinstance(message, Request):
-                    self.post(coordinator, coordinator.on_request(message, self.now))
-                elif isinstance(message, Status):
-                    self.post(coordinator, coordinator.on_status(message, self.now))
-                elif isinstance(message, JointStep):
-                    coordinator.on_epoch(message.coordinator_epoch)
+                coordinator.inbox.append(message)
 
     def advance(self, seconds):
         for _ in range(round(seconds / STEP)):
@@ -167,7 +191,12 @@ class Team:
                     self.send(word)
             self.deliver()
             for coordinator in self.coordinators:
-                self.post(coordinator, coordinator.tick(self.now, alone=len(self.coordinators) == 1))
+                if coordinator.frozen:
+                    continue
+                self.post(coordinator, coordinator.core.tick(self.now))  # who was frozen ticks before it hears
+                for message in coordinator.inbox:
+                    self.post(coordinator, coordinator.take(message, self.now))
+                coordinator.inbox.clear()
 
     def kill(self, name):
         self.robots[name].alive = False
@@ -188,14 +217,17 @@ class Team:
         self.gone.pop(name, None)
 
     def settle(self):
-        """With a good network and one coordinator, everybody who lives is served, whoever does not."""
+        """With a good network one coordinator decides, and everybody who lives is served, whoever does not."""
         self.loss = self.double = self.delay = 0.0
         if not self.coordinators:
             self.start_coordinator()
-        del self.coordinators[:-1]
-        self.advance(4.0)
-        (coordinator,) = self.coordinators
-        assert coordinator.epoch > 0
+        for coordinator in self.coordinators:
+            coordinator.frozen = False
+        self.advance(2.0)
+        epochs = [coordinator.core.epoch for coordinator in self.coordinators]
+        self.advance(3.0)
+        assert [coordinator.core.epoch for coordinator in self.coordinators] == epochs
+        (coordinator,) = (coordinator.core for coordinator in self.coordinators if coordinator.core.epoch)
         for name, robot in self.robots.items():
             entry = coordinator.ledger[name]
             if name in self.gone:

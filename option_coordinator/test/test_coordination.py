@@ -123,8 +123,8 @@ def test_a_restarted_coordinator_adopts_what_runs():
     assert again.epoch > team.epoch
     assert again.ledger["r0"].option == grant.option
     assert only(again.on_request(request(), START + 0.6)).grant_id == grant.grant_id
-    team.on_epoch(again.epoch)
-    assert team.stepped_down
+    team.on_word(again.epoch, START + 0.6)
+    assert team.stands_by
     assert team.on_request(request(request_id=2), START + 0.7).grants == []
 
 
@@ -201,18 +201,24 @@ def test_a_late_word_of_an_old_life_revives_nothing_unless_the_robot_is_lost():
     assert (entry.incarnation, entry.state) == (7, State.IDLE)
 
 
-def test_of_two_coordinators_that_begin_at_once_the_higher_epoch_stays():
-    teams = [Coordinator(AGENTS, uniform(i), "digest", 0.0, TIMES, seed=i) for i in range(2)]
-    for team in teams:
-        team.tick(START)
-    low, high = sorted(teams, key=lambda team: team.epoch)
-    assert low.epoch < high.epoch
-    answer = low.on_request(request(epoch=high.epoch), START)
-    assert answer.grants == []
-    assert low.stepped_down
-    low.tick(START + 0.1, alone=True)
-    low.tick(START + 0.7)
-    assert low.epoch > high.epoch
+def test_a_coordinator_that_hears_another_stands_by_and_knows_who_runs_what_when_it_ends():
+    first = coordinator()
+    grant = only(first.on_request(request(observation=np.ones(2, np.float32)), START))
+    second = Coordinator(AGENTS, uniform(1), "digest", START, TIMES, seed=1)
+    for tenth in range(50):
+        now = START + 0.1 * tenth
+        second.on_word(first.tick(now).word or first.epoch, now)
+        second.on_request(request(now=now, observation=np.ones(2, np.float32)), now)
+        second.on_status(running(grant, 0.1 * tenth), now)
+        assert (second.tick(now).grants, second.epoch, second.stands_by) == ([], 0, True)
+    ended = now
+    assert not second.tick(ended + 0.4).word
+    assert second.tick(ended + 0.5).word == second.epoch > first.epoch
+    answers = second.on_request(request("r1", now=ended + 0.5), ended + 0.5)
+    answers = answers if answers.steps else second.tick(ended + 0.6)
+    (step,) = answers.steps
+    assert (step.options[0], step.running[0], step.duration) == (grant.option, True, 0)
+    assert step.observation[:2].tolist() == [1.0, 1.0]
 
 
 def test_a_policy_is_replaced_between_decisions():
@@ -240,18 +246,6 @@ def test_discounted_joint_rewards_add_up_to_what_the_options_brought():
     begins = np.cumsum([step.duration for step in steps[1:]]) - [step.duration for step in steps[1:]]
     joint = sum(gamma**begin * step.reward for begin, step in zip(begins, steps[1:], strict=True))
     assert joint == pytest.approx(3.0 + gamma**2 * 5.0)
-
-
-def test_a_coordinator_that_is_alone_decides_once_it_has_heard_everybody():
-    team = Coordinator(AGENTS, uniform(0), "", 0.0, TIMES, seed=0)
-    for robot in AGENTS:
-        team.tick(0.1, alone=True)
-        assert not team.epoch
-        team.on_status(Status(robot.agent.name, 7, AgentState.WAITING, 3 << 16, 1), 0.1)
-    team.tick(0.1, alone=False)
-    assert not team.epoch
-    team.tick(0.1, alone=True)
-    assert team.epoch > 3 << 16
 
 
 def test_a_coordinator_that_ends_cuts_off_what_has_begun():

@@ -5,6 +5,8 @@ from hypothesis import HealthCheck, settings
 from hypothesis.stateful import RuleBasedStateMachine, initialize, rule
 from team import AGENTS, LONGEST_DELAY, Team
 
+COORDINATORS = 3
+WHICH = st.integers(0, COORDINATORS - 1)
 NAMES = st.sampled_from([robot.agent.name for robot in AGENTS])
 
 
@@ -33,13 +35,18 @@ class Faults(RuleBasedStateMachine):
     def restart(self, name):
         self.team.restart(name)
 
-    @rule()
-    def kill_coordinator(self):
-        self.team.coordinators = self.team.coordinators[1:]
+    @rule(which=WHICH)
+    def kill_coordinator(self, which):
+        del self.team.coordinators[which : which + 1]
+
+    @rule(which=WHICH, frozen=st.booleans())
+    def freeze_coordinator(self, which, frozen):
+        for coordinator in self.team.coordinators[which : which + 1]:
+            coordinator.frozen = frozen
 
     @rule()
     def start_coordinator(self):
-        if len(self.team.coordinators) < 2:
+        if len(self.team.coordinators) < COORDINATORS:
             self.team.start_coordinator()
 
     @rule(

@@ -1,0 +1,83 @@
+"""Which of several coordinators decides: of those that are heard, the one of the highest epoch. Pure: no ROS, no clock.
+
+Who listens takes over once it has heard nobody decide for a lease, in an epoch above all that it has seen. Who decides
+says so several times a lease, and listens again when it sees an epoch above its own.
+
+So one stays, however many there are and whenever they begin, once words arrive within a lease: all that decide but the
+highest step down when they hear it, nobody takes over who hears it, and nobody is above it, since only taking over
+makes a new epoch. A dead one is replaced after a lease. That others are *not* there is never concluded from anything
+but a lease of silence: what the middleware knows of its peers can be seconds old.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+_WORDS = 5
+_LOT_BITS = 32
+_LIMIT = 1 << 62
+
+
+class Election:
+    """One coordinator's part in it. Times are numbers in seconds, of any one clock.
+
+    Args:
+        now: when it begins to listen.
+        lease: how long it listens.
+        seed: of what the epochs of two that take over at once differ by.
+
+    Attributes:
+        epoch: in which this one decides, 0 while it listens.
+        stands_by: it listens because it has heard another one decide.
+    """
+
+    def __init__(self, now: float, lease: float, seed: int | None = None) -> None:
+        self._lease = lease
+        self._random = np.random.default_rng(seed)
+        self._highest = 0
+        self._word_at = now
+        self.listen(now)
+
+    def listen(self, now: float) -> None:
+        """Decide nothing for a lease."""
+        self.epoch, self.stands_by = 0, False
+        self._takes_over_at = now + self._lease
+
+    def on_epoch(self, epoch: int, now: float) -> bool:
+        """Note an epoch that somebody has seen; return whether it makes this one step down.
+
+        One that counting cannot reach is a fault of who says it, and ignored.
+        """
+        if epoch >= _LIMIT:
+            return False
+        self._highest = max(self._highest, epoch)
+        if not 0 < self.epoch < epoch:
+            return False
+        self.listen(now)
+        return True
+
+    def on_word(self, epoch: int, now: float) -> bool:
+        """Hear somebody decide; return whether this one steps down. Words below an epoch that is seen do not count."""
+        down = self.on_epoch(epoch, now)
+        if not self.epoch and epoch == self._highest:
+            self.listen(now)
+            self.stands_by = True
+        return down
+
+    def tick(self, now: float) -> bool:
+        """Let time pass; return whether it is time to say that this one decides."""
+        if not self.epoch and now >= self._takes_over_at:
+            self.epoch = self._highest = self._next_epoch()
+            self.stands_by = False
+            self._word_at = now
+        if not self.epoch or now < self._word_at:
+            return False
+        self._word_at = now + self._lease / _WORDS
+        return True
+
+    def _next_epoch(self) -> int:
+        """Return an epoch above the highest: its upper bits count, the lower 32 are a lot.
+
+        Two that take over at once have seen the same; with plain counting both would decide in one epoch.
+        """
+        return ((self._highest >> _LOT_BITS) + 1 << _LOT_BITS) + int(self._random.integers(1 << _LOT_BITS))
