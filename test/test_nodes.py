@@ -1,13 +1,12 @@
 """What every node of the suite promises, tried on real processes."""
 
 import signal
-import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 import rclpy
-from ament_index_python.packages import get_package_prefix
+from commands import command
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 from ttr_reward_node.solver import solve_task
@@ -93,8 +92,8 @@ def test_a_bad_parameter_ends_it_with_one_clear_message(run_node: Callable, tmp_
 @pytest.mark.parametrize("name", NODES)
 def test_help_names_every_parameter_with_default_and_range(name: str) -> None:
     package, _ = NODES[name]
-    path = Path(get_package_prefix(package)) / "lib" / package / name
-    answer = subprocess.run([path, "--help"], capture_output=True, text=True, check=True)
+    answer = command(name, "--help", package=package)
+    assert answer.returncode == 0, answer.stderr
     assert "parameters:" in answer.stdout
     assert answer.stdout.count("(default ") >= 3
 

@@ -1,25 +1,17 @@
 """Three TurtleBots under the coordinator, on real processes: the work is done, and the bag is data to learn from."""
 
 import json
-import os
 import subprocess
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
-from ament_index_python.packages import get_package_prefix
+from commands import check_refused, command
 from option_coordinator.bag_trajectory import recordings
 from option_coordinator.team_file import load_team
 
 TEAM = load_team("delivery_team")
-
-
-def command(executable: str, *arguments: object) -> subprocess.CompletedProcess[str]:
-    path = Path(get_package_prefix("ctrl_rl_bringup")) / "lib" / "ctrl_rl_bringup" / executable
-    return subprocess.run(
-        [path, *map(str, arguments)], capture_output=True, text=True, env=os.environ, timeout=280, check=False
-    )
 
 
 @pytest.fixture(scope="module")
@@ -78,7 +70,4 @@ def test_the_report_can_be_made_again_from_the_bag_alone(run) -> None:
     ],
 )
 def test_a_wrong_option_gives_one_clear_message(tmp_path: Path, option: tuple[str, str], words: str) -> None:
-    answer = command("options_demo", "--output", tmp_path / "run", *option)
-    assert answer.returncode == 2
-    assert words in answer.stderr
-    assert "Traceback" not in answer.stderr
+    check_refused(words, "options_demo", "--output", tmp_path / "run", *option)

@@ -85,14 +85,24 @@ class TeamMonitor(Monitor):
         return ""
 
 
-def run_team(options: TeamOptions) -> Path:
-    """Let a team work once, record everything, and return the bag."""
+def new_team_run(options: TeamOptions) -> tuple[TeamFile, dict[str, Path]]:
+    """Make the folder of a run; return its team, and the files whose digests its bag is to hold.
+
+    Raises:
+        CtrlRlError: team, room or policy cannot be read, or the folder is there already.
+    """
     team = team_of(options)
     digests = {"task": task_file(options.room), "team": team_file(options.team)}
     if options.policy not in SCRIPTED:
         digests["policy"] = Path(options.policy)
         OptionPolicy.load(options.policy)
     new_run(options.drive)
+    return team, digests
+
+
+def run_team(options: TeamOptions) -> Path:
+    """Let a team work once, record everything, and return the bag."""
+    team, digests = new_team_run(options)
     others = [coordinator(options), *agents(options, team)]
     rclpy.init()
     try:
