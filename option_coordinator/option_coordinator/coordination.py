@@ -1,8 +1,9 @@
 """Grants options to robots that ask when they are ready (thesis Algorithm 3, deployed). Pure: no ROS, and no clock.
 
-A coordinator listens for a lease before it decides anything, and for as long as another one does (see `election`):
-robots say what they run, and which epoch they have seen; its own is above that, and robots obey the highest only. What
-a robot says that it carries out is true: a grant that was on its way when a coordinator died is adopted, never doubled.
+A coordinator listens for a lease before it decides anything, and for as long as another one does (see `election`) or
+it waits for a robot's first word: robots say what they run, and which epoch they have seen; its own is above that, and
+robots obey the highest only. What a robot says that it carries out is true: a grant that was on its way when a
+coordinator died is adopted, never doubled.
 """
 
 from __future__ import annotations
@@ -68,7 +69,7 @@ class Coordinator:
         self._forget(now)
 
     def listen(self, now: float) -> None:
-        """Begin anew: decide nothing for one lease, hear who runs what, then take over."""
+        """Begin anew: decide nothing for a lease at least, hear who runs what, then take over."""
         self._election.listen(now)
         self._forget(now)
 
@@ -161,7 +162,7 @@ class Coordinator:
                 self.counts["lost robots"] += 1
                 self._open.pop(entry.agent, None)
         listened = not self.epoch
-        word_due = self._election.tick(now)
+        word_due = self._election.tick(now, self._knows_enough(now))
         if not self.epoch:
             return Answers()
         if listened:
@@ -174,7 +175,13 @@ class Coordinator:
         """Cut the episode off: say so where it has begun and is not over."""
         return Answers(steps=[self._last_step(now, terminated=False)] if self.epoch and self._journal.open else [])
 
+    def _knows_enough(self, now: float) -> bool:
+        """Whether every robot was heard, or could have been: what is not heard yet may run something."""
+        heard = all(entry.phase is not State.UNKNOWN for entry in self.ledger)
+        return heard or now >= self._began + self._times.lost_after
+
     def _forget(self, now: float) -> None:
+        self._began = now
         self.ledger = Ledger(self._robots)
         self._journal = self._new_journal(now)
         self._open: dict[str, Request] = {}

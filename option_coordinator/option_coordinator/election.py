@@ -64,9 +64,9 @@ class Election:
             self.stands_by = True
         return down
 
-    def tick(self, now: float) -> bool:
-        """Let time pass; return whether it is time to say that this one decides."""
-        if not self.epoch and now >= self._takes_over_at:
+    def tick(self, now: float, ready: bool = True) -> bool:
+        """Let time pass; return whether it is time to say that this one decides. Who is not ready listens on."""
+        if not self.epoch and ready and now >= self._takes_over_at:
             self.epoch = self._highest = self._next_epoch()
             self.stands_by = False
             self._word_at = now

@@ -223,7 +223,7 @@ class Team:
             self.start_coordinator()
         for coordinator in self.coordinators:
             coordinator.frozen = False
-        self.advance(2.0)
+        self.advance(3.0)
         epochs = [coordinator.core.epoch for coordinator in self.coordinators]
         self.advance(3.0)
         assert [coordinator.core.epoch for coordinator in self.coordinators] == epochs

@@ -9,7 +9,7 @@ from option_coordinator.exchange import AgentState, GrantStatus, Request, Status
 from option_coordinator.ledger import Entry, State
 from team import AGENTS, TIMES, uniform
 
-START = 1.0
+START = 1.0 + TIMES.lost_after  # of robots that have not said anything
 
 
 def request(agent="r0", request_id=1, now=START, incarnation=7, epoch=0, **changes):
@@ -119,6 +119,9 @@ def test_a_restarted_coordinator_adopts_what_runs():
     again = Coordinator(AGENTS, uniform(1), "digest", START, TIMES, seed=1)
     again.on_status(running(grant, 0.3), START + 0.3)
     assert again.tick(START + 0.4).grants == []
+    for robot in AGENTS[1:]:
+        assert not again.tick(START + 0.6).word  # it may run something
+        again.on_status(Status(robot.agent.name, 7, AgentState.WAITING), START + 0.6)
     again.tick(START + 0.6)
     assert again.epoch > team.epoch
     assert again.ledger["r0"].option == grant.option
@@ -205,7 +208,7 @@ def test_a_coordinator_that_hears_another_stands_by_and_knows_who_runs_what_when
     first = coordinator()
     grant = only(first.on_request(request(observation=np.ones(2, np.float32)), START))
     second = Coordinator(AGENTS, uniform(1), "digest", START, TIMES, seed=1)
-    for tenth in range(50):
+    for tenth in range(30):
         now = START + 0.1 * tenth
         second.on_word(first.tick(now).word or first.epoch, now)
         second.on_request(request(now=now, observation=np.ones(2, np.float32)), now)

@@ -151,7 +151,8 @@ def test_without_a_coordinator_a_robot_has_its_safe_option(rig):
 
 
 def test_a_killed_coordinator_is_replaced_by_one_that_knows_who_runs_what(rig):
-    rig.coordinator()
+    patient = {"lost_after": 60.0}  # however late the middleware lets them find each other
+    rig.coordinator(**patient)
     rig.robot("r0", lasts=0.0)
     rig.robot("r1", lasts=0.2)
     held = rig.granted("r0")
@@ -159,7 +160,7 @@ def test_a_killed_coordinator_is_replaced_by_one_that_knows_who_runs_what(rig):
     rig.kill("coordinator")
     rig.until(lambda: not rig.running("r1"), "the other one ends its option by itself")
     assert rig.running("r0")
-    rig.coordinator()
+    rig.coordinator(**patient)
     step = rig.new_step(lambda s: s.coordinator_epoch > held.coordinator_epoch and s.options[1] >= 0, "it decides")
     assert step.running[0]
     assert step.options[0] == held.option
