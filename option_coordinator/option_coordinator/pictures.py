@@ -14,6 +14,7 @@ from matplotlib import colormaps
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.patches import Patch
 from PIL import Image
 
 from option_coordinator.errors import OptionError
@@ -21,8 +22,10 @@ from option_coordinator.event_driven import OptionEnvironment
 from option_coordinator.trace import Span
 
 _FRAME_MILLISECONDS = 120
-_LABEL_CHARACTER = 0.011
-"""Width of a letter, as part of the picture's."""
+_LABEL_SIZE = 7.0  # pt
+_LETTER = 0.62 * _LABEL_SIZE
+_LINE = 1.3 * _LABEL_SIZE
+_SAME = 0.01  # of the picture: a gap that parts nothing
 
 
 def draw_timeline(environment: OptionEnvironment, title: str, path: Path) -> None:
@@ -99,6 +102,8 @@ def draw_spans(
 ) -> None:
     """Draw who ran which option when, a row for each agent; pale if it was not finished.
 
+    What repeats is labelled once; what has no room for a label anywhere stands in a legend.
+
     Args:
         ax: to draw on.
         spans: what ran.
@@ -111,7 +116,21 @@ def draw_spans(
     colours = {name: palette((index % 20) / 20.0 + 0.025) for index, name in enumerate(sorted(set(options)))}
     length = max(span.end for span in spans)
     for span in spans:
-        _draw_span(ax, span, rows[span.agent], colours[span.option], unit, length)
+        left, width = span.begin * unit, (span.end - span.begin) * unit
+        colour, alpha = colours[span.option], 0.9 if span.finished else 0.35
+        ax.barh(rows[span.agent], width, left=left, height=0.8, color=colour, edgecolor="w", alpha=alpha)
+    points = 72.0 / ax.figure.dpi
+    point, room = length / (ax.bbox.width * points), 0.8 * ax.bbox.height * points / len(rows)
+    nameless = {span.option for span in spans}
+    for span in _stretches(spans, _SAME * length):
+        rotation = _rotation(len(span.option) * _LETTER, (span.end - span.begin) / point, room)
+        if rotation is not None:
+            at = 0.5 * (span.begin + span.end) * unit, rows[span.agent]
+            ax.text(*at, span.option, ha="center", va="center", fontsize=_LABEL_SIZE, rotation=rotation)
+            nameless.discard(span.option)
+    if nameless:
+        handles = [Patch(color=colours[name], label=name) for name in sorted(nameless)]
+        ax.legend(handles=handles, fontsize=_LABEL_SIZE, loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
     ax.set_yticks(list(rows.values()), list(rows))
     ax.set_ylim(-0.5, len(rows) - 0.5)
     ax.set_xlim(0.0, length * unit)
@@ -126,8 +145,20 @@ def _draw_episode(ax: Axes, environment: OptionEnvironment) -> None:
     draw_spans(ax, environment.trace.spans, names, options, environment.simulation.time_step)
 
 
-def _draw_span(ax: Axes, span: Span, row: int, colour: Any, unit: float, length: float) -> None:
-    left, width = span.begin * unit, (span.end - span.begin) * unit
-    ax.barh(row, width, left=left, height=0.8, color=colour, edgecolor="w", alpha=0.9 if span.finished else 0.35)
-    if (span.end - span.begin) / length > _LABEL_CHARACTER * len(span.option):
-        ax.text(left + 0.5 * width, row, span.option, ha="center", va="center", fontsize=7)
+def _stretches(spans: Sequence[Span], gap: float) -> list[Span]:
+    """Return spans with those as one in which an agent runs the same option again and again."""
+    out: list[Span] = []
+    for span in sorted(spans, key=lambda span: (span.agent, span.begin)):
+        last = out[-1] if out else None
+        if last is not None and last[:2] == span[:2] and span.begin - last.end <= gap:
+            out[-1] = last._replace(end=span.end)
+        else:
+            out.append(span)
+    return out
+
+
+def _rotation(length: float, width: float, height: float) -> float | None:
+    """Return how a label is turned [deg] so that it fits, None where it does not; sizes in points."""
+    if length + _LETTER <= width:
+        return 0.0
+    return 90.0 if width >= _LINE and length <= height else None

@@ -8,9 +8,11 @@ import warnings
 import numpy as np
 import pytest
 from ctrl_rl_core.errors import CtrlRlError
+from matplotlib import pyplot as plt
 from option_coordinator.cli import replay
-from option_coordinator.pictures import draw_replay, draw_timeline
+from option_coordinator.pictures import draw_replay, draw_spans, draw_timeline
 from option_coordinator.tasks import make_environment
+from option_coordinator.trace import Span
 from option_coordinator.training.parallel_environment import ParallelOptions
 from option_coordinator.training.training_cli import train, training_figures
 from pettingzoo.test import parallel_api_test
@@ -48,6 +50,27 @@ def test_an_episode_must_be_there_to_be_drawn(tmp_path):
     environment.reset(0)
     with pytest.raises(CtrlRlError, match="film=True"):
         draw_replay(environment, "", tmp_path / "x.gif")
+
+
+def test_labels_of_a_timeline_name_what_repeats_once_and_never_overlap():
+    waits = [Span("a", "wait", 2.0 * i, 2.0 * i + 2.0, True) for i in range(5)]
+    others = [
+        Span("a", "shelf", 10.0, 60.0, True),
+        Span("a", "wait", 60.0, 62.0, True),
+        Span("a", "go", 62.1, 62.2, True),
+    ]
+    figure, ax = plt.subplots(figsize=(10.0, 2.0))
+    draw_spans(ax, [*waits, *others, Span("b", "shelf", 0.0, 90.0, False)], ("a", "b"), ("wait", "shelf", "go"))
+    assert [(text.get_text(), text.get_rotation()) for text in ax.texts] == [
+        ("wait", 0.0),
+        ("shelf", 0.0),
+        ("wait", 90.0),
+        ("shelf", 0.0),
+    ]
+    assert [text.get_text() for text in ax.get_legend().get_texts()] == ["go"]
+    boxes = [text.get_window_extent() for text in ax.texts]
+    assert not any(one.overlaps(other) for i, one in enumerate(boxes) for other in boxes[:i])
+    plt.close(figure)
 
 
 def test_replay_tells_and_draws(tmp_path, capsys):
