@@ -39,7 +39,7 @@ _READS: dict[str, Callable[[str], Any]] = {
 
 
 class LaunchError(CtrlRlError):
-    """An argument of a launch file says nothing."""
+    """An argument says nothing, or a process failed: that ends the launch, with another code than 0."""
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,9 @@ def _read(key: str, text: str) -> Any:
 def _actions(run: Launch) -> list[Action]:
     bag, others = _node(run.recorder), [_node(spec) for spec in run.nodes]
     monitor = Node(package=_PACKAGE, executable=run.monitor[0], arguments=list(run.monitor[1:]), output="screen")
-    report = ExecuteProcess(cmd=[FindExecutable(name="ros2"), "run", _PACKAGE, *run.report], output="screen")
+    report = ExecuteProcess(
+        cmd=[FindExecutable(name="ros2"), "run", _PACKAGE, *run.report], output="screen", on_exit=_reported
+    )
     ends = [EmitEvent(event=_interrupt(node)) for node in (*others, bag)]
     return [
         bag,
@@ -101,7 +103,6 @@ def _actions(run: Launch) -> list[Action]:
         monitor,
         RegisterEventHandler(OnProcessExit(target_action=monitor, on_exit=ends)),
         RegisterEventHandler(OnProcessExit(target_action=bag, on_exit=[report])),
-        RegisterEventHandler(OnProcessExit(target_action=report, on_exit=[EmitEvent(event=Shutdown())])),
     ]
 
 
@@ -112,14 +113,18 @@ def _node(spec: NodeSpec) -> Node:
         namespace=spec.namespace,
         parameters=[dict(spec.parameters)],
         output="screen",
-        on_exit=_shut_down_if_failed,
+        on_exit=_ended,
     )
 
 
-def _shut_down_if_failed(event: ProcessExited, _context: LaunchContext) -> list[Action]:
-    if event.returncode == 0:
-        return []
-    return [EmitEvent(event=Shutdown(reason=f"{event.process_name} ended with exit code {event.returncode}"))]
+def _ended(event: ProcessExited, context: LaunchContext) -> None:
+    if event.returncode and not context.is_shutdown:
+        raise LaunchError(f"{event.process_name} ended with exit code {event.returncode}")
+
+
+def _reported(event: ProcessExited, context: LaunchContext) -> EmitEvent:
+    _ended(event, context)
+    return EmitEvent(event=Shutdown())
 
 
 def _interrupt(node: Node) -> SignalProcess:

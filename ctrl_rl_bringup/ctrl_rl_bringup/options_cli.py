@@ -10,11 +10,11 @@ from pathlib import Path
 from ctrl_rl_core.command import CommandError
 from ctrl_rl_core.tasks import load_navigation_task
 from ctrl_rl_core.whole_file import write_whole
-from option_coordinator.team_file import load_team
+from option_coordinator.team_file import Work, load_team
 
 from ctrl_rl_bringup.cli import run_here
 from ctrl_rl_bringup.options_picture import draw_team
-from ctrl_rl_bringup.options_report import TeamRun, read_team
+from ctrl_rl_bringup.options_report import read_team
 from ctrl_rl_bringup.options_run import follow_running_team, run_team
 from ctrl_rl_bringup.options_stack import TeamOptions
 
@@ -47,7 +47,7 @@ def report() -> int:
     _add_team(parser)
     given = parser.parse_args()
     options = TeamOptions(given.folder, given.team, given.room)
-    return run_here("options_report", lambda: _report(read_team(options.drive.bag), options))
+    return run_here("options_report", lambda: _report(options))
 
 
 def monitor() -> int:
@@ -67,13 +67,17 @@ def _demo(options: TeamOptions) -> int:
     if options.speed <= 0.0:
         raise CommandError(f"--speed {options.speed:g}: must be more than 0")
     print(f"options_demo: {options.team}, seed {options.seed}, {options.speed:g}x real time, in {options.folder}")
-    return _report(read_team(run_team(options)), options)
+    run_team(options)
+    return _report(options)
 
 
-def _report(run: TeamRun, options: TeamOptions) -> int:
+def _report(options: TeamOptions) -> int:
+    team = load_team(options.team)
+    idle = [name for name, option in team.options.items() if option.work is Work.WAIT]
+    run = read_team(options.drive.bag, idle)
     file, picture = options.folder / "report.json", options.folder / "timeline.png"
     write_whole(file, json.dumps(run.as_dict(), indent=1) + "\n")
-    draw_team(run, load_navigation_task(options.room), load_team(options.team), picture)
+    draw_team(run, load_navigation_task(options.room), team, picture)
     print(run.text())
     print(f"bag                 {options.drive.bag}")
     print(f"picture             {picture}")

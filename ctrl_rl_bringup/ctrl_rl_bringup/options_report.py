@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter, defaultdict
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -33,12 +34,13 @@ class TeamRun:
         duration: until then, or until the recording ended [s].
         decisions: joint steps.
         team_return: undiscounted sum of the joint rewards.
-        answers: grants by what they said.
+        answers: grants by what they said, refusals by their reasons too.
         paths: true positions (n, 2) of each robot [m].
         clearance: smallest, of any robot [m]; NaN where nobody tells.
         latencies: from a request's arrival at the recorder to its grant's [s of wall time].
         messages: recorded.
         lost: published while the recorder listened, but not recorded.
+        idle: options that are no work.
     """
 
     agents: tuple[str, ...]
@@ -54,6 +56,7 @@ class TeamRun:
     latencies: Array
     messages: int
     lost: int
+    idle: frozenset[str] = frozenset()
 
     def as_dict(self) -> dict[str, Any]:
         """Return the figures as plain JSON values."""
@@ -94,12 +97,17 @@ class TeamRun:
         )
 
     def busy(self, agent: str) -> float:
-        """Return the part of the time in which a robot carried out an option."""
-        return sum(span.end - span.begin for span in self.spans if span.agent == agent) / max(self.duration, 1e-9)
+        """Return the part of the time in which a robot carried out an option that is work."""
+        work = [span for span in self.spans if span.agent == agent and span.option not in self.idle]
+        return sum(span.end - span.begin for span in work) / max(self.duration, 1e-9)
 
 
-def read_team(bag: Path) -> TeamRun:
+def read_team(bag: Path, idle: Collection[str] = ()) -> TeamRun:
     """Read a team's run from a bag.
+
+    Args:
+        bag: its folder.
+        idle: options that are no work.
 
     Raises:
         BagError: the bag cannot be read, or no coordinator decided in it.
@@ -132,12 +140,13 @@ def read_team(bag: Path) -> TeamRun:
         duration=end - begin,
         decisions=len(steps),
         team_return=float(sum(step.reward for step in steps)),
-        answers=dict(Counter(GrantStatus(grant.status).name.lower() for _, grant in grants)),
+        answers=dict(Counter(_answer(grant) for _, grant in grants)),
         paths={robot: np.array(points) for robot, points in paths.items()},
         clearance=float(np.nanmin(clearances)) if len(clearances) > 1 else float("nan"),
         latencies=_latencies(grants, requests),
         messages=info.message_count,
         lost=lost_messages(read_sent(bag)),
+        idle=frozenset(idle),
     )
 
 
@@ -156,6 +165,11 @@ def spans(grants: list[tuple[int, Any]], requests: list[tuple[int, Any]], begin:
         times = _seconds(grant) - begin, ends.get(key, end) - begin
         out[grant.agent, grant.grant_id] = Span(grant.agent, grant.option_name, *times, finished)
     return list(out.values())
+
+
+def _answer(grant: Any) -> str:
+    status = GrantStatus(grant.status)
+    return f"refused ({grant.reason})" if status is GrantStatus.REFUSED else status.name.lower()
 
 
 def _latencies(grants: list[tuple[int, Any]], requests: list[tuple[int, Any]]) -> Array:

@@ -100,8 +100,8 @@ def new_team_run(options: TeamOptions) -> tuple[TeamFile, dict[str, Path]]:
     return team, digests
 
 
-def run_team(options: TeamOptions) -> Path:
-    """Let a team work once, record everything, and return the bag."""
+def run_team(options: TeamOptions) -> None:
+    """Let a team work once, and record everything."""
     team, digests = new_team_run(options)
     others = [coordinator(options), *agents(options, team)]
     rclpy.init()
@@ -120,7 +120,6 @@ def run_team(options: TeamOptions) -> Path:
                 processes.stop(name)
     finally:
         rclpy.try_shutdown()
-    return options.drive.bag
 
 
 def follow_running_team(team: TeamFile) -> int:

@@ -39,7 +39,7 @@ def write_policy(path, seed=0, robots=2):
 
 
 class Rig:
-    """A namespace of its own with processes in it."""
+    """A namespace of its own with processes in it. Whoever shuts ROS down ends its node."""
 
     def __init__(self, folder):
         self.namespace = f"/rig{next(_NUMBERS)}"
@@ -123,10 +123,14 @@ class Rig:
         self.until(lambda: len(given) >= count, f"{count} grants for {agent}")
         return self.given(agent)[-1]
 
+    def says(self, agent, state):
+        """The latest word of a robot, where it says that it is in a state, else None."""
+        last = next((s for s in reversed(self.statuses) if s.agent == agent), None)
+        return last if last is not None and last.state == state else None
+
     def running(self, agent):
         """The latest word of a robot, where it says that it carries out an option."""
-        last = next((s for s in reversed(self.statuses) if s.agent == agent), None)
-        return last if last is not None and last.state == AgentState.RUNNING else None
+        return self.says(agent, AgentState.RUNNING)
 
     def new_step(self, condition, what):
         """Return the next joint step for which `condition` holds."""
@@ -187,4 +191,3 @@ class Rig:
         for process in self.processes.values():
             process.kill()
             process.wait()
-        self.node.destroy_node()
