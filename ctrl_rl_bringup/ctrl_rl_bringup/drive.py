@@ -8,7 +8,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-import rclpy
 from ctrl_rl_core.tasks import task_file
 from ctrl_rl_core.whole_file import write_whole
 from koopman_lqr_controller.policy_file import find_policy
@@ -18,6 +17,7 @@ from ctrl_rl_bringup.picture import draw_drive
 from ctrl_rl_bringup.prepare import new_run, value_files
 from ctrl_rl_bringup.processes import Processes
 from ctrl_rl_bringup.report import Drive, read_drive
+from ctrl_rl_bringup.session import ros
 from ctrl_rl_bringup.stack import DriveOptions, NodeSpec, controller, recorder, scripted_driver, simulator, value_nodes
 from ctrl_rl_msgs.msg import TaskOutcome
 
@@ -56,7 +56,7 @@ def follow_running(topics: Sequence[str]) -> int:
     Args:
         topics: that the drive waits for, besides those of every drive.
     """
-    with _ros():
+    with ros():
         monitor = Monitor(lambda: None, topics)
         try:
             monitor.wait_until_ready()
@@ -96,7 +96,7 @@ def _episodes(monitor: Monitor, seeds: Sequence[int], title: str) -> list[Episod
 @contextmanager
 def _running(options: DriveOptions, nodes: Sequence[NodeSpec], digests: dict[str, Path]) -> Iterator[Monitor]:
     """Start simulator, recorder and nodes, and end them in an order in which the recorder misses nothing."""
-    with _ros(), Processes(options.folder) as processes:
+    with ros(), Processes(options.folder) as processes:
         processes.start([recorder(options, {"task": task_file(options.task), **digests}), simulator(options), *nodes])
         monitor = Monitor(processes.check, [topic for node in nodes for topic in node.publishes])
         try:
@@ -107,12 +107,3 @@ def _running(options: DriveOptions, nodes: Sequence[NodeSpec], digests: dict[str
             monitor.close()
         for name in (*(node.executable for node in nodes), "bridge", "recorder"):
             processes.stop(name)
-
-
-@contextmanager
-def _ros() -> Iterator[None]:
-    rclpy.init()
-    try:
-        yield
-    finally:
-        rclpy.try_shutdown()

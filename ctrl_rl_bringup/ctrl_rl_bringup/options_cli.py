@@ -19,6 +19,7 @@ from ctrl_rl_bringup.options_run import follow_running_team, run_team
 from ctrl_rl_bringup.options_stack import TeamOptions
 
 _DEFAULT = TeamOptions(Path())
+_FASTEST = 1000.0
 
 
 def demo() -> int:
@@ -64,8 +65,10 @@ def _add_team(parser: argparse.ArgumentParser) -> None:
 
 
 def _demo(options: TeamOptions) -> int:
-    if options.speed <= 0.0:
-        raise CommandError(f"--speed {options.speed:g}: must be more than 0")
+    if not 0.0 < options.speed <= _FASTEST:
+        raise CommandError(f"--speed {options.speed:g}: must be more than 0 and at most {_FASTEST:g}")
+    if options.seed < 0:
+        raise CommandError(f"--seed {options.seed}: must be at least 0")
     print(f"options_demo: {options.team}, seed {options.seed}, {options.speed:g}x real time, in {options.folder}")
     run_team(options)
     return _report(options)

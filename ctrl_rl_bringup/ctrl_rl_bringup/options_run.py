@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-import rclpy
 from ctrl_rl_core.tasks import task_file
 from option_coordinator.exchange import GrantStatus
 from option_coordinator.messages import EXCHANGE
@@ -19,6 +18,7 @@ from ctrl_rl_bringup.options_stack import TeamOptions, agents, coordinator, team
 from ctrl_rl_bringup.prepare import new_run
 from ctrl_rl_bringup.processes import Processes
 from ctrl_rl_bringup.progress import ProgressDisplay
+from ctrl_rl_bringup.session import ros
 from ctrl_rl_bringup.stack import recorder
 from ctrl_rl_msgs.msg import AgentStatus, JointOptionStep, OptionGrant
 
@@ -95,7 +95,7 @@ def new_team_run(options: TeamOptions) -> tuple[TeamFile, dict[str, Path]]:
     digests = {"task": task_file(options.room), "team": team_file(options.team)}
     if options.policy not in SCRIPTED:
         digests["policy"] = Path(options.policy)
-        OptionPolicy.load(options.policy)
+        OptionPolicy.load_for(options.policy, (robot.agent for robot in team.coordinated))
     new_run(options.drive)
     return team, digests
 
@@ -104,36 +104,25 @@ def run_team(options: TeamOptions) -> None:
     """Let a team work once, and record everything."""
     team, digests = new_team_run(options)
     others = [coordinator(options), *agents(options, team)]
-    rclpy.init()
-    try:
-        with Processes(options.folder) as processes:
-            processes.start([recorder(options.drive, digests), team_simulator(options, team), *others])
-            monitor = TeamMonitor(processes.check, team)
-            try:
-                monitor.wait_until_ready()
-                monitor.run()
-                monitor.follow_team()
-                monitor.pause()
-            finally:
-                monitor.close()
-            for name in (*(node.name for node in reversed(others)), "bridge", "recorder"):
-                processes.stop(name)
-    finally:
-        rclpy.try_shutdown()
+    with ros(), Processes(options.folder) as processes:
+        processes.start([recorder(options.drive, digests), team_simulator(options, team), *others])
+        _follow(TeamMonitor(processes.check, team))
+        for name in (*(node.name for node in reversed(others)), "bridge", "recorder"):
+            processes.stop(name)
 
 
 def follow_running_team(team: TeamFile) -> int:
     """Follow a team whose nodes somebody else has started, and return 0 once its work is over."""
-    rclpy.init()
-    try:
-        monitor = TeamMonitor(lambda: None, team)
-        try:
-            monitor.wait_until_ready()
-            monitor.run()
-            monitor.follow_team()
-            monitor.pause()
-        finally:
-            monitor.close()
-    finally:
-        rclpy.try_shutdown()
+    with ros():
+        _follow(TeamMonitor(lambda: None, team))
     return 0
+
+
+def _follow(monitor: TeamMonitor) -> None:
+    try:
+        monitor.wait_until_ready()
+        monitor.run()
+        monitor.follow_team()
+        monitor.pause()
+    finally:
+        monitor.close()

@@ -154,14 +154,10 @@ class OptionCoordinator(SuiteNode):
             if name == "uniform":
                 return self._timed(uniform_chooser(generator)), ""
             return self._timed(spread_chooser(self._robots, generator, self._shared)), ""
-        policy = OptionPolicy.load(Path(name))
+        policy = OptionPolicy.load_for(name, (robot.agent for robot in self._robots))
         promised = self.settings["policy_digest"]
         if promised and policy.digest != promised:
             raise OptionError(f"{name}: its digest is {policy.digest[:12]}, 'policy_digest' wants {promised[:12]}")
-        if policy.agents != tuple(robot.agent for robot in self._robots):
-            raise OptionError(
-                f"{name}: is a policy of other robots or options: {', '.join(a.name for a in policy.agents)}"
-            )
         return self._timed(policy_chooser(policy, generator)), policy.digest
 
     def _timed(self, chooses: Chooses) -> Chooses:

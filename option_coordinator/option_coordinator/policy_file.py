@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -125,6 +125,19 @@ class OptionPolicy:
         return save(tensors, metadata={_HEADER_KEY: json.dumps(header, sort_keys=True)})
 
     @classmethod
+    def load_for(cls, path: Path | str, agents: Iterable[Agent]) -> Self:
+        """Read the policy of a team.
+
+        Raises:
+            OptionError: as for `load`, or it is of another team.
+        """
+        policy = cls.load(path)
+        if policy.agents != tuple(agents):
+            others = ", ".join(agent.name for agent in policy.agents)
+            raise OptionError(f"{path}: is a policy of other robots or options: {others}")
+        return policy
+
+    @classmethod
     def load(cls, path: Path | str) -> Self:
         """Read a policy.
 
@@ -148,8 +161,10 @@ class OptionPolicy:
                 greedy=header["greedy"],
                 manifest=header["manifest"],
             )
-        except (OSError, SafetensorError, ValueError, KeyError, TypeError) as error:
-            raise OptionError(f"{path}: cannot be read as a policy ({error})") from None
+        except OSError as error:
+            raise OptionError(f"{path}: cannot be read as a policy: {str(error.strerror).lower()}") from None
+        except (SafetensorError, ValueError, KeyError, TypeError) as error:
+            raise OptionError(f"{path}: is no policy of options as `train` writes them ({error})") from None
         policy.__dict__["digest"] = hashlib.sha256(content).hexdigest()  # of what was read, however it was written
         try:
             policy.check()

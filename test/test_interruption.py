@@ -1,0 +1,40 @@
+"""A demo that is interrupted ends its nodes, says so in a line, and leaves a bag that can be read."""
+
+import os
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import pytest
+from ament_index_python.packages import get_package_prefix
+from commands import command
+
+FOLDER = Path(get_package_prefix("ctrl_rl_bringup")) / "lib" / "ctrl_rl_bringup"
+
+
+@pytest.mark.parametrize(
+    ("demo", "report", "number"),
+    [("demo", "report", signal.SIGTERM), ("options_demo", "options_report", signal.SIGINT)],
+)
+def test_an_interrupted_demo_leaves_a_bag_and_no_node(tmp_path: Path, demo: str, report: str, number: int) -> None:
+    run, log = tmp_path / "run", tmp_path / "log"
+    with log.open("wb") as stream:
+        process = subprocess.Popen(
+            [FOLDER / demo, "--output", run, "--speed", "2"], stdout=stream, stderr=subprocess.STDOUT, env=os.environ
+        )
+    deadline = time.monotonic() + 120.0
+    while "% of the way" not in log.read_text():
+        assert process.poll() is None, log.read_text()
+        assert time.monotonic() < deadline, log.read_text()
+        time.sleep(0.05)
+    nodes = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
+    assert len(nodes) >= 3
+    process.send_signal(number)
+    assert process.wait(60.0) == 130
+    assert log.read_text().splitlines()[-1] == f"{demo}: interrupted"
+    assert "Traceback" not in log.read_text()
+    assert not any(Path(f"/proc/{node}").exists() for node in nodes)
+    answer = command(report, run)
+    assert answer.returncode == 1
+    assert "0 lost" in answer.stdout
