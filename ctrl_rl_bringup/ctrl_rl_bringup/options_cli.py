@@ -69,7 +69,10 @@ def _demo(options: TeamOptions) -> int:
         raise CommandError(f"--speed {options.speed:g}: must be more than 0 and at most {_FASTEST:g}")
     if options.seed < 0:
         raise CommandError(f"--seed {options.seed}: must be at least 0")
-    print(f"options_demo: {options.team}, seed {options.seed}, {options.speed:g}x real time, in {options.folder}")
+    print(
+        f"options_demo: {options.team}, seed {options.seed}, {options.speed:g}x real time, in {options.folder}",
+        flush=True,
+    )
     run_team(options)
     return _report(options)
 

@@ -71,7 +71,7 @@ class Processes:
         """Raise ProcessError, with its last words, if a node has ended by itself."""
         for name, process in self._running.items():
             if process.poll() is not None:
-                raise ProcessError(f"{name} ended with exit code {process.returncode}: {self._last_words(name)}")
+                raise ProcessError(self._end_of(name, process.returncode))
 
     def stop(self, name: str) -> None:
         """End one node by SIGINT and wait for it; kill it if it does not end.
@@ -92,7 +92,7 @@ class Processes:
                 f"{name} did not stop within {_STOP_S:g} s and was killed: {self._last_words(name)}"
             ) from None
         if code != 0:
-            raise ProcessError(f"{name} ended with exit code {code}: {self._last_words(name)}")
+            raise ProcessError(self._end_of(name, code))
 
     def __enter__(self) -> Processes:
         return self
@@ -115,6 +115,11 @@ class Processes:
         path = Path(self._parameters.name) / f"{spec.name}.yaml"
         path.write_text(yaml.safe_dump({"/**": {"ros__parameters": dict(spec.parameters)}}), encoding="utf-8")
         return str(path)
+
+    def _end_of(self, name: str, code: int) -> str:
+        if code < 0:
+            return f"{name} was ended by {signal.Signals(-code).name}; see {self._folder / name}.log"
+        return f"{name} ended with exit code {code}: {self._last_words(name)}"
 
     def _last_words(self, name: str) -> str:
         lines = (self._folder / f"{name}.log").read_text(errors="replace").strip().splitlines()

@@ -35,7 +35,7 @@ def refusal_of(request: Request, agent: Agent, epoch: int, age: float, oldest: f
     """
     observation, legal = np.asarray(request.observation), np.asarray(request.legal)
     if 0 < request.coordinator_epoch < epoch:
-        return Refusal("stale epoch", f"epoch {request.coordinator_epoch} is over, this is {epoch}: ask again")
+        return Refusal("stale epoch", "that epoch is over: ask again in this one")
     if observation.shape != (agent.observation_size,):
         return Refusal("wrong size", f"observation has shape {observation.shape}, must be ({agent.observation_size},)")
     if not np.isfinite(observation).all() or not math.isfinite(request.option_reward):
