@@ -44,6 +44,7 @@ class Coordinator:
 
     Attributes:
         ledger: who runs what.
+        digest: of the policy's file, empty for one that has none.
         counts: how often what happened, for diagnostics.
     """
 
@@ -60,7 +61,7 @@ class Coordinator:
         self._robots = {robot.agent.name: robot for robot in robots}
         self._index = {name: index for index, name in enumerate(self._robots)}
         self._times = times or Times()
-        self._policy, self._digest = policy, digest
+        self._policy, self.digest = policy, digest
         self._discount = discount
         self.counts: Counter[str] = Counter()
         self._observed = [np.zeros(robot.agent.observation_size, np.float32) for robot in robots]
@@ -84,9 +85,9 @@ class Coordinator:
         return self._election.stands_by
 
     @property
-    def digest(self) -> str:
-        """Of the policy's file, empty for one that has none."""
-        return self._digest
+    def unheard(self) -> list[str]:
+        """Robots that have not said anything since this coordinator began to listen."""
+        return [entry.agent for entry in self.ledger if entry.phase is State.UNKNOWN]
 
     @property
     def batches(self) -> bool:
@@ -95,7 +96,7 @@ class Coordinator:
 
     def replace_policy(self, policy: Chooses, digest: str) -> None:
         """Decide by another policy from the next decision on."""
-        self._policy, self._digest = policy, digest
+        self._policy, self.digest = policy, digest
         self.counts["policies replaced"] += 1
 
     def on_word(self, epoch: int, now: float) -> None:
@@ -177,8 +178,7 @@ class Coordinator:
 
     def _knows_enough(self, now: float) -> bool:
         """Whether every robot was heard, or could have been: what is not heard yet may run something."""
-        heard = all(entry.phase is not State.UNKNOWN for entry in self.ledger)
-        return heard or now >= self._began + self._times.lost_after
+        return not self.unheard or now >= self._began + self._times.lost_after
 
     def _forget(self, now: float) -> None:
         self._began = now
@@ -320,7 +320,7 @@ class Coordinator:
             grants.append(self._grant_of(entry, now))
         if all(grant.status is GrantStatus.REFUSED for grant in grants):
             return Answers(grants)
-        digest = self._digest if choice.by_policy else ""
+        digest = self.digest if choice.by_policy else ""
         step = self._journal.decision(now, self.epoch, asked, self._all_run(), choice.log_probability, digest)
         return Answers(grants, [step])
 

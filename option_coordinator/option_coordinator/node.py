@@ -112,7 +112,8 @@ class OptionCoordinator(SuiteNode):
         if coordinator.stands_by:
             return ok("another coordinator decides", **figures)
         if not coordinator.epoch:
-            return ok("listening", **figures)
+            unheard = ", ".join(coordinator.unheard)
+            return ok(f"listening, not heard yet: {unheard}" if unheard else "listening", **figures)
         return warn(", ".join(faults), **figures) if faults else ok("deciding", **figures)
 
     def stop(self) -> None:

@@ -150,7 +150,7 @@ class Rig:
     def deciding(self, *names):
         """Which of some coordinators decides, by its latest diagnostics; None unless it is exactly one."""
         said = [status for name in names if (status := self.status(name)) is not None]
-        found = [s.name.rsplit("/", 1)[-1] for s in said if s.message not in ("listening", STANDS_BY)]
+        found = [s.name.rsplit("/", 1)[-1] for s in said if s.message != STANDS_BY and "listening" not in s.message]
         return found[0] if len(found) == 1 and len(said) == len(names) else None
 
     def ask(self, agent="r0", request_id=1, incarnation=1, epoch=0, **changes):
