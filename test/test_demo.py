@@ -95,6 +95,7 @@ def test_a_run_never_overwrites_another(run) -> None:
 )
 def test_a_wrong_option_gives_one_clear_message(tmp_path: Path, option: tuple[str, str], words: str) -> None:
     check_refused(words, "demo", "--output", tmp_path / "run", *option)
+    assert not (tmp_path / "run").exists()
 
 
 def test_without_a_known_width_it_drives_without_reward_and_says_so(tmp_path: Path) -> None:

@@ -71,3 +71,4 @@ def test_the_report_can_be_made_again_from_the_bag_alone(run) -> None:
 )
 def test_a_wrong_option_gives_one_clear_message(tmp_path: Path, option: tuple[str, str], words: str) -> None:
     check_refused(words, "options_demo", "--output", tmp_path / "run", *option)
+    assert not (tmp_path / "run").exists()

@@ -17,9 +17,9 @@ def new_run(options: DriveOptions) -> None:
     """Check the task of a run and make its folder.
 
     Raises:
-        CtrlRlError: there is no such task, or the folder exists or cannot be made.
+        CtrlRlError: there is no such task, it has no such width, or the folder exists or cannot be made.
     """
-    load_navigation_task(options.task)
+    load_navigation_task(options.task).build_world(options.width or None)
     try:
         options.folder.mkdir(parents=True)
     except FileExistsError:
