@@ -114,6 +114,8 @@ class OptionCoordinator(SuiteNode):
         if not coordinator.epoch:
             unheard = ", ".join(coordinator.unheard)
             return ok(f"listening, not heard yet: {unheard}" if unheard else "listening", **figures)
+        if len(coordinator.unheard) == len(self._robots):
+            faults.append("hears no robot")
         return warn(", ".join(faults), **figures) if faults else ok("deciding", **figures)
 
     def stop(self) -> None:
