@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from oc_baseline_node.errors import OcError
 from oc_baseline_node.training.baselines import OcBaseline
 from oc_baseline_node.training.control_variates import make_critic, value_and_slope
-from oc_baseline_node.training.policy_gradient import BaselineBuffer, BaselinePolicy
+from oc_baseline_node.training.policy_gradient import BaselineBuffer, BaselinePolicy, CorrectedPolicy
 from oc_baseline_node.value_file import find_value, load_network
 from sb3_contrib import TRPO
 from stable_baselines3 import PPO
@@ -113,6 +113,34 @@ def test_a_policy_with_a_baseline_ends_its_returns_on_it_and_never_learns_it():
     buffer = model.rollout_buffer
     assert buffer.values.ravel() == pytest.approx(some_baseline(buffer.observations.reshape(-1, 3)), abs=1e-5)
     assert all(torch.equal(a, b) for a, b in zip(before, model.policy.value_net.parameters(), strict=True))
+
+
+def test_a_corrected_value_begins_as_the_baseline_and_learns_what_the_policy_earns():
+    constant = 3.0  # far from the truth
+
+    def wrong(observations):
+        return some_baseline(observations) + np.float32(constant)
+
+    model = PPO(
+        CorrectedPolicy, Drift(), n_steps=256, batch_size=64, n_epochs=10, learning_rate=3e-3, seed=0, device="cpu",
+        rollout_buffer_class=BaselineBuffer, policy_kwargs={"baseline": wrong},
+    )  # fmt: skip
+    buffer = model.rollout_buffer
+
+    def observed():
+        return buffer.observations.reshape(-1, 3)
+
+    model.learn(256)
+    assert buffer.values.ravel() == pytest.approx(wrong(observed()), abs=1e-5)
+    first = np.abs(buffer.returns - buffer.values).mean()
+    model.learn(256 * 30)
+    assert np.abs(buffer.returns - buffer.values).mean() < 0.5 * first
+    shown = torch.from_numpy(observed())
+    with torch.no_grad():
+        values, *_ = model.policy.evaluate_actions(shown, torch.zeros(len(shown), 1))
+        _, acted, _ = model.policy(shown)
+        assert torch.equal(values, model.policy.predict_values(shown))
+        assert torch.equal(values, acted)
 
 
 def gaussian_policy():

@@ -34,7 +34,7 @@ def own_task(folder, of, *changes, name=None):
     return file
 
 
-@pytest.mark.parametrize("method", ["oc_ppo", "oc_trpo", "stein", "q_prop", "noise_0.1", "oc_own_end"])
+@pytest.mark.parametrize("method", ["oc_ppo", "oc_trpo", "stein", "q_prop", "noise_0.1", "oc_own_end", "oc_corrected"])
 def test_a_run_that_was_cut_off_ends_as_if_it_had_not_been(check_resuming, method):
     check_resuming(train_one, OcRun(TASK, method, 3), partial(Options, **SHORT))
 

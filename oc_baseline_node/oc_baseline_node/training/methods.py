@@ -20,8 +20,8 @@ class Method:
     Attributes:
         label: for tables and pictures.
         algorithm: "ppo" or "trpo".
-        baseline: b of Eq. 3.14: "value", the on-policy V; "oc", V_oc; with a part that depends on the action, "stein"
-            and "q_prop".
+        baseline: b of Eq. 3.14: "value", the on-policy V; "oc", V_oc; "corrected", an on-policy V that is V_oc and a
+            learnt correction; with a part that depends on the action, "stein" and "q_prop".
         end: what the n-step returns in G^lambda end on: V_oc ("oc") or the on-policy V ("value").
         gae_lambda: lambda of G^lambda.
         entropy: coefficient of the entropy bonus.
@@ -30,7 +30,7 @@ class Method:
 
     label: str
     algorithm: Literal["ppo", "trpo"] = "ppo"
-    baseline: Literal["value", "oc", "stein", "q_prop"] = "value"
+    baseline: Literal["value", "oc", "corrected", "stein", "q_prop"] = "value"
     end: Literal["value", "oc"] = "value"
     gae_lambda: float = 0.95
     entropy: float = 0.0
@@ -39,13 +39,14 @@ class Method:
     @property
     def needs_value(self) -> bool:
         """Whether it asks V_oc."""
-        return self.baseline == "oc"
+        return self.baseline in ("oc", "corrected")
 
 
 METHODS: Mapping[str, Method] = MappingProxyType(
     {
         "oc_ppo": Method("PPO, OC baseline", baseline="oc", end="oc"),
         "ppo": Method("PPO"),
+        "oc_corrected": Method("PPO, OC baseline with a learnt correction", baseline="corrected"),
         "oc_trpo": Method("TRPO, OC baseline", "trpo", baseline="oc", end="oc"),
         "trpo": Method("TRPO", "trpo"),
         "stein": Method("PPO, Stein", baseline="stein"),
@@ -62,12 +63,12 @@ METHODS: Mapping[str, Method] = MappingProxyType(
 
 GROUPS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
-        "ablation": ("oc_ppo", "ppo", "oc_trpo", "trpo"),
+        "ablation": ("oc_ppo", "ppo", "oc_corrected", "oc_trpo", "trpo"),
         "baselines": ("oc_ppo", "ppo", "stein", "q_prop"),
         "noise": ("oc_ppo", *(f"noise_{s:g}" for s in NOISES)),
         "entropy": ("oc_ppo", "ppo", *(f"entropy_{c:g}" for c in ENTROPIES)),
-        "ends": ("oc_ppo", "oc_lambda_0.7", "lambda_0.7", "oc_lambda_1", "oc_own_end", "ppo"),
+        "ends": ("oc_ppo", "oc_corrected", "oc_lambda_0.7", "lambda_0.7", "oc_lambda_1", "oc_own_end", "ppo"),
     }
 )
 """Which methods are compared with each other: Fig. 3.10, 3.12 and 3.14, Fig. 3.13, Fig. 3.16, Table 3.6, and what
-G^lambda ends on."""
+G^lambda ends on; `oc_corrected` is not of the thesis."""

@@ -15,6 +15,7 @@ from matplotlib import pyplot as plt
 from oc_baseline_node.training.methods import GROUPS, METHODS
 
 _COLOURS = ("tab:red", "0.45", "tab:blue", "tab:orange", "tab:green", "tab:purple", "tab:brown", "tab:cyan")
+_OURS = ("oc_ppo", "oc_corrected")
 _WITH_AND_WITHOUT = ("oc_ppo", "ppo")
 PARTS = ("curves", "advantages", "paths")
 """What is drawn of the results, besides their task."""
@@ -42,7 +43,7 @@ def draw_curves(figures: Mapping[str, Any], methods: Sequence[str], path: Path) 
         curve = figures["curves"][name]
         for ax, key, start in ((axes[0], "success", 0.0), (axes[1], "total", None)):
             draw_curve(
-                ax, curve["samples"], curve[key], METHODS[name].label, colour, 2.2 if name == "oc_ppo" else 1.3, start
+                ax, curve["samples"], curve[key], METHODS[name].label, colour, 2.2 if name in _OURS else 1.3, start
             )
     for ax, label in zip(axes, ("success rate", "return"), strict=True):
         ax.set_xlabel("samples [thousands]")

@@ -3,11 +3,13 @@
     PPO(BaselinePolicy, env, policy_kwargs={"baseline": b}, vf_coef=0.0)            b is also what G^lambda ends on
     PPO("MlpPolicy", env, rollout_buffer_class=BaselineBuffer,
         rollout_buffer_kwargs={"baseline": b})                                      G^lambda ends on the learnt V
+    PPO(CorrectedPolicy, env, policy_kwargs={"baseline": b})                        the learnt V begins as b
 
 The n-step returns in G^lambda need a value where they are cut, after n steps, at the end of a roll-out, at a time-out
 that pays nothing. The first form takes b for it, as the published code does: at lambda < 1 advantages then are sums of
 r + gamma b(s') - b(s), so that b guides. The second takes the on-policy value: b then moves advantages of whole states
-only, which leaves the gradient's mean as it was. Both algorithms standardise advantages.
+only, which leaves the gradient's mean as it was. The third is led by b at first and by what was learnt in the end.
+Both algorithms standardise advantages.
 """
 
 from __future__ import annotations
@@ -71,13 +73,43 @@ class BaselinePolicy(ActorCriticPolicy):
     def forward(
         self, obs: torch.Tensor, deterministic: bool = False
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Return actions (N, m), b (N, 1) and log-probabilities (N,)."""
-        actions, _, log_probabilities = super().forward(obs, deterministic)
-        return actions, self.predict_values(obs), log_probabilities
+        """Return actions (N, m), the value (N, 1) and log-probabilities (N,)."""
+        actions, learnt, log_probabilities = super().forward(obs, deterministic)
+        return actions, self._value(obs, learnt), log_probabilities
 
     def predict_values(self, obs: Any) -> torch.Tensor:
-        """Return b (N, 1)."""
-        return torch.from_numpy(self.baseline(obs.numpy()))[:, None]
+        """Return the value (N, 1)."""
+        return self._value(obs, super().predict_values(obs))
+
+    def _value(self, observations: Any, learnt: torch.Tensor) -> torch.Tensor:  # noqa: ARG002 - for those who correct
+        """Return the value (N, 1) where the network says `learnt` (N, 1)."""
+        return torch.from_numpy(self.baseline(observations.numpy()))[:, None]
+
+
+class CorrectedPolicy(BaselinePolicy):
+    """A policy whose value is a given function and a learnt correction, 0 at first: V(s) = b(s) + V_theta(s).
+
+    So b leads the early policy, as the reward r + gamma b(s') - b(s) would (potential-based shaping: Ng, Harada and
+    Russell 1999; a value that begins as b does the same: Wiewiora 2003), and V becomes the value of the policy.
+
+    Args:
+        baseline: b.
+    """
+
+    def __init__(self, *arguments: Any, **others: Any) -> None:
+        super().__init__(*arguments, **others)
+        torch.nn.init.zeros_(self.value_net.weight)
+        torch.nn.init.zeros_(self.value_net.bias)
+
+    def evaluate_actions(
+        self, obs: Any, actions: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor | None]:
+        """Return the value (N, 1), log-probabilities of actions (N,) and entropy (N,)."""
+        learnt, log_probabilities, entropy = super().evaluate_actions(obs, actions)
+        return self._value(obs, learnt), log_probabilities, entropy
+
+    def _value(self, observations: Any, learnt: torch.Tensor) -> torch.Tensor:
+        return super()._value(observations, learnt) + learnt
 
 
 class FrozenValueTrpo(TRPO):

@@ -21,7 +21,7 @@ from oc_baseline_node.mlp_value import MlpValue
 from oc_baseline_node.training.baselines import OcBaseline
 from oc_baseline_node.training.environment import PaidTimeOut
 from oc_baseline_node.training.methods import METHODS, Method
-from oc_baseline_node.training.policy_gradient import BaselineBuffer, BaselinePolicy, FrozenValueTrpo
+from oc_baseline_node.training.policy_gradient import BaselineBuffer, BaselinePolicy, CorrectedPolicy, FrozenValueTrpo
 from oc_baseline_node.training.q_prop import QPropPpo
 from oc_baseline_node.training.stein import SteinPpo
 from oc_baseline_node.value_file import find_value, load_network
@@ -119,6 +119,8 @@ class OcRun:
                 changes |= {"kind": FrozenValueTrpo, "n_critic_updates": 0}
             else:
                 changes["vf_coef"] = 0.0
+        elif method.baseline == "corrected":
+            changes |= {"policy": CorrectedPolicy, "policy_kwargs": {"baseline": self.baseline()}}
         elif method.baseline == "oc":
             changes["rollout_buffer_kwargs"] = {"baseline": self.baseline()}
         return make_algorithm(method.algorithm, self.environment, self.seed, samples, **changes)

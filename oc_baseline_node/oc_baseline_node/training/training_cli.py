@@ -20,7 +20,7 @@ from oc_baseline_node.training.methods import GROUPS, METHODS
 
 FOLDER = Path("runs/oc_training")
 ITERATIONS = 10
-_MAIN = ("oc_ppo", "ppo")
+_MAIN = ("oc_ppo", "ppo", "oc_corrected")
 
 
 def train(arguments: Sequence[str] | None = None) -> int:
@@ -28,7 +28,7 @@ def train(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="train", description=train.__doc__)
     parser.add_argument("--task", required=True, help="car_navigation, quad_navigation, quad_trap, or a task file")
     which = parser.add_mutually_exclusive_group()
-    which.add_argument("--methods", nargs="+", choices=METHODS, help="default: oc_ppo ppo")
+    which.add_argument("--methods", nargs="+", choices=METHODS, help="default: oc_ppo ppo oc_corrected")
     which.add_argument("--compare", nargs="+", choices=[*GROUPS, "all"], help="the methods of a figure or table")
     parser.add_argument("--value", type=Path, help="file of V_oc ('oc fit'); default: what comes with the package")
     add_run_options(parser, FOLDER, ITERATIONS)
