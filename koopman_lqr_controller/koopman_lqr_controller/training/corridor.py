@@ -1,5 +1,8 @@
 """The simulated corridor for learning: lidar and odometry of a TurtleBot3, commands as its firmware takes them.
 
+Learning drives through several such corridors in a row, so that an episode without a collision is as long as the
+thesis's, about 700 steps. Lidar, drop-out and delay are others in each episode: what is learnt has to stand them all.
+
 The reward is this suite's own, the thesis says nothing of it: progress along the path, less the nearer the walls are,
 and at the end what the task pays for goal and collision, as multiples of what a step at full speed pays.
 """
@@ -7,6 +10,7 @@ and at the end what the task pays for goal and collision, as multiples of what a
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Any
 
 import gymnasium
@@ -22,9 +26,14 @@ from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.latent_policy import LidarWiring
 from koopman_lqr_controller.lidar import ScanGeometry
 from koopman_lqr_controller.lidar_observation import LidarObservation
+from koopman_lqr_controller.training.replay import Mirror
 
 _TASK = "curved_corridor"
 _LEARNING_STARTS = {"s": "0.25 .. 5.5 m", "lateral": "-0.12 .. 0.12 m", "heading": "-30.0 .. 30.0 deg"}
+_IN_A_ROW = 4
+"""Corridors that a learning episode goes through."""
+_LIDARS, _MOST_DROPOUT, _LONGEST_DELAY = ("lds01", "lds02"), 0.1, 0.1
+"""What an episode's robot may be like: probability that a beam is lost, from a command to its effect [s]."""
 _RATE = 60
 _SPEED, _TURN = 0.22, 1.5
 _NEAR_WALL = 0.15
@@ -37,8 +46,28 @@ _COLLISION_SCALE, _GOAL_SCALE = 1 / 20, 1 / 50
 Vector = NDArray[np.float32]
 
 
+@dataclass(frozen=True)
+class Conditions:
+    """What is hard about a robot.
+
+    Attributes:
+        lidar: one of `sim_bridge.lidar.LIDARS`.
+        dropout: probability that a beam is lost.
+        delay: from a command to its effect [s].
+    """
+
+    lidar: str = "lds01"
+    dropout: float = 0.0
+    delay: float = 0.0
+
+    @classmethod
+    def drawn(cls, random: np.random.Generator) -> Conditions:
+        """Return those of some robot."""
+        return cls(str(random.choice(_LIDARS)), random.uniform(0.0, _MOST_DROPOUT), random.uniform(0.0, _LONGEST_DELAY))
+
+
 class Corridor(gymnasium.Env[Vector, Vector]):
-    """The task `curved_corridor` with random widths, drop-outs and the firmware's truncation.
+    """The task `curved_corridor` with random widths and the firmware's truncation.
 
     Observation: `LidarObservation`. Action: [-1, 1] for speed and turn rate, mapped to the wiring's commands. Info:
     `outcome`, `progress` and `clearance` [m].
@@ -46,38 +75,31 @@ class Corridor(gymnasium.Env[Vector, Vector]):
     Attributes:
         task: what is simulated.
         wiring: of the robot to a policy.
+        mirror: what the same drive looks like with left and right swapped.
     """
 
     metadata = {"render_modes": []}  # noqa: RUF012 - gymnasium's own form
 
-    def __init__(self, learning: bool = True, lidar: str = "lds01", dropout: float = 0.02, delay: float = 0.0) -> None:
+    def __init__(self, learning: bool = True, conditions: Conditions | None = None) -> None:
         """Build the world.
 
         Args:
-            learning: begin anywhere along the corridor, to see all of it from the first episode on; else at its start.
-            lidar: one of `sim_bridge.lidar.LIDARS`.
-            dropout: probability that a beam is lost.
-            delay: from a command to its effect [s].
+            learning: several corridors in a row, begun anywhere in the first; else the task as it is.
+            conditions: of all episodes; None for others in each.
 
         Raises:
             KoopmanError: the physics are not as quick as the task's time step wants.
         """
-        self.task = _task(learning)
+        self.task = _learning_task() if learning else load_navigation_task(_TASK)
         self.dt = self.task.episode.time_step
         steps = self.dt * _RATE
         if abs(steps - round(steps)) > 1e-6:
             raise KoopmanError(f"task '{self.task.name}': its time step is not a whole number of 1/{_RATE} s")
         self._steps = round(steps)
-        options = SimulationOptions(
-            rate=_RATE,
-            lidar=lidar,
-            scan_dropout=dropout,
-            command_truncation=True,
-            command_delay=delay,
-            randomise_width=True,
-        )
-        self._world = SimulatedWorld(self.task, options=options)
+        self._conditions = conditions
+        self._world = self._make_world(0, conditions or Conditions())
         self.wiring = LidarWiring(LidarObservation(), np.array((0.0, -_TURN)), np.array((_SPEED, _TURN)))
+        self.mirror = Mirror(*self.wiring.observation.mirror, np.array((1.0, -1.0)))
         self._full_step = _SPEED * self.task.episode.time_step
         path = self._world.geometry.path
         assert path is not None
@@ -91,7 +113,9 @@ class Corridor(gymnasium.Env[Vector, Vector]):
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Vector, dict[str, Any]]:
         """Begin an episode; the same seed gives the same one. `options` has no effect."""
         super().reset(seed=seed, options=options)
-        self._world.reset(int(self.np_random.integers(2**32)))
+        conditions = self._conditions or Conditions.drawn(self.np_random)
+        self._world.close()
+        self._world = self._make_world(int(self.np_random.integers(2**32)), conditions)
         self._along = self._furthest = self._s()
         self._since = 0
         return self._observe(), self._info(Outcome.RUNNING)
@@ -115,6 +139,17 @@ class Corridor(gymnasium.Env[Vector, Vector]):
     def close(self) -> None:
         """Give the physics client back."""
         self._world.close()
+
+    def _make_world(self, seed: int, conditions: Conditions) -> SimulatedWorld:
+        options = SimulationOptions(
+            rate=_RATE,
+            lidar=conditions.lidar,
+            scan_dropout=conditions.dropout,
+            command_truncation=True,
+            command_delay=conditions.delay,
+            randomise_width=True,
+        )
+        return SimulatedWorld(self.task, seed, options=options)
 
     def _s(self) -> float:
         """Return how far along the path the robot is [m]."""
@@ -147,9 +182,17 @@ class Corridor(gymnasium.Env[Vector, Vector]):
         return {"outcome": outcome.name, "progress": progress, "clearance": episode.clearance}
 
 
-def _task(learning: bool) -> NavigationTask:
+def _learning_task() -> NavigationTask:
+    """Return the task with its corridor several times in a row, and the goal at the end of the last."""
     task = load_navigation_task(_TASK)
-    if not learning:
-        return task
-    start = type(task.start).model_validate(_LEARNING_STARTS)
-    return task.model_copy(update={"start": start})
+    corridor, goal = task.corridor, task.goal.intervals["s"]
+    assert corridor is not None
+    before = (_IN_A_ROW - 1) * corridor.path.length
+    end = {"s": f"{goal.low + before} .. {goal.high + before} m"}
+    return task.model_copy(
+        update={
+            "start": type(task.start).model_validate(_LEARNING_STARTS),
+            "goal": type(task.goal).model_validate(end),
+            "corridor": corridor.model_copy(update={"pieces": _IN_A_ROW * corridor.pieces}),
+        }
+    )

@@ -30,6 +30,7 @@ class Problem:
         chunk: actions between two evaluations, whole episodes where these have one length.
         chunks: how many, unless asked otherwise.
         evaluations: episodes of an evaluation.
+        chunk_episodes: that end a chunk before its actions do; 0 for any number.
         episodes: largest number to learn from, those that end with a chunk included; 0 for any.
         patience: chunks without a new best after which learning ends; 0 for any.
         goal: observation of the goal; None for z_ref = 0.
@@ -47,6 +48,7 @@ class Problem:
     chunk: int
     chunks: int
     evaluations: int = 5
+    chunk_episodes: int = 0
     episodes: int = 0
     patience: int = 0
     goal: tuple[float, ...] | None = None
@@ -144,13 +146,14 @@ _ALL = (
         name="curved_corridor",
         about="a simulated TurtleBot3 drives along a narrow curved path, from lidar and odometry",
         make=_corridor,
-        settings=Settings(first_steps=500, discount=0.97),
+        settings=Settings(latent=32, hidden=128, batch=128, first_steps=200, discount=0.97, updates=2),
         repeat=1,
-        chunk=1000,
-        chunks=28,
+        chunk=1400,
+        chunks=20,
         evaluations=3,
+        chunk_episodes=2,
         episodes=40,
-        version=2,
+        version=3,
     ),
 )
 PROBLEMS = {problem.name: problem for problem in _ALL}
