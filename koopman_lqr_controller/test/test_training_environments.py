@@ -94,6 +94,16 @@ def test_the_corridor_pays_for_progress_and_the_firmware_truncates() -> None:
     corridor.close()
 
 
+def test_hard_turns_cost() -> None:
+    paid = []
+    for turn in (0.0, 0.5, -1.0):
+        corridor = Corridor(learning=False, conditions=Conditions(delay=0.2))  # nothing moves yet
+        corridor.reset(seed=1)
+        paid.append(corridor.step(np.array([-1.0, turn], np.float32))[1])
+        corridor.close()
+    assert paid[0] - np.array(paid) == pytest.approx([0.0, 0.05, 0.2], abs=1e-3)
+
+
 def test_a_collision_costs_and_ends_the_episode() -> None:
     corridor = Corridor()
     corridor.reset(seed=0)

@@ -3,8 +3,9 @@
 Learning drives through several such corridors in a row, so that an episode without a collision is as long as the
 thesis's, about 700 steps. Lidar, drop-out and delay are others in each episode: what is learnt has to stand them all.
 
-The reward is this suite's own, the thesis says nothing of it: progress along the path, less the nearer the walls are,
-and at the end what the task pays for goal and collision, as multiples of what a step at full speed pays.
+The reward is this suite's own, the thesis says nothing of it: progress along the path, less the nearer the walls are
+and the harder the robot turns, and at the end what the task pays for goal and collision, as multiples of what a step at
+full speed pays.
 """
 
 from __future__ import annotations
@@ -38,6 +39,8 @@ _RATE = 60
 _SPEED, _TURN = 0.22, 1.5
 _NEAR_WALL = 0.15
 """Clearance below which a step pays less [m]."""
+_TURN_COST = 0.2
+"""What a step pays less at the highest turn rate, else by its square: without it the robot shakes its way along."""
 _ADVANCE, _STALL = 0.05, 10.0
 """An episode in which the robot comes no further than so far in so long is cut off [m], [s]."""
 _COLLISION_SCALE, _GOAL_SCALE = 1 / 20, 1 / 50
@@ -122,12 +125,14 @@ class Corridor(gymnasium.Env[Vector, Vector]):
 
     def step(self, action: Vector) -> tuple[Vector, float, bool, bool, dict[str, Any]]:
         """Hold an action (2,) for the task's time step."""
-        self._world.command(0, self.wiring.command(np.clip(np.asarray(action, dtype=float), -1.0, 1.0)))
+        u = np.clip(np.asarray(action, dtype=float), -1.0, 1.0)
+        self._world.command(0, self.wiring.command(u))
         self._world.step(self._steps)
         episode, before = self._world.episode(0), self._along
         self._along = self._s()
         reward = (self._along - before) / self._full_step
         reward -= max(0.0, 1.0 - max(0.0, episode.clearance) / _NEAR_WALL)
+        reward -= _TURN_COST * float(u[1]) ** 2
         outcome = Outcome.TIMEOUT if episode.outcome is Outcome.RUNNING and self._stalls() else episode.outcome
         truncated = outcome is Outcome.TIMEOUT
         terminated = outcome is not Outcome.RUNNING and not truncated
