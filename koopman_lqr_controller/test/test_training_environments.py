@@ -1,10 +1,13 @@
 """What is learnt in: the same seed gives the same episode, and what a policy sees is what a robot gives."""
 
 import os
+import re
 from ctypes.util import find_library
+from pathlib import Path
 
 import numpy as np
 import pytest
+from ctrl_rl_core.tasks import task_file
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.training.control_suite import FRAMES, ControlSuite
 from koopman_lqr_controller.training.corridor import Conditions, Corridor
@@ -141,6 +144,26 @@ def test_an_episode_of_learning_may_be_as_long_as_the_thesis_says() -> None:
         environment.close()
 
 
+def test_a_corridor_of_ones_own_is_learnt_without_meeting_itself(tmp_path: Path) -> None:
+    """Three corners to the left in a row would come back to where they began."""
+    file = tmp_path / "corner.yaml"
+    pieces = "  pieces:\n    - {straight: 1.5 m}\n    - {turn: 90.0 deg, radius: 0.6 m}\n    - {straight: 1.0 m}\n"
+    text = task_file("curved_corridor").read_text(encoding="utf-8")
+    text = re.sub(r"  pieces:\n(    - .*\n)+", pieces, text).replace("curved_corridor", "corner")
+    text = re.sub(r"\ngoal: .*", "\ngoal: {s: 3.1 .. 3.4 m}", text)
+    file.write_text(text, encoding="utf-8")
+    problem = find_problem(str(file))
+    assert problem.digest != PROBLEMS["curved_corridor"].digest
+    learning, task = problem.make(True), problem.make(False)
+    alone = task._world.geometry.path.length
+    assert round(learning._world.geometry.path.length / alone, 6) == 3, "the fourth would meet the first"
+    assert learning.task.goal.intervals["s"].low == pytest.approx(3.1 + 2 * alone)
+    for environment in (learning, task):
+        environment.reset(seed=0)
+        environment.step(np.zeros(2, np.float32))
+        environment.close()
+
+
 def test_each_episode_has_another_robot_and_the_same_seed_the_same() -> None:
     corridor = Corridor()
     seen = {}
@@ -170,6 +193,8 @@ def test_the_mirrored_corridor_is_one() -> None:
 def test_what_is_not_there_is_named() -> None:
     with pytest.raises(KoopmanError, match="no task 'walker': there are cartpole_swingup, "):
         find_problem("walker")
+    with pytest.raises(KoopmanError, match=r"car_ttr\.yaml: has no corridor to learn to drive through"):
+        find_problem(str(task_file("car_ttr")))
     with pytest.raises(KoopmanError, match="no setting latnt: there are latent, "):
         find_problem("cheetah_run").with_settings(latnt=3)
     with pytest.raises(KoopmanError, match="batch is 0: must be positive"):

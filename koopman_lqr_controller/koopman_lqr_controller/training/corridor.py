@@ -17,6 +17,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 from ctrl_rl_core.outcome import Outcome
+from ctrl_rl_core.task_parts import CorridorSpec
 from ctrl_rl_core.task_sets import PathCoordinates
 from ctrl_rl_core.tasks import NavigationTask, load_navigation_task
 from gymnasium import spaces
@@ -29,10 +30,10 @@ from koopman_lqr_controller.lidar import ScanGeometry
 from koopman_lqr_controller.lidar_observation import LidarObservation
 from koopman_lqr_controller.training.replay import Mirror
 
-_TASK = "curved_corridor"
-_LEARNING_STARTS = {"s": "0.25 .. 5.5 m", "lateral": "-0.12 .. 0.12 m", "heading": "-30.0 .. 30.0 deg"}
-_IN_A_ROW = 4
-"""Corridors that a learning episode goes through."""
+_BESIDE, _ASKEW = 0.12, 30.0
+"""How far off the middle line learning begins at most [m], [deg]."""
+_AT_SPEED = 0.9
+"""Part of an episode that it takes at full speed to drive through as many corridors as learning has in a row."""
 _LIDARS, _MOST_DROPOUT, _LONGEST_DELAY = ("lds01", "lds02"), 0.1, 0.1
 """What an episode's robot may be like: probability that a beam is lost, from a command to its effect [s]."""
 _RATE = 60
@@ -83,17 +84,25 @@ class Corridor(gymnasium.Env[Vector, Vector]):
 
     metadata = {"render_modes": []}  # noqa: RUF012 - gymnasium's own form
 
-    def __init__(self, learning: bool = True, conditions: Conditions | None = None) -> None:
+    def __init__(
+        self, learning: bool = True, conditions: Conditions | None = None, task: str = "curved_corridor"
+    ) -> None:
         """Build the world.
 
         Args:
             learning: several corridors in a row, begun anywhere in the first; else the task as it is.
             conditions: of all episodes; None for others in each.
+            task: with a corridor, its name or file.
 
         Raises:
-            KoopmanError: the physics are not as quick as the task's time step wants.
+            KoopmanError: the task has no corridor, or the physics are not as quick as its time step wants.
+            TaskError: there is no such task.
         """
-        self.task = _learning_task() if learning else load_navigation_task(_TASK)
+        self.task = load_navigation_task(task)
+        if self.task.corridor is None:
+            raise KoopmanError(f"task '{self.task.name}' has no corridor")
+        if learning:
+            self.task = _in_a_row(self.task, self.task.corridor)
         self.dt = self.task.episode.time_step
         steps = self.dt * _RATE
         if abs(steps - round(steps)) > 1e-6:
@@ -187,17 +196,36 @@ class Corridor(gymnasium.Env[Vector, Vector]):
         return {"outcome": outcome.name, "progress": progress, "clearance": episode.clearance}
 
 
-def _learning_task() -> NavigationTask:
-    """Return the task with its corridor several times in a row, and the goal at the end of the last."""
-    task = load_navigation_task(_TASK)
-    corridor, goal = task.corridor, task.goal.intervals["s"]
-    assert corridor is not None
-    before = (_IN_A_ROW - 1) * corridor.path.length
+def _in_a_row(task: NavigationTask, corridor: CorridorSpec) -> NavigationTask:
+    """Return the task with its corridor as often as an episode has time for, and the goal at the end of the last."""
+    length, most = corridor.path.length, task.episode.steps * task.episode.time_step * _SPEED * _AT_SPEED
+    count = max(1, int(most / length))
+    while count > 1 and _meets_itself(corridor, count):
+        count -= 1
+    goal, before = task.goal.intervals["s"], (count - 1) * length
+    start = {
+        "s": f"{task.start.intervals['s'].low} .. {0.8 * length:.1f} m",
+        "lateral": f"{-_BESIDE} .. {_BESIDE} m",
+        "heading": f"{-_ASKEW} .. {_ASKEW} deg",
+    }
     end = {"s": f"{goal.low + before} .. {goal.high + before} m"}
     return task.model_copy(
         update={
-            "start": type(task.start).model_validate(_LEARNING_STARTS),
+            "start": type(task.start).model_validate(start),
             "goal": type(task.goal).model_validate(end),
-            "corridor": corridor.model_copy(update={"pieces": _IN_A_ROW * corridor.pieces}),
+            "corridor": _repeated(corridor, count),
         }
     )
+
+
+def _repeated(corridor: CorridorSpec, count: int) -> CorridorSpec:
+    return corridor.model_copy(update={"pieces": count * corridor.pieces})
+
+
+def _meets_itself(corridor: CorridorSpec, count: int) -> bool:
+    """Return whether so many corridors in a row come nearer to each other than their walls allow."""
+    path, apart = _repeated(corridor, count).path, corridor.width_range.high + 2.0 * corridor.wall_thickness
+    s = np.arange(0.0, path.length, 0.25 * apart)
+    places = path.pose(s)[:, :2]
+    distances = np.linalg.norm(places[:, None] - places, axis=2)
+    return bool((distances[np.abs(s[:, None] - s) > 0.5 * np.pi * apart] < apart).any())
