@@ -81,8 +81,8 @@ class Sectors:
         values.sort(axis=1)  # NaN last
         blind = np.isnan(values)
         counts = values.shape[1] - np.add.reduce(blind, axis=1)
-        out = 0.5 * (values[self._rows, (counts - 1) >> 1] + values[self._rows, counts >> 1])
-        return self._filled(out, blind[:, 0])
+        lower, upper = values[self._rows, np.array((counts - 1, counts)) >> 1]
+        return self._filled(0.5 * (lower + upper), blind[:, 0])
 
     @cached_property
     def _middles(self) -> Array:
@@ -110,7 +110,7 @@ class Sectors:
         return found
 
     def _beams(self, beams: int, angle_min: float, opening: int) -> NDArray[np.intp]:
-        """Return for each sector where in `_measured` its beams are, padded with the last (sectors, most beams in one).
+        """Return for each sector where in `_measured` its beams are, padded with its last (sectors, most beams in one).
 
         The opening is in units of `OPENING`. Beams come at equal angles, so that those of a sector follow each other,
         at most once over the end of the scan. What a scan of more than a turn sees twice is looked at once.
@@ -127,8 +127,8 @@ class Sectors:
         first *= to_end > 0.0
         count = to_end + over_end
         column = np.arange(int(min(width, beams)) + 1)
-        index = first.astype(np.intp)[:, None] + column
-        index[column >= count[:, None]] = 2 * beams
+        index = (first.astype(np.intp)[:, None] + column) % beams
+        index[column >= count[:, None]] = beams
         return index
 
     def _filled(self, distances: Array, empty: NDArray[np.bool_]) -> Array:
@@ -147,19 +147,15 @@ class Sectors:
 
 
 def _measured(ranges: NDArray[np.float32], scan: ScanGeometry, far: float) -> Array:
-    """Return each beam's distance [m], `far` where nothing is there, NaN where nothing was measured.
+    """Return each beam's distance [m], `far` where nothing is there, NaN where nothing was measured, and at last a NaN.
 
-    All of it comes twice, so that what goes over the end of the scan goes on, and then a NaN (2 beams + 1,).
+    The shape is (beams + 1,).
     """
-    beams = len(ranges)
-    both = np.empty(2 * beams + 1)
-    out = both[:beams]
-    out[:] = ranges
+    out = np.empty(len(ranges) + 1)
+    out[:-1], out[-1] = ranges, np.nan
     np.putmask(out, out == 0.0, np.inf)
     np.putmask(out, out == -np.inf, scan.range_min)
     np.putmask(out, out < scan.range_min, np.nan)
     if scan.range_max < far:
         np.putmask(out, out > scan.range_max, far)
-    np.minimum(out, far, out=out)
-    both[beams:-1], both[-1] = out, np.nan
-    return both
+    return np.minimum(out, far, out=out)
