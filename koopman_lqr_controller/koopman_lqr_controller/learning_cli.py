@@ -13,6 +13,8 @@ from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.training.methods import Changes
 
 FOLDER = Path("runs/koopman")
+CONSOLIDATION = 30
+"""Episodes of each round of it, unless asked otherwise."""
 
 
 def add_learning_options(parser: argparse.ArgumentParser, seeds: int) -> None:
@@ -29,7 +31,10 @@ def add_learning_options(parser: argparse.ArgumentParser, seeds: int) -> None:
         "--episodes", type=int, default=20, help="fresh ones at the end, for each policy (default %(default)s)"
     )
     parser.add_argument(
-        "--consolidation", type=int, default=30, help="episodes of each round of it, 0 for none (default %(default)s)"
+        "--consolidation",
+        type=int,
+        default=CONSOLIDATION,
+        help="episodes of each round of it, 0 for none (default %(default)s)",
     )
     parser.add_argument("--device", default="cpu", choices=("cpu", "cuda"), help="of the networks (default cpu)")
 

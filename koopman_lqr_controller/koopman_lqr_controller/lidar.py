@@ -17,11 +17,13 @@ from koopman_lqr_controller.errors import KoopmanError
 
 Array = NDArray[np.float64]
 
-_EDGE = 1e-6
+OPENING = 1e-3
+"""Scans whose openings differ by less are taken for alike [rad]: no lidar turns as evenly as that."""
+EDGE = 1e-3
 """Beams on a sector's edge belong to it on both sides of the robot, whatever rounding says [rad]."""
 _TURN = 2.0 * np.pi
-_KNOWN = 8
-"""Geometries that are kept in mind: an LDS-01 has one, an LDS-02 a new one every time."""
+_KNOWN = 512
+"""Geometries that are kept in mind: an LDS-01 has one, an LDS-02, whose motor's speed varies, some two hundred."""
 
 
 @dataclass(frozen=True)
@@ -79,8 +81,8 @@ class Sectors:
         values.sort(axis=1)  # NaN last
         blind = np.isnan(values)
         counts = values.shape[1] - np.add.reduce(blind, axis=1)
-        out = 0.5 * (values[self._rows, (counts - 1) >> 1] + values[self._rows, counts >> 1])
-        return self._filled(out, blind[:, 0])
+        lower, upper = values[self._rows, np.array((counts - 1, counts)) >> 1]
+        return self._filled(0.5 * (lower + upper), blind[:, 0])
 
     @cached_property
     def _middles(self) -> Array:
@@ -91,34 +93,32 @@ class Sectors:
         return np.arange(len(self.bearings))
 
     @cached_property
-    def _known(self) -> dict[tuple[int, float, float], NDArray[np.intp]]:
+    def _known(self) -> dict[tuple[int, float, int], NDArray[np.intp]]:
         return {}
 
     def _index(self, scan: ScanGeometry) -> NDArray[np.intp]:
-        key = (scan.beams, scan.angle_min, scan.angle_increment)
+        opening = scan.angle_increment * scan.beams
+        if not (math.isfinite(scan.angle_min) and math.isfinite(opening) and abs(opening) > OPENING):
+            raise KoopmanError(f"scan with angle_increment {scan.angle_increment} and angle_min {scan.angle_min}")
+        key = (scan.beams, scan.angle_min, round(opening / OPENING))
         found = self._known.get(key)
         if found is None:
-            found = self._beams(scan)
+            found = self._beams(*key)
             if len(self._known) >= _KNOWN:
                 self._known.clear()
             self._known[key] = found
         return found
 
-    def _beams(self, scan: ScanGeometry) -> NDArray[np.intp]:
-        """Return for each sector where in `_measured` its beams are, padded with the last (sectors, most beams in one).
+    def _beams(self, beams: int, angle_min: float, opening: int) -> NDArray[np.intp]:
+        """Return for each sector where in `_measured` its beams are, padded with its last (sectors, most beams in one).
 
-        Beams come at equal angles, so that those of a sector follow each other, at most once over the end of the scan.
-        What a scan of more than a turn sees twice is looked at once.
-
-        Raises:
-            KoopmanError: the increment is zero or not finite.
+        The opening is in units of `OPENING`. Beams come at equal angles, so that those of a sector follow each other,
+        at most once over the end of the scan. What a scan of more than a turn sees twice is looked at once.
         """
-        beams, increment = scan.beams, scan.angle_increment
-        if not (math.isfinite(scan.angle_min) and math.isfinite(increment) and increment != 0.0):
-            raise KoopmanError(f"scan with angle_increment {increment} and angle_min {scan.angle_min}")
-        half, turn = self.half_width + _EDGE, _TURN / abs(increment)
+        increment = opening * OPENING / beams
+        half, turn = self.half_width + EDGE, _TURN / abs(increment)
         edge = half if increment > 0.0 else -half
-        begin = (self._middles - (scan.angle_min + edge)) / increment % turn  # in beams, from the first
+        begin = (self._middles - (angle_min + edge)) / increment % turn  # in beams, from the first
         width = 2.0 * half / abs(increment)
         end = begin + width
         first = np.ceil(begin)
@@ -127,8 +127,8 @@ class Sectors:
         first *= to_end > 0.0
         count = to_end + over_end
         column = np.arange(int(min(width, beams)) + 1)
-        index = first.astype(np.intp)[:, None] + column
-        index[column >= count[:, None]] = 2 * beams
+        index = (first.astype(np.intp)[:, None] + column) % beams
+        index[column >= count[:, None]] = beams
         return index
 
     def _filled(self, distances: Array, empty: NDArray[np.bool_]) -> Array:
@@ -147,19 +147,15 @@ class Sectors:
 
 
 def _measured(ranges: NDArray[np.float32], scan: ScanGeometry, far: float) -> Array:
-    """Return each beam's distance [m], `far` where nothing is there, NaN where nothing was measured.
+    """Return each beam's distance [m], `far` where nothing is there, NaN where nothing was measured, and at last a NaN.
 
-    All of it comes twice, so that what goes over the end of the scan goes on, and then a NaN (2 beams + 1,).
+    The shape is (beams + 1,).
     """
-    beams = len(ranges)
-    both = np.empty(2 * beams + 1)
-    out = both[:beams]
-    out[:] = ranges
+    out = np.empty(len(ranges) + 1)
+    out[:-1], out[-1] = ranges, np.nan
     np.putmask(out, out == 0.0, np.inf)
     np.putmask(out, out == -np.inf, scan.range_min)
     np.putmask(out, out < scan.range_min, np.nan)
     if scan.range_max < far:
         np.putmask(out, out > scan.range_max, far)
-    np.minimum(out, far, out=out)
-    both[beams:-1], both[-1] = out, np.nan
-    return both
+    return np.minimum(out, far, out=out)

@@ -53,7 +53,7 @@ class Controller(LidarDriver):
         ),
         Parameter(
             "largest_distance",
-            1.0,
+            2.0,
             "Distance from the latents of training that stops the robot, over that of 99.9 % of them; 0.0 for none.",
             0.0,
             1000.0,

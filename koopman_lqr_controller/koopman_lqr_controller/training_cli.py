@@ -34,7 +34,7 @@ def learn(arguments: Sequence[str] | None = None) -> int:
         "folder of its own.\n\nexample:\n  learn --task cartpole_swingup --seeds 5 --set latent=30",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--task", required=True, choices=PROBLEMS, metavar="TASK", help="one of the tasks below")
+    parser.add_argument("--task", required=True, help="one of the tasks below, or a .yaml file with a corridor")
     parser.add_argument("--learner", default="koopman", choices=LEARNERS, help="default %(default)s")
     add_learning_options(parser, seeds=1)
     parser.add_argument("--results", type=Path, help="JSON file to write table and curves to")
@@ -94,14 +94,15 @@ def _learn(options: argparse.Namespace, words: Sequence[str]) -> int:
         for seed in range(options.seeds)
     ]
     how = LearningOptions(options.folder, chunks, actions, problem.evaluations, options.episodes)
-    results = train_all(runs, how, options.workers, problem.name, learn_one)
+    title = Path(problem.name).stem
+    results = train_all(runs, how, options.workers, title, learn_one)
     rows, figures = collect(problem, results)
     for row in rows:
         print(f"{row.method:<38} {row.metric:<32} {' '.join(f'{value:8.4g}' for value in row.values)}")
     for run, result in zip(runs, results, strict=True):
         print(f"policy     {result_file(options.folder, run).with_name(list(result['digests'])[-1])}")
     if options.results is not None:
-        write_results(options.results, f"koopman_{problem.name}", range(options.seeds), rows, figures)
+        write_results(options.results, f"koopman_{title}", range(options.seeds), rows, figures)
         print(f"results    {options.results}")
     return 0
 

@@ -1,14 +1,17 @@
 """The comparisons of thesis 4.3: all that they name is there; at a tiny budget they run, share runs, and are drawn."""
 
 import json
+import shlex
 from pathlib import Path
 
 import pytest
+from koopman_lqr_controller.policy_file import load_policy
 from koopman_lqr_controller.training.compare_cli import compare, comparison_figures
 from koopman_lqr_controller.training.comparison_results import collect_comparison
 from koopman_lqr_controller.training.comparisons import COMPARISONS
 from koopman_lqr_controller.training.methods import LEARNERS, METHODS
 from koopman_lqr_controller.training.problems import find_problem
+from koopman_lqr_controller.training_cli import learn
 
 TINY = ["--tasks", "cartpole_swingup", "--seeds", "1", "--workers", "1", "--chunks", "1", "--actions", "60"]
 TINY += ["--episodes", "1", "--consolidation", "0", "--set", "batch=16", "hidden=16", "latent=6", "first_steps=30"]
@@ -40,6 +43,21 @@ def test_comparisons_run_and_share_their_runs(tmp_path: Path, capsys: pytest.Cap
     assert comparison_figures([*(str(each.with_suffix(".json")) for each in pictures), "--output", str(tmp_path)]) == 0
     assert all(picture.stat().st_size > 5000 for picture in pictures)
     assert "task-oriented Koopman" in capsys.readouterr().out
+
+
+def test_a_few_methods_can_be_compared_and_each_says_how_to_learn_it_again(tmp_path: Path) -> None:
+    where = ["--folder", str(tmp_path), "--results", str(tmp_path)]
+    assert compare(["--table", "4.3", "--methods", "latent_6", "koopman", *TINY, *where]) == 0
+    results = json.loads((tmp_path / "koopman_table_4.3_cartpole_swingup.json").read_text(encoding="utf-8"))
+    assert list(results["figures"]["curves"]) == ["latent_6", "koopman"]
+    (run,) = tmp_path.rglob("policy.safetensors")  # with these settings both are one run
+    policy = load_policy(run)
+    command = shlex.split(policy.manifest["command"])
+    assert command[:3] == ["ros2", "run", "koopman_lqr_controller"]
+    assert learn([*command[4:], "--folder", str(tmp_path / "again")]) == 0
+    again = load_policy(next((tmp_path / "again").rglob("policy.safetensors")))
+    assert again.controller.K.tolist() == policy.controller.K.tolist()
+    assert again.manifest["returns"] == policy.manifest["returns"]
 
 
 def result(*points: tuple[float, float]) -> dict:
@@ -80,6 +98,11 @@ def test_levels_of_the_model_error_take_the_best_return_at_each() -> None:
     [
         (["--table", "4.2", "--tasks", "cheetah_run"], "--tasks cheetah_run: table-4.2 is of cartpole_swingup"),
         (["--table", "4.4", "--set", "latnt=3"], "no setting latnt: there are latent, "),
+        (["--table", "4.2", "--methods", "sac"], "--methods sac: table-4.2 is of two_stage, two_stage_q2"),
+        (
+            ["--figure", "4.8", "--tasks", "cartpole_swingup_pixels", "--methods", "sac"],
+            "--methods sac: learns from vectors, cartpole_swingup_pixels shows pictures",
+        ),
         (["--figure", "4.3", "--seeds", "0"], "--seeds must be at least 1, not 0"),
     ],
 )

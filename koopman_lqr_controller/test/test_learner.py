@@ -147,6 +147,7 @@ def test_what_is_learnt_is_what_is_evaluated_and_says_where_it_comes_from(tmp_pa
     assert policy.manifest["command"] == RUN.command
     assert policy.manifest["task_digest"] == RUN.problem.digest
     assert policy.manifest["settings"]["latent"] == 6
+    assert policy.region.mean.shape == (6,), "what learning saw"
     environment = RUN.problem.make(False)
     assert [episode.total for episode in evaluate(policy.controller, environment, 2, REPORT_SEED)] == result["returns"]
     assert evaluate(policy.controller, environment, 1, 1_000_000)[0].total == result["best"]["return"]
@@ -189,6 +190,23 @@ def test_learning_ends_with_its_episodes(cut: bool, tmp_path: Path, monkeypatch:
     result = learn_one(RUN, longer)
     assert [point["actions"] for point in result["curve"]] == [150], "an episode of 125 actions and one of 25"
     assert result["interaction"]["learning"] == {"episodes": 2, "actions": 150}
+
+
+def test_a_chunk_may_end_with_its_episodes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = replace(PROBLEMS[RUN.problem_name], chunk_episodes=1, episodes=3)
+    monkeypatch.setitem(PROBLEMS, RUN.problem_name, problem)
+    result = learn_one(RUN, LearningOptions(tmp_path, 4, 300, 1, 2))
+    assert [(point["actions"], point["episodes"]) for point in result["curve"]] == [(125, 1), (250, 2), (375, 3)]
+
+
+def test_updates_may_be_many_or_few(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    counts = []
+    monkeypatch.setattr(Agent, "update", lambda agent, *_: counts.append(agent))
+    for updates, every in ((3, 1), (2, 5)):
+        changes = (*TINY, ("update_every", every), ("updates", updates))
+        learn_one(replace(RUN, changes=changes), options(tmp_path, 1))
+        assert len(counts) == updates * 10 // every, "40 actions, the first 30 at random"
+        counts.clear()
 
 
 def test_learning_ends_when_nothing_gets_better(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,7 +3,7 @@
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from koopman_lqr_controller.training.replay import Replay
+from koopman_lqr_controller.training.replay import Mirror, Replay, Transitions
 
 
 def live(replay: Replay, lengths: list[int], first: int = 0) -> None:
@@ -80,3 +80,20 @@ def test_a_stack_can_be_taken_up_again_within_an_episode() -> None:
         replay.end_episode(np.full((2, 1, 1), 4, np.uint8))
     assert np.array_equal(one.everything().x, other.everything().x)
     assert one.everything().x[:, :, 0, 0].tolist() == [[0, 0], [0, 1], [1, 2], [2, 3]]
+
+
+def test_a_mirrored_step_is_mirrored_as_a_whole_and_twice_is_nothing() -> None:
+    mirror = Mirror(np.array([1, 0, 2]), np.array([1.0, 1.0, -1.0]), np.array([1.0, -1.0]))
+    random = np.random.default_rng(0)
+    x, x_next = random.normal(size=(2, 64, 3)).astype(np.float32)
+    steps = Transitions(
+        x, random.normal(size=(64, 2)).astype(np.float32), *random.random((1, 64)), x_next, np.zeros(64)
+    )
+    once = mirror.some(steps, np.random.default_rng(1))
+    turned = once.u[:, 1] != steps.u[:, 1]
+    assert 16 < turned.sum() < 48
+    assert np.array_equal(once.x[turned], steps.x[turned][:, [1, 0, 2]] * np.float32([1, 1, -1]))
+    assert np.array_equal(once.x_next[turned, 2], -steps.x_next[turned, 2])
+    assert all(np.array_equal(a[~turned], b[~turned]) for a, b in zip(once, steps, strict=True))
+    assert all(a.dtype == b.dtype for a, b in zip(once, steps, strict=True))
+    assert all(np.array_equal(*each) for each in zip(mirror.some(once, np.random.default_rng(1)), steps, strict=True))

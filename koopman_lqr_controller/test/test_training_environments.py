@@ -1,13 +1,16 @@
 """What is learnt in: the same seed gives the same episode, and what a policy sees is what a robot gives."""
 
 import os
+import re
 from ctypes.util import find_library
+from pathlib import Path
 
 import numpy as np
 import pytest
+from ctrl_rl_core.tasks import task_file
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.training.control_suite import FRAMES, ControlSuite
-from koopman_lqr_controller.training.corridor import Corridor
+from koopman_lqr_controller.training.corridor import Conditions, Corridor
 from koopman_lqr_controller.training.problems import PROBLEMS, find_problem
 
 if find_library("EGL"):
@@ -82,7 +85,7 @@ def test_pixels_are_the_last_pictures_oldest_first() -> None:
 
 
 def test_the_corridor_pays_for_progress_and_the_firmware_truncates() -> None:
-    corridor = Corridor(learning=False, dropout=0.0)
+    corridor = Corridor(learning=False, conditions=Conditions())
     corridor.reset(seed=1)
     ahead = np.array([1.0, 0.0], np.float32)
     reward = [corridor.step(ahead)[1] for _ in range(5)]
@@ -92,6 +95,16 @@ def test_the_corridor_pays_for_progress_and_the_firmware_truncates() -> None:
     assert x[-2] * 0.22 == pytest.approx(0.10, abs=2e-3)
     assert x[-1] * 1.5 == pytest.approx(0.0, abs=1e-3)
     corridor.close()
+
+
+def test_hard_turns_cost() -> None:
+    paid = []
+    for turn in (0.0, 0.5, -1.0):
+        corridor = Corridor(learning=False, conditions=Conditions(delay=0.2))  # nothing moves yet
+        corridor.reset(seed=1)
+        paid.append(corridor.step(np.array([-1.0, turn], np.float32))[1])
+        corridor.close()
+    assert paid[0] - np.array(paid) == pytest.approx([0.0, 0.05, 0.2], abs=1e-3)
 
 
 def test_a_collision_costs_and_ends_the_episode() -> None:
@@ -111,7 +124,7 @@ def test_a_collision_costs_and_ends_the_episode() -> None:
 def test_all_lidars_look_alike_to_the_policy(lidar: str) -> None:
     views = []
     for kind in ("task", lidar):
-        corridor = Corridor(learning=False, lidar=kind, dropout=0.1 if kind == lidar else 0.0)
+        corridor = Corridor(learning=False, conditions=Conditions(kind, 0.1 if kind == lidar else 0.0))
         views.append(corridor.reset(seed=5)[0])
         corridor.close()
     difference = np.abs(views[0] - views[1])
@@ -119,9 +132,69 @@ def test_all_lidars_look_alike_to_the_policy(lidar: str) -> None:
     assert np.quantile(difference, 0.8) < 0.2
 
 
+def test_an_episode_of_learning_may_be_as_long_as_the_thesis_says() -> None:
+    """Several corridors in a row; at full speed they take nearly the 700 steps that an episode has."""
+    learning, task = Corridor(), Corridor(learning=False)
+    geometry, alone = learning._world.geometry, task._world.geometry
+    assert geometry.path.length == pytest.approx(4 * alone.path.length)
+    goal, end = learning.task.goal.intervals["s"], task.task.goal.intervals["s"]
+    assert (goal.low - end.low, goal.high - goal.low) == pytest.approx((3 * alone.path.length, end.high - end.low))
+    assert 500 < goal.low / (0.22 * learning.dt) < learning.task.episode.steps == 700
+    for environment in (learning, task):
+        environment.close()
+
+
+def test_a_corridor_of_ones_own_is_learnt_without_meeting_itself(tmp_path: Path) -> None:
+    """Three corners to the left in a row would come back to where they began."""
+    file = tmp_path / "corner.yaml"
+    pieces = "  pieces:\n    - {straight: 1.5 m}\n    - {turn: 90.0 deg, radius: 0.6 m}\n    - {straight: 1.0 m}\n"
+    text = task_file("curved_corridor").read_text(encoding="utf-8")
+    text = re.sub(r"  pieces:\n(    - .*\n)+", pieces, text).replace("curved_corridor", "corner")
+    text = re.sub(r"\ngoal: .*", "\ngoal: {s: 3.1 .. 3.4 m}", text)
+    file.write_text(text, encoding="utf-8")
+    problem = find_problem(str(file))
+    assert problem.digest != PROBLEMS["curved_corridor"].digest
+    learning, task = problem.make(True), problem.make(False)
+    alone = task._world.geometry.path.length
+    assert round(learning._world.geometry.path.length / alone, 6) == 3, "the fourth would meet the first"
+    assert learning.task.goal.intervals["s"].low == pytest.approx(3.1 + 2 * alone)
+    for environment in (learning, task):
+        environment.reset(seed=0)
+        environment.step(np.zeros(2, np.float32))
+        environment.close()
+
+
+def test_each_episode_has_another_robot_and_the_same_seed_the_same() -> None:
+    corridor = Corridor()
+    seen = {}
+    for seed in (1, 2, 3, 1):
+        x = corridor.reset(seed=seed)[0]
+        options = corridor._world.options
+        assert options.lidar in {"lds01", "lds02"}
+        assert 0.0 <= options.scan_dropout <= 0.1 >= options.command_delay >= 0.0
+        assert np.array_equal(seen.setdefault((seed, options), x), x)
+    assert len(seen) == 3
+    corridor.close()
+
+
+def test_the_mirrored_corridor_is_one() -> None:
+    """The observation of a mirrored drive follows from the mirrored command, as far as a lidar can tell."""
+    corridor = Corridor(conditions=Conditions("task"))
+    order, sign, control_sign = corridor.mirror
+    assert np.array_equal(sign[order] * sign, np.ones(38))
+    assert np.array_equal(order[order], np.arange(38))
+    x, _ = corridor.reset(seed=3)
+    assert x[order][9] == x[27], "left is right"
+    x = corridor.step(np.array([0.0, 0.8], np.float32))[0]
+    assert np.sign((x[order] * sign)[-1]) == np.sign(0.8 * control_sign[1])
+    corridor.close()
+
+
 def test_what_is_not_there_is_named() -> None:
     with pytest.raises(KoopmanError, match="no task 'walker': there are cartpole_swingup, "):
         find_problem("walker")
+    with pytest.raises(KoopmanError, match=r"car_ttr\.yaml: has no corridor to learn to drive through"):
+        find_problem(str(task_file("car_ttr")))
     with pytest.raises(KoopmanError, match="no setting latnt: there are latent, "):
         find_problem("cheetah_run").with_settings(latnt=3)
     with pytest.raises(KoopmanError, match="batch is 0: must be positive"):

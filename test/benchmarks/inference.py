@@ -21,27 +21,29 @@ from koopman_lqr_controller.lidar import ScanGeometry
 from koopman_lqr_controller.lidar_observation import LidarObservation
 from koopman_lqr_controller.policy import DrivingPolicy, KoopmanPolicy
 from koopman_lqr_controller.policy_file import find_policy, load_policy
+from koopman_lqr_controller.training.problems import PROBLEMS
 
-SCANS = 5000
-WARM_UP = 500
-HIDDEN, LATENT, REDUCED = 256, 50, 8
+SCANS = 7000
+WARM_UP = 2000
+SIZES = PROBLEMS["curved_corridor"].settings
+REDUCED = 8
 
 
 def learnt() -> LatentPolicy:
     """Return a learnt policy of the usual size."""
     random = np.random.default_rng(0)
     observation = LidarObservation()
-    inputs = len(observation.names)
+    inputs, hidden, latent = len(observation.names), SIZES.hidden, SIZES.latent
 
     def dense(outputs: int, inputs: int, rectified: bool) -> Dense:
         weight = random.normal(scale=inputs**-0.5, size=(outputs, inputs)).astype(np.float32)
         return Dense(weight, np.zeros(outputs, np.float32), rectified)
 
-    norm = LayerNorm(np.ones(LATENT, np.float32), np.zeros(LATENT, np.float32))
-    layers = (dense(HIDDEN, inputs, True), dense(HIDDEN, HIDDEN, True), dense(LATENT, HIDDEN, False), norm)
+    norm = LayerNorm(np.ones(latent, np.float32), np.zeros(latent, np.float32))
+    layers = (dense(hidden, inputs, True), dense(hidden, hidden, True), dense(latent, hidden, False), norm)
     encoder = Encoder(layers, (inputs,), np.zeros(inputs, np.float32), np.ones(inputs, np.float32))
     model = LinearModel(0.9 * np.eye(REDUCED), random.normal(size=(REDUCED, 2)))
-    C = np.linalg.qr(random.normal(size=(LATENT, REDUCED)))[0].T
+    C = np.linalg.qr(random.normal(size=(latent, REDUCED)))[0].T
     controller = LatentController(encoder, model, np.ones(REDUCED), np.ones(2), np.zeros(REDUCED), None, C)
     return LatentPolicy(controller, 0.2, LidarWiring(observation, np.array([0.0, -1.5]), np.array([0.22, 1.5])))
 
@@ -69,10 +71,11 @@ def scans(lidar: str) -> list[tuple[np.ndarray, ScanGeometry]]:
     random = np.random.default_rng(1)
     out = []
     for _ in range(SCANS):
-        count = random.uniform(220.0, 240.0) if lidar == "LDS-02" else 360.0
+        count = random.uniform(267.0, 274.0) if lidar == "LDS-02" else 360.0
         ranges = random.uniform(0.2, 3.4, int(np.ceil(count))).astype(np.float32)
         ranges[random.random(len(ranges)) < 0.1] = np.nan if lidar == "LDS-02" else 0.0
-        out.append((ranges, ScanGeometry(len(ranges), 0.0, 2.0 * np.pi / count, 0.1, 3.5)))
+        measures = (0.0, 100.0) if lidar == "LDS-02" else (0.12, 3.5)
+        out.append((ranges, ScanGeometry(len(ranges), 0.0, 2.0 * np.pi / count, *measures)))
     return out
 
 

@@ -11,13 +11,22 @@ from ctrl_rl_core.command import run_command
 from ctrl_rl_core.results import write_results
 
 from koopman_lqr_controller.errors import KoopmanError
-from koopman_lqr_controller.learning_cli import add_learning_options, as_command, check_learning_options, given_words
+from koopman_lqr_controller.learning_cli import (
+    CONSOLIDATION,
+    add_learning_options,
+    as_command,
+    check_learning_options,
+    given_words,
+)
 from koopman_lqr_controller.training.comparisons import COMPARISONS
 from koopman_lqr_controller.training.methods import METHODS, Changes
 from koopman_lqr_controller.training.problems import find_problem
 
-_WORDS = ("chunks", "actions", "episodes", "consolidation", "device")
-_LIST = "\n".join(f"  {name:<12} {each.about}: {', '.join(each.tasks)}" for name, each in COMPARISONS.items())
+_WORDS = ("chunks", "actions", "episodes", "device")
+_LIST = "\n".join(
+    f"  {name:<12} {each.about}: {', '.join(each.tasks)}\n{'':15}methods {', '.join(each.methods)}"
+    for name, each in COMPARISONS.items()
+)
 
 
 def compare(arguments: Sequence[str] | None = None) -> int:
@@ -37,6 +46,7 @@ def compare(arguments: Sequence[str] | None = None) -> int:
         numbers = [name.partition("-")[2] for name in COMPARISONS if name.startswith(kind)]
         what.add_argument(f"--{kind}", choices=numbers, help=f"of the thesis: {', '.join(numbers)}", metavar="NUMBER")
     parser.add_argument("--tasks", nargs="+", metavar="TASK", help="default: all that the thesis compares on")
+    parser.add_argument("--methods", nargs="+", metavar="METHOD", help="only these of the methods below")
     parser.add_argument("--results", type=Path, default=Path("docs/results"), help="folder (default %(default)s)")
     add_learning_options(parser, seeds=3)
     options = parser.parse_args(arguments)
@@ -56,20 +66,25 @@ def _compare(options: argparse.Namespace, words: Sequence[str]) -> int:
     changes = check_learning_options(options)
     name = f"table-{options.table}" if options.table else f"figure-{options.figure}"
     comparison = COMPARISONS[name]
-    tasks = options.tasks or comparison.tasks
+    tasks, methods = options.tasks or comparison.tasks, tuple(options.methods or comparison.methods)
+    for method in methods:
+        if method not in comparison.methods:
+            raise KoopmanError(f"--methods {method}: {name} is of {', '.join(comparison.methods)}")
     for task in tasks:
         if task not in comparison.tasks:
             raise KoopmanError(f"--tasks {task}: {name} is of {', '.join(comparison.tasks)}")
-        for method in comparison.methods:
+        for method in methods:
             find_problem(task).with_settings(
                 **dict((*METHODS[method].changes, *changes))
             )  # refuses before torch is here
     for task in tasks:
-        _compare_on(task, name, changes, options, words)
+        _compare_on(task, name, methods, changes, options, words)
     return 0
 
 
-def _compare_on(task: str, name: str, changes: Changes, options: argparse.Namespace, words: Sequence[str]) -> None:
+def _compare_on(
+    task: str, name: str, methods: Sequence[str], changes: Changes, options: argparse.Namespace, words: Sequence[str]
+) -> None:
     from ctrl_rl_training.matrix import train_all
     from ctrl_rl_training.results import as_table
 
@@ -78,17 +93,29 @@ def _compare_on(task: str, name: str, changes: Changes, options: argparse.Namesp
     from koopman_lqr_controller.training.runs import LearningRun, learn_one
 
     problem = find_problem(task)
-    sees = {method: METHODS[method] for method in COMPARISONS[name].methods}
+    sees = {method: METHODS[method] for method in methods}
     if problem.settings.crop:  # the others learn from vectors
         sees = {method: each for method, each in sees.items() if each.learner == "koopman"}
+    if not sees:
+        raise KoopmanError(f"--methods {' '.join(methods)}: learns from vectors, {task} shows pictures")
     runs: dict[str, list[LearningRun]] = {}
     for method, each in sees.items():
         settings = tuple(sorted(dict((*each.changes, *changes)).items()))
-        said = as_command("learn", "--task", task, "--learner", each.learner)
-        said += "".join(f" --set {key}={value}" for key, value in settings)
         consolidation = options.consolidation if method == "koopman" else 0
+        said = ["learn", "--task", task, *words]
+        said += ["--learner", each.learner] if each.learner != "koopman" else []
+        said += ["--set", *(f"{key}={value}" for key, value in settings)] if settings else []
+        said += ["--consolidation", str(consolidation)] if consolidation != CONSOLIDATION else []
         runs[method] = [
-            LearningRun(task, seed, settings, options.device, " ".join((said, *words)), consolidation, each.learner)
+            LearningRun(
+                task,
+                seed,
+                settings,
+                options.device,
+                as_command(*said, "--seeds", str(seed + 1)),
+                consolidation,
+                each.learner,
+            )
             for seed in range(options.seeds)
         ]
     how = LearningOptions(
@@ -98,7 +125,9 @@ def _compare_on(task: str, name: str, changes: Changes, options: argparse.Namesp
         problem.evaluations,
         options.episodes,
     )
-    everything = [run for seed in range(options.seeds) for run in (each[seed] for each in runs.values())]
+    # Where `--set` makes two methods the same, they are one run.
+    named = {each[seed].name: each[seed] for seed in range(options.seeds) for each in runs.values()}
+    everything = list(named.values())
     found = train_all(everything, how, options.workers, task, learn_one)
     by_name: dict[str, dict[str, Any]] = {run.name: result for run, result in zip(everything, found, strict=True)}
     results = {method: [by_name[run.name] for run in each] for method, each in runs.items()}

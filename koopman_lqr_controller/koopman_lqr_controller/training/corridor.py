@@ -1,17 +1,23 @@
 """The simulated corridor for learning: lidar and odometry of a TurtleBot3, commands as its firmware takes them.
 
-The reward is this suite's own, the thesis says nothing of it: progress along the path, less the nearer the walls are,
-and at the end what the task pays for goal and collision, as multiples of what a step at full speed pays.
+Learning drives through several such corridors in a row, so that an episode without a collision is as long as the
+thesis's, about 700 steps. Lidar, drop-out and delay are others in each episode: what is learnt has to stand them all.
+
+The reward is this suite's own, the thesis says nothing of it: progress along the path, less the nearer the walls are
+and the harder the robot turns, and at the end what the task pays for goal and collision, as multiples of what a step at
+full speed pays.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Any
 
 import gymnasium
 import numpy as np
 from ctrl_rl_core.outcome import Outcome
+from ctrl_rl_core.task_parts import CorridorSpec
 from ctrl_rl_core.task_sets import PathCoordinates
 from ctrl_rl_core.tasks import NavigationTask, load_navigation_task
 from gymnasium import spaces
@@ -22,13 +28,20 @@ from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.latent_policy import LidarWiring
 from koopman_lqr_controller.lidar import ScanGeometry
 from koopman_lqr_controller.lidar_observation import LidarObservation
+from koopman_lqr_controller.training.replay import Mirror
 
-_TASK = "curved_corridor"
-_LEARNING_STARTS = {"s": "0.25 .. 5.5 m", "lateral": "-0.12 .. 0.12 m", "heading": "-30.0 .. 30.0 deg"}
+_BESIDE, _ASKEW = 0.12, 30.0
+"""How far off the middle line learning begins at most [m], [deg]."""
+_AT_SPEED = 0.9
+"""Part of an episode that it takes at full speed to drive through as many corridors as learning has in a row."""
+_LIDARS, _MOST_DROPOUT, _LONGEST_DELAY = ("lds01", "lds02"), 0.1, 0.1
+"""What an episode's robot may be like: probability that a beam is lost, from a command to its effect [s]."""
 _RATE = 60
 _SPEED, _TURN = 0.22, 1.5
 _NEAR_WALL = 0.15
 """Clearance below which a step pays less [m]."""
+_TURN_COST = 0.2
+"""What a step pays less at the highest turn rate, else by its square: without it the robot shakes its way along."""
 _ADVANCE, _STALL = 0.05, 10.0
 """An episode in which the robot comes no further than so far in so long is cut off [m], [s]."""
 _COLLISION_SCALE, _GOAL_SCALE = 1 / 20, 1 / 50
@@ -37,8 +50,28 @@ _COLLISION_SCALE, _GOAL_SCALE = 1 / 20, 1 / 50
 Vector = NDArray[np.float32]
 
 
+@dataclass(frozen=True)
+class Conditions:
+    """What is hard about a robot.
+
+    Attributes:
+        lidar: one of `sim_bridge.lidar.LIDARS`.
+        dropout: probability that a beam is lost.
+        delay: from a command to its effect [s].
+    """
+
+    lidar: str = "lds01"
+    dropout: float = 0.0
+    delay: float = 0.0
+
+    @classmethod
+    def drawn(cls, random: np.random.Generator) -> Conditions:
+        """Return those of some robot."""
+        return cls(str(random.choice(_LIDARS)), random.uniform(0.0, _MOST_DROPOUT), random.uniform(0.0, _LONGEST_DELAY))
+
+
 class Corridor(gymnasium.Env[Vector, Vector]):
-    """The task `curved_corridor` with random widths, drop-outs and the firmware's truncation.
+    """The task `curved_corridor` with random widths and the firmware's truncation.
 
     Observation: `LidarObservation`. Action: [-1, 1] for speed and turn rate, mapped to the wiring's commands. Info:
     `outcome`, `progress` and `clearance` [m].
@@ -46,38 +79,39 @@ class Corridor(gymnasium.Env[Vector, Vector]):
     Attributes:
         task: what is simulated.
         wiring: of the robot to a policy.
+        mirror: what the same drive looks like with left and right swapped.
     """
 
     metadata = {"render_modes": []}  # noqa: RUF012 - gymnasium's own form
 
-    def __init__(self, learning: bool = True, lidar: str = "lds01", dropout: float = 0.02, delay: float = 0.0) -> None:
+    def __init__(
+        self, learning: bool = True, conditions: Conditions | None = None, task: str = "curved_corridor"
+    ) -> None:
         """Build the world.
 
         Args:
-            learning: begin anywhere along the corridor, to see all of it from the first episode on; else at its start.
-            lidar: one of `sim_bridge.lidar.LIDARS`.
-            dropout: probability that a beam is lost.
-            delay: from a command to its effect [s].
+            learning: several corridors in a row, begun anywhere in the first; else the task as it is.
+            conditions: of all episodes; None for others in each.
+            task: with a corridor, its name or file.
 
         Raises:
-            KoopmanError: the physics are not as quick as the task's time step wants.
+            KoopmanError: the task has no corridor, or the physics are not as quick as its time step wants.
+            TaskError: there is no such task.
         """
-        self.task = _task(learning)
+        self.task = load_navigation_task(task)
+        if self.task.corridor is None:
+            raise KoopmanError(f"task '{self.task.name}' has no corridor")
+        if learning:
+            self.task = _in_a_row(self.task, self.task.corridor)
         self.dt = self.task.episode.time_step
         steps = self.dt * _RATE
         if abs(steps - round(steps)) > 1e-6:
             raise KoopmanError(f"task '{self.task.name}': its time step is not a whole number of 1/{_RATE} s")
         self._steps = round(steps)
-        options = SimulationOptions(
-            rate=_RATE,
-            lidar=lidar,
-            scan_dropout=dropout,
-            command_truncation=True,
-            command_delay=delay,
-            randomise_width=True,
-        )
-        self._world = SimulatedWorld(self.task, options=options)
+        self._conditions = conditions
+        self._world = self._make_world(0, conditions or Conditions())
         self.wiring = LidarWiring(LidarObservation(), np.array((0.0, -_TURN)), np.array((_SPEED, _TURN)))
+        self.mirror = Mirror(*self.wiring.observation.mirror, np.array((1.0, -1.0)))
         self._full_step = _SPEED * self.task.episode.time_step
         path = self._world.geometry.path
         assert path is not None
@@ -91,19 +125,23 @@ class Corridor(gymnasium.Env[Vector, Vector]):
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Vector, dict[str, Any]]:
         """Begin an episode; the same seed gives the same one. `options` has no effect."""
         super().reset(seed=seed, options=options)
-        self._world.reset(int(self.np_random.integers(2**32)))
+        conditions = self._conditions or Conditions.drawn(self.np_random)
+        self._world.close()
+        self._world = self._make_world(int(self.np_random.integers(2**32)), conditions)
         self._along = self._furthest = self._s()
         self._since = 0
         return self._observe(), self._info(Outcome.RUNNING)
 
     def step(self, action: Vector) -> tuple[Vector, float, bool, bool, dict[str, Any]]:
         """Hold an action (2,) for the task's time step."""
-        self._world.command(0, self.wiring.command(np.clip(np.asarray(action, dtype=float), -1.0, 1.0)))
+        u = np.clip(np.asarray(action, dtype=float), -1.0, 1.0)
+        self._world.command(0, self.wiring.command(u))
         self._world.step(self._steps)
         episode, before = self._world.episode(0), self._along
         self._along = self._s()
         reward = (self._along - before) / self._full_step
         reward -= max(0.0, 1.0 - max(0.0, episode.clearance) / _NEAR_WALL)
+        reward -= _TURN_COST * float(u[1]) ** 2
         outcome = Outcome.TIMEOUT if episode.outcome is Outcome.RUNNING and self._stalls() else episode.outcome
         truncated = outcome is Outcome.TIMEOUT
         terminated = outcome is not Outcome.RUNNING and not truncated
@@ -115,6 +153,17 @@ class Corridor(gymnasium.Env[Vector, Vector]):
     def close(self) -> None:
         """Give the physics client back."""
         self._world.close()
+
+    def _make_world(self, seed: int, conditions: Conditions) -> SimulatedWorld:
+        options = SimulationOptions(
+            rate=_RATE,
+            lidar=conditions.lidar,
+            scan_dropout=conditions.dropout,
+            command_truncation=True,
+            command_delay=conditions.delay,
+            randomise_width=True,
+        )
+        return SimulatedWorld(self.task, seed, options=options)
 
     def _s(self) -> float:
         """Return how far along the path the robot is [m]."""
@@ -147,9 +196,36 @@ class Corridor(gymnasium.Env[Vector, Vector]):
         return {"outcome": outcome.name, "progress": progress, "clearance": episode.clearance}
 
 
-def _task(learning: bool) -> NavigationTask:
-    task = load_navigation_task(_TASK)
-    if not learning:
-        return task
-    start = type(task.start).model_validate(_LEARNING_STARTS)
-    return task.model_copy(update={"start": start})
+def _in_a_row(task: NavigationTask, corridor: CorridorSpec) -> NavigationTask:
+    """Return the task with its corridor as often as an episode has time for, and the goal at the end of the last."""
+    length, most = corridor.path.length, task.episode.steps * task.episode.time_step * _SPEED * _AT_SPEED
+    count = max(1, int(most / length))
+    while count > 1 and _meets_itself(corridor, count):
+        count -= 1
+    goal, before = task.goal.intervals["s"], (count - 1) * length
+    start = {
+        "s": f"{task.start.intervals['s'].low} .. {0.8 * length:.1f} m",
+        "lateral": f"{-_BESIDE} .. {_BESIDE} m",
+        "heading": f"{-_ASKEW} .. {_ASKEW} deg",
+    }
+    end = {"s": f"{goal.low + before} .. {goal.high + before} m"}
+    return task.model_copy(
+        update={
+            "start": type(task.start).model_validate(start),
+            "goal": type(task.goal).model_validate(end),
+            "corridor": _repeated(corridor, count),
+        }
+    )
+
+
+def _repeated(corridor: CorridorSpec, count: int) -> CorridorSpec:
+    return corridor.model_copy(update={"pieces": count * corridor.pieces})
+
+
+def _meets_itself(corridor: CorridorSpec, count: int) -> bool:
+    """Return whether so many corridors in a row come nearer to each other than their walls allow."""
+    path, apart = _repeated(corridor, count).path, corridor.width_range.high + 2.0 * corridor.wall_thickness
+    s = np.arange(0.0, path.length, 0.25 * apart)
+    places = path.pose(s)[:, :2]
+    distances = np.linalg.norm(places[:, None] - places, axis=2)
+    return bool((distances[np.abs(s[:, None] - s) > 0.5 * np.pi * apart] < apart).any())

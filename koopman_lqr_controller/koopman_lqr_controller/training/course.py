@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
 
+import numpy as np
 from ctrl_rl_training.array_file import load_arrays, save_arrays
 from ctrl_rl_training.learner_state import Arrays
 from ctrl_rl_training.resumable import Point
@@ -16,16 +17,20 @@ from koopman_lqr_controller.latent_controller import LatentController
 from koopman_lqr_controller.latent_policy import LatentPolicy
 from koopman_lqr_controller.policy_file import digest, save_policy
 from koopman_lqr_controller.prediction import horizon_errors, squared_error
+from koopman_lqr_controller.region import Region, region_of
 from koopman_lqr_controller.roll_outs import Episode, evaluate, interaction, mean_return, outcomes, projected
 from koopman_lqr_controller.training.finishing import consolidate_policy, load_latent
 from koopman_lqr_controller.training.network_policy import NetworkPolicy
 from koopman_lqr_controller.training.problems import AnyEnvironment, Problem
+from koopman_lqr_controller.training.replay import Replay
 
 POLICY_FILE = "policy.safetensors"
 """The best policy so far, in the folder of a run."""
 CONSOLIDATED_FILE = "consolidated.safetensors"
 """What is deployed, in the folder of a run."""
 _EVALUATION_SEED = 1_000_000
+_MOST_FOR_REGION = 10_000
+"""Steps that are enough to say what learning saw."""
 
 
 @dataclass(frozen=True)
@@ -51,6 +56,10 @@ class Learner(Protocol):
     """What learns from interaction."""
 
     method: str
+
+    @property
+    def replay(self) -> Replay | None:
+        """What it has met; None where a library keeps that for itself."""
 
     def learn(self, chunk: int, done: int, actions: int, episodes: int) -> tuple[int, int]:
         """Act and learn.
@@ -112,14 +121,16 @@ class Course:
             `model_errors`), `best` return so far and its `best_actions`, and what it took to find out: `evaluated`.
         """
         before = curve[-1] if curve else {"actions": 0, "episodes": 0}
-        left = self._problem.episodes - before["episodes"] if self._problem.episodes else 0
-        actions, episodes = self._learner.learn(len(curve), before["actions"], self._options.samples, left)
+        problem = self._problem
+        left = problem.episodes - before["episodes"] if problem.episodes else 0
+        most = min(filter(None, (left, problem.chunk_episodes)), default=0)
+        actions, episodes = self._learner.learn(len(curve), before["actions"], self._options.samples, most)
         done = before["actions"] + actions
         returns, errors, evaluated = self._evaluate(done)
         return {
             "actions": done,
             "episodes": before["episodes"] + episodes,
-            "steps": done * self._problem.repeat,
+            "steps": done * problem.repeat,
             "returns": returns,
             "model_errors": errors,
             "best": self._best["return"],
@@ -148,13 +159,18 @@ class Course:
                 self._write(controller, {**self._manifest, **self._best})
         return returns, errors, everything
 
-    def _write(self, controller: LatentController | NetworkPolicy, manifest: Mapping[str, Any]) -> None:
+    def _write(
+        self,
+        controller: LatentController | NetworkPolicy,
+        manifest: Mapping[str, Any],
+        region: Region | None = None,
+    ) -> None:
         file = self._folder / POLICY_FILE
         if isinstance(controller, NetworkPolicy):
             replace(controller, manifest=manifest).save(file)
         else:
             wiring = getattr(self._tested, "wiring", None)
-            save_policy(LatentPolicy(controller, self._tested.dt, wiring, manifest), file, overwrite=True)
+            save_policy(LatentPolicy(controller, self._tested.dt, wiring, manifest, region), file, overwrite=True)
 
     def _read(self) -> tuple[LatentController | NetworkPolicy, Mapping[str, Any]]:
         """Return the best policy so far and its manifest."""
@@ -190,7 +206,7 @@ class Course:
         controller, manifest = self._read()
         fresh = evaluate(controller, self._tested, self._options.final_evaluations, REPORT_SEED, keep=True)
         last: dict[str, Any] = {"returns": [episode.total for episode in fresh], "outcomes": outcomes(fresh)}
-        self._write(controller, {**manifest, **last})
+        self._write(controller, {**manifest, **last}, self._region(controller))
         if isinstance(controller, LatentController):
             last |= model_errors(controller, fresh)
             if self._plan is not None and controller.horizon is not None:
@@ -207,6 +223,16 @@ class Course:
             "consolidated": consolidated,
             "digests": {name: digest(folder / name) for name in files},
         }
+
+    def _region(self, controller: LatentController | NetworkPolicy) -> Region | None:
+        """Return what learning saw, as a policy sees it now; None of pictures, and where nothing is latent."""
+        replay = self._learner.replay
+        if replay is None or self._problem.settings.crop or not isinstance(controller, LatentController):
+            return None
+        steps = replay.draw(_MOST_FOR_REGION, np.random.default_rng(0))
+        z, z_next = controller.latent(steps.x), controller.latent(steps.x_next)
+        predicted = controller.predict(z, steps.u.astype(np.float64))
+        return region_of(z, np.linalg.norm(z_next - predicted, axis=1))
 
 
 def model_errors(controller: LatentController, episodes: Sequence[Episode]) -> dict[str, float]:

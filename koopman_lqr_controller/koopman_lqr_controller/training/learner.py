@@ -13,7 +13,7 @@ from koopman_lqr_controller.training.agent import Agent
 from koopman_lqr_controller.training.interaction import interact
 from koopman_lqr_controller.training.network_policy import NetworkPolicy
 from koopman_lqr_controller.training.problems import AnyEnvironment, Problem
-from koopman_lqr_controller.training.replay import Replay
+from koopman_lqr_controller.training.replay import Mirror, Replay
 
 _REPLAY = "replay."
 _UPDATES = "updates"
@@ -36,10 +36,11 @@ class KoopmanLearner:
         self, problem: Problem, environment: AnyEnvironment, seed: int, capacity: int, device: str = "cpu"
     ) -> None:
         self._settings, self._environment, self._seed = problem.settings, environment, seed
+        self._mirror: Mirror | None = getattr(environment, "mirror", None)
         interface = interface_of(problem, environment)
         self._agent = Agent(interface, problem.settings, seed, device)
         kind = environment.observation_space.dtype.type
-        self._replay = Replay(min(problem.settings.replay, capacity), interface.shape, interface.controls, kind)
+        self.replay = Replay(min(problem.settings.replay, capacity), interface.shape, interface.controls, kind)
 
     def learn(self, chunk: int, done: int, actions: int, episodes: int) -> tuple[int, int]:
         """Act and learn; see `course.Learner`."""
@@ -52,10 +53,13 @@ class KoopmanLearner:
             return agent.act(x, generator) if learning else random.uniform(-1.0, 1.0, shape).astype(np.float32)
 
         def update(step: int) -> None:
-            if done + step > settings.first_steps and (done + step) % settings.update_every == 0:
-                agent.update(self._replay.draw(settings.batch, random), generator)
+            if done + step <= settings.first_steps or (done + step) % settings.update_every:
+                return
+            for _ in range(settings.updates):
+                steps = self.replay.draw(settings.batch, random)
+                agent.update(steps if self._mirror is None else self._mirror.some(steps, random), generator)
 
-        return interact(self._environment, self._replay, random, actions, episodes, act, update)
+        return interact(self._environment, self.replay, random, actions, episodes, act, update)
 
     def candidates(self) -> dict[str, LatentController | NetworkPolicy]:
         """Return the average of the actor, and the actor as it is now."""
@@ -64,14 +68,14 @@ class KoopmanLearner:
     def arrays(self) -> Arrays:
         """Return networks, optimisers and replay."""
         out = state_arrays({"agent": self._agent}, self._agent.optimizers)
-        out |= {f"{_REPLAY}{name}": array for name, array in self._replay.arrays().items()}
+        out |= {f"{_REPLAY}{name}": array for name, array in self.replay.arrays().items()}
         return {**out, _UPDATES: np.array(self._agent.updates)}
 
     def restore(self, arrays: Arrays, /) -> None:
         """Take what `arrays` gave."""
         restore_state({"agent": self._agent}, self._agent.optimizers, arrays)
         replay = {name.removeprefix(_REPLAY): array for name, array in arrays.items() if name.startswith(_REPLAY)}
-        self._replay.restore(replay)
+        self.replay.restore(replay)
         self._agent.updates = int(arrays[_UPDATES].item())
 
 

@@ -6,6 +6,7 @@ import hashlib
 import json
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 from ctrl_rl_core.tasks import load_navigation_task, task_digest
@@ -30,12 +31,14 @@ class Problem:
         chunk: actions between two evaluations, whole episodes where these have one length.
         chunks: how many, unless asked otherwise.
         evaluations: episodes of an evaluation.
+        chunk_episodes: that end a chunk before its actions do; 0 for any number.
         episodes: largest number to learn from, those that end with a chunk included; 0 for any.
         patience: chunks without a new best after which learning ends; 0 for any.
         goal: observation of the goal; None for z_ref = 0.
         middle: of the observation, becomes 0 in the encoder.
         unit: becomes 1 above it.
         thesis: return that the thesis reached; None where it names none.
+        task: with a corridor, its name or file; empty for tasks of other kinds.
         version: of the environment's own code, what it shows and pays; a new one for each change of it.
     """
 
@@ -47,19 +50,21 @@ class Problem:
     chunk: int
     chunks: int
     evaluations: int = 5
+    chunk_episodes: int = 0
     episodes: int = 0
     patience: int = 0
     goal: tuple[float, ...] | None = None
     middle: float = 0.0
     unit: float = 1.0
     thesis: float | None = None
+    task: str = ""
     version: int = 1
 
     @property
     def digest(self) -> str:
         """SHA-256 of what defines the task, however long it is learnt (hex)."""
-        task = task_digest(load_navigation_task(self.name)) if self.name == "curved_corridor" else None
-        parts = [self.name, self.version, self.repeat, self.goal, self.middle, self.unit, task]
+        task = task_digest(load_navigation_task(self.task)) if self.task else None
+        parts = [Path(self.name).stem, self.version, self.repeat, self.goal, self.middle, self.unit, task]
         return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
 
     def with_settings(self, **changes: Any) -> Problem:
@@ -77,14 +82,20 @@ class Problem:
 
 
 def find_problem(name: str) -> Problem:
-    """Return a problem by name.
+    """Return a problem by name, or that of driving through the corridor of a task's .yaml file.
 
     Raises:
-        KoopmanError: there is none of that name.
+        KoopmanError: there is none of that name, or the file's task has no corridor.
+        TaskError: the file is no task.
     """
-    if name not in PROBLEMS:
-        raise KoopmanError(f"no task '{name}': there are {', '.join(PROBLEMS)}")
-    return PROBLEMS[name]
+    if name in PROBLEMS:
+        return PROBLEMS[name]
+    if not name.endswith(".yaml"):
+        raise KoopmanError(f"no task '{name}': there are {', '.join(PROBLEMS)}, or a .yaml file with a corridor")
+    if load_navigation_task(name).corridor is None:
+        raise KoopmanError(f"{name}: has no corridor to learn to drive through")
+    about = "the corridor of a task file"
+    return replace(PROBLEMS["curved_corridor"], name=name, about=about, make=_corridor(name), task=name)
 
 
 def _suite(domain: str, task: str, repeat: int, pixels: int = 0) -> Callable[[bool], AnyEnvironment]:
@@ -96,10 +107,13 @@ def _suite(domain: str, task: str, repeat: int, pixels: int = 0) -> Callable[[bo
     return make
 
 
-def _corridor(learning: bool) -> AnyEnvironment:
-    from koopman_lqr_controller.training.corridor import Corridor
+def _corridor(task: str) -> Callable[[bool], AnyEnvironment]:
+    def make(learning: bool) -> AnyEnvironment:
+        from koopman_lqr_controller.training.corridor import Corridor
 
-    return Corridor(learning)
+        return Corridor(learning, task=task)
+
+    return make
 
 
 _ALL = (
@@ -143,14 +157,16 @@ _ALL = (
     Problem(
         name="curved_corridor",
         about="a simulated TurtleBot3 drives along a narrow curved path, from lidar and odometry",
-        make=_corridor,
-        settings=Settings(first_steps=500, discount=0.97),
+        make=_corridor("curved_corridor"),
+        task="curved_corridor",
+        settings=Settings(latent=32, hidden=128, batch=128, first_steps=200, discount=0.97, updates=2),
         repeat=1,
-        chunk=1000,
-        chunks=28,
+        chunk=1400,
+        chunks=20,
         evaluations=3,
+        chunk_episodes=2,
         episodes=40,
-        version=2,
+        version=3,
     ),
 )
 PROBLEMS = {problem.name: problem for problem in _ALL}

@@ -28,6 +28,30 @@ class Transitions(NamedTuple):
     terminated: NDArray[np.float32]
 
 
+class Mirror(NamedTuple):
+    """The symmetry of a task whose left and right are alike.
+
+    Attributes:
+        order: of an observation's components when they are swapped (n,).
+        sign: of these (n,).
+        control_sign: of the controls (m,).
+    """
+
+    order: NDArray[np.intp]
+    sign: NDArray[np.float64]
+    control_sign: NDArray[np.float64]
+
+    def some(self, steps: Transitions, random: np.random.Generator) -> Transitions:
+        """Return the steps, each as it was or mirrored, by lot."""
+        chosen = (random.random(len(steps.u)) < 0.5)[:, None]
+
+        def turned(rows: NDArray[np.generic]) -> NDArray[np.generic]:
+            return np.where(chosen, rows[:, self.order] * self.sign.astype(rows.dtype), rows)
+
+        u = np.where(chosen, steps.u * self.control_sign.astype(np.float32), steps.u)
+        return steps._replace(x=turned(steps.x), u=u, x_next=turned(steps.x_next))
+
+
 class Replay:
     """A ring of observations in the order they were met: the next one of a step lies behind it and is kept once.
 

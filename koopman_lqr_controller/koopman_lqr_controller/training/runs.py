@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -33,7 +34,7 @@ class LearningRun:
     """What is learnt: everything about it, and nothing that cannot be sent to another process.
 
     Attributes:
-        problem_name: one of `PROBLEMS`.
+        problem_name: one of `PROBLEMS`, or the .yaml file of a task with a corridor.
         seed: of everything random.
         changes: of the problem's `Settings`, by name.
         device: of the networks: "cpu", whose runs can be repeated exactly, or "cuda".
@@ -55,7 +56,7 @@ class LearningRun:
         """Its name, which is that of its folder too."""
         learner = "" if self.learner == "koopman" else f"-{self.learner}"
         changes = "".join(f"-{name}_{value}" for name, value in self.changes)
-        return f"{self.problem_name}{learner}{changes}-s{self.seed}"
+        return f"{Path(self.problem_name).stem}{learner}{changes}-s{self.seed}"
 
     @property
     def problem(self) -> Problem:

@@ -34,6 +34,7 @@ class SacLearner:
     """
 
     method = "soft actor-critic (Stable-Baselines3)"
+    replay = None
 
     def __init__(
         self, problem: Problem, environment: AnyEnvironment, seed: int, capacity: int, device: str = "cpu"

@@ -37,7 +37,8 @@ class Settings:
         deviation: standard deviation of the controls to begin with, before tanh.
         critic_rate: at which the target critic follows.
         encoder_rate: at which the key encoder follows.
-        update_every: actions for one update.
+        update_every: actions before updates.
+        updates: how many then.
         actor_every: updates of the critic for one of actor and targets.
         noise: eta of Eq. 4.5.
         average_rate: at which the averaged actor follows.
@@ -62,6 +63,7 @@ class Settings:
     critic_rate: float = 0.01
     encoder_rate: float = 0.05
     update_every: int = 1
+    updates: int = 1
     actor_every: int = 2
     noise: float = 0.1
     average_rate: float = 0.005

@@ -93,7 +93,7 @@ class TwoStageLearner:
         parameters = [*self._model.encoder.parameters(), self._model.linear.A, self._model.linear.B]
         self._optimizer = torch.optim.Adam(parameters, lr=problem.settings.learning_rate)
         kind = environment.observation_space.dtype.type
-        self._replay = Replay(capacity, interface.shape, interface.controls, kind)
+        self.replay = Replay(capacity, interface.shape, interface.controls, kind)
 
     def learn(self, chunk: int, done: int, actions: int, episodes: int) -> tuple[int, int]:
         """Act at random and fit; see `course.Learner`."""
@@ -105,9 +105,9 @@ class TwoStageLearner:
 
         def update(step: int) -> None:
             if self._learnt and done + step > settings.first_steps and (done + step) % settings.update_every == 0:
-                self._update(self._replay.draw(settings.batch, random))
+                self._update(self.replay.draw(settings.batch, random))
 
-        return interact(self._environment, self._replay, random, actions, episodes, act, update)
+        return interact(self._environment, self.replay, random, actions, episodes, act, update)
 
     def _update(self, data: Transitions) -> None:
         x, u, _, x_next, _ = (torch.from_numpy(it).to(self._device).float() for it in data)
@@ -119,7 +119,7 @@ class TwoStageLearner:
 
     def candidates(self) -> dict[str, LatentController]:
         """Return the LQR of the least-squares model; where that has none, of one whose modes all fade."""
-        encoder, data = self._model.deploy(), self._replay.everything()
+        encoder, data = self._model.deploy(), self.replay.everything()
         u = data.u.astype(np.float64)
         z_ref = encoder(self._goal)
         model = fit(Snapshots(encoder(data.x), u, encoder(data.x_next)).centred(z_ref, np.zeros(u.shape[1])), _RIDGE)
@@ -137,12 +137,12 @@ class TwoStageLearner:
     def arrays(self) -> Arrays:
         """Return model, optimiser and replay."""
         out = state_arrays({"model": self._model}, {"optimizer": self._optimizer})
-        return out | {f"{_REPLAY}{name}": array for name, array in self._replay.arrays().items()}
+        return out | {f"{_REPLAY}{name}": array for name, array in self.replay.arrays().items()}
 
     def restore(self, arrays: Arrays, /) -> None:
         """Take what `arrays` gave."""
         restore_state({"model": self._model}, {"optimizer": self._optimizer}, arrays)
-        self._replay.restore({n.removeprefix(_REPLAY): a for n, a in arrays.items() if n.startswith(_REPLAY)})
+        self.replay.restore({n.removeprefix(_REPLAY): a for n, a in arrays.items() if n.startswith(_REPLAY)})
 
 
 HAND_TUNED = {
