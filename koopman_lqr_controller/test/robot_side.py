@@ -19,7 +19,6 @@ from sensor_msgs.msg import LaserScan
 
 from ctrl_rl_msgs.msg import LatentState
 
-
 PATIENCE_S = 10.0
 """For an answer that comes in a millisecond where the machine has nothing else to do."""
 
