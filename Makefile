@@ -37,10 +37,11 @@ ttr: build ## learn TASK=car_ttr (or quad_ttr) with every reward and algorithm; 
 	ros2 run ttr_reward_node train --task $$task --grid runs/$$task.safetensors --results docs/results/ttr_training_$$task.json $(ARGS); \
 	ros2 run ttr_reward_node training_figures docs/results/ttr_training_$$task.json
 
-oc: build ## learn with every baseline of thesis 3.3, five seeds, and analyse; hours, may be cut off
+oc: build ## learn with every baseline of thesis 3.3 and analyse; hours, may be cut off
 	@$(RUN) learn() { ros2 run oc_baseline_node train --task $$1 $${@:2} --results docs/results/oc_training_$$1.json $(ARGS); \
 	ros2 run oc_baseline_node training_figures docs/results/oc_training_$$1.json; }; \
-	learn car_navigation --compare all; learn quad_trap --compare ablation entropy; learn quad_navigation; \
+	learn car_navigation --compare ablation baselines noise entropy; learn quad_trap --compare ablation entropy; \
+	learn quad_navigation --compare ends --seeds 10; \
 	ros2 run oc_baseline_node analyse mismatch; \
 	ros2 run oc_baseline_node analyse mpc --learnt docs/results/oc_training_quad_navigation.json; \
 	ros2 run oc_baseline_node analyse gradient
@@ -52,10 +53,14 @@ options: build ## learn joint options with every method of thesis 5.3, ten seeds
 
 koopman: build ## learn the tasks of thesis 4.3, every method and ablation, and draw; many hours, may be cut off
 	@$(RUN) koopman() { ros2 run koopman_lqr_controller "$$@"; }; \
-	for task in cartpole_swingup cheetah_run cartpole_swingup_pixels curved_corridor; do \
-	koopman learn --task $$task --seeds 5 --results docs/results/koopman_$$task.json $(ARGS); done; \
-	for number in 4.1 4.2 4.3 4.4; do koopman compare --table $$number $(ARGS); done; \
-	for number in 4.3 4.8 4.9; do koopman compare --figure $$number $(ARGS); done; \
+	learn() { koopman learn --task $$1 --seeds $$2 --results docs/results/koopman_$$1.json $(ARGS); }; \
+	learn cartpole_swingup 5; learn curved_corridor 3; learn cheetah_run 3; learn cartpole_swingup_pixels 2; \
+	compare() { koopman compare "$$@" $(ARGS); }; \
+	for number in 4.1 4.2 4.3; do compare --table $$number; done; \
+	others="cheetah_run cartpole_swingup_pixels"; \
+	compare --table 4.4 --tasks cartpole_swingup; compare --table 4.4 --tasks $$others --seeds 1; \
+	for number in 4.3 4.8 4.9; do \
+	compare --figure $$number --tasks cartpole_swingup; compare --figure $$number --tasks $$others --seeds 1; done; \
 	koopman comparison_figures docs/results/koopman_figure_*.json
 
 test: build lint ## the tests, in about ten minutes

@@ -17,6 +17,9 @@ ROOT = Path(__file__).parent
 os.environ["ROS_DOMAIN_ID"] = str(1 + os.getpid() % 100)
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 
+_GOODBYE_S = 0.1
+"""Until a test's own node has heard that the others are gone: the middleware may crash where it is to end meanwhile."""
+
 
 class NodeProcess:
     """A node as `ros2 run` starts it."""
@@ -49,6 +52,16 @@ class NodeProcess:
         code = self.process.wait(timeout)
         return code, time.monotonic() - begin
 
+    def end(self) -> None:
+        """See to it that it has ended, in good order where it still can."""
+        if self.process.poll() is None:
+            self.process.send_signal(signal.SIGINT)
+            try:
+                self.process.wait(5.0)
+            except subprocess.TimeoutExpired:
+                self.process.kill()
+                self.process.wait()
+
 
 @pytest.fixture
 def run_node(tmp_path: Path) -> Iterator[Callable[..., NodeProcess]]:
@@ -65,9 +78,8 @@ def run_node(tmp_path: Path) -> Iterator[Callable[..., NodeProcess]]:
 
     yield run
     for node in started:
-        if node.process.poll() is None:
-            node.process.kill()
-            node.process.wait()
+        node.end()
+    time.sleep(_GOODBYE_S)
 
 
 class CutOffError(Exception):

@@ -12,6 +12,7 @@ from typing import Any
 from ctrl_rl_core.command import run_command
 from ctrl_rl_core.results import Result, as_markdown, read_benchmarks, read_results, write_results
 from ctrl_rl_core.whole_file import write_whole
+from koopman_lqr_controller.policy_file import DEFAULT_POLICY
 
 from ctrl_rl_bringup.drive import drive, drive_seeds, follow_running, record_scripted, write_artifacts
 from ctrl_rl_bringup.report import Drive, read_drive
@@ -84,7 +85,7 @@ def _parser(program: str, description: str, speed: float = 1.0) -> argparse.Argu
     parser = argparse.ArgumentParser(prog=program, description=description)
     parser.add_argument("--output", type=Path, help="new folder of the run (default runs/<command>-<date>-<time>)")
     parser.add_argument("--task", default="curved_corridor", help="task name or .yaml file (default %(default)s)")
-    parser.add_argument("--policy", default="curved_corridor_edmd", help="policy name or file (default %(default)s)")
+    parser.add_argument("--policy", default=DEFAULT_POLICY, help="policy name or file (default %(default)s)")
     parser.add_argument("--speed", type=float, default=speed, help="times real time (default %(default)s)")
     parser.add_argument("--width", type=float, default=0.0, help="of the corridor [m] (default: the task's)")
     parser.add_argument("--random-width", action="store_true", help="draw the width from the task's range")

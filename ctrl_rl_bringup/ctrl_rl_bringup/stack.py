@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from koopman_lqr_controller.policy_file import DEFAULT_POLICY
+
 
 @dataclass(frozen=True)
 class NodeSpec:
@@ -50,7 +52,7 @@ class DriveOptions:
 
     folder: Path
     task: str = "curved_corridor"
-    policy: str = "curved_corridor_edmd"
+    policy: str = DEFAULT_POLICY
     seed: int = 0
     speed: float = 1.0
     width: float = 0.0

@@ -18,7 +18,7 @@ def wait_until(said: Path, words: str) -> None:
 def test_a_node_gets_its_parameters_and_ends_when_told(tmp_path: Path) -> None:
     with Processes(tmp_path) as processes:
         processes.start([controller(DriveOptions(tmp_path))])
-        wait_until(tmp_path / "controller.log", "policy curved_corridor_edmd.safetensors")
+        wait_until(tmp_path / "controller.log", "policy curved_corridor.safetensors")
         processes.check()
         processes.stop("controller")
         processes.stop("controller")  # it is gone already: nothing to do

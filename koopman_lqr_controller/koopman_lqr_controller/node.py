@@ -18,7 +18,7 @@ from koopman_lqr_controller.guards import Guard
 from koopman_lqr_controller.lidar import ScanGeometry
 from koopman_lqr_controller.lidar_driver import DRIVER_PARAMETERS, LidarDriver, Sensed
 from koopman_lqr_controller.policy import Decision, DrivingPolicy
-from koopman_lqr_controller.policy_file import digest, find_policy, load_policy
+from koopman_lqr_controller.policy_file import DEFAULT_POLICY, digest, find_policy, load_policy
 
 _SAME_STEP = 0.5
 """A scan that comes earlier or later than the model's step by more than this part of it is not what was predicted."""
@@ -47,7 +47,7 @@ class Controller(LidarDriver):
         *DRIVER_PARAMETERS,
         Parameter(
             "policy",
-            "curved_corridor_edmd",
+            DEFAULT_POLICY,
             "A policy that comes with the package, or a .safetensors file; another one drives from the next scan on.",
             live=True,
         ),

@@ -31,6 +31,10 @@ _REGION = ("distance", "error")
 _OBSERVABLES = ("bearings_deg", "half_width_deg", "near", "closest", "far")
 
 
+DEFAULT_POLICY = "curved_corridor"
+"""The learnt one of those that come with the package; "curved_corridor_edmd" is the classical one."""
+
+
 def shipped_policies() -> dict[str, Path]:
     """Return the policies that come with the package, by name."""
     folder = Path(str(files("koopman_lqr_controller"))) / "policies"

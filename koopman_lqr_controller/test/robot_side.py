@@ -19,6 +19,9 @@ from sensor_msgs.msg import LaserScan
 
 from ctrl_rl_msgs.msg import LatentState
 
+PATIENCE_S = 10.0
+"""For an answer that comes in a millisecond where the machine has nothing else to do."""
+
 
 class Robot:
     """The other side of the controller: publishes scans and odometry, keeps the commands."""
@@ -95,7 +98,7 @@ def ask(robot: Robot, ranges: np.ndarray, nanoseconds: int) -> TwistStamped:
     robot.odom.publish(Odometry())
     robot.spin(0.1)  # odometry and scan are two topics: a scan may overtake
     robot.send(ranges, nanoseconds)
-    assert robot.spin(2.0, partial(answered, robot, nanoseconds))
+    assert robot.spin(PATIENCE_S, partial(answered, robot, nanoseconds))
     answer = robot.answer_to(nanoseconds)
     assert answer is not None
     return answer

@@ -12,7 +12,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from koopman_lqr_controller.latent_policy import LatentPolicy, LidarWiring
 from koopman_lqr_controller.lidar import ScanGeometry
 from koopman_lqr_controller.lidar_observation import LidarObservation
-from koopman_lqr_controller.policy_file import find_policy, load_policy, save_policy
+from koopman_lqr_controller.policy_file import DEFAULT_POLICY, find_policy, load_policy, save_policy
 from koopman_lqr_controller.region import Region
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
@@ -124,7 +124,7 @@ def test_stale_scans_are_said_in_latent_and_diagnostics(robot: Robot, run_node: 
     ask(robot, corridor(0.1), SECOND)
     assert robot.spin(5.0, lambda: any(latent.stop == "no recent scan" for latent in robot.latents))
     last = next(latent for latent in robot.latents if latent.stop == "no recent scan")
-    assert len(last.z) == 19
+    assert len(last.z) == len(robot.thought_of(SECOND).z)
     assert np.isnan(last.z).all()
     assert list(last.command) == [0.0, 0.0]
     assert diagnosed(robot, "no recent scan").level == DiagnosticStatus.WARN
@@ -179,7 +179,7 @@ def test_another_policy_drives_from_the_next_scan_on_and_a_bad_one_is_refused(
 
 def test_a_dry_run_thinks_and_sends_nothing(robot: Robot, run_node: Callable) -> None:
     controller = run_node("koopman_lqr_controller", "controller", "dry_run:=true", "scan_timeout:=0.5")
-    controller.wait_for("policy curved_corridor_edmd")
+    controller.wait_for(f"policy {DEFAULT_POLICY}")
     deadline, stamp = time.monotonic() + 20.0, 0
     while not any(latent.command[:1] and latent.command[0] > 0.0 for latent in robot.latents):
         stamp += 1

@@ -15,19 +15,21 @@ from koopman_lqr_controller.latent_policy import LidarWiring
 from koopman_lqr_controller.lidar_observation import LidarObservation
 from koopman_lqr_controller.policy_file import save_policy
 from nav_msgs.msg import Odometry
-from robot_side import Robot, a_policy, answered, ask, corridor
+from robot_side import PATIENCE_S, Robot, a_policy, answered, ask, corridor
 from sensor_msgs.msg import LaserScan
 
 V_LIMIT, OMEGA_LIMIT = 0.22, 2.84
+SCAN_PERIOD_NS = 200_000_000
 
 
 def test_it_steers_away_from_the_nearer_wall_and_says_why(robot: Robot, run_node: Callable) -> None:
     controller = run_node("koopman_lqr_controller", "controller")
     robot.wait_for_controller()
-    left, right = ask(robot, corridor(0.12), 1_000), ask(robot, corridor(-0.12), 2_000)
+    first, second = 1_000, 1_000 + SCAN_PERIOD_NS
+    left, right = ask(robot, corridor(0.12), first), ask(robot, corridor(-0.12), second)
     assert left.twist.angular.z < -0.05 < 0.05 < right.twist.angular.z
     assert left.twist.linear.x > 0.0
-    last = robot.thought_of(2_000)
+    last = robot.thought_of(second)
     assert list(last.command) == [right.twist.linear.x, right.twist.angular.z]
     assert len(last.z) == len(last.z_predicted)
     assert last.prediction_error == pytest.approx(np.linalg.norm(np.subtract(last.z, last.z_predicted)))
@@ -142,7 +144,7 @@ def test_every_scan_of_a_real_drive_gets_a_finite_command_within_limits(
         )
         scan.header.stamp = to_stamp(scans)
         robot.scan.publish(scan)
-        assert robot.spin(2.0, partial(answered, robot, scans))
+        assert robot.spin(PATIENCE_S, partial(answered, robot, scans))
     assert scans == 357
     commands = np.array(
         [[c.twist.linear.x, c.twist.angular.z] for c in robot.commands if c.header.stamp.nanosec <= 357]

@@ -13,8 +13,9 @@ from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.lidar import ScanGeometry
 from koopman_lqr_controller.observables import CorridorObservables
 from koopman_lqr_controller.policy import KoopmanPolicy
-from koopman_lqr_controller.policy_file import find_policy, load_policy, save_policy, shipped_policies
+from koopman_lqr_controller.policy_file import DEFAULT_POLICY, find_policy, load_policy, save_policy, shipped_policies
 from koopman_lqr_controller.two_stage import train
+from numpy.typing import NDArray
 from safetensors.numpy import load_file, save_file
 
 OBSERVABLES = CorridorObservables()
@@ -132,15 +133,36 @@ def test_a_policy_with_a_wrong_shape_or_nan_is_refused(policy: KoopmanPolicy) ->
         KoopmanPolicy(**given, K=np.full_like(policy.K, np.nan))
 
 
-def test_the_shipped_policies_are_whole_stable_and_drive_straight_in_the_middle() -> None:
-    assert "curved_corridor_edmd" in shipped_policies()
-    for path in shipped_policies().values():
-        shipped = load_policy(path)
-        assert shipped.manifest["spectral_radius"] < 1.0
-        assert shipped.manifest["dare_residual"] < 1e-8
-        assert shipped.manifest["error_over_persistence"] < 1.0
-        ranges = between_walls(0.7, 0.0, 0.0)
-        middle = shipped.decide(ranges, scan_of(ranges), shipped.manifest["speed"], 0.0)
-        assert middle.command == pytest.approx([shipped.manifest["speed"], 0.0], abs=1e-3)
-        left = shipped.decide(between_walls(0.7, 0.1, 0.0), scan_of(ranges), shipped.manifest["speed"], 0.0)
-        assert left.command[1] < -0.05
+@pytest.mark.parametrize("name", shipped_policies())
+def test_a_shipped_policy_is_small_whole_and_stable(name: str) -> None:
+    path = shipped_policies()[name]
+    shipped = load_policy(path)
+    assert path.stat().st_size < 1_000_000
+    assert shipped.manifest["spectral_radius"] < 1.0
+    assert shipped.manifest["dare_residual"] < 1e-8
+    assert shipped.manifest["error_over_persistence"] < 1.0
+
+
+@pytest.mark.parametrize("name", shipped_policies())
+def test_a_shipped_policy_drives_on_and_steers_to_the_middle(name: str) -> None:
+    shipped = load_policy(shipped_policies()[name])
+
+    def command(offset: float) -> NDArray[np.float64]:
+        ranges = between_walls(0.7, offset, 0.0)
+        return shipped.decide(ranges, scan_of(ranges), 0.18, 0.0).command
+
+    middle, left, right = command(0.0), command(0.1), command(-0.1)
+    assert middle[0] > 0.15
+    assert left[1] < middle[1] - 0.05
+    assert right[1] > middle[1] + 0.05
+
+
+def test_the_classical_policy_drives_straight_in_the_middle() -> None:
+    shipped = load_policy(find_policy("curved_corridor_edmd"))
+    ranges = between_walls(0.7, 0.0, 0.0)
+    middle = shipped.decide(ranges, scan_of(ranges), shipped.manifest["speed"], 0.0)
+    assert middle.command == pytest.approx([shipped.manifest["speed"], 0.0], abs=1e-3)
+
+
+def test_what_is_driven_with_by_default_comes_with_the_command_that_makes_it() -> None:
+    assert load_policy(find_policy(DEFAULT_POLICY)).manifest["command"].startswith("ros2 run koopman_lqr_controller")

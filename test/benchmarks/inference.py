@@ -1,8 +1,7 @@
 """From a scan's ranges to a command, without ROS: both kinds of policy, both lidars of the TurtleBot3.
 
 First what resamples the scan, then all of it. Beside the floor: the matrix products alone that the policy cannot do
-without, in the same loop. The learnt policy has the size of those that `learn` makes for the corridor, with random
-weights: its numbers do not matter here.
+without, in the same loop.
 """
 
 from __future__ import annotations
@@ -13,39 +12,14 @@ from dataclasses import replace
 
 import numpy as np
 from _common import Row, row
-from koopman_lqr_controller.edmd import LinearModel
-from koopman_lqr_controller.encoder import Dense, Encoder, LayerNorm
-from koopman_lqr_controller.latent_controller import LatentController
-from koopman_lqr_controller.latent_policy import LatentPolicy, LidarWiring
+from koopman_lqr_controller.encoder import Dense
+from koopman_lqr_controller.latent_policy import LatentPolicy
 from koopman_lqr_controller.lidar import ScanGeometry
-from koopman_lqr_controller.lidar_observation import LidarObservation
 from koopman_lqr_controller.policy import DrivingPolicy, KoopmanPolicy
-from koopman_lqr_controller.policy_file import find_policy, load_policy
-from koopman_lqr_controller.training.problems import PROBLEMS
+from koopman_lqr_controller.policy_file import DEFAULT_POLICY, find_policy, load_policy
 
 SCANS = 7000
 WARM_UP = 2000
-SIZES = PROBLEMS["curved_corridor"].settings
-REDUCED = 8
-
-
-def learnt() -> LatentPolicy:
-    """Return a learnt policy of the usual size."""
-    random = np.random.default_rng(0)
-    observation = LidarObservation()
-    inputs, hidden, latent = len(observation.names), SIZES.hidden, SIZES.latent
-
-    def dense(outputs: int, inputs: int, rectified: bool) -> Dense:
-        weight = random.normal(scale=inputs**-0.5, size=(outputs, inputs)).astype(np.float32)
-        return Dense(weight, np.zeros(outputs, np.float32), rectified)
-
-    norm = LayerNorm(np.ones(latent, np.float32), np.zeros(latent, np.float32))
-    layers = (dense(hidden, inputs, True), dense(hidden, hidden, True), dense(latent, hidden, False), norm)
-    encoder = Encoder(layers, (inputs,), np.zeros(inputs, np.float32), np.ones(inputs, np.float32))
-    model = LinearModel(0.9 * np.eye(REDUCED), random.normal(size=(REDUCED, 2)))
-    C = np.linalg.qr(random.normal(size=(latent, REDUCED)))[0].T
-    controller = LatentController(encoder, model, np.ones(REDUCED), np.ones(2), np.zeros(REDUCED), None, C)
-    return LatentPolicy(controller, 0.2, LidarWiring(observation, np.array([0.0, -1.5]), np.array([0.22, 1.5])))
 
 
 def products(policy: DrivingPolicy) -> Callable[[], None]:
@@ -82,8 +56,9 @@ def scans(lidar: str) -> list[tuple[np.ndarray, ScanGeometry]]:
 def rows() -> list[Row]:
     """Return median and 99th percentile of each policy with each lidar."""
     out: list[Row] = []
-    policies = {"EDMD": load_policy(find_policy("curved_corridor_edmd")), "learnt": learnt()}
-    for name, policy in policies.items():
+    policies = {"EDMD": "curved_corridor_edmd", "learnt": DEFAULT_POLICY}
+    for name, shipped in policies.items():
+        policy = load_policy(find_policy(shipped))
         for lidar in ("LDS-01", "LDS-02"):
             whole, part, floor = _times(policy, scans(lidar), products(policy))
             for label, percentile in (("median", 50), ("p99", 99)):
