@@ -17,7 +17,7 @@ TEAM = load_team("delivery_team")
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, subprocess.CompletedProcess[str]]:
     folder = tmp_path_factory.mktemp("options") / "run"
-    return folder, command("options_demo", "--speed", 3, "--seed", 1, "--output", folder)
+    return folder, command("options_demo", "--speed", 2, "--seed", 1, "--output", folder)
 
 
 def test_all_parcels_are_delivered_and_nobody_collides(run) -> None:
