@@ -36,7 +36,8 @@ class HowRunsGo(Protocol):
 AnyRun = TypeVar("AnyRun", bound=Named)
 How = TypeVar("How", bound=HowRunsGo)
 Report = Callable[[AnyRun, int, float | str], None]
-"""What is told of an iteration: the run, the iterations done, and a success rate or other words on how it goes."""
+"""What is told: the run, the iterations done, and a success rate or other words on how it goes. It may be told more
+than once for an iteration, where something else takes long."""
 Train = Callable[[AnyRun, How, Report[AnyRun]], dict[str, Any]]
 """Learns, or reads what is finished; see `train_one`."""
 
@@ -85,18 +86,21 @@ def _train_one() -> Train[Any, Any]:
 def _run(todo: Sequence[AnyRun], options: How, workers: int, title: str, train: Train[AnyRun, How]) -> None:
     reports: Any = CONTEXT.Queue()
     with tqdm(total=len(todo) * options.iterations, desc=title, unit="iteration", mininterval=5.0) as bar:
-        work, show = partial(_train, options=options, train=train), partial(_show, bar, reports)
+        work, show = partial(_train, options=options, train=train), partial(_show, bar, reports, {})
         for _ in in_processes(work, todo, workers, _begin_worker, (reports,), show):
             show()
 
 
-def _show(bar: tqdm[Any], reports: Any) -> None:
+def _show(bar: tqdm[Any], reports: Any, told: dict[str, int]) -> None:
+    """Show what was reported; `told` keeps what each run had done, and begins empty."""
     while True:
         try:
             name, done, how = reports.get_nowait()
         except Empty:
             return
-        bar.update(min(1, int(bar.total or 0) - bar.n))
+        if done > told.get(name, 0):
+            bar.update(min(1, int(bar.total or 0) - bar.n))
+        told[name] = done
         bar.set_postfix_str(f"{name} {done}: {how if isinstance(how, str) else f'{100 * how:.0f} %'}")
 
 

@@ -78,6 +78,12 @@ def _analyse(options: argparse.Namespace) -> int:
     folder.mkdir(parents=True, exist_ok=True)
     write_whole(folder / _DATA, json.dumps({"file": file.name, "digest": digest(file), **found}) + "\n")
     write_whole(folder / _PAGE, page(found, file.name, draw_all(found, folder)))
+    for row in found.get("limits", {}).get("rows", ()):
+        over_best = row["model"] / max(row["linear_floor"], 1e-12)
+        print(
+            f"one step   {row['model']:.2f} of persistence, {over_best:.2f} of the best linear model; noise alone "
+            f"{row['noise_floor']:.2f} (hardship: {row['name']}, noise in the actions {row['noise']:g})"
+        )
     for part, reason in found["left_out"].items():
         print(f"left out   {part}: {reason}")
     print(f"page       {folder / _PAGE}")

@@ -132,7 +132,7 @@ def consolidate(
         plan: how.
         goal: whether z_ref is a goal; else the middle of what the policy goes through takes its place.
         seed: of all episodes.
-        tick: told what is done, once for each candidate.
+        tick: told what is done: before each part, and after each candidate.
         reported: fresh episodes of the learnt controller from `REPORT_SEED` on, where there are some already; else it
             is evaluated.
 
@@ -212,6 +212,7 @@ class _Search:
         self._episodes: list[Episode] = []
         self.tried: list[_Candidate] = []
         self.all_episodes: list[Episode] = []
+        tick("the learnt policy")
         self.learnt_score = self._score(learnt)
 
     @property
@@ -264,6 +265,7 @@ class _Search:
 
     def measure(self, chosen: LatentController) -> list[Episode]:
         """Return fresh noisy episodes of the learnt and the chosen controller, that nothing was chosen by."""
+        self._tick("the model's error")
         noises = np.linspace(0.0, self._plan.noise, max(2, self._plan.episodes // 5)).tolist()
         first = self._first["measure"]
         return [
@@ -278,6 +280,7 @@ class _Search:
 
     def report(self, controller: LatentController) -> list[Episode]:
         """Return fresh episodes without noise."""
+        self._tick(f"{self._plan.report} fresh episodes")
         return evaluate(controller, self._environment, self._plan.report, self._first["report"])
 
     def _score(self, controller: LatentController) -> float:

@@ -63,6 +63,11 @@ class LinearLoop:
         """A - B diag(slope) K (n, n): the loop that runs, near the reference."""
         return self.model.A - self.model.B @ (self.slope[:, None] * self.K)
 
+    @property
+    def gain(self) -> Array:
+        """K (m, n) in actions, which span -1 to 1: the units of its rows are alike."""
+        return 2.0 * self.K / (self.high - self.low)[:, None]
+
     def action(self, u: Array) -> Array:
         """Return the action in [-1, 1] that stands for a control within its limits."""
         return 2.0 * (u - self.low) / (self.high - self.low) - 1.0

@@ -124,7 +124,7 @@ def _consolidate(options: argparse.Namespace, words: Sequence[str]) -> int:
     plan = Plan.of(options.live, options.episodes, noise=options.noise, **sizes)
     command = as_command("consolidate", options.policy.name, "--output", options.output.name, *words)
     try:
-        with tqdm(desc="consolidating", unit="candidate", disable=None) as bar:
+        with tqdm(desc="consolidating", unit="part", disable=None) as bar:
 
             def tick(what: str) -> None:
                 bar.set_postfix_str(what)

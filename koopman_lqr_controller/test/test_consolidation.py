@@ -144,8 +144,12 @@ def test_the_reported_error_is_of_episodes_that_nothing_was_chosen_by(consolidat
     assert proof(chosen, fresh)["horizon_errors"] == consolidated.figures["horizon_errors"]
 
 
-def test_the_same_seed_gives_the_same(consolidated) -> None:
-    again = consolidate(learnt_controller(), Line(), PLAN)
+def test_the_same_seed_gives_the_same_and_what_takes_long_is_told(consolidated) -> None:
+    told: list[str] = []
+    again = consolidate(learnt_controller(), Line(), PLAN, tick=told.append)
+    assert told[:2] == ["the learnt policy", "10 episodes"]
+    assert sum("dimensions" in each for each in told) == len(again.figures["candidates"])
+    assert told[-3:] == ["the model's error", "10 fresh episodes", "10 fresh episodes"]
     assert np.array_equal(again.controller.K, consolidated.controller.K)
     assert again.figures == consolidated.figures
 

@@ -139,7 +139,8 @@ def test_a_run_that_was_killed_goes_on_exactly(tmp_path: Path) -> None:
 def test_what_is_learnt_is_what_is_evaluated_and_says_where_it_comes_from(tmp_path: Path) -> None:
     said = []
     result = learn_one(RUN, options(tmp_path), lambda run, done, best: said.append((run.name, done, best)))
-    assert [done for _, done, _ in said] == [1, 2, 3]
+    assert [done for _, done, _ in said] == [1, 2, 3, 3]
+    assert said.pop()[2] == "fresh episodes"
     best = result["best"]["return"]
     assert said[-1][2] == f"{best:.1f}"
     assert best == max(max(point["returns"].values()) for point in result["curve"])

@@ -15,6 +15,7 @@ _TITLES = {
     "costs": "Costs",
     "observations": "What the costs weigh in the observation",
     "prediction": "Prediction",
+    "limits": "What limits the prediction",
     "tsne": "Map of the latent states",
     "closed_loop": "The closed loop on the real system",
 }
@@ -147,7 +148,25 @@ def _prediction(found: Found) -> str:
     verdict = "beats" if ratio[0] < 1.0 else "is worse than"
     return (
         "Error over that of 'nothing changes', going on from the model's own prediction under the controls that were "
-        f"done: {told} steps. One step ahead the model {verdict} persistence."
+        f"done: {told} steps. One step ahead the model {verdict} persistence. In what the law asks for, K z, "
+        "which is the same in all coordinates of the latent space, the error is "
+        f"{found['prediction']['law_over_persistence']:.2f} of that of persistence."
+    )
+
+
+def _limits(found: Found) -> str:
+    lines = [
+        "| what is hard | noise in the actions | model | K z | best linear | noise alone | model over best linear |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for row in found["limits"]["rows"]:
+        errors = [row["model"], row["law"], row["linear_floor"], row["noise_floor"]]
+        errors.append(row["model"] / max(row["linear_floor"], 1e-12))
+        lines.append(f"| {row['name']} | {row['noise']:g} | " + " | ".join(f"{each:.2f}" for each in errors) + " |")
+    return "\n".join(lines) + (
+        "\n\nErrors of one step over that of 'nothing changes', from the same starts. No model misses less than the "
+        "noise alone makes it, as two looks at each state tell. No linear model of these latents misses less than the "
+        "best linear one, fitted to these very steps: where that is far above the noise, the rest is not linear."
     )
 
 
@@ -186,6 +205,7 @@ _TEXTS: Mapping[str, Callable[[Found], str]] = {
     "costs": _costs,
     "observations": _observations,
     "prediction": _prediction,
+    "limits": _limits,
     "tsne": _tsne,
     "closed_loop": _closed_loop,
 }

@@ -58,11 +58,13 @@ class Conditions:
         lidar: one of `sim_bridge.lidar.LIDARS`.
         dropout: probability that a beam is lost.
         delay: from a command to its effect [s].
+        noise: standard deviation of a range [m], None for the task's.
     """
 
     lidar: str = "lds01"
     dropout: float = 0.0
     delay: float = 0.0
+    noise: float | None = None
 
     @classmethod
     def drawn(cls, random: np.random.Generator) -> Conditions:
@@ -130,7 +132,7 @@ class Corridor(gymnasium.Env[Vector, Vector]):
         self._world = self._make_world(int(self.np_random.integers(2**32)), conditions)
         self._along = self._furthest = self._s()
         self._since = 0
-        return self._observe(), self._info(Outcome.RUNNING)
+        return self.observe(), self._info(Outcome.RUNNING)
 
     def step(self, action: Vector) -> tuple[Vector, float, bool, bool, dict[str, Any]]:
         """Hold an action (2,) for the task's time step."""
@@ -148,7 +150,7 @@ class Corridor(gymnasium.Env[Vector, Vector]):
         if terminated:
             scale = _GOAL_SCALE if outcome is Outcome.GOAL else _COLLISION_SCALE
             reward += scale * episode.reward(self.task.rewards)
-        return self._observe(), reward, terminated, truncated, self._info(outcome)
+        return self.observe(), reward, terminated, truncated, self._info(outcome)
 
     def close(self) -> None:
         """Give the physics client back."""
@@ -158,6 +160,7 @@ class Corridor(gymnasium.Env[Vector, Vector]):
         options = SimulationOptions(
             rate=_RATE,
             lidar=conditions.lidar,
+            scan_noise=conditions.noise,
             scan_dropout=conditions.dropout,
             command_truncation=True,
             command_delay=conditions.delay,
@@ -180,7 +183,8 @@ class Corridor(gymnasium.Env[Vector, Vector]):
         forward, _, turn = self._world.odometry(0).velocity
         return forward, turn
 
-    def _observe(self) -> Vector:
+    def observe(self) -> Vector:
+        """Return the observation of the state as it is, with noise and drop-out of its own in each call."""
         return self.wiring.observation.observe(*self.scan(), *self.speeds()).astype(np.float32)
 
     def _stalls(self) -> bool:

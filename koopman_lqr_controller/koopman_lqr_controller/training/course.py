@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
@@ -95,6 +95,7 @@ class Course:
         folder: of the run.
         manifest: what policies say of themselves.
         plan: of consolidation, None for none.
+        tell: told how many chunks are done, and what is done now, when that is no chunk.
     """
 
     def __init__(
@@ -106,9 +107,10 @@ class Course:
         folder: Path,
         manifest: Mapping[str, Any],
         plan: Plan | None,
+        tell: Callable[[int, str], None] = lambda *_: None,
     ) -> None:
         self._learner, self._problem, self._tested = learner, problem, tested
-        self._options, self._folder, self._plan = options, folder, plan
+        self._options, self._folder, self._plan, self._tell = options, folder, plan, tell
         self._manifest = {**manifest, "method": learner.method}
         self._best: dict[str, Any] = {"return": -float("inf"), "actions": 0}
         self._curve: Sequence[Point] = ()
@@ -204,13 +206,21 @@ class Course:
         """
         file, files, consolidated = folder / POLICY_FILE, [POLICY_FILE], None
         controller, manifest = self._read()
+        self._tick("fresh episodes")
         fresh = evaluate(controller, self._tested, self._options.final_evaluations, REPORT_SEED, keep=True)
         last: dict[str, Any] = {"returns": [episode.total for episode in fresh], "outcomes": outcomes(fresh)}
         self._write(controller, {**manifest, **last}, self._region(controller))
         if isinstance(controller, LatentController):
             last |= model_errors(controller, fresh)
             if self._plan is not None and controller.horizon is not None:
-                found, consolidated = consolidate_policy(file, self._problem, self._tested, self._plan, reported=fresh)
+                found, consolidated = consolidate_policy(
+                    file,
+                    self._problem,
+                    self._tested,
+                    self._plan,
+                    tick=lambda what: self._tick(f"consolidating, {what}"),
+                    reported=fresh,
+                )
                 save_policy(found, folder / CONSOLIDATED_FILE, overwrite=True)
                 files.append(CONSOLIDATED_FILE)
         tested = [point["evaluated"] for point in self._curve]
@@ -223,6 +233,9 @@ class Course:
             "consolidated": consolidated,
             "digests": {name: digest(folder / name) for name in files},
         }
+
+    def _tick(self, what: str) -> None:
+        self._tell(len(self._curve), what)
 
     def _region(self, controller: LatentController | NetworkPolicy) -> Region | None:
         """Return what learning saw, as a policy sees it now; None of pictures, and where nothing is latent."""

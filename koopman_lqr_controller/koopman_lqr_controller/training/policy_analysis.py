@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,10 +16,11 @@ from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.latent_policy import LatentPolicy
 from koopman_lqr_controller.linear_loop import LEARNT, TWO_STAGES, LinearLoop, linear_loop
 from koopman_lqr_controller.policy import KoopmanPolicy
-from koopman_lqr_controller.prediction import horizon_errors
+from koopman_lqr_controller.prediction import horizon_errors, law_error
 from koopman_lqr_controller.training.control_suite import ControlSuite
 from koopman_lqr_controller.training.corridor import Corridor
-from koopman_lqr_controller.training.policy_world import Episode, live
+from koopman_lqr_controller.training.policy_world import Episode, live, make_corridor
+from koopman_lqr_controller.training.prediction_limits import prediction_limits
 from koopman_lqr_controller.training.true_system import TrueSystem, corridor_system, suite_system
 
 Array = NDArray[np.float64]
@@ -100,6 +102,8 @@ def analyse(
     findings.add("data", lambda: _data(data, bool(recorded), world))
     tick("prediction")
     findings.add("prediction", lambda: _prediction(loop, _some(data, world)))
+    if isinstance(world, Corridor):
+        findings.add("limits", lambda: _limits(policy, loop, episodes, tick))
     findings.add("latents", lambda: _latents(loop, _some(data, world)))
     findings.add("observations", lambda: _observations(policy, loop, _some(data, world), world))
     tick("t-SNE")
@@ -189,8 +193,16 @@ def _data(data: Sequence[Episode], recorded: bool, world: Any) -> dict[str, Any]
 
 
 def _prediction(loop: LinearLoop, data: Sequence[Episode]) -> dict[str, Any]:
-    z = [loop.latent(episode.x) for episode in data]
-    return {"over_persistence": horizon_errors(loop.predict, z, [episode.u for episode in data], HORIZON)}
+    z, u = [loop.latent(episode.x) for episode in data], [episode.u for episode in data]
+    return {
+        "over_persistence": horizon_errors(loop.predict, z, u, HORIZON),
+        "law_over_persistence": law_error(loop.predict, loop.gain, z, u),
+    }
+
+
+def _limits(policy: Policy, loop: LinearLoop, episodes: int, tick: Callable[[str], None]) -> dict[str, Any]:
+    count = max(1, episodes // 3)
+    return {"rows": prediction_limits(loop, partial(make_corridor, policy), (0.0, _NOISE), count, tick=tick)}
 
 
 def _latents(loop: LinearLoop, data: Sequence[Episode]) -> dict[str, Any]:

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koopman_lqr_controller.errors import KoopmanError
-from koopman_lqr_controller.latent_policy import LidarWiring
+from koopman_lqr_controller.latent_policy import LatentPolicy, LidarWiring
 from koopman_lqr_controller.linear_loop import LinearLoop
 from koopman_lqr_controller.policy import KoopmanPolicy
-from koopman_lqr_controller.training.corridor import Corridor, Vector
+from koopman_lqr_controller.training.corridor import Conditions, Corridor, Vector
 from koopman_lqr_controller.training.problems import AnyEnvironment, find_problem
 
 Array = NDArray[np.float64]
@@ -40,12 +40,13 @@ class Episode:
 class LiftedCorridor(Corridor):
     """The corridor as a two-stage policy sees it: observations are Psi, actions span the policy's own limits."""
 
-    def __init__(self, policy: KoopmanPolicy) -> None:
+    def __init__(self, policy: KoopmanPolicy, conditions: Conditions | None = None) -> None:
         self._policy = policy
-        super().__init__(learning=False)
+        super().__init__(learning=False, conditions=conditions)
         self.wiring = LidarWiring(self.wiring.observation, policy.u_low, policy.u_high)
 
-    def _observe(self) -> Vector:
+    def observe(self) -> Vector:
+        """Return Psi of the state as it is, see `Corridor.observe`."""
         scan, observables = self.scan(), self._policy.observables
         v, omega = self.speeds()
         return observables.lift(observables.sectors.distances(*scan), v, omega).astype(np.float32)
@@ -64,6 +65,18 @@ def make_world(policy: KoopmanPolicy | Any) -> AnyEnvironment:
             raise KoopmanError(f"there is no environment for the task {task}")
         return LiftedCorridor(policy)
     return find_problem(task).make(False)
+
+
+def make_corridor(policy: KoopmanPolicy | LatentPolicy, conditions: Conditions) -> Corridor:
+    """Return the corridor of a policy's task, with a robot of such conditions.
+
+    Raises:
+        KoopmanError: the task has no corridor.
+        ModuleNotFoundError: a simulator is not installed.
+    """
+    if isinstance(policy, KoopmanPolicy):
+        return LiftedCorridor(policy, conditions)
+    return Corridor(False, conditions, find_problem(str(policy.manifest.get("task"))).task)
 
 
 def live(loop: LinearLoop, environment: AnyEnvironment, seed: int, noise: float = 0.0) -> Episode:

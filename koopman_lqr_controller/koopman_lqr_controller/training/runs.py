@@ -93,7 +93,7 @@ def learn_one(run: LearningRun, options: LearningOptions, report: Report = lambd
     Args:
         run: what is learnt.
         options: how.
-        report: called after each chunk with the best return so far.
+        report: called after each chunk with the best return so far, and at the end with what is done then.
 
     Returns:
         `run` (its terms), `curve` (what `Course.iterate` says of each chunk), what `Course.finish` says, `digests` of
@@ -120,7 +120,7 @@ def learn_one(run: LearningRun, options: LearningOptions, report: Report = lambd
     def begin() -> Iterator[Course]:
         environments = [run.problem.make(learning) for learning in (True, False)]
         try:
-            yield _course(run, options, plan, *environments)
+            yield _course(run, options, plan, lambda done, what: report(run, done, what), *environments)
         finally:
             for environment in environments:
                 environment.close()
@@ -155,11 +155,19 @@ _LEARNERS: Mapping[str, Callable[..., Learner]] = {
 }
 
 
-def _course(run: LearningRun, options: LearningOptions, plan: Plan | None, environment: Any, tested: Any) -> Course:
+def _course(
+    run: LearningRun,
+    options: LearningOptions,
+    plan: Plan | None,
+    tell: Callable[[int, str], None],
+    environment: Any,
+    tested: Any,
+) -> Course:
     capacity = 2 * options.iterations * options.samples
     learner = _LEARNERS[run.learner](run.problem, environment, run.seed, capacity, run.device)
     manifest = {**run.description, "command": run.command}
-    return Course(learner, run.problem, tested, options, result_file(options.folder, run).parent, manifest, plan)
+    folder = result_file(options.folder, run).parent
+    return Course(learner, run.problem, tested, options, folder, manifest, plan, tell)
 
 
 def _check_policies(run: LearningRun, options: LearningOptions, result: dict[str, Any]) -> None:
