@@ -22,8 +22,11 @@ demo: build ## drive the corridor, record it, report (ARGS="--seed 3 --speed 2")
 demo-options: build ## let three TurtleBots carry parcels under the coordinator, record it, draw who did what when
 	@$(RUN) ros2 run ctrl_rl_bringup options_demo $(ARGS)
 
-trials: build ## drive the corridor from 20 random starts
-	@$(RUN) ros2 run ctrl_rl_bringup trials --results docs/results/curved_corridor_trials.json $(ARGS)
+trials: build ## drive 100 corridors of random width from random starts, then with a real robot's lidar, commands and delay
+	@$(RUN) trials() { ros2 run ctrl_rl_bringup trials --seeds 100 --random-width "$$@" $(ARGS); }; \
+	trials --results docs/results/curved_corridor_trials.json; \
+	trials --lidar lds02 --dropout 0.1 --truncation --delay 0.1 --at-least 90 \
+	--results docs/results/curved_corridor_trials_as_real.json
 
 train: build ## record drives of the scripted driver and learn the corridor's policy from them
 	@$(RUN) run=runs/train-$$(date +%Y%m%d-%H%M%S); \
