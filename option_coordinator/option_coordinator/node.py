@@ -48,7 +48,7 @@ PARAMETERS = (
     Parameter("repeat", 0.1, "Between repetitions of a grant that was not acknowledged [s].", 0.01, 10.0),
     Parameter("stale", 2.0, "Age at which an observation is refused [s].", 0.05, 600.0),
     Parameter(
-        "policy_limit", 0.05, "Time after which a policy has failed and safe options are granted [s].", 0.001, 10.0
+        "policy_limit", 0.05, "Time after which a policy has failed and safe options are granted [s].", 0.00001, 10.0
     ),
     Parameter("longest_option", 60.0, "Longest that an option may take where no team says so [s].", 0.01, 86400.0),
     Parameter("safe_option", 0, "Index of the option that is safe where no team says so.", 0, 10000),
