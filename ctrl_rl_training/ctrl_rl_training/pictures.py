@@ -25,8 +25,9 @@ def draw_curve(
     colour: str,
     width: float = 1.3,
     start: float | None = 0.0,
+    band: bool = True,
 ) -> None:
-    """Draw mean and standard deviation over the seeds.
+    """Draw the mean over the seeds.
 
     Args:
         ax: to draw into.
@@ -36,13 +37,15 @@ def draw_curve(
         colour: of line and band.
         width: of the line.
         start: value before learning, None for none.
+        band: whether to show the standard deviation as well.
     """
     x, y = np.array(samples) / 1000.0, np.array(values)
     if start is not None:
         x, y = np.concatenate(([0.0], x)), np.column_stack((np.full(len(y), start), y))
     mean, spread = y.mean(axis=0), y.std(axis=0)
     ax.plot(x, mean, color=colour, label=label, linewidth=width)
-    ax.fill_between(x, mean - spread, mean + spread, color=colour, alpha=0.12, linewidth=0)
+    if band:
+        ax.fill_between(x, mean - spread, mean + spread, color=colour, alpha=0.12, linewidth=0)
 
 
 def draw_paths(paths: Sequence[Mapping[str, Any]], task: NavigationTask, title: str, path: Path) -> None:

@@ -14,8 +14,8 @@ from matplotlib import pyplot as plt
 
 from oc_baseline_node.training.methods import GROUPS, METHODS
 
-_COLOURS = ("tab:red", "0.45", "tab:blue", "tab:orange", "tab:green", "tab:purple", "tab:brown", "tab:cyan")
-_OURS = ("oc_ppo", "oc_corrected")
+_COLOURS = {"oc_ppo": "tab:red", "oc_corrected": "tab:blue", "ppo": "0.3"}
+_OTHERS = ("tab:orange", "tab:green", "tab:purple", "tab:brown", "tab:cyan", "tab:olive", "tab:pink")
 _WITH_AND_WITHOUT = ("oc_ppo", "ppo")
 PARTS = ("curves", "advantages", "paths")
 """What is drawn of the results, besides their task."""
@@ -29,7 +29,7 @@ def draw_all(figures: Mapping[str, Any], task: NavigationTask, folder: Path) -> 
             yield draw_curves(figures, there, folder / f"{task.name}_oc_{group}.png")
     if any(name in figures["advantages"] for name in _WITH_AND_WITHOUT):
         yield draw_advantages(figures, folder / f"{task.name}_oc_advantages.png")
-    for name in _WITH_AND_WITHOUT:
+    for name in (*_WITH_AND_WITHOUT, "oc_corrected"):
         if name in figures["paths"]:
             path = folder / f"{task.name}_{name}_paths.png"
             draw_paths(figures["paths"][name], task, f"{task.name}: learnt with {METHODS[name].label}", path)
@@ -37,22 +37,25 @@ def draw_all(figures: Mapping[str, Any], task: NavigationTask, folder: Path) -> 
 
 
 def draw_curves(figures: Mapping[str, Any], methods: Sequence[str], path: Path) -> Path:
-    """Draw success and return of some methods against samples: mean and standard deviation over the seeds."""
-    figure, axes = plt.subplots(1, 2, figsize=(9.0, 3.6), layout="constrained")
-    for name, colour in zip(methods, _COLOURS, strict=False):
-        curve = figures["curves"][name]
+    """Draw success and return of some methods against samples: mean over the seeds, and spread of the main ones."""
+    figure, axes = plt.subplots(1, 2, figsize=(9.0, 4.2), layout="constrained")
+    others = iter(_OTHERS)
+    for name in methods:
+        curve, main = figures["curves"][name], name in _COLOURS
+        colour = _COLOURS[name] if main else next(others)
         for ax, key, start in ((axes[0], "success", 0.0), (axes[1], "total", None)):
-            draw_curve(
-                ax, curve["samples"], curve[key], METHODS[name].label, colour, 2.2 if name in _OURS else 1.3, start
-            )
+            width = 2.2 if main else 1.3
+            draw_curve(ax, curve["samples"], curve[key], METHODS[name].label, colour, width, start, band=main)
     for ax, label in zip(axes, ("success rate", "return"), strict=True):
         ax.set_xlabel("samples [thousands]")
         ax.set_ylabel(label)
         ax.grid(alpha=0.3)
     axes[0].set_ylim(-0.02, 1.02)
-    axes[0].legend(fontsize=7)
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=8)
     seeds = max(len(figures["curves"][name]["success"]) for name in methods)
-    figure.suptitle(f"{figures['task']}: evaluations while learning, mean and standard deviation of {seeds} seeds")
+    figure.suptitle(
+        f"{figures['task']}: evaluations while learning, mean of {seeds} seeds; bands: standard deviation", fontsize=10
+    )
     save_figure(figure, path)
     return path
 
@@ -60,8 +63,8 @@ def draw_curves(figures: Mapping[str, Any], methods: Sequence[str], path: Path) 
 def draw_advantages(figures: Mapping[str, Any], path: Path) -> Path:
     """Draw the range of advantages, 5 to 95 % of each roll-out, with and without V_oc (Fig. 3.12)."""
     figure, ax = plt.subplots(figsize=(5.6, 3.6), layout="constrained")
-    for name, colour in zip(_WITH_AND_WITHOUT, _COLOURS, strict=False):
-        seeds = figures["advantages"].get(name)
+    for name in _WITH_AND_WITHOUT:
+        colour, seeds = _COLOURS[name], figures["advantages"].get(name)
         if seeds is None:
             continue
         length = min(len(seed) for seed in seeds)
