@@ -25,7 +25,7 @@ def draw_all(figures: Mapping[str, Any], task: NavigationTask, folder: Path) -> 
     """Draw what the results of a task hold and return the files; methods that were not run are left out."""
     for group, methods in GROUPS.items():
         there = [name for name in methods if name in figures["curves"]]
-        if len(there) > 1 and (group == "ablation" or not set(there) <= set(_WITH_AND_WITHOUT)):
+        if len(there) > 1 and (group == "ablation" or not set(there) <= set(_COLOURS)):
             yield draw_curves(figures, there, folder / f"{task.name}_oc_{group}.png")
     if any(name in figures["advantages"] for name in _WITH_AND_WITHOUT):
         yield draw_advantages(figures, folder / f"{task.name}_oc_advantages.png")
