@@ -78,7 +78,7 @@ def choose_or_safe(choice: Choice, policy: Chooses, limit: float, safe: Sequence
 def _fault(choice: Choice, options: Options, log_probability: float) -> str:
     if not math.isfinite(log_probability):
         return "policy not finite"
-    if options.shape != choice.choosing.shape or not np.issubdtype(options.dtype, np.integer):
+    if options.shape != choice.choosing.shape or options.dtype.kind not in "iu":
         return "policy of another size"
     chosen = options[choice.choosing]
     if np.any((chosen < 0) | (chosen >= choice.legal.shape[1])):

@@ -31,12 +31,11 @@ class Mixture(JointPolicy):
         self.observation_size = tensors["trunk.norm_0.weight"].shape[0]
         self.rank = tensors["weights.bias"].shape[0]
         self._tensors = tensors
-        self._slots = np.arange(max(counts)) < np.array(counts)[:, None]
 
     def _given(self, observation: Array, choosing: Mask, running: Options, legal: Mask) -> Conditional:
         x = features(self._tensors, observation)
-        logits = np.full((self.rank, *self._slots.shape), -np.inf)
-        logits[:, self._slots] = linear(self._tensors, "head", x).reshape(self.rank, -1)
+        logits = np.full((self.rank, *self.slots.shape), -np.inf)
+        logits[:, self.slots] = linear(self._tensors, "head", x).reshape(self.rank, -1)
         weights = linear(self._tensors, "weights", x).astype(float)
         return _MixtureConditional(self.counts, weights, logits, choosing, running, legal)
 
@@ -50,12 +49,15 @@ class _MixtureConditional(Conditional):
         super().__init__(counts, choosing, running, legal)
         runs = np.flatnonzero(~choosing & (running != NONE))
         self._agents = np.flatnonzero(choosing)
-        fixed = logits[:, runs]
-        weights = weights + (fixed[:, np.arange(len(runs)), running[runs]] - log_sum_exp(fixed, -1)).sum(axis=1)
-        free = logits[:, self._agents]
-        allowed = np.where(legal[self._agents], free, -np.inf)
+        if len(runs):  # each sum of exponentials left out is a tenth of a small decision
+            fixed = logits[:, runs]
+            weights = weights + (fixed[:, np.arange(len(runs)), running[runs]] - log_sum_exp(fixed, -1)).sum(axis=1)
+        allowed = logits[:, self._agents]
         share = log_sum_exp(allowed, -1)
-        weights = weights + (share - log_sum_exp(free, -1)).sum(axis=1)
+        if not (legal[self._agents] | np.isneginf(allowed[0])).all():
+            of_all, allowed = share, np.where(legal[self._agents], allowed, -np.inf)
+            share = log_sum_exp(allowed, -1)
+            weights = weights + (share - of_all).sum(axis=1)
         self._weights = weights - log_sum_exp(weights)
         self._factors = allowed - share[..., None]
 
