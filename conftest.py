@@ -55,9 +55,8 @@ class NodeProcess:
     def end(self) -> None:
         """See to it that it has ended, in good order where it still can."""
         if self.process.poll() is None:
-            self.process.send_signal(signal.SIGINT)
             try:
-                self.process.wait(5.0)
+                self.stop()
             except subprocess.TimeoutExpired:
                 self.process.kill()
                 self.process.wait()

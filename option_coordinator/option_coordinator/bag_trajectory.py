@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from option_coordinator.decision import NONE
 from option_coordinator.errors import OptionError
-from option_coordinator.options import Agent, Mask, Observation
+from option_coordinator.options import Agent, Mask, Observation, slots
 from option_coordinator.trajectory import Trajectory
 
 TYPE = "ctrl_rl_msgs/msg/JointOptionStep"
@@ -160,7 +160,7 @@ def _step(message: Any, where: str) -> _Step:
     if np.any((options < 0) != has_none) or np.any(options >= counts) or np.any(running & absent):
         raise OptionError(f"{where}: options {options.tolist()} are not those of who is there")
     legal = np.zeros((agents, max(counts)), dtype=bool)
-    legal[np.arange(max(counts)) < np.array(counts)[:, None]] = flags
+    legal[slots(counts)] = flags
     chooses = np.flatnonzero(~running & (options >= 0))
     if not legal[chooses, options[chooses]].all():
         raise OptionError(f"{where}: an option was chosen that was not legal")

@@ -22,6 +22,7 @@ from option_coordinator.exchange import AgentState, Answers, Grant, GrantStatus,
 from option_coordinator.joint_policy import Options
 from option_coordinator.journal import Journal
 from option_coordinator.ledger import Entry, Ledger, State
+from option_coordinator.options import slots
 from option_coordinator.refusal import Refusal, refusal_of
 from option_coordinator.robot import Robot, Times
 
@@ -326,8 +327,7 @@ class Coordinator:
 
     def _choice(self, asking: Mapping[str, Request]) -> Choice:
         """Return what the policy is asked."""
-        counts = [len(robot.agent.options) for robot in self._robots.values()]
-        legal = np.arange(max(counts)) < np.array(counts)[:, None]
+        legal = slots([len(robot.agent.options) for robot in self._robots.values()])
         for name, request in asking.items():
             if np.size(request.legal):
                 legal[self._index[name], : np.size(request.legal)] = request.legal

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from option_coordinator.decision import NONE
 from option_coordinator.errors import OptionError
-from option_coordinator.options import Mask
+from option_coordinator.options import Mask, slots
 
 Array = NDArray[np.floating]
 Options = NDArray[np.int64]
@@ -109,7 +109,7 @@ class JointPolicy(ABC):
     @cached_property
     def slots(self) -> Mask:
         """Which options there are, (N, K), K the largest count."""
-        return np.asarray(np.arange(max(self.counts)) < np.array(self.counts)[:, None])
+        return slots(self.counts)
 
     def given(self, observation: Array, choosing: Mask, running: Options, legal: Mask | None = None) -> Conditional:
         """Return pi-hat for one decision.

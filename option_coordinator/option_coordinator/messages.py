@@ -10,7 +10,7 @@ from std_msgs.msg import Header
 
 from ctrl_rl_msgs.msg import AgentStatus, CoordinatorStatus, JointOptionStep, OptionGrant, OptionRequest
 from option_coordinator.exchange import AgentState, Grant, GrantStatus, JointStep, Request, Status
-from option_coordinator.options import Agent
+from option_coordinator.options import Agent, slots
 
 EXCHANGE = QoSProfile(depth=1000)
 """Of all topics, on both sides: with a depth of 10 most of 100 simultaneous messages are lost."""
@@ -134,7 +134,7 @@ class StepMessages:
         self._names = [agent.name for agent in agents]
         self._counts = [len(agent.options) for agent in agents]
         self._sizes = [agent.observation_size for agent in agents]
-        self._own = np.arange(max(self._counts)) < np.array(self._counts)[:, None]
+        self._own = slots(self._counts)
 
     def __call__(self, step: JointStep) -> JointOptionStep:
         """Return one to be sent."""

@@ -6,7 +6,7 @@ inner policies and how they end; it knows nothing of who chooses them, nor when.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
@@ -32,6 +32,11 @@ class Agent:
     name: str
     options: tuple[str, ...]
     observation_size: int
+
+
+def slots(counts: Sequence[int]) -> Mask:
+    """Return which options there are, (N, K) with K the largest count, of agents with so many each."""
+    return np.asarray(np.arange(max(counts)) < np.array(counts)[:, None])
 
 
 class SimulationStep(NamedTuple):

@@ -4,6 +4,7 @@ from itertools import product
 
 import numpy as np
 from option_coordinator.decision import NONE
+from option_coordinator.options import slots
 from option_coordinator.policy_file import make_policy
 
 HIDDEN = 12
@@ -52,7 +53,7 @@ def random_decision(counts, generator, choosing=None, absent=None, all_legal=Fal
     absent = ~choosing & (generator.random(agents) < 0.3) if absent is None else np.array(absent)
     running = np.array([generator.integers(count) for count in counts])
     running[choosing | absent] = NONE
-    legal = np.arange(max(counts)) < np.array(counts)[:, None]
+    legal = slots(counts)
     if not all_legal:
         kept = legal & (generator.random(legal.shape) < 0.6)
         legal = np.where(kept.any(axis=1, keepdims=True), kept, legal)

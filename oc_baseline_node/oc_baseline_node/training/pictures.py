@@ -29,7 +29,7 @@ def draw_all(figures: Mapping[str, Any], task: NavigationTask, folder: Path) -> 
             yield draw_curves(figures, there, folder / f"{task.name}_oc_{group}.png")
     if any(name in figures["advantages"] for name in _WITH_AND_WITHOUT):
         yield draw_advantages(figures, folder / f"{task.name}_oc_advantages.png")
-    for name in (*_WITH_AND_WITHOUT, "oc_corrected"):
+    for name in _COLOURS:
         if name in figures["paths"]:
             path = folder / f"{task.name}_{name}_paths.png"
             draw_paths(figures["paths"][name], task, f"{task.name}: learnt with {METHODS[name].label}", path)
