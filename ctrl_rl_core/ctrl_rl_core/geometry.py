@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -199,6 +200,31 @@ class Path:
                 boxes.extend(_wall_piece(x, y, heading, side, piece, width, thickness) for side in (1.0, -1.0))
             begin += arc.length
         return tuple(boxes)
+
+
+@dataclass(frozen=True)
+class World:
+    """The solid things of one episode.
+
+    Attributes:
+        walls: around the arena or along the corridor.
+        obstacles: inside it.
+        path: the corridor's middle line, None in an arena.
+        width: the corridor's free width [m], None in an arena.
+    """
+
+    walls: tuple[Box, ...]
+    obstacles: tuple[Shape, ...]
+    path: Path | None
+    width: float | None
+
+    def signed_distance(self, points: ArrayLike) -> Array:
+        """Return the distance of points (..., 2) to the nearest wall or obstacle, negative inside one (...) [m]."""
+        return self._solids.signed_distance(points)
+
+    @cached_property
+    def _solids(self) -> Solids:
+        return Solids((*self.walls, *self.obstacles))
 
 
 def _along(x: float, y: float, heading: float, s: Array, curvature: Array) -> Array:

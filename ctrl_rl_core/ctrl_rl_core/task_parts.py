@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
-from functools import cached_property
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
-from ctrl_rl_core.geometry import Arc, Box, Disc, Path, Shape, Solids, frame_walls
+from ctrl_rl_core.geometry import Arc, Box, Disc, Path, Shape, frame_walls
 from ctrl_rl_core.regions import Region
 from ctrl_rl_core.system_models import SYSTEM_MODELS
 from ctrl_rl_core.systems import System, SystemModelError, make_system
@@ -384,28 +382,3 @@ class OptimalControlSpec(Part):
     controls: Annotated[dict[str, Interval], _intervals(COMMAND_UNITS)]
     bounds: Annotated[dict[str, Interval], _intervals(STATE_UNITS)]
     terminal_set: RegionSpec | None = None
-
-
-@dataclass(frozen=True)
-class World:
-    """The solid things of one episode.
-
-    Attributes:
-        walls: around the arena or along the corridor.
-        obstacles: inside it.
-        path: the corridor's middle line, None in an arena.
-        width: the corridor's free width [m], None in an arena.
-    """
-
-    walls: tuple[Box, ...]
-    obstacles: tuple[Shape, ...]
-    path: Path | None
-    width: float | None
-
-    def signed_distance(self, points: Any) -> Any:
-        """Return the distance of points (..., 2) to the nearest wall or obstacle, negative inside one (...) [m]."""
-        return self._solids.signed_distance(points)
-
-    @cached_property
-    def _solids(self) -> Solids:
-        return Solids((*self.walls, *self.obstacles))

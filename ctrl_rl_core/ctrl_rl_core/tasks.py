@@ -17,6 +17,7 @@ import yaml
 from pydantic import Discriminator, Field, TypeAdapter, ValidationError, model_validator
 
 from ctrl_rl_core.errors import CtrlRlError
+from ctrl_rl_core.geometry import World
 from ctrl_rl_core.option_tasks import ToolDelivery, WaterFilling
 from ctrl_rl_core.system_models import SYSTEM_MODELS
 from ctrl_rl_core.task_parts import (
@@ -32,7 +33,6 @@ from ctrl_rl_core.task_parts import (
     RobotSpec,
     SystemSpec,
     TaskHeader,
-    World,
 )
 from ctrl_rl_core.units import Interval
 

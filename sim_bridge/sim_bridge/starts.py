@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+from ctrl_rl_core.geometry import World
 from ctrl_rl_core.regions import position_indices, wrap
 from ctrl_rl_core.systems import System
-from ctrl_rl_core.task_parts import World
 from ctrl_rl_core.tasks import NavigationTask
 from numpy.typing import NDArray
 

@@ -15,9 +15,9 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
+from ctrl_rl_core.geometry import World
 from ctrl_rl_core.regions import wrap
 from ctrl_rl_core.systems import System
-from ctrl_rl_core.task_parts import World
 from ctrl_rl_core.tasks import NavigationTask
 from numpy.typing import ArrayLike, NDArray
 

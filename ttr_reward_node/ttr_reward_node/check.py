@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from ctrl_rl_core.geometry import World
 from ctrl_rl_core.regions import position_indices
-from ctrl_rl_core.task_parts import World
 from ctrl_rl_core.tasks import NavigationTask, load_navigation_task
 from ctrl_rl_core.value_function import ValueFunction, check_function
 from numpy.typing import NDArray

@@ -13,8 +13,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from ctrl_rl_core.geometry import World
 from ctrl_rl_core.regions import position_indices
-from ctrl_rl_core.task_parts import World
 from ctrl_rl_core.value_function import ValueFunction
 from numpy.typing import ArrayLike, NDArray
 

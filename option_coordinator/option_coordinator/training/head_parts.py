@@ -31,6 +31,10 @@ class Choice(NamedTuple):
     choosing: Tensor
     legal: Tensor
 
+    def at(self, rows: Tensor) -> Choice:
+        """Return some of them."""
+        return Choice(*(part[rows] for part in self))
+
 
 class Score(NamedTuple):
     """log pi-hat(o_U | o_not-U, s) and the entropy of pi-hat, both (B,).

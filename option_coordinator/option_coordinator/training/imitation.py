@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import torch
-from torch import nn
 
-from option_coordinator.joint_policy import JointPolicy
 from option_coordinator.options import Agent
-from option_coordinator.policy_file import make_policy
-from option_coordinator.training.head_parts import Choice
-from option_coordinator.training.heads import as_numpy, make_head
-from option_coordinator.training.learner import Learner, as_choice, minibatches
+from option_coordinator.training.gradient_learner import GradientLearner
+from option_coordinator.training.learner import as_choice
 from option_coordinator.trajectory import Trajectory
 
 
@@ -33,7 +29,7 @@ class ImitationSettings:
     minibatch: int = 256
 
 
-class Imitation(Learner):
+class Imitation(GradientLearner):
     """Raises log pi-hat(o_U | o_not-U, s) of what was chosen, whatever it brought.
 
     Args:
@@ -44,8 +40,6 @@ class Imitation(Learner):
         presence: whether the policy is told who is there.
     """
 
-    greedy = False
-
     def __init__(
         self,
         agents: Sequence[Agent],
@@ -54,24 +48,9 @@ class Imitation(Learner):
         settings: ImitationSettings | None = None,
         presence: bool = False,
     ) -> None:
+        super().__init__(agents, head, partial, presence)
         self.settings = settings or ImitationSettings()
-        self.network = make_head(head, agents, partial, presence)
-        self._presence = presence
-        self._optimizer = torch.optim.Adam(self.network.parameters(), self.settings.learning_rate, fused=True)
-        counts = tuple(len(agent.options) for agent in agents)
-        self._policy = make_policy(head, as_numpy(self.network), counts, partial, presence)
-
-    def behaviour(self, progress: float) -> JointPolicy:  # noqa: ARG002 - it gathers nothing
-        """Return the policy, which goes on changing as it learns."""
-        return self._policy
-
-    def networks(self) -> Mapping[str, nn.Module]:
-        """Return all networks by name."""
-        return {"policy": self.network}
-
-    def optimizers(self) -> Mapping[str, torch.optim.Optimizer]:
-        """Return all optimisers by name."""
-        return {"optimizer": self._optimizer}
+        self.optimizer = torch.optim.Adam(self.network.parameters(), self.settings.learning_rate, fused=True)
 
     def learn(self, trajectory: Trajectory, generator: np.random.Generator) -> dict[str, float]:
         """Learn from what was chosen.
@@ -79,14 +58,13 @@ class Imitation(Learner):
         Returns:
             `log_prob` of it and `entropy`, means of the last minibatch [nat].
         """
-        choice = as_choice(trajectory, self._presence)
+        choice = as_choice(trajectory, self.presence)
         figures: dict[str, float] = {}
-        for _ in range(self.settings.epochs):
-            for rows in minibatches(len(trajectory), self.settings.minibatch, generator):
-                score = self.network(choice if rows is None else Choice(*(part[rows] for part in choice)))
-                log_prob = score.log_prob.mean()
-                self._optimizer.zero_grad()
-                (-log_prob).backward()
-                self._optimizer.step()
-                figures = {"log_prob": float(log_prob.detach()), "entropy": float(score.entropy.mean().detach())}
+        for part in self.minibatches(choice, len(trajectory), generator):
+            score = self.network(part)
+            log_prob = score.log_prob.mean()
+            self.optimizer.zero_grad()
+            (-log_prob).backward()
+            self.optimizer.step()
+            figures = {"log_prob": float(log_prob.detach()), "entropy": float(score.entropy.mean().detach())}
         return figures

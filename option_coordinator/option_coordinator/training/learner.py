@@ -69,11 +69,3 @@ def as_choice(trajectory: Trajectory, presence: bool = False) -> Choice:
 def as_tensor(array: NDArray[np.floating]) -> Tensor:
     """Return an array as a tensor of torch's default type."""
     return torch.from_numpy(array).to(torch.get_default_dtype())
-
-
-def minibatches(steps: int, size: int, generator: np.random.Generator) -> list[Tensor | None]:
-    """Return the rows of an epoch's minibatches of about this size, in random order; None where one takes all."""
-    count = round(steps / size)
-    if count <= 1:
-        return [None]
-    return [torch.from_numpy(rows) for rows in np.array_split(generator.permutation(steps), count)]

@@ -10,13 +10,11 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from option_coordinator.joint_policy import JointPolicy
 from option_coordinator.options import Agent
-from option_coordinator.policy_file import make_policy
 from option_coordinator.presence import with_presence
+from option_coordinator.training.gradient_learner import GradientLearner
 from option_coordinator.training.head_parts import Choice
-from option_coordinator.training.heads import as_numpy, make_head
-from option_coordinator.training.learner import Learner, as_choice, as_tensor, minibatches
+from option_coordinator.training.learner import as_choice, as_tensor
 from option_coordinator.training.value import ValueNetwork
 from option_coordinator.trajectory import Trajectory, advantages
 
@@ -46,7 +44,7 @@ class MappoSettings:
     gradient_norm: float = 10.0
 
 
-class Mappo(Learner):
+class Mappo(GradientLearner):
     """Conditional MAPPO; with `partial`, one policy for each agent (Eq. 5.5) and still one value of all.
 
     Args:
@@ -57,8 +55,6 @@ class Mappo(Learner):
         presence: whether policy and value are told who is there.
     """
 
-    greedy = False
-
     def __init__(
         self,
         agents: Sequence[Agent],
@@ -67,27 +63,16 @@ class Mappo(Learner):
         settings: MappoSettings | None = None,
         presence: bool = False,
     ) -> None:
+        super().__init__(agents, head, partial, presence)
         self.settings = settings or MappoSettings()
-        counts = tuple(len(agent.options) for agent in agents)
-        self.network = make_head(head, agents, partial, presence)
         size = sum(agent.observation_size for agent in agents) + presence * len(agents)
-        self.value = ValueNetwork(size, counts)
-        self._presence = presence
+        self.value = ValueNetwork(size, [len(agent.options) for agent in agents])
         parameters = [*self.network.parameters(), *self.value.parameters()]
-        self._optimizer = torch.optim.Adam(parameters, self.settings.learning_rate, eps=1e-5, fused=True)
-        self._policy = make_policy(head, as_numpy(self.network), counts, partial, presence)
-
-    def behaviour(self, progress: float) -> JointPolicy:  # noqa: ARG002 - it explores by its own draws
-        """Return the policy, which goes on changing as it learns."""
-        return self._policy
+        self.optimizer = torch.optim.Adam(parameters, self.settings.learning_rate, eps=1e-5, fused=True)
 
     def networks(self) -> Mapping[str, nn.Module]:
         """Return all networks by name."""
-        return {"policy": self.network, "value": self.value}
-
-    def optimizers(self) -> Mapping[str, torch.optim.Optimizer]:
-        """Return all optimisers by name."""
-        return {"optimizer": self._optimizer}
+        return {**super().networks(), "value": self.value}
 
     def learn(self, trajectory: Trajectory, generator: np.random.Generator) -> dict[str, float]:
         """Learn from what was gathered.
@@ -95,26 +80,22 @@ class Mappo(Learner):
         Returns:
             `ratio`: how far the first ratios are from 1 at most; `entropy` of the choices; `value_loss`.
         """
-        batch = self._batch(trajectory)
         figures: dict[str, float] = {}
-        for _ in range(self.settings.epochs):
-            for rows in minibatches(len(trajectory), self.settings.minibatch, generator):
-                found = self._step(batch if rows is None else batch.at(rows))
-                figures = found | ({"ratio": figures["ratio"]} if figures else {})
+        for part in self.minibatches(self._batch(trajectory), len(trajectory), generator):
+            found = self._step(part)
+            figures = found | ({"ratio": figures["ratio"]} if figures else {})
         return figures
 
     def learn_value(self, trajectory: Trajectory, generator: np.random.Generator) -> None:
         """Learn what was gathered is worth, and leave the policy as it is."""
-        batch = self._batch(trajectory)
-        for _ in range(self.settings.epochs):
-            for rows in minibatches(len(trajectory), self.settings.minibatch, generator):
-                self._descend(self._value_loss(batch if rows is None else batch.at(rows)))
+        for part in self.minibatches(self._batch(trajectory), len(trajectory), generator):
+            self._descend(self._value_loss(part))
 
     def _batch(self, trajectory: Trajectory) -> _Batch:
-        choice = as_choice(trajectory, self._presence)
+        choice = as_choice(trajectory, self.presence)
         running = torch.from_numpy(trajectory.running)
         following = trajectory.next_observation
-        if self._presence:
+        if self.presence:
             following = with_presence(following, trajectory.next_present)
         with torch.no_grad():
             values = self.value.values(choice.observation, running)
@@ -149,11 +130,11 @@ class Mappo(Learner):
         return nn.functional.huber_loss(values, targets, delta=self.settings.huber)
 
     def _descend(self, loss: Tensor) -> None:
-        self._optimizer.zero_grad()
+        self.optimizer.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]
         for network in self.networks().values():
             nn.utils.clip_grad_norm_(network.parameters(), self.settings.gradient_norm)
-        self._optimizer.step()
+        self.optimizer.step()
 
 
 class _Batch(NamedTuple):
@@ -168,4 +149,4 @@ class _Batch(NamedTuple):
     def at(self, rows: Tensor) -> _Batch:
         """Return some of it."""
         choice, *rest = self
-        return _Batch(Choice(*(part[rows] for part in choice)), *(part[rows] for part in rest))
+        return _Batch(choice.at(rows), *(part[rows] for part in rest))
