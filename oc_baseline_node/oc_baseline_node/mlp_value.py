@@ -7,8 +7,9 @@ the output is scaled back to reward. It is a `ctrl_rl_core.value_function.ValueF
 from __future__ import annotations
 
 import hashlib
+import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -16,9 +17,13 @@ import numpy as np
 from ctrl_rl_core.value_function import parts
 from ctrl_rl_core.value_grid import Axis, ValueGrid
 from numpy.typing import ArrayLike, NDArray
+from safetensors.numpy import save
 
 from oc_baseline_node.collision_set import CollisionSet
 from oc_baseline_node.errors import OcError
+
+FORMAT = "oc-value-mlp-1"
+HEADER_KEY = "oc_value"
 
 Array = NDArray[np.float64]
 
@@ -74,9 +79,27 @@ class MlpValue:
     @cached_property
     def digest(self) -> str:
         """SHA-256 of the file that it is saved as."""
-        from oc_baseline_node.value_file import encode
+        return hashlib.sha256(self.encoded).hexdigest()
 
-        return hashlib.sha256(encode(self)).hexdigest()
+    @property
+    def encoded(self) -> bytes:
+        """Its file, which `value_file.load_value` reads: the same for the same network."""
+        tensors = {}
+        for index, (weight, bias) in enumerate(self.layers):
+            tensors[f"weight_{index}"] = np.ascontiguousarray(weight, dtype=np.float32)
+            tensors[f"bias_{index}"] = np.ascontiguousarray(bias, dtype=np.float32)
+        header = {
+            "format": FORMAT,
+            "task": self.task,
+            "task_digest": self.task_digest,
+            "axes": [asdict(axis) for axis in self.axes],
+            "activation": "tanh",
+            "offset": self.offset,
+            "scale": self.scale,
+            "collisions": None if self.collisions is None else self.collisions.as_json(),
+            "manifest": dict(self.manifest),
+        }
+        return save(tensors, metadata={HEADER_KEY: json.dumps(header, sort_keys=True, allow_nan=False)})
 
     @cached_property
     def grids(self) -> tuple[ValueGrid, ...]:

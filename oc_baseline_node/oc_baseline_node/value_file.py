@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -15,34 +14,10 @@ from ctrl_rl_core.value_function import ValueFunction
 from ctrl_rl_core.value_grid import ValueGrid
 from ctrl_rl_core.whole_file import write_whole
 from safetensors import SafetensorError, safe_open
-from safetensors.numpy import save
 
 from oc_baseline_node.collision_set import CollisionSet
 from oc_baseline_node.errors import OcError
-from oc_baseline_node.mlp_value import MlpValue
-
-FORMAT = "oc-value-mlp-1"
-_HEADER_KEY = "oc_value"
-
-
-def encode(value: MlpValue) -> bytes:
-    """Return the bytes of a network's file: the same for the same network."""
-    tensors = {}
-    for index, (weight, bias) in enumerate(value.layers):
-        tensors[f"weight_{index}"] = np.ascontiguousarray(weight, dtype=np.float32)
-        tensors[f"bias_{index}"] = np.ascontiguousarray(bias, dtype=np.float32)
-    header = {
-        "format": FORMAT,
-        "task": value.task,
-        "task_digest": value.task_digest,
-        "axes": [asdict(axis) for axis in value.axes],
-        "activation": "tanh",
-        "offset": value.offset,
-        "scale": value.scale,
-        "collisions": None if value.collisions is None else value.collisions.as_json(),
-        "manifest": dict(value.manifest),
-    }
-    return save(tensors, metadata={_HEADER_KEY: json.dumps(header, sort_keys=True, allow_nan=False)})
+from oc_baseline_node.mlp_value import FORMAT, HEADER_KEY, MlpValue
 
 
 def save_value(value: MlpValue, path: Path, overwrite: bool = False) -> None:
@@ -55,7 +30,7 @@ def save_value(value: MlpValue, path: Path, overwrite: bool = False) -> None:
     if path.exists() and not overwrite:
         raise OcError(f"{path} exists: give another name, or ask to overwrite it")
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(path, encode(value))
+    write_whole(path, value.encoded)
 
 
 def shipped_values() -> dict[str, Path]:
@@ -87,7 +62,7 @@ def load_value(path: Path) -> ValueFunction:
     """
     try:
         with safe_open(path, framework="numpy") as file:
-            text = (file.metadata() or {}).get(_HEADER_KEY)
+            text = (file.metadata() or {}).get(HEADER_KEY)
             if text is None:
                 return ValueGrid.load(path)
             header = json.loads(text)
