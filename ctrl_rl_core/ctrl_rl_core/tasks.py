@@ -173,7 +173,7 @@ def load_navigation_task(name_or_path: str | FilePath) -> NavigationTask:
     return task
 
 
-def task_digest(task: Task) -> str:
+def task_digest(task: TaskHeader) -> str:
     """Return the SHA-256 (hex) of what the task says in SI units; prose and layout of the file do not count."""
     return hashlib.sha256(task.model_dump_json(exclude=_PROSE).encode()).hexdigest()
 

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 from ctrl_rl_core.command import check_least
 from ctrl_rl_core.results import Result, ResultsError, write_results
-from ctrl_rl_core.tasks import NavigationTask, Task, load_navigation_task, task_digest, task_names
+from ctrl_rl_core.task_parts import TaskHeader
+from ctrl_rl_core.tasks import NavigationTask, load_navigation_task, task_digest, task_names
 
 from ctrl_rl_training.run_folder import Named
 
@@ -22,7 +23,7 @@ class RunOfTask(Named, Protocol):
     """A run that learns a task."""
 
     @property
-    def task(self) -> Task:
+    def task(self) -> TaskHeader:
         """The task."""
 
 

@@ -7,9 +7,12 @@ from typing import Protocol
 import numpy as np
 from ctrl_rl_core.option_tasks import ToolDelivery
 
+from option_coordinator.choice import Choice
 from option_coordinator.decision import Decision
 from option_coordinator.event_driven import OptionEnvironment
 from option_coordinator.options import Agent
+from option_coordinator.scripted_choice import spread_chooser
+from option_coordinator.tasks.team_delivery import TeamDeliverySimulation
 from option_coordinator.tasks.tool_delivery import (
     GET_TOOL,
     GO_TO_WS,
@@ -20,6 +23,7 @@ from option_coordinator.tasks.tool_delivery import (
     ToolDeliverySimulation,
 )
 from option_coordinator.tasks.water_filling import WaterFillingSimulation
+from option_coordinator.team_file import TeamFile
 
 
 class Chooser(Protocol):
@@ -105,6 +109,18 @@ class GreedyFiller:
         return out
 
 
+class SpreadTeam:
+    """A delivery team's scripted policy, which its coordinator has too: a station that nobody else is on the way to."""
+
+    def __init__(self, team: TeamFile, seed: int = 0) -> None:
+        self._chooses = spread_chooser(team.coordinated, np.random.default_rng(seed), team.shared)
+
+    def __call__(self, decision: Decision) -> dict[str, int]:
+        """Return an option for each agent that is ready."""
+        choice = Choice(decision.observation, decision.choosing, decision.running, decision.legal)
+        return decision.named(self._chooses(choice)[0])
+
+
 def jar_trips(agent: Agent) -> list[int]:
     """Return an agent's options that lead to a jar, filling ones where it has some, in the order of the jars."""
     fill = [index for index, name in enumerate(agent.options) if name.startswith("NavToFill")]
@@ -114,4 +130,6 @@ def jar_trips(agent: Agent) -> list[int]:
 def scripted_chooser(environment: OptionEnvironment) -> Chooser:
     """Return the hand-written policy of an environment's task."""
     simulation = environment.simulation
-    return ToolDeliveryScript(simulation.task) if isinstance(simulation, ToolDeliverySimulation) else JarCycle()
+    if isinstance(simulation, ToolDeliverySimulation):
+        return ToolDeliveryScript(simulation.task)
+    return SpreadTeam(simulation.team) if isinstance(simulation, TeamDeliverySimulation) else JarCycle()

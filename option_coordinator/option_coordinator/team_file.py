@@ -9,10 +9,11 @@ from __future__ import annotations
 from enum import StrEnum
 from functools import cached_property
 from pathlib import Path
+from typing import Literal
 
 import yaml
-from ctrl_rl_core.task_parts import Part
-from ctrl_rl_core.units import Point, PositiveTime
+from ctrl_rl_core.task_parts import Part, TaskHeader
+from ctrl_rl_core.units import Length, Point, PositiveLength, PositiveSpeed, PositiveTime
 from pydantic import Field, ValidationError, model_validator
 
 from option_coordinator.errors import OptionError
@@ -20,6 +21,7 @@ from option_coordinator.options import Agent
 from option_coordinator.robot import Robot
 
 FOLDER = Path(__file__).parent / "teams"
+KIND = "team_delivery"
 OBSERVED = ("x", "y", "carries", "deliveries")
 """What a robot tells of itself: position [m], whether it carries a parcel, and how many it has delivered."""
 
@@ -68,12 +70,33 @@ class TeamRewards(Part):
     delivery: float
 
 
-class TeamFile(Part):
-    """A team.
+class LightWorld(Part):
+    """The simulation that a policy of the team is learnt in: robots as points that drive straight at their stations.
 
     Attributes:
-        name: that of the file.
-        about: a sentence.
+        speed: of a robot [m/s].
+        berth: distance at which robots get in each other's way [m].
+        slowed: part of its speed that one keeps which has another one ahead so near.
+        scatter: how far from home robots start, at most, in x and in y [m].
+        episode: its longest time [s].
+        training_samples: low-level steps that are learnt from.
+        batch_samples: those between two updates.
+    """
+
+    speed: PositiveSpeed
+    berth: PositiveLength
+    slowed: float = Field(gt=0.0, le=1.0)
+    scatter: Length
+    episode: PositiveTime
+    training_samples: int = Field(gt=0)
+    batch_samples: int = Field(gt=0)
+
+
+class TeamFile(TaskHeader):
+    """A team, and the task that it has.
+
+    Attributes:
+        kind: of task, among those with options.
         time_step: of a low-level step, in which options are counted [s].
         discount: gamma of a low-level step.
         deliveries: that each robot makes.
@@ -81,10 +104,10 @@ class TeamFile(Part):
         safe_option: name of the one that a robot carries out when nothing is granted.
         robots: by name, which is also the namespace of its topics.
         rewards: of a low-level step, and of a delivery.
+        light: world to learn in.
     """
 
-    name: str
-    about: str
+    kind: Literal["team_delivery"]
     time_step: PositiveTime
     discount: float = Field(gt=0.0, le=1.0)
     deliveries: int = Field(gt=0)
@@ -92,6 +115,7 @@ class TeamFile(Part):
     safe_option: str
     robots: dict[str, TeamRobot] = Field(min_length=1)
     rewards: TeamRewards
+    light: LightWorld
 
     @model_validator(mode="after")
     def _safe(self) -> TeamFile:
@@ -108,6 +132,16 @@ class TeamFile(Part):
     def shared(self) -> tuple[str, ...]:
         """Options that any number of robots may run at a time: they lead to no station."""
         return tuple(name for name, option in self.options.items() if option.station is None)
+
+    @property
+    def training_samples(self) -> int:
+        """Low-level steps that are learnt from."""
+        return self.light.training_samples
+
+    @property
+    def batch_samples(self) -> int:
+        """Low-level steps between two updates."""
+        return self.light.batch_samples
 
     @cached_property
     def coordinated(self) -> tuple[Robot, ...]:
@@ -131,6 +165,18 @@ def team_file(name_or_path: str) -> Path:
         names = ", ".join(sorted(file.stem for file in FOLDER.glob("*_team.yaml")))
         raise OptionError(f"no team '{name_or_path}': there is {names}, or give a .yaml file")
     return path
+
+
+def is_team(name_or_path: str) -> bool:
+    """Return whether a name or a file is that of a team."""
+    path = Path(name_or_path)
+    if path.suffix not in (".yaml", ".yml"):
+        return (FOLDER / f"{name_or_path}.yaml").is_file()
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, yaml.YAMLError, UnicodeDecodeError):
+        return False
+    return isinstance(content, dict) and content.get("kind") == KIND
 
 
 def load_team(name_or_path: str) -> TeamFile:

@@ -13,23 +13,27 @@ from ctrl_rl_core.tasks import load_task
 from option_coordinator.errors import OptionError
 from option_coordinator.event_driven import OptionEnvironment, Synchronisation
 from option_coordinator.options import Simulation
+from option_coordinator.tasks.team_delivery import TeamDeliverySimulation
 from option_coordinator.tasks.tool_delivery import ToolDeliverySimulation
 from option_coordinator.tasks.tool_delivery_actions import ToolDeliveryActions
 from option_coordinator.tasks.water_filling import OptionSet, Sight, WaterFillingSimulation
+from option_coordinator.team_file import TeamFile, is_team, load_team
 
-OptionTask = ToolDelivery | WaterFilling
+OptionTask = ToolDelivery | WaterFilling | TeamFile
 Level = Literal["options", "thesis", "actions"]
 """What is chosen: the published options, those of thesis Table 5.1, or a low-level action at each step."""
 DISCOUNT = 0.99
-"""gamma of a low-level step (published settings)."""
+"""gamma of a low-level step (published settings); a team names its own."""
 
 
 def load_option_task(name_or_path: str) -> OptionTask:
-    """Read a task that must be one with options.
+    """Read a task that must be one with options, or a team.
 
     Raises:
         CtrlRlError: no such task, or it is of another kind.
     """
+    if is_team(name_or_path):
+        return load_team(name_or_path)
     task = load_task(name_or_path)
     if not isinstance(task, ToolDelivery | WaterFilling):
         raise OptionError(f"task '{task.name}' is of kind '{task.kind}': one with options is needed here")
@@ -47,6 +51,10 @@ def make_simulation(task: OptionTask, level: Level = "options", sight: Sight = "
         return WaterFillingSimulation(task, options, sight)
     if sight == "image":
         raise OptionError(f"task '{task.name}' has no images: leave --sight away")
+    if isinstance(task, TeamFile):
+        if level != "options":
+            raise OptionError(f"team '{task.name}' has the options of its file: there is no other set")
+        return TeamDeliverySimulation(task)
     if level == "thesis":
         raise OptionError(f"task '{task.name}' has the options of thesis Table 5.1 and Wait: there is no other set")
     return ToolDeliverySimulation(task) if level == "options" else ToolDeliveryActions(task)
@@ -55,12 +63,22 @@ def make_simulation(task: OptionTask, level: Level = "options", sight: Sight = "
 def make_environment(
     name_or_path: str,
     synchronisation: Synchronisation = "async",
-    discount: float = DISCOUNT,
+    discount: float | None = None,
     level: Level = "options",
     sight: Sight = "features",
     film: bool = False,
     drop: float = 0.0,
 ) -> OptionEnvironment:
-    """Return a task as an event-driven environment. Errors as for `load_option_task` and `make_simulation`."""
-    simulation = make_simulation(load_option_task(name_or_path), level, sight)
-    return OptionEnvironment(simulation, discount, synchronisation, film, drop)
+    """Return a task as an event-driven environment, with the task's discount if none is given.
+
+    Raises:
+        CtrlRlError: as `load_option_task` and `make_simulation`.
+    """
+    task = load_option_task(name_or_path)
+    discount = discount_of(task) if discount is None else discount
+    return OptionEnvironment(make_simulation(task, level, sight), discount, synchronisation, film, drop)
+
+
+def discount_of(task: OptionTask) -> float:
+    """Return gamma of a low-level step."""
+    return task.discount if isinstance(task, TeamFile) else DISCOUNT

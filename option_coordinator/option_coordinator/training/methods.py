@@ -10,6 +10,9 @@ from typing import Literal
 from option_coordinator.event_driven import Synchronisation
 from option_coordinator.tasks import Level
 
+_OF_THE_THESIS = ("tool_delivery", "water_filling")
+"""Kinds of tasks."""
+
 
 @dataclass(frozen=True)
 class Method:
@@ -33,7 +36,7 @@ class Method:
     learner: Literal["mappo", "mac_dqn"] = "mappo"
     level: Level = "options"
     budget: Mapping[str, int] = field(default_factory=dict)
-    kinds: tuple[str, ...] = ("tool_delivery", "water_filling")
+    kinds: tuple[str, ...] = (*_OF_THE_THESIS, "team_delivery")
 
 
 _LONG = MappingProxyType({"tool_delivery": 8, "water_filling": 3})
@@ -46,9 +49,9 @@ METHODS: Mapping[str, Method] = MappingProxyType(
         "partial": Method("async, partially centralised", partial=True),
         "sync_cut": Method("sync-cut", "cut"),
         "sync_wait": Method("sync-wait", "wait"),
-        "end2end": Method("end2end", level="actions"),
+        "end2end": Method("end2end", level="actions", kinds=_OF_THE_THESIS),
         "mac_dqn": Method("Mac-DQN", learner="mac_dqn"),
-        "mac_dqn_long": Method("Mac-DQN, thesis's samples", learner="mac_dqn", budget=_LONG),
+        "mac_dqn_long": Method("Mac-DQN, thesis's samples", learner="mac_dqn", budget=_LONG, kinds=_OF_THE_THESIS),
         "async_thesis_options": Method("async, options of Table 5.1", level="thesis", kinds=("water_filling",)),
     }
 )

@@ -33,9 +33,14 @@ METRICS: Mapping[str, Mapping[str, tuple[str, str]]] = {
         "option_reward": ("reward of an option step", "1"),
         "last_reward": ("last reward of an option step (thesis)", "1"),
     },
+    "team_delivery": {
+        "return": ("return", "1"),
+        "makespan": ("makespan", "s"),
+        "deliveries": ("deliveries", "1"),
+    },
 }
 """Metrics by what a summary calls them: name and unit; low-level steps of Tool Delivery last a second."""
-MAIN = {"tool_delivery": "return", "water_filling": "mean_reward"}
+MAIN = {"tool_delivery": "return", "water_filling": "mean_reward", "team_delivery": "return"}
 """What learning is judged by."""
 ENOUGH = {"tool_delivery": 230.0}
 """What counts as learnt, by the main metric of the episodes of learning; else what the scripted policy reaches."""

@@ -24,7 +24,7 @@ from option_coordinator.errors import OptionError
 from option_coordinator.event_driven import OptionEnvironment
 from option_coordinator.policy_file import OptionPolicy
 from option_coordinator.roll_out import RollOut
-from option_coordinator.tasks import DISCOUNT, OptionTask, load_option_task, make_environment
+from option_coordinator.tasks import OptionTask, discount_of, load_option_task, make_environment
 from option_coordinator.tasks.water_filling import Sight
 from option_coordinator.training.checkpoint import load_checkpoint, save_checkpoint
 from option_coordinator.training.evaluation import evaluate, summary
@@ -105,9 +105,7 @@ class OptionRun:
         method = self.method
         if self.drop and (method.partial or method.learner != "mappo"):
             raise OptionError(f"method '{self.method_name}' has no place for robots that vanish: leave --drop away")
-        return make_environment(
-            self.task_name, method.synchronisation, DISCOUNT, method.level, self.sight, drop=self.drop
-        )
+        return make_environment(self.task_name, method.synchronisation, None, method.level, self.sight, drop=self.drop)
 
     def learner(self) -> Learner:
         """Return the untrained learner."""
@@ -187,7 +185,7 @@ def train_one(run: OptionRun, options: RunOptions, report: Report = lambda *_: N
         "iterations": options.iterations,
         "samples": options.samples,
         "evaluations": options.evaluations,
-        "discount": DISCOUNT,
+        "discount": discount_of(run.task),
         "settings": asdict(learner.settings),
     }
 
