@@ -61,7 +61,7 @@ def monitor() -> int:
 
 def _add_team(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--team", default=_DEFAULT.team, help="name or .yaml file (default %(default)s)")
-    parser.add_argument("--room", default=_DEFAULT.room, help="navigation task or .yaml file (default: delivery_room)")
+    parser.add_argument("--room", default=_DEFAULT.room, help="navigation task or .yaml file (default: the team's)")
 
 
 def _demo(options: TeamOptions) -> int:
@@ -83,7 +83,7 @@ def _report(options: TeamOptions) -> int:
     run = read_team(options.drive.bag, idle)
     file, picture = options.folder / "report.json", options.folder / "timeline.png"
     write_whole(file, json.dumps(run.as_dict(), indent=1) + "\n")
-    draw_team(run, load_navigation_task(options.room), team, picture)
+    draw_team(run, load_navigation_task(options.task), team, picture)
     print(run.text())
     print(f"bag                 {options.drive.bag}")
     print(f"picture             {picture}")

@@ -92,7 +92,7 @@ def new_team_run(options: TeamOptions) -> tuple[TeamFile, dict[str, Path]]:
         CtrlRlError: team, room or policy cannot be read, or the folder is there already.
     """
     team = team_of(options)
-    digests = {"task": task_file(options.room), "team": team_file(options.team)}
+    digests = {"task": task_file(options.task), "team": team_file(options.team)}
     if options.policy not in SCRIPTED:
         digests["policy"] = Path(options.policy)
         OptionPolicy.load_for(options.policy, (robot.agent for robot in team.coordinated))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from option_coordinator.team_file import FOLDER, TeamFile, load_team
+from option_coordinator.team_file import TeamFile, load_team, room_file
 
 from ctrl_rl_bringup.stack import DriveOptions, NodeSpec, simulator
 
@@ -20,7 +20,7 @@ class TeamOptions:
     Attributes:
         folder: of the run, new; bag, logs, report and picture go there.
         team: name of a team, or its file.
-        room: name of a navigation task, or its file.
+        room: name of a navigation task, or its file; empty for the team's own.
         policy: as the coordinator's parameter.
         seed: of starts, noise and draws.
         speed: simulation time per wall time.
@@ -29,17 +29,22 @@ class TeamOptions:
 
     folder: Path
     team: str = "delivery_team"
-    room: str = str(FOLDER / "delivery_room.yaml")
+    room: str = ""
     policy: str = "spread"
     seed: int = 0
     speed: float = 1.0
     gui: bool = False
 
     @property
+    def task(self) -> str:
+        """The room that it is."""
+        return room_file(self.room or load_team(self.team).room)
+
+    @property
     def drive(self) -> DriveOptions:
         """The part that is as for a single robot."""
         return DriveOptions(
-            self.folder, task=self.room, policy=self.policy, seed=self.seed, speed=self.speed, gui=self.gui
+            self.folder, task=self.task, policy=self.policy, seed=self.seed, speed=self.speed, gui=self.gui
         )
 
 

@@ -10,7 +10,7 @@ from launch import LaunchDescription
 
 ARGUMENTS = {
     "team": (TeamOptions.team, "team name or .yaml file"),
-    "room": (TeamOptions.room, "navigation task or .yaml file"),
+    "room": (TeamOptions.room, "navigation task or .yaml file, empty for the team's"),
     "policy": (TeamOptions.policy, "'spread' or 'uniform', which were not learnt, or a .safetensors file"),
 }
 
@@ -27,5 +27,5 @@ def _prepare(folder: Path, team: str, room: str, policy: str, seed: int, speed: 
         recorder=recorder(options.drive, digests),
         nodes=[coordinator(options), *agents(options, robots), team_simulator(options, robots)],
         monitor=("options_monitor", "--team", team),
-        report=("options_report", str(folder), "--team", team, "--room", room),
+        report=("options_report", str(folder), "--team", team, "--room", options.task),
     )

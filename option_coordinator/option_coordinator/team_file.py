@@ -13,7 +13,7 @@ from typing import Literal
 
 import yaml
 from ctrl_rl_core.task_parts import Part, TaskHeader
-from ctrl_rl_core.units import Length, Point, PositiveLength, PositiveSpeed, PositiveTime
+from ctrl_rl_core.units import Point, PositiveTime
 from pydantic import Field, ValidationError, model_validator
 
 from option_coordinator.errors import OptionError
@@ -70,23 +70,15 @@ class TeamRewards(Part):
     delivery: float
 
 
-class LightWorld(Part):
-    """The simulation that a policy of the team is learnt in: robots as points that drive straight at their stations.
+class Learning(Part):
+    """How a policy of the team is learnt.
 
     Attributes:
-        speed: of a robot [m/s].
-        berth: distance at which robots get in each other's way [m].
-        slowed: part of its speed that one keeps which has another one ahead so near.
-        scatter: how far from home robots start, at most, in x and in y [m].
         episode: its longest time [s].
         training_samples: low-level steps that are learnt from.
         batch_samples: those between two updates.
     """
 
-    speed: PositiveSpeed
-    berth: PositiveLength
-    slowed: float = Field(gt=0.0, le=1.0)
-    scatter: Length
     episode: PositiveTime
     training_samples: int = Field(gt=0)
     batch_samples: int = Field(gt=0)
@@ -104,7 +96,8 @@ class TeamFile(TaskHeader):
         safe_option: name of the one that a robot carries out when nothing is granted.
         robots: by name, which is also the namespace of its topics.
         rewards: of a low-level step, and of a delivery.
-        light: world to learn in.
+        room: navigation task that they work in: one that comes with the package, the suite, or a .yaml file.
+        learning: how a policy is learnt.
     """
 
     kind: Literal["team_delivery"]
@@ -115,7 +108,8 @@ class TeamFile(TaskHeader):
     safe_option: str
     robots: dict[str, TeamRobot] = Field(min_length=1)
     rewards: TeamRewards
-    light: LightWorld
+    room: str
+    learning: Learning
 
     @model_validator(mode="after")
     def _safe(self) -> TeamFile:
@@ -136,12 +130,12 @@ class TeamFile(TaskHeader):
     @property
     def training_samples(self) -> int:
         """Low-level steps that are learnt from."""
-        return self.light.training_samples
+        return self.learning.training_samples
 
     @property
     def batch_samples(self) -> int:
         """Low-level steps between two updates."""
-        return self.light.batch_samples
+        return self.learning.batch_samples
 
     @cached_property
     def coordinated(self) -> tuple[Robot, ...]:
@@ -162,16 +156,21 @@ def team_file(name_or_path: str) -> Path:
         return path
     path = FOLDER / f"{name_or_path}.yaml"
     if not path.is_file():
-        names = ", ".join(sorted(file.stem for file in FOLDER.glob("*_team.yaml")))
-        raise OptionError(f"no team '{name_or_path}': there is {names}, or give a .yaml file")
+        raise OptionError(f"no team '{name_or_path}': there is {', '.join(_shipped())}, or give a .yaml file")
     return path
+
+
+def room_file(name_or_path: str) -> str:
+    """Return the file of a room that comes with the package, by name, or what was given."""
+    shipped = FOLDER / f"{name_or_path}.yaml"
+    return str(shipped) if shipped.is_file() else name_or_path
 
 
 def is_team(name_or_path: str) -> bool:
     """Return whether a name or a file is that of a team."""
     path = Path(name_or_path)
     if path.suffix not in (".yaml", ".yml"):
-        return (FOLDER / f"{name_or_path}.yaml").is_file()
+        return name_or_path in _shipped()
     try:
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
     except (OSError, yaml.YAMLError, UnicodeDecodeError):
@@ -196,3 +195,7 @@ def load_team(name_or_path: str) -> TeamFile:
         first = error.errors(include_url=False)[0]
         key = ".".join(str(part) for part in first["loc"])
         raise OptionError(f"{path}: {f'{key}: ' if key else ''}{first['msg'].removeprefix('Value error, ')}") from None
+
+
+def _shipped() -> list[str]:
+    return sorted(file.stem for file in FOLDER.glob("*_team.yaml"))

@@ -1,23 +1,30 @@
-"""A delivery team's light world, to learn in: points that drive straight, with the real robots' options and rewards.
+"""A delivery team's light world, to learn in: what runs on the robots, `Delivery` and `Steering`, without any physics.
 
-What a robot does with an option, what it tells and what it earns is `Delivery`, which runs on the real ones too.
-Driving is simplified: who has another robot near ahead of it is slower, which stands for getting out of the way.
+Robots are discs that go as they are told; each sees the outlines of walls, obstacles and the others as its lidar would.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from ctrl_rl_core.geometry import Disc, Shape
+from ctrl_rl_core.tasks import NavigationTask, load_navigation_task
+from numpy.typing import NDArray
 
 from option_coordinator.delivery import Delivery
+from option_coordinator.errors import OptionError
 from option_coordinator.options import Agent, Mask, Observation, Scene, SimulationStep
-from option_coordinator.robot_side import Seen
-from option_coordinator.team_file import TeamFile, Work
+from option_coordinator.steering import Steering
+from option_coordinator.team_file import TeamFile, Work, room_file
 
-_MARGIN = 0.5
+Array = NDArray[np.float64]
+
+_SPACING = 0.05
+_RADIUS = 0.1
+_APART = 0.35
+_TRIES = 1000
 
 
 class TeamDeliverySimulation:
@@ -30,15 +37,20 @@ class TeamDeliverySimulation:
         self.team = team
         self.agents: tuple[Agent, ...] = tuple(robot.agent for robot in team.coordinated)
         self.time_step = team.time_step
-        self.step_limit = round(team.light.episode / team.time_step)
+        self.step_limit = round(team.learning.episode / team.time_step)
+        self._task = load_navigation_task(room_file(team.room))
+        world = self._task.build_world()
+        self._outlines = np.concatenate([_outline(shape) for shape in (*world.walls, *world.obstacles)])
+        self._steering = Steering()
         self._rest = np.array([option.work is Work.REST for option in team.options.values()])
+        self._longest = [option.longest for option in team.options.values()]
         self.reset(np.random.default_rng(0))
 
     @property
     def room(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """What holds all stations and homes [m]."""
-        x, y = np.transpose(list(self.landmarks.values()))
-        return (x.min() - _MARGIN, x.max() + _MARGIN), (y.min() - _MARGIN, y.max() + _MARGIN)
+        """What holds walls and obstacles [m]."""
+        (left, bottom), (right, top) = self._outlines.min(axis=0), self._outlines.max(axis=0)
+        return (float(left), float(right)), (float(bottom), float(top))
 
     @property
     def landmarks(self) -> Mapping[str, tuple[float, float]]:
@@ -47,16 +59,16 @@ class TeamDeliverySimulation:
         return stations | {f"home of {name}": robot.home for name, robot in self.team.robots.items()}
 
     def reset(self, generator: np.random.Generator) -> None:
-        """Begin an episode near home."""
-        homes = np.array([robot.home for robot in self.team.robots.values()])
-        scatter = self.team.light.scatter
-        self._positions = homes + generator.uniform(-scatter, scatter, homes.shape)
+        """Begin an episode where the room says."""
+        self._poses = _starts(self._task, len(self.agents), generator)
         self._work = [Delivery(self.team, name) for name in self.team.robots]
-        self._at_home = [False] * len(homes)
+        self._began = [0.0] * len(self.agents)
+        self._at_home = [False] * len(self.agents)
         self._steps = 0
 
     def begin(self, agent: int, option: int) -> None:
         """Let a robot begin an option."""
+        self._began[agent] = self._now
         self._work[agent].begin(option, self._now)
 
     def interrupt(self, agent: int) -> None:
@@ -66,66 +78,104 @@ class TeamDeliverySimulation:
     def step(self) -> SimulationStep:
         """Let a time step pass."""
         self._steps += 1
-        before = [work.delivered for work in self._work]
+        delivered = self._delivered
         busy = [work.option is not None and not home for work, home in zip(self._work, self._at_home, strict=True)]
         ended = tuple(self._carry_on(agent) for agent in range(len(self.agents)))
-        deliveries = sum(work.delivered for work in self._work) - sum(before)
-        reward = sum(busy) * self.team.rewards.step + deliveries * self.team.rewards.delivery
+        rewards = self.team.rewards
+        reward = sum(busy) * rewards.step + (self._delivered - delivered) * rewards.delivery
         return SimulationStep(reward, ended, all(self._at_home))
 
     def observe(self, agent: int) -> Observation:
         """Return what a robot tells, see `team_file.OBSERVED`."""
-        return self._see(agent).observation
+        return self._work[agent].see(self._poses[agent]).observation
 
     def legal(self, agent: int) -> Mask:
         """Return which options make sense."""
-        return self._rest.copy() if self._at_home[agent] else np.asarray(self._see(agent).legal, dtype=bool)
+        return self._rest.copy() if self._at_home[agent] else self._work[agent].see(self._poses[agent]).legal
 
     def scene(self) -> Scene:
         """Return what a picture needs."""
-        places = {a.name: (float(x), float(y)) for a, (x, y) in zip(self.agents, self._positions, strict=True)}
-        carried = [a.name for a, work in zip(self.agents, self._work, strict=True) if work.carries]
-        delivered = sum(work.delivered for work in self._work)
-        return Scene(places, f"{delivered} parcels delivered; {', '.join(carried) or 'nobody'} carries one")
+        places = {agent.name: (float(x), float(y)) for agent, (x, y, _) in zip(self.agents, self._poses, strict=True)}
+        carry = [agent.name for agent, work in zip(self.agents, self._work, strict=True) if work.carries]
+        return Scene(places, f"{self._delivered} parcels delivered; {', '.join(carry) or 'nobody'} carries one")
 
     def figures(self) -> dict[str, Any]:
-        """Return how long it took and how many parcels have arrived."""
-        return {"makespan": self._now, "deliveries": sum(work.delivered for work in self._work)}
+        """Return how long it took, and how many parcels have arrived."""
+        return {"makespan": self._now, "deliveries": self._delivered}
 
     @property
     def _now(self) -> float:
         return self._steps * self.time_step
 
-    def _see(self, agent: int) -> Seen:
-        return self._work[agent].see(np.append(self._positions[agent], 0.0))
+    @property
+    def _delivered(self) -> int:
+        return sum(work.delivered for work in self._work)
 
     def _carry_on(self, agent: int) -> bool:
         """Let a robot go on with its option, and return whether that has ended."""
         work = self._work[agent]
-        option = work.option
-        if option is None or not self._arrive(agent, work.place) or work.at_place(self._now) is None:
+        option, place = work.option, work.place
+        if option is None:
+            return False
+        if place is not None and not self._steering.there(self._poses[agent], place):
+            self._drive(agent, place)
+            too_long = self._now - self._began[agent] >= self._longest[option]
+            if too_long:
+                work.leave(self._now)
+            return too_long
+        if work.at_place(self._now) is None:
             return False
         self._at_home[agent] = self._at_home[agent] or work.over(option)
         return True
 
-    def _arrive(self, agent: int, place: tuple[float, float] | None) -> bool:
-        """Drive towards a place, and return whether the robot was there before."""
-        if place is None:
-            return True
-        here, light = self._positions[agent], self.team.light
-        x, y = place[0] - here[0], place[1] - here[1]
-        distance = math.hypot(x, y)
-        if distance == 0.0:
-            return True
-        length = light.speed * self.time_step * (light.slowed if self._is_hindered(agent, x, y) else 1.0)
-        self._positions[agent] = place if distance <= length else here + length / distance * np.array((x, y))
-        return False
+    def _drive(self, agent: int, place: tuple[float, float]) -> None:
+        x, y, heading = pose = self._poses[agent]
+        speed, turn = self._steering.command(pose, self._seen_by(agent), place)
+        middle = heading + 0.5 * turn * self.time_step
+        length = speed * self.time_step
+        self._poses[agent] = (x + length * np.cos(middle), y + length * np.sin(middle), heading + turn * self.time_step)
 
-    def _is_hindered(self, agent: int, x: float, y: float) -> bool:
-        """Return whether another robot is near in a direction."""
-        here = self._positions[agent]
-        for other, there in enumerate(self._positions):
-            dx, dy = there[0] - here[0], there[1] - here[1]
-            if other != agent and dx * x + dy * y > 0.0 and math.hypot(dx, dy) < self.team.light.berth:
-                return True
-        return False
+    def _seen_by(self, agent: int) -> Array:
+        """Return what stands near a robot as points (n, 2) in its frame, x ahead [m]."""
+        x, y, heading = self._poses[agent]
+        others = np.delete(self._poses[:, :2], agent, axis=0)
+        offset = np.concatenate((self._outlines, (others[:, None] + _ROBOT).reshape(-1, 2))) - (x, y)
+        near = offset[np.abs(offset).max(axis=1) < self._steering.look_ahead + _RADIUS]
+        c, s = np.cos(heading), np.sin(heading)
+        return near @ np.array(((c, -s), (s, c)))
+
+
+def _outline(shape: Shape) -> Array:
+    """Return points (n, 2) on the edge of a shape [m]."""
+    if isinstance(shape, Disc):
+        angles = np.linspace(0.0, 2.0 * np.pi, max(8, round(2.0 * np.pi * shape.radius / _SPACING)), endpoint=False)
+        return shape.centre + shape.radius * np.column_stack((np.cos(angles), np.sin(angles)))
+    half = 0.5 * np.asarray(shape.size)
+    edges = []
+    for side in (0, 1):
+        along = np.linspace(-half[side], half[side], max(2, round(shape.size[side] / _SPACING) + 1))
+        for end in (-half[1 - side], half[1 - side]):
+            edge = np.full((len(along), 2), end)
+            edge[:, side] = along
+            edges.append(edge)
+    c, s = np.cos(shape.angle), np.sin(shape.angle)
+    return shape.centre + np.concatenate(edges) @ np.array(((c, s), (-s, c)))
+
+
+def _starts(task: NavigationTask, count: int, generator: np.random.Generator) -> Array:
+    """Return poses (count, 3) in the room's start set, apart from each other.
+
+    Raises:
+        OptionError: it has no room for so many.
+    """
+    poses: list[Array] = []
+    for _ in range(_TRIES):
+        pose = task.start.region.sample(("x", "y", "theta"), generator)
+        if all(np.linalg.norm(pose[:2] - other[:2]) >= _APART for other in poses):
+            poses.append(pose)
+            if len(poses) == count:
+                return np.array(poses)
+    raise OptionError(f"task '{task.name}' has no room for {count} robots at its start")
+
+
+_ROBOT = _outline(Disc((0.0, 0.0), _RADIUS))

@@ -1,0 +1,108 @@
+"""The light world of a delivery team: its episodes, what it shares with the real robots, and learning in it."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from option_coordinator.errors import OptionError
+from option_coordinator.event_driven import OptionEnvironment
+from option_coordinator.roll_out import play_episodes
+from option_coordinator.scripted import RandomChooser, scripted_chooser
+from option_coordinator.tasks import load_option_task, make_environment, make_simulation
+from option_coordinator.tasks.team_delivery import TeamDeliverySimulation
+from option_coordinator.team_file import FOLDER, TeamFile, TeamRewards, load_team
+
+TEAM = load_team("delivery_team")
+WAIT, SHELF, OTHER_SHELF, DESK, OTHER_DESK, HOME = range(6)
+PARCELS = TEAM.deliveries * len(TEAM.robots)
+
+
+def changed(**changes):
+    return TeamFile.model_construct(**{name: getattr(TEAM, name) for name in TeamFile.model_fields} | changes)
+
+
+def until_ended(simulation):
+    while True:
+        step = simulation.step()
+        if step.ended[0]:
+            return step
+
+
+@settings(max_examples=5, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.booleans())
+def test_any_legal_policy_brings_every_parcel(seed, scripted):
+    environment = make_environment("delivery_team")
+    chooser = scripted_chooser(environment) if scripted else RandomChooser(seed)
+    (episode,) = play_episodes(environment, chooser, [seed])
+    assert episode.terminated
+    assert episode.figures["deliveries"] == PARCELS
+    assert episode.figures["makespan"] == pytest.approx(episode.steps * TEAM.time_step)
+
+
+def test_robots_stay_in_the_room_and_out_of_the_obstacle():
+    environment = OptionEnvironment(make_simulation(TEAM), film=True)
+    list(play_episodes(environment, RandomChooser(3), [3]))
+    places = np.array([list(scene.robots.values()) for scene in environment.scenes])
+    (left, right), (bottom, top) = environment.simulation.room
+    assert (places > (left, bottom)).all()
+    assert (places < (right, top)).all()
+    assert not (np.abs(places - (0.0, 0.35)) < 0.15).all(axis=-1).any()
+    moved = np.linalg.norm(np.diff(places, axis=0), axis=-1)
+    assert moved.max() <= 0.2 * TEAM.time_step + 1e-9
+
+
+def test_the_joint_reward_is_the_sum_of_what_each_robot_earns():
+    """What robots report to a coordinator adds up to what is learnt from here."""
+    simulation = TeamDeliverySimulation(changed(rewards=TeamRewards(step=-0.5, delivery=7.0)))
+    simulation.reset(np.random.default_rng(1))
+    options = {0: [SHELF, DESK], 1: [OTHER_SHELF, OTHER_DESK], 2: [WAIT] * 5}
+    expected = 0.0
+    for agent, chosen in options.items():
+        simulation.begin(agent, chosen.pop(0))
+    for _ in range(1000):
+        carrying = sum(work.option is not None for work in simulation._work)
+        delivered = simulation.figures()["deliveries"]
+        step = simulation.step()
+        expected = -0.5 * carrying + 7.0 * (simulation.figures()["deliveries"] - delivered)
+        assert step.reward == pytest.approx(expected)
+        for agent in np.flatnonzero(step.ended):
+            if options[int(agent)]:
+                simulation.begin(int(agent), options[int(agent)].pop(0))
+    assert simulation.figures()["deliveries"] == 2
+
+
+def test_who_is_at_home_costs_nothing_and_has_no_other_option():
+    simulation = TeamDeliverySimulation(changed(robots={"robot_1": TEAM.robots["robot_1"]}))
+    simulation._work[0].delivered = TEAM.deliveries
+    simulation.begin(0, HOME)
+    step = until_ended(simulation)
+    assert step.terminated
+    assert np.flatnonzero(simulation.legal(0)).tolist() == [HOME]
+    simulation.begin(0, HOME)
+    assert simulation.step().reward == 0.0
+
+
+def test_an_option_that_takes_too_long_is_over_and_brings_nothing():
+    options = {name: o.model_copy(update={"longest": 2.0}) for name, o in TEAM.options.items()}
+    simulation = TeamDeliverySimulation(changed(options=options))
+    simulation.reset(np.random.default_rng(0))
+    simulation.begin(0, SHELF)
+    until_ended(simulation)
+    assert simulation.figures()["makespan"] == pytest.approx(2.0)
+    assert not simulation._work[0].carries
+
+
+def test_a_team_is_a_task_by_name_or_by_file(tmp_path):
+    assert load_option_task("delivery_team") == TEAM
+    file = tmp_path / "mine.yaml"
+    file.write_text((FOLDER / "delivery_team.yaml").read_text())
+    assert load_option_task(str(file)) == TEAM
+    for how in ({"sight": "image"}, {"level": "thesis"}, {"level": "actions"}):
+        with pytest.raises(OptionError, match="delivery_team"):
+            make_simulation(TEAM, **how)
+
+
+def test_a_room_too_small_for_the_team_is_refused():
+    robots = {f"robot_{i}": TEAM.robots["robot_1"] for i in range(30)}
+    with pytest.raises(OptionError, match="no room for 30 robots"):
+        TeamDeliverySimulation(changed(robots=robots))
