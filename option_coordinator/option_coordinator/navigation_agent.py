@@ -103,9 +103,11 @@ class NavigationAgent(SuiteNode):
         self._drive()
 
     def _on_scan(self, message: LaserScan) -> None:
+        if self._pose is None:
+            return
         ranges = np.frombuffer(message.ranges, np.float32)
         bearing = message.angle_min + self.settings["lidar_yaw"]
-        self._points = scan_points(ranges, bearing, message.angle_increment, self.settings["lidar_x"])
+        self._points = scan_points(self._pose, ranges, bearing, message.angle_increment, self.settings["lidar_x"])
         self._scan_at = self._now()
 
     @property

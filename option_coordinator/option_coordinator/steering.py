@@ -45,9 +45,10 @@ class Steering:
 
         Args:
             pose: x, y, theta (3,).
-            points: what the lidar sees, in the robot's frame, x ahead (n, 2) [m].
+            points: what the lidar has seen, in the frame of the pose (n, 2) [m].
             place: where to [m].
         """
+        points = _seen_from(pose, points)
         dx, dy = place[0] - pose[0], place[1] - pose[1]
         distance, bearing = math.hypot(dx, dy), float(wrap(math.atan2(dy, dx) - pose[2]))
         if distance <= self.arrived:
@@ -76,10 +77,13 @@ class Steering:
         return float(inside.min()) if len(inside) else math.inf
 
 
-def scan_points(ranges: NDArray[np.float32], angle_min: float, angle_increment: float, forward: float) -> Array:
-    """Return what a scan saw as points (n, 2) [m] in the robot's frame.
+def scan_points(
+    pose: Array, ranges: NDArray[np.float32], angle_min: float, angle_increment: float, forward: float
+) -> Array:
+    """Return what a scan saw as points (n, 2) [m] in the frame of the pose: there they stay while the robot turns.
 
     Args:
+        pose: x, y, theta (3,) of the robot when it saw them.
         ranges: as REP-117 has them (beams,) [m].
         angle_min: bearing of the first [rad].
         angle_increment: between two [rad].
@@ -87,4 +91,12 @@ def scan_points(ranges: NDArray[np.float32], angle_min: float, angle_increment: 
     """
     seen = np.flatnonzero(np.isfinite(ranges) & (ranges > 0.0))
     bearings, near = angle_min + angle_increment * seen, ranges[seen].astype(float)
-    return np.column_stack((forward + near * np.cos(bearings), near * np.sin(bearings)))
+    points = np.column_stack((forward + near * np.cos(bearings), near * np.sin(bearings)))
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    return np.asarray(pose[:2] + points @ np.array(((c, s), (-s, c))))
+
+
+def _seen_from(pose: Array, points: Array) -> Array:
+    """Return points in the robot's frame, x ahead."""
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    return np.asarray((points - pose[:2]) @ np.array(((c, -s), (s, c))))

@@ -88,7 +88,8 @@ def test_a_robot_stays_within_its_speeds_and_never_drives_at_what_is_near(x, y, 
     random = np.random.default_rng(seed)
     angles, ranges = random.uniform(-math.pi, math.pi, 40), random.uniform(0.15, 2.0, 40)
     points = np.column_stack((ranges * np.cos(angles), ranges * np.sin(angles)))
-    speed, turn = steering.command(np.array((x, y, theta)), points, (0.0, 0.0))
+    pose, c, s = np.array((x, y, theta)), math.cos(theta), math.sin(theta)
+    speed, turn = steering.command(pose, pose[:2] + points @ np.array(((c, s), (-s, c))), (0.0, 0.0))
     assert 0.0 <= speed <= steering.speed
     assert abs(turn) <= steering.turn
     ahead = points[(np.abs(points[:, 1]) < steering.half_width) & (points[:, 0] > 0.0), 0]
@@ -106,8 +107,10 @@ def test_a_robot_drives_straight_where_nothing_is_and_passes_on_the_right():
 
 def test_points_of_a_scan_leave_out_what_was_not_seen():
     ranges = np.array((1.0, math.inf, math.nan, 2.0, 0.0), np.float32)
-    points = scan_points(ranges, 0.0, math.pi / 2, -0.5)
+    points = scan_points(np.zeros(3), ranges, 0.0, math.pi / 2, -0.5)
     np.testing.assert_allclose(points, [(0.5, 0.0), (-0.5, -2.0)], atol=1e-9)
+    points = scan_points(np.array((1.0, 2.0, math.pi / 2)), ranges, 0.0, math.pi / 2, -0.5)
+    np.testing.assert_allclose(points, [(1.0, 2.5), (3.0, 1.5)], atol=1e-9)
 
 
 def choice(running, legal):

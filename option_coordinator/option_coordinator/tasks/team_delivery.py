@@ -136,13 +136,11 @@ class TeamDeliverySimulation:
         self._poses[agent] = (x + length * np.cos(middle), y + length * np.sin(middle), heading + turn * self.time_step)
 
     def _seen_by(self, agent: int) -> Array:
-        """Return what stands near a robot as points (n, 2) in its frame, x ahead [m]."""
-        x, y, heading = self._poses[agent]
+        """Return what stands near a robot as points (n, 2) [m]."""
         others = np.delete(self._poses[:, :2], agent, axis=0)
-        offset = np.concatenate((self._outlines, (others[:, None] + _ROBOT).reshape(-1, 2))) - (x, y)
-        near = offset[np.abs(offset).max(axis=1) < self._steering.look_ahead + _RADIUS]
-        c, s = np.cos(heading), np.sin(heading)
-        return near @ np.array(((c, -s), (s, c)))
+        points = np.concatenate((self._outlines, (others[:, None] + _ROBOT).reshape(-1, 2)))
+        far = np.abs(points - self._poses[agent, :2]).max(axis=1)
+        return points[far < self._steering.look_ahead + _RADIUS]
 
 
 def _outline(shape: Shape) -> Array:
