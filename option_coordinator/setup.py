@@ -8,7 +8,7 @@ setup(
     description="Grants options to robots that finish at different times (thesis 2.4 and 5).",
     license="Apache-2.0",
     packages=[NAME, f"{NAME}.tasks", f"{NAME}.training"],
-    package_data={"option_coordinator": ["py.typed", "teams/*.yaml"]},
+    package_data={"option_coordinator": ["py.typed", "teams/*.yaml", "policies/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),

@@ -30,7 +30,7 @@ def demo() -> int:
     parser.add_argument(
         "--policy",
         default=_DEFAULT.policy,
-        help="'spread' or 'uniform', which were not learnt, or a .safetensors file (default %(default)s)",
+        help="'spread' or 'uniform', not learnt, or a learnt one's name or file (default: the team's, else 'spread')",
     )
     parser.add_argument("--seed", type=int, default=0, help="of starts, noise and draws (default %(default)s)")
     parser.add_argument("--speed", type=float, default=2.0, help="times real time (default %(default)s)")

@@ -133,7 +133,7 @@ def read_team(bag: Path, idle: Collection[str] = ()) -> TeamRun:
     settings = json.loads(info.custom_data.get("parameters./option_coordinator", "{}"))
     return TeamRun(
         agents=tuple(steps[0].agents),
-        policy=f"{settings.get('policy', 'unknown')}"
+        policy=Path(str(settings.get("policy", "unknown"))).name
         + (f" ({steps[0].policy_digest[:12]})" if steps[0].policy_digest else ", not learnt"),
         spans=tuple(spans(grants, requests, begin, end)),
         finished=bool(steps[-1].terminated),

@@ -9,7 +9,7 @@ from pathlib import Path
 from ctrl_rl_core.tasks import task_file
 from option_coordinator.exchange import GrantStatus
 from option_coordinator.messages import EXCHANGE
-from option_coordinator.policy_file import OptionPolicy
+from option_coordinator.policy_file import OptionPolicy, policy_file
 from option_coordinator.scripted_choice import SCRIPTED
 from option_coordinator.team_file import TeamFile, Work, team_file
 
@@ -93,9 +93,9 @@ def new_team_run(options: TeamOptions) -> tuple[TeamFile, dict[str, Path]]:
     """
     team = team_of(options)
     digests = {"task": task_file(options.task), "team": team_file(options.team)}
-    if options.policy not in SCRIPTED:
-        digests["policy"] = Path(options.policy)
-        OptionPolicy.load_for(options.policy, (robot.agent for robot in team.coordinated))
+    if options.chooses not in SCRIPTED:
+        digests["policy"] = policy_file(options.chooses)
+        OptionPolicy.load_for(options.chooses, (robot.agent for robot in team.coordinated))
     new_run(options.drive)
     return team, digests
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from option_coordinator.policy_file import shipped_policies
 from option_coordinator.team_file import TeamFile, load_team, room_file
 
 from ctrl_rl_bringup.stack import DriveOptions, NodeSpec, simulator
@@ -21,7 +22,7 @@ class TeamOptions:
         folder: of the run, new; bag, logs, report and picture go there.
         team: name of a team, or its file.
         room: name of a navigation task, or its file; empty for the team's own.
-        policy: as the coordinator's parameter.
+        policy: as the coordinator's parameter; empty for the team's, where one comes with the package, else 'spread'.
         seed: of starts, noise and draws.
         speed: simulation time per wall time.
         gui: whether PyBullet shows a window.
@@ -30,7 +31,7 @@ class TeamOptions:
     folder: Path
     team: str = "delivery_team"
     room: str = ""
-    policy: str = "spread"
+    policy: str = ""
     seed: int = 0
     speed: float = 1.0
     gui: bool = False
@@ -41,10 +42,15 @@ class TeamOptions:
         return room_file(self.room or load_team(self.team).room)
 
     @property
+    def chooses(self) -> str:
+        """The policy that it is."""
+        return self.policy or (self.team if self.team in shipped_policies() else "spread")
+
+    @property
     def drive(self) -> DriveOptions:
         """The part that is as for a single robot."""
         return DriveOptions(
-            self.folder, task=self.task, policy=self.policy, seed=self.seed, speed=self.speed, gui=self.gui
+            self.folder, task=self.task, policy=self.chooses, seed=self.seed, speed=self.speed, gui=self.gui
         )
 
 
@@ -61,7 +67,7 @@ def coordinator(options: TeamOptions) -> NodeSpec:
     parameters = {
         "use_sim_time": True,
         "team": options.team,
-        "policy": options.policy,
+        "policy": options.chooses,
         "seed": options.seed,
         "lease": lease,
         "lost_after": 4.0 * lease,

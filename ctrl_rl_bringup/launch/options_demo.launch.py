@@ -1,4 +1,4 @@
-"""ros2 launch ctrl_rl_bringup options_demo.launch.py [team:=...] [policy:=spread] [speed:=1.0]: the demo of a team."""
+"""ros2 launch ctrl_rl_bringup options_demo.launch.py [team:=...] [policy:=...] [speed:=1.0]: the demo of a team."""
 
 from pathlib import Path
 
@@ -11,7 +11,10 @@ from launch import LaunchDescription
 ARGUMENTS = {
     "team": (TeamOptions.team, "team name or .yaml file"),
     "room": (TeamOptions.room, "navigation task or .yaml file, empty for the team's"),
-    "policy": (TeamOptions.policy, "'spread' or 'uniform', which were not learnt, or a .safetensors file"),
+    "policy": (
+        TeamOptions.policy,
+        "'spread' or 'uniform', not learnt, or a learnt one's name or file; empty for the team's",
+    ),
 }
 
 

@@ -29,7 +29,7 @@ def replay(arguments: Sequence[str] | None = None) -> int:
         description=replay.__doc__,
         epilog="example: replay tool_delivery --timeline timeline.png --animation replay.gif",
     )
-    parser.add_argument("task", help="tool_delivery, water_filling, or a task file")
+    parser.add_argument("task", help="tool_delivery, water_filling, delivery_team, or a task or team file")
     parser.add_argument(
         "--policy", default="scripted", help="'scripted', 'random', or a file that `train` wrote (default %(default)s)"
     )

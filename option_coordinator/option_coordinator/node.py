@@ -36,7 +36,7 @@ PARAMETERS = (
     Parameter(
         "policy",
         "spread",
-        "A .safetensors file; 'spread': a legal option whose station is free; 'uniform': any legal option.",
+        "A learnt one's name or file; 'spread': a legal option whose station is free; 'uniform': any legal option.",
         live=True,
     ),
     Parameter("policy_digest", "", "SHA-256 that a policy file must have from now on; empty for any.", live=True),

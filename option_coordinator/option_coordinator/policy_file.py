@@ -41,6 +41,16 @@ HEADS: Mapping[str, Callable[[Tensors, tuple[int, ...]], JointPolicy]] = {
 """Kinds of joint policy by name."""
 
 
+def shipped_policies() -> dict[str, Path]:
+    """Return the policies that come with the package, by name, which is that of their team."""
+    return {file.stem: file for file in sorted((Path(__file__).parent / "policies").glob("*.safetensors"))}
+
+
+def policy_file(name_or_path: Path | str) -> Path:
+    """Return the file of a policy that comes with the package, by name, or the path itself."""
+    return shipped_policies().get(str(name_or_path), Path(name_or_path))
+
+
 def make_policy(
     head: str, tensors: Tensors, counts: tuple[int, ...], partial: bool, presence: bool = False
 ) -> JointPolicy:
@@ -139,13 +149,13 @@ class OptionPolicy:
 
     @classmethod
     def load(cls, path: Path | str) -> Self:
-        """Read a policy.
+        """Read a policy that comes with the package, by name, or a file.
 
         Raises:
             OptionError: the file is missing or is no such policy; the message names it.
         """
         try:
-            content = Path(path).read_bytes()
+            content = policy_file(path).read_bytes()
             header = _header(content)
             if header.get("format") != FORMAT:
                 raise OptionError(f"{path}: is not a policy of format {FORMAT}: learn it again")

@@ -186,7 +186,7 @@ def load_team(name_or_path: str) -> TeamFile:
     """
     path = team_file(name_or_path)
     try:
-        return TeamFile.model_validate(yaml.safe_load(path.read_text(encoding="utf-8")))
+        team = TeamFile.model_validate(yaml.safe_load(path.read_text(encoding="utf-8")))
     except OSError as error:
         raise OptionError(f"{path}: {error.strerror}") from None
     except (yaml.YAMLError, UnicodeDecodeError) as error:
@@ -195,6 +195,9 @@ def load_team(name_or_path: str) -> TeamFile:
         first = error.errors(include_url=False)[0]
         key = ".".join(str(part) for part in first["loc"])
         raise OptionError(f"{path}: {f'{key}: ' if key else ''}{first['msg'].removeprefix('Value error, ')}") from None
+    if team.name != path.stem:
+        raise OptionError(f"{path}: name: is '{team.name}', must be the file's name '{path.stem}'")
+    return team
 
 
 def _shipped() -> list[str]:

@@ -27,7 +27,9 @@ def train(arguments: Sequence[str] | None = None) -> int:
         + "\n".join(f"  {name:<22} {method.label}" for name, method in METHODS.items())
         + "\nfrom bags: train --bags runs/*/bag --from policy.safetensors --task tool_delivery",
     )
-    parser.add_argument("--task", help="tool_delivery, water_filling, or a task file; with --bags: to judge in")
+    parser.add_argument(
+        "--task", help="tool_delivery, water_filling, delivery_team or a file; with --bags: to judge in"
+    )
     parser.add_argument(
         "--bags", nargs="+", type=Path, help="to learn from: a policy's own decisions by MAPPO, others by imitation"
     )
