@@ -49,10 +49,11 @@ oc: build ## learn with every baseline of thesis 3.3 and analyse; hours, may be 
 	ros2 run oc_baseline_node analyse mpc --learnt docs/results/oc_training_quad_navigation.json; \
 	ros2 run oc_baseline_node analyse gradient
 
-options: build ## learn joint options with every method of thesis 5.3, ten seeds; hours, may be cut off
-	@$(RUN) for task in tool_delivery water_filling; do \
-	ros2 run option_coordinator train --task $$task --methods all --seeds 10 --results docs/results/options_$$task.json $(ARGS); \
-	ros2 run option_coordinator training_figures docs/results/options_$$task.json; done
+options: build ## learn joint options with every method of thesis 5.3, and a policy of the demo's team; hours, may be cut off
+	@$(RUN) learn() { ros2 run option_coordinator train --task $$1 --seeds $$2 --methods $${@:3} \
+	--results docs/results/options_$$1.json $(ARGS); \
+	ros2 run option_coordinator training_figures docs/results/options_$$1.json; }; \
+	learn tool_delivery 10 all; learn water_filling 5 all; learn delivery_team 3 async sync_wait
 
 koopman: build ## learn the tasks of thesis 4.3, every method and ablation, and draw; many hours, may be cut off
 	@$(RUN) koopman() { ros2 run koopman_lqr_controller "$$@"; }; \

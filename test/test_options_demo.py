@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from commands import check_refused, command
 from option_coordinator.bag_trajectory import recordings
+from option_coordinator.policy_file import OptionPolicy
 from option_coordinator.team_file import load_team
 
 TEAM = load_team("delivery_team")
@@ -31,7 +32,8 @@ def test_all_parcels_are_delivered_and_nobody_collides(run) -> None:
     assert report["messages_lost"] == 0
     assert (folder / "timeline.png").read_bytes().startswith(b"\x89PNG")
     assert "all work done" in answer.stdout
-    assert "not learnt" in answer.stdout
+    digest = OptionPolicy.load(TEAM.name).digest
+    assert f"policy              {TEAM.name} ({digest[:12]})" in answer.stdout
 
 
 def test_no_robot_runs_two_options_at_once(run) -> None:

@@ -2,13 +2,16 @@
 
 import numpy as np
 import pytest
+from ctrl_rl_core.tasks import task_digest
 from option_coordinator.errors import OptionError
 from option_coordinator.event_driven import OptionEnvironment
+from option_coordinator.policy_file import OptionPolicy, shipped_policies
 from option_coordinator.roll_out import play_episodes
 from option_coordinator.scripted import RandomChooser, scripted_chooser
 from option_coordinator.tasks import load_option_task, make_environment, make_simulation
 from option_coordinator.tasks.team_delivery import TeamDeliverySimulation
 from option_coordinator.team_file import FOLDER, TeamFile, TeamRewards, load_team
+from option_coordinator.training.evaluation import summary
 
 TEAM = load_team("delivery_team")
 WAIT, SHELF, OTHER_SHELF, DESK, OTHER_DESK, HOME = range(6)
@@ -106,3 +109,18 @@ def test_a_room_too_small_for_the_team_is_refused():
     robots = {f"robot_{i}": TEAM.robots["robot_1"] for i in range(30)}
     with pytest.raises(OptionError, match="no room for 30 robots"):
         TeamDeliverySimulation(changed(robots=robots))
+
+
+@pytest.mark.parametrize("name", shipped_policies())
+def test_a_shipped_policy_is_of_its_team_and_beats_the_scripted_one(name):
+    file = shipped_policies()[name]
+    assert file.stat().st_size < 1_000_000
+    team = load_team(name)
+    policy = OptionPolicy.load_for(name, (robot.agent for robot in team.coordinated))
+    assert policy.manifest["task_digest"] == task_digest(team)
+    environment = make_environment(name)
+    random = np.random.default_rng(0)
+    learnt = summary(list(play_episodes(environment, lambda decision: policy.choose(decision, random), range(5))))
+    scripted = summary(list(play_episodes(environment, scripted_chooser(environment), range(5))))
+    assert learnt["return"] > scripted["return"]
+    assert learnt["makespan"] < scripted["makespan"]
