@@ -29,7 +29,7 @@ class Steering:
 
     speed: float = 0.2
     turn: float = 1.5
-    half_width: float = 0.2
+    half_width: float = 0.24
     look_ahead: float = 0.55
     stop: float = 0.27
     arrived: float = 0.08

@@ -28,7 +28,7 @@ _COLOURS = (
 
 def draw_curves(figures: Mapping[str, Any], path: Path) -> None:
     """Draw what episodes of learning gave against low-level samples: mean and standard deviation over the seeds."""
-    figure, ax = plt.subplots(figsize=(7.0, 4.2), layout="constrained")
+    figure, ax = plt.subplots(figsize=(9.0, 4.2), layout="constrained")
     for name, colour in zip(METHODS, _COLOURS, strict=True):
         if name in figures["curves"] and not METHODS[name].budget:  # who takes longer would squeeze the others
             curve = figures["curves"][name]
@@ -37,7 +37,7 @@ def draw_curves(figures: Mapping[str, Any], path: Path) -> None:
     ax.set_xlabel("low-level samples [thousands]")
     ax.set_ylabel(figures["metric"])
     ax.grid(alpha=0.3)
-    ax.legend(fontsize=8)
     seeds = max((len(curve["values"]) for curve in figures["curves"].values()), default=0)
     ax.set_title(f"{figures['task']}: mean and standard deviation of {seeds} seeds", fontsize=10)
+    figure.legend(loc="outside right upper", fontsize=8)
     save_figure(figure, path)
