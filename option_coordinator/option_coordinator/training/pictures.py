@@ -9,6 +9,7 @@ from typing import Any
 from ctrl_rl_core.drawing import save_figure
 from ctrl_rl_training.pictures import draw_curve
 from matplotlib import pyplot as plt
+from matplotlib.ticker import ScalarFormatter, SymmetricalLogLocator
 
 from option_coordinator.training.methods import METHODS
 
@@ -36,6 +37,11 @@ def draw_curves(figures: Mapping[str, Any], path: Path) -> None:
     ax.axhline(figures["scripted"], color="k", linewidth=0.8, linestyle=":", label="scripted")
     ax.set_xlabel("low-level samples [thousands]")
     ax.set_ylabel(figures["metric"])
+    if figures["scripted"] < 0.0:  # where nothing is above 0, orders of magnitude lie between first and last
+        ax.set_yscale("symlog", linthresh=0.5 * abs(figures["scripted"]))
+        ax.set_ylim(top=0.5 * figures["scripted"])
+        ax.yaxis.set_major_locator(SymmetricalLogLocator(base=10.0, linthresh=1.0, subs=(1.0, 2.0, 5.0)))
+        ax.yaxis.set_major_formatter(ScalarFormatter())
     ax.grid(alpha=0.3)
     seeds = max((len(curve["values"]) for curve in figures["curves"].values()), default=0)
     ax.set_title(f"{figures['task']}: mean and standard deviation of {seeds} seeds", fontsize=10)
