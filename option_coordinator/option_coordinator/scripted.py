@@ -133,3 +133,10 @@ def scripted_chooser(environment: OptionEnvironment) -> Chooser:
     if isinstance(simulation, ToolDeliverySimulation):
         return ToolDeliveryScript(simulation.task)
     return SpreadTeam(simulation.team) if isinstance(simulation, TeamDeliverySimulation) else JarCycle()
+
+
+def references(environment: OptionEnvironment) -> dict[str, Chooser]:
+    """Return what learning is judged beside, by name: the hand-written policy, and one that knows what nobody sees."""
+    simulation = environment.simulation
+    omniscient = {"omniscient": GreedyFiller(simulation)} if isinstance(simulation, WaterFillingSimulation) else {}
+    return {"scripted": scripted_chooser(environment), **omniscient}

@@ -15,6 +15,11 @@ DRAWS, MODE = "draws", "mode"
 _SEED = 2_000_000
 
 
+def fresh(episodes: int) -> range:
+    """Return the seeds of so many episodes: the same worlds for all that is judged, and none that was learnt in."""
+    return range(_SEED, _SEED + episodes)
+
+
 def evaluate(
     environment: OptionEnvironment, draws: JointPolicy, mode: JointPolicy, episodes: int, seed: int
 ) -> dict[str, dict[str, float]]:
@@ -27,7 +32,7 @@ def evaluate(
         episodes: of each.
         seed: of the run; worlds are the same for all runs, draws are each run's own.
     """
-    seeds = range(_SEED, _SEED + episodes)
+    seeds = fresh(episodes)
     choosers = {
         DRAWS: PolicyChooser(draws, np.random.default_rng((_SEED, seed, 1))),
         MODE: PolicyChooser(mode),

@@ -13,9 +13,9 @@ from ctrl_rl_core.results import Result
 from ctrl_rl_training.results import as_table, curves, finished_runs, samples_to
 
 from option_coordinator.roll_out import play_episodes
-from option_coordinator.scripted import scripted_chooser
+from option_coordinator.scripted import references
 from option_coordinator.tasks import make_environment
-from option_coordinator.training.evaluation import DRAWS, MODE, summary
+from option_coordinator.training.evaluation import DRAWS, MODE, fresh, summary
 from option_coordinator.training.methods import METHODS
 from option_coordinator.training.runs import OptionRun
 
@@ -53,8 +53,8 @@ THESIS: Mapping[tuple[str, str, str], float] = {
     ("water_filling", "mac_dqn_long", "last_reward"): -287.0,
 }
 """Tables 5.2 and 5.3, whose figures are means over option steps of their last low-level reward alone."""
-_SCRIPTED = "scripted"
-_SCRIPTED_EPISODES = 20
+_EPISODES = 50
+"""Of policies that were not learnt."""
 
 
 def collect(todo: Sequence[OptionRun], folder: Path) -> tuple[list[Result], dict[str, Any]]:
@@ -62,7 +62,7 @@ def collect(todo: Sequence[OptionRun], folder: Path) -> tuple[list[Result], dict
 
     Returns:
         For each method, one value a seed, of the policy as it was learnt to be used; the main metric also of its draws
-        and of its most likely options; samples until it is `ENOUGH` in learning; and rows of the scripted policy.
+        and of its most likely options; samples until it is `ENOUGH` in learning; and rows of what was not learnt.
         And `curves` by method: `samples` (iterations,), `values` (seeds, iterations) of the episodes of learning by
         the main metric.
     """
@@ -70,8 +70,9 @@ def collect(todo: Sequence[OptionRun], folder: Path) -> tuple[list[Result], dict
     metrics, main = METRICS[task.kind], MAIN[task.kind]
     found = finished_runs(todo, folder, lambda run: run.method_name)
     flat = {name: [_flat(result, main) for _, result in runs] for name, runs in found.items()}
-    scripted = scripted_summary(todo[0].task_name)
-    enough = ENOUGH.get(task.kind, scripted[main])
+    beside = reference_summaries(todo[0].task_name)
+    scripted = beside["scripted"][main]
+    enough = ENOUGH.get(task.kind, scripted)
     rows: list[Result] = []
     for name, runs in found.items():
         results = [result for _, result in runs]
@@ -86,20 +87,22 @@ def collect(todo: Sequence[OptionRun], folder: Path) -> tuple[list[Result], dict
         rows.append(Result(name, f"seeds that reach {enough:.4g} in learning", "1", [float(len(reached))]))
         if reached:
             rows.append(Result(name, f"samples to {enough:.4g}", "1", reached))
-    rows += [Result(_SCRIPTED, metric, unit, [scripted[key]]) for key, (metric, unit) in metrics.items()]
+    for name, found_beside in beside.items():
+        rows += [Result(name, metric, unit, [found_beside[key]]) for key, (metric, unit) in metrics.items()]
     figures = {
         "task": task.name,
         "metric": metrics[main][0],
-        "scripted": scripted[main],
+        "scripted": scripted,
         "curves": {name: curves(results, values=main) for name, results in flat.items()},
     }
     return rows, figures
 
 
-def scripted_summary(task_name: str) -> dict[str, float]:
-    """Return what the hand-written policy reaches, see `summary`."""
+def reference_summaries(task_name: str) -> dict[str, dict[str, float]]:
+    """Return what each policy reaches that was not learnt, see `summary`."""
     environment = make_environment(task_name)
-    return summary(list(play_episodes(environment, scripted_chooser(environment), range(_SCRIPTED_EPISODES))))
+    choosers = references(environment).items()
+    return {name: summary(list(play_episodes(environment, chooser, fresh(_EPISODES)))) for name, chooser in choosers}
 
 
 def table(rows: Sequence[Result]) -> str:
