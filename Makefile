@@ -53,7 +53,9 @@ options: build ## learn joint options with every method of thesis 5.3, and a pol
 	@$(RUN) learn() { ros2 run option_coordinator train --task $$1 --seeds $$2 --methods $${@:3} \
 	--results docs/results/options_$$1.json $(ARGS); \
 	ros2 run option_coordinator training_figures docs/results/options_$$1.json; }; \
-	learn tool_delivery 10 all; learn water_filling 5 all; learn delivery_team 3 async sync_wait
+	learn tool_delivery 10 all; learn water_filling 5 all; learn delivery_team 3 async sync_wait; \
+	ros2 run option_coordinator train --task water_filling --methods async async_autoregressive sync_wait --seeds 5 \
+	--samples 600000 --folder runs/options_long --results docs/results/options_water_filling_long.json
 
 koopman: build ## learn the tasks of thesis 4.3, every method and ablation, and draw; many hours, may be cut off
 	@$(RUN) koopman() { ros2 run koopman_lqr_controller "$$@"; }; \

@@ -145,6 +145,11 @@ class TeamFile(TaskHeader):
         return tuple(Robot(Agent(name, self.option_names, len(OBSERVED)), durations, safe) for name in self.robots)
 
 
+def team_names() -> list[str]:
+    """Return the teams that come with the package."""
+    return sorted(file.stem for file in FOLDER.glob("*_team.yaml"))
+
+
 def team_file(name_or_path: str) -> Path:
     """Return the file of a team that comes with the package, by name, or the path itself.
 
@@ -156,7 +161,7 @@ def team_file(name_or_path: str) -> Path:
         return path
     path = FOLDER / f"{name_or_path}.yaml"
     if not path.is_file():
-        raise OptionError(f"no team '{name_or_path}': there is {', '.join(_shipped())}, or give a .yaml file")
+        raise OptionError(f"no team '{name_or_path}': there is {', '.join(team_names())}, or give a .yaml file")
     return path
 
 
@@ -170,7 +175,7 @@ def is_team(name_or_path: str) -> bool:
     """Return whether a name or a file is that of a team."""
     path = Path(name_or_path)
     if path.suffix not in (".yaml", ".yml"):
-        return name_or_path in _shipped()
+        return name_or_path in team_names()
     try:
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
     except (OSError, yaml.YAMLError, UnicodeDecodeError):
@@ -198,7 +203,3 @@ def load_team(name_or_path: str) -> TeamFile:
     if team.name != path.stem:
         raise OptionError(f"{path}: name: is '{team.name}', must be the file's name '{path.stem}'")
     return team
-
-
-def _shipped() -> list[str]:
-    return sorted(file.stem for file in FOLDER.glob("*_team.yaml"))

@@ -5,10 +5,11 @@ environment = make_environment("tool_delivery")
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Literal
 
 from ctrl_rl_core.option_tasks import ToolDelivery, WaterFilling
-from ctrl_rl_core.tasks import load_task
+from ctrl_rl_core.tasks import load_task, task_names
 
 from option_coordinator.errors import OptionError
 from option_coordinator.event_driven import OptionEnvironment, Synchronisation
@@ -17,7 +18,7 @@ from option_coordinator.tasks.team_delivery import TeamDeliverySimulation
 from option_coordinator.tasks.tool_delivery import ToolDeliverySimulation
 from option_coordinator.tasks.tool_delivery_actions import ToolDeliveryActions
 from option_coordinator.tasks.water_filling import OptionSet, Sight, WaterFillingSimulation
-from option_coordinator.team_file import TeamFile, is_team, load_team
+from option_coordinator.team_file import TeamFile, is_team, load_team, team_names
 
 OptionTask = ToolDelivery | WaterFilling | TeamFile
 Level = Literal["options", "thesis", "actions"]
@@ -34,6 +35,11 @@ def load_option_task(name_or_path: str) -> OptionTask:
     """
     if is_team(name_or_path):
         return load_team(name_or_path)
+    if Path(name_or_path).suffix not in (".yaml", ".yml") and name_or_path not in task_names():
+        teams = ", ".join(team_names())
+        raise OptionError(
+            f"no task '{name_or_path}': there are tool_delivery, water_filling, {teams}, or give a .yaml file"
+        )
     task = load_task(name_or_path)
     if not isinstance(task, ToolDelivery | WaterFilling):
         raise OptionError(f"task '{task.name}' is of kind '{task.kind}': one with options is needed here")

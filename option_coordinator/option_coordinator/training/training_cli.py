@@ -78,6 +78,8 @@ def _train(options: argparse.Namespace) -> int:
 
     every = [name for name, method in METHODS.items() if task.kind in method.kinds]
     methods = every if "all" in options.methods else options.methods
+    if wrong := set(methods) - set(every):
+        raise CommandError(f"task '{task.name}' has no method {', '.join(sorted(wrong))}: there are {', '.join(every)}")
     runs = option_runs(options.task, methods, options.seeds, options.sight, options.drop)
     for run in runs:
         run.environment()  # refuses images, options or robots that vanish where there are none
