@@ -63,10 +63,12 @@ class Steering:
         return speed, turn
 
     def _free_direction(self, points: Array, bearing: float, reach: float) -> float | None:
-        for offset in np.deg2rad(np.arange(0, 111, 10)):
-            for direction in (bearing - offset, bearing + offset):
-                if self._nearest(points, direction) > reach:
-                    return float(wrap(direction))
+        """Return the direction nearest to a bearing in which the way is free, where none is then for half as far."""
+        for far in (reach, 0.5 * reach):
+            for offset in np.deg2rad(np.arange(0, 111, 10)):
+                for direction in (bearing - offset, bearing + offset):
+                    if self._nearest(points, direction) > far:
+                        return float(wrap(direction))
         return None
 
     def _nearest(self, points: Array, direction: float) -> float:
