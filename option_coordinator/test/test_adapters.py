@@ -117,7 +117,9 @@ def test_commands_from_training_to_replay(tmp_path, capsys, monkeypatch):
         (train, ["--task", "tool_delivery", "--workers", "-1"], "--workers must be at least 0"),
         (train, ["--task", "tool_delivery", "--samples", "100"], "--samples must be at least 7500"),
         (train, ["--task", "tool_delivery", "--sight", "image"], "no images"),
-        (train, ["--task", "tool_delivery", "--methods", "async_thesis_options"], "there is no other set"),
+        (train, ["--task", "tool_delivery", "--methods", "async_thesis_options"], "has no method async_thesis_options"),
+        (train, ["--task", "delivery_team", "--methods", "end2end"], "has no method end2end"),
+        (train, ["--task", "nowhere"], "tool_delivery, water_filling, delivery_team, or give a .yaml file"),
         (training_figures, ["nowhere.json"], "no such file"),
     ],
 )
