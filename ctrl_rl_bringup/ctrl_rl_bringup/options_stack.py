@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 from option_coordinator.policy_file import shipped_policies
@@ -36,7 +37,7 @@ class TeamOptions:
     speed: float = 1.0
     gui: bool = False
 
-    @property
+    @cached_property
     def task(self) -> str:
         """The room that it is."""
         return room_file(self.room or load_team(self.team).room)

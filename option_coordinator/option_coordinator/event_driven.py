@@ -21,7 +21,7 @@ import numpy as np
 
 from option_coordinator.decision import NONE, Decision
 from option_coordinator.errors import OptionError
-from option_coordinator.options import Agent, Mask, Observation, Scene, Simulation, check_option
+from option_coordinator.options import Mask, Observation, Scene, Simulation, check_option, slots
 from option_coordinator.outage import Outage, draw_outage
 from option_coordinator.trace import Trace
 
@@ -67,7 +67,7 @@ class OptionEnvironment:
         self._present = np.ones(len(self.agents), dtype=bool)
         self._outage: Outage | None = None
         self._decision: Decision | None = None
-        self._mask = option_mask(self.agents)
+        self._mask = slots([len(agent.options) for agent in self.agents])
 
     def reset(self, seed: int | np.random.Generator | None = None) -> Decision:
         """Begin an episode, in which all are ready."""
@@ -188,12 +188,6 @@ class OptionEnvironment:
     def figures(self) -> dict[str, Any]:
         """Return what there is to say about the episode so far."""
         return {"steps": self.steps, **self.simulation.figures()}
-
-
-def option_mask(agents: tuple[Agent, ...]) -> Mask:
-    """Return (N, K): which option indices each agent has."""
-    counts = np.array([len(agent.options) for agent in agents])
-    return np.arange(counts.max()) < counts[:, None]
 
 
 def discounted(rewards: tuple[float, ...], discount: float) -> float:

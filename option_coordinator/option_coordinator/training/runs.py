@@ -105,7 +105,9 @@ class OptionRun:
         method = self.method
         if self.drop and (method.partial or method.learner != "mappo"):
             raise OptionError(f"method '{self.method_name}' has no place for robots that vanish: leave --drop away")
-        return make_environment(self.task_name, method.synchronisation, None, method.level, self.sight, drop=self.drop)
+        return make_environment(
+            self.task_name, method.synchronisation, level=method.level, sight=self.sight, drop=self.drop
+        )
 
     def learner(self) -> Learner:
         """Return the untrained learner."""
