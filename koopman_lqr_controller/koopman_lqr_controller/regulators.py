@@ -43,6 +43,22 @@ class Regulator:
     contraction: float
 
 
+def reference_inside(z_ref: Array, u_ref: Array, K: Array, spread: Array) -> tuple[Array, Array]:
+    """Return a reference of the law u = u_ref - K (z - z_ref) and its action there, which actions can be.
+
+    Where u_ref is beyond them the reference moves: to the nearest z, by the spread of what is met, that has such a u.
+
+    Args:
+        z_ref: reference (n,).
+        u_ref: what the law asks for there (m,).
+        K: gain (m, n).
+        spread: covariance of what is met (n, n).
+    """
+    a_ref = np.clip(u_ref, -_INSIDE, _INSIDE)
+    along = spread @ K.T
+    return z_ref + along @ np.linalg.pinv(K @ along) @ (u_ref - a_ref), a_ref
+
+
 class Refit:
     """What the episodes say about a learnt controller: its law as data, and the model of all of psi.
 
@@ -68,16 +84,11 @@ class Refit:
         self._full = self.model(self.directions)
 
     def _reference(self, goal: bool) -> tuple[Array, Array]:
-        """Return the goal, or the weighted middle of what is met, and the law's u there, its offset.
-
-        Where that u is beyond what actions can be, the nearest psi, by the spread of what is met, that has such a u.
-        """
+        """Return the goal, or the weighted middle of what is met, and the law's u there: `reference_inside`."""
         learnt = self.learnt
         psi_ref = learnt.z_ref if goal else np.average(self._psi, axis=0, weights=self._weight)
-        u_ref = learnt.control(psi_ref)
-        a_ref = np.clip(u_ref, -_INSIDE, _INSIDE)
-        spread = np.cov(self._psi.T, aweights=self._weight) @ learnt.K.T
-        return psi_ref + spread @ np.linalg.pinv(learnt.K @ spread) @ (u_ref - a_ref), a_ref
+        spread = np.cov(self._psi.T, aweights=self._weight)
+        return reference_inside(psi_ref, learnt.control(psi_ref), learnt.K, spread)
 
     def model(self, C: Array) -> tuple[LinearModel, Array]:
         """Return the least-squares model of C psi around the reference, and its drift there."""
@@ -88,15 +99,6 @@ class Refit:
         means = [part.mean(axis=0) for part in (here, actions, after)]
         model = fit(Snapshots(here - means[0], actions - means[1], after - means[2]), self._ridge)
         return model, means[2] - model.predict(means[0], means[1])
-
-    def predict(self, psi: Array, action: Array) -> Array:
-        """Return the full model's next psi."""
-        C, (model, drift) = self.directions, self._full
-        return self._psi_ref + (drift + model.predict((psi - self._psi_ref) @ C.T, action - self._a_ref)) @ C
-
-    def project(self, psi: Array) -> Array:
-        """Return psi: the model is of all of it."""
-        return psi
 
     def projections(self, sizes: Sequence[int]) -> Iterator[tuple[str, Array]]:
         """Yield families and projections, what the law needs before what varies, small ones before large ones.

@@ -46,11 +46,11 @@ def learn(arguments: Sequence[str] | None = None) -> int:
 
 
 def consolidate(arguments: Sequence[str] | None = None) -> int:
-    """Turn a learnt policy into the true LQR of its own model: refit, inverse LQR, fewer latent dimensions."""
+    """Turn a learnt policy into the true LQR of its own model: inverse LQR in fewer latent dimensions that predict."""
     parser = argparse.ArgumentParser(prog="consolidate", description=consolidate.__doc__)
     parser.add_argument("policy", type=Path, help="policy.safetensors that `learn` made")
     parser.add_argument("--output", type=Path, required=True, help="policy file to write (.safetensors)")
-    parser.add_argument("--latent", type=int, nargs="+", help="latent dimensions to try (default: 6 to all)")
+    parser.add_argument("--latent", type=int, nargs="+", help="latent dimensions to try (default: 4 to 24)")
     parser.add_argument(
         "--episodes",
         type=int,
@@ -110,8 +110,8 @@ def _learn(options: argparse.Namespace, words: Sequence[str]) -> int:
 def _consolidate(options: argparse.Namespace, words: Sequence[str]) -> int:
     from tqdm import tqdm
 
-    from koopman_lqr_controller.consolidation import Plan
     from koopman_lqr_controller.policy_file import save_policy
+    from koopman_lqr_controller.training.consolidation import Plan
     from koopman_lqr_controller.training.finishing import consolidate_policy, load_latent
 
     if options.episodes < 1 or min(options.latent or [1]) < 1 or options.live < 5 or not options.noise > 0.0:
@@ -142,7 +142,7 @@ def _report(found: dict[str, Any], path: Path) -> None:
     learnt = found["learnt"]
     before, after = (sum(each["returns"]) / len(each["returns"]) for each in (learnt, found))
     print(f"return               {before:.1f} as learnt, {after:.1f} consolidated ({len(found['returns'])} episodes)")
-    print(f"latent dimensions    {found['latent']} ({found['family']})")
+    print(f"latent dimensions    {found['latent']}")
     print(f"closed loop          spectral radius {learnt['spectral_radius']:.3f} -> {found['spectral_radius']:.3f}")
     print(f"Riccati residual     {found['dare_residual']:.1e}")
     errors = (learnt["error_over_persistence"], found["error_over_persistence"])
@@ -151,9 +151,9 @@ def _report(found: dict[str, Any], path: Path) -> None:
         f"{found['horizon_errors'][step - 1]:.2f}" for step in (1, 2, 5, 10) if step <= len(found["horizon_errors"])
     )
     print(f"  after 1 2 5 10     {curve} steps")
+    errors = (learnt["law_error"], found["law_error"])
+    print(f"  of K z             {errors[0]:.2f} -> {errors[1]:.2f}")
     print(f"steps cut off        {100 * found['saturated']:.0f} %")
-    if found["contraction"] < 1.0:
-        print(f"A was made smaller   by {found['contraction']:.4f}: the refitted model had no regulator")
     missed = [name for name, met in found["meets"].items() if not met]
     print(f"targets              {'met' if not missed else 'missed: ' + ', '.join(missed)}")
     print(f"policy               {path}")

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from koopman_lqr_controller.edmd import LinearModel
 from koopman_lqr_controller.riccati import finite_horizon, solve_lqr
-from koopman_lqr_controller.training.differentiable_lqr import LatentLqr, riccati_gain
+from koopman_lqr_controller.training.differentiable_lqr import LatentLqr, doubled_gain, riccati_gain
 from scipy.linalg import solve_discrete_are
 
 SEEDS = st.integers(0, 10_000)
@@ -38,6 +38,21 @@ def test_many_iterations_give_the_solution_of_the_riccati_equation(seed: int) ->
     expected = np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A)
     K, _ = riccati_gain(*as_torch(given), iterations=300)
     assert K.numpy() == pytest.approx(expected, abs=1e-8)
+
+
+@settings(deadline=None, max_examples=30)
+@given(SEEDS, st.integers(1, 6))
+def test_doubling_does_many_iterations_at_once(seed: int, doublings: int) -> None:
+    A, B, Q, R, _ = as_torch(problem(seed))
+    slowly, _ = riccati_gain(A, B, Q, R, torch.zeros(len(Q)).double(), iterations=2**doublings - 1)
+    assert doubled_gain(A, B, Q, R, doublings).numpy() == pytest.approx(slowly.numpy(), abs=1e-8)
+
+
+@settings(deadline=None, max_examples=10)
+@given(SEEDS)
+def test_the_doubled_gain_has_the_right_gradients(seed: int) -> None:
+    given = [part.requires_grad_() for part in as_torch(problem(seed, n=3))[:4]]
+    assert torch.autograd.gradcheck(lambda *parts: doubled_gain(*parts, doublings=4), given)
 
 
 @settings(deadline=None, max_examples=30)

@@ -14,12 +14,12 @@ import pytest
 import torch
 from ctrl_rl_training.errors import TrainingError
 from ctrl_rl_training.run_folder import result_file
-from koopman_lqr_controller.consolidation import REPORT_SEED
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.policy_file import load_policy
 from koopman_lqr_controller.roll_outs import evaluate
 from koopman_lqr_controller.training.actor import Interface
 from koopman_lqr_controller.training.agent import Agent
+from koopman_lqr_controller.training.consolidation import REPORT_SEED
 from koopman_lqr_controller.training.course import POLICY_FILE, LearningOptions
 from koopman_lqr_controller.training.encoder_losses import Seen
 from koopman_lqr_controller.training.problems import PROBLEMS

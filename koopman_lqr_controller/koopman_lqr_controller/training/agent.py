@@ -3,8 +3,9 @@
 Each update trains the critics and the encoder on Bellman's equation, the encoder on a loss of its own (Eq. 4.4), A and
 B on the model loss (Eq. 4.7); every other one trains encoder, A, B, Q and R on the actor's (Eq. 4.10). The model loss
 leaves the encoder alone: it would make all latent states equal. The actor's passes into it through the control, not
-through what the critics say of z. Losses of different parameters go back together; where the encoder looks at the same
-images for its own loss as for Bellman's, so do these two.
+through what the critics say of z; convolutions it leaves alone, they are most of the work. Losses of different
+parameters go back together. Of images so do Bellman's and the encoder's own, brought to one size: values grow to
+hundreds, and the encoder's own loss would no longer be heard.
 """
 
 from __future__ import annotations
@@ -82,7 +83,7 @@ class Agent(nn.Module):
             data: the batch.
             generator: of all noise, on the CPU.
         """
-        x, u, reward, x_next, terminated = (torch.from_numpy(it).to(self._device).float() for it in data)
+        x, u, reward, x_next, terminated = (torch.from_numpy(it).to(self._device) for it in data)
         if self._images:  # as in CURL all losses see a window at random
             query, key = (random_crop(x, self.settings.crop, generator) for _ in range(2))
             x, x_next = query, random_crop(x_next, self.settings.crop, generator)
@@ -91,18 +92,21 @@ class Agent(nn.Module):
         else:
             query = key = x
         seen = Seen(query, key, u, x_next, self.key_encoder, self.lqr)
-        z = self.actor.encoder(x)
+        features = self.actor.encoder.features(x)
+        z = self.actor.encoder.latent(features)
         critic, z_next = self._critic_loss(z, u, reward, x_next, terminated, generator)
         losses = {"critic": critic}
         if self.lqr is not None:
             losses["model"] = self.lqr.model_loss(z.detach(), u, z_next)
         if self._images:
-            self._step({**losses, "encoder": self.encoder_loss(z, seen)})
+            own = self.encoder_loss(z, seen)
+            self._step({**losses, "encoder": _as_large_as(critic, own, z) * own})
         else:
             self._step(losses)
             self._step({"encoder": self.encoder_loss(self.actor.encoder(query), seen)})
         if self.updates % self.settings.actor_every == 0:
-            self._step(self._actor_losses(x, generator))
+            z = self.actor.encoder.latent(features.detach()) if self._images else self.actor.encoder(x)
+            self._step(self._actor_losses(z, generator))
             _follow(self.target, self.critic, self.settings.critic_rate)
             _follow(self.key_encoder, self.actor.encoder, self.settings.encoder_rate)
         _follow(self.averaged, self.actor, self.settings.average_rate)
@@ -125,9 +129,8 @@ class Agent(nn.Module):
             goal = reward + self.settings.discount * (1.0 - terminated) * value
         return (self.critic(z, u) - goal).square().mean(dim=1).sum(), z_next
 
-    def _actor_losses(self, x: Tensor, generator: torch.Generator) -> dict[str, Tensor]:
+    def _actor_losses(self, z: Tensor, generator: torch.Generator) -> dict[str, Tensor]:
         """Return the losses of actor and temperature; they share no parameter."""
-        z = self.actor.encoder(x)
         u, log_density = self.actor.sample(z, generator)
         self.critic.requires_grad_(False)
         value = self.critic(z.detach(), u).amin(dim=0)
@@ -146,6 +149,12 @@ class Agent(nn.Module):
         torch.autograd.backward(list(losses.values()))
         for optimizer in optimizers:
             optimizer.step()
+
+
+def _as_large_as(first: Tensor, second: Tensor, z: Tensor) -> Tensor:
+    """Return what the second of two losses of z is to be multiplied by to pull at z as strongly as the first."""
+    pulls = (torch.autograd.grad(loss, z, retain_graph=True)[0].norm() for loss in (first, second))
+    return next(pulls) / (next(pulls) + torch.finfo(z.dtype).tiny)
 
 
 def _follow(slow: nn.Module, fast: nn.Module, rate: float) -> None:

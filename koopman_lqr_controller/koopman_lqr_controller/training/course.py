@@ -12,13 +12,13 @@ from ctrl_rl_training.array_file import load_arrays, save_arrays
 from ctrl_rl_training.learner_state import Arrays
 from ctrl_rl_training.resumable import Point
 
-from koopman_lqr_controller.consolidation import REPORT_SEED, Plan
 from koopman_lqr_controller.latent_controller import LatentController
 from koopman_lqr_controller.latent_policy import LatentPolicy
 from koopman_lqr_controller.policy_file import digest, save_policy
 from koopman_lqr_controller.prediction import horizon_errors, squared_error
 from koopman_lqr_controller.region import Region, region_of
 from koopman_lqr_controller.roll_outs import Episode, evaluate, interaction, mean_return, outcomes, projected
+from koopman_lqr_controller.training.consolidation import REPORT_SEED, Plan
 from koopman_lqr_controller.training.finishing import consolidate_policy, load_latent
 from koopman_lqr_controller.training.network_policy import NetworkPolicy
 from koopman_lqr_controller.training.problems import AnyEnvironment, Problem

@@ -6,11 +6,11 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from koopman_lqr_controller.consolidation import Plan, consolidate
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.latent_policy import LatentPolicy
 from koopman_lqr_controller.policy_file import digest, load_policy
 from koopman_lqr_controller.roll_outs import Environment, Episode
+from koopman_lqr_controller.training.consolidation import Plan, consolidate
 from koopman_lqr_controller.training.problems import Problem
 
 

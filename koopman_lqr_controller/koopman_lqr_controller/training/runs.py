@@ -20,9 +20,9 @@ import torch
 from ctrl_rl_training.resumable import Point, resumable
 from ctrl_rl_training.run_folder import check_same, result_file
 
-from koopman_lqr_controller.consolidation import Plan
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.policy_file import digest
+from koopman_lqr_controller.training.consolidation import Plan
 from koopman_lqr_controller.training.course import Course, Learner, LearningOptions, over
 from koopman_lqr_controller.training.learner import KoopmanLearner
 from koopman_lqr_controller.training.problems import Problem, find_problem

@@ -1,29 +1,30 @@
 """After learning: a controller that is the LQR of its own model (beyond the thesis).
 
 What learning leaves is a gain after a few Riccati iterations, on a model that serves the gain more than prediction: the
-closed loop of that model is often not even stable. Consolidation keeps the encoder and what the policy does, and makes
-the rest true. It runs noisy episodes and refits A and B to them by least squares. It finds diagonal Q and R
-whose infinite-horizon gain does the same as the policy (inverse LQR), in units of actions: what is deployed is that
-law, cut off at -1 and 1, so that the loop of the proof is the loop that runs. It takes as few latent dimensions as keep
-the return and predict. What comes out proves itself: its gain is computed from A, B, Q, R whenever it is loaded.
+closed loop of that model is often not even stable. Consolidation keeps what the policy does and makes the rest true. It
+runs noisy episodes and finds coordinates, a model, Q and R in which the infinite-horizon LQR does the same and the
+model predicts (`distillation`), once more with episodes of what came out, whose mistakes nobody has made before. It
+takes as few latent dimensions as keep the return and predict. The law is in units of actions, cut off at -1 and 1, so
+that the loop of the proof is the loop that runs, and it proves itself: its gain is computed whenever it is loaded.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.latent_controller import LatentController
-from koopman_lqr_controller.prediction import horizon_errors
+from koopman_lqr_controller.prediction import horizon_errors, law_error
 from koopman_lqr_controller.region import Region, region_of_episodes
-from koopman_lqr_controller.regulators import LARGEST_RESIDUAL, Refit, Regulator
+from koopman_lqr_controller.regulators import LARGEST_RESIDUAL
 from koopman_lqr_controller.roll_outs import (
     Environment,
     Episode,
+    Policy,
     evaluate,
     interaction,
     mean_return,
@@ -32,6 +33,7 @@ from koopman_lqr_controller.roll_outs import (
     projected,
     saturated,
 )
+from koopman_lqr_controller.training.distillation import DistillationSettings, Distilled, distil
 
 HORIZON = 10
 """Steps that the model's error is told for."""
@@ -50,23 +52,24 @@ class Plan:
         noise: largest standard deviation added to u, the least is none.
         rounds: the first with the learnt policy, the others with the best candidate so far, which the learnt policy
             tells what it would have done.
-        ridge: of the refit, relative to each regressor's variance.
-        sizes: latent dimensions that are tried; those beyond the policy's own stand for all of them.
+        sizes: latent dimensions that are tried.
         tolerance: part of the learnt return that may be lost.
-        error: one-step error over persistence that the model may have.
+        error: one-step error over persistence that the model may have; a third is wanted, and what is chosen by is a
+            little better than what is fresh.
         candidates: episodes of each candidate.
         report: fresh episodes, the same for the learnt policy and for what comes of it.
+        distillation: how candidates are trained.
     """
 
     episodes: int = 30
     noise: float = 0.5
     rounds: int = 2
-    ridge: float = 1e-4
-    sizes: tuple[int, ...] = (4, 6, 8, 12, 16, 24, 1000)
+    sizes: tuple[int, ...] = (4, 6, 8, 12, 16, 24)
     tolerance: float = 0.01
-    error: float = 1 / 3
+    error: float = 0.3
     candidates: int = 10
     report: int = 20
+    distillation: DistillationSettings = field(default_factory=DistillationSettings)
 
     @classmethod
     def of(cls, episodes: int, report: int, **changes: Any) -> Plan:
@@ -91,26 +94,18 @@ class Consolidated:
 
 @dataclass(frozen=True)
 class _Candidate:
-    regulator: Regulator
+    policy: Distilled
     score: float
     error: float
-
-    @property
-    def controller(self) -> LatentController:
-        return self.regulator.controller
 
     def meets(self, learnt_score: float, plan: Plan) -> dict[str, bool]:
         least = learnt_score - plan.tolerance * abs(learnt_score)
         return {"return": self.score >= least, "error": self.error <= plan.error}
 
     def row(self) -> dict[str, Any]:
-        found = self.regulator
         return {
-            "latent": len(self.controller.Q),
-            "family": found.family,
+            "latent": len(self.policy.controller.Q),
             "return": self.score,
-            "mismatch": found.mismatch,
-            "contraction": found.contraction,
             "error_over_persistence": self.error,
         }
 
@@ -142,57 +137,67 @@ def consolidate(
     if learnt.horizon is None:
         raise KoopmanError("this policy is the regulator of its own model already: give the one that `learn` made")
     plan = plan or Plan()
-    search = _Search(learnt, environment, plan, seed, tick)
-    acting = learnt
+    search = _Search(learnt, environment, plan, goal, seed, tick)
+    acting: Policy = learnt
     for index in range(plan.rounds):
         search.run(acting, index)
-        refit = Refit(learnt, search.seen, plan.ridge, goal)
-        search.try_out(refit)
-        acting = max(search.tried, key=lambda candidate: candidate.score).controller
+        search.try_out()
+        acting = max(search.tried, key=lambda candidate: candidate.score).policy
     chosen = search.choose()
-    found = chosen.regulator
-    measured = search.measure(chosen.controller)
+    controller = chosen.policy.controller
+    measured = search.measure(chosen.policy)
     before = search.report(learnt) if reported is None else reported
-    after = search.report(chosen.controller)
+    after = search.report(controller)
     figures = {
         "returns": [episode.total for episode in after],
         "outcomes": outcomes(after),
         "meets": chosen.meets(search.learnt_score, plan),
-        "latent": len(chosen.controller.Q),
-        "family": found.family,
-        "mismatch": found.mismatch,
-        "contraction": found.contraction,
+        "latent": len(controller.Q),
         "saturated": saturated(after),
-        **proof(chosen.controller, measured),
-        "unreduced_horizon_errors": _errors(refit, measured),
+        **proof(chosen.policy, measured),
         "learnt": {
             "returns": [episode.total for episode in before],
             "outcomes": outcomes(before),
             "saturated": saturated(before),
             "spectral_radius": learnt.spectral_radius,
-            "error_over_persistence": _errors(learnt, measured)[0],
+            **_learnt_errors(learnt, measured),
         },
         "interaction": interaction(search.all_episodes),
         "candidates": [each.row() for each in search.tried],
     }
-    return Consolidated(chosen.controller, search.region(chosen.controller), figures)
+    return Consolidated(controller, search.region(chosen.policy), figures)
 
 
-def proof(controller: LatentController, episodes: Sequence[Episode]) -> dict[str, Any]:
-    """Return what shows that a controller is the LQR of its own model, and that the model predicts.
+def proof(policy: Distilled, episodes: Sequence[Episode]) -> dict[str, Any]:
+    """Return what shows that a policy is the LQR of its own model, and that the model predicts.
+
+    Args:
+        policy: as it was found.
+        episodes: with the features of the learnt policy.
 
     Raises:
         KoopmanError: it is not.
     """
+    controller = policy.controller
     if not (controller.spectral_radius < 1.0 and controller.residual < LARGEST_RESIDUAL):
         found = f"spectral radius {controller.spectral_radius:.4f}, Riccati residual {controller.residual:.1e}"
         raise KoopmanError(f"{found}: not the regulator of its own model")
-    errors = _errors(controller, episodes)
+    z, actions = projected(policy.project, episodes)
+    errors = horizon_errors(controller.predict, z, actions, HORIZON)
     return {
         "spectral_radius": controller.spectral_radius,
         "dare_residual": controller.residual,
         "error_over_persistence": errors[0],
         "horizon_errors": errors,
+        "law_error": law_error(controller.predict, controller.K, z, actions),
+    }
+
+
+def _learnt_errors(learnt: LatentController, episodes: Sequence[Episode]) -> dict[str, float]:
+    z, actions = projected(learnt.project, episodes)
+    return {
+        "error_over_persistence": horizon_errors(learnt.predict, z, actions, 1)[0],
+        "law_error": law_error(learnt.predict, learnt.K, z, actions),
     }
 
 
@@ -204,10 +209,12 @@ class _Search:
         learnt: LatentController,
         environment: Environment,
         plan: Plan,
+        goal: bool,
         seed: int,
         tick: Callable[[str], None],
     ) -> None:
         self._learnt, self._environment, self._plan, self._tick = learnt, environment, plan, tick
+        self._goal, self._seed = goal, seed
         self._first = {name: base + 10_000 * seed for name, base in _SEEDS.items()}
         self._episodes: list[Episode] = []
         self.tried: list[_Candidate] = []
@@ -220,7 +227,7 @@ class _Search:
         """What models are fitted to; every fifth episode is kept from them."""
         return [episode for number, episode in enumerate(self._episodes) if number % 5]
 
-    def run(self, acting: LatentController, index: int) -> None:
+    def run(self, acting: Policy, index: int) -> None:
         """Run the episodes of a round."""
         self._tick(f"{self._plan.episodes} episodes")
         noises = np.linspace(0.0, self._plan.noise, self._plan.episodes).tolist()
@@ -228,23 +235,26 @@ class _Search:
         self._episodes += fresh
         self.all_episodes += fresh
 
-    def try_out(self, refit: Refit) -> None:
-        """Try one regulator after the other, until one keeps the return and predicts.
+    def try_out(self) -> None:
+        """Try more and more dimensions, until one keeps the return and predicts.
 
         Raises:
-            KoopmanError: there is none at all.
+            KoopmanError: none of them has a regulator.
         """
-        for family, C in refit.projections(self._plan.sizes):
-            found = refit.regulator(family, C)
-            if found is None:
+        problem = KoopmanError("no size to try")
+        for latent in self._plan.sizes:
+            try:
+                found = distil(self._learnt, self.seen, latent, self._goal, self._plan.distillation, self._seed)
+            except KoopmanError as error:
+                problem = error
                 continue
-            candidate = _Candidate(found, self._score(found.controller), self._error(found.controller))
+            candidate = _Candidate(found, self._score(found), self._error(found))
             self.tried.append(candidate)
-            self._tick(f"{len(C)} dimensions: {candidate.score:.4g} of {self.learnt_score:.4g}")
+            self._tick(f"{latent} dimensions: {candidate.score:.4g} of {self.learnt_score:.4g}")
             if all(candidate.meets(self.learnt_score, self._plan).values()):
                 return
         if not self.tried:
-            raise KoopmanError("no regulator: the refitted model cannot be stabilised; learn longer")
+            raise KoopmanError(f"no regulator: {problem}; learn longer")
 
     def choose(self) -> _Candidate:
         """Return the smallest that keeps the return and predicts.
@@ -252,46 +262,41 @@ class _Search:
         Where none does both, the best predictor of those that keep the return; where none does that, what keeps it
         best. All are held against the same episodes.
         """
-        tried = [_Candidate(each.regulator, each.score, self._error(each.controller)) for each in self.tried]
-        self.tried = tried
+        self.tried = [replace(each, error=self._error(each.policy)) for each in self.tried]
 
         def rank(each: _Candidate) -> tuple[float, ...]:
             meets = each.meets(self.learnt_score, self._plan)
             if all(meets.values()):
-                return (2.0, -len(each.controller.Q), each.score)
+                return (2.0, -len(each.policy.controller.Q), each.score)
             return (1.0, -each.error, each.score) if meets["return"] else (0.0, each.score, -each.error)
 
-        return max(tried, key=rank)
+        return max(self.tried, key=rank)
 
-    def measure(self, chosen: LatentController) -> list[Episode]:
-        """Return fresh noisy episodes of the learnt and the chosen controller, that nothing was chosen by."""
+    def measure(self, chosen: Distilled) -> list[Episode]:
+        """Return fresh noisy episodes of the learnt and the chosen policy, that nothing was chosen by."""
         self._tick("the model's error")
-        noises = np.linspace(0.0, self._plan.noise, max(2, self._plan.episodes // 5)).tolist()
+        noises = np.linspace(0.0, self._plan.noise, max(2, self._plan.episodes // 2)).tolist()
         first = self._first["measure"]
+        policies: tuple[Policy, ...] = (self._learnt, chosen)
         return [
             episode
-            for index, each in enumerate((self._learnt, chosen))
+            for index, each in enumerate(policies)
             for episode in noisy_roll_outs(each, self._environment, noises, first + 1000 * index)
         ]
 
-    def region(self, controller: LatentController) -> Region:
-        """Return where a controller may be trusted: what the noisy episodes went through."""
-        return region_of_episodes(controller.predict, *projected(controller.project, self._episodes))
+    def region(self, chosen: Distilled) -> Region:
+        """Return where a policy may be trusted: what the noisy episodes went through."""
+        return region_of_episodes(chosen.controller.predict, *projected(chosen.project, self._episodes))
 
     def report(self, controller: LatentController) -> list[Episode]:
         """Return fresh episodes without noise."""
         self._tick(f"{self._plan.report} fresh episodes")
         return evaluate(controller, self._environment, self._plan.report, self._first["report"])
 
-    def _score(self, controller: LatentController) -> float:
-        episodes = evaluate(controller, self._environment, self._plan.candidates, self._first["choose"])
+    def _score(self, policy: Policy) -> float:
+        episodes = evaluate(policy, self._environment, self._plan.candidates, self._first["choose"])
         self.all_episodes += episodes
         return mean_return(episodes)
 
-    def _error(self, controller: LatentController) -> float:
-        return _errors(controller, self._episodes[::5])[0]
-
-
-def _errors(model: LatentController | Refit, episodes: Sequence[Episode]) -> list[float]:
-    """Return the errors over persistence after 1, 2, ... steps, in what the model predicts."""
-    return horizon_errors(model.predict, *projected(model.project, episodes), HORIZON)
+    def _error(self, policy: Distilled) -> float:
+        return horizon_errors(policy.controller.predict, *projected(policy.project, self._episodes[::5]), 1)[0]

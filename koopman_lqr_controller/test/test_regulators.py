@@ -1,0 +1,31 @@
+"""The regulator of a refitted model does what the learnt law does."""
+
+import numpy as np
+import pytest
+from koopman_lqr_controller.regulators import Refit, reference_inside
+from koopman_lqr_controller.roll_outs import noisy_roll_outs
+from line import Line, learnt_controller
+
+
+def test_the_offset_of_the_law_is_kept() -> None:
+    """At its goal the learnt law, k - K z, asks for something: what comes of it asks for the same."""
+    learnt = learnt_controller()
+    lived = noisy_roll_outs(learnt, Line(), [0.0, 0.1, 0.2, 0.3], 0)
+    found = Refit(learnt, lived, 1e-4, True).regulator("principal", np.linalg.qr(learnt.encoder.layers[0].weight)[0].T)
+    psi = np.concatenate([episode.features for episode in lived])
+    asked = learnt.control(psi)
+    assert abs(float(learnt.control(learnt.z_ref)[0])) > 0.5
+    assert np.abs(found.controller.control(found.controller.project(psi)) - asked).max() < 0.1 * np.ptp(asked)
+    assert abs(np.mean(found.controller.control(found.controller.project(psi)) - asked)) < 0.05 * np.ptp(asked)
+
+
+def test_a_reference_moves_to_where_its_action_can_be_done() -> None:
+    random = np.random.default_rng(0)
+    K, z_ref = random.normal(size=(2, 5)), random.normal(size=5)
+    factor = random.normal(size=(5, 5))
+    moved, action = reference_inside(z_ref, np.array((2.0, -0.3)), K, factor @ factor.T)
+    assert action == pytest.approx((0.9, -0.3))
+    assert np.array((2.0, -0.3)) - K @ (moved - z_ref) == pytest.approx(action), "the law is the same"
+    stays, action = reference_inside(z_ref, np.array((0.2, -0.3)), K, factor @ factor.T)
+    assert stays == pytest.approx(z_ref)
+    assert action == pytest.approx((0.2, -0.3))
