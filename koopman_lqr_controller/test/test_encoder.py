@@ -34,7 +34,7 @@ def some_encoder(kind: str) -> tuple[TorchEncoder, np.ndarray]:
 @pytest.mark.parametrize("kind", ENCODERS)
 def test_numpy_agrees_with_torch(kind: str) -> None:
     encoder, x = some_encoder(kind)
-    expected = encoder(torch.from_numpy(x).float()).detach().numpy()
+    expected = encoder.eval()(torch.from_numpy(x).float()).detach().numpy()
     deployed = encoder.deploy()
     assert deployed(x) == pytest.approx(expected, abs=2e-5)
     assert deployed(x[0]) == pytest.approx(expected[0], abs=2e-5)

@@ -328,3 +328,29 @@ def test_learning_needs_no_other_library_of_learning() -> None:
         "sys.exit(any(name in sys.modules for name in ('stable_baselines3', 'pybullet', 'casadi')))"
     )
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
+
+
+def test_the_encoder_of_images_hears_its_own_loss_beside_values_that_are_large() -> None:
+    settings = Settings(latent=8, hidden=16, depth=2, crop=20, batch=32, learning_rate=1e-3)
+    grey = np.array(127.5, np.float32)
+    agent = Agent(Interface((3, 24, 24), 1, grey, grey, None), settings, seed=0)
+    random, generator = np.random.default_rng(0), torch.Generator().manual_seed(0)
+    pictures = random.integers(0, 255, (32, 3, 6, 6)).repeat(4, axis=2).repeat(4, axis=3).astype(np.uint8)
+    batch = Transitions(
+        x=pictures,
+        u=random.uniform(-1.0, 1.0, (32, 1)).astype(np.float32),
+        reward=1000.0 * random.normal(size=32).astype(np.float32),
+        x_next=pictures[::-1].copy(),
+        terminated=np.zeros(32, np.float32),
+    )
+
+    def contrast() -> float:
+        x = torch.from_numpy(pictures)
+        seen = Seen(x, x, torch.from_numpy(batch.u), x, agent.key_encoder, agent.lqr)
+        with torch.no_grad():
+            return float(agent.encoder_loss(agent.actor.encoder(x), seen))
+
+    before = contrast()
+    for _ in range(100):
+        agent.update(batch, generator)
+    assert contrast() < 0.5 * before

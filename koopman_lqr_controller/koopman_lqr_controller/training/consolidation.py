@@ -57,6 +57,7 @@ class Plan:
         error: one-step error over persistence that the model may have; a third is wanted, and what is chosen by is a
             little better than what is fresh.
         candidates: episodes of each candidate.
+        prediction: what the weights of prediction are multiplied by, one after the other until the return is kept.
         report: fresh episodes, the same for the learnt policy and for what comes of it.
         distillation: how candidates are trained.
     """
@@ -67,6 +68,7 @@ class Plan:
     sizes: tuple[int, ...] = (4, 6, 8, 12, 16, 24)
     tolerance: float = 0.01
     error: float = 0.3
+    prediction: tuple[float, ...] = (1.0, 0.3, 0.1)
     candidates: int = 10
     report: int = 20
     distillation: DistillationSettings = field(default_factory=DistillationSettings)
@@ -95,6 +97,7 @@ class Consolidated:
 @dataclass(frozen=True)
 class _Candidate:
     policy: Distilled
+    share: float
     score: float
     error: float
 
@@ -105,6 +108,7 @@ class _Candidate:
     def row(self) -> dict[str, Any]:
         return {
             "latent": len(self.policy.controller.Q),
+            "prediction": self.share,
             "return": self.score,
             "error_over_persistence": self.error,
         }
@@ -236,25 +240,33 @@ class _Search:
         self.all_episodes += fresh
 
     def try_out(self) -> None:
-        """Try more and more dimensions, until one keeps the return and predicts.
+        """Try more and more dimensions, and less and less prediction, until one keeps the return and predicts.
 
         Raises:
             KoopmanError: none of them has a regulator.
         """
         problem = KoopmanError("no size to try")
         for latent in self._plan.sizes:
-            try:
-                found = distil(self._learnt, self.seen, latent, self._goal, self._plan.distillation, self._seed)
-            except KoopmanError as error:
-                problem = error
-                continue
-            candidate = _Candidate(found, self._score(found), self._error(found))
-            self.tried.append(candidate)
-            self._tick(f"{latent} dimensions: {candidate.score:.4g} of {self.learnt_score:.4g}")
-            if all(candidate.meets(self.learnt_score, self._plan).values()):
-                return
+            for share in self._plan.prediction:
+                try:
+                    candidate = self._candidate(latent, share)
+                except KoopmanError as error:
+                    problem = error
+                    continue
+                self.tried.append(candidate)
+                self._tick(f"{latent} dimensions: {candidate.score:.4g} of {self.learnt_score:.4g}")
+                meets = candidate.meets(self.learnt_score, self._plan)
+                if all(meets.values()):
+                    return
+                if meets["return"]:
+                    break  # more dimensions are wanted, not less prediction
         if not self.tried:
             raise KoopmanError(f"no regulator: {problem}; learn longer")
+
+    def _candidate(self, latent: int, share: float) -> _Candidate:
+        settings = self._plan.distillation.with_prediction(share)
+        found = distil(self._learnt, self.seen, latent, self._goal, settings, self._seed)
+        return _Candidate(found, share, self._score(found), self._error(found))
 
     def choose(self) -> _Candidate:
         """Return the smallest that keeps the return and predicts.

@@ -14,7 +14,7 @@ same in all coordinates, so that one that is easy to predict cannot make up for 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -60,8 +60,12 @@ class DistillationSettings:
     batch: int = 256
     steps: int = 3
     learning_rate: float = 3e-3
-    model_weight: float = 0.1
-    law_weight: float = 0.2
+    model_weight: float = 0.3
+    law_weight: float = 1.0
+
+    def with_prediction(self, share: float) -> DistillationSettings:
+        """Return the same with less weight on what is predicted."""
+        return replace(self, model_weight=share * self.model_weight, law_weight=share * self.law_weight)
 
 
 @dataclass(frozen=True)

@@ -64,7 +64,7 @@ class TorchEncoder(nn.Module):
     def features(self, x: Tensor) -> Tensor:
         """Return what the last linear layer gets of observations (N, *shape), or of images that are cropped already."""
         x = self.normalise(x)
-        if x.dim() == 4:  # half the bits and colours last: twice as quick
+        if x.dim() == 4:  # colours last, and half the bits while it trains: twice as quick
             x = x.contiguous(memory_format=torch.channels_last)
         with self._halved():
             y: Tensor = self.layers[:-2](x)
@@ -78,7 +78,8 @@ class TorchEncoder(nn.Module):
         return z
 
     def _halved(self) -> torch.autocast:
-        return torch.autocast(self.middle.device.type, torch.bfloat16, enabled=len(self.shape) == 3)
+        wanted = self.training and len(self.shape) == 3
+        return torch.autocast(self.middle.device.type, torch.bfloat16, enabled=wanted)
 
     @property
     def seen(self) -> tuple[int, ...]:
