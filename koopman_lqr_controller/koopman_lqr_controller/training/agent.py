@@ -136,8 +136,11 @@ class Agent(nn.Module):
         value = self.critic(z.detach(), u).amin(dim=0)
         self.critic.requires_grad_(True)
         entropy_gap = (log_density.detach() + self._target_entropy).mean()
+        loss = (self.log_temperature.exp().detach() * log_density - value).mean()
+        if self.settings.restraint:
+            loss = loss + self.settings.restraint * self.actor.mean(z).square().sum(dim=1).mean()
         return {
-            "actor": (self.log_temperature.exp().detach() * log_density - value).mean(),
+            "actor": loss,
             "temperature": -self.log_temperature.exp() * entropy_gap,
         }
 

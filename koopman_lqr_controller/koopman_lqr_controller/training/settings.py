@@ -14,7 +14,7 @@ _CHOICES = {
     "policy": ("lqr", "network"),
     "cost": ("Q1", "Q2", "Q3", "Q4"),
 }
-_MAY_BE_ZERO = ("crop", "noise", "first_steps")
+_MAY_BE_ZERO = ("crop", "noise", "first_steps", "restraint")
 _SHARES = ("discount", "critic_rate", "encoder_rate", "average_rate")
 
 
@@ -42,6 +42,8 @@ class Settings:
         actor_every: updates of the critic for one of actor and targets.
         noise: eta of Eq. 4.5.
         average_rate: at which the averaged actor follows.
+        restraint: weight of the controls' mean square before tanh in the actor's loss: a gain that grows where actions
+            no longer change makes the policy jump whenever the encoder moves.
         encoder_loss: of the encoder besides the task's: "contrastive" (Eq. 4.4), or that of an autoencoder,
             "reconstruction", or "reconstruction_prediction", which decodes the model's next z as well (4.3.5).
         policy: "lqr", or "network" as in CURL.
@@ -67,6 +69,7 @@ class Settings:
     actor_every: int = 2
     noise: float = 0.1
     average_rate: float = 0.005
+    restraint: float = 0.0
     encoder_loss: str = "contrastive"
     policy: str = "lqr"
     cost: str = "Q1"
