@@ -263,7 +263,7 @@ def test_each_loss_moves_what_it_should_and_nothing_else(encoder_loss: str) -> N
     assert moved(lambda: agent._step(critic())) == {"encoder", "critic"}
     assert moved(lambda: agent._step(encoder())) == {"encoder"}
     assert moved(lambda: agent._step({"model": agent.actor.lqr.model_loss(z, u, z)})) == {"lqr"}
-    assert moved(lambda: agent._step(agent._actor_losses(x, generator))) == {"encoder", "lqr"}
+    assert moved(lambda: agent._step(agent._actor_losses(agent.actor.encoder(x), generator))) == {"encoder", "lqr"}
 
 
 @pytest.mark.parametrize("shape", [(3,), (2, 26, 26)])
@@ -354,3 +354,15 @@ def test_the_encoder_of_images_hears_its_own_loss_beside_values_that_are_large()
     for _ in range(100):
         agent.update(batch, generator)
     assert contrast() < 0.5 * before
+
+
+def test_restraint_keeps_the_gain_small() -> None:
+    def asked(restraint: float) -> float:
+        agent, data = some_agent(restraint=restraint)
+        generator = torch.Generator().manual_seed(0)
+        for _ in range(60):
+            agent.update(data, generator)
+        with torch.no_grad():
+            return float(agent.actor.mean(agent.actor.encoder(torch.from_numpy(data.x))).square().mean())
+
+    assert asked(10.0) < 0.5 * asked(0.0)

@@ -120,7 +120,7 @@ def _costs(found: Found) -> str:
     R = ", ".join(f"{value:.3g}" for value in found["costs"]["R"])
     source = {
         "as learnt": "as it was learnt with the task as its judge (thesis Fig. 4.5)",
-        "by inverse LQR": "not as learnt: of all costs that explain the policy (inverse LQR), those nearest to 1; "
+        "by inverse LQR": "not as learnt: of all costs that explain the policy (inverse LQR), one choice; "
         "Fig. 4.5 and 4.7 of the thesis are of the learnt file",
         "by hand": "chosen by hand, read back from gain and cost-to-go",
     }[found["policy"]["costs"]]

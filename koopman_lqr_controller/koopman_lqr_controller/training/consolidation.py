@@ -75,8 +75,11 @@ class Plan:
 
     @classmethod
     def of(cls, episodes: int, report: int, **changes: Any) -> Plan:
-        """Return a plan of so many episodes in a round, candidates in proportion to them, and so many fresh ones."""
-        return cls(episodes=max(5, episodes), candidates=max(2, episodes // 3), report=report, **changes)
+        """Return a plan of so many episodes in a round, all else in proportion to them, and so many fresh ones."""
+        episodes = max(5, episodes)
+        updates = round(DistillationSettings.updates * min(1.0, (episodes / cls.episodes) ** 2))
+        settings = DistillationSettings(updates=updates)
+        return cls(episodes, candidates=max(2, episodes // 3), report=report, distillation=settings, **changes)
 
 
 @dataclass(frozen=True)
@@ -242,12 +245,17 @@ class _Search:
     def try_out(self) -> None:
         """Try more and more dimensions, and less and less prediction, until one keeps the return and predicts.
 
+        A round begins with what the one before it chose.
+
         Raises:
             KoopmanError: none of them has a regulator.
         """
         problem = KoopmanError("no size to try")
+        first = self.choose() if self.tried else None
         for latent in self._plan.sizes:
             for share in self._plan.prediction:
+                if first is not None and (latent, -share) < (len(first.policy.controller.Q), -first.share):
+                    continue
                 try:
                     candidate = self._candidate(latent, share)
                 except KoopmanError as error:
