@@ -108,6 +108,7 @@ def _learn(options: argparse.Namespace, words: Sequence[str]) -> int:
 
 
 def _consolidate(options: argparse.Namespace, words: Sequence[str]) -> int:
+    import torch
     from tqdm import tqdm
 
     from koopman_lqr_controller.policy_file import save_policy
@@ -119,6 +120,7 @@ def _consolidate(options: argparse.Namespace, words: Sequence[str]) -> int:
     if options.output.exists() and not options.overwrite:
         raise KoopmanError(f"{options.output} exists: give another name, or ask to --overwrite it")
     problem = find_problem(str(load_latent(options.policy).manifest.get("task")))
+    torch.set_num_threads(1)  # more only get into each other's way
     environment = problem.make(False)
     sizes = {"sizes": tuple(options.latent)} if options.latent else {}
     plan = Plan.of(options.live, options.episodes, noise=options.noise, **sizes)
