@@ -81,7 +81,7 @@ class Refit:
         self._weight = np.mean(1.0 - np.tanh(self._u) ** 2, axis=1) + 0.05
         self._psi_ref, self._a_ref = self._reference(goal)
         self.directions = principal(self._psi - self._psi_ref, _SEEN)
-        self._full = self.model(self.directions)
+        self._A = self.model(self.directions)[0].A
 
     def _reference(self, goal: bool) -> tuple[Array, Array]:
         """Return the goal, or the weighted middle of what is met, and the law's u there: `reference_inside`."""
@@ -109,7 +109,7 @@ class Refit:
         wanted = sorted({min(size, n) for size in sizes})
         K = self.learnt.K @ self.directions.T
         for size in wanted:
-            C = observed(K, self._full[0].A, size)
+            C = observed(K, self._A, size)
             if len(C) == size < n:
                 yield "observed", C @ self.directions
         for size in wanted:

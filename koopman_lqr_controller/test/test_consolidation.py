@@ -7,8 +7,8 @@ import pytest
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.prediction import horizon_errors
 from koopman_lqr_controller.roll_outs import evaluate, noisy_roll_outs, projected
-from koopman_lqr_controller.training.consolidation import Plan, consolidate
-from koopman_lqr_controller.training.distillation import DistillationSettings
+from koopman_lqr_controller.training.consolidation import Plan, consolidate, proof
+from koopman_lqr_controller.training.distillation import DistillationSettings, Distilled
 from line import Line, learnt_controller
 
 QUICK = DistillationSettings(hidden=64, updates=600, batch=128)
@@ -108,6 +108,12 @@ def test_the_same_seed_gives_the_same_and_what_takes_long_is_told(consolidated) 
     assert told[-3:] == ["the model's error", "10 fresh episodes", "10 fresh episodes"]
     assert np.array_equal(again.controller.K, consolidated.controller.K)
     assert again.figures == consolidated.figures
+
+
+def test_a_learnt_controller_is_no_proof_of_itself() -> None:
+    learnt = learnt_controller()
+    with pytest.raises(KoopmanError, match="not the regulator of its own model"):
+        proof(Distilled(learnt.encoder, learnt.encoder, learnt), [])
 
 
 def test_the_sizes_are_those_that_were_asked_for() -> None:

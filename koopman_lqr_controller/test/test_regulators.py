@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from koopman_lqr_controller.prediction import horizon_errors
 from koopman_lqr_controller.regulators import Refit, reference_inside
-from koopman_lqr_controller.roll_outs import noisy_roll_outs
-from line import Line, learnt_controller
+from koopman_lqr_controller.roll_outs import noisy_roll_outs, projected
+from line import A, Line, learnt_controller
 
 
 def test_the_offset_of_the_law_is_kept() -> None:
@@ -17,6 +18,18 @@ def test_the_offset_of_the_law_is_kept() -> None:
     assert abs(float(learnt.control(learnt.z_ref)[0])) > 0.5
     assert np.abs(found.controller.control(found.controller.project(psi)) - asked).max() < 0.1 * np.ptp(asked)
     assert abs(np.mean(found.controller.control(found.controller.project(psi)) - asked)) < 0.05 * np.ptp(asked)
+
+
+def test_the_refitted_model_is_that_of_the_system() -> None:
+    learnt = learnt_controller()
+    lived = noisy_roll_outs(learnt, Line(), np.linspace(0.0, 0.3, 10).tolist(), 0)
+    lift = np.linalg.qr(learnt.encoder.layers[0].weight)[0].T
+    found = Refit(learnt, lived, 1e-4, True).regulator("principal", lift).controller
+    fresh = noisy_roll_outs(learnt, Line(), [0.0, 0.3], 900)
+    assert horizon_errors(found.predict, *projected(found.project, fresh), 10)[0] < 0.05
+    assert np.sort_complex(np.linalg.eigvals(found.model.A)) == pytest.approx(
+        np.sort_complex(np.linalg.eigvals(A)), abs=0.02
+    )
 
 
 def test_a_reference_moves_to_where_its_action_can_be_done() -> None:

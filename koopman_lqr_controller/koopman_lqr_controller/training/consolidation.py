@@ -18,7 +18,7 @@ import numpy as np
 
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.latent_controller import LatentController
-from koopman_lqr_controller.prediction import horizon_errors, law_error
+from koopman_lqr_controller.prediction import Array, horizon_errors, law_error
 from koopman_lqr_controller.region import Region, region_of_episodes
 from koopman_lqr_controller.regulators import LARGEST_RESIDUAL
 from koopman_lqr_controller.roll_outs import (
@@ -167,7 +167,7 @@ def consolidate(
             "outcomes": outcomes(before),
             "saturated": saturated(before),
             "spectral_radius": learnt.spectral_radius,
-            **_learnt_errors(learnt, measured),
+            **_errors(learnt, *projected(learnt.project, measured), 1),
         },
         "interaction": interaction(search.all_episodes),
         "candidates": [each.row() for each in search.tried],
@@ -186,26 +186,28 @@ def proof(policy: Distilled, episodes: Sequence[Episode]) -> dict[str, Any]:
         KoopmanError: it is not.
     """
     controller = policy.controller
-    if not (controller.spectral_radius < 1.0 and controller.residual < LARGEST_RESIDUAL):
-        found = f"spectral radius {controller.spectral_radius:.4f}, Riccati residual {controller.residual:.1e}"
-        raise KoopmanError(f"{found}: not the regulator of its own model")
-    z, actions = projected(policy.project, episodes)
-    errors = horizon_errors(controller.predict, z, actions, HORIZON)
+    _check_regulator(controller)
     return {
         "spectral_radius": controller.spectral_radius,
         "dare_residual": controller.residual,
+        **_errors(controller, *projected(policy.project, episodes), HORIZON),
+    }
+
+
+def _errors(controller: LatentController, z: Sequence[Array], actions: Sequence[Array], steps: int) -> dict[str, Any]:
+    """Return how far the model is off over persistence: in z, after so many steps where more than one, and in K z."""
+    errors = horizon_errors(controller.predict, z, actions, steps)
+    return {
         "error_over_persistence": errors[0],
-        "horizon_errors": errors,
+        **({"horizon_errors": errors} if steps > 1 else {}),
         "law_error": law_error(controller.predict, controller.K, z, actions),
     }
 
 
-def _learnt_errors(learnt: LatentController, episodes: Sequence[Episode]) -> dict[str, float]:
-    z, actions = projected(learnt.project, episodes)
-    return {
-        "error_over_persistence": horizon_errors(learnt.predict, z, actions, 1)[0],
-        "law_error": law_error(learnt.predict, learnt.K, z, actions),
-    }
+def _check_regulator(controller: LatentController) -> None:
+    if not (controller.spectral_radius < 1.0 and controller.residual < LARGEST_RESIDUAL):
+        found = f"spectral radius {controller.spectral_radius:.4f}, Riccati residual {controller.residual:.1e}"
+        raise KoopmanError(f"{found}: not the regulator of its own model")
 
 
 class _Search:
@@ -274,6 +276,7 @@ class _Search:
     def _candidate(self, latent: int, share: float) -> _Candidate:
         settings = self._plan.distillation.with_prediction(share)
         found = distil(self._learnt, self.seen, latent, self._goal, settings, self._seed)
+        _check_regulator(found.controller)  # another may do where this one would not
         return _Candidate(found, share, self._score(found), self._error(found))
 
     def choose(self) -> _Candidate:
