@@ -58,6 +58,7 @@ def cut_off(*_: object) -> None:
 OTHERS = (
     replace(RUN, changes=(*TINY, ("policy", "network"))),
     replace(RUN, changes=(*TINY, ("encoder_loss", "reconstruction_prediction"))),
+    replace(RUN, changes=(*TINY, ("bfloat16", "all"), ("critic", "layer_norm"))),
     replace(RUN, learner="sac"),
     replace(RUN, learner="two_stage"),
     replace(RUN, learner="edmd"),

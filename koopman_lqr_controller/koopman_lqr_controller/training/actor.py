@@ -44,8 +44,8 @@ class Interface(NamedTuple):
     def encoder(self, settings: Settings) -> TorchEncoder:
         """Return an untrained psi."""
         middle, unit = torch.from_numpy(self.middle), torch.from_numpy(self.unit)
-        crop = settings.crop or None
-        return TorchEncoder(self.shape, settings.latent, settings.hidden, settings.depth, middle, unit, crop)
+        crop, halved = settings.crop or None, settings.bfloat16 != "nothing"
+        return TorchEncoder(self.shape, settings.latent, settings.hidden, settings.depth, middle, unit, crop, halved)
 
 
 class Actor(nn.Module, ABC):

@@ -46,7 +46,8 @@ class Agent(nn.Module):
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
             self.actor = make_actor(interface, settings)
-            self.critic = TwinCritic(settings.latent, interface.controls, settings.hidden)
+            normalised, halved = settings.critic == "layer_norm", settings.bfloat16 == "all"
+            self.critic = TwinCritic(settings.latent, interface.controls, settings.hidden, normalised, halved)
             self.encoder_loss = make_encoder_loss(self.actor.encoder, settings)
         self.averaged = copy.deepcopy(self.actor).requires_grad_(False)
         self.key_encoder = copy.deepcopy(self.actor.encoder).requires_grad_(False)

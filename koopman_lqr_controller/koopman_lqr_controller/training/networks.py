@@ -36,6 +36,7 @@ class TorchEncoder(nn.Module):
         middle: Tensor,
         unit: Tensor,
         crop: int | None = None,
+        halved: bool = False,
     ) -> None:
         """Make one with random weights.
 
@@ -47,9 +48,10 @@ class TorchEncoder(nn.Module):
             middle: what becomes 0; broadcasts to `shape`.
             unit: what becomes 1 above it.
             crop: see above.
+            halved: whether all but the last layer is computed in bfloat16 while it trains.
         """
         super().__init__()
-        self.shape, self.crop = shape, crop
+        self.shape, self.crop, self._halves = shape, crop, halved
         self.register_buffer("middle", middle)
         self.register_buffer("unit", unit)
         body = _convolutions(shape, depth) if len(shape) == 3 else dense(shape[0], hidden, depth)
@@ -64,7 +66,7 @@ class TorchEncoder(nn.Module):
     def features(self, x: Tensor) -> Tensor:
         """Return what the last linear layer gets of observations (N, *shape), or of images that are cropped already."""
         x = self.normalise(x)
-        if x.dim() == 4:  # colours last, and half the bits while it trains: twice as quick
+        if x.dim() == 4:  # colours last: quicker
             x = x.contiguous(memory_format=torch.channels_last)
         with self._halved():
             y: Tensor = self.layers[:-2](x)
@@ -78,8 +80,7 @@ class TorchEncoder(nn.Module):
         return z
 
     def _halved(self) -> torch.autocast:
-        wanted = self.training and len(self.shape) == 3
-        return torch.autocast(self.middle.device.type, torch.bfloat16, enabled=wanted)
+        return torch.autocast(self.middle.device.type, torch.bfloat16, enabled=self.training and self._halves)
 
     @property
     def seen(self) -> tuple[int, ...]:
@@ -186,10 +187,19 @@ def _transposed_convolutions(seen: tuple[int, ...], latent: int, depth: int) -> 
 
 
 class TwinCritic(nn.Module):
-    """Q_1 and Q_2 of Eq. 4.10, computed together."""
+    """Q_1 and Q_2 of Eq. 4.10, computed together.
 
-    def __init__(self, latent: int, controls: int, hidden: int) -> None:
+    Args:
+        latent: dimension of z.
+        controls: how many.
+        hidden: units of each of the two hidden layers.
+        normalised: whether these have a LayerNorm, without parameters, before their ReLU.
+        halved: whether these are computed in bfloat16.
+    """
+
+    def __init__(self, latent: int, controls: int, hidden: int, normalised: bool = False, halved: bool = False) -> None:
         super().__init__()
+        self._normalised, self._kind = normalised, torch.bfloat16 if halved else torch.float32
         sizes = (latent + controls, hidden, hidden, 1)
         self.weights, self.biases = nn.ParameterList(), nn.ParameterList()
         for inputs, outputs in pairwise(sizes):
@@ -199,13 +209,14 @@ class TwinCritic(nn.Module):
 
     def forward(self, z: Tensor, u: Tensor) -> Tensor:
         """Return both values (2, N) of latent states (N, n) and actions (N, m)."""
-        x = torch.cat((z, u), dim=1).expand(2, -1, -1)
-        last = len(self.weights) - 1
-        for index, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
-            x = torch.baddbmm(bias, x, weight)
-            if index < last:
-                x = torch.relu(x)
-        return x.squeeze(-1)
+        x = torch.cat((z, u), dim=1).expand(2, -1, -1).to(self._kind)
+        *hidden, (weight, bias) = zip(self.weights, self.biases, strict=True)
+        for W, b in hidden:
+            x = torch.baddbmm(b.to(self._kind), x, W.to(self._kind))
+            if self._normalised:
+                x = nn.functional.layer_norm(x, x.shape[-1:])
+            x = torch.relu(x)
+        return torch.baddbmm(bias, x.float(), weight).squeeze(-1)
 
 
 def _array(tensor: Tensor) -> NDArray[np.float32]:

@@ -12,6 +12,8 @@ _KINDS = {"int": "a whole number", "float": "a number"}
 _CHOICES = {
     "encoder_loss": ("contrastive", "reconstruction", "reconstruction_prediction"),
     "policy": ("lqr", "network"),
+    "critic": ("plain", "layer_norm"),
+    "bfloat16": ("nothing", "encoder", "all"),
     "cost": ("Q1", "Q2", "Q3", "Q4"),
 }
 _MAY_BE_ZERO = ("crop", "noise", "first_steps", "restraint")
@@ -47,6 +49,8 @@ class Settings:
         encoder_loss: of the encoder besides the task's: "contrastive" (Eq. 4.4), or that of an autoencoder,
             "reconstruction", or "reconstruction_prediction", which decodes the model's next z as well (4.3.5).
         policy: "lqr", or "network" as in CURL.
+        critic: "plain" hidden layers, or with a "layer_norm" after each: values that cannot run away.
+        bfloat16: which hidden layers are computed so while learning: a third quicker on processors that can.
         cost: that a hand has tuned for the two stages, see `two_stage_learner`; of no effect elsewhere.
     """
 
@@ -72,6 +76,8 @@ class Settings:
     restraint: float = 0.0
     encoder_loss: str = "contrastive"
     policy: str = "lqr"
+    critic: str = "plain"
+    bfloat16: str = "nothing"
     cost: str = "Q1"
 
     def __post_init__(self) -> None:
