@@ -58,7 +58,7 @@ def cut_off(*_: object) -> None:
 OTHERS = (
     replace(RUN, changes=(*TINY, ("policy", "network"))),
     replace(RUN, changes=(*TINY, ("encoder_loss", "reconstruction_prediction"))),
-    replace(RUN, changes=(*TINY, ("bfloat16", "all"), ("critic", "layer_norm"))),
+    replace(RUN, changes=(*TINY, ("bfloat16", "all"), ("critic", "plain"))),
     replace(RUN, learner="sac"),
     replace(RUN, learner="two_stage"),
     replace(RUN, learner="edmd"),
@@ -355,15 +355,3 @@ def test_the_encoder_of_images_hears_its_own_loss_beside_values_that_are_large()
     for _ in range(100):
         agent.update(batch, generator)
     assert contrast() < 0.5 * before
-
-
-def test_restraint_keeps_the_gain_small() -> None:
-    def asked(restraint: float) -> float:
-        agent, data = some_agent(restraint=restraint)
-        generator = torch.Generator().manual_seed(0)
-        for _ in range(60):
-            agent.update(data, generator)
-        with torch.no_grad():
-            return float(agent.actor.mean(agent.actor.encoder(torch.from_numpy(data.x))).square().mean())
-
-    assert asked(10.0) < 0.5 * asked(0.0)

@@ -83,10 +83,7 @@ class Actor(nn.Module, ABC):
 
     def sample(self, z: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor]:
         """Return actions in [-1, 1] (N, m) and the logarithm of their density (N,)."""
-        return self.around(self.mean(z), generator)
-
-    def around(self, mean: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor]:
-        """Return the same for u of the deterministic policy (N, m)."""
+        mean = self.mean(z)
         log_deviation = self.log_deviation
         noise = torch.randn(mean.shape, generator=generator).to(mean.device)
         u = mean + log_deviation.exp() * noise

@@ -132,17 +132,13 @@ class Agent(nn.Module):
 
     def _actor_losses(self, z: Tensor, generator: torch.Generator) -> dict[str, Tensor]:
         """Return the losses of actor and temperature; they share no parameter."""
-        mean = self.actor.mean(z)
-        u, log_density = self.actor.around(mean, generator)
+        u, log_density = self.actor.sample(z, generator)
         self.critic.requires_grad_(False)
         value = self.critic(z.detach(), u).amin(dim=0)
         self.critic.requires_grad_(True)
         entropy_gap = (log_density.detach() + self._target_entropy).mean()
-        loss = (self.log_temperature.exp().detach() * log_density - value).mean()
-        if self.settings.restraint:
-            loss = loss + self.settings.restraint * mean.square().sum(dim=1).mean()
         return {
-            "actor": loss,
+            "actor": (self.log_temperature.exp().detach() * log_density - value).mean(),
             "temperature": -self.log_temperature.exp() * entropy_gap,
         }
 

@@ -12,11 +12,11 @@ _KINDS = {"int": "a whole number", "float": "a number"}
 _CHOICES = {
     "encoder_loss": ("contrastive", "reconstruction", "reconstruction_prediction"),
     "policy": ("lqr", "network"),
-    "critic": ("plain", "layer_norm"),
+    "critic": ("layer_norm", "plain"),
     "bfloat16": ("nothing", "encoder", "all"),
     "cost": ("Q1", "Q2", "Q3", "Q4"),
 }
-_MAY_BE_ZERO = ("crop", "noise", "first_steps", "restraint")
+_MAY_BE_ZERO = ("crop", "noise", "first_steps")
 _SHARES = ("discount", "critic_rate", "encoder_rate", "average_rate")
 
 
@@ -44,12 +44,10 @@ class Settings:
         actor_every: updates of the critic for one of actor and targets.
         noise: eta of Eq. 4.5.
         average_rate: at which the averaged actor follows.
-        restraint: weight of the controls' mean square before tanh in the actor's loss: a gain that grows where actions
-            no longer change makes the policy jump whenever the encoder moves.
         encoder_loss: of the encoder besides the task's: "contrastive" (Eq. 4.4), or that of an autoencoder,
             "reconstruction", or "reconstruction_prediction", which decodes the model's next z as well (4.3.5).
         policy: "lqr", or "network" as in CURL.
-        critic: "plain" hidden layers, or with a "layer_norm" after each: values that cannot run away.
+        critic: "plain" hidden layers, or each with a "layer_norm": values cannot run away, and policies oscillate less.
         bfloat16: which hidden layers are computed so while learning: a third quicker on processors that can.
         cost: that a hand has tuned for the two stages, see `two_stage_learner`; of no effect elsewhere.
     """
@@ -73,10 +71,9 @@ class Settings:
     actor_every: int = 2
     noise: float = 0.1
     average_rate: float = 0.005
-    restraint: float = 0.0
     encoder_loss: str = "contrastive"
     policy: str = "lqr"
-    critic: str = "plain"
+    critic: str = "layer_norm"
     bfloat16: str = "nothing"
     cost: str = "Q1"
 
