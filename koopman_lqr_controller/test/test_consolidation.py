@@ -7,12 +7,12 @@ import pytest
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.prediction import horizon_errors
 from koopman_lqr_controller.roll_outs import evaluate, noisy_roll_outs, projected
-from koopman_lqr_controller.training.consolidation import Plan, consolidate, proof
+from koopman_lqr_controller.training.consolidation import Plan, _surely_lost, consolidate, proof
 from koopman_lqr_controller.training.distillation import DistillationSettings, Distilled
 from line import Line, learnt_controller
 
 QUICK = DistillationSettings(hidden=64, updates=600, batch=128)
-PLAN = Plan(episodes=10, noise=0.3, sizes=(2, 3), candidates=5, report=10, distillation=QUICK)
+PLAN = Plan(episodes=10, noise=0.3, scout=3, sizes=(2, 3), candidates=5, report=10, distillation=QUICK)
 
 
 @pytest.fixture(scope="module")
@@ -79,9 +79,17 @@ def test_it_says_what_it_was_chosen_by_and_what_it_met(consolidated) -> None:
     assert figures["horizon_errors"][0] == figures["error_over_persistence"]
     tried = figures["candidates"]
     assert all(row["latent"] >= figures["latent"] for row in tried if row["error_over_persistence"] < PLAN.error)
-    # 10 episodes in each of 2 rounds, 5 of the learnt policy and of each candidate, 60 steps each.
-    assert figures["interaction"]["episodes"] == 20 + 5 * (1 + len(tried))
+    assert [row["latent"] for row in tried[:2]] == [3, 3], "make the mistakes that are learnt from"
+    # 10 episodes in each of 3 rounds, 5 of the learnt policy and of each candidate, 60 steps each.
+    assert figures["interaction"]["episodes"] == 30 + 5 * (1 + len(tried))
     assert figures["interaction"]["actions"] == 60 * figures["interaction"]["episodes"]
+
+
+def test_a_return_is_kept_only_where_it_surely_is() -> None:
+    same, falls_once = np.zeros(30), np.eye(30)[0] * 300.0
+    assert _surely_lost(same) == 0.0
+    assert _surely_lost(same - 3.0) == pytest.approx(-3.0), "more than the learnt one is no loss"
+    assert _surely_lost(falls_once) == pytest.approx(10.0 + 300.0 / 30.0)
 
 
 def test_what_is_missed_is_said() -> None:

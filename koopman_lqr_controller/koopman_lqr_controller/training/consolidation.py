@@ -11,7 +11,7 @@ that the loop of the proof is the loop that runs, and it proves itself: its gain
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -27,10 +27,10 @@ from koopman_lqr_controller.roll_outs import (
     Policy,
     evaluate,
     interaction,
-    mean_return,
     noisy_roll_outs,
     outcomes,
     projected,
+    roll_out,
     saturated,
 )
 from koopman_lqr_controller.training.distillation import DistillationSettings, Distilled, distil
@@ -50,13 +50,16 @@ class Plan:
     Attributes:
         episodes: of each round; a fifth is kept from the fit, to choose by the model's error.
         noise: largest standard deviation added to u, the least is none.
-        rounds: the first with the learnt policy, the others with the best candidate so far, which the learnt policy
-            tells what it would have done.
-        sizes: latent dimensions that are tried.
-        tolerance: part of the learnt return that may be lost.
+        rounds: the first with the learnt policy, the others with a candidate, which the learnt policy tells what it
+            would have done.
+        scout: latent dimensions of that candidate.
+        sizes: latent dimensions that are tried in the end.
+        hopeless: part of the learnt return; where more is lost, less weight on prediction does not bring it back.
+        tolerance: part of the learnt return that may be lost, with the standard error that the loss is known to.
         error: one-step error over persistence that the model may have; a third is wanted, and what is chosen by is a
             little better than what is fresh.
         candidates: episodes of each candidate.
+        disturbance: standard deviation added to u in every other one of them: what walks on an edge falls.
         prediction: what the weights of prediction are multiplied by, one after the other until the return is kept.
         report: fresh episodes, the same for the learnt policy and for what comes of it.
         distillation: how candidates are trained.
@@ -64,12 +67,15 @@ class Plan:
 
     episodes: int = 30
     noise: float = 0.5
-    rounds: int = 2
+    rounds: int = 3
+    scout: int = 12
     sizes: tuple[int, ...] = (4, 6, 8, 12, 16, 24)
-    tolerance: float = 0.01
+    hopeless: float = 0.1
+    tolerance: float = 0.02
     error: float = 0.3
     prediction: tuple[float, ...] = (1.0, 0.3, 0.1)
-    candidates: int = 10
+    candidates: int = 30
+    disturbance: float = 0.1
     report: int = 20
     distillation: DistillationSettings = field(default_factory=DistillationSettings)
 
@@ -79,7 +85,7 @@ class Plan:
         episodes = max(5, episodes)
         updates = round(DistillationSettings.updates * min(1.0, (episodes / cls.episodes) ** 2))
         settings = DistillationSettings(updates=updates)
-        return cls(episodes, candidates=max(2, episodes // 3), report=report, distillation=settings, **changes)
+        return cls(episodes, candidates=episodes, report=report, distillation=settings, **changes)
 
 
 @dataclass(frozen=True)
@@ -102,11 +108,11 @@ class _Candidate:
     policy: Distilled
     share: float
     score: float
+    lost: float
     error: float
 
     def meets(self, learnt_score: float, plan: Plan) -> dict[str, bool]:
-        least = learnt_score - plan.tolerance * abs(learnt_score)
-        return {"return": self.score >= least, "error": self.error <= plan.error}
+        return {"return": self.lost <= plan.tolerance * abs(learnt_score), "error": self.error <= plan.error}
 
     def row(self) -> dict[str, Any]:
         return {
@@ -148,8 +154,8 @@ def consolidate(
     acting: Policy = learnt
     for index in range(plan.rounds):
         search.run(acting, index)
-        search.try_out()
-        acting = max(search.tried, key=lambda candidate: candidate.score).policy
+        if index < plan.rounds - 1:
+            acting = search.scout() or acting
     chosen = search.choose()
     controller = chosen.policy.controller
     measured = search.measure(chosen.policy)
@@ -229,7 +235,8 @@ class _Search:
         self.tried: list[_Candidate] = []
         self.all_episodes: list[Episode] = []
         tick("the learnt policy")
-        self.learnt_score = self._score(learnt)
+        self._learnt_returns = self._returns(learnt)
+        self.learnt_score = float(self._learnt_returns.mean())
 
     @property
     def seen(self) -> list[Episode]:
@@ -244,56 +251,61 @@ class _Search:
         self._episodes += fresh
         self.all_episodes += fresh
 
-    def try_out(self) -> None:
-        """Try more and more dimensions, and less and less prediction, until one keeps the return and predicts.
+    def scout(self) -> Policy | None:
+        """Return a candidate that makes the mistakes that the next round is to learn from, None where there is none."""
+        try:
+            return self._try(self._plan.scout, self._plan.prediction[0]).policy
+        except KoopmanError:
+            return None
 
-        A round begins with what the one before it chose.
+    def choose(self) -> _Candidate:
+        """Return the smallest candidate that keeps the return and predicts.
+
+        More and more dimensions are tried, and with each less and less prediction where that may save the return.
+        Where none does both, it is the best predictor of those that keep the return; where none does that, what keeps
+        it best.
 
         Raises:
             KoopmanError: none of them has a regulator.
         """
+        tried: list[_Candidate] = []
         problem = KoopmanError("no size to try")
-        first = self.choose() if self.tried else None
         for latent in self._plan.sizes:
             for share in self._plan.prediction:
-                if first is not None and (latent, -share) < (len(first.policy.controller.Q), -first.share):
-                    continue
                 try:
-                    candidate = self._candidate(latent, share)
+                    candidate = self._try(latent, share)
                 except KoopmanError as error:
                     problem = error
                     continue
-                self.tried.append(candidate)
-                self._tick(f"{latent} dimensions: {candidate.score:.4g} of {self.learnt_score:.4g}")
+                tried.append(candidate)
                 meets = candidate.meets(self.learnt_score, self._plan)
                 if all(meets.values()):
-                    return
-                if meets["return"]:
+                    return candidate
+                if meets["return"] or candidate.lost > self._plan.hopeless * abs(self.learnt_score):
                     break  # more dimensions are wanted, not less prediction
-        if not self.tried:
+        if not tried:
             raise KoopmanError(f"no regulator: {problem}; learn longer")
+
+        def rank(each: _Candidate) -> tuple[float, ...]:
+            kept = each.meets(self.learnt_score, self._plan)["return"]
+            return (1.0, -each.error, each.score) if kept else (0.0, -each.lost, -each.error)
+
+        return max(tried, key=rank)
+
+    def _try(self, latent: int, share: float) -> _Candidate:
+        candidate = self._candidate(latent, share)
+        self.tried.append(candidate)
+        self._tick(f"{latent} dimensions: {candidate.score:.4g} of {self.learnt_score:.4g}")
+        return candidate
 
     def _candidate(self, latent: int, share: float) -> _Candidate:
         settings = self._plan.distillation.with_prediction(share)
         found = distil(self._learnt, self.seen, latent, self._goal, settings, self._seed)
         _check_regulator(found.controller)  # another may do where this one would not
-        return _Candidate(found, share, self._score(found), self._error(found))
-
-    def choose(self) -> _Candidate:
-        """Return the smallest that keeps the return and predicts.
-
-        Where none does both, the best predictor of those that keep the return; where none does that, what keeps it
-        best. All are held against the same episodes.
-        """
-        self.tried = [replace(each, error=self._error(each.policy)) for each in self.tried]
-
-        def rank(each: _Candidate) -> tuple[float, ...]:
-            meets = each.meets(self.learnt_score, self._plan)
-            if all(meets.values()):
-                return (2.0, -len(each.policy.controller.Q), each.score)
-            return (1.0, -each.error, each.score) if meets["return"] else (0.0, each.score, -each.error)
-
-        return max(self.tried, key=rank)
+        returns = self._returns(found)
+        return _Candidate(
+            found, share, float(returns.mean()), _surely_lost(self._learnt_returns - returns), self._error(found)
+        )
 
     def measure(self, chosen: Distilled) -> list[Episode]:
         """Return fresh noisy episodes of the learnt and the chosen policy, that nothing was chosen by."""
@@ -316,10 +328,20 @@ class _Search:
         self._tick(f"{self._plan.report} fresh episodes")
         return evaluate(controller, self._environment, self._plan.report, self._first["report"])
 
-    def _score(self, policy: Policy) -> float:
-        episodes = evaluate(policy, self._environment, self._plan.candidates, self._first["choose"])
+    def _returns(self, policy: Policy) -> Array:
+        """Return those of the episodes (N,) that candidates are chosen by, the same for all of them."""
+        first = self._first["choose"]
+        episodes = [
+            roll_out(policy, self._environment, first + index, index % 2 * self._plan.disturbance)
+            for index in range(self._plan.candidates)
+        ]
         self.all_episodes += episodes
-        return mean_return(episodes)
+        return np.array([episode.total for episode in episodes])
 
     def _error(self, policy: Distilled) -> float:
         return horizon_errors(policy.controller.predict, *projected(policy.project, self._episodes[::5]), 1)[0]
+
+
+def _surely_lost(losses: Array) -> float:
+    """Return the mean of losses (N,) and one standard error: what fell once in some episodes may fall more often."""
+    return float(losses.mean() + losses.std(ddof=1) / np.sqrt(len(losses)))
