@@ -65,7 +65,8 @@ koopman: build ## learn the tasks of thesis 4.3, every method and ablation, and 
 	for number in 4.1 4.2 4.3; do compare --table $$number; done; \
 	others="cheetah_run cartpole_swingup_pixels"; \
 	compare --table 4.4 --tasks cartpole_swingup; compare --table 4.4 --tasks $$others --seeds 1; \
-	compare --figure 4.3 --tasks cartpole_swingup --seeds 5; compare --figure 4.3 --tasks $$others --seeds 1; \
+	gaps() { compare --figure 4.3 --tasks $$1 --seeds $$2; }; \
+	gaps cartpole_swingup 5; gaps cheetah_run 3; gaps cartpole_swingup_pixels 2; \
 	for number in 4.8 4.9; do \
 	compare --figure $$number --tasks cartpole_swingup; compare --figure $$number --tasks $$others --seeds 1; done; \
 	koopman comparison_figures docs/results/koopman_figure_*.json
