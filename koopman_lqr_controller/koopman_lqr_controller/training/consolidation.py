@@ -3,7 +3,7 @@
 What learning leaves is a gain after a few Riccati iterations, on a model that serves the gain more than prediction: the
 closed loop of that model is often not even stable. Consolidation keeps what the policy does and makes the rest true. It
 runs noisy episodes and finds coordinates, a model, Q and R in which the infinite-horizon LQR does the same and the
-model predicts (`distillation`), once more with episodes of what came out, whose mistakes nobody has made before. It
+model predicts (`distillation`); first for a scout, whose episodes hold mistakes that nobody has made before. It then
 takes as few latent dimensions as keep the return and predict. The law is in units of actions, cut off at -1 and 1, so
 that the loop of the proof is the loop that runs, and it proves itself: its gain is computed whenever it is loaded.
 """
