@@ -115,15 +115,17 @@ class SuiteNode(Node):
                     table[change.name].check(change.value)
         except ParameterError as error:
             return SetParametersResult(successful=False, reason=str(error))
-        for change in changes:
-            if change.name not in table:
-                continue
-            before, self.settings[change.name] = self.settings[change.name], change.value
+        before, taken = dict(self.settings), list[str]()
+        for name, value in ((change.name, change.value) for change in changes if change.name in table):
+            self.settings[name] = value
             try:
-                self.setting_changed(change.name)
+                self.setting_changed(name)
             except CtrlRlError as error:
-                self.settings[change.name] = before
+                self.settings |= before
+                for other in taken:  # all or nothing: ROS keeps the old values of all of them
+                    self.setting_changed(other)
                 return SetParametersResult(successful=False, reason=str(error))
+            taken.append(name)
         return SetParametersResult(successful=True)
 
 

@@ -9,11 +9,11 @@ from ctrl_rl_core.command import run_command
 from ctrl_rl_core.tasks import load_navigation_task, task_digest
 from tqdm import tqdm
 
-from koopman_lqr_controller.drives import snapshots_of
+from koopman_lqr_controller.drives import check_held_out, snapshots_of
 from koopman_lqr_controller.edmd import Snapshots
 from koopman_lqr_controller.observables import CorridorObservables
 from koopman_lqr_controller.policy import KoopmanPolicy
-from koopman_lqr_controller.policy_file import save_policy
+from koopman_lqr_controller.policy_file import refuse_existing, save_policy
 from koopman_lqr_controller.two_stage import train
 
 
@@ -22,6 +22,7 @@ def main(arguments: list[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
 
     def work() -> int:
+        refuse_existing(options.output, options.overwrite)
         policy = _train(options)
         save_policy(policy, options.output, overwrite=options.overwrite)
         _report(policy, options.output)
@@ -50,6 +51,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _train(options: argparse.Namespace) -> KoopmanPolicy:
+    check_held_out(options.held_out)
     task = load_navigation_task(options.task)
     limits = (task.robot.commands["v"], task.robot.commands["omega"])
     observables = CorridorObservables()

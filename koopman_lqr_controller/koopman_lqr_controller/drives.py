@@ -103,12 +103,22 @@ def snapshots_of(
     return [Snapshots(drive.x[:-1], drive.u, drive.x[1:]) for drive in drives_of(bag, lift, robot, lidar_yaw)]
 
 
+def check_held_out(share: float) -> None:
+    """Refuse a part that cannot be held out.
+
+    Raises:
+        KoopmanError: it is not in [0, 1).
+    """
+    if not 0.0 <= share < 1.0:
+        raise KoopmanError(f"--held-out is {share}: must be at least 0 and less than 1")
+
+
 def split(drives: Sequence[Drive], held_out: float) -> tuple[list[Drive], list[Drive]]:
     """Return drives to fit to, and the last part of all steps, to measure on.
 
     Args:
         drives: in the order of their bags.
-        held_out: part of the steps, 0 <= held_out <= 1.
+        held_out: part of the steps, 0 <= held_out < 1.
     """
     left = sum(len(drive) for drive in drives) - round(held_out * sum(len(drive) for drive in drives))
     seen: list[Drive] = []

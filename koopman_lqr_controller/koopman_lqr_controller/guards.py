@@ -72,8 +72,13 @@ class Guard:
             error_patience: how long it may stay [s].
         """
         self.region, self.outside = region, math.nan
-        self._region_alarm = Alarm(largest_distance)
-        self._error_alarm = Alarm(largest_error, error_patience)
+        self._region_alarm, self._error_alarm = Alarm(0.0), Alarm(0.0)
+        self.set_limits(largest_distance, largest_error, error_patience)
+
+    def set_limits(self, largest_distance: float, largest_error: float, error_patience: float) -> None:
+        """Change them; an alarm that is raised stays so until its own limit says otherwise."""
+        self._region_alarm.limit = largest_distance
+        self._error_alarm.limit, self._error_alarm.patience = largest_error, error_patience
 
     def see(self, now: float, z: Array, error: float) -> str:
         """Return why the robot must stop, empty where it need not.

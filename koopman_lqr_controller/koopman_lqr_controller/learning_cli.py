@@ -75,5 +75,5 @@ def given_words(parser: argparse.ArgumentParser, options: argparse.Namespace, na
 
 
 def as_command(*words: str) -> str:
-    """Return what makes the same again; of files it says the names, not where they were."""
+    """Return what makes the same again."""
     return shlex.join(["ros2", "run", "koopman_lqr_controller", *words])

@@ -8,13 +8,15 @@ from collections import deque
 from typing import ClassVar, NamedTuple
 
 import numpy as np
-from builtin_interfaces.msg import Time
+from builtin_interfaces.msg import Time as Stamp
 from ctrl_rl_core.parameters import Parameter
 from ctrl_rl_core.ros import COMMAND, SENSOR, Status, SuiteNode, ok, warn
 from geometry_msgs.msg import Twist, TwistStamped
 from nav_msgs.msg import Odometry
 from numpy.typing import NDArray
+from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
+from rclpy.time import Time
 from sensor_msgs.msg import LaserScan
 from std_msgs.msg import Header
 
@@ -59,13 +61,18 @@ class LidarDriver(SuiteNode):
         self._stamp, self._twist = (self._out.header, self._out.twist) if stamped else (Header(), self._out)
         self._publisher = self.create_publisher(type(self._out), "cmd_vel", COMMAND)
         self._odometry: tuple[float, float] | None = None
-        self._odometry_at = self._scan_at = self.get_clock().now()
+        # How old things are is no matter of the system's clock, which may be set while the robot drives; a simulation's
+        # clock may stand still, and nothing gets old then.
+        simulated = self.get_parameter("use_sim_time").value
+        self._ages = self.get_clock() if simulated else Clock(clock_type=ClockType.STEADY_TIME)
+        self._odometry_at = self._scan_at = self._ages.now()
         self._counts = {"scans": 0, "commands": 0, "stopped": 0, "stale": 0}
+        self._moving = False  # by the last command that was sent
         self._problem = "waiting for scan and odometry"
         self._latencies: deque[float] = deque(maxlen=_RECENT)
         self.create_subscription(Odometry, "odom", self._on_odometry, SENSOR)
         self.create_subscription(LaserScan, "scan", self._on_scan, SENSOR)
-        self.create_timer(0.5 * self.settings["scan_timeout"], self._watch)
+        self.create_timer(0.5 * self.settings["scan_timeout"], self._watch, clock=self._ages)
 
     @abstractmethod
     def decide(self, sensed: Sensed) -> NDArray[np.float64]:
@@ -86,7 +93,7 @@ class LidarDriver(SuiteNode):
 
     def setting_changed(self, name: str) -> None:
         """Let the robot stand when a dry run begins: it must not go on with the last command."""
-        if name == "dry_run" and self.settings["dry_run"]:
+        if name == "dry_run" and self.settings["dry_run"] and self._moving:
             self._send(_STAND, self._now())
 
     def stop(self) -> None:
@@ -107,12 +114,12 @@ class LidarDriver(SuiteNode):
     def _on_odometry(self, message: Odometry) -> None:
         twist = message.twist.twist
         self._odometry = (twist.linear.x, twist.angular.z)
-        self._odometry_at = self.get_clock().now()
+        self._odometry_at = self._ages.now()
 
     def _on_scan(self, message: LaserScan) -> None:
         begin = time.perf_counter()
         self._counts["scans"] += 1
-        self._scan_at = self.get_clock().now()
+        self._scan_at = self._ages.now()
         try:
             command = self._command(message)
         except KoopmanError as error:
@@ -141,7 +148,7 @@ class LidarDriver(SuiteNode):
         return Sensed(ranges, scan, v, omega, message.header)
 
     def _watch(self) -> None:
-        """Stop the robot when scans stay away; the clock is ROS's, so that a paused simulation is not stale."""
+        """Stop the robot when scans stay away."""
         if self._age(self._scan_at) > self.settings["scan_timeout"]:
             self._counts["stale"] += 1
             self._halt("no recent scan", Header(stamp=self._now(), frame_id=self.settings["base_frame"]))
@@ -154,13 +161,14 @@ class LidarDriver(SuiteNode):
         self._problem = problem
         self.answered(header, _STAND, problem)
 
-    def _age(self, then: object) -> float:
-        return float((self.get_clock().now() - then).nanoseconds) * 1e-9
+    def _age(self, then: Time) -> float:
+        return float((self._ages.now() - then).nanoseconds) * 1e-9
 
-    def _now(self) -> Time:
+    def _now(self) -> Stamp:
         return self.get_clock().now().to_msg()
 
-    def _send(self, command: NDArray[np.float64], stamp: Time) -> None:
+    def _send(self, command: NDArray[np.float64], stamp: Stamp) -> None:
         self._stamp.stamp = stamp
-        self._twist.linear.x, self._twist.angular.z = command.tolist()
+        self._twist.linear.x, self._twist.angular.z = v, omega = command.tolist()
+        self._moving = v != 0.0 or omega != 0.0
         self._publisher.publish(self._out)

@@ -17,7 +17,7 @@ _LEVEL = 0.99
 
 
 def yaw_of_lidar(bag: Path, scan: str, prefix: str = "") -> float:
-    """Return the direction of a scan's zero bearing in the robot's frame [rad], 0 where the bag does not say.
+    """Return the direction of a scan's zero bearing in the robot's frame [rad], 0 where the bag has no tf_static.
 
     Args:
         bag: with or without the topic tf_static.
@@ -25,7 +25,7 @@ def yaw_of_lidar(bag: Path, scan: str, prefix: str = "") -> float:
         prefix: namespace of the robot, for its own tf_static.
 
     Raises:
-        KoopmanError: the lidar hangs upside down or is tilted.
+        KoopmanError: the lidar hangs upside down or is tilted, or tf_static does not say how it hangs.
         BagError: the bag cannot be read.
     """
     known = bag_info(bag).topics
@@ -35,10 +35,12 @@ def yaw_of_lidar(bag: Path, scan: str, prefix: str = "") -> float:
     for message in read_messages(bag, topics) if topics else ():
         for transform in message.data.transforms:
             turns[transform.child_frame_id] = (transform.header.frame_id, transform.transform.rotation)
+    if not turns:
+        return 0.0
     axes = np.eye(3)
-    while frame not in _BASES:
+    while frame.rpartition("/")[2] not in _BASES:
         if frame not in turns:
-            return 0.0
+            raise KoopmanError(f"{bag}: tf_static does not lead from the scan to a base, only to {frame}: --lidar-yaw?")
         frame, q = turns.pop(frame)
         axes = _rotation(q.w, q.x, q.y, q.z) @ axes
     if axes[2, 2] < _LEVEL:

@@ -22,6 +22,8 @@ from koopman_lqr_controller.policy_file import DEFAULT_POLICY, digest, find_poli
 
 _SAME_STEP = 0.5
 """A scan that comes earlier or later than the model's step by more than this part of it is not what was predicted."""
+_OUT_OF_STEP = 20
+"""Scans in a row that were not predicted, after which it is said."""
 _SOME_SCAN = ScanGeometry(360, 0.0, 2.0 * np.pi / 360, 0.1, 3.5)
 _GUARDS = ("largest_distance", "largest_error", "error_patience")
 
@@ -77,6 +79,7 @@ class Controller(LidarDriver):
         self._thought: _Thought | None = None
         self._next: NDArray[np.float64] | None = None
         self._next_since = math.nan
+        self._out_of_step, self._unwatched = 0, ""
         self._load(self.settings["policy"])
 
     def setting_changed(self, name: str) -> None:
@@ -84,7 +87,7 @@ class Controller(LidarDriver):
         if name == "policy":
             self._load(self.settings["policy"])
         elif name in _GUARDS:
-            self._guard = self._make_guard(self._policy)
+            self._guard.set_limits(*self._limits())
         else:
             super().setting_changed(name)
 
@@ -94,7 +97,8 @@ class Controller(LidarDriver):
         watched = (
             f"{self._guard.outside:.2f}" if self._policy.region else "not watched: the policy's file has no region"
         )
-        return level, message, {**figures, **self._served, "distance over the region's": watched}
+        error = self._unwatched or "watched"
+        return level, message, {**figures, **self._served, "distance over the region's": watched, "prediction": error}
 
     def decide(self, sensed: Sensed) -> NDArray[np.float64]:
         """Return the policy's command.
@@ -145,7 +149,7 @@ class Controller(LidarDriver):
         policy.decide(np.ones(_SOME_SCAN.beams, np.float32), _SOME_SCAN, 0.0, 0.0)  # one of another robot ends here
         served = {"policy": path.name, "policy digest": digest(path)}
         # Only what is right in every respect takes the place of what drives.
-        self._guard, self._served, self._next = self._make_guard(policy), served, None
+        self._guard, self._served, self._next = Guard(policy.region, *self._limits()), served, None
         self._policy = policy
         self.get_logger().info(
             f"policy {path.name} ({served['policy digest'][:12]}), {len(policy.z_ref)} observables, "
@@ -156,13 +160,21 @@ class Controller(LidarDriver):
                 f"{path.name} does not say what its training saw: only stale and unusable input stops the robot"
             )
 
-    def _make_guard(self, policy: DrivingPolicy) -> Guard:
-        return Guard(policy.region, *(float(self.settings[name]) for name in _GUARDS))
+    def _limits(self) -> tuple[float, float, float]:
+        distance, error, patience = (float(self.settings[name]) for name in _GUARDS)
+        return distance, error, patience
 
     def _in_step(self, elapsed: float) -> bool:
-        """Whether so much time [s] since the last scan is what the model predicts for."""
+        """Whether so much time [s] since the last scan is what the model predicts for; say so where it never is."""
         dt = self._policy.dt
-        return dt is None or abs(elapsed / dt - 1.0) < _SAME_STEP
+        if dt is None or abs(elapsed / dt - 1.0) < _SAME_STEP:
+            self._out_of_step, self._unwatched = 0, ""
+            return True
+        self._out_of_step += 1
+        if self._out_of_step >= _OUT_OF_STEP and not self._unwatched:
+            self._unwatched = f"not watched: scans come every {elapsed:.2f} s, the model's step is {dt:.2f} s"
+            self.get_logger().warning(f"prediction error {self._unwatched}")
+        return False
 
 
 def _doubles(values: NDArray[np.float64]) -> array[float]:

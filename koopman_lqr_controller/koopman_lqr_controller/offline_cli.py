@@ -16,16 +16,15 @@ from ctrl_rl_core.units import Interval
 from ctrl_rl_core.whole_file import write_whole
 from tqdm import tqdm
 
-from koopman_lqr_controller.drives import Drive, drives_of, split
+from koopman_lqr_controller.drives import Drive, check_held_out, drives_of, split
 from koopman_lqr_controller.edmd import Snapshots
-from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.evaluation import judge
 from koopman_lqr_controller.latent_policy import LatentPolicy
 from koopman_lqr_controller.lidar_observation import LidarObservation
 from koopman_lqr_controller.linear_loop import See, sight
 from koopman_lqr_controller.offline import refit
 from koopman_lqr_controller.policy import KoopmanPolicy
-from koopman_lqr_controller.policy_file import digest, find_policy, load_policy, save_policy
+from koopman_lqr_controller.policy_file import digest, find_policy, load_policy, refuse_existing, save_policy
 from koopman_lqr_controller.two_stage import Weights, train
 
 _FITTED, _HELD_OUT = "fitted", "held out"
@@ -81,7 +80,7 @@ def _add_output(parser: argparse.ArgumentParser) -> None:
 
 
 def _fit(options: argparse.Namespace) -> int:
-    _check_output(options)
+    refuse_existing(options.output, options.overwrite)
     file = find_policy(options.policy)
     policy = load_policy(file)
     seen, unseen = _parts(options, sight(policy))
@@ -118,7 +117,7 @@ def _evaluate(options: argparse.Namespace) -> int:
 
 def _learn_offline(options: argparse.Namespace) -> int:
     check_least(options, latent=2, updates=1)
-    _check_output(options)
+    refuse_existing(options.output, options.overwrite)
     observation = LidarObservation(far=options.far)
     seen, unseen = _parts(options, observation.observe)
     from koopman_lqr_controller.training.imitation import ImitationSettings, imitate
@@ -134,14 +133,8 @@ def _learn_offline(options: argparse.Namespace) -> int:
     return _save(options, refit(learnt, seen), seen, unseen, manifest)
 
 
-def _check_output(options: argparse.Namespace) -> None:
-    if options.output.exists() and not options.overwrite:
-        raise KoopmanError(f"{options.output} exists: give another name, or ask to --overwrite it")
-
-
 def _parts(options: argparse.Namespace, see: See) -> tuple[list[Drive], list[Drive]]:
-    if not 0.0 <= options.held_out < 1.0:
-        raise KoopmanError(f"--held-out is {options.held_out}: must be at least 0 and less than 1")
+    check_held_out(options.held_out)
     bags = tqdm(options.bags, desc="reading", unit="bag", disable=None)
     drives: list[Drive] = reduce(add, (drives_of(bag, see, options.robot, options.lidar_yaw) for bag in bags))
     return split(drives, options.held_out)
@@ -161,9 +154,10 @@ def _save(
     """Write a policy with its figures on both parts."""
     figures = {name: judge(policy, drives) for name, drives in ((_FITTED, seen), (_HELD_OUT, unseen)) if drives}
     told = figures.get(_HELD_OUT, figures[_FITTED])
-    kept = {name: value for name, value in policy.manifest.items() if name not in ("command", "returns", "outcomes")}
     more = {"error_over_persistence": told["over_persistence"][0], "drives": figures}
-    save_policy(replace(policy, manifest={**kept, **manifest, **more}), options.output, overwrite=options.overwrite)
+    save_policy(
+        replace(policy, manifest={**policy.manifest, **manifest, **more}), options.output, overwrite=options.overwrite
+    )
     _print(figures)
     print(f"policy            {options.output}")
     return 0

@@ -49,7 +49,11 @@ def find_policy(name_or_path: str) -> Path:
     """
     shipped = shipped_policies()
     path = shipped.get(name_or_path, Path(name_or_path))
-    if not path.is_file():
+    try:
+        there = path.is_file()
+    except OSError as error:
+        raise KoopmanError(f"no policy '{name_or_path}': {error.strerror}") from None
+    if not there:
         raise KoopmanError(f"no policy '{name_or_path}': there are {', '.join(shipped) or 'none'}, or give a file")
     return path
 
@@ -59,14 +63,23 @@ def digest(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
+def refuse_existing(path: Path, overwrite: bool) -> None:
+    """Refuse to write over a file unless that is asked for.
+
+    Raises:
+        KoopmanError: it is there.
+    """
+    if path.exists() and not overwrite:
+        raise KoopmanError(f"{path} exists: give another name, or ask to --overwrite it")
+
+
 def save_policy(policy: KoopmanPolicy | LatentPolicy, path: Path, overwrite: bool = False) -> None:
     """Write a policy; the file is there whole or not at all.
 
     Raises:
         KoopmanError: the file exists and `overwrite` is false, or it cannot be written.
     """
-    if path.exists() and not overwrite:
-        raise KoopmanError(f"{path} exists: give another name, or ask to overwrite it")
+    refuse_existing(path, overwrite)
     header, tensors = describe_latent(policy) if isinstance(policy, LatentPolicy) else _describe_edmd(policy)
     if policy.region is not None:
         header["region"] = {name: getattr(policy.region, name) for name in _REGION}
@@ -91,19 +104,22 @@ def load_policy(path: Path) -> KoopmanPolicy | LatentPolicy:
         with safe_open(path, framework="numpy") as file:
             header = json.loads((file.metadata() or {}).get("policy", "{}"))
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-    except (OSError, SafetensorError, ValueError) as error:
+    # Tensors of a kind that NumPy does not know end in TypeError or AttributeError.
+    except (OSError, SafetensorError, ValueError, TypeError, AttributeError) as error:
         raise KoopmanError(f"{path}: not a readable policy file ({error})") from None
+    if not isinstance(header, dict):
+        raise KoopmanError(f"{path}: not a readable policy file (its header is no table)")
     builders: dict[str, Callable[..., KoopmanPolicy | LatentPolicy]] = {
         FORMAT: _build_edmd,
         LATENT_FORMAT: build_latent,
     }
-    build = builders.get(header.get("format", ""))
+    build = builders.get(str(header.get("format", "")))
     if build is None:
         known = f"'{FORMAT}' or '{LATENT_FORMAT}'"
         raise KoopmanError(f"{path}: format is '{header.get('format')}', must be {known}: train it again")
     try:
         return replace(build(header, tensors), region=_region(header, tensors))
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise KoopmanError(f"{path}: wrong manifest ({error}): train it again") from None
     except KoopmanError as error:
         raise KoopmanError(f"{path}: {error}") from None

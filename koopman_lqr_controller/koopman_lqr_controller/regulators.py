@@ -8,12 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from koopman_lqr_controller.edmd import LinearModel, Snapshots, fit
+from koopman_lqr_controller.edmd import LinearModel, Snapshots
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.inverse_lqr import Law, fit_costs
 from koopman_lqr_controller.latent_controller import LatentController
 from koopman_lqr_controller.reduction import observed, principal
 from koopman_lqr_controller.roll_outs import Episode
+from koopman_lqr_controller.shrinkage import Shrunk, fit_shrunk
 
 Array = NDArray[np.float64]
 
@@ -24,6 +25,7 @@ _SEEN = 1e-4
 _FADING = 0.999
 _INSIDE = 0.9
 """Largest action at the reference: the loop is linear around it."""
+_LEAST_WEIGHT = 0.01
 
 
 @dataclass(frozen=True)
@@ -34,17 +36,21 @@ class Regulator:
         controller: of the infinite horizon.
         family: how its dimensions were found: "observed" or "principal", see `reduction`.
         mismatch: what is left of the difference to the law, see `Law.mismatch`.
-        contraction: what the refitted A was multiplied by, 1 for nothing: see `regulators`.
+        contraction: what the refitted A was multiplied by, 1 for nothing: see `Refit.regulator`.
+        shrunk: how its model was chosen.
     """
 
     controller: LatentController
     family: str
     mismatch: float
     contraction: float
+    shrunk: Shrunk
 
 
-def reference_inside(z_ref: Array, u_ref: Array, K: Array, spread: Array) -> tuple[Array, Array]:
-    """Return a reference of the law u = u_ref - K (z - z_ref) and its action there, which actions can be.
+def reference_inside(
+    z_ref: Array, u_ref: Array, K: Array, spread: Array, largest: float = _INSIDE
+) -> tuple[Array, Array]:
+    """Return a reference of the law u = u_ref - K (z - z_ref) and its u there, which is within bounds.
 
     Where u_ref is beyond them the reference moves: to the nearest z, by the spread of what is met, that has such a u.
 
@@ -53,19 +59,22 @@ def reference_inside(z_ref: Array, u_ref: Array, K: Array, spread: Array) -> tup
         u_ref: what the law asks for there (m,).
         K: gain (m, n).
         spread: covariance of what is met (n, n).
+        largest: bound of u.
     """
-    a_ref = np.clip(u_ref, -_INSIDE, _INSIDE)
+    inside = np.clip(u_ref, -largest, largest)
     along = spread @ K.T
-    return z_ref + along @ np.linalg.pinv(K @ along) @ (u_ref - a_ref), a_ref
+    return z_ref + along @ np.linalg.pinv(K @ along) @ (u_ref - inside), inside
 
 
 class Refit:
-    """What the episodes say about a learnt controller: its law as data, and the model of all of psi.
+    """What recorded drives say about a learnt controller: what it would have done, and models of projections of psi.
+
+    The models are shrunk towards "nothing changes": drives are short.
 
     Args:
-        learnt: the controller; every action counts as if it had acted.
-        episodes: the episodes.
-        ridge: of the refit, relative to each regressor's variance.
+        learnt: the controller.
+        episodes: the drives.
+        mirrored: the same with left and right swapped, as true as they are.
         goal: whether z_ref is a goal, else the middle of what is met takes its place.
 
     Attributes:
@@ -73,32 +82,40 @@ class Refit:
         directions: of psi that vary, those that vary most first (r, n).
     """
 
-    def __init__(self, learnt: LatentController, episodes: Sequence[Episode], ridge: float, goal: bool) -> None:
-        self.learnt, self._episodes, self._ridge = learnt, episodes, ridge
-        self._psi = np.concatenate([episode.features[:-1] for episode in episodes])
-        self._u = learnt.control(self._psi)
-        # What a difference of u makes of the action: where all of it is lost, the law need not be the same.
-        self._weight = np.mean(1.0 - np.tanh(self._u) ** 2, axis=1) + 0.05
+    def __init__(
+        self, learnt: LatentController, episodes: Sequence[Episode], mirrored: Sequence[Episode], goal: bool
+    ) -> None:
+        self.learnt, self._episodes, self._mirrored = learnt, episodes, mirrored
+        self._psi = np.concatenate([episode.features[:-1] for episode in (*episodes, *mirrored)])
+        # The action itself, not what the learnt law asks for: that of the regulator is cut off, not bent by tanh.
+        self._u = learnt.saturate(learnt.control(self._psi))
+        # Near 1 a difference of what is asked for is lost: there the law need not be the same.
+        self._weight = np.mean((1.0 - self._u**2) ** 2, axis=1) + _LEAST_WEIGHT
         self._psi_ref, self._a_ref = self._reference(goal)
         self.directions = principal(self._psi - self._psi_ref, _SEEN)
-        self._A = self.model(self.directions)[0].A
+        self._A = self.shrunk(self.directions).model.A
 
     def _reference(self, goal: bool) -> tuple[Array, Array]:
-        """Return the goal, or the weighted middle of what is met, and the law's u there: `reference_inside`."""
+        """Return the goal, or the weighted middle of what is met, and the action there: see `reference_inside`."""
         learnt = self.learnt
         psi_ref = learnt.z_ref if goal else np.average(self._psi, axis=0, weights=self._weight)
         spread = np.cov(self._psi.T, aweights=self._weight)
-        return reference_inside(psi_ref, learnt.control(psi_ref), learnt.K, spread)
+        u_ref = learnt.control(psi_ref)
+        if learnt.horizon is None:
+            return reference_inside(psi_ref, u_ref, learnt.K, spread)
+        moved, u_inside = reference_inside(psi_ref, u_ref, learnt.K, spread, float(np.arctanh(_INSIDE)))
+        return moved, np.tanh(u_inside)
 
-    def model(self, C: Array) -> tuple[LinearModel, Array]:
-        """Return the least-squares model of C psi around the reference, and its drift there."""
-        z_ref = C @ self._psi_ref
-        z = [episode.features @ C.T - z_ref for episode in self._episodes]
-        actions = np.concatenate([episode.actions for episode in self._episodes]) - self._a_ref
-        here, after = (np.concatenate([each[cut] for each in z]) for cut in (slice(None, -1), slice(1, None)))
-        means = [part.mean(axis=0) for part in (here, actions, after)]
-        model = fit(Snapshots(here - means[0], actions - means[1], after - means[2]), self._ridge)
-        return model, means[2] - model.predict(means[0], means[1])
+    def shrunk(self, C: Array) -> Shrunk:
+        """Return the model of C psi and the action around the reference, and how it was chosen."""
+        twin = self._snapshots(C, self._mirrored) if self._mirrored else None
+        return fit_shrunk(self._snapshots(C, self._episodes), twin)
+
+    def _snapshots(self, C: Array, episodes: Sequence[Episode]) -> Snapshots:
+        """Return drives as deviations of C psi and of the actions from the reference."""
+        z = [(episode.features - self._psi_ref) @ C.T for episode in episodes]
+        u = np.concatenate([episode.actions for episode in episodes]) - self._a_ref
+        return Snapshots(np.concatenate([each[:-1] for each in z]), u, np.concatenate([each[1:] for each in z]))
 
     def projections(self, sizes: Sequence[int]) -> Iterator[tuple[str, Array]]:
         """Yield families and projections, what the law needs before what varies, small ones before large ones.
@@ -121,7 +138,8 @@ class Refit:
         What a weak policy never moves cannot be regulated, and need not be: where the refitted model has no regulator,
         one whose modes all fade is taken instead, and `contraction` says so.
         """
-        (model, drift), z_ref = self.model(C), C @ self._psi_ref
+        shrunk, z_ref = self.shrunk(C), C @ self._psi_ref
+        model, drift = shrunk.model, shrunk.drift
         law = Law.seen(self._psi @ C.T - z_ref, self._u - self._a_ref, self._weight)
         radius = float(np.abs(np.linalg.eigvals(model.A)).max())
         for contraction in (1.0, min(1.0, _FADING / radius)):
@@ -131,5 +149,7 @@ class Refit:
             except KoopmanError:
                 continue
             found = LatentController(self.learnt.encoder, each, Q, R, z_ref, None, C, self._a_ref, drift)
-            return Regulator(found, family, mismatch, contraction) if found.residual < LARGEST_RESIDUAL else None
+            if found.residual >= LARGEST_RESIDUAL:
+                return None
+            return Regulator(found, family, mismatch, contraction, shrunk)
         return None

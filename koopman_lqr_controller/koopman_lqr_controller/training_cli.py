@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import argparse
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from ctrl_rl_core.command import run_command
+from ctrl_rl_core.command import check_least, run_command
 from ctrl_rl_core.results import write_results
 
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.learning_cli import add_learning_options, as_command, check_learning_options, given_words
 from koopman_lqr_controller.training.methods import LEARNERS
-from koopman_lqr_controller.training.problems import PROBLEMS, find_problem
+from koopman_lqr_controller.training.problems import PROBLEMS, find_problem, problem_of
 
 _LEARN_WORDS = ("learner", "chunks", "actions", "episodes", "consolidation", "device")
 _CONSOLIDATE_WORDS = ("latent", "episodes", "live", "noise", "seed")
@@ -111,18 +112,18 @@ def _consolidate(options: argparse.Namespace, words: Sequence[str]) -> int:
     import torch
     from tqdm import tqdm
 
-    from koopman_lqr_controller.policy_file import save_policy
+    from koopman_lqr_controller.policy_file import refuse_existing, save_policy
     from koopman_lqr_controller.training.consolidation import Plan
     from koopman_lqr_controller.training.finishing import consolidate_policy, load_latent
 
-    if options.episodes < 1 or min(options.latent or [1]) < 1 or options.live < 5 or not options.noise > 0.0:
-        raise KoopmanError("--episodes and --latent must be at least 1, --live at least 5, and --noise positive")
-    if options.output.exists() and not options.overwrite:
-        raise KoopmanError(f"{options.output} exists: give another name, or ask to --overwrite it")
-    problem = find_problem(str(load_latent(options.policy).manifest.get("task")))
+    check_least(options, episodes=1, live=5, seed=0)
+    if min(options.latent or [1]) < 1 or not 0.0 < options.noise < math.inf:
+        raise KoopmanError("--latent must be at least 1, and --noise positive")
+    refuse_existing(options.output, options.overwrite)
+    problem = problem_of(load_latent(options.policy).manifest)
     torch.set_num_threads(1)  # more only get into each other's way
     environment = problem.make(False)
-    sizes = {"sizes": tuple(options.latent)} if options.latent else {}
+    sizes = {"sizes": tuple(sorted(set(options.latent)))} if options.latent else {}
     plan = Plan.of(options.live, options.episodes, noise=options.noise, **sizes)
     command = as_command("consolidate", options.policy.name, "--output", options.output.name, *words)
     try:

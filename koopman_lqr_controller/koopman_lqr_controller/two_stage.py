@@ -62,8 +62,10 @@ def train(
         shrunk: towards "nothing changes", for little and noisy data; see `shrinkage`.
 
     Raises:
-        KoopmanError: too little data, or no stabilising regulator.
+        KoopmanError: the speed is beyond the limits, too little data, or no stabilising regulator.
     """
+    if not limits[0].low <= speed <= limits[0].high:
+        raise KoopmanError(f"the speed to drive at is {speed} m/s: must be from {limits[0].low} to {limits[0].high}")
     if not sequences:
         raise KoopmanError("no snapshots: record a drive first")
     weights = weights or Weights()

@@ -14,9 +14,10 @@ from koopman_lqr_controller.lidar import ScanGeometry
 from koopman_lqr_controller.lidar_observation import LidarObservation
 from koopman_lqr_controller.policy_file import DEFAULT_POLICY, find_policy, load_policy, save_policy
 from koopman_lqr_controller.region import Region
-from rcl_interfaces.srv import SetParameters
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.parameter import Parameter
 from robot_side import Robot, a_policy, ask, corridor
+from safetensors.numpy import save_file
 
 OBSERVATION = LidarObservation(count=12)
 WIRING = LidarWiring(OBSERVATION, np.array([0.0, -1.5]), np.array([0.22, 1.5]))
@@ -39,6 +40,17 @@ def set_parameter(robot: Robot, name: str, value: object) -> tuple[bool, str]:
     robot.node.destroy_client(client)
     (result,) = future.result().results
     return result.successful, result.reason
+
+
+def set_parameters_atomically(robot: Robot, **values: object) -> bool:
+    """Return whether all were taken."""
+    client = robot.node.create_client(SetParametersAtomically, "koopman_lqr_controller/set_parameters_atomically")
+    assert robot.spin(10.0, client.service_is_ready)
+    wanted = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
+    future = client.call_async(SetParametersAtomically.Request(parameters=wanted))
+    assert robot.spin(10.0, future.done)
+    robot.node.destroy_client(client)
+    return bool(future.result().result.successful)
 
 
 def seen(ranges: np.ndarray) -> tuple[np.ndarray, ScanGeometry]:
@@ -138,6 +150,7 @@ def test_another_policy_drives_from_the_next_scan_on_and_a_bad_one_is_refused(
     other = learnt(file, ANYWHERE)
     save_policy(a_policy(17, None), tmp_path / "cheetah.safetensors")
     (tmp_path / "broken.safetensors").write_bytes(file.read_bytes()[:-20])
+    save_file({}, tmp_path / "headless.safetensors", {"policy": "[]"})
     run_node("koopman_lqr_controller", "controller", "scan_timeout:=5.0")
     robot.wait_for_controller()
     ask(robot, corridor(0.1), 1)  # it has heard odometry
@@ -155,6 +168,7 @@ def test_another_policy_drives_from_the_next_scan_on_and_a_bad_one_is_refused(
     for name, words in (
         ("nowhere", "no policy 'nowhere'"),
         (str(tmp_path / "broken.safetensors"), "not a readable policy file"),
+        (str(tmp_path / "headless.safetensors"), "its header is no table"),
         (str(tmp_path / "cheetah.safetensors"), "cannot drive from a lidar"),
     ):
         taken, reason = set_parameter(robot, "policy", name)
@@ -189,7 +203,11 @@ def test_a_dry_run_thinks_and_sends_nothing(robot: Robot, run_node: Callable) ->
     assert all(latent.dry_run for latent in robot.latents)
     assert diagnosed(robot, "dry run, nothing is sent").message
     assert robot.spin(3.0, lambda: robot.latents[-1].stop == "no recent scan")
-    assert robot.commands == []
+    assert not set_parameters_atomically(robot, dry_run=False, policy="nowhere")
+    robot.send(corridor(0.1), SECOND // 2)
+    assert robot.thought_of(SECOND // 2).dry_run, "what is refused as a whole changes nothing"
+    assert set_parameter(robot, "dry_run", True)[0]
+    assert robot.commands == [], "somebody else may drive"
     assert set_parameter(robot, "dry_run", False)[0]
     assert ask(robot, corridor(0.1), SECOND).twist.linear.x > 0.0
     assert not robot.thought_of(SECOND).dry_run

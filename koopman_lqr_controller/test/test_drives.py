@@ -83,6 +83,15 @@ def test_the_lidar_is_taken_as_it_is_mounted(tmp_path: Path) -> None:
         assert drive.x[0, 0] == 0.0
 
 
+def test_a_lidar_that_hangs_from_nothing_known_is_asked_for(tmp_path: Path) -> None:
+    kinds = {**without("/episode"), "/tf_static": "tf2_msgs/msg/TFMessage"}
+    with Bag(tmp_path / "bag", kinds) as bag:
+        bag.mount("laser", {"w": 1.0})
+        bag.drive(range(3), frame="front_laser")
+    with pytest.raises(KoopmanError, match="from the scan to a base, only to front_laser: --lidar-yaw"):
+        drives_of(tmp_path / "bag", lambda *_: np.zeros(1))
+
+
 def test_a_command_of_long_ago_does_not_count(tmp_path: Path) -> None:
     with Bag(tmp_path / "bag", without("/episode", cmd_vel="geometry_msgs/msg/Twist")) as bag:
         bag.drive(range(4))

@@ -31,6 +31,15 @@ def test_what_is_high_only_now_and_then_does_not_raise_it() -> None:
     assert not any(raised(Alarm(1.0, 0.5), [2.0, 2.0, 0.9] * 20))
 
 
+def test_an_alarm_stays_when_another_limit_changes() -> None:
+    guard = Guard(REGION, 2.0, 1.0, 0.0)
+    assert "prediction error" in guard.see(0.0, INSIDE, 0.6)
+    guard.set_limits(3.0, 1.0, 0.0)
+    assert "prediction error" in guard.see(0.2, INSIDE, 0.45), "not well below its limit"
+    guard.set_limits(3.0, 2.0, 0.0)
+    assert guard.see(0.4, INSIDE, 0.45) == ""
+
+
 def test_no_value_is_no_news() -> None:
     assert raised(Alarm(1.0, 0.3), [2.0, math.nan, 2.0, math.nan]) == [False, False, True, True]
 

@@ -237,8 +237,9 @@ def test_deciding_needs_neither_torch_nor_a_simulator(tmp_path: Path) -> None:
     path = tmp_path / "policy.safetensors"
     save_policy(some_policy(), path)
     program = (
-        "import sys\nfrom pathlib import Path\nfrom koopman_lqr_controller.policy_file import load_policy\n"
-        f"load_policy(Path({str(path)!r}))\n"
+        "import sys\nfrom pathlib import Path\nimport numpy as np\nimport koopman_lqr_controller.node as node\n"
+        f"policy = node.load_policy(Path({str(path)!r}))\n"
+        "policy.decide(np.ones(360, np.float32), node._SOME_SCAN, 0.0, 0.0)\n"
         "sys.exit(any(name in sys.modules for name in ('torch', 'gymnasium', 'pybullet', 'mujoco')))"
     )
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0

@@ -217,6 +217,8 @@ def test_learning_ends_when_nothing_gets_better(tmp_path: Path, monkeypatch: pyt
     ends = [point["actions"] for point in result["curve"]]
     assert len(ends) < 12
     assert ends[-2:] == [result["best"]["actions"], result["best"]["actions"] + 40]
+    other = learn_one(replace(RUN, learner="edmd"), options(tmp_path, 12))
+    assert len(other["curve"]) == 12, "what is not ours gets all of the budget"
 
 
 def test_a_broken_checkpoint_is_named(tmp_path: Path) -> None:

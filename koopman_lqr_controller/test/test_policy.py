@@ -121,8 +121,18 @@ def test_a_broken_file_gives_one_clear_error(policy: KoopmanPolicy, tmp_path: Pa
     save_file(tensors, path)
     with pytest.raises(KoopmanError, match="format is"):
         load_policy(path)
+    for header in ([], "x", {"format": []}, {"format": "koopman-latent-2", "controller": 3}):
+        save_file(tensors, path, {"policy": json.dumps(header)})
+        with pytest.raises(KoopmanError, match=r"policy\.safetensors: "):
+            load_policy(path)
+    header = json.dumps({"A": {"dtype": "BF16", "shape": [1], "data_offsets": [0, 2]}}).encode()
+    path.write_bytes(len(header).to_bytes(8, "little") + header + b"\0\0")
+    with pytest.raises(KoopmanError, match="not a readable policy file"):
+        load_policy(path)
     with pytest.raises(KoopmanError, match="no policy 'missing'"):
         find_policy("missing")
+    with pytest.raises(KoopmanError, match="name too long"):
+        find_policy(300 * "long")
 
 
 def test_a_policy_with_a_wrong_shape_or_nan_is_refused(policy: KoopmanPolicy) -> None:

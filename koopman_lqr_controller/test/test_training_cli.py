@@ -89,6 +89,9 @@ def test_consolidating_again_by_command(learnt: Path, tmp_path: Path, capsys: py
         (["--set", "discount=2"], "learn: discount is 2.0: must be at most 1"),
         (["--set", "noise=nan"], "learn: noise is nan: must be positive"),
         (["--set", "learning_rate=1e999"], "learn: learning_rate is inf: must be positive"),
+        (["--set", "first_steps=0"], "learn: first_steps is 0: must be positive"),
+        (["--set", "replay=1"], "learn: replay is 1: must be at least 100"),
+        (["--set", "crop=64"], "learn: crop is 64: must be 0, this task shows none"),
         (["--seeds", "0"], "learn: --seeds must be at least 1, not 0"),
         (["--chunks", "-1"], "learn: --chunks must be at least 0, not -1"),
     ],
@@ -108,8 +111,14 @@ def test_a_policy_that_was_not_learnt_here_cannot_be_consolidated(
     output = ["--output", str(tmp_path / "out.safetensors")]
     assert consolidate([str(find_policy("curved_corridor_edmd")), *output]) == 1
     assert "is a policy of fixed observables" in capsys.readouterr().err
-    assert consolidate([str(tmp_path / "none.safetensors"), *output]) == 1
-    assert capsys.readouterr().err.count("\n") == 1
+    for policy, *more in (
+        ("none.safetensors",),
+        (str(find_policy("curved_corridor")), "--seed", "-1"),
+        (str(find_policy("curved_corridor")), "--noise", "inf"),
+        (str(find_policy("curved_corridor")), "--latent", "0"),
+    ):
+        assert consolidate([str(tmp_path / policy), *output, *more]) == 1
+        assert capsys.readouterr().err.count("\n") == 1
 
 
 def test_help_comes_without_torch() -> None:

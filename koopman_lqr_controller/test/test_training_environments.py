@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from ctrl_rl_core.tasks import task_file
 from koopman_lqr_controller.errors import KoopmanError
+from koopman_lqr_controller.straight_corridor import StraightCorridor
 from koopman_lqr_controller.training.control_suite import FRAMES, ControlSuite
 from koopman_lqr_controller.training.corridor import Conditions, Corridor
-from koopman_lqr_controller.training.problems import PROBLEMS, find_problem
+from koopman_lqr_controller.training.problems import PROBLEMS, find_problem, problem_of
 
 if find_library("EGL"):
     os.environ.setdefault("MUJOCO_GL", "egl")  # else MuJoCo comes without OpenGL where states are simulated first
@@ -178,15 +179,22 @@ def test_each_episode_has_another_robot_and_the_same_seed_the_same() -> None:
 
 
 def test_the_mirrored_corridor_is_one() -> None:
-    """The observation of a mirrored drive follows from the mirrored command, as far as a lidar can tell."""
-    corridor = Corridor(conditions=Conditions("task"))
+    """What a corridor says is its mirror image is that of a robot on the other side that turns the other way."""
+    corridor, straight = Corridor(conditions=Conditions("task")), StraightCorridor(0.7, 0.2)
     order, sign, control_sign = corridor.mirror
-    assert np.array_equal(sign[order] * sign, np.ones(38))
-    assert np.array_equal(order[order], np.arange(38))
-    x, _ = corridor.reset(seed=3)
-    assert x[order][9] == x[27], "left is right"
-    x = corridor.step(np.array([0.0, 0.8], np.float32))[0]
-    assert np.sign((x[order] * sign)[-1]) == np.sign(0.8 * control_sign[1])
+    limits = corridor.wiring.command(np.array([[0.3, 0.8], [0.3, -0.8]]))
+    state, swapped = np.array([0.1, 0.2, 0.15, 0.3]), np.array([1.0, -1.0])
+    there = state * [-1.0, -1.0, 1.0, -1.0]
+
+    def seen(state: np.ndarray) -> np.ndarray:
+        return corridor.wiring.observation.observe(straight.scan(state), straight.geometry, *state[2:])
+
+    assert limits[1] == pytest.approx(limits[0] * swapped), "mirrored actions are mirrored commands"
+    assert control_sign == pytest.approx(swapped)
+    for _ in range(5):
+        assert seen(there) == pytest.approx(seen(state)[order] * sign, abs=1e-5)
+        assert np.abs(seen(there) - seen(state)).max() > 0.1
+        state, there = straight.step(state, limits[0]), straight.step(there, limits[1])
     corridor.close()
 
 
@@ -195,6 +203,10 @@ def test_what_is_not_there_is_named() -> None:
         find_problem("walker")
     with pytest.raises(KoopmanError, match=r"car_ttr\.yaml: has no corridor to learn to drive through"):
         find_problem(str(task_file("car_ttr")))
+    same = {"task": "cheetah_run", "task_digest": find_problem("cheetah_run").digest}
+    assert problem_of(same) == find_problem("cheetah_run")
+    with pytest.raises(KoopmanError, match="task cheetah_run is another one than when the policy was made"):
+        problem_of({**same, "task_digest": "of yesterday"})
     with pytest.raises(KoopmanError, match="no setting latnt: there are latent, "):
         find_problem("cheetah_run").with_settings(latnt=3)
     with pytest.raises(KoopmanError, match="batch is 0: must be positive"):

@@ -87,7 +87,7 @@ def _poles(found: Found) -> str:
     lines.append(
         "With the policy the real system comes to rest, and its own poles there are the right-hand column."
         if closed_true
-        else "With the policy the real system does not come to rest within the steps that were tried."
+        else true["why"]
     )
     return "\n".join(lines)
 

@@ -261,12 +261,11 @@ def model_errors(controller: LatentController, episodes: Sequence[Episode]) -> d
     }
 
 
-def over(curve: Sequence[Point], problem: Problem) -> bool:
-    """Return whether the episodes or the patience of a task are used up."""
+def over(curve: Sequence[Point], problem: Problem, patience: int) -> bool:
+    """Return whether a task's episodes are used up, or so many chunks brought no new best; 0 for any number."""
     if not curve:
         return False
     since_best = sum(point["actions"] > curve[-1]["best_actions"] for point in curve)
     return bool(
-        (problem.episodes and curve[-1]["episodes"] >= problem.episodes)
-        or (problem.patience and since_best >= problem.patience)
+        (problem.episodes and curve[-1]["episodes"] >= problem.episodes) or (patience and since_best >= patience)
     )

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from koopman_lqr_controller import encoder as deployed
+from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.training.contrastive import centre_crop
 
 _KERNEL = 3
@@ -51,6 +52,8 @@ class TorchEncoder(nn.Module):
             halved: whether all but the last layer is computed in bfloat16 while it trains.
         """
         super().__init__()
+        if len(shape) == 3:
+            _check_sizes(shape, crop, depth)
         self.shape, self.crop, self._halves = shape, crop, halved
         self.register_buffer("middle", middle)
         self.register_buffer("unit", unit)
@@ -98,6 +101,21 @@ class TorchEncoder(nn.Module):
         layers: list[deployed.Layer] = [] if self.crop is None else [deployed.CentreCrop(self.crop)]
         layers += deploy_layers(self.layers)
         return deployed.Encoder(tuple(layers), self.shape, _array(self.middle), _array(self.unit))
+
+
+def _check_sizes(shape: tuple[int, ...], crop: int | None, depth: int) -> None:
+    """Refuse pictures of which nothing is left to look at.
+
+    Raises:
+        KoopmanError: names the setting.
+    """
+    if crop is not None and crop > min(shape[1:]):
+        raise KoopmanError(f"crop is {crop}: pictures are {shape[1]} x {shape[2]}")
+    left = min(shape[1:]) if crop is None else crop
+    for index in range(depth):
+        left = _convolved(left, index)
+    if left < 1:
+        raise KoopmanError(f"depth is {depth}: so many convolutions leave nothing of {crop or shape[1]} rows")
 
 
 def deploy_layers(layers: nn.Sequential) -> list[deployed.Layer]:
@@ -164,12 +182,17 @@ def _stride(index: int) -> int:
     return 2 if index < 3 else 1
 
 
+def _convolved(length: int, index: int) -> int:
+    """Return the rows that a convolution leaves of so many."""
+    return (length - _KERNEL) // _stride(index) + 1
+
+
 def _transposed_convolutions(seen: tuple[int, ...], latent: int, depth: int) -> list[nn.Module]:
     """Return what undoes `_convolutions`, rows and columns to the pixel."""
     channels, *size = seen
     sizes = [size]
     for index in range(depth):
-        sizes.append([(length - _KERNEL) // _stride(index) + 1 for length in sizes[-1]])
+        sizes.append([_convolved(length, index) for length in sizes[-1]])
     rows, columns = sizes[-1]
     last = _filters(depth - 1)
     out = [nn.Linear(latent, last * rows * columns), nn.ReLU(), nn.Unflatten(1, (last, rows, columns))]

@@ -151,6 +151,7 @@ def _true_poles(policy: Policy, loop: LinearLoop, world: Any) -> dict[str, Any]:
         "open": _pairs(true.open_poles),
         "nearest_open": analysis.distances_to_nearest(true.open_poles, analysis.poles(loop.model.A)).tolist(),
         "closed": None,
+        "why": true.why,
     }
     if true.closed_poles is not None and true.rest is not None:
         nearest = analysis.distances_to_nearest(true.closed_poles, analysis.poles(loop.closed))

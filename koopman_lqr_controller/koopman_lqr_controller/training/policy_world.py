@@ -14,7 +14,7 @@ from koopman_lqr_controller.latent_policy import LatentPolicy, LidarWiring
 from koopman_lqr_controller.linear_loop import LinearLoop
 from koopman_lqr_controller.policy import KoopmanPolicy
 from koopman_lqr_controller.training.corridor import Conditions, Corridor, Vector
-from koopman_lqr_controller.training.problems import AnyEnvironment, find_problem
+from koopman_lqr_controller.training.problems import AnyEnvironment, problem_of
 
 Array = NDArray[np.float64]
 _CORRIDOR = "curved_corridor"
@@ -64,7 +64,7 @@ def make_world(policy: KoopmanPolicy | Any) -> AnyEnvironment:
         if task != _CORRIDOR:
             raise KoopmanError(f"there is no environment for the task {task}")
         return LiftedCorridor(policy)
-    return find_problem(task).make(False)
+    return problem_of(policy.manifest).make(False)
 
 
 def make_corridor(policy: KoopmanPolicy | LatentPolicy, conditions: Conditions) -> Corridor:
@@ -76,7 +76,7 @@ def make_corridor(policy: KoopmanPolicy | LatentPolicy, conditions: Conditions) 
     """
     if isinstance(policy, KoopmanPolicy):
         return LiftedCorridor(policy, conditions)
-    return Corridor(False, conditions, find_problem(str(policy.manifest.get("task"))).task)
+    return Corridor(False, conditions, problem_of(policy.manifest).task)
 
 
 def live(loop: LinearLoop, environment: AnyEnvironment, seed: int, noise: float = 0.0) -> Episode:

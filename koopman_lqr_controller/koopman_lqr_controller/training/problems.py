@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -74,11 +74,15 @@ class Problem:
             KoopmanError: there is no such number, or it is out of range.
         """
         try:
-            return replace(self, settings=replace(self.settings, **changes))
+            settings = replace(self.settings, **changes)
         except TypeError:
             unknown = set(changes) - set(self.settings.as_json())
             known = ", ".join(self.settings.as_json())
             raise KoopmanError(f"no setting {', '.join(sorted(unknown))}: there are {known}") from None
+        if bool(settings.crop) != bool(self.settings.crop):
+            must = "positive, this task shows pictures" if self.settings.crop else "0, this task shows none"
+            raise KoopmanError(f"crop is {settings.crop}: must be {must}")
+        return replace(self, settings=settings)
 
 
 def find_problem(name: str) -> Problem:
@@ -96,6 +100,20 @@ def find_problem(name: str) -> Problem:
         raise KoopmanError(f"{name}: has no corridor to learn to drive through")
     about = "the corridor of a task file"
     return replace(PROBLEMS["curved_corridor"], name=name, about=about, make=_corridor(name), task=name)
+
+
+def problem_of(manifest: Mapping[str, Any]) -> Problem:
+    """Return the problem that a policy's manifest names.
+
+    Raises:
+        KoopmanError: there is none, or it is no longer as it was when the policy was made.
+        TaskError: the task's file is no task.
+    """
+    name = str(manifest.get("task"))
+    problem = find_problem(name)
+    if manifest.get("task_digest", problem.digest) != problem.digest:
+        raise KoopmanError(f"task {name} is another one than when the policy was made: learn it again")
+    return problem
 
 
 def _suite(domain: str, task: str, repeat: int, pixels: int = 0) -> Callable[[bool], AnyEnvironment]:

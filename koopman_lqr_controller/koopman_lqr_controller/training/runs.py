@@ -107,6 +107,8 @@ def learn_one(run: LearningRun, options: LearningOptions, report: Report = lambd
         raise KoopmanError(f"device {run.device}: torch sees none; use cpu")
     regulated = run.learner == "koopman" and run.problem.settings.policy == "lqr"
     plan = Plan.of(run.consolidation, options.final_evaluations) if run.consolidation and regulated else None
+    # What others offer has all of the budget: their curves may rise late, and ours must not win by that.
+    patience = run.problem.patience if run.learner == "koopman" else 0
     terms = {
         **run.description,
         "iterations": options.iterations,
@@ -135,7 +137,7 @@ def learn_one(run: LearningRun, options: LearningOptions, report: Report = lambd
         json.loads(json.dumps(terms)),
         begin,
         tell,
-        lambda curve: over(curve, run.problem),
+        lambda curve: over(curve, run.problem, patience),
     )
     _check_policies(run, options, result)
     return result

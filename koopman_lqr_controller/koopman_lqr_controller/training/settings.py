@@ -16,7 +16,8 @@ _CHOICES = {
     "bfloat16": ("nothing", "encoder", "all"),
     "cost": ("Q1", "Q2", "Q3", "Q4"),
 }
-_MAY_BE_ZERO = ("crop", "noise", "first_steps")
+_MAY_BE_ZERO = ("crop", "noise")
+_LEAST_REPLAY = 100
 _SHARES = ("discount", "critic_rate", "encoder_rate", "average_rate")
 
 
@@ -94,6 +95,8 @@ class Settings:
             if field.name in _SHARES and value > 1.0:
                 raise KoopmanError(f"{field.name} is {value}: must be at most 1")
 
+        if self.replay < _LEAST_REPLAY:
+            raise KoopmanError(f"replay is {self.replay}: must be at least {_LEAST_REPLAY} steps to learn from")
         if self.policy == "network" and self.encoder_loss == "reconstruction_prediction":
             raise KoopmanError("encoder_loss reconstruction_prediction needs a model: policy must be lqr")
 

@@ -23,6 +23,8 @@ _AT_REST = 1e-4
 """A state that changes by less in a step is at rest; encoders are of single precision."""
 _CLOSED_SIZE = 2e-3
 """Differences of the closed loop: large against the encoder's rounding, small against what is nonlinear."""
+_RESTLESS = "With the policy the real system does not come to rest within the steps that were tried."
+_PICTURES = "With the policy there are none: it sees pictures, and small differences of a state change no pixel."
 
 
 @dataclass(frozen=True)
@@ -32,18 +34,20 @@ class TrueSystem:
     Attributes:
         about: what it is of.
         open_poles: without the policy (n,).
-        closed_poles: with it, around where it comes to rest (n,); None where it does not.
+        closed_poles: with it, around where it comes to rest (n,); None where there are none.
         rest: that state (n,); None where there is none.
+        why: there are none with it, in a sentence; empty where there are.
     """
 
     about: str
     open_poles: Poles
     closed_poles: Poles | None
     rest: Array | None
+    why: str = ""
 
 
 def suite_system(environment: ControlSuite, goal: Array, policy: LatentPolicy) -> TrueSystem:
-    """Return the linearisation of a task of the control suite that sees states, at its goal without control.
+    """Return the linearisation of a task of the control suite at its goal, and with a policy that sees states.
 
     Args:
         environment: the task.
@@ -62,8 +66,10 @@ def suite_system(environment: ControlSuite, goal: Array, policy: LatentPolicy) -
         return environment.state
 
     controls = np.zeros(len(policy.controller.R))
-    found = linearise(held, goal, controls, 1e-6)
-    return _with_loop("the simulated system at its goal", poles(found.A), closed, goal)
+    about, found = "the simulated system at its goal", linearise(held, goal, controls, 1e-6)
+    if len(policy.controller.encoder.shape) > 1:
+        return TrueSystem(about, poles(found.A), None, None, _PICTURES)
+    return _with_loop(about, poles(found.A), closed, goal)
 
 
 def corridor_system(policy: DrivingPolicy, width: float, dt: float, speed: float) -> TrueSystem:
@@ -94,6 +100,6 @@ def _with_loop(about: str, open_poles: Poles, closed: Step, begin: Array) -> Tru
         if moved < _AT_REST:
             break
     else:
-        return TrueSystem(about, open_poles, None, None)
+        return TrueSystem(about, open_poles, None, None, _RESTLESS)
     found = jacobian(lambda states: np.array([closed(each) for each in states]), state, _CLOSED_SIZE)
     return TrueSystem(about, open_poles, poles(found), state)
