@@ -61,6 +61,7 @@ def refit(policy: LatentPolicy, drives: Sequence[Drive], sizes: Sequence[int] = 
         "latent": len(controller.Q),
         "family": chosen.family,
         "mismatch": chosen.mismatch,
+        "action_difference": _difference(controller, learnt, episodes),
         "contraction": chosen.contraction,
         "ridge": chosen.shrunk.ridge,
         "cross_validated_error_over_persistence": chosen.shrunk.crossed,
@@ -76,6 +77,13 @@ def _episode(learnt: LatentController, policy: LatentPolicy, drive: Drive) -> Ep
     actions = controls_of(policy, drive.u)
     none: dict[str, Any] = {}
     return Episode(learnt.encoder(drive.x), actions, float("nan"), len(actions), 0.0, none)
+
+
+def _difference(controller: LatentController, learnt: LatentController, episodes: Sequence[Episode]) -> float:
+    """Return the root mean square of how far the actions of two controllers differ, of spans of 2."""
+    psi = np.concatenate([episode.features for episode in episodes])
+    done, wanted = (each.saturate(each.control(each.project(psi))) for each in (controller, learnt))
+    return float(np.sqrt(np.mean((done - wanted) ** 2)))
 
 
 def _mirrored(policy: LatentPolicy, drive: Drive) -> Drive:

@@ -25,7 +25,7 @@ _SEEN = 1e-4
 _FADING = 0.999
 _INSIDE = 0.9
 """Largest action at the reference: the loop is linear around it."""
-_LEAST_WEIGHT = 0.01
+_LEAST_WEIGHT = 0.05
 
 
 @dataclass(frozen=True)
@@ -47,10 +47,8 @@ class Regulator:
     shrunk: Shrunk
 
 
-def reference_inside(
-    z_ref: Array, u_ref: Array, K: Array, spread: Array, largest: float = _INSIDE
-) -> tuple[Array, Array]:
-    """Return a reference of the law u = u_ref - K (z - z_ref) and its u there, which is within bounds.
+def reference_inside(z_ref: Array, u_ref: Array, K: Array, spread: Array) -> tuple[Array, Array]:
+    """Return a reference of the law u = u_ref - K (z - z_ref) and its action there, which actions can be.
 
     Where u_ref is beyond them the reference moves: to the nearest z, by the spread of what is met, that has such a u.
 
@@ -59,15 +57,14 @@ def reference_inside(
         u_ref: what the law asks for there (m,).
         K: gain (m, n).
         spread: covariance of what is met (n, n).
-        largest: bound of u.
     """
-    inside = np.clip(u_ref, -largest, largest)
+    a_ref = np.clip(u_ref, -_INSIDE, _INSIDE)
     along = spread @ K.T
-    return z_ref + along @ np.linalg.pinv(K @ along) @ (u_ref - inside), inside
+    return z_ref + along @ np.linalg.pinv(K @ along) @ (u_ref - a_ref), a_ref
 
 
 class Refit:
-    """What recorded drives say about a learnt controller: what it would have done, and models of projections of psi.
+    """What recorded drives say about a learnt controller: its law as data, and models of projections of psi.
 
     The models are shrunk towards "nothing changes": drives are short.
 
@@ -87,24 +84,20 @@ class Refit:
     ) -> None:
         self.learnt, self._episodes, self._mirrored = learnt, episodes, mirrored
         self._psi = np.concatenate([episode.features[:-1] for episode in (*episodes, *mirrored)])
-        # The action itself, not what the learnt law asks for: that of the regulator is cut off, not bent by tanh.
-        self._u = learnt.saturate(learnt.control(self._psi))
-        # Near 1 a difference of what is asked for is lost: there the law need not be the same.
-        self._weight = np.mean((1.0 - self._u**2) ** 2, axis=1) + _LEAST_WEIGHT
+        # What the law asks for, not the action: that is linear. Cut off instead of bent by tanh it differs by up to 0.24.
+        self._u = learnt.control(self._psi)
+        # What a difference of u makes of the action: where all of it is lost, the law need not be the same.
+        self._weight = np.mean(1.0 - np.tanh(self._u) ** 2, axis=1) + _LEAST_WEIGHT
         self._psi_ref, self._a_ref = self._reference(goal)
         self.directions = principal(self._psi - self._psi_ref, _SEEN)
         self._A = self.shrunk(self.directions).model.A
 
     def _reference(self, goal: bool) -> tuple[Array, Array]:
-        """Return the goal, or the weighted middle of what is met, and the action there: see `reference_inside`."""
+        """Return the goal, or the weighted middle of what is met, and the law's u there: see `reference_inside`."""
         learnt = self.learnt
         psi_ref = learnt.z_ref if goal else np.average(self._psi, axis=0, weights=self._weight)
         spread = np.cov(self._psi.T, aweights=self._weight)
-        u_ref = learnt.control(psi_ref)
-        if learnt.horizon is None:
-            return reference_inside(psi_ref, u_ref, learnt.K, spread)
-        moved, u_inside = reference_inside(psi_ref, u_ref, learnt.K, spread, float(np.arctanh(_INSIDE)))
-        return moved, np.tanh(u_inside)
+        return reference_inside(psi_ref, learnt.control(psi_ref), learnt.K, spread)
 
     def shrunk(self, C: Array) -> Shrunk:
         """Return the model of C psi and the action around the reference, and how it was chosen."""

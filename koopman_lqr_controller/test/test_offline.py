@@ -91,7 +91,9 @@ def test_a_refitted_policy_predicts_and_does_what_the_first_did() -> None:
         assert found.region is not None
         assert found.region.outside(found.controller.latent(fresh.x[100])) < 1.5
         done, wanted = (each.controller.action(fresh.x) for each in (found, before))
-        assert np.sqrt(np.mean((done - wanted) ** 2)) < 0.5 * np.sqrt(np.mean(wanted**2))
+        missed = np.sqrt(np.mean((done - wanted) ** 2))
+        assert missed < 0.5 * np.sqrt(np.mean(wanted**2))
+        assert found.manifest["action_difference"] == pytest.approx(missed, rel=0.5), "on other drives"
 
 
 def test_agreement_is_whole_for_a_policy_that_was_recorded_itself() -> None:
