@@ -103,6 +103,11 @@ def snapshots_of(
     return [Snapshots(drive.x[:-1], drive.u, drive.x[1:]) for drive in drives_of(bag, lift, robot, lidar_yaw)]
 
 
+def usual_step(drives: Sequence[Drive]) -> float:
+    """Return the time between two steps of drives [s], long ones counting more."""
+    return float(np.average([drive.dt for drive in drives], weights=[len(drive) for drive in drives]))
+
+
 def check_held_out(share: float) -> None:
     """Refuse a part that cannot be held out.
 

@@ -11,6 +11,9 @@ from koopman_lqr_controller.errors import KoopmanError
 
 Array = NDArray[np.float64]
 
+_FADING = 0.999
+"""Largest modulus of a model that was contracted."""
+
 
 @dataclass(frozen=True)
 class Snapshots:
@@ -58,6 +61,11 @@ class LinearModel:
     def predict(self, z: Array, u: Array) -> Array:
         """Return the next z for one (n,) or many (N, n)."""
         return z @ self.A.T + u @ self.B.T
+
+    def contracted(self) -> tuple[float, LinearModel]:
+        """Return the same with A made smaller, so that all modes fade by themselves, and the factor; 1 where they do."""
+        factor = min(1.0, _FADING / float(np.abs(np.linalg.eigvals(self.A)).max()))
+        return factor, LinearModel(np.ascontiguousarray(factor * self.A), self.B)
 
     def one_step_error(self, data: Snapshots) -> Array:
         """Return the root mean square prediction error of each component (n,)."""

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from koopman_lqr_controller.drives import Drive
+from koopman_lqr_controller.drives import Drive, usual_step
 from koopman_lqr_controller.encoder import Dense
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.latent_controller import LatentController
@@ -69,7 +69,7 @@ def refit(policy: LatentPolicy, drives: Sequence[Drive], sizes: Sequence[int] = 
         "dare_residual": controller.residual,
     }
     manifest = {name: policy.manifest[name] for name in _STAYS if name in policy.manifest} | figures
-    return LatentPolicy(controller, _usual_step(drives), policy.wiring, manifest, region)
+    return LatentPolicy(controller, usual_step(drives), policy.wiring, manifest, region)
 
 
 def _episode(learnt: LatentController, policy: LatentPolicy, drive: Drive) -> Episode:
@@ -100,7 +100,3 @@ def _unprojected(controller: LatentController) -> LatentController:
     last = Dense(weight, np.zeros(len(weight), np.float32), False)
     encoder = replace(controller.encoder, layers=(*controller.encoder.layers, last))
     return replace(controller, encoder=encoder, projection=None)
-
-
-def _usual_step(drives: Sequence[Drive]) -> float:
-    return float(np.average([drive.dt for drive in drives], weights=[len(drive) for drive in drives]))

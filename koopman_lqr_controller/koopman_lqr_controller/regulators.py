@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from koopman_lqr_controller.edmd import LinearModel, Snapshots
+from koopman_lqr_controller.edmd import Snapshots
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.inverse_lqr import Law, fit_costs
 from koopman_lqr_controller.latent_controller import LatentController
@@ -22,7 +22,6 @@ LARGEST_RESIDUAL = 1e-8
 """Of the Riccati equation, relative; what is above it is refused."""
 _SEEN = 1e-4
 """Directions of the latent space that vary by less than this part of the first one say nothing but rounding."""
-_FADING = 0.999
 _INSIDE = 0.9
 """Largest action at the reference: the loop is linear around it."""
 _LEAST_WEIGHT = 0.05
@@ -84,7 +83,7 @@ class Refit:
     ) -> None:
         self.learnt, self._episodes, self._mirrored = learnt, episodes, mirrored
         self._psi = np.concatenate([episode.features[:-1] for episode in (*episodes, *mirrored)])
-        # What the law asks for, not the action: that is linear. Cut off instead of bent by tanh it differs by up to 0.24.
+        # What the law asks for is linear; the action, bent by tanh, is not. Cut off instead, it differs by up to 0.24.
         self._u = learnt.control(self._psi)
         # What a difference of u makes of the action: where all of it is lost, the law need not be the same.
         self._weight = np.mean(1.0 - np.tanh(self._u) ** 2, axis=1) + _LEAST_WEIGHT
@@ -134,9 +133,7 @@ class Refit:
         shrunk, z_ref = self.shrunk(C), C @ self._psi_ref
         model, drift = shrunk.model, shrunk.drift
         law = Law.seen(self._psi @ C.T - z_ref, self._u - self._a_ref, self._weight)
-        radius = float(np.abs(np.linalg.eigvals(model.A)).max())
-        for contraction in (1.0, min(1.0, _FADING / radius)):
-            each = LinearModel(contraction * model.A, model.B)
+        for contraction, each in ((1.0, model), model.contracted()):
             try:
                 Q, R, mismatch = fit_costs(each, law, np.ones(len(C)), self.learnt.R)
             except KoopmanError:

@@ -17,7 +17,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from koopman_lqr_controller.drives import Drive
+from koopman_lqr_controller.drives import Drive, usual_step
 from koopman_lqr_controller.edmd import LinearModel
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.latent_controller import LatentController
@@ -89,8 +89,7 @@ def imitate(
         for _ in range(settings.updates):
             imitation.update()
             tick()
-    dt = float(np.average([drive.dt for drive in drives], weights=[len(drive) for drive in drives]))
-    return LatentPolicy(imitation.deploy(), dt, wiring)
+    return LatentPolicy(imitation.deploy(), usual_step(drives), wiring)
 
 
 def _wiring(drives: Sequence[Drive], observation: LidarObservation) -> LidarWiring:

@@ -15,7 +15,7 @@ from ctrl_rl_training.learner_state import Arrays, restore_state, state_arrays
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from koopman_lqr_controller.edmd import LinearModel, Snapshots, fit
+from koopman_lqr_controller.edmd import Snapshots, fit
 from koopman_lqr_controller.encoder import Encoder
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.latent_controller import LatentController
@@ -29,7 +29,6 @@ from koopman_lqr_controller.training.settings import Settings
 
 _REPLAY = "replay."
 _RIDGE = 1e-6
-_FADING = 0.999
 
 
 class LiftedModel(nn.Module):
@@ -125,11 +124,9 @@ class TwoStageLearner:
         model = fit(Snapshots(encoder(data.x), u, encoder(data.x_next)).centred(z_ref, np.zeros(u.shape[1])), _RIDGE)
         first, rest = self._cost
         Q = np.concatenate((first, np.full(len(z_ref) - len(first), rest)))
-        radius = float(np.abs(np.linalg.eigvals(model.A)).max())
-        for contraction in (1.0, min(1.0, _FADING / radius)):
-            A = np.ascontiguousarray(contraction * model.A)
+        for each in (model, model.contracted()[1]):
             try:
-                return {"lqr": LatentController(encoder, LinearModel(A, model.B), Q, np.ones(u.shape[1]), z_ref)}
+                return {"lqr": LatentController(encoder, each, Q, np.ones(u.shape[1]), z_ref)}
             except KoopmanError:
                 continue
         raise KoopmanError("no regulator for the fitted model: give it more actions")
