@@ -63,7 +63,7 @@ class LinearModel:
         return z @ self.A.T + u @ self.B.T
 
     def contracted(self) -> tuple[float, LinearModel]:
-        """Return the same with A made smaller, so that all modes fade by themselves, and the factor; 1 where they do."""
+        """Return a factor, and the same with A times it, so that all modes fade; 1 where they do already."""
         factor = min(1.0, _FADING / float(np.abs(np.linalg.eigvals(self.A)).max()))
         return factor, LinearModel(np.ascontiguousarray(factor * self.A), self.B)
 
