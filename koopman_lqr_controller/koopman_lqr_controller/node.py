@@ -79,7 +79,6 @@ class Controller(LidarDriver):
         self._thought: _Thought | None = None
         self._next: NDArray[np.float64] | None = None
         self._next_since = math.nan
-        self._out_of_step, self._unwatched = 0, ""
         self._load(self.settings["policy"])
 
     def setting_changed(self, name: str) -> None:
@@ -150,6 +149,7 @@ class Controller(LidarDriver):
         served = {"policy": path.name, "policy digest": digest(path)}
         # Only what is right in every respect takes the place of what drives.
         self._guard, self._served, self._next = Guard(policy.region, *self._limits()), served, None
+        self._out_of_step, self._unwatched = 0, ""
         self._policy = policy
         self.get_logger().info(
             f"policy {path.name} ({served['policy digest'][:12]}), {len(policy.z_ref)} observables, "
