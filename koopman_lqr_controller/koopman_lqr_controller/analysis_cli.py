@@ -49,10 +49,10 @@ def _analyse(options: argparse.Namespace) -> int:
     from koopman_lqr_controller.training.analysis_page import page
     from koopman_lqr_controller.training.analysis_pictures import draw_all
     from koopman_lqr_controller.training.policy_analysis import analyse as find
-    from koopman_lqr_controller.training.policy_world import Episode, make_world
+    from koopman_lqr_controller.training.policy_world import Trajectory, make_world
 
     recorded = [
-        Episode(drive.x, controls_of(policy, drive.u), drive.u[:, 0] * 0.0, {})
+        Trajectory(drive.x, controls_of(policy, drive.u), drive.u[:, 0] * 0.0, {})
         for bag in options.bags
         for drive in drives_of(bag, sight(policy), options.robot, options.lidar_yaw)
     ]

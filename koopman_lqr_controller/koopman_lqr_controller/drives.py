@@ -96,11 +96,8 @@ def snapshots_of(
         KoopmanError: a topic is missing or holds nothing usable.
         BagError: the bag cannot be read.
     """
-
-    def lift(ranges: NDArray[np.float32], scan: ScanGeometry, v: float, omega: float) -> Array:
-        return observables.lift(observables.sectors.distances(ranges, scan), v, omega)
-
-    return [Snapshots(drive.x[:-1], drive.u, drive.x[1:]) for drive in drives_of(bag, lift, robot, lidar_yaw)]
+    drives = drives_of(bag, observables.observe, robot, lidar_yaw)
+    return [Snapshots(drive.x[:-1], drive.u, drive.x[1:]) for drive in drives]
 
 
 def usual_step(drives: Sequence[Drive]) -> float:

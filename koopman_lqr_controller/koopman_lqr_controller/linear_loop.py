@@ -128,10 +128,7 @@ def sight(policy: KoopmanPolicy | LatentPolicy) -> See:
     Raises:
         KoopmanError: the policy is of a task without a lidar.
     """
-    if isinstance(policy, LatentPolicy):
-        return wiring_of(policy).observation.observe
-    observables = policy.observables
-    return lambda ranges, scan, v, omega: observables.lift(observables.sectors.distances(ranges, scan), v, omega)
+    return wiring_of(policy).observation.observe if isinstance(policy, LatentPolicy) else policy.observables.observe
 
 
 def controls_of(policy: KoopmanPolicy | LatentPolicy, commands: Array) -> Array:

@@ -8,6 +8,7 @@ These differences and the turn rate change sign when left and right are swapped,
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -15,7 +16,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from koopman_lqr_controller.lidar import Sectors
+from koopman_lqr_controller.errors import KoopmanError
+from koopman_lqr_controller.lidar import ScanGeometry, Sectors
 
 Array = NDArray[np.float64]
 
@@ -54,16 +56,18 @@ class CorridorObservables:
         """Sign of each component when left and right are swapped (n,)."""
         return np.array([-1.0] * (len(self.bearings_deg) + 1) + [1.0])
 
-    def lift(self, distances: Array, v: float, omega: float) -> Array:
-        """Return Psi(x) (n,), dimensionless but for the last two.
+    def observe(self, ranges: NDArray[np.float32], scan: ScanGeometry, v: float, omega: float) -> Array:
+        """Return Psi(x) (n,) for one scan and the odometry's speed [m/s] and turn rate [rad/s].
 
-        Args:
-            distances: one for each of `sectors` [m].
-            v: speed [m/s].
-            omega: turn rate [rad/s].
+        It is dimensionless but for the last two components, which are these.
+
+        Raises:
+            KoopmanError: nothing can be seen in the scan, or speed or turn rate are not finite.
         """
+        if not (math.isfinite(v) and math.isfinite(omega)):
+            raise KoopmanError(f"odometry with speed {v} and turn rate {omega}")
         half = len(self.bearings_deg)
-        nearness = self.near / np.maximum(distances, self.closest)
+        nearness = self.near / np.maximum(self.sectors.distances(ranges, scan), self.closest)
         return np.concatenate((nearness[half:] - nearness[half - 1 :: -1], (omega, v)))
 
     def state_cost(self, side: float, ahead: float, speed: float) -> Array:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol
@@ -141,9 +140,7 @@ class KoopmanPolicy:
         Raises:
             KoopmanError: nothing can be seen in the scan, or speed or turn rate are not finite.
         """
-        if not (math.isfinite(v) and math.isfinite(omega)):
-            raise KoopmanError(f"odometry with speed {v} and turn rate {omega}")
-        z = self.observables.lift(self.sectors.distances(ranges, scan), v, omega)
+        z = self.observables.observe(ranges, scan, v, omega)
         control = self.u_ref - self.K.dot(z - self.z_ref)
         return Decision(np.minimum(np.maximum(control, self.u_low), self.u_high), control, z)
 

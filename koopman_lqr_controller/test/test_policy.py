@@ -51,7 +51,7 @@ def scan_of(ranges: np.ndarray) -> ScanGeometry:
 
 
 def lift(ranges: np.ndarray, v: float = 0.18, omega: float = 0.0) -> np.ndarray:
-    return OBSERVABLES.lift(OBSERVABLES.sectors.distances(ranges, scan_of(ranges)), v, omega)
+    return OBSERVABLES.observe(ranges, scan_of(ranges), v, omega)
 
 
 def test_the_middle_of_a_straight_corridor_is_the_reference(policy: KoopmanPolicy) -> None:

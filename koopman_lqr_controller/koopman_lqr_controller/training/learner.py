@@ -15,7 +15,6 @@ from koopman_lqr_controller.training.network_policy import NetworkPolicy
 from koopman_lqr_controller.training.problems import AnyEnvironment, Problem
 from koopman_lqr_controller.training.replay import Mirror, Replay
 
-_REPLAY = "replay."
 _UPDATES = "updates"
 
 
@@ -68,14 +67,12 @@ class KoopmanLearner:
     def arrays(self) -> Arrays:
         """Return networks, optimisers and replay."""
         out = state_arrays({"agent": self._agent}, self._agent.optimizers)
-        out |= {f"{_REPLAY}{name}": array for name, array in self.replay.arrays().items()}
-        return {**out, _UPDATES: np.array(self._agent.updates)}
+        return {**out, **self.replay.arrays(), _UPDATES: np.array(self._agent.updates)}
 
     def restore(self, arrays: Arrays, /) -> None:
         """Take what `arrays` gave."""
         restore_state({"agent": self._agent}, self._agent.optimizers, arrays)
-        replay = {name.removeprefix(_REPLAY): array for name, array in arrays.items() if name.startswith(_REPLAY)}
-        self.replay.restore(replay)
+        self.replay.restore(arrays)
         self._agent.updates = int(arrays[_UPDATES].item())
 
 

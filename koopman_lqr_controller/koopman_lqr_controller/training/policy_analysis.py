@@ -19,7 +19,7 @@ from koopman_lqr_controller.policy import KoopmanPolicy
 from koopman_lqr_controller.prediction import horizon_errors, law_error
 from koopman_lqr_controller.training.control_suite import ControlSuite
 from koopman_lqr_controller.training.corridor import Corridor
-from koopman_lqr_controller.training.policy_world import Episode, live, make_corridor
+from koopman_lqr_controller.training.policy_world import Trajectory, live, make_corridor
 from koopman_lqr_controller.training.prediction_limits import prediction_limits
 from koopman_lqr_controller.training.true_system import TrueSystem, corridor_system, suite_system
 
@@ -70,7 +70,7 @@ class Findings:
 def analyse(
     policy: Policy,
     world: Any,
-    recorded: Sequence[Episode] = (),
+    recorded: Sequence[Trajectory] = (),
     episodes: int = 6,
     tick: Callable[[str], None] = lambda _: None,
 ) -> dict[str, Any]:
@@ -91,8 +91,8 @@ def analyse(
     tick("controllability")
     findings.add("controllability", lambda: _controllability(loop))
     findings.add("costs", lambda: {"Q": loop.Q.tolist(), "R": loop.R.tolist()})
-    quiet: list[Episode] = []
-    noisy: list[Episode] = []
+    quiet: list[Trajectory] = []
+    noisy: list[Trajectory] = []
     if not isinstance(world, CtrlRlError):
         for index in range(episodes):
             tick(f"episode {index + 1} of {episodes}")
@@ -118,7 +118,7 @@ def _there(world: Any) -> Any:
     return world
 
 
-def _some(data: Sequence[Episode], world: Any) -> Sequence[Episode]:
+def _some(data: Sequence[Trajectory], world: Any) -> Sequence[Trajectory]:
     if not data:
         raise world if isinstance(world, CtrlRlError) else KoopmanError("no episode was lived through")
     return data
@@ -187,13 +187,13 @@ def _controllability(loop: LinearLoop) -> dict[str, Any]:
     }
 
 
-def _data(data: Sequence[Episode], recorded: bool, world: Any) -> dict[str, Any]:
+def _data(data: Sequence[Trajectory], recorded: bool, world: Any) -> dict[str, Any]:
     steps = sum(len(episode.u) for episode in _some(data, world))
     source = "bags" if recorded else f"its own environment, with noise of up to {_NOISE:g} on half of the episodes"
     return {"source": source, "episodes": len(data), "steps": steps}
 
 
-def _prediction(loop: LinearLoop, data: Sequence[Episode]) -> dict[str, Any]:
+def _prediction(loop: LinearLoop, data: Sequence[Trajectory]) -> dict[str, Any]:
     z, u = [loop.latent(episode.x) for episode in data], [episode.u for episode in data]
     return {
         "over_persistence": horizon_errors(loop.predict, z, u, HORIZON),
@@ -206,7 +206,7 @@ def _limits(policy: Policy, loop: LinearLoop, episodes: int, tick: Callable[[str
     return {"rows": prediction_limits(loop, partial(make_corridor, policy), (0.0, _NOISE), count, tick=tick)}
 
 
-def _latents(loop: LinearLoop, data: Sequence[Episode]) -> dict[str, Any]:
+def _latents(loop: LinearLoop, data: Sequence[Trajectory]) -> dict[str, Any]:
     found = analysis.variances(np.concatenate([loop.latent(episode.x) for episode in data]))
     return {
         "variances": found.tolist(),
@@ -215,7 +215,7 @@ def _latents(loop: LinearLoop, data: Sequence[Episode]) -> dict[str, Any]:
     }
 
 
-def _observations(policy: Policy, loop: LinearLoop, data: Sequence[Episode], world: Any) -> dict[str, Any]:
+def _observations(policy: Policy, loop: LinearLoop, data: Sequence[Trajectory], world: Any) -> dict[str, Any]:
     x = np.concatenate([episode.x for episode in data])
     if x.ndim > 2:
         return _patches(loop, x)
@@ -250,7 +250,7 @@ def _names(policy: Policy, world: Any, count: int) -> Sequence[str]:
     return world.names if isinstance(world, ControlSuite) else [f"x {index}" for index in range(count)]
 
 
-def _tsne(loop: LinearLoop, data: Sequence[Episode]) -> dict[str, Any]:
+def _tsne(loop: LinearLoop, data: Sequence[Trajectory]) -> dict[str, Any]:
     from sklearn.manifold import TSNE
 
     z = [loop.latent(episode.x) for episode in data]
@@ -264,7 +264,7 @@ def _tsne(loop: LinearLoop, data: Sequence[Episode]) -> dict[str, Any]:
     return {"true": points[: len(chosen)].tolist(), "predicted": points[len(chosen) :].tolist()}
 
 
-def _closed_loop(loop: LinearLoop, quiet: Sequence[Episode]) -> dict[str, Any]:
+def _closed_loop(loop: LinearLoop, quiet: Sequence[Trajectory]) -> dict[str, Any]:
     """Return how the real system fared under the policy, and what the lifted model alone would have promised."""
     real, lifted = [], []
     for episode in quiet:

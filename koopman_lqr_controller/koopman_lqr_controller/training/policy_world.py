@@ -21,7 +21,7 @@ _CORRIDOR = "curved_corridor"
 
 
 @dataclass(frozen=True)
-class Episode:
+class Trajectory:
     """What was seen and done.
 
     Attributes:
@@ -47,9 +47,7 @@ class LiftedCorridor(Corridor):
 
     def observe(self) -> Vector:
         """Return Psi of the state as it is, see `Corridor.observe`."""
-        scan, observables = self.scan(), self._policy.observables
-        v, omega = self.speeds()
-        return observables.lift(observables.sectors.distances(*scan), v, omega).astype(np.float32)
+        return self._policy.observables.observe(*self.scan(), *self.speeds()).astype(np.float32)
 
 
 def make_world(policy: KoopmanPolicy | Any) -> AnyEnvironment:
@@ -79,8 +77,8 @@ def make_corridor(policy: KoopmanPolicy | LatentPolicy, conditions: Conditions) 
     return Corridor(False, conditions, problem_of(policy.manifest).task)
 
 
-def live(loop: LinearLoop, environment: AnyEnvironment, seed: int, noise: float = 0.0) -> Episode:
-    """Return one episode.
+def live(loop: LinearLoop, environment: AnyEnvironment, seed: int, noise: float = 0.0) -> Trajectory:
+    """Return one episode's trajectory.
 
     Args:
         loop: what acts.
@@ -100,4 +98,4 @@ def live(loop: LinearLoop, environment: AnyEnvironment, seed: int, noise: float 
         done.append(u)
         paid.append(float(reward))
         over = terminated or truncated
-    return Episode(np.array(seen), np.array(done), np.array(paid), info)
+    return Trajectory(np.array(seen), np.array(done), np.array(paid), info)

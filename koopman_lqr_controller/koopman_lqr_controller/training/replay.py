@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-Batch = dict[str, NDArray[np.generic]]
+_PREFIX = "replay."
 
 
 class Transitions(NamedTuple):
@@ -144,14 +145,15 @@ class Replay:
         """Places in use."""
         return self._capacity if self._full else self._end
 
-    def arrays(self) -> Batch:
-        """Return all that is in it, and where its end is, as arrays."""
-        out = {name: array[: self.filled] for name, array in self._arrays.items()}
-        return {**out, "end": np.array([self._end, self._full, self._age], np.int64)}
+    def arrays(self) -> dict[str, NDArray[np.generic]]:
+        """Return all that is in it, and where its end is, as arrays whose names say that they are a replay's."""
+        out = {_PREFIX + name: array[: self.filled] for name, array in self._arrays.items()}
+        return {**out, _PREFIX + "end": np.array([self._end, self._full, self._age], np.int64)}
 
-    def restore(self, arrays: Batch) -> None:
-        """Take what `arrays` gave."""
+    def restore(self, arrays: Mapping[str, NDArray[np.generic]]) -> None:
+        """Take what `arrays` gave; others may lie among them."""
         for name, array in self._arrays.items():
-            array[: len(arrays[name])] = arrays[name]
-        self._end, full, self._age = (int(value) for value in arrays["end"])
+            kept = arrays[_PREFIX + name]
+            array[: len(kept)] = kept
+        self._end, full, self._age = (int(value) for value in arrays[_PREFIX + "end"])
         self._full = bool(full)

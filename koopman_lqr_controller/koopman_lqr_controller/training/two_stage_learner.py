@@ -27,7 +27,6 @@ from koopman_lqr_controller.training.problems import AnyEnvironment, Problem
 from koopman_lqr_controller.training.replay import Replay, Transitions
 from koopman_lqr_controller.training.settings import Settings
 
-_REPLAY = "replay."
 _RIDGE = 1e-6
 
 
@@ -133,13 +132,12 @@ class TwoStageLearner:
 
     def arrays(self) -> Arrays:
         """Return model, optimiser and replay."""
-        out = state_arrays({"model": self._model}, {"optimizer": self._optimizer})
-        return out | {f"{_REPLAY}{name}": array for name, array in self.replay.arrays().items()}
+        return {**state_arrays({"model": self._model}, {"optimizer": self._optimizer}), **self.replay.arrays()}
 
     def restore(self, arrays: Arrays, /) -> None:
         """Take what `arrays` gave."""
         restore_state({"model": self._model}, {"optimizer": self._optimizer}, arrays)
-        self.replay.restore({n.removeprefix(_REPLAY): a for n, a in arrays.items() if n.startswith(_REPLAY)})
+        self.replay.restore(arrays)
 
 
 HAND_TUNED = {
