@@ -44,7 +44,7 @@ class Interface(NamedTuple):
     def encoder(self, settings: Settings) -> TorchEncoder:
         """Return an untrained psi."""
         middle, unit = torch.from_numpy(self.middle), torch.from_numpy(self.unit)
-        crop, halved = settings.crop or None, settings.bfloat16 != "nothing"
+        crop, halved = settings.crop or None, settings.bfloat16 == "all"
         return TorchEncoder(self.shape, settings.latent, settings.hidden, settings.depth, middle, unit, crop, halved)
 
 

@@ -151,7 +151,7 @@ _ALL = (
         name="cartpole_swingup_pixels",
         about="the same from three grey pictures",
         make=_suite("cartpole", "swingup", 8, 72),
-        settings=Settings(depth=4, crop=64, batch=128, learning_rate=1e-3, critic="plain", bfloat16="encoder"),
+        settings=Settings(depth=4, crop=64, batch=128, learning_rate=1e-3, bfloat16="all"),
         repeat=8,
         chunk=1000,
         chunks=40,

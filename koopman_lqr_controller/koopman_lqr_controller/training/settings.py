@@ -13,7 +13,7 @@ _CHOICES = {
     "encoder_loss": ("contrastive", "reconstruction", "reconstruction_prediction"),
     "policy": ("lqr", "network"),
     "critic": ("layer_norm", "plain"),
-    "bfloat16": ("nothing", "encoder", "all"),
+    "bfloat16": ("nothing", "all"),
     "cost": ("Q1", "Q2", "Q3", "Q4"),
 }
 _MAY_BE_ZERO = ("crop", "noise")
@@ -49,7 +49,7 @@ class Settings:
             "reconstruction", or "reconstruction_prediction", which decodes the model's next z as well (4.3.5).
         policy: "lqr", or "network" as in CURL.
         critic: "plain" hidden layers, or each with a "layer_norm": values cannot run away, and policies oscillate less.
-        bfloat16: which hidden layers are computed so while learning: a third quicker on processors that can.
+        bfloat16: "all" hidden layers are computed so while learning, or "nothing": a third quicker, if processors can.
         cost: that a hand has tuned for the two stages, see `two_stage_learner`; of no effect elsewhere.
     """
 
