@@ -9,7 +9,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from ctrl_rl_core.command import run_command
+from ctrl_rl_core.command import file_to_write, run_command
 from ctrl_rl_core.results import Result, as_markdown, read_benchmarks, read_results, write_results
 from ctrl_rl_core.whole_file import write_whole
 from koopman_lqr_controller.policy_file import DEFAULT_POLICY
@@ -36,7 +36,7 @@ def trials() -> int:
     parser = _parser("trials", "Drive from many random starts and count how often the goal is reached.", 6.0)
     parser.add_argument("--seeds", type=int, default=20, help="how many, from 0 (default %(default)s)")
     parser.add_argument("--at-least", type=int, help="exit with 1 if fewer reach the goal (default: 95 %%)")
-    parser.add_argument("--results", type=Path, help="JSON file to write the figures to")
+    parser.add_argument("--results", type=file_to_write, help="JSON file to write the figures to")
     options = parser.parse_args()
     return run_here("trials", lambda: _trials(options))
 

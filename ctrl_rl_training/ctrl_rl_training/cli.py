@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
-from ctrl_rl_core.command import check_least
+from ctrl_rl_core.command import check_least, file_to_write, folder_to_write
 from ctrl_rl_core.results import Result, ResultsError, write_results
 from ctrl_rl_core.task_parts import TaskHeader
 from ctrl_rl_core.tasks import NavigationTask, load_navigation_task, task_digest, task_names
@@ -32,11 +32,11 @@ AnyRun = TypeVar("AnyRun", bound=RunOfTask)
 
 def add_run_options(parser: argparse.ArgumentParser, folder: Path, iterations: int) -> None:
     """Give a `train` what says where, how many runs and how long; the arguments are its defaults."""
-    parser.add_argument("--folder", type=Path, default=folder, help="of the runs (default %(default)s)")
+    parser.add_argument("--folder", type=folder_to_write, default=folder, help="of the runs (default %(default)s)")
     parser.add_argument("--seeds", type=int, default=5, help="how many, from 0 (default %(default)s)")
     parser.add_argument("--iterations", type=int, default=iterations, help="of 10240 samples (default %(default)s)")
     parser.add_argument("--workers", type=int, default=0, help="runs at a time (default: 0, one for each core)")
-    parser.add_argument("--results", type=Path, help="JSON file to write table and curves to")
+    parser.add_argument("--results", type=file_to_write, help="JSON file to write table and curves to")
 
 
 def check_run_options(options: argparse.Namespace) -> None:

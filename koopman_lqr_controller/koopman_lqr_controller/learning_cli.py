@@ -7,7 +7,7 @@ import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
-from ctrl_rl_core.command import check_least
+from ctrl_rl_core.command import check_least, folder_to_write
 
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.training.methods import Changes
@@ -19,7 +19,7 @@ CONSOLIDATION = 30
 
 def add_learning_options(parser: argparse.ArgumentParser, seeds: int) -> None:
     """Give a command what says where, how many runs and how long; `seeds` is a default."""
-    parser.add_argument("--folder", type=Path, default=FOLDER, help="of the runs (default %(default)s)")
+    parser.add_argument("--folder", type=folder_to_write, default=FOLDER, help="of the runs (default %(default)s)")
     parser.add_argument("--seeds", type=int, default=seeds, help="how many, from 0 (default %(default)s)")
     parser.add_argument("--workers", type=int, default=0, help="runs at a time (default: one for each core)")
     parser.add_argument("--chunks", type=int, default=0, help="between two evaluations each (default: the task's)")

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from ctrl_rl_core.command import check_least, run_command
+from ctrl_rl_core.command import check_least, file_to_write, run_command
 from ctrl_rl_core.results import write_results
 
 from koopman_lqr_controller.errors import KoopmanError
@@ -38,7 +38,7 @@ def learn(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--task", required=True, help="one of the tasks below, or a .yaml file with a corridor")
     parser.add_argument("--learner", default="koopman", choices=LEARNERS, help="default %(default)s")
     add_learning_options(parser, seeds=1)
-    parser.add_argument("--results", type=Path, help="JSON file to write table and curves to")
+    parser.add_argument("--results", type=file_to_write, help="JSON file to write table and curves to")
     options = parser.parse_args(arguments)
     return run_command(
         "learn",

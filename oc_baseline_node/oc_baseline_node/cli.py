@@ -15,7 +15,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from ctrl_rl_core.command import check_least, run_command
+from ctrl_rl_core.command import check_least, file_to_write, run_command
 from ctrl_rl_core.results import write_results
 from ctrl_rl_core.tasks import NavigationTask, load_navigation_task
 from ctrl_rl_core.value_function import ValueFunction
@@ -66,7 +66,7 @@ def _parser() -> argparse.ArgumentParser:
     command.add_argument("--epochs", type=int, default=200, help="passes over the data (default %(default)s)")
     command.add_argument("--seed", type=int, default=0, help="of split, weights, order (default %(default)s)")
     command.add_argument("--overwrite", action="store_true", help="replace existing files")
-    command.add_argument("--results", type=Path, help="JSON file for the figures of data and fit")
+    command.add_argument("--results", type=file_to_write, help="JSON file for the figures of data and fit")
     command = _command(commands, "map", _map, "draw a value's heat map (thesis Fig. 3.11)")
     command.add_argument("value", type=Path, help="file of a network or a value grid, or the task of a shipped one")
     command.add_argument("--task", help="its task file, where the task is not one of the suite's")

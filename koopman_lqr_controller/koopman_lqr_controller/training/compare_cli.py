@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from ctrl_rl_core.command import run_command
+from ctrl_rl_core.command import folder_to_write, run_command
 from ctrl_rl_core.results import write_results
 
 from koopman_lqr_controller.errors import KoopmanError
@@ -47,7 +47,9 @@ def compare(arguments: Sequence[str] | None = None) -> int:
         what.add_argument(f"--{kind}", choices=numbers, help=f"of the thesis: {', '.join(numbers)}", metavar="NUMBER")
     parser.add_argument("--tasks", nargs="+", metavar="TASK", help="default: all that the thesis compares on")
     parser.add_argument("--methods", nargs="+", metavar="METHOD", help="only these of the methods below")
-    parser.add_argument("--results", type=Path, default=Path("docs/results"), help="folder (default %(default)s)")
+    parser.add_argument(
+        "--results", type=folder_to_write, default=Path("docs/results"), help="folder (default %(default)s)"
+    )
     add_learning_options(parser, seeds=3)
     options = parser.parse_args(arguments)
     return run_command("compare", lambda: _compare(options, given_words(parser, options, _WORDS)))
@@ -57,7 +59,9 @@ def comparison_figures(arguments: Sequence[str] | None = None) -> int:
     """Draw the curves of learning (thesis Fig. 4.3, 4.8, 4.9) from results that `compare` wrote."""
     parser = argparse.ArgumentParser(prog="comparison_figures", description=comparison_figures.__doc__)
     parser.add_argument("results", nargs="+", type=Path, help="JSON files of `compare`")
-    parser.add_argument("--output", type=Path, default=Path("docs/images"), help="folder (default %(default)s)")
+    parser.add_argument(
+        "--output", type=folder_to_write, default=Path("docs/images"), help="folder (default %(default)s)"
+    )
     options = parser.parse_args(arguments)
     return run_command("comparison_figures", lambda: _draw(options))
 

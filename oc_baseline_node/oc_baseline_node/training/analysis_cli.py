@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.command import check_least, run_command
+from ctrl_rl_core.command import check_least, folder_to_write, run_command
 from ctrl_rl_core.results import Result, ResultsError, write_results
 from ctrl_rl_core.tasks import NavigationTask, load_navigation_task
 from tqdm import tqdm
@@ -64,9 +64,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for command in commands.choices.values():
         command.add_argument("--seed", type=int, default=0, help="(default %(default)s)")
         command.add_argument(
-            "--results", type=Path, default=_RESULTS, help="folder of JSON files (default %(default)s)"
+            "--results", type=folder_to_write, default=_RESULTS, help="folder of JSON files (default %(default)s)"
         )
-        command.add_argument("--images", type=Path, default=_IMAGES, help="folder of pictures (default %(default)s)")
+        command.add_argument(
+            "--images", type=folder_to_write, default=_IMAGES, help="folder of pictures (default %(default)s)"
+        )
     options = parser.parse_args(arguments)
     return run_command("analyse", lambda: _analyse(options))
 

@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from ctrl_rl_core.command import CommandError, check_least, run_command
+from ctrl_rl_core.command import CommandError, check_least, file_to_write, folder_to_write, run_command
 
 from option_coordinator.policy_file import HEADS
 from option_coordinator.tasks import load_option_task, make_environment
@@ -42,12 +42,12 @@ def train(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--drop", type=float, default=0.0, help="chance that a robot vanishes in an episode (default 0, as compared)"
     )
-    parser.add_argument("--folder", type=Path, default=FOLDER, help="of the runs (default %(default)s)")
+    parser.add_argument("--folder", type=folder_to_write, default=FOLDER, help="of the runs (default %(default)s)")
     parser.add_argument("--seeds", type=int, default=5, help="how many, from 0 (default %(default)s)")
     parser.add_argument("--samples", type=int, help="low-level samples of a run (default: the task's)")
     parser.add_argument("--evaluations", type=int, default=50, help="episodes at the end (default %(default)s)")
     parser.add_argument("--workers", type=int, default=0, help="runs at a time (default: 0, one for each core)")
-    parser.add_argument("--results", type=Path, help="JSON file to write table and curves to")
+    parser.add_argument("--results", type=file_to_write, help="JSON file to write table and curves to")
     options = parser.parse_args(arguments)
     return run_command("train", lambda: _train(options) if options.bags is None else _train_on_bags(options))
 
