@@ -50,6 +50,7 @@ class Episode:
         steps: how many actions were done, T.
         saturated: share of these that the law wanted beyond -1 or 1, over all controls.
         info: the environment's last word.
+        noise: standard deviation of what was added to u.
     """
 
     features: Array
@@ -58,6 +59,7 @@ class Episode:
     steps: int
     saturated: float
     info: dict[str, Any]
+    noise: float = 0.0
 
 
 def projected(project: Callable[[Array], Array], episodes: Sequence[Episode]) -> tuple[list[Array], list[Array]]:
@@ -96,7 +98,7 @@ def roll_out(
             actions.append(action)
     if keep:
         features.append(controller.encoder(x))
-    return Episode(np.array(features), np.array(actions), total, steps, beyond / max(1, steps), info)
+    return Episode(np.array(features), np.array(actions), total, steps, beyond / max(1, steps), info, noise)
 
 
 def evaluate(

@@ -1,5 +1,6 @@
 """Coordinates of its own for a learnt policy: on a system that is linear in coordinates that are known."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -104,6 +105,28 @@ def test_the_same_seed_gives_the_same(episodes) -> None:
     other = distil(learnt_controller(), episodes, 2, True, short, seed=1)
     assert np.array_equal(one.controller.K, again.controller.K)
     assert not np.array_equal(one.controller.K, other.controller.K)
+
+
+class NearGoal(SlowManifold):
+    """The same from a tenth as far: only noise moves it far."""
+
+    def reset(self, *, seed: int | None = None) -> tuple[np.ndarray, dict[str, Any]]:
+        super().reset(seed=seed)
+        self._x = 0.1 * self._x
+        return self._x, {}
+
+
+def test_errors_on_quiet_episodes_do_not_drown_in_those_on_noisy_ones() -> None:
+    learnt = learnt_controller()
+    episodes = noisy_roll_outs(learnt, NearGoal(), np.linspace(0.0, 1.0, 30).tolist(), 0)
+    quiet = noisy_roll_outs(learnt, NearGoal(), [0.0] * 10, 900)
+
+    def error(groups: int, seed: int) -> float:
+        found = distil(learnt, episodes, 2, True, replace(SETTINGS, groups=groups), seed)
+        return horizon_errors(found.controller.predict, *projected(found.project, quiet), 1)[0]
+
+    together, apart = (sum(error(groups, seed) for seed in (0, 1)) for groups in (1, 3))
+    assert apart < 0.95 * together
 
 
 def test_too_short_episodes_are_refused() -> None:

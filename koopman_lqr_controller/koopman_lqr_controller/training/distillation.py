@@ -8,7 +8,9 @@ trained together with A, B, a drift, Q and R, by recorded steps alone, that
 - the model predicts the next few z under the actions that were done, and what the law will ask for of the next one.
 
 Both errors of prediction are over that of "nothing changes", so that small latents are no way out; the second is the
-same in all coordinates, so that one that is easy to predict cannot make up for those that the law looks at.
+same in all coordinates, so that one that is easy to predict cannot make up for those that the law looks at. Both are so
+for quiet and for noisy episodes apart: beside what noise moves, errors would pass unnoticed where little moves, as on a
+robot that drives.
 """
 
 from __future__ import annotations
@@ -53,6 +55,7 @@ class DistillationSettings:
         learning_rate: largest one; it rises at first and then falls to nothing.
         model_weight: of the error of z.
         law_weight: of the error of what the law asks for.
+        groups: of episodes by their noise, as many steps in each, that count the same for both.
     """
 
     hidden: int = 256
@@ -62,6 +65,7 @@ class DistillationSettings:
     learning_rate: float = 3e-3
     model_weight: float = 0.3
     law_weight: float = 1.0
+    groups: int = 3
 
     def with_prediction(self, share: float) -> DistillationSettings:
         """Return the same with less weight on what is predicted."""
@@ -119,7 +123,7 @@ def distil(
     settings = settings or DistillationSettings()
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
-        training = _Training(_Data.of(learnt, episodes, settings.steps), latent, settings)
+        training = _Training(_Data.of(learnt, episodes, settings.steps, settings.groups), latent, settings)
         for _ in range(settings.updates):
             training.update()
     return training.deploy(learnt, episodes, goal)
@@ -133,24 +137,28 @@ class _Data:
         psi: features.
         done: actions, all but the last one.
         wanted: what the learnt policy would have done.
+        groups: one column for each level of noise that they are counted by, 1 in one of them (N, groups).
     """
 
     psi: Tensor
     done: Tensor
     wanted: Tensor
+    groups: Tensor
 
     @classmethod
-    def of(cls, learnt: LatentController, episodes: Sequence[Episode], steps: int) -> _Data:
+    def of(cls, learnt: LatentController, episodes: Sequence[Episode], steps: int, groups: int) -> _Data:
         stretches = [
-            (episode.features[first : first + steps + 1], episode.actions[first : first + steps])
+            (episode.features[first : first + steps + 1], episode.actions[first : first + steps], episode.noise)
             for episode in episodes
             for first in range(len(episode.actions) - steps + 1)
         ]
         if not stretches:
             raise KoopmanError(f"no episode has {steps} steps: nothing to learn to predict from")
-        psi, done = (np.stack(part) for part in zip(*stretches, strict=True))
+        psi, done, noise = (np.stack(part) for part in zip(*stretches, strict=True))
         wanted = learnt.saturate(learnt.control(psi))
-        return cls(*(torch.from_numpy(part.astype(np.float32)) for part in (psi, done, wanted)))
+        level = np.digitize(noise, np.quantile(noise, np.linspace(0.0, 1.0, groups + 1)[1:-1]))
+        belongs = level[:, None] == np.unique(level)
+        return cls(*(torch.from_numpy(part.astype(np.float32)) for part in (psi, done, wanted, belongs)))
 
 
 class _Training:
@@ -182,23 +190,23 @@ class _Training:
         bounded = u.clamp(-_BOUND, _BOUND)
         bounded = bounded + _LEAK * (u - bounded)
         loss = (bounded - data.wanted[rows]).square().sum(dim=-1).mean() / self._scale
-        loss = loss + self._prediction_loss(z, u, K, data.done[rows])
+        loss = loss + self._prediction_loss(z, u, K, data.done[rows], data.groups[rows])
         self._optimizer.zero_grad()
         torch.autograd.backward(loss)
         nn.utils.clip_grad_norm_(self._linear, _LARGEST_GRADIENT)
         self._optimizer.step()
         self._schedule.step()
 
-    def _prediction_loss(self, z: Tensor, u: Tensor, K: Tensor, done: Tensor) -> Tensor:
+    def _prediction_loss(self, z: Tensor, u: Tensor, K: Tensor, done: Tensor, groups: Tensor) -> Tensor:
         """Return the weighted errors of z after each step and of u after one, over those of "nothing changes"."""
         ahead, loss, steps = z[:, 0], torch.zeros(()), done.shape[1]
         for step in range(steps):
             ahead = self._lqr.predict(ahead, done[:, step]) + self._drift
-            missed = _over(ahead - z[:, step + 1], z[:, step + 1] - z[:, 0])
+            missed = _over(ahead - z[:, step + 1], z[:, step + 1] - z[:, 0], groups)
             loss = loss + self._settings.model_weight * missed / steps
             if step == 0:
                 asked = self._offset - ahead @ K.T
-                loss = loss + self._settings.law_weight * _over(asked - u[:, 1], u[:, 1] - u[:, 0])
+                loss = loss + self._settings.law_weight * _over(asked - u[:, 1], u[:, 1] - u[:, 0], groups)
         return loss
 
     def _gain(self) -> Tensor:
@@ -233,6 +241,7 @@ class _Training:
         )
 
 
-def _over(missed: Tensor, moved: Tensor) -> Tensor:
-    """Return a sum of squares over another."""
-    return missed.square().sum() / (moved.square().sum() + _LEAST)
+def _over(missed: Tensor, moved: Tensor, groups: Tensor) -> Tensor:
+    """Return a sum of squares over another, the mean of those of all groups."""
+    above, below = (groups.T @ part.square().sum(dim=1) for part in (missed, moved))
+    return (above / (below + _LEAST)).mean()
