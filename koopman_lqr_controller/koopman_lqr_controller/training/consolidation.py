@@ -55,7 +55,8 @@ class Plan:
         scout: latent dimensions of that candidate.
         sizes: latent dimensions that are tried in the end.
         hopeless: part of the learnt return; where more is lost, less weight on prediction does not bring it back.
-        tolerance: part of the learnt return that may be lost, with the standard error that the loss is known to.
+        tolerance: part of the learnt return that may be lost, with the standard error that the loss is known to, in
+            all episodes and in those that are not disturbed.
         error: one-step error over persistence that the model may have; a third is wanted, and what is chosen by is a
             little better than what is fresh.
         candidates: episodes of each candidate.
@@ -303,9 +304,9 @@ class _Search:
         found = distil(self._learnt, self.seen, latent, self._goal, settings, self._seed)
         _check_regulator(found.controller)  # another may do where this one would not
         returns = self._returns(found)
-        return _Candidate(
-            found, share, float(returns.mean()), _surely_lost(self._learnt_returns - returns), self._error(found)
-        )
+        losses = self._learnt_returns - returns
+        lost = max(_surely_lost(losses), _surely_lost(losses[::2]))
+        return _Candidate(found, share, float(returns.mean()), lost, self._error(found))
 
     def measure(self, chosen: Distilled) -> list[Episode]:
         """Return fresh noisy episodes of the learnt and the chosen policy, that nothing was chosen by."""
@@ -329,7 +330,10 @@ class _Search:
         return evaluate(controller, self._environment, self._plan.report, self._first["report"])
 
     def _returns(self, policy: Policy) -> Array:
-        """Return those of the episodes (N,) that candidates are chosen by, the same for all of them."""
+        """Return those of the episodes (N,) that candidates are chosen by, every other one disturbed.
+
+        The episodes are the same for all of them.
+        """
         first = self._first["choose"]
         episodes = [
             roll_out(policy, self._environment, first + index, index % 2 * self._plan.disturbance)
