@@ -348,4 +348,4 @@ class _Search:
 
 def _surely_lost(losses: Array) -> float:
     """Return the mean of losses (N,) and one standard error: what fell once in some episodes may fall more often."""
-    return float(losses.mean() + losses.std(ddof=1) / np.sqrt(len(losses)))
+    return float(losses.mean() + losses.std(ddof=min(1, len(losses) - 1)) / np.sqrt(len(losses)))
