@@ -17,6 +17,11 @@ _SNAPSHOTS = 9
 _ARM = 0.4
 
 
+def over_seeds(count: int) -> str:
+    """Return what curves over so many seeds show, for a title."""
+    return "one seed" if count == 1 else f"mean and standard deviation of {count} seeds"
+
+
 def draw_curve(
     ax: Axes,
     samples: Sequence[float],

@@ -10,7 +10,7 @@ import numpy as np
 from ctrl_rl_core.drawing import draw_world, save_figure
 from ctrl_rl_core.regions import ANGLES, position_indices
 from ctrl_rl_core.tasks import NavigationTask
-from ctrl_rl_training.pictures import draw_curve
+from ctrl_rl_training.pictures import draw_curve, over_seeds
 from matplotlib import pyplot as plt
 
 from ttr_reward_node.rewards import REWARDS
@@ -51,7 +51,7 @@ def draw_curves(figures: Mapping[str, Any], path: Path) -> None:
     axes[0, 0].set_ylabel("success rate")
     axes[0, -1].legend(fontsize=8)
     seeds = max(len(seeds) for seeds in figures["seeds"].values())
-    figure.suptitle(f"{figures['task']}: success while learning, mean and standard deviation of {seeds} seeds")
+    figure.suptitle(f"{figures['task']}: success while learning, {over_seeds(seeds)}")
     save_figure(figure, path)
 
 

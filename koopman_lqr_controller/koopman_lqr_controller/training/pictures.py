@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from ctrl_rl_core.drawing import save_figure
-from ctrl_rl_training.pictures import draw_curve
+from ctrl_rl_training.pictures import draw_curve, over_seeds
 from matplotlib import pyplot as plt
 
 from koopman_lqr_controller.training.methods import METHODS
@@ -37,5 +37,5 @@ def draw_comparison(figures: Mapping[str, Any], path: Path) -> None:
     ax.grid(alpha=0.3)
     ax.legend(fontsize=8)
     seeds = max(len(curve["values"]) for curve in figures["curves"].values())
-    ax.set_title(f"{figures['task']}: mean and standard deviation of {seeds} seeds", fontsize=10)
+    ax.set_title(f"{figures['task']}: {over_seeds(seeds)}", fontsize=10)
     save_figure(figure, path)

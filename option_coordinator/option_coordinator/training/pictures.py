@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from ctrl_rl_core.drawing import save_figure
-from ctrl_rl_training.pictures import draw_curve
+from ctrl_rl_training.pictures import draw_curve, over_seeds
 from matplotlib import pyplot as plt
 from matplotlib.ticker import ScalarFormatter, SymmetricalLogLocator
 
@@ -44,6 +44,6 @@ def draw_curves(figures: Mapping[str, Any], path: Path) -> None:
         ax.yaxis.set_major_formatter(ScalarFormatter())
     ax.grid(alpha=0.3)
     seeds = max((len(curve["values"]) for curve in figures["curves"].values()), default=0)
-    ax.set_title(f"{figures['task']}: mean and standard deviation of {seeds} seeds", fontsize=10)
+    ax.set_title(f"{figures['task']}: {over_seeds(seeds)}", fontsize=10)
     figure.legend(loc="outside right upper", fontsize=8)
     save_figure(figure, path)
