@@ -26,6 +26,16 @@ _KNOWN = 512
 """Geometries that are kept in mind: an LDS-01 has one, an LDS-02, whose motor's speed varies, some two hundred."""
 
 
+def check_speeds(v: float, omega: float) -> None:
+    """Refuse the odometry that a scan is seen with.
+
+    Raises:
+        KoopmanError: speed or turn rate are not finite.
+    """
+    if not (math.isfinite(v) and math.isfinite(omega)):
+        raise KoopmanError(f"odometry with speed {v} and turn rate {omega}")
+
+
 @dataclass(frozen=True)
 class ScanGeometry:
     """Where the beams of a scan point and what they can measure, as sensor_msgs/LaserScan says it.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -10,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koopman_lqr_controller.errors import KoopmanError
-from koopman_lqr_controller.lidar import ScanGeometry, Sectors
+from koopman_lqr_controller.lidar import ScanGeometry, Sectors, check_speeds
 
 Array = NDArray[np.float64]
 
@@ -68,8 +67,7 @@ class LidarObservation:
         Raises:
             KoopmanError: nothing can be seen in the scan, or speed or turn rate are not finite.
         """
-        if not (math.isfinite(v) and math.isfinite(omega)):
-            raise KoopmanError(f"odometry with speed {v} and turn rate {omega}")
+        check_speeds(v, omega)
         x = np.empty(self.count + 2)
         np.divide(self.near, np.maximum(self.sectors.distances(ranges, scan), self.closest), out=x[:-2])
         x[-2], x[-1] = v / self.speed, omega / self.turn

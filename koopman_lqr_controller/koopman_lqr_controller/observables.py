@@ -8,7 +8,6 @@ These differences and the turn rate change sign when left and right are swapped,
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,8 +15,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from koopman_lqr_controller.errors import KoopmanError
-from koopman_lqr_controller.lidar import ScanGeometry, Sectors
+from koopman_lqr_controller.lidar import ScanGeometry, Sectors, check_speeds
 
 Array = NDArray[np.float64]
 
@@ -64,8 +62,7 @@ class CorridorObservables:
         Raises:
             KoopmanError: nothing can be seen in the scan, or speed or turn rate are not finite.
         """
-        if not (math.isfinite(v) and math.isfinite(omega)):
-            raise KoopmanError(f"odometry with speed {v} and turn rate {omega}")
+        check_speeds(v, omega)
         half = len(self.bearings_deg)
         nearness = self.near / np.maximum(self.sectors.distances(ranges, scan), self.closest)
         return np.concatenate((nearness[half:] - nearness[half - 1 :: -1], (omega, v)))
