@@ -93,8 +93,17 @@ def test_a_return_is_kept_only_where_it_surely_is() -> None:
 
 
 def test_what_is_missed_is_said() -> None:
-    plan = Plan(episodes=10, noise=0.3, rounds=1, sizes=(3,), candidates=2, report=2, error=0.0, distillation=QUICK)
+    small = Plan(episodes=10, noise=0.3, rounds=1, sizes=(3,), candidates=2, report=2)
+    plan = replace(small, error=0.0, distillation=QUICK, thorough=replace(QUICK, updates=300))
     assert consolidate(learnt_controller(), Line(), plan).figures["meets"]["error"] is False
+
+
+def test_where_the_usual_falls_short_the_larger_half_is_trained_more_thoroughly() -> None:
+    hasty, many = replace(QUICK, updates=5), replace(QUICK, updates=1500)
+    plan = replace(PLAN, rounds=1, sizes=(2, 3), hopeless=0.0, distillation=hasty, thorough=many)
+    figures = consolidate(learnt_controller(), Line(), plan).figures
+    assert [(row["latent"], row["updates"]) for row in figures["candidates"]] == [(2, 5), (3, 5), (3, 1500)]
+    assert figures["meets"] == {"return": True, "error": True}
 
 
 def test_the_reported_error_is_of_episodes_that_nothing_was_chosen_by(consolidated) -> None:

@@ -11,7 +11,7 @@ that the loop of the proof is the loop that runs, and it proves itself: its gain
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -64,6 +64,7 @@ class Plan:
         prediction: what the weights of prediction are multiplied by, one after the other until the return is kept.
         report: fresh episodes, the same for the learnt policy and for what comes of it.
         distillation: how candidates are trained.
+        thorough: how those of the larger half of the sizes are, where none of the others does all that is wanted.
     """
 
     episodes: int = 30
@@ -79,14 +80,18 @@ class Plan:
     disturbance: float = 0.1
     report: int = 20
     distillation: DistillationSettings = field(default_factory=DistillationSettings)
+    thorough: DistillationSettings = field(default_factory=lambda: DistillationSettings(hidden=512, updates=8000))
 
     @classmethod
     def of(cls, episodes: int, report: int, **changes: Any) -> Plan:
         """Return a plan of so many episodes in a round, all else in proportion to them, and so many fresh ones."""
         episodes = max(5, episodes)
-        updates = round(DistillationSettings.updates * min(1.0, (episodes / cls.episodes) ** 2))
-        settings = DistillationSettings(updates=updates)
-        return cls(episodes, candidates=episodes, report=report, distillation=settings, **changes)
+        plan = cls(episodes, candidates=episodes, report=report, **changes)
+        share = min(1.0, (episodes / cls.episodes) ** 2)
+        usual, thorough = (
+            replace(each, updates=round(share * each.updates)) for each in (plan.distillation, plan.thorough)
+        )
+        return replace(plan, distillation=usual, thorough=thorough)
 
 
 @dataclass(frozen=True)
@@ -107,6 +112,7 @@ class Consolidated:
 @dataclass(frozen=True)
 class _Candidate:
     policy: Distilled
+    settings: DistillationSettings
     share: float
     score: float
     lost: float
@@ -118,6 +124,8 @@ class _Candidate:
     def row(self) -> dict[str, Any]:
         return {
             "latent": len(self.policy.controller.Q),
+            "hidden": self.settings.hidden,
+            "updates": self.settings.updates,
             "prediction": self.share,
             "return": self.score,
             "error_over_persistence": self.error,
@@ -235,6 +243,7 @@ class _Search:
         self._episodes: list[Episode] = []
         self.tried: list[_Candidate] = []
         self.all_episodes: list[Episode] = []
+        self._problem = "no size to try"
         tick("the learnt policy")
         self._learnt_returns = self._returns(learnt)
         self.learnt_score = float(self._learnt_returns.mean())
@@ -254,59 +263,65 @@ class _Search:
 
     def scout(self) -> Policy | None:
         """Return a candidate that makes the mistakes that the next round is to learn from, None where there is none."""
-        try:
-            return self._try(self._plan.scout, self._plan.prediction[0]).policy
-        except KoopmanError:
-            return None
+        found = self._try(self._plan.scout, self._plan.distillation, self._plan.prediction[0])
+        return found.policy if found else None
 
     def choose(self) -> _Candidate:
         """Return the smallest candidate that keeps the return and predicts.
 
-        More and more dimensions are tried, and with each less and less prediction where that may save the return.
-        Where none does both, it is the best predictor of those that keep the return; where none does that, what keeps
-        it best.
+        More and more dimensions are tried, then more thoroughly. Where none does both, it is the best predictor of
+        those that keep the return; where none does that, what keeps it best.
 
         Raises:
             KoopmanError: none of them has a regulator.
         """
-        tried: list[_Candidate] = []
-        problem = KoopmanError("no size to try")
-        for latent in self._plan.sizes:
-            for share in self._plan.prediction:
-                try:
-                    candidate = self._try(latent, share)
-                except KoopmanError as error:
-                    problem = error
-                    continue
-                tried.append(candidate)
-                meets = candidate.meets(self.learnt_score, self._plan)
-                if all(meets.values()):
-                    return candidate
-                if meets["return"] or candidate.lost > self._plan.hopeless * abs(self.learnt_score):
-                    break  # more dimensions are wanted, not less prediction
+        plan, tried = self._plan, list[_Candidate]()
+        for settings, sizes in ((plan.distillation, plan.sizes), (plan.thorough, plan.sizes[len(plan.sizes) // 2 :])):
+            for latent in sizes:
+                tried += self._try_size(latent, settings)
+                if tried and all(self._meets(tried[-1]).values()):
+                    return tried[-1]
         if not tried:
-            raise KoopmanError(f"no regulator: {problem}; learn longer")
+            raise KoopmanError(f"no regulator: {self._problem}; learn longer")
 
         def rank(each: _Candidate) -> tuple[float, ...]:
-            kept = each.meets(self.learnt_score, self._plan)["return"]
-            return (1.0, -each.error, each.score) if kept else (0.0, -each.lost, -each.error)
+            return (1.0, -each.error, each.score) if self._meets(each)["return"] else (0.0, -each.lost, -each.error)
 
         return max(tried, key=rank)
 
-    def _try(self, latent: int, share: float) -> _Candidate:
-        candidate = self._candidate(latent, share)
+    def _try_size(self, latent: int, settings: DistillationSettings) -> list[_Candidate]:
+        """Return what was tried, that which may do last: less and less prediction may save the return."""
+        tried: list[_Candidate] = []
+        for share in self._plan.prediction:
+            candidate = self._try(latent, settings, share)
+            if candidate is None:
+                continue
+            tried.append(candidate)
+            if self._meets(candidate)["return"] or candidate.lost > self._plan.hopeless * abs(self.learnt_score):
+                break  # done, or more dimensions are wanted, not less prediction
+        return tried
+
+    def _meets(self, candidate: _Candidate) -> dict[str, bool]:
+        return candidate.meets(self.learnt_score, self._plan)
+
+    def _try(self, latent: int, settings: DistillationSettings, share: float) -> _Candidate | None:
+        """Return a candidate, None where it has no regulator: another may have one."""
+        try:
+            candidate = self._candidate(latent, settings, share)
+        except KoopmanError as error:
+            self._problem = str(error)
+            return None
         self.tried.append(candidate)
         self._tick(f"{latent} dimensions: {candidate.score:.4g} of {self.learnt_score:.4g}")
         return candidate
 
-    def _candidate(self, latent: int, share: float) -> _Candidate:
-        settings = self._plan.distillation.with_prediction(share)
-        found = distil(self._learnt, self.seen, latent, self._goal, settings, self._seed)
-        _check_regulator(found.controller)  # another may do where this one would not
+    def _candidate(self, latent: int, settings: DistillationSettings, share: float) -> _Candidate:
+        found = distil(self._learnt, self.seen, latent, self._goal, settings.with_prediction(share), self._seed)
+        _check_regulator(found.controller)
         returns = self._returns(found)
         losses = self._learnt_returns - returns
         lost = max(_surely_lost(losses), _surely_lost(losses[::2]))
-        return _Candidate(found, share, float(returns.mean()), lost, self._error(found))
+        return _Candidate(found, settings, share, float(returns.mean()), lost, self._error(found))
 
     def measure(self, chosen: Distilled) -> list[Episode]:
         """Return fresh noisy episodes of the learnt and the chosen policy, that nothing was chosen by."""
