@@ -264,13 +264,13 @@ class _Search:
     def scout(self) -> Policy | None:
         """Return a candidate that makes the mistakes that the next round is to learn from, None where there is none."""
         found = self._try(self._plan.scout, self._plan.distillation, self._plan.prediction[0])
-        return found.policy if found else None
+        return found[0].policy if found else None
 
     def choose(self) -> _Candidate:
         """Return the smallest candidate that keeps the return and predicts.
 
-        More and more dimensions are tried, then more thoroughly. Where none does both, it is the best predictor of
-        those that keep the return; where none does that, what keeps it best.
+        More and more dimensions are tried, then more thoroughly. Where none does both, return comes first: it is the
+        best predictor of those that keep it; where none does that, what keeps it best.
 
         Raises:
             KoopmanError: none of them has a regulator.
@@ -281,6 +281,9 @@ class _Search:
                 tried += self._try_size(latent, settings)
                 if tried and all(self._meets(tried[-1]).values()):
                     return tried[-1]
+        for share in plan.prediction[1:]:
+            if not any(self._meets(each)["return"] for each in tried):
+                tried += self._try(plan.sizes[-1], plan.thorough, share)
         if not tried:
             raise KoopmanError(f"no regulator: {self._problem}; learn longer")
 
@@ -293,27 +296,27 @@ class _Search:
         """Return what was tried, that which may do last: less and less prediction may save the return."""
         tried: list[_Candidate] = []
         for share in self._plan.prediction:
-            candidate = self._try(latent, settings, share)
-            if candidate is None:
-                continue
-            tried.append(candidate)
-            if self._meets(candidate)["return"] or candidate.lost > self._plan.hopeless * abs(self.learnt_score):
-                break  # done, or more dimensions are wanted, not less prediction
+            for candidate in self._try(latent, settings, share):
+                tried.append(candidate)
+                meets = self._meets(candidate)
+                hopeless = candidate.lost > self._plan.hopeless * abs(self.learnt_score)
+                if meets["return"] or not meets["error"] or hopeless:
+                    return tried  # done, or more dimensions are wanted, not less prediction
         return tried
 
     def _meets(self, candidate: _Candidate) -> dict[str, bool]:
         return candidate.meets(self.learnt_score, self._plan)
 
-    def _try(self, latent: int, settings: DistillationSettings, share: float) -> _Candidate | None:
-        """Return a candidate, None where it has no regulator: another may have one."""
+    def _try(self, latent: int, settings: DistillationSettings, share: float) -> list[_Candidate]:
+        """Return a candidate, none where it has no regulator: another may have one."""
         try:
             candidate = self._candidate(latent, settings, share)
         except KoopmanError as error:
             self._problem = str(error)
-            return None
+            return []
         self.tried.append(candidate)
         self._tick(f"{latent} dimensions: {candidate.score:.4g} of {self.learnt_score:.4g}")
-        return candidate
+        return [candidate]
 
     def _candidate(self, latent: int, settings: DistillationSettings, share: float) -> _Candidate:
         found = distil(self._learnt, self.seen, latent, self._goal, settings.with_prediction(share), self._seed)
