@@ -9,7 +9,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from ctrl_rl_core.command import file_to_write, run_command
+from ctrl_rl_core.command import check_least, file_to_write, run_command
 from ctrl_rl_core.results import Result, as_markdown, read_benchmarks, read_results, write_results
 from ctrl_rl_core.whole_file import write_whole
 from koopman_lqr_controller.policy_file import DEFAULT_POLICY
@@ -148,6 +148,7 @@ def _report(result: Drive, options: DriveOptions) -> int:
 
 
 def _trials(options: argparse.Namespace) -> int:
+    check_least(options, seeds=1)
     run = _options(options, "trials", 0)
     seeds = range(options.seeds)
     episodes = drive_seeds(run, seeds)
@@ -177,6 +178,7 @@ def _conditions(run: DriveOptions) -> list[str]:
 
 
 def _record_drives(options: argparse.Namespace) -> int:
+    check_least(options, episodes=1)
     # A model of corridors wants corridors: each drive has a width of its own unless one is asked for.
     options.random_width = options.random_width or not options.width
     run = _options(options, "drives", options.seed)

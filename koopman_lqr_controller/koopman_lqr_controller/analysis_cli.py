@@ -8,12 +8,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from ctrl_rl_core.command import check_least, run_command
+from ctrl_rl_core.command import check_least, folder_to_write, run_command
 from ctrl_rl_core.errors import CtrlRlError
 from ctrl_rl_core.whole_file import write_whole
 
 from koopman_lqr_controller.drives import drives_of
 from koopman_lqr_controller.errors import KoopmanError
+from koopman_lqr_controller.evaluation import other_step
+from koopman_lqr_controller.lidar_mounting import add_lidar_yaw
 from koopman_lqr_controller.linear_loop import controls_of, sight
 from koopman_lqr_controller.policy_file import digest, find_policy, load_policy
 
@@ -31,10 +33,10 @@ def analyse(arguments: Sequence[str] | None = None) -> int:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("policy", help="policy file of either kind, or the name of one that comes with the package")
-    parser.add_argument("--output", type=Path, help="folder to write to (default: the policy's name, here)")
+    parser.add_argument("--output", type=folder_to_write, help="folder to write to (default: the policy's name, here)")
     parser.add_argument("--bags", nargs="+", type=Path, default=[], help="judge prediction by these drives instead")
     parser.add_argument("--robot", default="", help="namespace of the topics in the bags (default: none)")
-    parser.add_argument("--lidar-yaw", type=float, help="of the scans in the bags [rad] (default: as their tf says)")
+    add_lidar_yaw(parser)
     parser.add_argument("--episodes", type=int, default=6, help="in the environment (default %(default)s)")
     options = parser.parse_args(arguments)
     return run_command("analyse", lambda: _analyse(options))
@@ -51,11 +53,10 @@ def _analyse(options: argparse.Namespace) -> int:
     from koopman_lqr_controller.training.policy_analysis import analyse as find
     from koopman_lqr_controller.training.policy_world import Trajectory, make_world
 
-    recorded = [
-        Trajectory(drive.x, controls_of(policy, drive.u), drive.u[:, 0] * 0.0, {})
-        for bag in options.bags
-        for drive in drives_of(bag, sight(policy), options.robot, options.lidar_yaw)
+    drives = [
+        drive for bag in options.bags for drive in drives_of(bag, sight(policy), options.robot, options.lidar_yaw)
     ]
+    recorded = [Trajectory(drive.x, controls_of(policy, drive.u), drive.u[:, 0] * 0.0, {}) for drive in drives]
     world: Any = None
     try:
         world = make_world(policy)
@@ -86,5 +87,8 @@ def _analyse(options: argparse.Namespace) -> int:
         )
     for part, reason in found["left_out"].items():
         print(f"left out   {part}: {reason}")
+    told = other_step(policy, drives) if drives else ""
+    if told:
+        print(told)
     print(f"page       {folder / _PAGE}")
     return 0

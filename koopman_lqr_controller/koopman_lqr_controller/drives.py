@@ -14,18 +14,15 @@ from numpy.typing import NDArray
 
 from koopman_lqr_controller.edmd import Snapshots
 from koopman_lqr_controller.errors import KoopmanError
-from koopman_lqr_controller.lidar import ScanGeometry
+from koopman_lqr_controller.lidar import SAME_STEP, ScanGeometry
 from koopman_lqr_controller.lidar_mounting import yaw_of_lidar
 from koopman_lqr_controller.linear_loop import See
-from koopman_lqr_controller.observables import CorridorObservables
 
 Array = NDArray[np.float64]
 
 _EPISODE = Extractor(lambda message: (message.episode, message.outcome.value), ("episode", "outcome"))
 _OLDEST = 1.0
 """Commands and odometry older than this do not count: a base stops without them [s]."""
-_SAME_STEP = 0.25
-"""Steps that differ from the usual one by more than this part are left out: a scan was lost."""
 
 
 @dataclass(frozen=True)
@@ -87,16 +84,8 @@ def drives_of(bag: Path, see: See, robot: str = "", lidar_yaw: float | None = No
     return out
 
 
-def snapshots_of(
-    bag: Path, observables: CorridorObservables, robot: str = "", lidar_yaw: float | None = None
-) -> list[Snapshots]:
-    """Return the snapshots of one bag, apart for each sequence without a gap: see `drives_of`.
-
-    Raises:
-        KoopmanError: a topic is missing or holds nothing usable.
-        BagError: the bag cannot be read.
-    """
-    drives = drives_of(bag, observables.observe, robot, lidar_yaw)
+def snapshots_of(drives: Sequence[Drive]) -> list[Snapshots]:
+    """Return the snapshots of each drive."""
     return [Snapshots(drive.x[:-1], drive.u, drive.x[1:]) for drive in drives]
 
 
@@ -148,6 +137,8 @@ def _pieces(sequence: Aligned, see: See, yaw: float, topics: Sequence[str], stam
     odometry, commands = sequence.values[odom], sequence.values[command]
     seen = [_seen(see, s, yaw, o) for s, o in zip(sequence.values[scan], odometry, strict=True)]
     width = max((len(x) for x in seen if x is not None), default=0)
+    if not width:  # no scan shows anything
+        return []
     x = np.array([np.full(width, np.nan) if it is None else it for it in seen])
     # A stamped command carries the stamp of the scan it answers; an unstamped one was sent after it, before the next.
     held = slice(None, -1) if stamped else slice(1, None)
@@ -155,7 +146,7 @@ def _pieces(sequence: Aligned, see: See, yaw: float, topics: Sequence[str], stam
     usable = np.isfinite(x[:-1]).all(axis=1) & np.isfinite(x[1:]).all(axis=1) & np.isfinite(u).all(axis=1)
     usable &= (sequence.ages[command][held] < _OLDEST) & (sequence.ages[odom][:-1] < _OLDEST)
     usual = float(np.median(step)) if len(step) else np.nan
-    usable &= np.abs(step / usual - 1.0) < _SAME_STEP
+    usable &= np.abs(step / usual - 1.0) < SAME_STEP
     if episode in sequence.values:
         number, outcome = sequence.values[episode].T
         usable &= (number[:-1] == number[1:]) & (outcome[1:] == 0)

@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from koopman_lqr_controller.drives import Drive
+from koopman_lqr_controller.drives import Drive, usual_step
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.latent_policy import LatentPolicy
+from koopman_lqr_controller.lidar import SAME_STEP
 from koopman_lqr_controller.linear_loop import commands_of, controls_of, linear_loop
 from koopman_lqr_controller.policy import KoopmanPolicy
 from koopman_lqr_controller.prediction import horizon_errors
@@ -51,3 +52,11 @@ def judge(policy: KoopmanPolicy | LatentPolicy, drives: Sequence[Drive]) -> dict
             for index, name in enumerate(_COMMANDS)
         },
     }
+
+
+def other_step(policy: KoopmanPolicy | LatentPolicy, drives: Sequence[Drive]) -> str:
+    """Return that a policy's model steps at another pace than drives, empty where it does not or nobody knows."""
+    step = usual_step(drives)
+    if policy.dt is None or abs(step / policy.dt - 1.0) < SAME_STEP:
+        return ""
+    return f"The model's step is {policy.dt:.2f} s, that of the drives {step:.2f} s: `fit` makes a model of theirs."

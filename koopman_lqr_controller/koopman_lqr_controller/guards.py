@@ -19,6 +19,8 @@ Array = NDArray[np.float64]
 
 RELEASE = 0.8
 """Part of the limit below which an alarm ends: what hovers at the limit does not stop and go."""
+GAP = 1.0
+"""Values that are further apart say nothing of the time between them [s]."""
 
 
 @dataclass
@@ -35,12 +37,20 @@ class Alarm:
     patience: float = 0.0
     raised: bool = False
     _since: float = field(default=math.nan, repr=False)
+    _last: float = field(default=math.nan, repr=False)
+
+    def end(self) -> None:
+        """Forget all that was seen."""
+        self.raised, self._since = False, math.nan
 
     def see(self, now: float, value: float) -> bool:
         """Take a value at a time [s], NaN for none, and return whether the alarm is raised."""
         if self.limit <= 0.0:
-            self.raised = False
+            self.end()
         elif not math.isnan(value):
+            if not now - self._last <= GAP:
+                self._since = math.nan
+            self._last = now
             wrong = value < RELEASE * self.limit if self.raised else value > self.limit
             if not wrong:
                 self._since = math.nan
@@ -79,6 +89,10 @@ class Guard:
         """Change them; an alarm that is raised stays so until its own limit says otherwise."""
         self._region_alarm.limit = largest_distance
         self._error_alarm.limit, self._error_alarm.patience = largest_error, error_patience
+
+    def cannot_predict(self) -> None:
+        """End the alarm of the prediction: there will be no more errors to end it."""
+        self._error_alarm.end()
 
     def see(self, now: float, z: Array, error: float) -> str:
         """Return why the robot must stop, empty where it need not.

@@ -25,7 +25,12 @@ def add_learning_options(parser: argparse.ArgumentParser, seeds: int) -> None:
     parser.add_argument("--chunks", type=int, default=0, help="between two evaluations each (default: the task's)")
     parser.add_argument("--actions", type=int, default=0, help="in a chunk (default: the task's)")
     parser.add_argument(
-        "--set", nargs="+", default=[], metavar="NAME=VALUE", help="settings of the learner, e.g. riccati_iterations=3"
+        "--set",
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="NAME=VALUE",
+        help="settings of the learner, e.g. riccati_iterations=3",
     )
     parser.add_argument(
         "--episodes", type=int, default=20, help="fresh ones at the end, for each policy (default %(default)s)"

@@ -15,13 +15,11 @@ from std_msgs.msg import Header
 from ctrl_rl_msgs.msg import LatentState
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.guards import Guard
-from koopman_lqr_controller.lidar import ScanGeometry
+from koopman_lqr_controller.lidar import SAME_STEP, ScanGeometry
 from koopman_lqr_controller.lidar_driver import DRIVER_PARAMETERS, LidarDriver, Sensed
 from koopman_lqr_controller.policy import Decision, DrivingPolicy
 from koopman_lqr_controller.policy_file import DEFAULT_POLICY, digest, find_policy, load_policy
 
-_SAME_STEP = 0.5
-"""A scan that comes earlier or later than the model's step by more than this part of it is not what was predicted."""
 _OUT_OF_STEP = 20
 """Scans in a row that were not predicted, after which it is said."""
 _SOME_SCAN = ScanGeometry(360, 0.0, 2.0 * np.pi / 360, 0.1, 3.5)
@@ -93,11 +91,11 @@ class Controller(LidarDriver):
     def status(self) -> Status:
         """Say whether commands flow, which policy gives them, and how far from its training the robot is."""
         level, message, figures = super().status()
-        watched = (
-            f"{self._guard.outside:.2f}" if self._policy.region else "not watched: the policy's file has no region"
-        )
-        error = self._unwatched or "watched"
-        return level, message, {**figures, **self._served, "distance over the region's": watched, "prediction": error}
+        watched = {
+            "distance over the region's": self._not_watched("largest_distance") or f"{self._guard.outside:.2f}",
+            "prediction": self._not_watched("largest_error") or self._out_of_step or "watched",
+        }
+        return level, message, {**figures, **self._served, **watched}
 
     def decide(self, sensed: Sensed) -> NDArray[np.float64]:
         """Return the policy's command.
@@ -149,7 +147,7 @@ class Controller(LidarDriver):
         served = {"policy": path.name, "policy digest": digest(path)}
         # Only what is right in every respect takes the place of what drives.
         self._guard, self._served, self._next = Guard(policy.region, *self._limits()), served, None
-        self._out_of_step, self._unwatched = 0, ""
+        self._late, self._out_of_step = 0, ""
         self._policy = policy
         self.get_logger().info(
             f"policy {path.name} ({served['policy digest'][:12]}), {len(policy.z_ref)} observables, "
@@ -167,14 +165,21 @@ class Controller(LidarDriver):
     def _in_step(self, elapsed: float) -> bool:
         """Whether so much time [s] since the last scan is what the model predicts for; say so where it never is."""
         dt = self._policy.dt
-        if dt is None or abs(elapsed / dt - 1.0) < _SAME_STEP:
-            self._out_of_step, self._unwatched = 0, ""
+        if dt is None or abs(elapsed / dt - 1.0) < SAME_STEP:
+            self._late, self._out_of_step = 0, ""
             return True
-        self._out_of_step += 1
-        if self._out_of_step >= _OUT_OF_STEP and not self._unwatched:
-            self._unwatched = f"not watched: scans come every {elapsed:.2f} s, the model's step is {dt:.2f} s"
-            self.get_logger().warning(f"prediction error {self._unwatched}")
+        self._late += 1
+        if self._late >= _OUT_OF_STEP and not self._out_of_step:
+            self._out_of_step = f"not watched: scans come every {elapsed:.2f} s, the model's step is {dt:.2f} s"
+            self._guard.cannot_predict()
+            self.get_logger().warning(f"prediction error {self._out_of_step}")
         return False
+
+    def _not_watched(self, limit: str) -> str:
+        """Return why a parameter's limit is of no effect, empty where it is."""
+        if self._policy.region is None:
+            return "not watched: the policy's file has no region"
+        return "" if self.settings[limit] > 0.0 else f"not watched: {limit} is 0.0"
 
 
 def _doubles(values: NDArray[np.float64]) -> array[float]:

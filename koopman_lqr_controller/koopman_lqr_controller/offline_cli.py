@@ -11,15 +11,15 @@ from operator import add
 from pathlib import Path
 from typing import Any
 
-from ctrl_rl_core.command import check_least, run_command
+from ctrl_rl_core.command import check_least, file_to_write, run_command
 from ctrl_rl_core.units import Interval
 from ctrl_rl_core.whole_file import write_whole
 from tqdm import tqdm
 
-from koopman_lqr_controller.drives import Drive, check_held_out, drives_of, split
-from koopman_lqr_controller.edmd import Snapshots
-from koopman_lqr_controller.evaluation import judge
+from koopman_lqr_controller.drives import Drive, check_held_out, drives_of, snapshots_of, split, usual_step
+from koopman_lqr_controller.evaluation import judge, other_step
 from koopman_lqr_controller.latent_policy import LatentPolicy
+from koopman_lqr_controller.lidar_mounting import add_lidar_yaw
 from koopman_lqr_controller.lidar_observation import LidarObservation
 from koopman_lqr_controller.linear_loop import See, sight
 from koopman_lqr_controller.offline import refit
@@ -28,6 +28,8 @@ from koopman_lqr_controller.policy_file import digest, find_policy, load_policy,
 from koopman_lqr_controller.two_stage import Weights, train
 
 _FITTED, _HELD_OUT = "fitted", "held out"
+_OF_NOTHING_HELD_OUT = ("snapshots", "one_step_error", "persistence_error")
+"""What `train` says of its data, here all of what is fitted; `_save` says more, and of both parts."""
 
 
 def fit(arguments: Sequence[str] | None = None) -> int:
@@ -45,7 +47,7 @@ def evaluate(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="evaluate", description=evaluate.__doc__)
     parser.add_argument("policy", help="policy file of either kind, or the name of one that comes with the package")
     _add_drives(parser)
-    parser.add_argument("--json", type=Path, help="file to write the figures to")
+    parser.add_argument("--json", type=file_to_write, help="file to write the figures to")
     options = parser.parse_args(arguments)
     return run_command("evaluate", lambda: _evaluate(options))
 
@@ -66,16 +68,14 @@ def learn_offline(arguments: Sequence[str] | None = None) -> int:
 def _add_drives(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("bags", nargs="+", type=Path, help="rosbag2 folders with scan, odom and cmd_vel")
     parser.add_argument("--robot", default="", help="namespace of the topics in the bags (default: none)")
-    parser.add_argument(
-        "--lidar-yaw", type=float, help="of the scan's zero bearing [rad] (default: as the bag's tf_static says, or 0)"
-    )
+    add_lidar_yaw(parser)
     parser.add_argument(
         "--held-out", type=float, default=0.2, help="last part of the steps, kept from the fit (default %(default)s)"
     )
 
 
 def _add_output(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--output", type=Path, required=True, help="policy file to write (.safetensors)")
+    parser.add_argument("--output", type=file_to_write, required=True, help="policy file to write (.safetensors)")
     parser.add_argument("--overwrite", action="store_true", help="replace an existing policy file")
 
 
@@ -91,17 +91,17 @@ def _fit(options: argparse.Namespace) -> int:
     else:
         weights = Weights(**policy.manifest["weights"]) if "weights" in policy.manifest else None
         limits = [Interval(low, high) for low, high in zip(policy.u_low, policy.u_high, strict=True)]
-        snapshots = [Snapshots(drive.x[:-1], drive.u, drive.x[1:]) for drive in seen]
         fitted = train(
-            snapshots,
+            snapshots_of(seen),
             policy.observables,
             float(policy.z_ref[-1]),
             (limits[0], limits[1]),
             weights,
             held_out=0.0,
-            manifest={"task": policy.manifest.get("task")},
+            manifest={"task": policy.manifest.get("task"), "dt": usual_step(seen)},
             shrunk=True,
         )
+        fitted = replace(fitted, manifest={k: v for k, v in fitted.manifest.items() if k not in _OF_NOTHING_HELD_OUT})
     return _save(options, fitted, seen, unseen, manifest)
 
 
@@ -110,6 +110,9 @@ def _evaluate(options: argparse.Namespace) -> int:
     parts = dict(zip((_FITTED, _HELD_OUT), _parts(options, sight(policy)), strict=True))
     figures = {name: judge(policy, drives) for name, drives in parts.items() if drives}
     _print(figures)
+    told = other_step(policy, [*parts[_FITTED], *parts[_HELD_OUT]])
+    if told:
+        print(told)
     if options.json is not None:
         write_whole(options.json, json.dumps(figures) + "\n")
     return 0

@@ -117,12 +117,16 @@ class KoopmanPolicy:
                 raise KoopmanError(f"{name} holds values that are not finite")
         if not (self.u_low < self.u_high).all():
             raise KoopmanError("u_low must lie below u_high")
+        dt = self.manifest.get("dt")
+        if dt is not None and not (isinstance(dt, int | float) and 0.0 < dt < float("inf")):
+            raise KoopmanError(f"dt is {dt}: must be a positive time")
         check_region(self.region, n)
 
     @property
-    def dt(self) -> None:
-        """A drive's own time between scans: its bags know it, the file does not."""
-        return None
+    def dt(self) -> float | None:
+        """Time for which the model predicts [s]; None where the manifest does not say."""
+        dt = self.manifest.get("dt")
+        return None if dt is None else float(dt)
 
     @property
     def sectors(self) -> Sectors:

@@ -50,7 +50,7 @@ def consolidate(arguments: Sequence[str] | None = None) -> int:
     """Turn a learnt policy into the true LQR of its own model: inverse LQR in fewer latent dimensions that predict."""
     parser = argparse.ArgumentParser(prog="consolidate", description=consolidate.__doc__)
     parser.add_argument("policy", type=Path, help="policy.safetensors that `learn` made")
-    parser.add_argument("--output", type=Path, required=True, help="policy file to write (.safetensors)")
+    parser.add_argument("--output", type=file_to_write, required=True, help="policy file to write (.safetensors)")
     parser.add_argument("--latent", type=int, nargs="+", help="latent dimensions to try (default: 4 to 24)")
     parser.add_argument(
         "--episodes",

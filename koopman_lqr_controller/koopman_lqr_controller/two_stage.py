@@ -88,7 +88,7 @@ def train(
         "method": "EDMD and infinite-horizon LQR, two stages (thesis 2.3.1)",
         "speed": speed,
         "weights": vars(weights),
-        "snapshots": {"fitted": len(seen), "held_out": len(unseen)},
+        "snapshots": {"fitted": len(seen), "held_out": 0 if unseen is seen else len(unseen)},
         "one_step_error": error.tolist(),
         "persistence_error": persistence.tolist(),
         "error_over_persistence": float(np.linalg.norm(error) / np.linalg.norm(persistence)),
@@ -103,7 +103,7 @@ def train(
 
 def _split(data: Snapshots, held_out: float) -> tuple[Snapshots, Snapshots]:
     """Cut off the last part; where nothing is held out the measure is on what was fitted."""
-    cut = len(data) - int(held_out * len(data))
+    cut = len(data) - round(held_out * len(data))
     if cut == len(data):
         return data, data
     return (

@@ -12,6 +12,7 @@ from koopman_lqr_controller.observables import CorridorObservables
 from recorded import KINDS, STEP, Bag
 
 OBSERVABLES = CorridorObservables()
+SEE = OBSERVABLES.observe
 
 
 def without(*names: str, **changed: str) -> dict[str, str]:
@@ -22,7 +23,7 @@ def without(*names: str, **changed: str) -> dict[str, str]:
 def test_each_step_brings_state_command_and_next_state(tmp_path: Path, command: str) -> None:
     with Bag(tmp_path / "bag", without("/episode", cmd_vel=command)) as bag:
         bag.drive(range(6))
-    (snapshots,) = snapshots_of(tmp_path / "bag", OBSERVABLES)
+    (snapshots,) = snapshots_of(drives_of(tmp_path / "bag", SEE))
     turn_rate = OBSERVABLES.names.index("turn rate")
     k = np.arange(5)
     np.testing.assert_allclose(snapshots.z[:, turn_rate], 0.1 * k, atol=1e-6)
@@ -36,7 +37,7 @@ def test_a_lost_scan_and_a_blind_one_part_the_drive(tmp_path: Path) -> None:
         bag.drive(range(5, 9))
         bag.drive(range(9, 10), distance=np.nan)
         bag.drive(range(10, 13))
-    assert [len(piece.u) for piece in snapshots_of(tmp_path / "bag", OBSERVABLES)] == [3, 3, 2]
+    assert [len(piece.u) for piece in snapshots_of(drives_of(tmp_path / "bag", SEE))] == [3, 3, 2]
 
 
 def test_what_follows_an_outcome_is_left_out(tmp_path: Path) -> None:
@@ -45,18 +46,22 @@ def test_what_follows_an_outcome_is_left_out(tmp_path: Path) -> None:
             outcome = 1 if k in (4, 5) else 0
             bag.put("/episode", k * STEP, episode=int(k > 5), outcome={"value": outcome})
             bag.drive(range(k, k + 1))
-    assert [len(piece.u) for piece in snapshots_of(tmp_path / "bag", OBSERVABLES)] == [3, 2]
+    assert [len(piece.u) for piece in snapshots_of(drives_of(tmp_path / "bag", SEE))] == [3, 2]
 
 
 def test_says_which_topic_is_missing_and_when_nothing_is_usable(tmp_path: Path) -> None:
     with Bag(tmp_path / "a", without("/odom", "/episode")) as bag:
         bag.writer.flush()
     with pytest.raises(KoopmanError, match=r"no topic /odom; it has /cmd_vel, /scan"):
-        snapshots_of(tmp_path / "a", OBSERVABLES)
+        drives_of(tmp_path / "a", SEE)
     with Bag(tmp_path / "b", without("/episode")) as bag:
         bag.drive(range(1))
     with pytest.raises(KoopmanError, match="was the robot driven"):
-        snapshots_of(tmp_path / "b", OBSERVABLES)
+        drives_of(tmp_path / "b", SEE)
+    with Bag(tmp_path / "c", without("/episode")) as bag:
+        bag.drive(range(5), distance=np.nan)
+    with pytest.raises(KoopmanError, match="was the robot driven"):
+        drives_of(tmp_path / "c", SEE)
 
 
 def test_the_lidar_is_taken_as_it_is_mounted(tmp_path: Path) -> None:

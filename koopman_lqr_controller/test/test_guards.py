@@ -44,6 +44,20 @@ def test_no_value_is_no_news() -> None:
     assert raised(Alarm(1.0, 0.3), [2.0, math.nan, 2.0, math.nan]) == [False, False, True, True]
 
 
+def test_values_that_are_far_apart_do_not_stay_high() -> None:
+    alarm = Alarm(1.0, 1.0)
+    assert not any(alarm.see(now, 2.0) for now in (0.0, 60.0, 120.0, 120.8))
+    assert alarm.see(121.2, 2.0)
+
+
+def test_what_cannot_be_watched_any_more_ends_its_alarm() -> None:
+    guard = Guard(REGION, 2.0, 1.0, 0.0)
+    assert "prediction error" in guard.see(0.0, INSIDE, 0.6)
+    assert "prediction error" in guard.see(0.2, INSIDE, math.nan)
+    guard.cannot_predict()
+    assert guard.see(0.4, INSIDE, math.nan) == ""
+
+
 def test_a_clock_that_is_set_back_begins_anew() -> None:
     alarm = Alarm(1.0, 0.5)
     assert [alarm.see(now, 2.0) for now in (10.0, 10.4, 0.0, 0.4, 0.6)] == [False, False, False, False, True]

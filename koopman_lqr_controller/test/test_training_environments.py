@@ -165,6 +165,25 @@ def test_a_corridor_of_ones_own_is_learnt_without_meeting_itself(tmp_path: Path)
         environment.close()
 
 
+def test_a_corridor_is_driven_with_the_commands_that_its_task_allows(tmp_path: Path) -> None:
+    text = task_file("curved_corridor").read_text(encoding="utf-8")
+
+    def limits(v: str, omega: str) -> tuple[list[float], list[float]]:
+        file = tmp_path / "own.yaml"
+        own = re.sub(r"v: .* m/s", f"v: {v} m/s", re.sub(r"omega: .* rad/s", f"omega: {omega} rad/s", text))
+        file.write_text(own.replace("curved_corridor", "own"), encoding="utf-8")
+        corridor = find_problem(str(file)).make(False)
+        corridor.close()
+        return corridor.wiring.u_low.tolist(), corridor.wiring.u_high.tolist()
+
+    assert limits("0.0 .. 0.22", "-2.84 .. 2.84") == ([0.0, -1.5], [0.22, 1.5])
+    assert limits("0.05 .. 0.1", "-0.9 .. 0.8") == ([0.05, -0.8], [0.1, 0.8])
+    with pytest.raises(
+        KoopmanError, match=r"task 'own' allows 0 \.\. 0\.1 m/s, 0 \.\. 0\.8 rad/s: a policy drives forwards"
+    ):
+        limits("0.0 .. 0.1", "0.0 .. 0.8")
+
+
 def test_each_episode_has_another_robot_and_the_same_seed_the_same() -> None:
     corridor = Corridor()
     seen = {}

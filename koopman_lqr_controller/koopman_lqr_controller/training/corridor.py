@@ -20,6 +20,7 @@ from ctrl_rl_core.outcome import Outcome
 from ctrl_rl_core.task_parts import CorridorSpec
 from ctrl_rl_core.task_sets import PathCoordinates
 from ctrl_rl_core.tasks import NavigationTask, load_navigation_task
+from ctrl_rl_core.units import Interval
 from gymnasium import spaces
 from numpy.typing import NDArray
 from sim_bridge.world import SimulatedWorld, SimulationOptions
@@ -37,7 +38,8 @@ _AT_SPEED = 0.9
 _LIDARS, _MOST_DROPOUT, _LONGEST_DELAY = ("lds01", "lds02"), 0.1, 0.1
 """What an episode's robot may be like: probability that a beam is lost, from a command to its effect [s]."""
 _RATE = 60
-_SPEED, _TURN = 0.22, 1.5
+_SPEED, _TURN = Interval(0.0, 0.22), Interval(-1.5, 1.5)
+"""What a policy may command at most [m/s], [rad/s]; less where the task allows less."""
 _NEAR_WALL = 0.15
 """Clearance below which a step pays less [m]."""
 _TURN_COST = 0.2
@@ -97,14 +99,16 @@ class Corridor(gymnasium.Env[Vector, Vector]):
             task: with a corridor, its name or file.
 
         Raises:
-            KoopmanError: the task has no corridor, or the physics are not as quick as its time step wants.
+            KoopmanError: the task has no corridor, allows too little to drive there, or the physics are not as quick as
+                its time step wants.
             TaskError: there is no such task.
         """
         self.task = load_navigation_task(task)
         if self.task.corridor is None:
             raise KoopmanError(f"task '{self.task.name}' has no corridor")
+        speed, turn = _limits(self.task)
         if learning:
-            self.task = _in_a_row(self.task, self.task.corridor)
+            self.task = _in_a_row(self.task, self.task.corridor, speed.high)
         self.dt = self.task.episode.time_step
         steps = self.dt * _RATE
         if abs(steps - round(steps)) > 1e-6:
@@ -112,9 +116,11 @@ class Corridor(gymnasium.Env[Vector, Vector]):
         self._steps = round(steps)
         self._conditions = conditions
         self._world = self._make_world(0, conditions or Conditions())
-        self.wiring = LidarWiring(LidarObservation(), np.array((0.0, -_TURN)), np.array((_SPEED, _TURN)))
+        self.wiring = LidarWiring(
+            LidarObservation(), np.array((speed.low, turn.low)), np.array((speed.high, turn.high))
+        )
         self.mirror = Mirror(*self.wiring.observation.mirror, np.array((1.0, -1.0)))
-        self._full_step = _SPEED * self.task.episode.time_step
+        self._full_step = speed.high * self.task.episode.time_step
         path = self._world.geometry.path
         assert path is not None
         self._path_coordinates = PathCoordinates(path)  # the same at every width
@@ -200,9 +206,22 @@ class Corridor(gymnasium.Env[Vector, Vector]):
         return {"outcome": outcome.name, "progress": progress, "clearance": episode.clearance}
 
 
-def _in_a_row(task: NavigationTask, corridor: CorridorSpec) -> NavigationTask:
+def _limits(task: NavigationTask) -> tuple[Interval, Interval]:
+    """Return what may be commanded as speed [m/s] and turn rate [rad/s], to both sides alike."""
+    if not task.robot.commands.keys() >= {"v", "omega"}:
+        raise KoopmanError(f"task '{task.name}' has a {task.robot.body}: must have wheels")
+    speed, turn = task.robot.commands["v"], task.robot.commands["omega"]
+    fastest, hardest = min(_SPEED.high, speed.high), min(_TURN.high, turn.high, -turn.low)
+    slowest = max(_SPEED.low, speed.low)
+    if slowest >= fastest or hardest <= 0.0:
+        allowed = f"{speed.low:g} .. {speed.high:g} m/s, {turn.low:g} .. {turn.high:g} rad/s"
+        raise KoopmanError(f"task '{task.name}' allows {allowed}: a policy drives forwards and turns to both sides")
+    return Interval(slowest, fastest), Interval(-hardest, hardest)
+
+
+def _in_a_row(task: NavigationTask, corridor: CorridorSpec, speed: float) -> NavigationTask:
     """Return the task with its corridor as often as an episode has time for, and the goal at the end of the last."""
-    length, most = corridor.path.length, task.episode.steps * task.episode.time_step * _SPEED * _AT_SPEED
+    length, most = corridor.path.length, task.episode.steps * task.episode.time_step * speed * _AT_SPEED
     count = max(1, int(most / length))
     while count > 1 and _meets_itself(corridor, count):
         count -= 1
