@@ -53,7 +53,7 @@ def _consolidated(results: Sequence[dict[str, Any]]) -> list[Result]:
     for method, figures in ((_LEARNT, [end["learnt"] for end in ends]), (_CONSOLIDATED, ends)):
         rows.append(Result(method, "spectral radius of A - B K", "1", [each["spectral_radius"] for each in figures]))
         errors = [each["error_over_persistence"] for each in figures]
-        rows.append(Result(method, "one-step error over persistence", "1", errors))
+        rows.append(Result(method, "one-step error over persistence, noisy episodes", "1", errors))
         rows.append(Result(method, "the same of K z", "1", [each["law_error"] for each in figures]))
     return rows + _goals(_CONSOLIDATED, ends)
 
