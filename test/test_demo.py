@@ -98,6 +98,13 @@ def test_a_wrong_option_gives_one_clear_message(tmp_path: Path, option: tuple[st
     assert not (tmp_path / "run").exists()
 
 
+def test_no_drive_is_no_figure(tmp_path: Path) -> None:
+    results = tmp_path / "results.json"
+    check_refused("--seeds must be at least 1, not 0", "trials", "--seeds", 0, "--results", results)
+    assert not results.exists()
+    check_refused("--episodes must be at least 1, not 0", "record_drives", "--episodes", 0)
+
+
 def test_without_a_known_width_it_drives_without_reward_and_says_so(tmp_path: Path) -> None:
     folder = tmp_path / "run"
     answer = command("demo", "--speed", 6, "--random-width", "--output", folder)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from ctrl_rl_core.bag_metadata import BagError
 from ctrl_rl_core.bag_reader import read_messages
+from ctrl_rl_core.odometry import yaw_of
 
 Method = Literal["previous", "nearest", "linear"]
 Clock = Literal["header", "log"]
@@ -65,9 +66,7 @@ def _scan(message: Any) -> Scan:
 
 def _odometry(message: Any) -> tuple[float, ...]:
     pose, twist = message.pose.pose, message.twist.twist
-    q = pose.orientation
-    yaw = np.arctan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y**2 + q.z**2))
-    return pose.position.x, pose.position.y, float(yaw), twist.linear.x, twist.angular.z
+    return pose.position.x, pose.position.y, yaw_of(pose.orientation), twist.linear.x, twist.angular.z
 
 
 def _twist(message: Any) -> tuple[float, float]:

@@ -32,6 +32,11 @@ class OdometryError(CtrlRlError):
     """A state cannot be read from odometry."""
 
 
+def yaw_of(q: Any) -> float:
+    """Return the heading of a quaternion of a message, in (-pi, pi]."""
+    return math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z))
+
+
 class OdometryReader:
     """Reads the state of one kind of robot from odometry messages.
 
@@ -53,7 +58,6 @@ class OdometryReader:
     def __call__(self, message: Any) -> NDArray[np.float64]:
         """Return the state (n,) in SI units; angles in (-pi, pi]."""
         pose, twist = message.pose.pose, message.twist.twist
-        q = pose.orientation
-        yaw = math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z))
+        q, yaw = pose.orientation, yaw_of(pose.orientation)
         pitch = math.atan2(2.0 * (q.w * q.y - q.z * q.x), 1.0 - 2.0 * (q.x * q.x + q.y * q.y))
         return np.array([component(pose, twist, yaw, pitch) for component in self._components])

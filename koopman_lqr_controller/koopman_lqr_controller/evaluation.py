@@ -13,10 +13,8 @@ from koopman_lqr_controller.latent_policy import LatentPolicy
 from koopman_lqr_controller.lidar import SAME_STEP
 from koopman_lqr_controller.linear_loop import commands_of, controls_of, linear_loop
 from koopman_lqr_controller.policy import KoopmanPolicy
-from koopman_lqr_controller.prediction import horizon_errors
+from koopman_lqr_controller.prediction import HORIZON, horizon_errors
 
-HORIZON = 10
-"""Steps that the model's error is told for."""
 _COMMANDS = ("speed [m/s]", "turn rate [rad/s]")
 
 

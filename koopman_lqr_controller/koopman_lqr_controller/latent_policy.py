@@ -89,13 +89,24 @@ class LatentPolicy:
         return self.controller.z_ref
 
     @property
+    def wired(self) -> LidarWiring:
+        """The wiring, where there is one.
+
+        Raises:
+            KoopmanError: the policy is of a task without a lidar.
+        """
+        if self.wiring is None:
+            raise KoopmanError(f"this policy is of the task {self.manifest.get('task')}: it knows no lidar")
+        return self.wiring
+
+    @property
     def sectors(self) -> Sectors:
         """What the policy takes from a scan.
 
         Raises:
             KoopmanError: the policy is of another task.
         """
-        return self._wired().observation.sectors
+        return self.wired.observation.sectors
 
     @property
     def loop(self) -> Array:
@@ -109,20 +120,15 @@ class LatentPolicy:
             KoopmanError: nothing can be seen in the scan, speed or turn rate are not finite, or the policy is of
                 another task.
         """
-        wiring, controller = self._wired(), self.controller
+        wiring, controller = self.wired, self.controller
         z = controller.latent(wiring.observation.observe(ranges, scan, v, omega))
         u = controller.control(z)
         return Decision(wiring.command(controller.saturate(u)), wiring.command(u), z)
 
     def predict(self, z: Array, command: Array) -> Array:
         """Return the model's next z (n,) under a command (2,), which counts as the nearest within the limits."""
-        return self.controller.predict(z, self._wired().action(command))
+        return self.controller.predict(z, self.wired.action(command))
 
     def cost_to_go(self, z: Array) -> float:
         """Return (z - z_ref)^T P (z - z_ref)."""
         return self.controller.cost_to_go(z)
-
-    def _wired(self) -> LidarWiring:
-        if self.wiring is None:
-            raise KoopmanError(f"this policy is of the task {self.manifest.get('task')}: it cannot drive from a lidar")
-        return self.wiring

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from koopman_lqr_controller.analysis import costs_of
 from koopman_lqr_controller.edmd import LinearModel
-from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.latent_controller import LatentController
-from koopman_lqr_controller.latent_policy import LatentPolicy, LidarWiring
+from koopman_lqr_controller.latent_policy import LatentPolicy
 from koopman_lqr_controller.lidar import ScanGeometry
 from koopman_lqr_controller.policy import KoopmanPolicy
 
@@ -128,7 +127,7 @@ def sight(policy: KoopmanPolicy | LatentPolicy) -> See:
     Raises:
         KoopmanError: the policy is of a task without a lidar.
     """
-    return wiring_of(policy).observation.observe if isinstance(policy, LatentPolicy) else policy.observables.observe
+    return policy.wired.observation.observe if isinstance(policy, LatentPolicy) else policy.observables.observe
 
 
 def controls_of(policy: KoopmanPolicy | LatentPolicy, commands: Array) -> Array:
@@ -137,7 +136,7 @@ def controls_of(policy: KoopmanPolicy | LatentPolicy, commands: Array) -> Array:
     Raises:
         KoopmanError: the policy is of a task without a lidar.
     """
-    return wiring_of(policy).action(commands) if isinstance(policy, LatentPolicy) else commands
+    return policy.wired.action(commands) if isinstance(policy, LatentPolicy) else commands
 
 
 def commands_of(policy: KoopmanPolicy | LatentPolicy, controls: Array) -> Array:
@@ -146,15 +145,4 @@ def commands_of(policy: KoopmanPolicy | LatentPolicy, controls: Array) -> Array:
     Raises:
         KoopmanError: the policy is of a task without a lidar.
     """
-    return wiring_of(policy).command(controls) if isinstance(policy, LatentPolicy) else controls
-
-
-def wiring_of(policy: LatentPolicy) -> LidarWiring:
-    """Return how a latent policy is wired to a robot.
-
-    Raises:
-        KoopmanError: the policy is of a task without a lidar.
-    """
-    if policy.wiring is None:
-        raise KoopmanError(f"this policy is of the task {policy.manifest.get('task')}: it knows no lidar")
-    return policy.wiring
+    return policy.wired.command(controls) if isinstance(policy, LatentPolicy) else controls

@@ -14,7 +14,7 @@ from koopman_lqr_controller.encoder import Dense
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.latent_controller import LatentController
 from koopman_lqr_controller.latent_policy import LatentPolicy
-from koopman_lqr_controller.linear_loop import controls_of, wiring_of
+from koopman_lqr_controller.linear_loop import controls_of
 from koopman_lqr_controller.region import region_of_episodes
 from koopman_lqr_controller.regulators import Refit
 from koopman_lqr_controller.roll_outs import Episode, projected
@@ -88,7 +88,7 @@ def _difference(controller: LatentController, learnt: LatentController, episodes
 
 def _mirrored(policy: LatentPolicy, drive: Drive) -> Drive:
     """Return a drive as it would have been had left and right been swapped."""
-    order, sign = wiring_of(policy).observation.mirror
+    order, sign = policy.wired.observation.mirror
     return Drive(drive.x[:, order] * sign, drive.u * (1.0, -1.0), drive.dt)
 
 

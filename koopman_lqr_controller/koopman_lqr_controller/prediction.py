@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 from koopman_lqr_controller.errors import KoopmanError
 
 Array = NDArray[np.float64]
-
-
 Predict = Callable[[Array, Array], Array]
+
+HORIZON = 10
+"""Steps that a model's error is told for."""
 
 
 def squared_error(predict: Predict, z: Sequence[Array], actions: Sequence[Array]) -> float:

@@ -1,6 +1,7 @@
 """`analyse` from a policy file to a page: all parts where there is a world, and a line for each that there is not."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from koopman_lqr_controller.linear_loop import linear_loop
 from koopman_lqr_controller.policy_file import find_policy, load_policy, save_policy
 from koopman_lqr_controller.training.analysis_page import page
 from koopman_lqr_controller.training.control_suite import ControlSuite
+from koopman_lqr_controller.training.policy_world import make_world
 from koopman_lqr_controller.training.true_system import corridor_system
 
 PARTS = {"policy", "poles", "true_poles", "controllability", "costs", "data", "prediction", "latents", "observations"}
@@ -59,6 +61,16 @@ def test_without_a_world_what_the_file_says_is_left(tmp_path: Path, capsys: pyte
     assert "## Left out" in text
     assert "not as learnt" in text, "whose Q it is"
     assert "left out   tsne: no task 'somewhere'" in capsys.readouterr().out
+
+
+def test_a_policy_of_another_corridor_is_judged_without_it(tmp_path: Path) -> None:
+    shipped = load_policy(find_policy("curved_corridor_edmd"))
+    make_world(shipped).close()
+    other = replace(shipped, manifest={**shipped.manifest, "task_digest": "of yesterday"})
+    save_policy(other, tmp_path / "policy.safetensors")
+    found, _ = run(tmp_path / "policy.safetensors", tmp_path / "page")
+    assert "another one than when the policy was made" in found["left_out"]["prediction"]
+    assert found["poles"]
 
 
 def test_a_policy_that_is_none_is_refused_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -169,7 +169,7 @@ def test_another_policy_drives_from_the_next_scan_on_and_a_bad_one_is_refused(
         ("nowhere", "no policy 'nowhere'"),
         (str(tmp_path / "broken.safetensors"), "not a readable policy file"),
         (str(tmp_path / "headless.safetensors"), "its header is no table"),
-        (str(tmp_path / "cheetah.safetensors"), "cannot drive from a lidar"),
+        (str(tmp_path / "cheetah.safetensors"), "it knows no lidar"),
     ):
         taken, reason = set_parameter(robot, "policy", name)
         assert not taken

@@ -5,11 +5,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from koopman_lqr_controller.cli import main as train
 from koopman_lqr_controller.drives import Drive
 from koopman_lqr_controller.edmd import LinearModel
 from koopman_lqr_controller.encoder import Dense, Encoder
 from koopman_lqr_controller.errors import KoopmanError
-from koopman_lqr_controller.evaluation import judge
+from koopman_lqr_controller.evaluation import judge, other_step
 from koopman_lqr_controller.latent_controller import LatentController
 from koopman_lqr_controller.latent_policy import LatentPolicy, LidarWiring
 from koopman_lqr_controller.lidar_observation import LidarObservation
@@ -116,6 +117,8 @@ def test_two_stages_are_fitted_and_evaluated_by_command(
     fitted = load_policy(output)
     assert fitted.manifest["drives"]["held out"]["over_persistence"][0] < 1.0
     assert fitted.manifest["bags"] == ["drive_0", "drive_1"]
+    assert fitted.dt == pytest.approx(0.2)
+    assert "snapshots" not in fitted.manifest, "these would be of the fitted part alone"
     assert np.array_equal(fitted.u_high, load_policy(find_policy("curved_corridor_edmd")).u_high)
     assert fit(given) == 1
     assert "exists: give another name" in capsys.readouterr().err
@@ -124,6 +127,36 @@ def test_two_stages_are_fitted_and_evaluated_by_command(
     assert "held out      60 steps: error 0." in out
     figures = json.loads((tmp_path / "figures.json").read_text(encoding="utf-8"))
     assert figures == json.loads(json.dumps(fitted.manifest["drives"]))
+
+
+def test_two_stages_are_trained_by_command(
+    bags: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for held_out, counts, judged in (("0.25", "112 fitted, 38 held out", "held out"), ("0", "150 fitted, 0", "fitted")):
+        output = tmp_path / f"{judged}.safetensors"
+        assert train([str(bags[0]), "--output", str(output), "--held-out", held_out, "--lidar-yaw", "0"]) == 0
+        out = capsys.readouterr().out
+        assert counts in out
+        assert f"of that of 'nothing changes' ({judged})" in out
+        assert load_policy(output).dt == pytest.approx(0.2)
+    with pytest.raises(SystemExit):
+        train([str(bags[0]), "--output", str(tmp_path), "--overwrite"])
+    assert f"{tmp_path} is a folder: name a file in it" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        evaluate(["curved_corridor", str(bags[0]), "--lidar-yaw", "nan"])
+    assert "nan is no direction" in capsys.readouterr().err
+
+
+def test_drives_with_another_step_than_the_model_s_are_told(
+    bags: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    policy = some_policy()
+    slow = LatentPolicy(policy.controller, 0.4, policy.wiring, policy.manifest)
+    assert other_step(policy, [seen(20)]) == ""
+    assert other_step(slow, [seen(20)]).startswith("The model's step is 0.40 s, that of the drives 0.20 s")
+    save_policy(slow, tmp_path / "slow.safetensors")
+    assert evaluate([str(tmp_path / "slow.safetensors"), str(bags[0])]) == 0
+    assert "The model's step is 0.40 s" in capsys.readouterr().out
 
 
 def test_a_latent_policy_is_learnt_from_bags_alone(bags: list[Path], tmp_path: Path) -> None:

@@ -141,6 +141,10 @@ def test_a_policy_with_a_wrong_shape_or_nan_is_refused(policy: KoopmanPolicy) ->
         KoopmanPolicy(**given, K=policy.K[:, 1:])
     with pytest.raises(KoopmanError, match="K holds values"):
         KoopmanPolicy(**given, K=np.full_like(policy.K, np.nan))
+    for dt in (0, -0.2, "0.2", float("nan")):
+        with pytest.raises(KoopmanError, match=f"dt is {dt}: must be a positive time"):
+            KoopmanPolicy(**given, K=policy.K, manifest={"dt": dt})
+    assert KoopmanPolicy(**given, K=policy.K, manifest={"dt": 0.2}).dt == 0.2
 
 
 @pytest.mark.parametrize("name", shipped_policies())

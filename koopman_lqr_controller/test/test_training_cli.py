@@ -82,6 +82,7 @@ def test_consolidating_again_by_command(learnt: Path, tmp_path: Path, capsys: py
     ("arguments", "words"),
     [
         (["--set", "latnt=3"], "learn: no setting latnt: there are latent, "),
+        (["--set", "latnt=3", "--set", "latent=4"], "learn: no setting latnt: there are latent, "),
         (["--set", "latent"], "learn: --set latent: must be NAME=VALUE"),
         (["--set", "latent=many"], "learn: latent is 'many': must be a whole number"),
         (["--set", "policy=best"], "learn: policy is best: must be lqr or network"),

@@ -118,7 +118,10 @@ class LqrActor(Actor):
         return k - z @ K.T
 
     def deploy(self) -> LatentController:
-        """Return the deterministic controller as it stands, without torch."""
+        """Return the deterministic controller as it stands, without torch.
+
+        z_ref is that which was learnt with: where hidden layers are computed in bfloat16, it has their rounding.
+        """
         with torch.no_grad():
             z_ref = self.z_ref()
         lqr = self.lqr

@@ -24,7 +24,7 @@ from koopman_lqr_controller.training.actor import Interface, LqrActor, make_acto
 from koopman_lqr_controller.training.contrastive import noisy, random_crop
 from koopman_lqr_controller.training.differentiable_lqr import LatentLqr
 from koopman_lqr_controller.training.encoder_losses import Seen, make_encoder_loss
-from koopman_lqr_controller.training.networks import TwinCritic
+from koopman_lqr_controller.training.networks import TwinCritic, follow
 from koopman_lqr_controller.training.replay import Transitions
 from koopman_lqr_controller.training.settings import Settings
 
@@ -108,9 +108,9 @@ class Agent(nn.Module):
         if self.updates % self.settings.actor_every == 0:
             z = self.actor.encoder.latent(features.detach()) if self._images else self.actor.encoder(x)
             self._step(self._actor_losses(z, generator))
-            _follow(self.target, self.critic, self.settings.critic_rate)
-            _follow(self.key_encoder, self.actor.encoder, self.settings.encoder_rate)
-        _follow(self.averaged, self.actor, self.settings.average_rate)
+            follow(self.target, self.critic, self.settings.critic_rate)
+            follow(self.key_encoder, self.actor.encoder, self.settings.encoder_rate)
+        follow(self.averaged, self.actor, self.settings.average_rate)
         self.updates += 1
 
     @property
@@ -156,9 +156,3 @@ def _as_large_as(first: Tensor, second: Tensor, z: Tensor) -> Tensor:
     """Return what the second of two losses of z is to be multiplied by to pull at z as strongly as the first."""
     pulls = (torch.autograd.grad(loss, z, retain_graph=True)[0].norm() for loss in (first, second))
     return next(pulls) / (next(pulls) + torch.finfo(z.dtype).tiny)
-
-
-def _follow(slow: nn.Module, fast: nn.Module, rate: float) -> None:
-    """Move one module's parameters towards another's."""
-    with torch.no_grad():
-        torch._foreach_lerp_(list(slow.parameters()), list(fast.parameters()), rate)

@@ -18,7 +18,7 @@ import numpy as np
 
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.latent_controller import LatentController
-from koopman_lqr_controller.prediction import Array, horizon_errors, law_error
+from koopman_lqr_controller.prediction import HORIZON, Array, horizon_errors, law_error
 from koopman_lqr_controller.region import Region, region_of_episodes
 from koopman_lqr_controller.regulators import LARGEST_RESIDUAL
 from koopman_lqr_controller.roll_outs import (
@@ -35,8 +35,6 @@ from koopman_lqr_controller.roll_outs import (
 )
 from koopman_lqr_controller.training.distillation import DistillationSettings, Distilled, distil
 
-HORIZON = 10
-"""Steps that the model's error is told for."""
 REPORT_SEED = 5_000_000
 """Where the seeds of fresh episodes begin that returns are reported on."""
 _SEEDS = {"fit": 3_000_000, "choose": 4_000_000, "report": REPORT_SEED, "measure": 6_000_000}

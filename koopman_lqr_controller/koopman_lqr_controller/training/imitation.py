@@ -25,7 +25,7 @@ from koopman_lqr_controller.latent_policy import LatentPolicy, LidarWiring
 from koopman_lqr_controller.lidar_observation import LidarObservation
 from koopman_lqr_controller.training.contrastive import info_nce, noisy
 from koopman_lqr_controller.training.differentiable_lqr import LatentLqr
-from koopman_lqr_controller.training.networks import TorchEncoder
+from koopman_lqr_controller.training.networks import TorchEncoder, follow
 
 Array = NDArray[np.float64]
 
@@ -159,9 +159,7 @@ class _Imitation:
         self._optimizer.zero_grad()
         torch.autograd.backward(loss)
         self._optimizer.step()
-        with torch.no_grad():
-            for slow, fast in zip(self._keys.parameters(), self._encoder.parameters(), strict=True):
-                slow.lerp_(fast, settings.key_rate)
+        follow(self._keys, self._encoder, settings.key_rate)
 
     def deploy(self) -> LatentController:
         """Return what was learnt, without torch."""

@@ -244,3 +244,9 @@ class TwinCritic(nn.Module):
 
 def _array(tensor: Tensor) -> NDArray[np.float32]:
     return tensor.detach().cpu().numpy().astype(np.float32).copy()
+
+
+def follow(slow: nn.Module, fast: nn.Module, rate: float) -> None:
+    """Move one module's parameters towards another's."""
+    with torch.no_grad():
+        torch._foreach_lerp_(list(slow.parameters()), list(fast.parameters()), rate)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from ctrl_rl_core.tasks import task_digest
 from numpy.typing import NDArray
 
 from koopman_lqr_controller.errors import KoopmanError
@@ -61,7 +62,12 @@ def make_world(policy: KoopmanPolicy | Any) -> AnyEnvironment:
     if isinstance(policy, KoopmanPolicy):
         if task != _CORRIDOR:
             raise KoopmanError(f"there is no environment for the task {task}")
-        return LiftedCorridor(policy)
+        world = LiftedCorridor(policy)
+        known = task_digest(world.task)
+        if policy.manifest.get("task_digest", known) != known:
+            world.close()
+            raise KoopmanError(f"task {task} is another one than when the policy was made: train it again")
+        return world
     return problem_of(policy.manifest).make(False)
 
 
