@@ -60,14 +60,18 @@ def seen(ranges: np.ndarray) -> tuple[np.ndarray, ScanGeometry]:
 
 
 def diagnosed(robot: Robot, words: str, seconds: float = 10.0) -> DiagnosticStatus:
-    """Return the first diagnostics of the controller that say this."""
+    """Return the first diagnostics of the controller that say this, in the message or in a value."""
     heard: list[DiagnosticStatus] = []
     listen = robot.node.create_subscription(
         DiagnosticArray, "diagnostics", lambda message: heard.extend(message.status), 10
     )
-    assert robot.spin(seconds, lambda: any(words in status.message for status in heard)), [s.message for s in heard]
+
+    def found() -> list[DiagnosticStatus]:
+        return [status for status in heard if words in " ".join([status.message, *(v.value for v in status.values)])]
+
+    assert robot.spin(seconds, lambda: bool(found())), heard
     robot.node.destroy_subscription(listen)
-    return next(status for status in heard if words in status.message)
+    return found()[0]
 
 
 @pytest.mark.parametrize("kind", ["edmd", "learnt"])
@@ -128,6 +132,27 @@ def test_a_prediction_error_that_stays_high_stops_it_until_the_world_is_as_predi
         stamp = (len(offsets) + index + 1) * SECOND // 10
         ask(robot, corridor(0.2 * (index % 2)), stamp)
         assert robot.thought_of(stamp).stop == "", "turned off"
+
+
+def test_a_lidar_of_another_pace_ends_the_alarm_of_the_prediction_and_is_said(
+    robot: Robot, run_node: Callable, tmp_path: Path
+) -> None:
+    file = tmp_path / "policy.safetensors"
+    learnt(file, replace(ANYWHERE, error=1e-3))
+    run_node("koopman_lqr_controller", "controller", f"policy:={file}", "error_patience:=0.0", "scan_timeout:=5.0")
+    robot.wait_for_controller()
+    assert "watched" in {each.value for each in diagnosed(robot, "watched").values}
+    stamps = [1, 2, *range(4, 44, 2)]
+    stops = []
+    for index, tenth in enumerate(stamps):
+        ask(robot, corridor(0.1 * (index % 2)), tenth * SECOND // 10)
+        stops.append(robot.thought_of(tenth * SECOND // 10).stop)
+    assert stops[0] == ""
+    assert all("prediction error stays high" in stop for stop in stops[1:21])
+    assert stops[21:] == [""], "20 scans in a row that were not predicted: there is nothing to watch"
+    diagnosed(robot, "not watched: scans come every 0.20 s, the model's step is 0.10 s")
+    assert set_parameter(robot, "largest_error", 0.0)[0]
+    diagnosed(robot, "not watched: largest_error is 0.0")
 
 
 def test_stale_scans_are_said_in_latent_and_diagnostics(robot: Robot, run_node: Callable) -> None:
