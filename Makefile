@@ -26,7 +26,9 @@ trials: build ## drive 100 corridors of random width from random starts, then wi
 	@$(RUN) trials() { ros2 run ctrl_rl_bringup trials --seeds 100 --random-width "$$@" $(ARGS); }; \
 	trials --results docs/results/curved_corridor_trials.json; \
 	trials --lidar lds02 --dropout 0.1 --truncation --delay 0.1 --at-least 90 \
-	--results docs/results/curved_corridor_trials_as_real.json
+	--results docs/results/curved_corridor_trials_as_real.json; \
+	trials --lidar lds02 --scan-rate 8.5 --dropout 0.1 --truncation --delay 0.1 --at-least 90 \
+	--results docs/results/curved_corridor_trials_fast_lidar.json
 
 train: build ## record drives of the scripted driver and learn the corridor's policy from them
 	@$(RUN) run=runs/train-$$(date +%Y%m%d-%H%M%S); \

@@ -19,7 +19,7 @@ from ctrl_rl_bringup.report import Drive, read_drive
 from ctrl_rl_bringup.stack import DriveOptions
 from ctrl_rl_msgs.msg import TaskOutcome
 
-_AS_REAL = ("lidar", "scan_dropout", "scan_noise", "odom_drift", "command_delay", "command_truncation")
+_AS_REAL = ("lidar", "scan_rate", "scan_dropout", "scan_noise", "odom_drift", "command_delay", "command_truncation")
 """Parameters of the simulator that options ask for."""
 
 
@@ -92,6 +92,7 @@ def _parser(program: str, description: str, speed: float = 1.0) -> argparse.Argu
     parser.add_argument("--gui", action="store_true", help="show PyBullet's window")
     real = parser.add_argument_group("what the simulator does as a real robot does")
     real.add_argument("--lidar", help="lds01 or lds02: what reads like these (default: the task's)")
+    real.add_argument("--scan-rate", type=float, help="scans per second [Hz] (default: the task's)")
     real.add_argument("--dropout", type=float, dest="scan_dropout", help="probability that a beam is lost")
     real.add_argument("--noise", type=float, dest="scan_noise", help="standard deviation of a range [m]")
     real.add_argument("--drift", type=float, dest="odom_drift", help="of odometry's relative errors")

@@ -32,6 +32,7 @@ PARAMETERS = (
     Parameter("lidar", "task", "The task's own, or what reads like a TurtleBot3's LDS-01 or LDS-02.", choices=LIDARS),
     Parameter("scan_noise", -1.0, "Standard deviation of a range [m]; -1.0 for the task's.", minimum=-1.0, maximum=1.0),
     Parameter("scan_dropout", -1.0, "Probability that a beam is lost; -1.0 for the task's.", minimum=-1.0, maximum=1.0),
+    Parameter("scan_rate", 0.0, "Scans per second [Hz]; 0.0 for the task's.", minimum=0.0, maximum=60.0),
     Parameter("dropout_value", "nan", "What a lost beam of the task's lidar reads.", choices=("nan", "inf", "zero")),
     Parameter(
         "odom_drift",
@@ -68,6 +69,7 @@ def simulation_options(settings: Mapping[str, Any]) -> SimulationOptions:
         gui=settings["gui"],
         scan_noise=_given(settings["scan_noise"]),
         scan_dropout=_given(settings["scan_dropout"]),
+        scan_rate=settings["scan_rate"] or None,
         lost_beam=settings["dropout_value"],
         lidar=settings["lidar"],
         odom_drift=settings["odom_drift"],

@@ -55,6 +55,7 @@ class SimulationOptions:
         gui: show PyBullet's window.
         scan_noise: standard deviation of a range [m], None for the task's.
         scan_dropout: probability that a beam is lost, None for the task's.
+        scan_rate: scans per second [Hz], None for the task's.
         lost_beam: what a lost beam of the task's lidar reads: "nan", "inf" or "zero".
         lidar: one of `sim_bridge.lidar.LIDARS`.
         odom_drift: standard deviation of odometry's relative errors, see `Odometry`.
@@ -68,6 +69,7 @@ class SimulationOptions:
     gui: bool = False
     scan_noise: float | None = None
     scan_dropout: float | None = None
+    scan_rate: float | None = None
     lost_beam: str = "nan"
     lidar: str = "task"
     odom_drift: float = 0.0
@@ -142,8 +144,9 @@ class SimulatedWorld:
         self.options = options or SimulationOptions()
         self.task = task
         self.system: System = task.system.build()
-        noise, dropout = self.options.scan_noise, self.options.scan_dropout
-        self.lidar = Lidar(task.lidar, noise, dropout, self.options.lost_beam, self.options.lidar)
+        noise, dropout, turns = self.options.scan_noise, self.options.scan_dropout, self.options.scan_rate
+        spec = task.lidar if turns is None else task.lidar.model_copy(update={"rate": turns})
+        self.lidar = Lidar(spec, noise, dropout, self.options.lost_beam, self.options.lidar)
         self._count, self._width = robots, width
         self.plane = task.plane
         self._sense = 1.0 if self.plane == "xy" else -1.0  # psi turns clockwise in the x-z plane

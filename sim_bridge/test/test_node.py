@@ -165,6 +165,16 @@ def test_pause_step_and_reset(start):
     assert client.close() == 0
 
 
+def test_a_lidar_turns_as_often_as_it_is_asked_to(start):
+    client = start(start_paused="true", scan_rate=8.0)
+    client.call("step", duration=1.0)
+    client.until(lambda: len(client.heard["scan"]) > 5)
+    stamps = [seconds(message.header.stamp) for message in client.heard["scan"]]
+    assert np.diff(stamps) == pytest.approx(0.125)
+    assert client.heard["scan"][-1].scan_time == pytest.approx(0.125)
+    assert client.close() == 0
+
+
 def stepped_drive(start, **parameters):
     """What a stepped bridge publishes for fixed commands, as bytes."""
     client = start(start_paused="true", odom_drift=0.05, scan_dropout=0.05, **parameters)
