@@ -27,7 +27,7 @@ setup(
             "learn = koopman_lqr_controller.training_cli:learn",
             "learn_offline = koopman_lqr_controller.offline_cli:learn_offline",
             "scripted_driver = koopman_lqr_controller.scripted_driver_node:main",
-            "train = koopman_lqr_controller.cli:main",
+            "train = koopman_lqr_controller.two_stage_cli:main",
         ],
     },
 )

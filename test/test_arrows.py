@@ -42,7 +42,7 @@ RUN_TIME_MODULES = (
     "ctrl_rl_training.actor",
     "koopman_lqr_controller.node",
     "koopman_lqr_controller.scripted_driver_node",
-    "koopman_lqr_controller.cli",
+    "koopman_lqr_controller.two_stage_cli",
     "koopman_lqr_controller.training.compare_cli",
     "koopman_lqr_controller.analysis_cli",
     "koopman_lqr_controller.offline_cli",

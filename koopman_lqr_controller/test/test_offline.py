@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from koopman_lqr_controller.cli import main as train
 from koopman_lqr_controller.drives import Drive
 from koopman_lqr_controller.edmd import LinearModel
 from koopman_lqr_controller.encoder import Dense, Encoder
@@ -19,6 +18,7 @@ from koopman_lqr_controller.offline_cli import evaluate, fit, learn_offline
 from koopman_lqr_controller.policy_file import find_policy, load_policy, save_policy
 from koopman_lqr_controller.straight_corridor import StraightCorridor
 from koopman_lqr_controller.training.imitation import ImitationSettings, imitate
+from koopman_lqr_controller.two_stage_cli import main as train
 from recorded import KINDS, Bag
 
 CORRIDOR = StraightCorridor(0.7, 0.2)
