@@ -65,12 +65,13 @@ koopman: build ## learn the tasks of thesis 4.3, every method and ablation, and 
 	learn cartpole_swingup 5; learn curved_corridor 3; learn cheetah_run 3; learn cartpole_swingup_pixels 2; \
 	compare() { koopman compare "$$@" $(ARGS); }; \
 	for number in 4.1 4.2 4.3; do compare --table $$number; done; \
-	short() { compare "$$@" --tasks cheetah_run --seeds 1 --chunks 12 --folder runs/koopman_short; \
-	compare "$$@" --tasks cartpole_swingup_pixels --seeds 1 --chunks 16 --folder runs/koopman_short; }; \
-	compare --table 4.4 --tasks cartpole_swingup; short --table 4.4; \
+	cheetah() { compare "$$@" --tasks cheetah_run --seeds 1 --chunks 12 --folder runs/koopman_short; }; \
+	pixels() { compare "$$@" --tasks cartpole_swingup_pixels --seeds 1 --chunks 16 --folder runs/koopman_short; }; \
+	compare --table 4.4 --tasks cartpole_swingup; cheetah --table 4.4; pixels --table 4.4; \
 	gaps() { compare --figure 4.3 --tasks $$1 --seeds $$2; }; \
 	gaps cartpole_swingup 5; gaps cheetah_run 3; gaps cartpole_swingup_pixels 2; \
-	for number in 4.8 4.9; do compare --figure $$number --tasks cartpole_swingup; short --figure $$number; done; \
+	for number in 4.8 4.9; do compare --figure $$number --tasks cartpole_swingup; pixels --figure $$number; done; \
+	cheetah --figure 4.8; compare --figure 4.9 --tasks cheetah_run --seeds 1; \
 	koopman comparison_figures docs/results/koopman_figure_*.json
 
 test: build lint ## the tests, in about ten minutes
