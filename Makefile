@@ -74,7 +74,7 @@ koopman: build ## learn the tasks of thesis 4.3, every method and ablation, and 
 	cheetah --figure 4.8; compare --figure 4.9 --tasks cheetah_run --seeds 1; \
 	koopman comparison_figures docs/results/koopman_figure_*.json
 
-test: build lint ## the tests, in about ten minutes
+test: build lint ## the tests, in about a quarter of an hour
 	@$(RUN) python -m pytest -m "not slow" $(ARGS)
 
 test-all: build lint ## the tests, slow ones too
