@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from koopman_lqr_controller.encoder import Encoder
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.latent_controller import LatentController
 from koopman_lqr_controller.lidar import ScanGeometry, Sectors
@@ -108,6 +109,10 @@ class LatentPolicy:
         """
         return self.wired.observation.sectors
 
+    @cached_property
+    def _psi(self) -> Encoder:
+        return self.controller.encoder.fused()
+
     @property
     def loop(self) -> Array:
         """A - B K (n, n)."""
@@ -121,7 +126,7 @@ class LatentPolicy:
                 another task.
         """
         wiring, controller = self.wired, self.controller
-        z = controller.latent(wiring.observation.observe(ranges, scan, v, omega))
+        z = controller.project(self._psi(wiring.observation.observe(ranges, scan, v, omega)))
         u = controller.control(z)
         return Decision(wiring.command(controller.saturate(u)), wiring.command(u), z)
 
