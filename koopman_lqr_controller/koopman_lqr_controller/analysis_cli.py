@@ -12,10 +12,9 @@ from ctrl_rl_core.command import check_least, folder_to_write, run_command
 from ctrl_rl_core.errors import CtrlRlError
 from ctrl_rl_core.whole_file import write_whole
 
-from koopman_lqr_controller.drives import drives_of
+from koopman_lqr_controller.drive_options import add_topics, read_drives
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.evaluation import other_step
-from koopman_lqr_controller.lidar_mounting import add_lidar_yaw
 from koopman_lqr_controller.linear_loop import controls_of, sight
 from koopman_lqr_controller.policy_file import digest, find_policy, load_policy
 
@@ -35,8 +34,7 @@ def analyse(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("policy", help="policy file of either kind, or the name of one that comes with the package")
     parser.add_argument("--output", type=folder_to_write, help="folder to write to (default: the policy's name, here)")
     parser.add_argument("--bags", nargs="+", type=Path, default=[], help="judge prediction by these drives instead")
-    parser.add_argument("--robot", default="", help="namespace of the topics in the bags (default: none)")
-    add_lidar_yaw(parser)
+    add_topics(parser)
     parser.add_argument("--episodes", type=int, default=6, help="in the environment (default %(default)s)")
     options = parser.parse_args(arguments)
     return run_command("analyse", lambda: _analyse(options))
@@ -53,9 +51,7 @@ def _analyse(options: argparse.Namespace) -> int:
     from koopman_lqr_controller.training.policy_analysis import analyse as find
     from koopman_lqr_controller.training.policy_world import Trajectory, make_world
 
-    drives = [
-        drive for bag in options.bags for drive in drives_of(bag, sight(policy), options.robot, options.lidar_yaw)
-    ]
+    drives = read_drives(options, sight(policy)) if options.bags else []
     recorded = [Trajectory(drive.x, controls_of(policy, drive.u), drive.u[:, 0] * 0.0, {}) for drive in drives]
     world: Any = None
     try:

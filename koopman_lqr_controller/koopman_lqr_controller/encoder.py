@@ -208,21 +208,23 @@ class Encoder:
         one, none = np.ones(1, np.float32), np.zeros(1, np.float32)
         scale, shift = 1.0 / self.unit, -self.middle / self.unit
         layers: list[Layer] = []
-        for index, layer in enumerate(self.layers):
-            before, after = layers[-1:], self.layers[index + 1 : index + 2]
+        for layer, after in zip(self.layers, (*self.layers[1:], None), strict=True):
+            before = layers[-1] if layers else None
             if isinstance(layer, Dense):
-                width = layer.weight.shape[1]
-                weight = layer.weight * scale
-                bias = layer.weight @ np.broadcast_to(shift, (width,)) + layer.bias
-                layer, scale, shift = Dense(weight, bias, layer.rectified), one, none
-            elif _between(before, after) and isinstance(layer, LayerNorm):
-                linear = layers.pop()
-                assert isinstance(linear, Dense)
-                weight, bias = (part - part.mean(axis=0) for part in (linear.weight, linear.bias))
-                layers.append(Dense(weight, bias, False))
+                bias = (layer.weight * shift).sum(axis=1) + layer.bias
+                layers.append(Dense(layer.weight * scale, bias, layer.rectified))
+                scale, shift = one, none
+            elif (
+                isinstance(layer, LayerNorm)
+                and isinstance(before, Dense)
+                and isinstance(after, Dense)
+                and not before.rectified
+            ):
+                weight, bias = (part - part.mean(axis=0) for part in (before.weight, before.bias))
+                layers[-1:] = [Dense(weight, bias, False), RmsNorm()]
                 scale, shift = layer.weight, layer.bias
-                layer = RmsNorm()
-            layers.append(layer)
+            else:
+                layers.append(layer)
         return Encoder(tuple(layers), self.shape, none, one)
 
     def followed_by(self, layers: Sequence[Layer]) -> Encoder:
@@ -264,10 +266,3 @@ class Encoder:
         shape = tuple(int(size) for size in description["shape"])
         middle, unit = (tensors[f"encoder.{name}"].astype(np.float32) for name in ("middle", "unit"))
         return cls(tuple(layers), shape, middle, unit, bool(description.get("inclusive", False)))
-
-
-def _between(before: Sequence[Layer], after: Sequence[Layer]) -> bool:
-    """Return whether a dense layer without ReLU comes before and a dense one after."""
-    return any(isinstance(it, Dense) and not it.rectified for it in before) and any(
-        isinstance(it, Dense) for it in after
-    )

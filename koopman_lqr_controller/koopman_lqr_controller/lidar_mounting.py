@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
-import math
 from pathlib import Path
 from typing import Any
 
@@ -16,20 +14,6 @@ from koopman_lqr_controller.errors import KoopmanError
 _BASES = ("base_link", "base_footprint")
 _LEVEL = 0.99
 """Cosine of the lidar's tilt, above which its scan is one of the plane."""
-
-
-def add_lidar_yaw(parser: argparse.ArgumentParser) -> None:
-    """Give a command that reads bags the option `--lidar-yaw`."""
-    parser.add_argument(
-        "--lidar-yaw", type=_yaw, help="of the scan's zero bearing [rad] (default: as the bag's tf_static says, or 0)"
-    )
-
-
-def _yaw(text: str) -> float:
-    yaw = float(text)
-    if not math.isfinite(yaw):
-        raise argparse.ArgumentTypeError(f"{text} is no direction")
-    return yaw
 
 
 def yaw_of_lidar(bag: Path, scan: str, prefix: str = "") -> float:

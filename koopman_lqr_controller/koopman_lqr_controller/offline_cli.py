@@ -6,9 +6,6 @@ import argparse
 import json
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import reduce
-from operator import add
-from pathlib import Path
 from typing import Any
 
 from ctrl_rl_core.command import check_least, file_to_write, run_command
@@ -16,10 +13,10 @@ from ctrl_rl_core.units import Interval
 from ctrl_rl_core.whole_file import write_whole
 from tqdm import tqdm
 
-from koopman_lqr_controller.drives import Drive, check_held_out, drives_of, snapshots_of, split, usual_step
+from koopman_lqr_controller.drive_options import add_drives, add_output, read_drives
+from koopman_lqr_controller.drives import Drive, check_held_out, snapshots_of, split, usual_step
 from koopman_lqr_controller.evaluation import judge, other_step
 from koopman_lqr_controller.latent_policy import LatentPolicy
-from koopman_lqr_controller.lidar_mounting import add_lidar_yaw
 from koopman_lqr_controller.lidar_observation import LidarObservation
 from koopman_lqr_controller.linear_loop import See, sight
 from koopman_lqr_controller.offline import refit
@@ -36,8 +33,8 @@ def fit(arguments: Sequence[str] | None = None) -> int:
     """Fit a policy's model anew to recorded drives: its coordinates and what it does stay, its regulator follows."""
     parser = argparse.ArgumentParser(prog="fit", description=fit.__doc__)
     parser.add_argument("policy", help="policy file of either kind, or the name of one that comes with the package")
-    _add_drives(parser)
-    _add_output(parser)
+    add_drives(parser)
+    add_output(parser)
     options = parser.parse_args(arguments)
     return run_command("fit", lambda: _fit(options))
 
@@ -46,7 +43,7 @@ def evaluate(arguments: Sequence[str] | None = None) -> int:
     """Say how well a policy predicts recorded drives, against "nothing changes", and whether it commands the same."""
     parser = argparse.ArgumentParser(prog="evaluate", description=evaluate.__doc__)
     parser.add_argument("policy", help="policy file of either kind, or the name of one that comes with the package")
-    _add_drives(parser)
+    add_drives(parser)
     parser.add_argument("--json", type=file_to_write, help="file to write the figures to")
     options = parser.parse_args(arguments)
     return run_command("evaluate", lambda: _evaluate(options))
@@ -55,28 +52,14 @@ def evaluate(arguments: Sequence[str] | None = None) -> int:
 def learn_offline(arguments: Sequence[str] | None = None) -> int:
     """Learn encoder, model and LQR from recorded drives alone: a driver's commands take the place of a reward."""
     parser = argparse.ArgumentParser(prog="learn_offline", description=learn_offline.__doc__)
-    _add_drives(parser)
-    _add_output(parser)
+    add_drives(parser)
+    add_output(parser)
     parser.add_argument("--latent", type=int, default=16, help="dimensions of the encoder (default %(default)s)")
     parser.add_argument("--updates", type=int, default=1500, help="of the networks (default %(default)s)")
     parser.add_argument("--far", type=float, default=3.5, help="distance beyond which nothing counts [m]")
     parser.add_argument("--seed", type=int, default=0, help="of weights and batches (default %(default)s)")
     options = parser.parse_args(arguments)
     return run_command("learn_offline", lambda: _learn_offline(options))
-
-
-def _add_drives(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("bags", nargs="+", type=Path, help="rosbag2 folders with scan, odom and cmd_vel")
-    parser.add_argument("--robot", default="", help="namespace of the topics in the bags (default: none)")
-    add_lidar_yaw(parser)
-    parser.add_argument(
-        "--held-out", type=float, default=0.2, help="last part of the steps, kept from the fit (default %(default)s)"
-    )
-
-
-def _add_output(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--output", type=file_to_write, required=True, help="policy file to write (.safetensors)")
-    parser.add_argument("--overwrite", action="store_true", help="replace an existing policy file")
 
 
 def _fit(options: argparse.Namespace) -> int:
@@ -138,9 +121,7 @@ def _learn_offline(options: argparse.Namespace) -> int:
 
 def _parts(options: argparse.Namespace, see: See) -> tuple[list[Drive], list[Drive]]:
     check_held_out(options.held_out)
-    bags = tqdm(options.bags, desc="reading", unit="bag", disable=None)
-    drives: list[Drive] = reduce(add, (drives_of(bag, see, options.robot, options.lidar_yaw) for bag in bags))
-    return split(drives, options.held_out)
+    return split(read_drives(options, see), options.held_out)
 
 
 def _source(options: argparse.Namespace) -> dict[str, Any]:

@@ -5,12 +5,11 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from ctrl_rl_core.command import file_to_write, run_command
+from ctrl_rl_core.command import run_command
 from ctrl_rl_core.tasks import load_navigation_task, task_digest
-from tqdm import tqdm
 
-from koopman_lqr_controller.drives import Drive, check_held_out, drives_of, snapshots_of, usual_step
-from koopman_lqr_controller.lidar_mounting import add_lidar_yaw
+from koopman_lqr_controller.drive_options import add_drives, add_output, read_drives
+from koopman_lqr_controller.drives import check_held_out, snapshots_of, usual_step
 from koopman_lqr_controller.observables import CorridorObservables
 from koopman_lqr_controller.policy import KoopmanPolicy
 from koopman_lqr_controller.policy_file import refuse_existing, save_policy
@@ -36,18 +35,12 @@ def _parser() -> argparse.ArgumentParser:
         prog="train",
         description="Learn the two-stage Koopman controller (thesis 2.3.1): EDMD on recorded drives, then its LQR.",
     )
-    parser.add_argument("bags", nargs="+", type=Path, help="rosbag2 folders with scan, odom and cmd_vel")
-    parser.add_argument("--output", type=file_to_write, required=True, help="policy file to write (.safetensors)")
+    add_drives(parser)
+    add_output(parser)
     parser.add_argument(
         "--task", default="curved_corridor", help="task that sets the command limits (default %(default)s)"
     )
-    parser.add_argument("--robot", default="", help="namespace of the topics in the bags (default: none)")
-    add_lidar_yaw(parser)
     parser.add_argument("--speed", type=float, default=0.18, help="speed to drive at [m/s] (default %(default)s)")
-    parser.add_argument(
-        "--held-out", type=float, default=0.2, help="part of the data to test the model on (default %(default)s)"
-    )
-    parser.add_argument("--overwrite", action="store_true", help="replace an existing policy file")
     return parser
 
 
@@ -56,17 +49,14 @@ def _train(options: argparse.Namespace) -> KoopmanPolicy:
     task = load_navigation_task(options.task)
     limits = (task.robot.commands["v"], task.robot.commands["omega"])
     observables = CorridorObservables()
-    drives: list[Drive] = []
-    for bag in tqdm(options.bags, desc="reading", unit="bag", disable=None):
-        drives += drives_of(bag, observables.observe, options.robot, options.lidar_yaw)
+    drives = read_drives(options, observables.observe)
     manifest = {
         "task": task.name,
         "task_digest": task_digest(task),
         "bags": [bag.name for bag in options.bags],
         "dt": usual_step(drives),
     }
-    sequences = snapshots_of(drives)
-    return train(sequences, observables, options.speed, limits, held_out=options.held_out, manifest=manifest)
+    return train(snapshots_of(drives), observables, options.speed, limits, held_out=options.held_out, manifest=manifest)
 
 
 def _report(policy: KoopmanPolicy, path: Path) -> None:

@@ -38,8 +38,8 @@ _AT_SPEED = 0.9
 _LIDARS, _MOST_DROPOUT, _LONGEST_DELAY = ("lds01", "lds02"), 0.1, 0.1
 """What an episode's robot may be like: probability that a beam is lost, from a command to its effect [s]."""
 _RATE = 60
-_SPEED, _TURN = Interval(0.0, 0.22), Interval(-1.5, 1.5)
-"""What a policy may command at most [m/s], [rad/s]; less where the task allows less."""
+_FASTEST, _HARDEST = 0.22, 1.5
+"""What a policy may command at most, forwards [m/s] and to both sides [rad/s]; less where the task allows less."""
 _NEAR_WALL = 0.15
 """Clearance below which a step pays less [m]."""
 _TURN_COST = 0.2
@@ -211,8 +211,8 @@ def _limits(task: NavigationTask) -> tuple[Interval, Interval]:
     if not task.robot.commands.keys() >= {"v", "omega"}:
         raise KoopmanError(f"task '{task.name}' has a {task.robot.body}: must have wheels")
     speed, turn = task.robot.commands["v"], task.robot.commands["omega"]
-    fastest, hardest = min(_SPEED.high, speed.high), min(_TURN.high, turn.high, -turn.low)
-    slowest = max(_SPEED.low, speed.low)
+    fastest, hardest = min(_FASTEST, speed.high), min(_HARDEST, turn.high, -turn.low)
+    slowest = max(0.0, speed.low)
     if slowest >= fastest or hardest <= 0.0:
         allowed = f"{speed.low:g} .. {speed.high:g} m/s, {turn.low:g} .. {turn.high:g} rad/s"
         raise KoopmanError(f"task '{task.name}' allows {allowed}: a policy drives forwards and turns to both sides")

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.tasks import task_digest
+from ctrl_rl_core.tasks import load_navigation_task, task_digest
 from numpy.typing import NDArray
 
 from koopman_lqr_controller.errors import KoopmanError
@@ -39,9 +39,16 @@ class Trajectory:
 
 
 class LiftedCorridor(Corridor):
-    """The corridor as a two-stage policy sees it: observations are Psi, actions span the policy's own limits."""
+    """The corridor as a two-stage policy sees it: observations are Psi, actions span the policy's own limits.
+
+    Raises:
+        KoopmanError: the task is no longer as it was when the policy was made.
+    """
 
     def __init__(self, policy: KoopmanPolicy, conditions: Conditions | None = None) -> None:
+        known = task_digest(load_navigation_task(_CORRIDOR))
+        if policy.manifest.get("task_digest", known) != known:
+            raise KoopmanError(f"task {_CORRIDOR} is another one than when the policy was made: train it again")
         self._policy = policy
         super().__init__(learning=False, conditions=conditions)
         self.wiring = LidarWiring(self.wiring.observation, policy.u_low, policy.u_high)
@@ -62,12 +69,7 @@ def make_world(policy: KoopmanPolicy | Any) -> AnyEnvironment:
     if isinstance(policy, KoopmanPolicy):
         if task != _CORRIDOR:
             raise KoopmanError(f"there is no environment for the task {task}")
-        world = LiftedCorridor(policy)
-        known = task_digest(world.task)
-        if policy.manifest.get("task_digest", known) != known:
-            world.close()
-            raise KoopmanError(f"task {task} is another one than when the policy was made: train it again")
-        return world
+        return LiftedCorridor(policy)
     return problem_of(policy.manifest).make(False)
 
 
