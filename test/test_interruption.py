@@ -31,7 +31,7 @@ def test_an_interrupted_demo_leaves_a_bag_and_no_node(tmp_path: Path, demo: str,
     nodes = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
     assert len(nodes) >= 3
     process.send_signal(number)
-    assert process.wait(60.0) == 130
+    assert process.wait(60.0) == 130, log.read_text()
     assert log.read_text().splitlines()[-1] == f"{demo}: interrupted"
     assert "Traceback" not in log.read_text()
     assert not any(Path(f"/proc/{node}").exists() for node in nodes)

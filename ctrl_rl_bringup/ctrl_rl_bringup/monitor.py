@@ -14,6 +14,7 @@ from rclpy.node import Node
 from std_srvs.srv import SetBool
 
 from ctrl_rl_bringup.progress import ProgressDisplay
+from ctrl_rl_bringup.session import uninterrupted
 from ctrl_rl_msgs.msg import EpisodeStatus, TaskOutcome
 from ctrl_rl_msgs.srv import ResetWorld
 
@@ -169,4 +170,5 @@ class Monitor:
 
     def _spin(self) -> None:
         self._check()
-        rclpy.spin_once(self._node, timeout_sec=0.05)
+        with uninterrupted():  # rclpy makes a RuntimeError of an interruption while it converts a message
+            rclpy.spin_once(self._node, timeout_sec=0.05)

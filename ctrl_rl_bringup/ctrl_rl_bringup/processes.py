@@ -13,6 +13,7 @@ import yaml
 from ament_index_python.packages import PackageNotFoundError, get_package_prefix
 from ctrl_rl_core.errors import CtrlRlError
 
+from ctrl_rl_bringup.session import uninterrupted
 from ctrl_rl_bringup.stack import NodeSpec
 
 _STOP_S = 15.0
@@ -58,7 +59,8 @@ class Processes:
         """
         for spec in specs:
             namespace = ["-r", f"__ns:=/{spec.namespace}"] if spec.namespace else []
-            with (self._folder / f"{spec.name}.log").open("ab") as log:
+            # An interruption between the start of a process and its entry here would leave it behind.
+            with uninterrupted(), (self._folder / f"{spec.name}.log").open("ab") as log:
                 self._running[spec.name] = subprocess.Popen(
                     [executable_path(spec), "--ros-args", *namespace, "--params-file", self._parameter_file(spec)],
                     stdin=subprocess.DEVNULL,
