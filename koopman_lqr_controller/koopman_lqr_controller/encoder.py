@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
@@ -136,17 +134,6 @@ class LayerNorm:
         return y
 
 
-@dataclass(frozen=True)
-class RmsNorm:
-    """Brings a vector to root mean square 1: what is left of a `LayerNorm` whose linear parts are in its neighbours."""
-
-    def __call__(self, x: Weights) -> Weights:
-        """Return the outputs (..., n)."""
-        if x.ndim == 1:
-            return x * np.float32(1.0 / math.sqrt(x.dot(x) / len(x) + EPSILON))
-        return x / np.sqrt(np.einsum("...i,...i->...", x, x)[..., None] / np.float32(x.shape[-1]) + EPSILON)
-
-
 _KINDS: tuple[Any, ...] = (Dense, Convolution, CentreCrop, Flatten, LayerNorm)
 
 
@@ -185,47 +172,13 @@ class Encoder:
         given = np.asarray(x, dtype=np.float32)
         if given.shape[-len(self.shape) :] != self.shape:
             raise KoopmanError(f"observation has shape {given.shape}, the encoder wants {self.shape}")
-        normalised: Weights = given if self._as_given else (given - self.middle) / self.unit
+        normalised: Weights = (given - self.middle) / self.unit
         y = normalised
         for layer in self.layers:
             y = layer(y)
         if self.inclusive:
             y = np.concatenate((normalised, y), axis=-1)
         return y.astype(np.float64)
-
-    @cached_property
-    def _as_given(self) -> bool:
-        return not self.middle.any() and bool((self.unit == 1.0).all())
-
-    def fused(self) -> Encoder:
-        """Return the same up to rounding in fewer steps, where it takes a vector: for one that waits for an answer.
-
-        Dense layers take in what is linear beside them: the normalisation, the mean that a LayerNorm subtracts, its
-        scale and shift.
-        """
-        if len(self.shape) != 1 or self.inclusive or not isinstance(self.layers[0], Dense):
-            return self
-        one, none = np.ones(1, np.float32), np.zeros(1, np.float32)
-        scale, shift = 1.0 / self.unit, -self.middle / self.unit
-        layers: list[Layer] = []
-        for layer, after in zip(self.layers, (*self.layers[1:], None), strict=True):
-            before = layers[-1] if layers else None
-            if isinstance(layer, Dense):
-                bias = (layer.weight * shift).sum(axis=1) + layer.bias
-                layers.append(Dense(layer.weight * scale, bias, layer.rectified))
-                scale, shift = one, none
-            elif (
-                isinstance(layer, LayerNorm)
-                and isinstance(before, Dense)
-                and isinstance(after, Dense)
-                and not before.rectified
-            ):
-                weight, bias = (part - part.mean(axis=0) for part in (before.weight, before.bias))
-                layers[-1:] = [Dense(weight, bias, False), RmsNorm()]
-                scale, shift = layer.weight, layer.bias
-            else:
-                layers.append(layer)
-        return Encoder(tuple(layers), self.shape, none, one)
 
     def followed_by(self, layers: Sequence[Layer]) -> Encoder:
         """Return it with more layers."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from koopman_lqr_controller.encoder import Encoder
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.latent_controller import LatentController
 from koopman_lqr_controller.lidar import ScanGeometry, Sectors
 from koopman_lqr_controller.lidar_observation import LidarObservation
 from koopman_lqr_controller.policy import Decision
+from koopman_lqr_controller.quick_encoder import QuickEncoder
 from koopman_lqr_controller.region import Region, check_region
 
 Array = NDArray[np.float64]
@@ -110,8 +110,22 @@ class LatentPolicy:
         return self.wired.observation.sectors
 
     @cached_property
-    def _psi(self) -> Encoder:
-        return self.controller.encoder.fused()
+    def _latent(self) -> Callable[[Array], Array]:
+        """The controller's `latent`, quick where it can be."""
+        try:
+            return QuickEncoder(self.controller.encoder, self.controller.projection)
+        except KoopmanError:
+            return self.controller.latent
+
+    @cached_property
+    def _gain(self) -> Array:
+        """The gain K in the units of the command (2, n)."""
+        return 0.5 * (self.wired.u_high - self.wired.u_low)[:, None] * self.controller.K
+
+    @cached_property
+    def _offset(self) -> Array:
+        """The offset k in the units of the command (2,)."""
+        return self.wired.command(self.controller.k)
 
     @property
     def loop(self) -> Array:
@@ -125,10 +139,14 @@ class LatentPolicy:
             KoopmanError: nothing can be seen in the scan, speed or turn rate are not finite, or the policy is of
                 another task.
         """
-        wiring, controller = self.wired, self.controller
-        z = controller.project(self._psi(wiring.observation.observe(ranges, scan, v, omega)))
-        u = controller.control(z)
-        return Decision(wiring.command(controller.saturate(u)), wiring.command(u), z)
+        wiring = self.wired
+        z = self._latent(wiring.observation.observe(ranges, scan, v, omega))
+        control = self._offset - self._gain.dot(z)
+        if self.controller.horizon is None:  # the quickest: actions are cut off where commands are
+            command = np.minimum(np.maximum(control, wiring.u_low), wiring.u_high)
+        else:
+            command = wiring.command(self.controller.saturate(self.controller.control(z)))
+        return Decision(command, control, z)
 
     def predict(self, z: Array, command: Array) -> Array:
         """Return the model's next z (n,) under a command (2,), which counts as the nearest within the limits."""

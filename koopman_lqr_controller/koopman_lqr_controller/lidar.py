@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,10 @@ SAME_STEP = 0.25
 _TURN = 2.0 * np.pi
 _KNOWN = 512
 """Geometries that are kept in mind: an LDS-01 has one, an LDS-02, whose motor's speed varies, some two hundred."""
+# Arrays, as NumPy takes a Python number or its own scalars in twice the time.
+_ONE = np.array(1)
+_HALVES = np.array((0.5, 0.5))
+_MISS, _NOTHING, _TOO_CLOSE, _UNKNOWN = np.array(0.0), np.array(np.inf), np.array(-np.inf), np.array(np.nan)
 
 
 def check_speeds(v: float, omega: float) -> None:
@@ -55,6 +60,19 @@ class ScanGeometry:
     angle_increment: float
     range_min: float
     range_max: float
+
+
+class _Beams(NamedTuple):
+    """Where the sectors find their beams in `_measured` of one geometry.
+
+    Attributes:
+        places: (sectors, most beams in one + 1); each row is filled up with the NaN at the end, at least once.
+        begins: twice where each row begins, less one, and itself (2, sectors). (count + begins) / 2 are the two middle
+            ones of a row's `count` smallest; of none, the first is the NaN that ends the row before.
+    """
+
+    places: NDArray[np.intp]
+    begins: NDArray[np.intp]
 
 
 @dataclass(frozen=True)
@@ -89,43 +107,47 @@ class Sectors:
             raise KoopmanError(
                 f"scan with {len(ranges)} ranges of {scan.beams} in {scan.range_min} .. {scan.range_max} m"
             )
-        values = _measured(ranges, scan, self.far).take(self._index(scan))
+        beams = self._beams(scan)
+        values = _measured(ranges, scan.range_min).take(beams.places)
         values.sort(axis=1)  # NaN last
-        blind = np.isnan(values)
-        counts = values.shape[1] - np.add.reduce(blind, axis=1)
-        lower, upper = values[self._rows, np.array((counts - 1, counts)) >> 1]
-        return self._filled(0.5 * (lower + upper), blind[:, 0])
+        counts = values.argmax(axis=1)  # where the first NaN is
+        middle = values.take((counts + beams.begins) >> _ONE)
+        if scan.range_max < self.far:
+            middle[middle > scan.range_max] = self.far
+        return self._filled(_HALVES.dot(np.minimum(middle, self._far)))
 
     @cached_property
     def _middles(self) -> Array:
         return np.array(self.bearings)
 
     @cached_property
-    def _rows(self) -> NDArray[np.intp]:
-        return np.arange(len(self.bearings))
+    def _far(self) -> Array:
+        return np.array(self.far)
 
     @cached_property
-    def _known(self) -> dict[tuple[int, float, int], NDArray[np.intp]]:
+    def _known(self) -> dict[tuple[int, float, int], _Beams]:
         return {}
 
-    def _index(self, scan: ScanGeometry) -> NDArray[np.intp]:
+    def _beams(self, scan: ScanGeometry) -> _Beams:
         opening = scan.angle_increment * scan.beams
         if not (math.isfinite(scan.angle_min) and math.isfinite(opening) and abs(opening) > OPENING):
             raise KoopmanError(f"scan with angle_increment {scan.angle_increment} and angle_min {scan.angle_min}")
         key = (scan.beams, scan.angle_min, round(opening / OPENING))
         found = self._known.get(key)
         if found is None:
-            found = self._beams(*key)
+            places = self._places(*key)
+            twice = 2 * places.shape[1] * np.arange(len(places))
+            found = _Beams(places, np.array((twice - 1, twice)))
             if len(self._known) >= _KNOWN:
                 self._known.clear()
             self._known[key] = found
         return found
 
-    def _beams(self, beams: int, angle_min: float, opening: int) -> NDArray[np.intp]:
-        """Return for each sector where in `_measured` its beams are, padded with its last (sectors, most beams in one).
+    def _places(self, beams: int, angle_min: float, opening: int) -> NDArray[np.intp]:
+        """Return `_Beams.places` for an opening in units of `OPENING`.
 
-        The opening is in units of `OPENING`. Beams come at equal angles, so that those of a sector follow each other,
-        at most once over the end of the scan. What a scan of more than a turn sees twice is looked at once.
+        Beams come at equal angles, so that those of a sector follow each other, at most once over the end of the scan.
+        What a scan of more than a turn sees twice is looked at once.
         """
         increment = opening * OPENING / beams
         half, turn = self.half_width + EDGE, _TURN / abs(increment)
@@ -137,20 +159,22 @@ class Sectors:
         to_end = np.maximum(np.minimum(np.floor(end), beams - 1) - first + 1, 0.0)
         over_end = np.minimum(np.maximum(np.floor(end - turn) + 1, 0.0), beams - to_end)
         first *= to_end > 0.0
-        count = to_end + over_end
-        column = np.arange(int(min(width, beams)) + 1)
-        index = (first.astype(np.intp)[:, None] + column) % beams
-        index[column >= count[:, None]] = beams
-        return index
+        most = int(min(width, beams)) + 1
+        count = np.minimum(to_end + over_end, most)
+        column = np.arange(most + 1)
+        places = (first.astype(np.intp)[:, None] + column) % beams
+        places[column >= count[:, None]] = beams
+        return places
 
-    def _filled(self, distances: Array, empty: NDArray[np.bool_]) -> Array:
-        """Return the distances with those of empty sectors.
+    def _filled(self, distances: Array) -> Array:
+        """Return the distances with those of empty sectors, which are NaN.
 
         Raises:
             KoopmanError: all are empty.
         """
-        if not empty.any():
+        if not math.isnan(distances.dot(distances)):
             return distances
+        empty = np.isnan(distances)
         if empty.all():
             raise KoopmanError("scan without any measurement")
         both = np.roll(distances, 1) + np.roll(distances, -1)
@@ -158,16 +182,14 @@ class Sectors:
         return np.where(np.isnan(distances), self.far, distances)
 
 
-def _measured(ranges: NDArray[np.float32], scan: ScanGeometry, far: float) -> Array:
-    """Return each beam's distance [m], `far` where nothing is there, NaN where nothing was measured, and at last a NaN.
+def _measured(ranges: NDArray[np.float32], range_min: float) -> Array:
+    """Return each beam's distance [m], infinite where nothing is there, NaN where nothing was measured; last a NaN.
 
     The shape is (beams + 1,).
     """
     out = np.empty(len(ranges) + 1)
     out[:-1], out[-1] = ranges, np.nan
-    np.putmask(out, out == 0.0, np.inf)
-    np.putmask(out, out == -np.inf, scan.range_min)
-    np.putmask(out, out < scan.range_min, np.nan)
-    if scan.range_max < far:
-        np.putmask(out, out > scan.range_max, far)
-    return np.minimum(out, far, out=out)
+    np.putmask(out, out == _MISS, _NOTHING)
+    np.putmask(out, out == _TOO_CLOSE, range_min)
+    np.putmask(out, out < range_min, _UNKNOWN)
+    return out

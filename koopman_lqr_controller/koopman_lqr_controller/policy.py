@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,8 +18,7 @@ from koopman_lqr_controller.region import Region, check_region
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class Decision:
+class Decision(NamedTuple):
     """One command and how it came about.
 
     Attributes:

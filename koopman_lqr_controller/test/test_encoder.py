@@ -5,9 +5,7 @@ import json
 import numpy as np
 import pytest
 import torch
-from hypothesis import given
-from hypothesis import strategies as st
-from koopman_lqr_controller.encoder import EPSILON, CentreCrop, Dense, Encoder, Flatten, LayerNorm
+from koopman_lqr_controller.encoder import EPSILON, Dense, Encoder, LayerNorm
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.training.networks import TorchEncoder
 
@@ -93,41 +91,3 @@ def test_an_inclusive_encoder_begins_with_the_normalised_observation() -> None:
     assert encoder(x).tolist() == [[0.0, 1.0, 2.0, 3.0, 3.0], [0.0, 0.0, 0.0, 0.0, 0.0]]
     description, tensors = encoder.describe()
     assert np.array_equal(Encoder.build(description, tensors)(x), encoder(x))
-
-
-@given(st.integers(0, 1000), st.lists(st.sampled_from(["linear", "rectified", "norm"]), min_size=1, max_size=6))
-def test_fused_is_the_same_in_fewer_steps(seed: int, kinds: list[str]) -> None:
-    random = np.random.default_rng(seed)
-
-    def some(*shape: int) -> np.ndarray:
-        return random.normal(size=shape).astype(np.float32)
-
-    layers: list = [Dense(some(6, 5), some(6), False)]
-    for kind in kinds:
-        norm = LayerNorm(some(6), some(6))
-        layers.append(norm if kind == "norm" else Dense(some(6, 6), some(6), kind == "rectified"))
-    encoder = Encoder(tuple(layers), (5,), some(5), np.exp(some(5)))
-    fused, x = encoder.fused(), some(20, 5)
-    assert fused(x) == pytest.approx(encoder(x), rel=1e-3, abs=1e-3 * np.abs(encoder(x)).max())
-    assert fused(x[0]) == pytest.approx(fused(x)[0], rel=1e-4, abs=1e-4 * np.abs(fused(x)).max())
-    assert not fused.middle.any()
-    assert len(fused.layers) == len(layers)
-
-
-def test_a_norm_between_dense_layers_loses_its_mean_scale_and_shift() -> None:
-    one = np.ones(3, np.float32)
-    dense = Dense(np.eye(3, dtype=np.float32), 0 * one, False)
-    fused = Encoder((dense, LayerNorm(2 * one, one), dense), (3,), one, 2 * one).fused()
-    assert [type(layer).__name__ for layer in fused.layers] == ["Dense", "RmsNorm", "Dense"]
-    assert fused.layers[0].weight == pytest.approx(0.5 * (np.eye(3) - 1 / 3), abs=1e-6)
-    assert fused.layers[0].bias == pytest.approx(np.zeros(3), abs=1e-6)
-    assert fused.layers[2].weight == pytest.approx(2.0 * np.eye(3))
-    assert fused.layers[2].bias == pytest.approx(np.ones(3))
-    ends = Encoder((dense, LayerNorm(2 * one, one)), (3,), one, 2 * one)
-    assert ends.fused().layers[1] is ends.layers[1], "nothing comes after it to take in its scale"
-
-
-def test_what_takes_images_is_left_as_it_is() -> None:
-    one = np.ones(1, np.float32)
-    encoder = Encoder((CentreCrop(2), Flatten()), (1, 4, 4), 0 * one, one)
-    assert encoder.fused() is encoder

@@ -105,6 +105,24 @@ def test_commands_stay_within_limits_and_predictions_follow_the_model(horizon: i
 
 
 @pytest.mark.parametrize("given", [{}, {"horizon": 5}, {"reduced": True}])
+@pytest.mark.parametrize("inclusive", [False, True])
+def test_a_decision_is_what_the_controller_does_step_by_step(given: dict[str, object], inclusive: bool) -> None:
+    """Whatever makes it quick; an inclusive encoder cannot be made quick."""
+    policy = some_policy(**given)
+    if inclusive:
+        encoder, projection = replace(policy.controller.encoder, inclusive=True), policy.controller.projection
+        first = np.eye(20)[14:] if projection is None else np.pad(projection, ((0, 0), (14, 0)))
+        policy = replace(policy, controller=replace(policy.controller, encoder=encoder, projection=first))
+    wiring, controller, ranges = policy.wired, policy.controller, some_ranges()
+    z = controller.latent(wiring.observation.observe(ranges, SCAN, 0.1, 0.3))
+    u = controller.control(z)
+    decision = policy.decide(ranges, SCAN, 0.1, 0.3)
+    assert decision.z == pytest.approx(z, rel=1e-3, abs=1e-4)
+    assert decision.control == pytest.approx(wiring.command(u), rel=1e-3, abs=1e-3)
+    assert decision.command == pytest.approx(wiring.command(controller.saturate(u)), abs=1e-3)
+
+
+@pytest.mark.parametrize("given", [{}, {"horizon": 5}, {"reduced": True}])
 def test_a_file_gives_the_same_policy_back(given: dict[str, object], tmp_path: Path) -> None:
     policy, path = some_policy(**given), tmp_path / "policy.safetensors"
     save_policy(policy, path)
