@@ -21,7 +21,7 @@ from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from sensor_msgs.msg import LaserScan
 
-SCANS = 400
+SCANS = 2000
 PAUSE_S = 0.01
 
 
