@@ -7,9 +7,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 import rclpy
+from ctrl_rl_core.signals import STOP_SIGNALS, answered_by
 from rclpy.signals import SignalHandlerOptions
-
-_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 @contextmanager
@@ -17,30 +16,24 @@ def ros() -> Iterator[None]:
     """Let rclpy be there; a signal raises KeyboardInterrupt once, those that follow must wait for the end."""
 
     def interrupt(_number: int, _frame: object) -> None:
-        for number in _SIGNALS:
+        for number in STOP_SIGNALS:
             signal.signal(number, signal.SIG_IGN)
         raise KeyboardInterrupt
 
-    before = {number: signal.signal(number, interrupt) for number in _SIGNALS}
-    # rclpy's own handlers would close the context under whoever is waiting in it.
-    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    try:
-        yield
-    finally:
-        rclpy.try_shutdown()
-        for number, handler in before.items():
-            signal.signal(number, handler)
+    with answered_by(interrupt):
+        # rclpy's own handlers would close the context under whoever is waiting in it.
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+        try:
+            yield
+        finally:
+            rclpy.try_shutdown()
 
 
 @contextmanager
 def uninterrupted() -> Iterator[None]:
     """Let a signal interrupt after this block, not within it, where it would be lost or leave something half done."""
     caught: list[int] = []
-    before = {number: signal.signal(number, lambda number, _: caught.append(number)) for number in _SIGNALS}
-    try:
+    with answered_by(lambda number, _frame: caught.append(number)):
         yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
     if caught:
         signal.raise_signal(caught[0])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -22,6 +21,7 @@ from ctrl_rl_core.bag_metadata import BagError
 from ctrl_rl_core.bag_reader import BagInfo, RawMessage, bag_info, read_raw
 from ctrl_rl_core.message_types import UnknownTypeError, message_class
 from ctrl_rl_core.recorded_qos import is_latched, offer
+from ctrl_rl_core.signals import answered_by
 
 _DEPTH = 1000
 _LATCHED_DEPTH = 100
@@ -69,16 +69,14 @@ def play(bag: Path | str, how: Playback, warn: Callable[[str], None], *, progres
     info = bag_info(bag)
     _check(info, how)
     stop = threading.Event()
-    before = {number: signal.signal(number, lambda *_: stop.set()) for number in (signal.SIGINT, signal.SIGTERM)}
-    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-    node = Node("bag_player", start_parameter_services=False)
-    try:
-        return _Player(node, info, how, stop, warn).run(progress)
-    finally:
-        node.destroy_node()
-        rclpy.try_shutdown()
-        for number, handler in before.items():
-            signal.signal(number, handler)
+    with answered_by(lambda *_: stop.set()):
+        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+        node = Node("bag_player", start_parameter_services=False)
+        try:
+            return _Player(node, info, how, stop, warn).run(progress)
+        finally:
+            node.destroy_node()
+            rclpy.try_shutdown()
 
 
 class _Player:

@@ -14,6 +14,7 @@ from multiprocessing.connection import wait as wait_for_any
 from typing import Any, TypeVar
 
 from ctrl_rl_core.errors import CtrlRlError
+from ctrl_rl_core.signals import answered_by
 
 Item = TypeVar("Item")
 Answer = TypeVar("Answer")
@@ -77,11 +78,8 @@ def _deaf_to_interrupts() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
+    with answered_by(signal.SIG_IGN, (signal.SIGINT,)):
         yield
-    finally:
-        signal.signal(signal.SIGINT, before)
 
 
 def _begin(prepare: Callable[..., None] | None, terms: tuple[Any, ...]) -> None:
