@@ -114,21 +114,11 @@ class LayerNorm:
 
     def __call__(self, x: Weights) -> Weights:
         """Return the outputs (..., n)."""
-        if x.ndim == 1:
-            return self._of_one(x)
         n = np.float32(x.shape[-1])
         total: Weights = np.add.reduce(x, axis=-1, keepdims=True)  # what `mean` does, in half its time
         y = x - total / n
         variance = np.einsum("...i,...i->...", y, y)[..., None] / n
         y /= np.sqrt(variance + EPSILON)
-        y *= self.weight
-        y += self.bias
-        return y
-
-    def _of_one(self, x: Weights) -> Weights:
-        """Return the outputs for one vector (n,): the same in half the time, which is what a robot waits for."""
-        y = x - np.add.reduce(x) / np.float32(len(x))
-        y /= np.sqrt(np.einsum("i,i->", y, y) / np.float32(len(x)) + EPSILON)
         y *= self.weight
         y += self.bias
         return y

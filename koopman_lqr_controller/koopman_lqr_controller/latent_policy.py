@@ -43,10 +43,11 @@ class LidarWiring:
 
     def command(self, action: Array) -> Array:
         """Return the command (2,) of an action (2,)."""
-        return self.u_low + (action + 1.0) * self._half
+        return self.u_low + (action + 1.0) * self.half
 
     @cached_property
-    def _half(self) -> Array:
+    def half(self) -> Array:
+        """Command per action (2,)."""
         return 0.5 * (self.u_high - self.u_low)
 
     def action(self, command: Array) -> Array:
@@ -120,7 +121,7 @@ class LatentPolicy:
     @cached_property
     def _gain(self) -> Array:
         """The gain K in the units of the command (2, n)."""
-        return 0.5 * (self.wired.u_high - self.wired.u_low)[:, None] * self.controller.K
+        return self.wired.half[:, None] * self.controller.K
 
     @cached_property
     def _offset(self) -> Array:
@@ -139,14 +140,14 @@ class LatentPolicy:
             KoopmanError: nothing can be seen in the scan, speed or turn rate are not finite, or the policy is of
                 another task.
         """
-        wiring = self.wired
+        wiring, controller = self.wired, self.controller
         z = self._latent(wiring.observation.observe(ranges, scan, v, omega))
+        if controller.horizon is not None:
+            u = controller.control(z)
+            return Decision(wiring.command(controller.saturate(u)), wiring.command(u), z)
+        # Actions are cut off where commands are: the quickest is to think in commands.
         control = self._offset - self._gain.dot(z)
-        if self.controller.horizon is None:  # the quickest: actions are cut off where commands are
-            command = np.minimum(np.maximum(control, wiring.u_low), wiring.u_high)
-        else:
-            command = wiring.command(self.controller.saturate(self.controller.control(z)))
-        return Decision(command, control, z)
+        return Decision(np.minimum(np.maximum(control, wiring.u_low), wiring.u_high), control, z)
 
     def predict(self, z: Array, command: Array) -> Array:
         """Return the model's next z (n,) under a command (2,), which counts as the nearest within the limits."""

@@ -38,9 +38,9 @@ class QuickEncoder:
     """
 
     def __init__(self, encoder: Encoder, projection: Array | None = None) -> None:
-        self._size = encoder.shape[0]
         if len(encoder.shape) != 1 or encoder.inclusive:
             raise KoopmanError("quick is only an encoder that takes vectors and gives its last layer's outputs")
+        self._size = encoder.shape[0]
         unit = np.broadcast_to(np.asarray(encoder.unit, float), self._size)
         linear = _affine(np.diag(1.0 / unit), -encoder.middle / unit)
         self._steps: list[_Step] = []
