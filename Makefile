@@ -5,7 +5,7 @@ SHELL := /bin/bash
 RUN := set -eo pipefail; source scripts/workspace.bash;
 LINKED := ctrl_rl_core sim_bridge ctrl_rl_training ttr_reward_node oc_baseline_node koopman_lqr_controller option_coordinator ctrl_rl_bringup
 
-.PHONY: help setup build demo demo-options trials train ttr oc options koopman test test-all lint bench results clean
+.PHONY: help setup build demo demo-options trials train ttr oc options koopman test test-all lint bench attack results clean
 
 help: ## say what there is
 	@grep -E '^[a-z-]+:.*##' Makefile | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 18
@@ -86,6 +86,9 @@ lint: setup ## ruff and mypy
 bench: build ## the benchmarks, into docs/results/bench.json
 	@scripts/setup requirements/benchmarks.txt
 	@$(RUN) python test/benchmarks --output docs/results/bench.json $(ARGS)
+
+attack: build ## fuzz readers and messages, break processes (ARGS="--seconds 60 --seed 1 --report FILE"; default: ten minutes)
+	@$(RUN) python test/attack $(ARGS)
 
 results: build ## the page of results from the JSON files
 	@$(RUN) ros2 run ctrl_rl_bringup results docs/results docs/results.md
