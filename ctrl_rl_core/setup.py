@@ -19,6 +19,7 @@ setup(
         "console_scripts": [
             "bag = ctrl_rl_core.bag_cli:main",
             "recorder = ctrl_rl_core.recorder_node:main",
+            "watchdog = ctrl_rl_core.watchdog_node:main",
         ],
     },
 )

@@ -39,6 +39,7 @@ RUN_TIME_MODULES = (
     "ctrl_rl_core.tasks",
     "ctrl_rl_core.value_grid",
     "ctrl_rl_core.value_server",
+    "ctrl_rl_core.watchdog_node",
     "ctrl_rl_training.actor",
     "koopman_lqr_controller.node",
     "koopman_lqr_controller.scripted_driver_node",

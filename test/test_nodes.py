@@ -14,6 +14,7 @@ from ttr_reward_node.solver import solve_task
 NODES = {
     "bridge": ("sim_bridge", ()),
     "recorder": ("ctrl_rl_core", ("output:={folder}/bag",)),
+    "watchdog": ("ctrl_rl_core", ()),
     "controller": ("koopman_lqr_controller", ()),
     "scripted_driver": ("koopman_lqr_controller", ()),
     "reward": ("ttr_reward_node", ("grid:={grid}",)),
@@ -23,6 +24,7 @@ NODES = {
 BAD = {
     "bridge": ("task:=nowhere", "no task 'nowhere'"),
     "recorder": ("output:={folder}", "exists"),
+    "watchdog": ("timeout:=0.0", "parameter 'timeout' is out of range: must be 0.05 to 60"),
     "controller": ("scan_timeout:=-1.0", "parameter 'scan_timeout' is out of range: must be 0.05 to 10"),
     "scripted_driver": ("speed:=fast", "parameter 'speed' is 'fast': must be a number"),
     "reward": ("grid:={folder}/none.safetensors", "none.safetensors: there is no such file"),
@@ -113,7 +115,7 @@ def test_diagnostics_carry_name_level_and_figures(start: Callable, listener) -> 
         "/option_coordinator",
         "/navigation_agent",
     }
-    assert set(heard) == {"/sim_bridge", "/recorder", *methods}
+    assert set(heard) == {"/sim_bridge", "/recorder", "/watchdog", *methods}
     for message in heard.values():
         assert message.header.stamp.sec > 0 or message.status[0].name != "/recorder"
         assert message.status[0].message

@@ -67,7 +67,11 @@ def main() -> int:
     outcomes = attack_for(chosen, options.seconds, options.seed)
     if options.report is not None:
         options.report.parent.mkdir(parents=True, exist_ok=True)
-        report = {"seed": options.seed, "seconds": options.seconds, "attacks": [dataclasses.asdict(o) for o in outcomes]}
+        report = {
+            "seed": options.seed,
+            "seconds": options.seconds,
+            "attacks": [dataclasses.asdict(o) for o in outcomes],
+        }
         options.report.write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
     print(table(outcomes))
     return 1 if any(outcome.faults for outcome in outcomes) else 0

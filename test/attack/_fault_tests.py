@@ -7,7 +7,6 @@ import sys
 from pathlib import Path
 
 import numpy as np
-
 from _attack import Attack
 
 ROOT = Path(__file__).resolve().parents[2]

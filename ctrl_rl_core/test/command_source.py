@@ -1,0 +1,43 @@
+"""A driver that knows one command: run as a process of its own, to be killed, frozen or fall silent."""
+
+import argparse
+import time
+
+import rclpy
+from ctrl_rl_core.ros import COMMAND
+from geometry_msgs.msg import TwistStamped
+from rclpy.node import Node
+
+SPEED = 0.125
+RATE = 20.0
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--topic", default="cmd_vel_raw")
+    parser.add_argument("--name", default="source")
+    parser.add_argument("--commands", type=int, default=0, help="commands to send before it falls silent; 0: no end")
+    options = parser.parse_args()
+    rclpy.init()
+    node = Node(options.name)
+    publisher = node.create_publisher(TwistStamped, options.topic, COMMAND)
+    message = TwistStamped()
+    message.twist.linear.x = SPEED
+    while publisher.get_subscription_count() == 0:
+        time.sleep(0.02)
+    sent = 0
+    try:
+        while True:
+            if not options.commands or sent < options.commands:
+                publisher.publish(message)
+                sent += 1
+            time.sleep(1.0 / RATE)
+    except KeyboardInterrupt:
+        pass
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
+
+
+if __name__ == "__main__":
+    main()

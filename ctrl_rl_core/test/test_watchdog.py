@@ -1,0 +1,271 @@
+"""The watchdog: commands pass, and zeros take their place when they stop, whoever was killed, frozen or silent."""
+
+import math
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+import rclpy
+from command_source import SPEED
+from ctrl_rl_core.ros import COMMAND
+from ctrl_rl_core.watchdog import Watchdog
+from ctrl_rl_core.watchdog_node import refusal
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import Twist, TwistStamped
+from hypothesis import given
+from hypothesis import strategies as st
+from rclpy.node import Node
+from rosgraph_msgs.msg import Clock
+
+PATIENCE_S = 20.0
+TIMEOUT, PERIOD, REPEAT = 0.5, 0.1, 2.0
+QUICK = ("timeout:=0.3", "zero_rate:=20.0")
+
+
+@given(st.lists(st.tuples(st.sampled_from(["command", "tick"]), st.floats(0.0, 1.5)), max_size=60))
+def test_a_robot_never_drives_longer_than_the_time_out_on_an_old_command(events: list[tuple[str, float]]) -> None:
+    """Whatever the order of commands and ticks, and however late either is."""
+    now, passed_at, ticked_at = 100.0, -math.inf, 100.0
+    watchdog = Watchdog(now, TIMEOUT, PERIOD, REPEAT)
+    for kind, wait in events:
+        now += wait
+        frozen = now - ticked_at > TIMEOUT
+        if frozen or kind == "tick":
+            ticked_at = now
+        if kind == "command":
+            if watchdog.passes(now):
+                assert not frozen, "it may have waited as long as this process slept"
+                passed_at = now
+        else:
+            zero = watchdog.tick(now)
+            assert zero or now - passed_at <= TIMEOUT or now - passed_at > REPEAT
+            if frozen:
+                assert zero
+
+
+def test_zeros_repeat_for_a_while_or_for_ever() -> None:
+    for repeat, expected in ((2.0, [True, True, False]), (0.0, [True, True, True])):
+        watchdog = Watchdog(0.0, 1000.0, PERIOD, repeat)
+        assert [watchdog.tick(now) for now in (0.1, 1.9, 100.0)] == expected
+
+
+@given(st.floats(), st.sampled_from("xyz"), st.sampled_from(["linear", "angular"]))
+def test_only_finite_numbers_in_range_pass(value: float, axis: str, part: str) -> None:
+    twist = Twist()
+    setattr(getattr(twist, part), axis, value)
+    limit = {"linear": 0.22, "angular": 2.84}[part]
+    reason = refusal(twist, 0.22, 2.84)
+    assert bool(reason) != (abs(value) <= limit * (1 + 1e-6))
+    if reason:
+        assert f"{part}.{axis}" in reason
+
+
+class Base:
+    """The robot's side: what arrives on cmd_vel, and what the watchdog says."""
+
+    def __init__(self, kind: type = TwistStamped) -> None:
+        rclpy.init()
+        self.node = Node("base")
+        self.kind = kind
+        self.speeds: list[float] = []
+        self.said: DiagnosticStatus | None = None
+        self.node.create_subscription(kind, "cmd_vel", self._on_command, COMMAND)
+        self.node.create_subscription(DiagnosticArray, "diagnostics", self._on_diagnostics, 10)
+        self.raw = self.node.create_publisher(kind, "cmd_vel_raw", COMMAND)
+
+    def _on_command(self, message: TwistStamped | Twist) -> None:
+        self.speeds.append((message.twist if self.kind is TwistStamped else message).linear.x)
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        if message.status[0].name == "/watchdog":
+            self.said = message.status[0]
+
+    def until(self, condition: Callable[[], bool]) -> None:
+        deadline = time.monotonic() + PATIENCE_S
+        while not condition():
+            assert time.monotonic() < deadline, (self.speeds[-10:], self.said)
+            rclpy.spin_once(self.node, timeout_sec=0.02)
+
+    @property
+    def drives(self) -> bool:
+        return bool(self.speeds) and self.speeds[-1] == SPEED
+
+    @property
+    def stands(self) -> bool:
+        return bool(self.speeds) and self.speeds[-1] == 0.0
+
+    def says(self, words: str) -> Callable[[], bool]:
+        return lambda: self.said is not None and words in self.said.message
+
+    def command(self, speed: float, turn: float = 0.0) -> None:
+        message = self.kind()
+        twist = message.twist if self.kind is TwistStamped else message
+        twist.linear.x, twist.angular.z = speed, turn
+        self.raw.publish(message)
+
+    def close(self) -> None:
+        self.node.destroy_node()
+        rclpy.try_shutdown()
+
+
+@pytest.fixture
+def base() -> Iterator[Base]:
+    out = Base()
+    yield out
+    out.close()
+
+
+@pytest.fixture
+def source() -> Iterator[Callable[..., subprocess.Popen]]:
+    started: list[subprocess.Popen] = []
+
+    def start(*arguments: str) -> subprocess.Popen:
+        script = Path(__file__).with_name("command_source.py")
+        started.append(subprocess.Popen([sys.executable, script, *arguments]))
+        return started[-1]
+
+    yield start
+    for process in started:
+        process.kill()
+        process.wait()
+
+
+@pytest.mark.fault
+def test_a_driver_that_is_killed_leaves_the_robot_standing_and_a_new_one_drives_on(
+    base: Base, run_node: Callable, source: Callable
+) -> None:
+    run_node("ctrl_rl_core", "watchdog", *QUICK)
+    driver = source()
+    base.until(lambda: base.drives)
+    driver.send_signal(signal.SIGKILL)
+    driver.wait()
+    base.until(lambda: base.stands)
+    base.until(base.says("no usable command on /cmd_vel_raw for"))
+    assert base.stands
+    source()
+    base.until(lambda: base.drives)
+    base.until(base.says("passing commands on"))
+
+
+@pytest.mark.fault
+def test_a_driver_that_is_frozen_leaves_the_robot_standing(base: Base, run_node: Callable, source: Callable) -> None:
+    run_node("ctrl_rl_core", "watchdog", *QUICK)
+    driver = source()
+    base.until(lambda: base.drives)
+    driver.send_signal(signal.SIGSTOP)
+    base.until(lambda: base.stands)
+    driver.send_signal(signal.SIGCONT)
+    base.until(lambda: base.drives)
+
+
+@pytest.mark.fault
+def test_a_driver_that_says_nothing_leaves_the_robot_standing_though_its_process_lives(
+    base: Base, run_node: Callable, source: Callable
+) -> None:
+    run_node("ctrl_rl_core", "watchdog", *QUICK)
+    driver = source("--commands", "40")
+    base.until(lambda: base.drives)
+    base.until(lambda: base.stands)
+    assert driver.poll() is None
+
+
+@pytest.mark.fault
+def test_it_stops_on_wall_time_where_the_simulated_clock_stands_still(
+    base: Base, run_node: Callable, source: Callable
+) -> None:
+    clock = base.node.create_publisher(Clock, "/clock", 1)
+    run_node("ctrl_rl_core", "watchdog", *QUICK, "use_sim_time:=true")
+    base.until(lambda: clock.get_subscription_count() > 0)
+    clock.publish(Clock())
+    driver = source()
+    base.until(lambda: base.drives)
+    driver.kill()
+    base.until(lambda: base.stands)
+
+
+@pytest.mark.fault
+def test_numbers_that_make_no_sense_become_zero_and_it_says_why(base: Base, run_node: Callable) -> None:
+    watchdog = run_node("ctrl_rl_core", "watchdog", *QUICK)
+    base.until(lambda: base.raw.get_subscription_count() > 0 and base.stands)
+    for speed, turn, words in (
+        (math.nan, 0.0, "linear.x is nan"),
+        (0.1, -math.inf, "angular.z is -inf"),
+        (1e308, 0.0, "linear.x is 1e+308, more than largest_speed 0.22"),
+    ):
+        base.speeds.clear()
+        base.command(speed, turn)
+        base.until(lambda: base.stands)
+        base.until(base.says(words))
+        assert set(base.speeds) == {0.0}
+    base.command(0.1)
+    base.until(lambda: 0.1 in base.speeds)
+    assert "zero instead of a command: linear.x is nan" in watchdog.output
+
+
+@pytest.mark.fault
+def test_after_its_own_freeze_it_stops_the_robot_first(base: Base, run_node: Callable, source: Callable) -> None:
+    watchdog = run_node("ctrl_rl_core", "watchdog", *QUICK)
+    driver = source()
+    base.until(lambda: base.drives)
+    watchdog.process.send_signal(signal.SIGSTOP)
+    driver.kill()
+    deadline = time.monotonic() + 1.0
+    base.until(lambda: time.monotonic() > deadline)
+    base.speeds.clear()
+    watchdog.process.send_signal(signal.SIGCONT)
+    base.until(lambda: base.stands)
+    assert set(base.speeds) == {0.0}, "the command that waited is too old"
+
+
+@pytest.mark.fault
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_stopped_itself_it_leaves_the_robot_standing(
+    base: Base, run_node: Callable, source: Callable, number: int
+) -> None:
+    watchdog = run_node("ctrl_rl_core", "watchdog", "timeout:=60.0")
+    source()
+    base.until(lambda: base.drives)
+    code, _ = watchdog.stop(number)
+    assert code == 0, watchdog.output
+    base.until(lambda: base.stands)
+
+
+@pytest.mark.fault
+def test_it_warns_of_whoever_drives_the_robot_past_it(base: Base, run_node: Callable, source: Callable) -> None:
+    watchdog = run_node("ctrl_rl_core", "watchdog", *QUICK)
+    base.until(lambda: base.said is not None)
+    rival = source("--topic", "cmd_vel", "--name", "teleop")
+    base.until(base.says("/teleop publishes on /cmd_vel too"))
+    assert base.said is not None
+    assert base.said.level == DiagnosticStatus.WARN
+    assert "/teleop publishes on /cmd_vel too, past this watchdog" in watchdog.output
+    rival.send_signal(signal.SIGINT)
+    base.until(base.says("no usable command yet"))
+
+
+def test_a_source_of_the_wrong_type_is_named(base: Base, run_node: Callable) -> None:
+    run_node("ctrl_rl_core", "watchdog", "enable_stamped_cmd_vel:=false")
+    base.until(base.says("/base (geometry_msgs/msg/TwistStamped) is not heard, see enable_stamped_cmd_vel"))
+
+
+def test_plain_twists_pass_where_the_robot_is_older(run_node: Callable) -> None:
+    base = Base(Twist)
+    try:
+        run_node("ctrl_rl_core", "watchdog", *QUICK, "enable_stamped_cmd_vel:=false")
+        base.until(lambda: base.raw.get_subscription_count() > 0 and base.stands)
+        base.command(0.1, 0.2)
+        base.until(lambda: 0.1 in base.speeds)
+        base.until(lambda: base.stands)
+    finally:
+        base.close()
+
+
+def test_it_starts_without_the_heavy_libraries() -> None:
+    """A robot that has lost its watchdog waits for the next one."""
+    code = "import sys, ctrl_rl_core.watchdog_node; print(sorted({'numba', 'scipy'} & set(sys.modules)))"
+    answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert answer.stdout.strip() == "[]"
