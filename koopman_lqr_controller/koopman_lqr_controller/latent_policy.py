@@ -110,6 +110,15 @@ class LatentPolicy:
         """
         return self.wired.observation.sectors
 
+    @property
+    def limits(self) -> tuple[Array, Array]:
+        """Least and largest command (2,), (2,): speed [m/s], turn rate [rad/s].
+
+        Raises:
+            KoopmanError: the policy is of another task.
+        """
+        return self.wired.u_low, self.wired.u_high
+
     @cached_property
     def _latent(self) -> Callable[[Array], Array]:
         """The controller's `latent`, quick where it can be."""

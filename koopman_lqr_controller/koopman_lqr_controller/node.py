@@ -149,6 +149,7 @@ class Controller(LidarDriver):
         self._guard, self._served, self._next = Guard(policy.region, *self._limits()), served, None
         self._late, self._out_of_step = 0, ""
         self._policy = policy
+        self.set_limits(*policy.limits)
         self.get_logger().info(
             f"policy {path.name} ({served['policy digest'][:12]}), {len(policy.z_ref)} observables, "
             f"{len(policy.sectors.bearings)} sectors"

@@ -52,6 +52,10 @@ class DrivingPolicy(Protocol):
         """What the policy takes from a scan."""
 
     @property
+    def limits(self) -> tuple[Array, Array]:
+        """Least and largest command (2,), (2,): speed [m/s], turn rate [rad/s]."""
+
+    @property
     def region(self) -> Region | None:
         """What training saw; None where the file does not say."""
 
@@ -131,6 +135,11 @@ class KoopmanPolicy:
     def sectors(self) -> Sectors:
         """What the policy takes from a scan."""
         return self.observables.sectors
+
+    @property
+    def limits(self) -> tuple[Array, Array]:
+        """Least and largest command (2,), (2,): speed [m/s], turn rate [rad/s]."""
+        return self.u_low, self.u_high
 
     @property
     def loop(self) -> Array:

@@ -35,12 +35,12 @@ class ScriptedDriverNode(LidarDriver):
         self._driver = ScriptedDriver(
             random, *(float(self.settings[name]) for name in ("speed", "turn_noise", "speed_noise"))
         )
-        self._limit = np.array([self.settings["largest_speed"], self.settings["largest_turn_rate"]])
+        limits = np.array([self.settings["largest_speed"], self.settings["largest_turn_rate"]])
+        self.set_limits(-limits, limits)
 
     def decide(self, sensed: Sensed) -> NDArray[np.float64]:
         """Return the scripted command."""
-        command = self._driver.command(self._driver.sectors.distances(sensed.ranges, sensed.scan))
-        return np.clip(command, -self._limit, self._limit)
+        return self._driver.command(self._driver.sectors.distances(sensed.ranges, sensed.scan))
 
 
 def main() -> int:

@@ -7,11 +7,10 @@ from typing import ClassVar
 import numpy as np
 from ctrl_rl_core.odometry import OdometryReader
 from ctrl_rl_core.parameters import Parameter, ParameterError
-from ctrl_rl_core.ros import COMMAND, SENSOR, Status, SuiteNode, ok, run_node, warn
-from geometry_msgs.msg import Twist, TwistStamped
+from ctrl_rl_core.ros import SENSOR, Status, ok, run_node
+from ctrl_rl_core.velocity_node import VELOCITY_PARAMETERS, VelocityNode
 from nav_msgs.msg import Odometry
 from numpy.typing import NDArray
-from rclpy.duration import Duration
 from sensor_msgs.msg import LaserScan
 
 from option_coordinator.agent import OptionAgent
@@ -20,10 +19,10 @@ from option_coordinator.robot_side import Earned, Patience, Seen
 from option_coordinator.steering import STAND, Steering, scan_points
 from option_coordinator.team_file import load_team
 
-_LAST_WORD = Duration(seconds=0.3)
+_STAND = np.array(STAND)
 
 
-class NavigationAgent(SuiteNode):
+class NavigationAgent(VelocityNode):
     """Drives a robot between stations, one option after the other, as a coordinator grants them.
 
     Subscribes to scan and odom, publishes cmd_vel, all in the robot's namespace; asks for options in the team's. Drives
@@ -31,6 +30,7 @@ class NavigationAgent(SuiteNode):
     """
 
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = (
+        *VELOCITY_PARAMETERS,
         Parameter("team", "delivery_team", "Team that comes with the package, or its .yaml file."),
         Parameter("robot", "", "Its name in the team; empty for that of the namespace."),
         Parameter("team_namespace", "/", "Namespace of the coordinator's topics."),
@@ -41,12 +41,11 @@ class NavigationAgent(SuiteNode):
         Parameter("sensor_timeout", 1.0, "Age of scan or odometry that stops the robot [s].", 0.05, 10.0),
         Parameter("heartbeat", 0.1, "Between two heartbeats, and repetitions of a request [s].", 0.01, 10.0),
         Parameter("patience", 2.0, "Without an answer, until the safe option begins [s].", 0.05, 600.0),
-        Parameter("enable_stamped_cmd_vel", True, "Publish cmd_vel as TwistStamped (Jazzy) instead of Twist (Humble)."),
-        Parameter("base_frame", "base_link", "Frame of the commands."),
     )
+    TIMEOUT = "sensor_timeout"
 
     def __init__(self) -> None:
-        super().__init__("navigation_agent")
+        super().__init__("navigation_agent", needs=("scan", "odometry"))
         settings = self.settings
         team = load_team(settings["team"])
         name = settings["robot"] or self.get_namespace().strip("/")
@@ -54,19 +53,16 @@ class NavigationAgent(SuiteNode):
             raise ParameterError(f"parameter 'robot' is '{name}': team '{team.name}' has {', '.join(team.robots)}")
         self._names = team.option_names
         self._delivery, self._steering = Delivery(team, name), Steering()
+        self.set_limits((0.0, -self._steering.turn), (self._steering.speed, self._steering.turn))
         self._read = OdometryReader(("x", "y", "theta"))
         self._pose: NDArray[np.float64] | None = None
         self._points: NDArray[np.float64] | None = None
-        self._scan_at = self._pose_at = -np.inf
-        self._stamped: bool = settings["enable_stamped_cmd_vel"]
-        self._commands = self.create_publisher(TwistStamped if self._stamped else Twist, "cmd_vel", COMMAND)
         beat = settings["heartbeat"]
         patience = Patience(heartbeat=beat, repeat=beat, waiting=settings["patience"])
         safe = self._names.index(team.safe_option)
         self._agent = OptionAgent(self, name, self._names, self, safe, patience, settings["team_namespace"])
         self.create_subscription(Odometry, "odom", self._on_odometry, SENSOR)
         self.create_subscription(LaserScan, "scan", self._on_scan, SENSOR)
-        self.create_timer(0.5 * settings["sensor_timeout"], self._watch)
 
     def observe(self) -> Seen:
         """Return what the policy is told."""
@@ -79,25 +75,23 @@ class NavigationAgent(SuiteNode):
 
     def leave(self) -> Earned:
         """Leave an option as it is."""
-        self._command(STAND)
+        self.drive(_STAND)
         return self._delivery.leave(self._now())
-
-    def stop(self) -> None:
-        """Leave the robot standing: the zero velocity has arrived before the publisher goes."""
-        self._command(STAND)
-        self._commands.wait_for_all_acked(_LAST_WORD)
 
     def status(self) -> Status:
         """Say what the robot does."""
+        level, message, sent = super().status()
         side, delivery = self._agent.side, self._delivery
         option = "none" if delivery.option is None else self._names[delivery.option]
         figures = {"option": option, "state": side.state.name.lower(), "delivered": delivery.delivered}
-        figures |= {"carries": str(delivery.carries).lower(), "epoch": side.epoch, **side.counts}
-        return ok(f"option '{option}'", **figures) if self._recent else warn("no recent scan and odometry", **figures)
+        figures |= {"carries": str(delivery.carries).lower(), "epoch": side.epoch, **side.counts, **sent}
+        return (level, message, figures) if self.problem else ok(f"option '{option}'", **figures)
 
     def _on_odometry(self, message: Odometry) -> None:
         first = self._pose is None
-        self._pose, self._pose_at = self._read(message), self._now()
+        self._pose = self._read(message)
+        self.heard("odometry")
+        self.robot_frame(message.child_frame_id)
         if first:
             self._agent.start()
         self._drive()
@@ -108,38 +102,23 @@ class NavigationAgent(SuiteNode):
         ranges = np.frombuffer(message.ranges, np.float32)
         bearing = message.angle_min + self.settings["lidar_yaw"]
         self._points = scan_points(self._pose, ranges, bearing, message.angle_increment, self.settings["lidar_x"])
-        self._scan_at = self._now()
-
-    @property
-    def _recent(self) -> bool:
-        return self._now() - min(self._scan_at, self._pose_at) <= self.settings["sensor_timeout"]
+        self.heard("scan")
 
     def _drive(self) -> None:
         """Go on with the option."""
         option, place = self._delivery.option, self._delivery.place
-        if option is None or self._pose is None or self._points is None or not self._recent:
+        if self._pose is None or self._points is None or self.missing():
+            return
+        if option is None:
+            self.drive(_STAND)
             return
         if place is not None and not self._steering.there(self._pose, place):
-            self._command(self._steering.command(self._pose, self._points, place))
+            self.drive(np.array(self._steering.command(self._pose, self._points, place)))
             return
-        self._command(STAND)
+        self.drive(_STAND)
         earned = self._delivery.at_place(self._now())
         if earned is not None:
             self._agent.ended(earned.reward, earned.steps, self._delivery.over(option))
-
-    def _watch(self) -> None:
-        if not self._recent:
-            self._command(STAND)
-
-    def _command(self, command: tuple[float, float]) -> None:
-        twist = Twist()
-        twist.linear.x, twist.angular.z = command
-        if not self._stamped:
-            self._commands.publish(twist)
-            return
-        out = TwistStamped(twist=twist)
-        out.header.stamp, out.header.frame_id = self.get_clock().now().to_msg(), self.settings["base_frame"]
-        self._commands.publish(out)
 
     def _now(self) -> float:
         return 1e-9 * float(self.get_clock().now().nanoseconds)

@@ -1,0 +1,209 @@
+"""The base of every node that drives a robot: one way out for velocities, and the robot stands when in doubt.
+
+class Driver(VelocityNode):
+    def __init__(self) -> None:
+        super().__init__("driver", needs=("odometry",))
+        self.set_limits((-0.22, -2.84), (0.22, 2.84))
+        self.create_subscription(Odometry, "odom", self._on_odometry, SENSOR)
+
+    def _on_odometry(self, message: Odometry) -> None:
+        self.heard("odometry")
+        self.robot_frame(message.child_frame_id)
+        self.drive(np.array((0.1, 0.0)))
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import ClassVar
+
+import numpy as np
+from builtin_interfaces.msg import Time as Stamp
+from geometry_msgs.msg import Twist, TwistStamped
+from numpy.typing import ArrayLike, NDArray
+from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
+from rclpy.time import Time
+from std_msgs.msg import Header
+
+from ctrl_rl_core.errors import CtrlRlError
+from ctrl_rl_core.parameters import Parameter
+from ctrl_rl_core.ros import COMMAND, Status, SuiteNode, ok, warn
+
+VELOCITY_PARAMETERS = (
+    Parameter("enable_stamped_cmd_vel", True, "Publish cmd_vel as TwistStamped (Jazzy) instead of Twist (Humble)."),
+    Parameter("base_frame", "", "Frame of the commands; empty for the child frame of the odometry."),
+    Parameter("dry_run", False, "Decide and say so, but send nothing on cmd_vel.", live=True),
+)
+_SOME_BASE = "base_link"
+"""The frame of the commands until odometry names one."""
+_LAST_WORD = Duration(seconds=0.3)
+_STAND = np.zeros(2)
+_STAND.flags.writeable = False
+
+
+class VelocityError(CtrlRlError):
+    """There is no velocity to send: the robot must stand; the message is the reason."""
+
+
+class VelocityNode(SuiteNode):
+    """Publishes cmd_vel for one robot: finite, within limits, zero without recent input and when the node stops.
+
+    In a dry run all is as ever, but nothing is sent.
+
+    Attributes:
+        TIMEOUT: name of the parameter that holds the age of an input that stops the robot [s].
+        problem: the reason why the robot stands; empty while it drives.
+        counts: number of commands, of stops, and of looks at the inputs that found one too old.
+        moving: whether the last command that was sent moves the robot.
+    """
+
+    PARAMETERS: ClassVar[tuple[Parameter, ...]] = VELOCITY_PARAMETERS
+    TIMEOUT: ClassVar[str] = "scan_timeout"
+
+    def __init__(self, name: str, needs: Sequence[str]) -> None:
+        """Set up the way out; the limits are zero until `set_limits`.
+
+        Args:
+            name: name of the node.
+            needs: inputs without which the robot stands, as they are called in "no recent ...".
+        """
+        super().__init__(name)
+        stamped: bool = self.settings["enable_stamped_cmd_vel"]
+        # One message for all commands: to make one takes as long as to decide.
+        self._out = TwistStamped() if stamped else Twist()
+        self._header, self._twist = (self._out.header, self._out.twist) if stamped else (Header(), self._out)
+        self._header.frame_id = self.settings["base_frame"] or _SOME_BASE
+        self._publisher = self.create_publisher(type(self._out), "cmd_vel", COMMAND)
+        self._low, self._high = _STAND, _STAND
+        # The age of things is no matter of the system's clock, which may be set while the robot drives; a simulation's
+        # clock may stand still, and nothing gets old then.
+        simulated = self.get_parameter("use_sim_time").value
+        self._ages = self.get_clock() if simulated else Clock(clock_type=ClockType.STEADY_TIME)
+        self._heard: dict[str, Time | None] = dict.fromkeys(needs)
+        self._begun = self._ages.now()
+        self.counts = {"commands": 0, "stopped": 0, "stale": 0}
+        self.moving = False
+        self.problem = f"waiting for {' and '.join(needs)}"
+        self.create_timer(0.5 * self._timeout, self._watch, clock=self._ages)
+
+    def set_limits(self, low: ArrayLike, high: ArrayLike) -> None:
+        """Set the least and the largest speed [m/s] and turn rate [rad/s] that are ever sent, (2,) each.
+
+        Raises:
+            VelocityError: they are not finite, or no limits.
+        """
+        least, largest = np.array(low, np.float64), np.array(high, np.float64)
+        shapes = least.shape == largest.shape == (2,)
+        if not (shapes and np.isfinite((least, largest)).all() and (least <= largest).all()):
+            raise VelocityError(f"commands from {least} to {largest}: must be two finite numbers each, the least first")
+        self._low, self._high = least, largest
+
+    def robot_frame(self, name: str) -> None:
+        """Send commands in this frame, unless the parameter base_frame names another."""
+        if name and not self.settings["base_frame"]:
+            self._header.frame_id = name
+
+    @property
+    def frame(self) -> str:
+        """The frame of the commands."""
+        return str(self._header.frame_id)
+
+    def heard(self, what: str) -> None:
+        """Note that an input has just come, and is fit for use."""
+        self._heard[what] = self._ages.now()
+
+    def age(self, what: str) -> float:
+        """Return how long ago an input came [s], infinite where it never did."""
+        at = self._heard[what]
+        return math.inf if at is None else self._elapsed(at)
+
+    def missing(self) -> str:
+        """Return "no recent ..." of the first input that is too old, empty where none is."""
+        return next((f"no recent {what}" for what in self._heard if self.age(what) > self._timeout), "")
+
+    def limited(self, command: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return a command (2,), cut off at the limits.
+
+        Raises:
+            VelocityError: it is not finite.
+        """
+        v, omega = command.tolist()
+        if not (math.isfinite(v) and math.isfinite(omega)):
+            raise VelocityError(f"the command is {v} m/s, {omega} rad/s: not finite")
+        return np.minimum(np.maximum(command, self._low), self._high)
+
+    def drive(self, command: NDArray[np.float64], stamp: Stamp | None = None) -> NDArray[np.float64]:
+        """Send speed [m/s] and turn rate [rad/s] (2,), cut off at the limits, and return what was sent.
+
+        Args:
+            command: the command; zeros for a robot that has nothing to do.
+            stamp: time of what it answers; now where left out.
+
+        Raises:
+            VelocityError: it is not finite; nothing was sent, and the robot must stand.
+        """
+        command = self.limited(command)
+        if not self.settings["dry_run"]:
+            self.counts["commands"] += 1
+            self._send(command, stamp)
+        self.problem = ""
+        return command
+
+    def stand(self, problem: str, stamp: Stamp | None = None) -> None:
+        """Send zero velocity, and say why where it is news.
+
+        Args:
+            problem: the reason, for the log and for `diagnostics`.
+            stamp: time of what it answers; now where left out.
+        """
+        self.counts["stopped"] += 1
+        if not self.settings["dry_run"]:
+            self._send(_STAND, stamp)
+        if problem != self.problem:
+            self.get_logger().warning(f"stopping: {problem}")
+        self.problem = problem
+
+    def stale(self, problem: str) -> None:
+        """Act on an input that stays away; the robot stands already. Override it to say so elsewhere."""
+
+    def setting_changed(self, name: str) -> None:
+        """Let the robot stand when a dry run begins: it must not go on with the last command."""
+        if name == "dry_run" and self.settings["dry_run"] and self.moving:
+            self._send(_STAND, None)
+
+    def stop(self) -> None:
+        """Leave the robot standing: the zero velocity has arrived before the publisher goes."""
+        if not self.settings["dry_run"]:
+            self._send(_STAND, None)
+            self._publisher.wait_for_all_acked(_LAST_WORD)
+
+    def status(self) -> Status:
+        """Say whether commands flow."""
+        dry = "dry run, nothing is sent: " if self.settings["dry_run"] else ""
+        figures: dict[str, object] = dict(self.counts)
+        return warn(f"{dry}{self.problem}", **figures) if self.problem else ok(f"{dry}driving", **figures)
+
+    @property
+    def _timeout(self) -> float:
+        return float(self.settings[self.TIMEOUT])
+
+    def _watch(self) -> None:
+        """Stop the robot when an input stays away."""
+        if self._elapsed(self._begun) <= self._timeout:
+            return  # what starts has a moment to be heard
+        problem = self.missing()
+        if problem:
+            self.counts["stale"] += 1
+            self.stand(problem)
+            self.stale(problem)
+
+    def _elapsed(self, then: Time) -> float:
+        return float((self._ages.now() - then).nanoseconds) * 1e-9
+
+    def _send(self, command: NDArray[np.float64], stamp: Stamp | None) -> None:
+        self._header.stamp = self.get_clock().now().to_msg() if stamp is None else stamp
+        self._twist.linear.x, self._twist.angular.z = v, omega = command.tolist()
+        self.moving = v != 0.0 or omega != 0.0
+        self._publisher.publish(self._out)
