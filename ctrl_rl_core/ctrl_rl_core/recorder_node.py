@@ -24,6 +24,7 @@ class RecorderNode(SuiteNode):
     """Records every topic, the parameters of all nodes and the digests of the files they work with, as one bag."""
 
     QUICK = False
+    FATAL = (BagError,)
     PARAMETERS = (
         Parameter("output", "", "Folder of the bag; empty: bag_<date>-<time> in the working folder."),
         Parameter("topics", [""], "Topics to record; empty: all, also those that appear later."),

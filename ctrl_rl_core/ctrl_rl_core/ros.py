@@ -19,6 +19,7 @@ from __future__ import annotations
 import inspect
 import signal
 import sys
+import time
 from array import array
 from collections.abc import Callable, Mapping
 from typing import Any, ClassVar
@@ -37,7 +38,9 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
 from rclpy.signals import SignalHandlerOptions
 
-from ctrl_rl_core.errors import CtrlRlError
+from ctrl_rl_core.errors import CtrlRlError, one_line
+from ctrl_rl_core.faults import Faults
+from ctrl_rl_core.parameter_service import CheckedParameterService
 from ctrl_rl_core.parameters import Parameter, ParameterError, declare, help_text
 
 SENSOR = qos_profile_sensor_data
@@ -52,6 +55,8 @@ LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability
 EXIT_FAILURE = 1
 EXIT_USAGE = 2
 _POLL_S = 0.1
+_BREATH_S = 0.001
+"""After a failure outside of all callbacks, so that one that repeats for ever leaves the processor to others [s]."""
 
 Status = tuple[bytes, str, Mapping[str, object]]
 """Level (a DiagnosticStatus constant), one line of text, key figures."""
@@ -60,18 +65,29 @@ Status = tuple[bytes, str, Mapping[str, object]]
 class SuiteNode(Node):
     """A node with checked settings, diagnostics at 1 Hz of wall time, and a last word before it stops.
 
+    No callback ends it: what one raises is counted, said in the log and in diagnostics, and handed to
+    `callback_failed`. Log level debug shows the traceback.
+
     Attributes:
         PARAMETERS: the table of the node's parameters.
+        FATAL: Errors of a callback that end the node, as it cannot do its work any more.
+        faults: The failures of its callbacks.
         QUICK: whether to use the events executor: half the latency and CPU of the usual one, whose cost grows with
-            every timer and service; it does not know raw subscriptions.
+            every timer and service; it knows neither raw subscriptions nor guard conditions.
         settings: their values by name; kept up to date where `ros2 param set` changes them.
     """
 
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = ()
+    FATAL: ClassVar[tuple[type[Exception], ...]] = ()
     QUICK: ClassVar[bool] = True
 
     def __init__(self, name: str, **kwargs: Any) -> None:
-        super().__init__(name, **kwargs)
+        self.faults = Faults(self.callback_failed, self.get_logger, self.FATAL)  # before the first callback
+        self._refused_requests = 0
+        super().__init__(name, start_parameter_services=False, **kwargs)
+        for service in self.services:  # rclpy makes one by itself
+            service.callback = self.faults.guard_service(service.callback, service.srv_name)
+        self._checked_parameters = CheckedParameterService(self, self._refuse)
         self.settings = declare(self, self.PARAMETERS)
         for given in self._parameter_overrides:
             if not self.has_parameter(given):
@@ -94,8 +110,51 @@ class SuiteNode(Node):
     def stop(self) -> None:
         """Say the last word (zero velocity, a finished file) while publishers still work; called once, override it."""
 
+    def callback_failed(self, error: Exception) -> None:
+        """React to a callback that raised, which is counted and said already; override it in a node that drives.
+
+        There the robot stands, and goes on standing while `faults.failing` names an input.
+        """
+
+    def create_timer(self, timer_period_sec: float, callback: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
+        """Create a timer whose callback cannot end the node."""
+        return super().create_timer(timer_period_sec, self.faults.guard(callback, "timer"), *args, **kwargs)
+
+    def create_subscription(
+        self, msg_type: Any, topic: str, callback: Callable[..., Any], *args: Any, **kwargs: Any
+    ) -> Any:
+        """Subscribe with a callback that cannot end the node."""
+        return super().create_subscription(msg_type, topic, self.faults.guard(callback, topic), *args, **kwargs)
+
+    def create_service(
+        self, srv_type: Any, srv_name: str, callback: Callable[..., Any], *args: Any, **kwargs: Any
+    ) -> Any:
+        """Serve with a callback that cannot end the node; where it fails, the client gets an empty response."""
+        callback = self.faults.guard_service(callback, srv_name)
+        return super().create_service(srv_type, srv_name, callback, *args, **kwargs)
+
+    def _refuse(self, reason: str) -> None:
+        self._refused_requests += 1
+        self.get_logger().warning(f"parameter request refused: {reason}", throttle_duration_sec=5.0)
+
+    def _status(self) -> Status:
+        """Return the node's status with what failed in it."""
+        try:
+            level, message, values = self.status()
+        except Exception as error:  # a node that cannot say how it is must say at least that
+            self.faults.note("status", error)
+            level, message, values = DiagnosticStatus.ERROR, "no status", {}
+        values = dict(values)
+        if self._refused_requests:
+            values["refused parameter requests"] = self._refused_requests
+        if self.faults.count:
+            values |= {"failed callbacks": self.faults.count, "last failure": self.faults.last}
+        if self.faults.recent:
+            return DiagnosticStatus.ERROR, f"callback failed: {self.faults.last}", values
+        return level, message, values
+
     def _publish_diagnostics(self) -> None:
-        level, message, values = self.status()
+        level, message, values = self._status()
         status = DiagnosticStatus(
             level=level,
             name=self.get_fully_qualified_name(),
@@ -120,11 +179,13 @@ class SuiteNode(Node):
             self.settings[name] = value
             try:
                 self.setting_changed(name)
-            except CtrlRlError as error:
+            except Exception as error:
+                if not isinstance(error, CtrlRlError):
+                    self.faults.note(f"setting_changed ({name})", error)
                 self.settings |= before
                 for other in taken:  # all or nothing: ROS keeps the old values of all of them
                     self.setting_changed(other)
-                return SetParametersResult(successful=False, reason=str(error))
+                return SetParametersResult(successful=False, reason=one_line(error))
             taken.append(name)
         return SetParametersResult(successful=True)
 
@@ -182,7 +243,17 @@ def _spin(node: SuiteNode, until: Callable[[], bool]) -> None:
     executor.add_node(node)
     try:
         while not until() and rclpy.ok():
-            executor.spin_once(timeout_sec=_POLL_S)
+            try:
+                executor.spin_once(timeout_sec=_POLL_S)
+            except ExternalShutdownException:
+                raise
+            except (
+                Exception
+            ) as error:  # not a callback's: a message that cannot be taken, an answer that cannot be sent
+                node.faults.note("executor", error)
+                time.sleep(_BREATH_S)
+            if node.faults.ended_by is not None:
+                raise node.faults.ended_by
     finally:
         executor.shutdown()  # while its context lives: its finaliser would complain afterwards
 

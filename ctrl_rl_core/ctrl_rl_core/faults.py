@@ -1,0 +1,128 @@
+"""Callbacks that fail: caught, counted, said at most every few seconds, and survived."""
+
+from __future__ import annotations
+
+import time
+import traceback
+from collections.abc import Callable
+from functools import partial, wraps
+from typing import Any
+
+from rclpy.executors import ExternalShutdownException
+from rclpy.logging import LoggingSeverity
+
+from ctrl_rl_core.errors import one_line
+
+SAY_EVERY_S = 5.0
+"""Wall time between two lines about one callback that fails again and again [s]."""
+
+
+class Faults:
+    """The failures of one node's callbacks.
+
+    Args:
+        react: called with the error after each failure; what it raises is counted too.
+        logger: returns the node's logger.
+        fatal: errors that say that the node cannot do its work any more.
+
+    Attributes:
+        count: Failures so far.
+        last: The last failure in one line, empty for none.
+        failing: Timers and topics whose callback failed when it was called last.
+        ended_by: The first fatal error, None for none.
+    """
+
+    def __init__(
+        self, react: Callable[[Exception], None], logger: Callable[[], Any], fatal: tuple[type[Exception], ...] = ()
+    ) -> None:
+        self.count = 0
+        self.last = ""
+        self.failing: set[str] = set()
+        self.ended_by: Exception | None = None
+        self._react, self._logger, self._fatal = react, logger, fatal
+        self._last_at = -float("inf")
+        self._said_at: dict[str, float] = {}
+        self._unsaid: dict[str, int] = {}
+
+    @property
+    def recent(self) -> bool:
+        """Whether a callback is failing, or has failed within the last seconds."""
+        return bool(self.failing) or time.monotonic() - self._last_at < SAY_EVERY_S
+
+    def guard(self, callback: Callable[..., Any], source: str) -> Callable[..., Any]:
+        """Return `callback` so that it cannot raise.
+
+        Args:
+            callback: of a timer or a topic.
+            source: the topic, or "timer".
+        """
+        name = f"{_name_of(callback)} ({source})"
+
+        @wraps(callback)
+        def guarded(*arguments: Any) -> None:
+            try:
+                callback(*arguments)
+            except ExternalShutdownException:
+                raise
+            except Exception as error:  # whatever it is, the node's other callbacks are still needed
+                self.failing.add(name)
+                self.note(name, error)
+            else:
+                if name in self.failing:
+                    self.failing.discard(name)
+
+        return guarded
+
+    def guard_service(self, callback: Callable[..., Any], source: str) -> Callable[..., Any]:
+        """Return a service's `callback` so that it cannot raise; a failure is answered with an empty response.
+
+        The response says success = False and the reason where it has such fields.
+        """
+        name = f"{_name_of(callback)} ({source})"
+
+        @wraps(callback)
+        def guarded(request: Any, response: Any) -> Any:
+            try:
+                return callback(request, response)
+            except ExternalShutdownException:
+                raise
+            except Exception as error:
+                self.note(name, error)
+                empty = type(response)()
+                if isinstance(getattr(empty, "message", None), str):
+                    empty.message = one_line(error)
+                return empty
+
+        return guarded
+
+    def note(self, name: str, error: Exception) -> None:
+        """Count a failure, say it, and react to it."""
+        if isinstance(error, self._fatal):
+            self.ended_by = self.ended_by or error
+            return
+        self._record(name, error)
+        try:
+            self._react(error)
+        except Exception as further:
+            self._record("callback_failed", further)
+
+    def _record(self, name: str, error: Exception) -> None:
+        now = time.monotonic()
+        self.count += 1
+        self.last, self._last_at = f"{name}: {one_line(error)}", now
+        if now - self._said_at.get(name, -float("inf")) < SAY_EVERY_S:
+            self._unsaid[name] = self._unsaid.get(name, 0) + 1
+            return
+        self._said_at[name] = now
+        unsaid = self._unsaid.pop(name, 0)
+        more = f" (and {unsaid} times before)" if unsaid else ""
+        logger = self._logger()
+        logger.error(f"callback failed: {self.last}{more}")
+        if logger.is_enabled_for(LoggingSeverity.DEBUG):
+            logger.debug("".join(traceback.format_exception(error)))
+
+
+def _name_of(callback: Callable[..., Any]) -> str:
+    while isinstance(callback, partial):
+        callback = callback.func
+    return str(getattr(callback, "__name__", type(callback).__name__))
