@@ -45,7 +45,7 @@ class NodeProcess:
             assert time.monotonic() < deadline, f"never said '{words}': {self.output}"
             time.sleep(0.02)
 
-    def stop(self, number: int = signal.SIGINT, timeout: float = 5.0) -> tuple[int, float]:
+    def stop(self, number: int = signal.SIGINT, timeout: float = 20.0) -> tuple[int, float]:
         """Send a signal and return exit code and how long it took to end [s]."""
         begin = time.monotonic()
         self.process.send_signal(number)
