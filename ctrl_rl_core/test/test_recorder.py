@@ -9,7 +9,6 @@ import time
 
 import pytest
 from ctrl_rl_core.bags import bag_info, read_messages, recover
-from ctrl_rl_core.message_types import UnknownTypeError, message_class, message_definition
 
 # Sends scans numbered in their frame, at a rate, and one latched text before them.
 PUBLISHER = """
@@ -172,32 +171,3 @@ def test_stops_with_a_whole_bag_when_the_disk_fills(start, tmp_path):
     assert "left on the disk" in errors
     assert "Traceback" not in errors
     assert bag_info(tmp_path / "bag").topics
-
-
-class TestMessageTypes:
-    def test_definition_holds_all_nested_types_once(self):
-        text = message_definition("nav_msgs/msg/Odometry")
-        nested = [line[5:] for line in text.splitlines() if line.startswith("MSG: ")]
-        assert sorted(nested) == sorted(
-            [
-                "std_msgs/Header",
-                "builtin_interfaces/Time",
-                "geometry_msgs/PoseWithCovariance",
-                "geometry_msgs/Pose",
-                "geometry_msgs/Point",
-                "geometry_msgs/Quaternion",
-                "geometry_msgs/TwistWithCovariance",
-                "geometry_msgs/Twist",
-                "geometry_msgs/Vector3",
-            ]
-        )
-
-    def test_class(self):
-        assert message_class("std_msgs/msg/String").__name__ == "String"
-
-    @pytest.mark.parametrize("name", ["nowhere_msgs/msg/Thing", "std_msgs/msg/Thing", "std_msgs/srv/Thing", "Thing"])
-    def test_unknown(self, name):
-        with pytest.raises(UnknownTypeError):
-            message_class(name)
-        with pytest.raises(UnknownTypeError):
-            message_definition(name)
