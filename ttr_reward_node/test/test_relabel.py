@@ -1,12 +1,16 @@
 """Rewards for a recorded bag."""
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
+from ament_index_python.packages import get_package_share_directory
 from ctrl_rl_core.bag_copy import read_wire
 from ctrl_rl_core.bags import BagWriter, Topic, bag_info, read_messages
 from ctrl_rl_core.message_types import message_definition
+from ctrl_rl_core.recorded_qos import to_bag
+from ctrl_rl_core.ros import RESULT
 from ctrl_rl_core.tasks import load_navigation_task
 from nav_msgs.msg import Odometry
 from rclpy.serialization import serialize_message
@@ -56,7 +60,14 @@ def test_every_odometry_message_gets_a_reward_and_nothing_else_changes(bag: Path
     assert [reward.header.stamp.sec for reward in rewards] == list(range(100))
     values = [message.data for message in read_messages(output, ["/robot/time_to_reach"])]
     np.testing.assert_allclose([value.state for value in values], states, atol=1e-12)
-    assert bag_info(output).custom_data["digest.time_to_reach"] == function.digest
+    info = bag_info(output)
+    assert info.custom_data["digest.time_to_reach"] == function.digest
+    # As the topics that the node publishes: a player offers the same, and other tools know the type.
+    for topic, kind in (("/robot/reward", "TaskReward"), ("/robot/time_to_reach", "StateValue")):
+        installed = Path(get_package_share_directory("ctrl_rl_msgs")) / "msg" / f"{kind}.json"
+        hashes = {it["type_name"]: it["hash_string"] for it in json.loads(installed.read_text())["type_hashes"]}
+        assert info.topics[topic].type_hash == hashes[f"ctrl_rl_msgs/msg/{kind}"]
+        assert info.topics[topic].qos == (to_bag(RESULT),)
 
 
 def test_says_what_is_missing(bag: Path, tmp_path: Path) -> None:

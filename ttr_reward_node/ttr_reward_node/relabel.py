@@ -13,6 +13,8 @@ from ctrl_rl_core.bag_metadata import Topic
 from ctrl_rl_core.bag_reader import bag_info, open_bag
 from ctrl_rl_core.message_types import message_definition
 from ctrl_rl_core.odometry import OdometryReader
+from ctrl_rl_core.recorded_qos import to_bag
+from ctrl_rl_core.ros import RESULT
 from ctrl_rl_core.value_function import ValueFunction
 from rosbags.typesys import get_types_from_msg
 from rosbags.typesys.store import Typestore
@@ -36,6 +38,8 @@ def relabel(
     progress: bool = False,
 ) -> int:
     """Write a bag again with the topics `reward` and `time_to_reach`, one message of each per odometry message.
+
+    The topics have the type hash and the quality of service of those that the reward node publishes.
 
     Args:
         bag: with odometry in the frame of the value function.
@@ -65,7 +69,10 @@ def relabel(
         raise TimeToReachError(f"{bag} has a topic {min(there)} already: to make it anew add --replace")
     with open_bag(bag) as reader:
         answer = _Answer(reader.typestore, odom, prefix, frame, function, label)
-        added = [Topic(name, kind, message_definition(kind)) for name, kind in kinds.items()]
+        added = [
+            Topic(name, kind, message_definition(kind), reader.typestore.hash_rihs01(kind), (to_bag(RESULT),))
+            for name, kind in kinds.items()
+        ]
         digests = {"digest.time_to_reach": function.digest}
         title = "relabelling" if progress else ""
         return copy_bag(bag, output, added, answer, left_out=there, custom_data=digests, progress=title) // len(added)
