@@ -105,6 +105,12 @@ def test_no_drive_is_no_figure(tmp_path: Path) -> None:
     check_refused("--episodes must be at least 1, not 0", "record_drives", "--episodes", 0)
 
 
+def test_the_scripted_driver_takes_no_policy() -> None:
+    answer = command("record_drives", "--policy", "curved_corridor")
+    assert answer.returncode == 2
+    assert "unrecognized arguments: --policy" in answer.stderr
+
+
 def test_without_a_known_width_it_drives_without_reward_and_says_so(tmp_path: Path) -> None:
     folder = tmp_path / "run"
     answer = command("demo", "--speed", 6, "--random-width", "--output", folder)

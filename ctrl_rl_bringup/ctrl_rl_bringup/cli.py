@@ -26,6 +26,7 @@ _AS_REAL = ("lidar", "scan_rate", "scan_dropout", "scan_noise", "odom_drift", "c
 def demo() -> int:
     """Drive the corridor once, record it, and say what happened."""
     parser = _parser("demo", "Drive a TurtleBot3 through the corridor in the simulator, record it, report.")
+    _add_policy(parser)
     parser.add_argument("--seed", type=int, default=0, help="of start pose and noise (default %(default)s)")
     options = parser.parse_args()
     return run_here("demo", lambda: _demo(_options(options, "demo", options.seed)))
@@ -34,6 +35,7 @@ def demo() -> int:
 def trials() -> int:
     """Drive the corridor from many random starts and write how often the goal is reached."""
     parser = _parser("trials", "Drive from many random starts and count how often the goal is reached.", 6.0)
+    _add_policy(parser)
     parser.add_argument("--seeds", type=int, default=20, help="how many, from 0 (default %(default)s)")
     parser.add_argument("--at-least", type=int, help="exit with 1 if fewer reach the goal (default: 95 %%)")
     parser.add_argument("--results", type=file_to_write, help="JSON file to write the figures to")
@@ -85,7 +87,6 @@ def _parser(program: str, description: str, speed: float = 1.0) -> argparse.Argu
     parser = argparse.ArgumentParser(prog=program, description=description)
     parser.add_argument("--output", type=Path, help="new folder of the run (default runs/<command>-<date>-<time>)")
     parser.add_argument("--task", default="curved_corridor", help="task name or .yaml file (default %(default)s)")
-    parser.add_argument("--policy", default=DEFAULT_POLICY, help="policy name or file (default %(default)s)")
     parser.add_argument("--speed", type=float, default=speed, help="times real time (default %(default)s)")
     parser.add_argument("--width", type=float, default=0.0, help="of the corridor [m] (default: the task's)")
     parser.add_argument("--random-width", action="store_true", help="draw the width from the task's range")
@@ -107,12 +108,16 @@ def _parser(program: str, description: str, speed: float = 1.0) -> argparse.Argu
     return parser
 
 
+def _add_policy(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--policy", default=DEFAULT_POLICY, help="policy name or file (default %(default)s)")
+
+
 def _options(options: argparse.Namespace, name: str, seed: int) -> DriveOptions:
     folder = options.output or Path("runs") / f"{name}-{datetime.now():%Y%m%d-%H%M%S}"
     return DriveOptions(
         folder=folder,
         task=options.task,
-        policy=options.policy,
+        policy=getattr(options, "policy", DEFAULT_POLICY),  # the scripted driver of record_drives needs none
         seed=seed,
         speed=options.speed,
         width=options.width,
