@@ -13,7 +13,7 @@ from mcap.reader import make_reader
 from tqdm import tqdm
 
 from ctrl_rl_core.bag_metadata import BagError, Topic
-from ctrl_rl_core.bag_reader import bag_info, open_bag, read_raw
+from ctrl_rl_core.bag_reader import bag_info, mend_hint, open_bag, read_raw, reason
 from ctrl_rl_core.bag_writer import BagWriter
 
 
@@ -50,7 +50,7 @@ def read_wire(bag: Path | str) -> Iterator[WireMessage]:
                     times = message.log_time, message.publish_time
                     yield WireMessage(channel.topic, name, *times, message.sequence, message.data)
         except (McapError, OSError) as error:
-            raise BagError(f"{path} cannot be read ({error}); try ros2 run ctrl_rl_core bag recover {bag}") from None
+            raise BagError(f"{path} cannot be read: {reason(error)}{mend_hint(bag)}") from None
 
 
 def bag_topics(bag: Path | str) -> list[Topic]:

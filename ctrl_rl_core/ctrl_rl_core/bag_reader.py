@@ -15,6 +15,9 @@ from rosbags.typesys import Stores, get_typestore
 
 from ctrl_rl_core.bag_metadata import METADATA_FILE, BagError, Qos, read_metadata
 
+_ROS1_MAGIC = b"#ROSBAG V"
+_LONGEST_REASON = 200
+
 
 @dataclass(frozen=True)
 class BagMessage:
@@ -78,16 +81,15 @@ def open_bag(bag: Path | str) -> Iterator[AnyReader]:
         raise BagError(f"{path}: there is no such bag")
     if path.is_dir() and not (path / METADATA_FILE).exists():
         if any(path.glob("*.mcap")):
-            raise BagError(f"{path} was cut off: mend it with ros2 run ctrl_rl_core bag recover {path}")
+            raise BagError(f"{path} was cut off{mend_hint(path)}")
         raise BagError(f"{path} is no bag: it has no {METADATA_FILE}")
+    _refuse_ros1(path)
     try:
         # Bags from before MCAP name their types, but do not define them.
         reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY))
         reader.open()
     except Exception as error:  # on damaged bytes the parsers raise nearly anything
-        raise BagError(
-            f"{path} cannot be read: {str(error) or type(error).__name__}; try ros2 run ctrl_rl_core bag recover {path}"
-        ) from None
+        raise BagError(f"{path} cannot be read: {reason(error)}{mend_hint(path)}") from None
     try:
         yield reader
     finally:
@@ -153,6 +155,30 @@ def bag_info(bag: Path | str) -> BagInfo:
         )
 
 
+def mend_hint(bag: Path | str) -> str:
+    """Return what an error says of `bag recover`: nothing where it cannot help."""
+    path = Path(bag)
+    mendable = path.is_dir() and any(path.glob("*.mcap"))
+    return f"; mend it with ros2 run ctrl_rl_core bag recover {path}" if mendable else ""
+
+
+def reason(error: Exception) -> str:
+    """Return an error of a parser as a part of one line."""
+    text = " ".join(str(error).split()) or type(error).__name__
+    return text if len(text) <= _LONGEST_REASON else f"{text[:_LONGEST_REASON]}..."
+
+
+def _refuse_ros1(path: Path) -> None:
+    try:
+        with path.open("rb") as stream:
+            old = stream.read(len(_ROS1_MAGIC)) == _ROS1_MAGIC
+    except OSError:  # a folder, say
+        return
+    if old:
+        new = path.with_suffix("")
+        raise BagError(f"{path} is a ROS 1 bag: convert it first with rosbags-convert --src {path} --dst {new}")
+
+
 def _raw(
     reader: AnyReader, bag: Path | str, topics: Iterable[str], start: int | None, stop: int | None
 ) -> Iterator[tuple[Connection, int, bytes]]:
@@ -167,8 +193,7 @@ def _raw(
     try:
         yield from reader.messages(connections, start, stop)
     except Exception as error:
-        reason = str(error) or type(error).__name__
-        raise BagError(f"{bag} is damaged: {reason}; mend it with ros2 run ctrl_rl_core bag recover {bag}") from None
+        raise BagError(f"{bag} is damaged: {reason(error)}{mend_hint(bag)}") from None
 
 
 def _qos(connection: Connection) -> tuple[Qos, ...]:

@@ -111,7 +111,7 @@ def test_plays_the_bytes_in_their_rhythm(bag, listener):
         # The middleware fills messages up to a multiple of four bytes on the way.
         assert data.ljust(16, b"\0") == text(str(i)).ljust(16, b"\0")
     times = [when for when, _ in listener.heard["/tick"]]
-    assert times[-1] - times[0] > 1.9  # never faster than it was recorded
+    assert times[-1] - times[0] > 1.5  # as recorded; on a busy machine the first are heard late
 
 
 def test_latched_topics_are_played_latched(bag, listener):

@@ -9,13 +9,16 @@ import numpy as np
 import pytest
 import yaml
 from bag_messages import LATCHED, OFFICE, STORE, cdr, scan, text, topic, write_texts
+from ctrl_rl_core.bag_copy import read_wire
 from ctrl_rl_core.bags import BagError, BagWriter, bag_info, read_messages, read_raw, recover
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability
+from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import Reader
+from rosbags.typesys import Stores, get_typestore
 
 
 class TestWriter:
@@ -161,6 +164,22 @@ class TestReader:
         (tmp_path / "bag/metadata.yaml").unlink()
         with pytest.raises(BagError, match="bag recover"):
             bag_info(tmp_path / "bag")
+
+    @pytest.mark.fault
+    def test_a_ros1_bag_is_refused_with_the_way_out(self, tmp_path):
+        store = get_typestore(Stores.ROS1_NOETIC)
+        with Ros1Writer(tmp_path / "old.bag") as bag:
+            connection = bag.add_connection("/talk", "std_msgs/msg/String", typestore=store)
+            message = store.types["std_msgs/msg/String"]("hello")
+            bag.write(connection, 1, store.serialize_ros1(message, "std_msgs/msg/String"))
+        (tmp_path / "old.mcap").write_bytes((tmp_path / "old.bag").read_bytes())
+        for use in (bag_info, lambda bag: list(read_messages(bag)), lambda bag: list(read_wire(bag))):
+            for name in ("old.bag", "old.mcap"):
+                with pytest.raises(
+                    BagError, match="is a ROS 1 bag: convert it first with rosbags-convert --src"
+                ) as told:
+                    use(tmp_path / name)
+                assert "bag recover" not in str(told.value)
 
     @pytest.mark.skipif(not OFFICE.exists(), reason="the recording is not here")
     def test_older_sqlite3_bag(self):
