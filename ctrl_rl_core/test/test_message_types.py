@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 FOREIGN = ["this/msg/X", "os/msg/path", "antigravity/msg/X", "logging.config/msg/Dict", "rclpy/msg/Node"]
 MALFORMED = [
     *("", "/", "Thing", "/msg/", ".x/msg/Y", "..std_msgs/msg/String", "std_msgs/msg/String/msg/String"),
-    *("std_msgs/String", "std_msgs/srv/Thing", "std_msgs/msg/String\n", "std_msgs/msg/../String", "std__msgs/msg/String"),
+    *("std_msgs/String", "std_msgs/srv/Thing", "std_msgs/msg/String\n", "std_msgs/msg/../String"),
     *("a_/msg/B", "A/msg/B", "1a/msg/B", "std_msgs/msg/string", "a" * 1_000_000 + "/msg/B", "a/msg/" + "B" * 10_000),
-    *("a/msg/B\0", "st\u0501/msg/B"),
+    *("std__msgs/msg/String", "a/msg/B\0", "st\u0501/msg/B"),
 ]  # fmt: skip
 
 
