@@ -11,7 +11,7 @@ from option_coordinator.exchange import GrantStatus
 from option_coordinator.messages import EXCHANGE
 from option_coordinator.policy_file import OptionPolicy, policy_file
 from option_coordinator.scripted_choice import SCRIPTED
-from option_coordinator.team_file import TeamFile, Work, team_file
+from option_coordinator.team_file import TeamFile, Work, load_room, team_file
 
 from ctrl_rl_bringup.monitor import RECORDER, Monitor, MonitorError
 from ctrl_rl_bringup.options_stack import TeamOptions, agents, coordinator, team_of, team_simulator
@@ -92,6 +92,7 @@ def new_team_run(options: TeamOptions) -> tuple[TeamFile, dict[str, Path]]:
         CtrlRlError: team, room or policy cannot be read, or the folder is there already.
     """
     team = team_of(options)
+    load_room(team, options.room)
     digests = {"task": task_file(options.task), "team": team_file(options.team)}
     if options.chooses not in SCRIPTED:
         digests["policy"] = policy_file(options.chooses)

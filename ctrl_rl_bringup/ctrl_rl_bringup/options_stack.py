@@ -39,8 +39,8 @@ class TeamOptions:
 
     @cached_property
     def task(self) -> str:
-        """The room that it is."""
-        return room_file(self.room or load_team(self.team).room)
+        """Name or file of the room."""
+        return room_file(self.room) if self.room else load_team(self.team).room_file
 
     @property
     def chooses(self) -> str:

@@ -6,21 +6,24 @@ same as everybody's: to wait, or to drive to a station and do what is done there
 
 from __future__ import annotations
 
+import math
 from enum import StrEnum
 from functools import cached_property
-from pathlib import Path
+from itertools import combinations
+from pathlib import Path as FilePath
 from typing import Literal
 
 import yaml
 from ctrl_rl_core.task_parts import Part, TaskHeader
+from ctrl_rl_core.tasks import NavigationTask, TaskError, load_navigation_task, task_names
 from ctrl_rl_core.units import Point, PositiveTime
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, PrivateAttr, ValidationError, model_validator
 
 from option_coordinator.errors import OptionError
 from option_coordinator.options import Agent
 from option_coordinator.robot import Robot
 
-FOLDER = Path(__file__).parent / "teams"
+FOLDER = FilePath(__file__).parent / "teams"
 KIND = "team_delivery"
 OBSERVED = ("x", "y", "carries", "deliveries")
 """What a robot tells of itself: position [m], whether it carries a parcel, and how many it has delivered."""
@@ -96,7 +99,8 @@ class TeamFile(TaskHeader):
         safe_option: name of the one that a robot carries out when nothing is granted.
         robots: by name, which is also the namespace of its topics.
         rewards: of a low-level step, and of a delivery.
-        room: navigation task that they work in: one that comes with the package, the suite, or a .yaml file.
+        room: navigation task that they work in: the name of one that comes with the package or the suite, or a .yaml
+            file, whose path counts from the team file's folder.
         learning: how a policy is learnt.
     """
 
@@ -110,12 +114,18 @@ class TeamFile(TaskHeader):
     rewards: TeamRewards
     room: str
     learning: Learning
+    _folder: FilePath = PrivateAttr(default=FOLDER)
 
     @model_validator(mode="after")
     def _safe(self) -> TeamFile:
         if self.safe_option not in self.options:
             raise ValueError(f"safe_option: '{self.safe_option}' is none of the options")
         return self
+
+    @property
+    def room_file(self) -> str:
+        """Name or path of the room, as `ctrl_rl_core.tasks.load_task` takes it."""
+        return room_file(self.room, self._folder)
 
     @property
     def option_names(self) -> tuple[str, ...]:
@@ -150,13 +160,13 @@ def team_names() -> list[str]:
     return sorted(file.stem for file in FOLDER.glob("*_team.yaml"))
 
 
-def team_file(name_or_path: str) -> Path:
+def team_file(name_or_path: str) -> FilePath:
     """Return the file of a team that comes with the package, by name, or the path itself.
 
     Raises:
         OptionError: there is no such team.
     """
-    path = Path(name_or_path)
+    path = FilePath(name_or_path).expanduser()
     if path.suffix in (".yaml", ".yml"):
         return path
     path = FOLDER / f"{name_or_path}.yaml"
@@ -165,15 +175,77 @@ def team_file(name_or_path: str) -> Path:
     return path
 
 
-def room_file(name_or_path: str) -> str:
-    """Return the file of a room that comes with the package, by name, or what was given."""
-    shipped = FOLDER / f"{name_or_path}.yaml"
-    return str(shipped) if shipped.is_file() else name_or_path
+def room_names() -> list[str]:
+    """Return the rooms that come with the package."""
+    return sorted(file.stem for file in FOLDER.glob("*_room.yaml"))
+
+
+def room_file(name_or_path: str, folder: FilePath | None = None) -> str:
+    """Return name or path of a room as `ctrl_rl_core.tasks.load_task` takes it.
+
+    Args:
+        name_or_path: the name of a room of the package or of a task of the suite, or a .yaml file.
+        folder: the folder that a relative path counts from; the working directory if None.
+
+    Raises:
+        OptionError: there is no room of that name.
+    """
+    path = FilePath(name_or_path).expanduser()
+    if path.suffix in (".yaml", ".yml"):
+        return str(path if folder is None else folder / path)
+    if name_or_path in room_names():
+        return str(FOLDER / f"{name_or_path}.yaml")
+    if name_or_path not in task_names():
+        known = ", ".join((*room_names(), *task_names()))
+        raise OptionError(f"no room '{name_or_path}': there are {known}, or give a .yaml file")
+    return name_or_path
+
+
+def load_room(team: TeamFile, name_or_path: str = "") -> NavigationTask:
+    """Read the room that a team works in.
+
+    Args:
+        team: the team.
+        name_or_path: another room than the team's own; empty for the team's own.
+
+    Raises:
+        CtrlRlError: there is no such room, or the team's homes and stations do not lie in its free space.
+    """
+    room = load_navigation_task(room_file(name_or_path) if name_or_path else team.room_file)
+    check_places(team, room)
+    return room
+
+
+def check_places(team: TeamFile, room: NavigationTask) -> None:
+    """Check that a robot can stand at every home and station, and that all can be at home at once.
+
+    Raises:
+        OptionError: it cannot; the message names the place.
+    """
+    world, radius = room.build_world(), room.robot.radius
+    homes = {f"robots.{name}.home": robot.home for name, robot in team.robots.items()}
+    stations = {f"options.{name}.station": o.station for name, o in team.options.items() if o.station is not None}
+    for key, place in (homes | stations).items():
+        words = f"{key}: ({place[0]:g}, {place[1]:g}) m"
+        bounds = room.plane_bounds.values()
+        if not all(low <= value <= high for value, (low, high) in zip(place, bounds, strict=True)):
+            raise OptionError(f"{words} lies outside room '{room.name}'")
+        clearance = float(world.signed_distance(place))
+        if clearance < radius:
+            raise OptionError(
+                f"{words} lies {max(clearance, 0.0):.3g} m from a wall or an obstacle of room '{room.name}': "
+                f"a {room.robot.body} needs {radius:g} m"
+            )
+    for (key, place), (other, there) in combinations(homes.items(), 2):
+        if math.dist(place, there) < 2.0 * radius:
+            raise OptionError(
+                f"{key} and {other} lie {math.dist(place, there):.3g} m apart: two robots need {2.0 * radius:g} m"
+            )
 
 
 def is_team(name_or_path: str) -> bool:
     """Return whether a name or a file is that of a team."""
-    path = Path(name_or_path)
+    path = FilePath(name_or_path).expanduser()
     if path.suffix not in (".yaml", ".yml"):
         return name_or_path in team_names()
     try:
@@ -184,7 +256,7 @@ def is_team(name_or_path: str) -> bool:
 
 
 def load_team(name_or_path: str) -> TeamFile:
-    """Read a team by name, or from a file.
+    """Read a team by name, or from a file, and check it against its room.
 
     Raises:
         OptionError: there is none, or it is wrong; the message names file and key.
@@ -202,4 +274,9 @@ def load_team(name_or_path: str) -> TeamFile:
         raise OptionError(f"{path}: {f'{key}: ' if key else ''}{first['msg'].removeprefix('Value error, ')}") from None
     if team.name != path.stem:
         raise OptionError(f"{path}: name: is '{team.name}', must be the file's name '{path.stem}'")
+    team._folder = path.resolve().parent
+    try:
+        load_room(team)
+    except (OptionError, TaskError) as error:
+        raise OptionError(f"{path}: {error}") from None
     return team

@@ -17,6 +17,7 @@ from enum import IntEnum
 import numpy as np
 from ctrl_rl_core.geometry import World
 from ctrl_rl_core.regions import wrap
+from ctrl_rl_core.starts import draw_starts
 from ctrl_rl_core.systems import System
 from ctrl_rl_core.tasks import NavigationTask
 from numpy.typing import ArrayLike, NDArray
@@ -27,7 +28,6 @@ from sim_bridge.episode import Episode, Judge
 from sim_bridge.lidar import Lidar, Scan
 from sim_bridge.odometry import Odometry
 from sim_bridge.physics import Physics
-from sim_bridge.starts import draw_starts
 
 Array = NDArray[np.float64]
 

@@ -4,7 +4,6 @@ import sys
 import numpy as np
 import pytest
 from ctrl_rl_core.tasks import TaskError, load_navigation_task
-from sim_bridge.errors import SimulationError
 from sim_bridge.world import SimulatedWorld, SimulationOptions
 
 
@@ -43,7 +42,7 @@ def test_the_same_seed_gives_the_same_bits_in_two_processes(tmp_path):
     script.write_text(
         """
 import hashlib
-from ctrl_rl_core.tasks import load_navigation_task
+from ctrl_rl_core.tasks import TaskError, load_navigation_task
 from sim_bridge.world import SimulatedWorld, SimulationOptions
 world = SimulatedWorld(load_navigation_task("curved_corridor"), seed=3, robots=2,
                        options=SimulationOptions(odom_drift=0.05, scan_dropout=0.05, randomise_width=True))
@@ -181,7 +180,7 @@ def test_starts_keep_robots_apart_and_too_many_are_refused():
         world = SimulatedWorld(load_navigation_task(name), seed=2, robots=count)
         assert min(world.clearance(robot) for robot in range(count)) > 0.02
         world.close()
-    with pytest.raises(SimulationError, match="no room for 20 robots"):
+    with pytest.raises(TaskError, match="no room for 20 robots"):
         SimulatedWorld(load_navigation_task("car_ttr"), robots=20)
 
 

@@ -10,21 +10,21 @@ from typing import Any
 
 import numpy as np
 from ctrl_rl_core.geometry import Disc, Shape
-from ctrl_rl_core.tasks import NavigationTask, load_navigation_task
+from ctrl_rl_core.starts import draw_starts
+from ctrl_rl_core.tasks import load_navigation_task
 from numpy.typing import NDArray
 
 from option_coordinator.delivery import Delivery
-from option_coordinator.errors import OptionError
 from option_coordinator.options import Agent, Mask, Observation, Scene, SimulationStep
 from option_coordinator.steering import Steering
-from option_coordinator.team_file import TeamFile, Work, room_file
+from option_coordinator.team_file import TeamFile, Work
 
 Array = NDArray[np.float64]
 
 _SPACING = 0.05
 _RADIUS = 0.1
-_APART = 0.35
-_TRIES = 1000
+_START_RADIUS = 0.125
+"""Radius of the circle that a robot keeps free at its start [m]."""
 
 
 class TeamDeliverySimulation:
@@ -38,9 +38,10 @@ class TeamDeliverySimulation:
         self.agents: tuple[Agent, ...] = tuple(robot.agent for robot in team.coordinated)
         self.time_step = team.time_step
         self.step_limit = round(team.learning.episode / team.time_step)
-        self._task = load_navigation_task(room_file(team.room))
-        world = self._task.build_world()
-        self._outlines = np.concatenate([_outline(shape) for shape in (*world.walls, *world.obstacles)])
+        self._task = load_navigation_task(team.room_file)
+        self._system = self._task.system.build()
+        self._world = self._task.build_world()
+        self._outlines = np.concatenate([_outline(shape) for shape in (*self._world.walls, *self._world.obstacles)])
         self._steering = Steering()
         self._rest = np.array([option.work is Work.REST for option in team.options.values()])
         self._longest = [option.longest for option in team.options.values()]
@@ -60,7 +61,9 @@ class TeamDeliverySimulation:
 
     def reset(self, generator: np.random.Generator) -> None:
         """Begin an episode where the room says."""
-        self._poses = _starts(self._task, len(self.agents), generator)
+        self._poses = np.array(
+            draw_starts(self._task, self._system, self._world, len(self.agents), _START_RADIUS, generator)
+        )
         self._work = [Delivery(self.team, name) for name in self.team.robots]
         self._began = [0.0] * len(self.agents)
         self._at_home = [False] * len(self.agents)
@@ -158,22 +161,6 @@ def _outline(shape: Shape) -> Array:
             edges.append(edge)
     c, s = np.cos(shape.angle), np.sin(shape.angle)
     return shape.centre + np.concatenate(edges) @ np.array(((c, s), (-s, c)))
-
-
-def _starts(task: NavigationTask, count: int, generator: np.random.Generator) -> Array:
-    """Return poses (count, 3) in the room's start set, apart from each other.
-
-    Raises:
-        OptionError: it has no room for so many.
-    """
-    poses: list[Array] = []
-    for _ in range(_TRIES):
-        pose = task.start.region.sample(("x", "y", "theta"), generator)
-        if all(np.linalg.norm(pose[:2] - other[:2]) >= _APART for other in poses):
-            poses.append(pose)
-            if len(poses) == count:
-                return np.array(poses)
-    raise OptionError(f"task '{task.name}' has no room for {count} robots at its start")
 
 
 _ROBOT = _outline(Disc((0.0, 0.0), _RADIUS))
