@@ -57,7 +57,15 @@ def test_the_bag_opens_with_the_mcap_reader_schemas_and_quality_of_service_inclu
         summary = reader.get_summary()
     assert summary is not None
     channels = {channel.topic: channel for channel in summary.channels.values()}
-    assert {"/scan", "/odom", "/cmd_vel", "/clock", "/episode", "/koopman_lqr_controller/latent"} <= set(channels)
+    assert {
+        "/scan",
+        "/odom",
+        "/cmd_vel_raw",
+        "/cmd_vel",
+        "/clock",
+        "/episode",
+        "/koopman_lqr_controller/latent",
+    } <= set(channels)
     for channel in channels.values():
         assert channel.message_encoding == "cdr"
         assert "reliability" in channel.metadata["offered_qos_profiles"]

@@ -18,7 +18,16 @@ from ctrl_rl_bringup.prepare import new_run, value_files
 from ctrl_rl_bringup.processes import Processes
 from ctrl_rl_bringup.report import Drive, read_drive
 from ctrl_rl_bringup.session import ros
-from ctrl_rl_bringup.stack import DriveOptions, NodeSpec, controller, recorder, scripted_driver, simulator, value_nodes
+from ctrl_rl_bringup.stack import (
+    DriveOptions,
+    NodeSpec,
+    controller,
+    recorder,
+    scripted_driver,
+    simulator,
+    value_nodes,
+    watchdog,
+)
 from ctrl_rl_msgs.msg import TaskOutcome
 
 
@@ -35,7 +44,7 @@ def drive(options: DriveOptions) -> Drive:
     policy = find_policy(options.policy)
     new_run(options)
     values = value_files(options)
-    nodes = [controller(options), *value_nodes(options, values)]
+    nodes = [controller(options), watchdog(options.speed), *value_nodes(options, values)]
     with _running(options, nodes, {"policy": policy, **values}) as monitor:
         monitor.run()
         monitor.follow("driving")
@@ -72,14 +81,14 @@ def drive_seeds(options: DriveOptions, seeds: Sequence[int]) -> list[Episode]:
     """Drive under the controller once for each seed, in one recorded session, and return how each drive ended."""
     policy = find_policy(options.policy)
     new_run(options)
-    with _running(options, [controller(options)], {"policy": policy}) as monitor:
+    with _running(options, [controller(options), watchdog(options.speed)], {"policy": policy}) as monitor:
         return _episodes(monitor, seeds, "seed")
 
 
 def record_scripted(options: DriveOptions, seeds: Sequence[int]) -> list[Episode]:
     """Record the scripted driver, once for each seed: drives to learn from."""
     new_run(options)
-    with _running(options, [scripted_driver(options.seed)], {}) as monitor:
+    with _running(options, [scripted_driver(options.seed), watchdog(options.speed)], {}) as monitor:
         return _episodes(monitor, seeds, "drive")
 
 

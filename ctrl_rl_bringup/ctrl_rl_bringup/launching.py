@@ -112,6 +112,7 @@ def _node(spec: NodeSpec) -> Node:
         executable=spec.executable,
         namespace=spec.namespace,
         parameters=[dict(spec.parameters)],
+        remappings=list(spec.remappings.items()),
         output="screen",
         on_exit=_ended,
     )

@@ -15,6 +15,7 @@ from std_srvs.srv import SetBool
 
 from ctrl_rl_bringup.progress import ProgressDisplay
 from ctrl_rl_bringup.session import uninterrupted
+from ctrl_rl_bringup.stack import RAW
 from ctrl_rl_msgs.msg import EpisodeStatus, TaskOutcome
 from ctrl_rl_msgs.srv import ResetWorld
 
@@ -149,6 +150,8 @@ class Monitor:
                 return f"no driver hears {topic}"
             if kind == "cmd_vel" and len(subscribers) < 2:
                 return f"the simulator does not hear {topic}"
+            if kind == RAW and len(subscribers) < 2:
+                return f"the watchdog does not hear {topic}"
         return (
             "" if self._pause.service_is_ready() and self._reset.service_is_ready() else "no pause and reset services"
         )

@@ -14,12 +14,12 @@ from option_coordinator.scripted_choice import SCRIPTED
 from option_coordinator.team_file import TeamFile, Work, load_room, team_file
 
 from ctrl_rl_bringup.monitor import RECORDER, Monitor, MonitorError
-from ctrl_rl_bringup.options_stack import TeamOptions, agents, coordinator, team_of, team_simulator
+from ctrl_rl_bringup.options_stack import TeamOptions, agents, coordinator, team_of, team_simulator, watchdogs
 from ctrl_rl_bringup.prepare import new_run
 from ctrl_rl_bringup.processes import Processes
 from ctrl_rl_bringup.progress import ProgressDisplay
 from ctrl_rl_bringup.session import ros
-from ctrl_rl_bringup.stack import recorder
+from ctrl_rl_bringup.stack import RAW, recorder
 from ctrl_rl_msgs.msg import AgentStatus, JointOptionStep, OptionGrant
 
 _SILENT_S = 60.0
@@ -36,7 +36,7 @@ class TeamMonitor(Monitor):
     def __init__(self, check: Callable[[], None], team: TeamFile) -> None:
         super().__init__(check)
         self._team = team
-        own = [f"{robot}/{topic}" for robot in team.robots for topic in ("scan", "odom", "cmd_vel", "episode")]
+        own = [f"{robot}/{topic}" for robot in team.robots for topic in ("scan", "odom", RAW, "cmd_vel", "episode")]
         self._topics = ("clock", "joint_option_step", "option_grants", *own)
         self._shared = ("option_requests", "agent_status")
         self._over = False
@@ -104,7 +104,7 @@ def new_team_run(options: TeamOptions) -> tuple[TeamFile, dict[str, Path]]:
 def run_team(options: TeamOptions) -> None:
     """Let a team work once, and record everything."""
     team, digests = new_team_run(options)
-    others = [coordinator(options), *agents(options, team)]
+    others = [coordinator(options), *watchdogs(options, team), *agents(options, team)]
     with ros(), Processes(options.folder) as processes:
         processes.start([recorder(options.drive, digests), team_simulator(options, team), *others])
         _follow(TeamMonitor(processes.check, team))

@@ -9,7 +9,7 @@ from pathlib import Path
 from option_coordinator.policy_file import shipped_policies
 from option_coordinator.team_file import TeamFile, load_team, room_file
 
-from ctrl_rl_bringup.stack import DriveOptions, NodeSpec, simulator
+from ctrl_rl_bringup.stack import RAW, DriveOptions, NodeSpec, simulator, watchdog
 
 _LEASE = 0.5
 _HEARTBEAT = 0.1
@@ -88,7 +88,15 @@ def agents(options: TeamOptions, team: TeamFile) -> list[NodeSpec]:
         "patience": 4.0 * factor,
         "sensor_timeout": factor,
     }
-    return [NodeSpec("option_coordinator", "navigation_agent", parameters, namespace=name) for name in team.robots]
+    return [
+        NodeSpec("option_coordinator", "navigation_agent", parameters, namespace=name, remappings={"cmd_vel": RAW})
+        for name in team.robots
+    ]
+
+
+def watchdogs(options: TeamOptions, team: TeamFile) -> list[NodeSpec]:
+    """Return the watchdog of each robot."""
+    return [watchdog(options.speed, namespace=name) for name in team.robots]
 
 
 def team_of(options: TeamOptions) -> TeamFile:

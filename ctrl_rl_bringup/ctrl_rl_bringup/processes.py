@@ -58,11 +58,13 @@ class Processes:
             ProcessError: one of them is not built.
         """
         for spec in specs:
-            namespace = ["-r", f"__ns:=/{spec.namespace}"] if spec.namespace else []
+            rules = [f"__ns:=/{spec.namespace}"] if spec.namespace else []
+            rules += [f"{name}:={other}" for name, other in spec.remappings.items()]
+            names = [part for rule in rules for part in ("-r", rule)]
             # An interruption between the start of a process and its entry here would leave it behind.
             with uninterrupted(), (self._folder / f"{spec.name}.log").open("ab") as log:
                 self._running[spec.name] = subprocess.Popen(
-                    [executable_path(spec), "--ros-args", *namespace, "--params-file", self._parameter_file(spec)],
+                    [executable_path(spec), "--ros-args", *names, "--params-file", self._parameter_file(spec)],
                     stdin=subprocess.DEVNULL,
                     stdout=log,
                     stderr=subprocess.STDOUT,

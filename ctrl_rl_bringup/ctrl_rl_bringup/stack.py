@@ -9,6 +9,11 @@ from typing import Any
 
 from koopman_lqr_controller.policy_file import DEFAULT_POLICY
 
+RAW = "cmd_vel_raw"
+"""What the driver says; the watchdog hears it, and passes it on to the robot as cmd_vel."""
+_WATCHDOG_S = 2.0
+"""A busy machine may stall for a second, in which a simulated robot does not move either."""
+
 
 @dataclass(frozen=True)
 class NodeSpec:
@@ -20,6 +25,7 @@ class NodeSpec:
         parameters: by name.
         publishes: topics of it that a drive waits for.
         namespace: of its names, empty for none.
+        remappings: other names for its topics, by the node's own.
     """
 
     package: str
@@ -27,6 +33,7 @@ class NodeSpec:
     parameters: Mapping[str, Any] = field(default_factory=dict)
     publishes: tuple[str, ...] = ()
     namespace: str = ""
+    remappings: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def name(self) -> str:
@@ -89,7 +96,15 @@ def recorder(options: DriveOptions, digests: Mapping[str, Path]) -> NodeSpec:
 
 def controller(options: DriveOptions) -> NodeSpec:
     """Return the Koopman-LQR controller."""
-    return NodeSpec("koopman_lqr_controller", "controller", {"use_sim_time": True, "policy": options.policy})
+    parameters = {"use_sim_time": True, "policy": options.policy}
+    return NodeSpec("koopman_lqr_controller", "controller", parameters, (RAW,), remappings={"cmd_vel": RAW})
+
+
+def watchdog(speed: float, namespace: str = "") -> NodeSpec:
+    """Return the watchdog between a driver and its robot; in slow simulations it waits longer for a command."""
+    timeout = _WATCHDOG_S / min(1.0, speed) if speed > 0.0 else _WATCHDOG_S
+    parameters = {"use_sim_time": True, "timeout": min(timeout, 60.0)}
+    return NodeSpec("ctrl_rl_core", "watchdog", parameters, namespace=namespace)
 
 
 def value_nodes(options: DriveOptions, files: Mapping[str, Path]) -> list[NodeSpec]:
@@ -113,4 +128,5 @@ def _served(file: Path, **more: Any) -> dict[str, Any]:
 
 def scripted_driver(seed: int) -> NodeSpec:
     """Return the driver whose drives are learned from."""
-    return NodeSpec("koopman_lqr_controller", "scripted_driver", {"use_sim_time": True, "seed": seed})
+    parameters = {"use_sim_time": True, "seed": seed}
+    return NodeSpec("koopman_lqr_controller", "scripted_driver", parameters, (RAW,), remappings={"cmd_vel": RAW})

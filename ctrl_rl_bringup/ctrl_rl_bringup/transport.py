@@ -47,9 +47,16 @@ def lost_messages(sent: Mapping[str, list[Sent]]) -> int:
 
 
 def answer_latencies(questions: Iterable[Sent], answers: Iterable[Sent]) -> NDArray[np.float64]:
-    """Return the times (n,) [s] from the publication of a question to that of the answer that carries its stamp."""
+    """Return the times (n,) [s] from the publication of a question to that of the first answer that carries its stamp.
+
+    What is sent without a question, a watchdog's zero in a paused world, may carry the stamp of one long answered.
+    """
     asked = {question.stamp: question.publish_time for question in questions}
-    times = [answer.publish_time - asked[answer.stamp] for answer in answers if answer.stamp in asked]
+    times = []
+    for answer in answers:
+        at = asked.pop(answer.stamp, None)
+        if at is not None:
+            times.append(answer.publish_time - at)
     return 1e-9 * np.array(times, dtype=float)
 
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from ctrl_rl_bringup.launching import Launch, description
 from ctrl_rl_bringup.prepare import new_run, value_files
-from ctrl_rl_bringup.stack import DriveOptions, controller, recorder, simulator, value_nodes
+from ctrl_rl_bringup.stack import DriveOptions, controller, recorder, simulator, value_nodes, watchdog
 from ctrl_rl_core.tasks import task_file
 from koopman_lqr_controller.policy_file import find_policy
 from launch import LaunchDescription
@@ -25,7 +25,7 @@ def _prepare(folder: Path, task: str, policy: str, seed: int, speed: float, gui:
     files = {"task": task_file(task), "policy": find_policy(policy)}
     new_run(options)
     values = value_files(options)
-    nodes = [simulator(options), controller(options), *value_nodes(options, values)]
+    nodes = [simulator(options), controller(options), watchdog(options.speed), *value_nodes(options, values)]
     awaited = ",".join(topic for node in nodes for topic in node.publishes)
     return Launch(
         recorder=recorder(options, {**files, **values}),

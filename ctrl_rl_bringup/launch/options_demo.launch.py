@@ -4,7 +4,7 @@ from pathlib import Path
 
 from ctrl_rl_bringup.launching import Launch, description
 from ctrl_rl_bringup.options_run import new_team_run
-from ctrl_rl_bringup.options_stack import TeamOptions, agents, coordinator, team_simulator
+from ctrl_rl_bringup.options_stack import TeamOptions, agents, coordinator, team_simulator, watchdogs
 from ctrl_rl_bringup.stack import recorder
 from launch import LaunchDescription
 
@@ -28,7 +28,12 @@ def _prepare(folder: Path, team: str, room: str, policy: str, seed: int, speed: 
     robots, digests = new_team_run(options)
     return Launch(
         recorder=recorder(options.drive, digests),
-        nodes=[coordinator(options), *agents(options, robots), team_simulator(options, robots)],
+        nodes=[
+            coordinator(options),
+            *watchdogs(options, robots),
+            *agents(options, robots),
+            team_simulator(options, robots),
+        ],
         monitor=("options_monitor", "--team", team),
         report=("options_report", str(folder), "--team", team, "--room", options.task),
     )

@@ -29,6 +29,8 @@ def test_latency_is_that_of_the_answer_with_the_same_stamp() -> None:
     answers = [Sent(1, 90 * MS, 0), Sent(2, 302 * MS, 2), Sent(3, 101 * MS, 1)]
     np.testing.assert_allclose(answer_latencies(questions, answers), [0.002, 0.001])
     assert answer_latencies(questions, []).shape == (0,)
+    later = [*answers, Sent(4, 5000 * MS, 2)]
+    np.testing.assert_allclose(answer_latencies(questions, later), [0.002, 0.001])
 
 
 @pytest.mark.parametrize(

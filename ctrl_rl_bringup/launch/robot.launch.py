@@ -1,0 +1,43 @@
+"""ros2 launch ctrl_rl_bringup robot.launch.py [policy:=...] [stamped:=true]: controller and watchdog for a real robot.
+
+The watchdog stops the robot when the controller dies. It is started again when it dies itself, and begins with zeros.
+"""
+
+from koopman_lqr_controller.policy_file import DEFAULT_POLICY
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
+
+
+def generate_launch_description() -> LaunchDescription:
+    """Return the two nodes that drive a robot."""
+    stamped = ParameterValue(LaunchConfiguration("stamped"), value_type=bool)
+    timeout = ParameterValue(LaunchConfiguration("timeout"), value_type=float)
+    policy = ParameterValue(LaunchConfiguration("policy"), value_type=str)
+    return LaunchDescription(
+        [
+            DeclareLaunchArgument("policy", default_value=DEFAULT_POLICY, description="policy name or file"),
+            DeclareLaunchArgument(
+                "stamped", default_value="true", description="cmd_vel is a TwistStamped (Jazzy), else a Twist (Humble)"
+            ),
+            DeclareLaunchArgument(
+                "timeout", default_value="0.5", description="age of the last command that stops the robot [s]"
+            ),
+            Node(
+                package="ctrl_rl_core",
+                executable="watchdog",
+                parameters=[{"enable_stamped_cmd_vel": stamped, "timeout": timeout}],
+                output="screen",
+                respawn=True,
+            ),
+            Node(
+                package="koopman_lqr_controller",
+                executable="controller",
+                parameters=[{"enable_stamped_cmd_vel": stamped, "policy": policy}],
+                remappings=[("cmd_vel", "cmd_vel_raw")],
+                output="screen",
+            ),
+        ]
+    )
