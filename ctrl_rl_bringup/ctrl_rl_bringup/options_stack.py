@@ -63,30 +63,28 @@ def team_simulator(options: TeamOptions, team: TeamFile) -> NodeSpec:
 
 
 def coordinator(options: TeamOptions) -> NodeSpec:
-    """Return the coordinator; what it waits for is longer in a simulation that runs faster than it can."""
-    lease = _LEASE * max(1.0, options.speed)
+    """Return the coordinator. Stamps are of simulated time, so that an observation ages as fast as that goes."""
     parameters = {
         "use_sim_time": True,
         "team": options.team,
         "policy": options.chooses,
         "seed": options.seed,
-        "lease": lease,
-        "lost_after": 4.0 * lease,
-        "stale": 4.0 * lease,
-        "repeat": _HEARTBEAT * max(1.0, options.speed),
+        "lease": _LEASE,
+        "lost_after": 4.0 * _LEASE,
+        "stale": 4.0 * _LEASE * max(1.0, options.speed),
+        "repeat": _HEARTBEAT,
     }
     return NodeSpec("option_coordinator", "coordinator", parameters)
 
 
 def agents(options: TeamOptions, team: TeamFile) -> list[NodeSpec]:
     """Return the robots' own nodes."""
-    factor = max(1.0, options.speed)
     parameters = {
         "use_sim_time": True,
         "team": options.team,
-        "heartbeat": _HEARTBEAT * factor,
-        "patience": 4.0 * factor,
-        "sensor_timeout": factor,
+        "heartbeat": _HEARTBEAT,
+        "patience": 8.0 * _LEASE,
+        "sensor_timeout": max(1.0, options.speed),
     }
     return [
         NodeSpec("option_coordinator", "navigation_agent", parameters, namespace=name, remappings={"cmd_vel": RAW})

@@ -1,4 +1,4 @@
-"""The robot's side as a part of any node: three topics and a timer around `RobotSide`.
+"""The robot's side as a part of any node: four topics and a timer around `RobotSide`.
 
     class Robot(SuiteNode):
         def __init__(self):
@@ -17,9 +17,11 @@ from collections.abc import Sequence
 
 from rclpy.node import Node
 
-from ctrl_rl_msgs.msg import AgentStatus, OptionGrant, OptionRequest
+from ctrl_rl_msgs.msg import AgentStatus, CoordinatorStatus, OptionGrant, OptionRequest
+from option_coordinator.clocks import STEADY, Clocks
+from option_coordinator.door import MessageError
 from option_coordinator.exchange import AgentState, Request
-from option_coordinator.messages import EXCHANGE, grant_of, request_message, status_message
+from option_coordinator.messages import EXCHANGE, grant_of, request_message, status_message, word_of
 from option_coordinator.robot_side import Earned, Executes, Patience, RobotSide
 
 
@@ -34,6 +36,7 @@ class OptionAgent:
         safe_option: index of the one that is carried out without a grant.
         patience: how long it waits for what.
         namespace: of the coordinator's topics.
+        team: Name of the team; empty where there is one only in the coordinator's namespace.
 
     Attributes:
         side: what it knows.
@@ -48,16 +51,18 @@ class OptionAgent:
         safe_option: int = 0,
         patience: Patience | None = None,
         namespace: str = "",
+        team: str = "",
     ) -> None:
         patience = patience or Patience()
-        self._clock = node.get_clock()
+        self._now = Clocks(node)
         # Lives of a robot are told apart, and ordered, by when they began: of the wall's clock, which goes on.
-        self.side = RobotSide(name, len(options), executes, time.time_ns(), safe_option, patience)
+        self.side = RobotSide(name, len(options), executes, time.time_ns(), safe_option, patience, team)
         prefix = f"{namespace.rstrip('/')}/" if namespace else ""
         self._requests = node.create_publisher(OptionRequest, f"{prefix}option_requests", EXCHANGE)
         self._statuses = node.create_publisher(AgentStatus, f"{prefix}agent_status", EXCHANGE)
         node.create_subscription(OptionGrant, f"{prefix}option_grants", self._on_grant, EXCHANGE)
-        node.create_timer(0.25 * min(patience.heartbeat, patience.repeat), self._tick)
+        node.create_subscription(CoordinatorStatus, f"{prefix}coordinator_status", self._on_word, EXCHANGE)
+        node.create_timer(0.25 * min(patience.heartbeat, patience.repeat), self._tick, clock=STEADY)
 
     @property
     def option(self) -> int | None:
@@ -82,10 +87,19 @@ class OptionAgent:
         self._say()
 
     def _on_grant(self, message: OptionGrant) -> None:
-        grant = grant_of(message)
-        if grant is not None:
-            self.side.on_grant(grant, self._now())
-            self._say()
+        try:
+            grant = grant_of(message)
+        except MessageError as error:
+            self.side.counts[f"not taken: {error.kind}"] += 1
+            return
+        self.side.on_grant(grant, self._now())
+        self._say()
+
+    def _on_word(self, message: CoordinatorStatus) -> None:
+        try:
+            self.side.on_word(word_of(message), self._now())
+        except MessageError as error:
+            self.side.counts[f"not taken: {error.kind}"] += 1
 
     def _tick(self) -> None:
         self.side.tick(self._now())
@@ -97,7 +111,4 @@ class OptionAgent:
             if isinstance(word, Request):
                 self._requests.publish(request_message(word))
             else:
-                self._statuses.publish(status_message(word, now))
-
-    def _now(self) -> float:
-        return 1e-9 * float(self._clock.now().nanoseconds)
+                self._statuses.publish(status_message(word, now.stamp))

@@ -4,6 +4,9 @@ A coordinator listens for a lease before it decides anything, and for as long as
 it waits for a robot's first word: robots say what they run, and which epoch they have seen; its own is above that, and
 robots obey the highest only. What a robot says that it carries out is true: a grant that was on its way when a
 coordinator died is adopted, never doubled.
+
+A coordinator that has not run for half a lease, because it was frozen or the machine was busy, is silent for a while:
+another one may have taken over, and what that says is heard first.
 """
 
 from __future__ import annotations
@@ -18,7 +21,18 @@ from option_coordinator.choice import Choice, Chooses, choose_or_safe
 from option_coordinator.decision import NONE
 from option_coordinator.election import Election
 from option_coordinator.errors import OptionError
-from option_coordinator.exchange import AgentState, Answers, Grant, GrantStatus, JointStep, Request, Status
+from option_coordinator.exchange import (
+    AgentState,
+    Answers,
+    Grant,
+    GrantStatus,
+    JointStep,
+    Request,
+    Status,
+    Word,
+    same_team,
+)
+from option_coordinator.instant import Instant
 from option_coordinator.joint_policy import Options
 from option_coordinator.journal import Journal
 from option_coordinator.ledger import Entry, Ledger, State
@@ -29,6 +43,11 @@ from option_coordinator.robot import Robot, Times
 _UNKNOWN_ROBOT = Refusal("unknown robot", "this team has no such robot")
 _TASK_OVER = Refusal("task over", "the task is over")
 _NOTHING_SAFE = Refusal("nothing safe", "policy failed, and the safe option is not legal")
+_LEAP = Refusal("request number leaps", "request_id grows by one per request: so many cannot have been missed")
+_LATE = 0.5
+_QUIET = 0.4
+_FROZEN = 8.0
+"""Leases without a tick after which it listens before it goes on, how long it listens, and when it begins anew."""
 
 
 class Coordinator:
@@ -38,14 +57,16 @@ class Coordinator:
         robots: in the policy's order.
         policy: chooses, see `choice`.
         digest: of its file.
-        now: the time [s].
+        now: when it begins.
         times: see there.
         seed: of its epochs, see `Election`.
         discount: gamma of a low-level step.
+        team: Name of the team; words of other teams mean nothing. Empty for unnamed: all words count.
 
     Attributes:
         ledger: who runs what.
         digest: of the policy's file, empty for one that has none.
+        team: its name.
         counts: how often what happened, for diagnostics.
     """
 
@@ -54,25 +75,27 @@ class Coordinator:
         robots: Sequence[Robot],
         policy: Chooses,
         digest: str,
-        now: float,
+        now: Instant,
         times: Times | None = None,
         seed: int | None = None,
         discount: float = 1.0,
+        team: str = "",
     ) -> None:
         self._robots = {robot.agent.name: robot for robot in robots}
         self._index = {name: index for index, name in enumerate(self._robots)}
         self._times = times or Times()
         self._policy, self.digest = policy, digest
-        self._discount = discount
+        self._discount, self.team = discount, team
         self.counts: Counter[str] = Counter()
         self._observed = [np.zeros(robot.agent.observation_size, np.float32) for robot in robots]
         self._batch_at = math.inf
-        self._election = Election(now, self._times.lease, seed)
+        self._election = Election(now.steady, self._times.lease, seed)
+        self._quiet_until = -math.inf
         self._forget(now)
 
-    def listen(self, now: float) -> None:
+    def listen(self, now: Instant) -> None:
         """Begin anew: decide nothing for a lease at least, hear who runs what, then take over."""
-        self._election.listen(now)
+        self._election.listen(now.steady)
         self._forget(now)
 
     @property
@@ -84,6 +107,11 @@ class Coordinator:
     def stands_by(self) -> bool:
         """Whether it listens because another coordinator decides."""
         return self._election.stands_by
+
+    @property
+    def epochs_not_believed(self) -> int:
+        """Number of times that an epoch was out of reach."""
+        return self._election.seen.refused
 
     @property
     def unheard(self) -> list[str]:
@@ -100,27 +128,35 @@ class Coordinator:
         self._policy, self.digest = policy, digest
         self.counts["policies replaced"] += 1
 
-    def on_word(self, epoch: int, now: float) -> None:
+    def on_word(self, word: Word, now: Instant) -> None:
         """Hear that a coordinator decides in an epoch: another one, or this one itself."""
-        if self._election.on_word(epoch, now):
+        if not same_team(word.team, self.team):
+            self.counts["words of other teams"] += 1
+            return
+        self._wake(now)
+        if self._election.on_word(word.epoch, now.steady):
             self._step_down(now)
 
-    def on_request(self, request: Request, now: float) -> Answers:
+    def on_request(self, request: Request, now: Instant) -> Answers:
         """Take a request: it is decided, at once or by a `tick`, answered as before, or refused with a reason."""
-        self._on_epoch(request.coordinator_epoch, now)
-        if request.agent not in self._robots:
-            return self._refuse(request, now, _UNKNOWN_ROBOT) if self.epoch else Answers()
-        entry = self.ledger[request.agent]
+        entry = self._entry(request)
+        if entry is None:
+            own = request.team == self.team != ""  # who names no team may be another one's
+            return self._refuse(request, now, _UNKNOWN_ROBOT) if own and self._decides(now) else Answers()
+        self._on_claim(entry, request.incarnation, request.coordinator_epoch, now)
         try:
-            self._hear(entry, request.incarnation, now)
+            if not self._hear(entry, request.incarnation, now):
+                return Answers()
         except OptionError as error:
-            return self._refuse(request, now, Refusal("old life", str(error))) if self.epoch else Answers()
+            return self._refuse(request, now, Refusal("old life", str(error))) if self._decides(now) else Answers()
         agent = self._robots[request.agent].agent
-        refusal = refusal_of(request, agent, self.epoch, now - request.stamp, self._times.stale)
-        if not self.epoch:  # it asks again; what it runs, its status says
+        refusal = refusal_of(request, agent, self.epoch, now.stamp - request.stamp, self._times.stale)
+        if not self._decides(now):  # it asks again; what it runs, its status says
             if refusal is None:
                 self._observe(request)
             return Answers()
+        if entry.leaps(request.request_id):
+            return self._refuse(request, now, _LEAP)
         if entry.answered(request.request_id):
             self.counts["duplicate requests"] += 1
             return Answers([self._grant_of(entry, now)])
@@ -132,57 +168,69 @@ class Coordinator:
             return self._refuse(request, now, refusal)
         self._credit(entry, request)
         self._done.discard(entry.agent)
-        entry.ask(request.request_id)
+        entry.ask(request.request_id, now.steady)
         self._open[entry.agent] = request
         self._observe(request)
-        self._batch_at = min(self._batch_at, now + self._times.window)
+        self._batch_at = min(self._batch_at, now.steady + self._times.window)
         return self._decide(now) if self._all_wait() else self._decide_when_due(now)
 
-    def on_status(self, status: Status, now: float) -> Answers:
+    def on_status(self, status: Status, now: Instant) -> Answers:
         """Take a heartbeat: a sign of life, an acknowledgement, or news of what a robot runs."""
-        self._on_epoch(status.coordinator_epoch, now)
-        if status.agent not in self._robots:
-            self.counts["unknown robots"] += 1
+        entry = self._entry(status)
+        if entry is None:
             return Answers()
-        entry = self.ledger[status.agent]
+        self._on_claim(entry, status.incarnation, status.coordinator_epoch, now)
         try:
-            self._hear(entry, status.incarnation, now)
+            if not self._hear(entry, status.incarnation, now):
+                return Answers()
         except OptionError:
             return Answers()
+        if entry.leaps(status.request_id):
+            self.counts["request number leaps"] += 1
+            entry.told_id = status.request_id  # who is right, its next heartbeat says
+            return Answers()
+        entry.told_id = status.request_id
         if status.request_id < entry.request_id:
-            return Answers()  # it was sent before the request
+            if not entry.believe_lower(status.request_id, now.steady, self._times.lost_after):
+                return Answers()  # it was sent before the request
+            self._open.pop(entry.agent, None)
+            self.counts["requests that were not the robot's"] += 1
         if status.state is AgentState.RUNNING:
             self._believe(entry, status, now)
         elif entry.holds and (status.state is AgentState.IDLE or status.request_id > entry.request_id):
             entry.end()
         return Answers()
 
-    def tick(self, now: float) -> Answers:
+    def tick(self, now: Instant) -> Answers:
         """Let time pass: take over, decide, repeat what was not acknowledged, call off what takes too long."""
+        self._wake(now)
+        self._ticked_at = now.steady
+        if now.steady < self._quiet_until:  # nobody is lost whose heartbeats wait to be read
+            return Answers()
         for entry in self.ledger:
-            if entry.fall_silent(now, self._times.lease, self._times.lost_after):
+            if entry.fall_silent(now.steady, self._times.lease, self._times.lost_after):
                 self.counts["lost robots"] += 1
                 self._open.pop(entry.agent, None)
         listened = not self.epoch
-        word_due = self._election.tick(now, self._knows_enough(now))
+        word_due = self._election.tick(now.steady, self._knows_enough(now))
         if not self.epoch:
             return Answers()
         if listened:
             self._journal = self._new_journal(now)
         grants = [grant for entry in self.ledger for grant in self._overdue(entry, now)]
         decided = self._decide_when_due(now)
-        return Answers(grants + decided.grants, decided.steps, self.epoch if word_due else 0)
+        return Answers(grants + decided.grants, decided.steps, Word(self.epoch, self.team) if word_due else None)
 
-    def close(self, now: float) -> Answers:
+    def close(self, now: Instant) -> Answers:
         """Cut the episode off: say so where it has begun and is not over."""
         return Answers(steps=[self._last_step(now, terminated=False)] if self.epoch and self._journal.open else [])
 
-    def _knows_enough(self, now: float) -> bool:
+    def _knows_enough(self, now: Instant) -> bool:
         """Whether every robot was heard, or could have been: what is not heard yet may run something."""
-        return not self.unheard or now >= self._began + self._times.lost_after
+        return not self.unheard or now.steady >= self._began + self._times.lost_after
 
-    def _forget(self, now: float) -> None:
-        self._began = now
+    def _forget(self, now: Instant) -> None:
+        self._began = self._ticked_at = now.steady
         self.ledger = Ledger(self._robots)
         self._journal = self._new_journal(now)
         self._open: dict[str, Request] = {}
@@ -190,35 +238,73 @@ class Coordinator:
         self._done: set[str] = set()
         self._batch_at = math.inf
 
-    def _new_journal(self, now: float) -> Journal:
-        return Journal(now, self._times.time_step, self._discount)
+    def _new_journal(self, now: Instant) -> Journal:
+        return Journal(now.task, self._times.time_step, self._discount)
 
-    def _on_epoch(self, epoch: int, now: float) -> None:
-        """Note an epoch that a robot has seen."""
-        if self._election.on_epoch(epoch, now):
+    def _wake(self, now: Instant) -> None:
+        """Notice that this coordinator has not run for a while: it is silent until it has heard what happened."""
+        gap = (now.steady - self._ticked_at) / self._times.lease
+        if gap <= _LATE:
+            return
+        if now.steady >= self._quiet_until:
+            self.counts["late ticks"] += 1
+        self._quiet_until = now.steady + _QUIET * self._times.lease
+        if self.epoch and gap > _FROZEN:
+            self._election.listen(now.steady)
             self._step_down(now)
 
-    def _step_down(self, now: float) -> None:
+    def _decides(self, now: Instant) -> bool:
+        """Whether this coordinator decides, and is sure of it."""
+        self._wake(now)
+        return bool(self.epoch) and now.steady >= self._quiet_until
+
+    def _entry(self, told: Request | Status) -> Entry | None:
+        """Return what is known of who says something, None where it is none of this team's."""
+        if not same_team(told.team, self.team):
+            self.counts["messages of other teams"] += 1
+            return None
+        if told.agent not in self._robots:
+            self.counts["messages of unknown robots"] += 1
+            return None
+        return self.ledger[told.agent]
+
+    def _on_claim(self, entry: Entry, incarnation: int, epoch: int, now: Instant) -> None:
+        """Note an epoch that a robot has seen; who decides goes by it once the robot has said so for a lease."""
+        if self.epoch and not entry.insists(epoch > self.epoch, incarnation, now.steady, self._times.lease):
+            return
+        if self._election.on_epoch(epoch, now.steady):
+            self._step_down(now)
+
+    def _step_down(self, now: Instant) -> None:
         """Leave it to another one: what this one has granted may never have been obeyed."""
         self.counts["stepped down"] += 1
         self._forget(now)
 
-    def _hear(self, entry: Entry, incarnation: int, now: float) -> None:
+    def _hear(self, entry: Entry, incarnation: int, now: Instant) -> bool:
+        """Note a sign of life; return whether it counts.
+
+        Raises:
+            OptionError: it is one of a life that is over.
+        """
+        if entry.is_early(incarnation):
+            self.counts["second lives"] += 1
+            return False
         before, lost = entry.incarnation, entry.silence is State.LOST
-        entry.heard(incarnation, now)
+        entry.heard(incarnation, now.steady)
         if incarnation != before:
             self._open.pop(entry.agent, None)
             self._done.discard(entry.agent)
         elif lost:
             self.counts["returned robots"] += 1
+        return True
 
     def _observe(self, request: Request) -> None:
         self._observed[self._index[request.agent]] = np.asarray(request.observation, np.float32)
 
-    def _refuse(self, request: Request, now: float, refusal: Refusal) -> Answers:
+    def _refuse(self, request: Request, now: Instant, refusal: Refusal) -> Answers:
         self.counts[f"refused: {refusal.kind}"] += 1
         answer = Grant(
-            stamp=now,
+            stamp=now.stamp,
             agent=request.agent,
             incarnation=request.incarnation,
             request_id=request.request_id,
@@ -226,21 +312,25 @@ class Coordinator:
             grant_id=0,
             status=GrantStatus.REFUSED,
             reason=refusal.reason,
+            team=self.team,
         )
         return Answers([answer])
 
     def _credit(self, entry: Entry, request: Request) -> None:
         """Count, once, what the robot's last option brought."""
-        if entry.option != NONE:
-            self._journal.credit(request.option_reward, entry.granted_at)
+        if entry.option == NONE:
+            return
+        longest = self._robots[entry.agent].durations[entry.option]
+        if not self._journal.credit(request.option_reward, entry.granted_at, longest):
+            self.counts["rewards too large"] += 1
 
-    def _finish(self, entry: Entry, request: Request, now: float) -> Answers:
+    def _finish(self, entry: Entry, request: Request, now: Instant) -> Answers:
         """Note that the task is over for a robot; the last one's word closes the episode."""
         if entry.agent in self._done:
             return self._refuse(request, now, _TASK_OVER)
         if math.isfinite(request.option_reward):
             self._credit(entry, request)
-        entry.ask(request.request_id)
+        entry.ask(request.request_id, now.steady)
         entry.end()
         self._open.pop(entry.agent, None)
         self._done.add(entry.agent)
@@ -248,41 +338,43 @@ class Coordinator:
         steps = [] if at_work else [self._last_step(now, terminated=True)]
         return Answers(self._refuse(request, now, _TASK_OVER).grants, steps)
 
-    def _believe(self, entry: Entry, status: Status, now: float) -> None:
+    def _believe(self, entry: Entry, status: Status, now: Instant) -> None:
         """Acknowledge a grant, or adopt one that this coordinator has not given."""
+        durations = self._robots[entry.agent].durations
+        if not 0 <= status.option < len(durations) or status.grant_id < 1:
+            self.counts["impossible statuses"] += 1
+            return
+        elapsed = min(status.elapsed, durations[status.option])
         told = (status.coordinator_epoch, status.request_id, status.grant_id, status.option)
         if entry.option != NONE and told == (entry.epoch, entry.request_id, entry.grant_id, entry.option):
             if entry.phase is State.GRANTED:
                 entry.acknowledge()
-                entry.granted_at = max(entry.granted_at, now - status.elapsed)
+                entry.granted_at = max(entry.granted_at, now.task - elapsed)
             return
-        if not 0 <= status.option < len(self._robots[entry.agent].durations) or status.grant_id < 1:
-            self.counts["impossible statuses"] += 1
-            return
-        entry.adopt(status.coordinator_epoch, status.request_id, status.grant_id, status.option, now - status.elapsed)
+        entry.adopt(status, now.task - elapsed, now.stamp - elapsed, now.steady)
         self._open.pop(entry.agent, None)
         self.counts["adopted grants"] += 1
 
-    def _overdue(self, entry: Entry, now: float) -> list[Grant]:
+    def _overdue(self, entry: Entry, now: Instant) -> list[Grant]:
         """Return what a robot must be told, or told again."""
         if not entry.runs:
             return []
         duration = self._robots[entry.agent].durations[entry.option]
-        if not entry.cancelled and now - entry.granted_at > duration:
+        if not entry.cancelled and now.task - entry.granted_at > duration:
             entry.cancel()
             self.counts["overruns"] += 1
-            self._repeat_at[entry.agent] = now
+            self._repeat_at[entry.agent] = now.steady
         unheard = entry.cancelled or entry.phase is State.GRANTED
-        if not unheard or now < self._repeat_at.get(entry.agent, now):
+        if not unheard or now.steady < self._repeat_at.get(entry.agent, now.steady):
             return []
-        self._repeat_at[entry.agent] = now + self._times.repeat
+        self._repeat_at[entry.agent] = now.steady + self._times.repeat
         return [self._grant_of(entry, now)]
 
-    def _grant_of(self, entry: Entry, now: float) -> Grant:
+    def _grant_of(self, entry: Entry, now: Instant) -> Grant:
         """Return what stands for a robot's latest request."""
         robot = self._robots[entry.agent]
         return Grant(
-            stamp=now if entry.cancelled else entry.granted_at,
+            stamp=now.stamp if entry.cancelled else entry.stamp,
             agent=entry.agent,
             incarnation=entry.incarnation,
             request_id=entry.request_id,
@@ -293,16 +385,17 @@ class Coordinator:
             option=entry.option,
             option_name=robot.agent.options[entry.option],
             deadline=robot.durations[entry.option],
+            team=self.team,
         )
 
     def _all_wait(self) -> bool:
         heard = [entry for entry in self.ledger if entry.phase is not State.UNKNOWN and entry.silence is None]
         return all(entry.phase is State.WAITING for entry in heard)
 
-    def _decide_when_due(self, now: float) -> Answers:
-        return self._decide(now) if now >= self._batch_at else Answers()
+    def _decide_when_due(self, now: Instant) -> Answers:
+        return self._decide(now) if now.steady >= self._batch_at else Answers()
 
-    def _decide(self, now: float) -> Answers:
+    def _decide(self, now: Instant) -> Answers:
         """Decide for all that wait and are heard; who fell silent meanwhile asks again when it returns."""
         self._batch_at = math.inf
         asking = {e.agent: self._open.pop(e.agent) for e in self.ledger if e.state is State.WAITING}
@@ -316,8 +409,8 @@ class Coordinator:
                 entry.end()
                 grants += self._refuse(request, now, _NOTHING_SAFE).grants
                 continue
-            entry.grant(self.epoch, int(option), now)
-            self._repeat_at[name] = now + self._times.repeat
+            entry.grant(self.epoch, int(option), now.task, now.stamp)
+            self._repeat_at[name] = now.steady + self._times.repeat
             grants.append(self._grant_of(entry, now))
         if all(grant.status is GrantStatus.REFUSED for grant in grants):
             return Answers(grants)
@@ -345,5 +438,5 @@ class Coordinator:
         """Return what each robot carries out now (N,)."""
         return np.array([entry.option if entry.runs else NONE for entry in self.ledger])
 
-    def _last_step(self, now: float, terminated: bool) -> JointStep:
+    def _last_step(self, now: Instant, terminated: bool) -> JointStep:
         return self._journal.end(now, self.epoch, self._choice({}), self._all_run(), terminated)

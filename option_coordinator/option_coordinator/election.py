@@ -15,11 +15,56 @@ import numpy as np
 
 _WORDS = 5
 _LOT_BITS = 32
+_RISE = 16 << _LOT_BITS
+_LARGEST_LEAP = 1 << 61
 _LIMIT = 1 << 62
+_CANDIDATES = 16
+
+
+class Epochs:
+    """Highest epoch that is believed. One wrong message must not put it out of everybody's reach.
+
+    A rise of up to 16 take-overs is believed at once, and so is the first epoch that is heard. A leap above that is
+    believed once the same epoch has been heard for a lease: a coordinator says its own several times a lease.
+
+    Args:
+        lease: how long a leap must be heard [s].
+
+    Attributes:
+        highest: Highest epoch believed, 0 for none.
+        refused: Number of times that an epoch was not believed.
+    """
+
+    def __init__(self, lease: float) -> None:
+        self._lease = lease
+        self.highest = self.refused = 0
+        self._leaps: dict[int, tuple[float, float]] = {}
+
+    def believe(self, epoch: int, now: float) -> bool:
+        """Return whether an epoch is believed, and raise the highest by it."""
+        if epoch <= self.highest:
+            return True
+        near = epoch <= self.highest + _RISE or (self.highest == 0 and epoch < _LARGEST_LEAP)
+        if epoch < _LIMIT and (near or (epoch < _LARGEST_LEAP and self._lasts(epoch, now))):
+            self.highest = epoch
+            self._leaps.clear()
+            return True
+        self.refused += 1
+        return False
+
+    def _lasts(self, epoch: int, now: float) -> bool:
+        """Return whether a leap has been heard for a lease without a pause of one."""
+        first, last = self._leaps.pop(epoch, (now, now))
+        if now - last > self._lease:
+            first = now
+        if len(self._leaps) >= _CANDIDATES:
+            del self._leaps[next(iter(self._leaps))]  # heard longest ago
+        self._leaps[epoch] = (first, now)
+        return now - first >= self._lease
 
 
 class Election:
-    """One coordinator's part in it. Times are numbers in seconds, of any one clock.
+    """One coordinator's part in it. Times are numbers in seconds, of any one steady clock.
 
     Args:
         now: when it begins to listen.
@@ -29,12 +74,13 @@ class Election:
     Attributes:
         epoch: in which this one decides, 0 while it listens.
         stands_by: it listens because it has heard another one decide.
+        seen: epochs that it has heard of.
     """
 
     def __init__(self, now: float, lease: float, seed: int | None = None) -> None:
         self._lease = lease
         self._random = np.random.default_rng(seed)
-        self._highest = 0
+        self.seen = Epochs(lease)
         self._word_at = now
         self.listen(now)
 
@@ -44,14 +90,8 @@ class Election:
         self._takes_over_at = now + self._lease
 
     def on_epoch(self, epoch: int, now: float) -> bool:
-        """Note an epoch that somebody has seen; return whether it makes this one step down.
-
-        One that counting cannot reach is a fault of who says it, and ignored.
-        """
-        if epoch >= _LIMIT:
-            return False
-        self._highest = max(self._highest, epoch)
-        if not 0 < self.epoch < epoch:
+        """Note an epoch that somebody has seen; return whether it makes this one step down."""
+        if not self.seen.believe(epoch, now) or not 0 < self.epoch < epoch:
             return False
         self.listen(now)
         return True
@@ -59,7 +99,7 @@ class Election:
     def on_word(self, epoch: int, now: float) -> bool:
         """Hear somebody decide; return whether this one steps down. Words below an epoch that is seen do not count."""
         down = self.on_epoch(epoch, now)
-        if not self.epoch and epoch == self._highest:
+        if not self.epoch and epoch == self.seen.highest:
             self.listen(now)
             self.stands_by = True
         return down
@@ -67,7 +107,7 @@ class Election:
     def tick(self, now: float, ready: bool = True) -> bool:
         """Let time pass; return whether it is time to say that this one decides. Who is not ready listens on."""
         if not self.epoch and ready and now >= self._takes_over_at:
-            self.epoch = self._highest = self._next_epoch()
+            self.epoch = self.seen.highest = self._next_epoch()
             self.stands_by = False
             self._word_at = now
         if not self.epoch or now < self._word_at:
@@ -80,4 +120,4 @@ class Election:
 
         Two that take over at once have seen the same; with plain counting both would decide in one epoch.
         """
-        return ((self._highest >> _LOT_BITS) + 1 << _LOT_BITS) + int(self._random.integers(1 << _LOT_BITS))
+        return ((self.seen.highest >> _LOT_BITS) + 1 << _LOT_BITS) + int(self._random.integers(1 << _LOT_BITS))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import IntEnum
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +44,7 @@ class Request:
     option_reward: float = 0.0
     option_duration: int = 0
     terminated: bool = False
+    team: str = ""
 
 
 @dataclass(frozen=True)
@@ -57,6 +59,7 @@ class Status:
     grant_id: int = 0
     option: int = 0
     elapsed: float = 0.0
+    team: str = ""
 
 
 @dataclass(frozen=True)
@@ -74,6 +77,14 @@ class Grant:
     option: int = NONE
     option_name: str = ""
     deadline: float = 0.0
+    team: str = ""
+
+
+class Word(NamedTuple):
+    """CoordinatorStatus: a coordinator decides in an epoch."""
+
+    epoch: int
+    team: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,6 +107,11 @@ class JointStep:
     truncated: bool = False
 
 
+def same_team(one: str, other: str) -> bool:
+    """Return whether two words may be of one team: an unnamed one, as of an old peer, is of any."""
+    return one == other or not one or not other
+
+
 @dataclass(frozen=True)
 class Answers:
     """What a coordinator has to send now, in this order: grants, joint steps, and, where it is due, that it decides.
@@ -103,9 +119,9 @@ class Answers:
     Attributes:
         grants: to robots.
         steps: for the bag.
-        word: its epoch, for other coordinators; 0 for nothing.
+        word: that this one decides, for other coordinators and robots; None for nothing.
     """
 
     grants: list[Grant] = field(default_factory=list)
     steps: list[JointStep] = field(default_factory=list)
-    word: int = 0
+    word: Word | None = None

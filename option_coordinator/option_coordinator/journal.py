@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import math
+
 from option_coordinator.choice import Choice
 from option_coordinator.exchange import JointStep
+from option_coordinator.instant import Instant
 from option_coordinator.joint_policy import Options
 
 
@@ -24,28 +27,38 @@ class Journal:
         self._number, self._reward, self._decided_at = 0, 0.0, now
         self.open = False
 
-    def credit(self, reward: float, began: float) -> None:
+    def credit(self, reward: float, began: float, longest: float) -> bool:
         """Count what an option brought that began at some time [s], as seen from the last decision.
 
-        So discounted, the joint rewards of an episode add up to what its options' rewards do.
+        So discounted, the joint rewards of an episode add up to what its options' rewards do. An option counts as one
+        that began `longest` [s] before that decision at most, whatever is said of it. Return False where the result is
+        too large for a number, and nothing is counted.
         """
-        self._reward += self._discount ** round((began - self._decided_at) / self._time_step) * reward
+        began = max(began, self._decided_at - longest)
+        try:
+            total = self._reward + self._discount ** round((began - self._decided_at) / self._time_step) * reward
+        except OverflowError:
+            return False
+        if not math.isfinite(total):
+            return False
+        self._reward = total
+        return True
 
     def decision(
-        self, now: float, epoch: int, asked: Choice, options: Options, log_probability: float, digest: str
+        self, now: Instant, epoch: int, asked: Choice, options: Options, log_probability: float, digest: str
     ) -> JointStep:
         """Return a decision: what was asked, what all run from now on, and by which policy."""
         self.open = True
         return self._step(now, epoch, asked, options, log_probability, digest)
 
-    def end(self, now: float, epoch: int, asked: Choice, options: Options, terminated: bool) -> JointStep:
+    def end(self, now: Instant, epoch: int, asked: Choice, options: Options, terminated: bool) -> JointStep:
         """Return the last step of an episode, which is over by itself or is cut off."""
         self.open = False
         return self._step(now, epoch, asked, options, terminated=terminated, truncated=not terminated)
 
     def _step(
         self,
-        now: float,
+        now: Instant,
         epoch: int,
         asked: Choice,
         options: Options,
@@ -55,7 +68,7 @@ class Journal:
         truncated: bool = False,
     ) -> JointStep:
         out = JointStep(
-            stamp=now,
+            stamp=now.stamp,
             coordinator_epoch=epoch,
             step=self._number,
             policy_digest=digest,
@@ -66,9 +79,9 @@ class Journal:
             observation=asked.observation,
             log_probability=log_probability,
             reward=self._reward,
-            duration=round((now - self._decided_at) / self._time_step),
+            duration=round((now.task - self._decided_at) / self._time_step),
             terminated=terminated,
             truncated=truncated,
         )
-        self._number, self._reward, self._decided_at = self._number + 1, 0.0, now
+        self._number, self._reward, self._decided_at = self._number + 1, 0.0, now.task
         return out

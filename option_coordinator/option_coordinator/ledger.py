@@ -13,6 +13,10 @@ from enum import StrEnum
 
 from option_coordinator.decision import NONE
 from option_coordinator.errors import OptionError
+from option_coordinator.exchange import Status
+
+MOST_UNHEARD = 1000
+"""Requests that a robot may have sent without one of them, or a heartbeat, being heard."""
 
 
 class State(StrEnum):
@@ -38,10 +42,14 @@ class Entry:
         grant_id: of the latest grant, 0 for none; grows by one with each.
         epoch: of the coordinator that gave it.
         option: that was granted, `NONE` for none.
-        granted_at: when it began, as far as is known [s].
+        granted_at: when it began, as far as is known [s], on the clock that options are timed by.
+        stamp: Stamp of the grant [s].
         cancelled: it was called off, and the robot has not asked again.
         phase: how far the latest request is.
         last_heard: when [s].
+        told_id: request_id of its latest heartbeat, 0 before one.
+        asked_at: when its latest request was first heard [s].
+        claims_since: since when it says without a break that it has seen a higher epoch [s], None where it does not.
         silence: `SUSPECT` or `LOST`, None for a robot that is heard.
     """
 
@@ -52,9 +60,13 @@ class Entry:
     epoch: int = 0
     option: int = NONE
     granted_at: float = -math.inf
+    stamp: float = 0.0
     cancelled: bool = False
     phase: State = State.UNKNOWN
     last_heard: float = -math.inf
+    told_id: int = 0
+    asked_at: float = -math.inf
+    claims_since: float | None = None
     silence: State | None = None
 
     @property
@@ -83,6 +95,31 @@ class Entry:
         """
         return incarnation < self.incarnation and self.silence is not State.LOST
 
+    def is_early(self, incarnation: int) -> bool:
+        """Whether it is a new life while the old one is heard: one wrong message must not end that.
+
+        A robot that has started again is heard once its old life has been silent for a lease.
+        """
+        return self.phase is not State.UNKNOWN and incarnation > self.incarnation and self.silence is None
+
+    def leaps(self, request_id: int) -> bool:
+        """Whether a request's number is further ahead than a robot can have counted unheard."""
+        known = max(self.request_id, self.told_id)
+        return known > 0 and request_id > known + MOST_UNHEARD
+
+    def believe_lower(self, request_id: int, now: float, patience: float) -> bool:
+        """Return whether a heartbeat's lower number is the true one, and go by it then.
+
+        A heartbeat may be overtaken by a request. But who names a lower one for longer than `patience` [s] after a
+        request was heard has never sent that: it was somebody else's, and would lock the robot out for its life.
+        """
+        if now - self.asked_at <= patience:
+            return False
+        self.request_id, self.asked_at = request_id, now
+        self._become_idle()
+        self.option = NONE
+        return True
+
     def heard(self, incarnation: int, now: float) -> None:
         """Note a sign of life; that of a new incarnation voids what the old one had.
 
@@ -92,13 +129,25 @@ class Entry:
         if self.is_past(incarnation):
             raise OptionError(f"'{self.agent}': incarnation {incarnation} was replaced by {self.incarnation}")
         if incarnation != self.incarnation:
-            self.incarnation, self.request_id = incarnation, 0
+            self.incarnation, self.request_id, self.told_id = incarnation, 0, 0
+            self.claims_since = None
             self._become_idle()
             self.option = NONE
         self.last_heard = max(now, self.last_heard)
         self.silence = None
 
-    def ask(self, request_id: int) -> None:
+    def insists(self, higher: bool, incarnation: int, now: float, patience: float) -> bool:
+        """Return whether it has said for `patience` [s] without a break that it has seen a higher epoch.
+
+        A wrong word in its name is contradicted by its next heartbeat.
+        """
+        if not higher:
+            self.claims_since = None
+        elif incarnation == self.incarnation and self.claims_since is None:
+            self.claims_since = now
+        return higher and self.claims_since is not None and now - self.claims_since >= patience
+
+    def ask(self, request_id: int, now: float) -> None:
         """Let it wait for an answer: whatever it ran has ended.
 
         Raises:
@@ -107,20 +156,21 @@ class Entry:
         self._must_be_heard()
         if request_id < self.request_id or self.answered(request_id):
             raise OptionError(f"'{self.agent}': request {request_id} is not after {self.request_id}")
-        self.request_id = request_id
+        if request_id != self.request_id:
+            self.request_id, self.asked_at = request_id, now
         self._become_idle()
         self.option = NONE
         self.phase = State.WAITING
 
-    def grant(self, epoch: int, option: int, now: float) -> None:
-        """Give it an option.
+    def grant(self, epoch: int, option: int, now: float, stamp: float) -> None:
+        """Give it an option that begins now, with the stamp of that [s].
 
         Raises:
             OptionError: it is not waiting for one.
         """
         if self.state is not State.WAITING:
             raise OptionError(f"'{self.agent}' is {self.state}: only who waits is granted an option")
-        self.epoch, self.option, self.granted_at = epoch, option, now
+        self.epoch, self.option, self.granted_at, self.stamp = epoch, option, now, stamp
         self.grant_id += 1
         self.phase = State.GRANTED
 
@@ -134,17 +184,25 @@ class Entry:
             raise OptionError(f"'{self.agent}' is {self.state}: there is no grant to acknowledge")
         self.phase = State.RUNNING
 
-    def adopt(self, epoch: int, request_id: int, grant_id: int, option: int, since: float) -> None:
+    def adopt(self, told: Status, since: float, stamp: float, now: float) -> None:
         """Believe a robot that it carries out an option that another coordinator, or an earlier life, granted.
+
+        Args:
+            told: what it says.
+            since: when the option began [s].
+            stamp: When the option began, by the clock of stamps [s].
+            now: when it says so [s].
 
         Raises:
             OptionError: it was never heard, or it has asked again since.
         """
         self._must_be_heard()
-        if request_id < self.request_id:
-            raise OptionError(f"'{self.agent}': grant of request {request_id}, but it has sent {self.request_id}")
-        self.epoch, self.request_id, self.option, self.granted_at = epoch, request_id, option, since
-        self.grant_id, self.cancelled = grant_id, False
+        if told.request_id < self.request_id:
+            raise OptionError(f"'{self.agent}': grant of request {told.request_id}, but it has sent {self.request_id}")
+        if told.request_id != self.request_id:
+            self.request_id, self.asked_at = told.request_id, now
+        self.epoch, self.option, self.granted_at, self.stamp = told.coordinator_epoch, told.option, since, stamp
+        self.grant_id, self.cancelled = told.grant_id, False
         self.phase = State.RUNNING
 
     def cancel(self) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from builtin_interfaces.msg import Time as TimeMsg
 from ctrl_rl_core.ros import float32_array, seconds, to_stamp
@@ -9,11 +11,16 @@ from rclpy.qos import QoSProfile
 from std_msgs.msg import Header
 
 from ctrl_rl_msgs.msg import AgentStatus, CoordinatorStatus, JointOptionStep, OptionGrant, OptionRequest
-from option_coordinator.exchange import AgentState, Grant, GrantStatus, JointStep, Request, Status
+from option_coordinator import door
+from option_coordinator.door import LARGEST_LIFE, LARGEST_REWARD, LONGEST, MessageError
+from option_coordinator.exchange import AgentState, Grant, GrantStatus, JointStep, Request, Status, Word
 from option_coordinator.options import Agent, slots
 
 EXCHANGE = QoSProfile(depth=1000)
 """Of all topics, on both sides: with a depth of 10 most of 100 simultaneous messages are lost."""
+_STATES = {int(state): state for state in AgentState}
+_STATUSES = {int(status): status for status in GrantStatus}
+_LONGEST_STEP = 2**32 - 1
 
 
 def request_message(request: Request) -> OptionRequest:
@@ -29,22 +36,35 @@ def request_message(request: Request) -> OptionRequest:
         option_reward=float(request.option_reward),
         option_duration=request.option_duration,
         terminated=request.terminated,
+        team=request.team,
     )
 
 
 def request_of(message: OptionRequest) -> Request:
-    """Return a request that was heard."""
+    """Return a request that was heard.
+
+    A reward that is not finite stays so: who sent it is told, see `refusal`.
+
+    Raises:
+        MessageError: it holds what no robot may say.
+    """
+    door.sized(message.observation, "observation", door.MOST_NUMBERS)
+    door.sized(message.legal, "legal options", door.MOST_OPTIONS)
+    reward = message.option_reward
+    if math.isfinite(reward):
+        door.real(reward, "option_reward", -LARGEST_REWARD, LARGEST_REWARD)
     return Request(
         stamp=seconds(message.header.stamp),
-        agent=message.agent,
-        incarnation=message.incarnation,
-        request_id=message.request_id,
-        coordinator_epoch=message.coordinator_epoch,
+        agent=door.name(message.agent, "agent"),
+        incarnation=door.number(message.incarnation, "incarnation", 1, LARGEST_LIFE),
+        request_id=door.number(message.request_id, "request_id", 1),
+        coordinator_epoch=door.number(message.coordinator_epoch, "coordinator_epoch"),
         observation=np.frombuffer(message.observation, np.float32),
         legal=np.array(message.legal, bool),
-        option_reward=message.option_reward,
+        option_reward=reward,
         option_duration=message.option_duration,
         terminated=message.terminated,
+        team=door.name(message.team, "team"),
     )
 
 
@@ -60,22 +80,29 @@ def status_message(status: Status, now: float) -> AgentStatus:
         grant_id=status.grant_id,
         option=status.option,
         elapsed=status.elapsed,
+        team=status.team,
     )
 
 
-def status_of(message: AgentStatus) -> Status | None:
-    """Return a heartbeat that was heard, None where its state is none."""
-    if message.state not in set(AgentState):
-        return None
+def status_of(message: AgentStatus) -> Status:
+    """Return a heartbeat that was heard.
+
+    Raises:
+        MessageError: it holds what no robot may say.
+    """
+    state = _STATES.get(message.state)
+    if state is None:
+        raise MessageError("state out of range")
     return Status(
-        agent=message.agent,
-        incarnation=message.incarnation,
-        state=AgentState(message.state),
-        coordinator_epoch=message.coordinator_epoch,
-        request_id=message.request_id,
-        grant_id=message.grant_id,
+        agent=door.name(message.agent, "agent"),
+        incarnation=door.number(message.incarnation, "incarnation", 1, LARGEST_LIFE),
+        state=state,
+        coordinator_epoch=door.number(message.coordinator_epoch, "coordinator_epoch"),
+        request_id=door.number(message.request_id, "request_id"),
+        grant_id=door.number(message.grant_id, "grant_id"),
         option=message.option,
-        elapsed=message.elapsed,
+        elapsed=door.real(message.elapsed, "elapsed", 0.0, LONGEST),
+        team=door.name(message.team, "team"),
     )
 
 
@@ -93,31 +120,48 @@ def grant_message(grant: Grant) -> OptionGrant:
         option=max(0, grant.option),
         option_name=grant.option_name,
         deadline=grant.deadline,
+        team=grant.team,
     )
 
 
-def grant_of(message: OptionGrant) -> Grant | None:
-    """Return a grant that was heard, None where its status is none."""
-    if message.status not in set(GrantStatus):
-        return None
+def grant_of(message: OptionGrant) -> Grant:
+    """Return a grant that was heard.
+
+    Raises:
+        MessageError: it holds what no coordinator may say.
+    """
+    status = _STATUSES.get(message.status)
+    if status is None:
+        raise MessageError("status out of range")
     return Grant(
         stamp=seconds(message.header.stamp),
-        agent=message.agent,
-        incarnation=message.incarnation,
-        request_id=message.request_id,
-        coordinator_epoch=message.coordinator_epoch,
-        grant_id=message.grant_id,
-        status=GrantStatus(message.status),
+        agent=door.name(message.agent, "agent"),
+        incarnation=door.number(message.incarnation, "incarnation", 1, LARGEST_LIFE),
+        request_id=door.number(message.request_id, "request_id", 1),
+        coordinator_epoch=door.number(message.coordinator_epoch, "coordinator_epoch"),
+        grant_id=door.number(message.grant_id, "grant_id"),
+        status=status,
         reason=message.reason,
         option=message.option,
         option_name=message.option_name,
-        deadline=message.deadline,
+        deadline=door.real(message.deadline, "deadline", 0.0, LONGEST),
+        team=door.name(message.team, "team"),
     )
 
 
-def word_message(epoch: int, now: float) -> CoordinatorStatus:
-    """Return that a coordinator decides in an epoch, to be sent at a time [s]."""
-    return CoordinatorStatus(header=_header(now), coordinator_epoch=epoch)
+def word_message(word: Word, now: float) -> CoordinatorStatus:
+    """Return that a coordinator decides, to be sent at a time [s]."""
+    return CoordinatorStatus(header=_header(now), coordinator_epoch=word.epoch, team=word.team)
+
+
+def word_of(message: CoordinatorStatus) -> Word:
+    """Return that a coordinator was heard to decide.
+
+    Raises:
+        MessageError: it holds what no coordinator may say.
+    """
+    epoch = door.number(message.coordinator_epoch, "coordinator_epoch", 1)
+    return Word(epoch, door.name(message.team, "team"))
 
 
 class StepMessages:
@@ -153,7 +197,7 @@ class StepMessages:
             observation_sizes=self._sizes,
             log_probability=float(step.log_probability),
             reward=float(step.reward),
-            duration=max(0, step.duration),
+            duration=min(max(0, step.duration), _LONGEST_STEP),
             discount=self._discount,
             time_step=self._time_step,
             terminated=step.terminated,

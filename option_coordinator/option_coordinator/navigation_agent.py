@@ -60,7 +60,7 @@ class NavigationAgent(VelocityNode):
         beat = settings["heartbeat"]
         patience = Patience(heartbeat=beat, repeat=beat, waiting=settings["patience"])
         safe = self._names.index(team.safe_option)
-        self._agent = OptionAgent(self, name, self._names, self, safe, patience, settings["team_namespace"])
+        self._agent = OptionAgent(self, name, self._names, self, safe, patience, settings["team_namespace"], team.name)
         self.create_subscription(Odometry, "odom", self._on_odometry, SENSOR)
         self.create_subscription(LaserScan, "scan", self._on_scan, SENSOR)
 

@@ -2,37 +2,64 @@
 
 from __future__ import annotations
 
+import hashlib
 import time
 from collections import Counter, deque
+from collections.abc import Callable
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 from ctrl_rl_core.parameters import Parameter, ParameterError
 from ctrl_rl_core.ros import Status, SuiteNode, ok, run_node, warn
-from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 
 from ctrl_rl_msgs.msg import AgentStatus, CoordinatorStatus, JointOptionStep, OptionGrant, OptionRequest
 from option_coordinator.choice import Choice, Chooses, policy_chooser
+from option_coordinator.clocks import STEADY, Clocks
 from option_coordinator.coordination import Coordinator
+from option_coordinator.door import LONGEST_NAME, MessageError
 from option_coordinator.errors import OptionError
 from option_coordinator.exchange import Answers
+from option_coordinator.instant import Instant
 from option_coordinator.joint_policy import Options
-from option_coordinator.messages import EXCHANGE, StepMessages, grant_message, request_of, status_of, word_message
+from option_coordinator.messages import (
+    EXCHANGE,
+    StepMessages,
+    grant_message,
+    request_of,
+    status_of,
+    word_message,
+    word_of,
+)
 from option_coordinator.policy_file import OptionPolicy
 from option_coordinator.robot import Robot, Times
 from option_coordinator.scripted_choice import SCRIPTED, spread_chooser, uniform_chooser
 from option_coordinator.team_file import load_team
 
+_Told = TypeVar("_Told")
 _HOUSEKEEPING_S = 0.02
 _RECENT = 1000
 _LAST_WORD = Duration(seconds=0.3)
-_FINE = ("duplicate requests", "policies replaced", "adopted grants", "returned robots")
+_SAID_EVERY_S = 10.0
+_FINE = (
+    "duplicate requests",
+    "policies replaced",
+    "adopted grants",
+    "returned robots",
+    "words of other teams",
+    "messages of other teams",
+)
 """What is counted without being a fault."""
 
 PARAMETERS = (
     Parameter("team", "", "Team that comes with the package, or its .yaml file; empty for the robots of the policy."),
+    Parameter(
+        "team_name",
+        "",
+        "Name in all messages, which tells teams of one namespace apart; empty for the team file's, or one made of the "
+        "policy's robots.",
+    ),
     Parameter(
         "policy",
         "spread",
@@ -74,10 +101,12 @@ class OptionCoordinator(SuiteNode):
         times, discount = self._prepare()
         self._policy_times: deque[float] = deque(maxlen=_RECENT)
         self._reported: Counter[str] = Counter()
-        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._now = Clocks(self)
         self._began = False
         chooses, digest = self._chooser(settings["policy"])
-        self._coordinator = Coordinator(self._robots, chooses, digest, 0.0, times, discount=discount)
+        self._coordinator = Coordinator(
+            self._robots, chooses, digest, Instant(0.0, 0.0, 0.0), times, discount=discount, team=self._team_name()
+        )
         self._step_message = StepMessages(tuple(robot.agent for robot in self._robots), discount, times.time_step)
         self._grants = self.create_publisher(OptionGrant, "option_grants", EXCHANGE)
         self._steps = self.create_publisher(JointOptionStep, "joint_option_step", EXCHANGE)
@@ -85,10 +114,11 @@ class OptionCoordinator(SuiteNode):
         self.create_subscription(OptionRequest, "option_requests", self._on_request, EXCHANGE)
         self.create_subscription(AgentStatus, "agent_status", self._on_status, EXCHANGE)
         self.create_subscription(CoordinatorStatus, "coordinator_status", self._on_word, EXCHANGE)
-        self._batch = self.create_timer(max(times.window, 1e-4), self._end_batch, clock=self._steady)
+        self._batch = self.create_timer(max(times.window, 1e-4), self._end_batch, clock=STEADY)
         self._batch.cancel()
-        self.create_timer(_HOUSEKEEPING_S, self._tick, clock=self._steady)
-        self.get_logger().info(f"policy {self._policy_name(settings['policy'], digest)}, {len(self._robots)} robots")
+        self.create_timer(_HOUSEKEEPING_S, self._tick, clock=STEADY)
+        of_team = f"{len(self._robots)} robots of team '{self._coordinator.team}'"
+        self.get_logger().info(f"policy {self._policy_name(settings['policy'], digest)}, {of_team}")
 
     def setting_changed(self, name: str) -> None:
         """Take another policy for all decisions to come."""
@@ -104,6 +134,8 @@ class OptionCoordinator(SuiteNode):
         self._reported = counts.copy()
         states = Counter(str(entry.state) for entry in coordinator.ledger)
         figures: dict[str, object] = {"epoch": coordinator.epoch, "policy": coordinator.digest or "scripted"}
+        figures |= {"team": coordinator.team, "clock set": self._now.task.jumps}
+        figures |= {"epochs not believed": coordinator.epochs_not_believed}
         figures |= {f"robots {state}": count for state, count in states.items()} | dict(counts)
         if self._policy_times:
             p50, p99 = np.percentile(self._policy_times, (50, 99)) * 1e3
@@ -174,17 +206,29 @@ class OptionCoordinator(SuiteNode):
         return timed
 
     def _on_request(self, message: OptionRequest) -> None:
-        if self._listens():
-            self._send(self._coordinator.on_request(request_of(message), self._now()))
+        request = self._read(request_of, message)
+        if request is not None and self._listens():
+            self._send(self._coordinator.on_request(request, self._now()))
 
     def _on_status(self, message: AgentStatus) -> None:
-        status = status_of(message)
+        status = self._read(status_of, message)
         if status is not None and self._listens():
             self._send(self._coordinator.on_status(status, self._now()))
 
     def _on_word(self, message: CoordinatorStatus) -> None:
-        if self._listens():
-            self._coordinator.on_word(message.coordinator_epoch, self._now())
+        word = self._read(word_of, message)
+        if word is not None and self._listens():
+            self._coordinator.on_word(word, self._now())
+
+    def _read(self, reader: Callable[[Any], _Told], message: Any) -> _Told | None:
+        """Return what a message says, None where nobody may say so: that is counted, and said now and then."""
+        try:
+            return reader(message)
+        except MessageError as error:
+            self._coordinator.counts[f"not taken: {error.kind}"] += 1
+            kind = type(message).__name__
+            self.get_logger().warning(f"not taken: {kind}: {error}", throttle_duration_sec=_SAID_EVERY_S)
+            return None
 
     def _end_batch(self) -> None:
         self._batch.cancel()
@@ -199,20 +243,27 @@ class OptionCoordinator(SuiteNode):
             self._grants.publish(grant_message(grant))
         for step in answers.steps:
             self._steps.publish(self._step_message(step))
-        if answers.word:
-            self._words.publish(word_message(answers.word, self._now()))
+        if answers.word is not None:
+            self._words.publish(word_message(answers.word, self._now().stamp))
         if self._coordinator.batches and self._batch.is_canceled():
             self._batch.reset()
 
     def _listens(self) -> bool:
         """Return whether there is a time yet; from its first moment on the coordinator listens for a lease."""
-        if not self._began and (now := self._now()) > 0.0:
+        if not self._began and (now := self._now()).stamp > 0.0:
             self._coordinator.listen(now)
             self._began = True
         return self._began
 
-    def _now(self) -> float:
-        return 1e-9 * float(self.get_clock().now().nanoseconds)
+    def _team_name(self) -> str:
+        """Return the given name, the team file's, or one that is the same for all policies of the same robots."""
+        given: str = self.settings["team_name"]
+        if len(given) > LONGEST_NAME:
+            raise ParameterError(f"parameter 'team_name' has {len(given)} characters: must be at most {LONGEST_NAME}")
+        if given or self.settings["team"]:
+            return given or Path(self.settings["team"]).stem
+        robots = repr([(robot.agent.name, robot.agent.options) for robot in self._robots])
+        return f"robots-{hashlib.sha256(robots.encode()).hexdigest()[:8]}"
 
     @staticmethod
     def _policy_name(name: str, digest: str) -> str:

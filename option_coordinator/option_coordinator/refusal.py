@@ -42,7 +42,7 @@ def refusal_of(request: Request, agent: Agent, epoch: int, age: float, oldest: f
         return Refusal("not finite", "not all numbers of observation and reward are finite")
     if legal.size not in (0, len(agent.options)) or (legal.size and not legal.any()):
         must = f"must be {len(agent.options)} with one legal at least, or none"
-        return Refusal("legal options", f"legal options {legal.tolist()}: {must}")
+        return Refusal("legal options", f"{legal.size} legal options, {np.count_nonzero(legal)} of them true: {must}")
     if age > oldest:
         return Refusal("stale observation", f"the observation is {age:.2f} s old: observe and ask again")
     return None

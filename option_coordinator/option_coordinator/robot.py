@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from option_coordinator.door import LONGEST
 from option_coordinator.errors import OptionError
 from option_coordinator.options import Agent
 
@@ -23,8 +24,10 @@ class Robot:
     safe_option: int = 0
 
     def __post_init__(self) -> None:
-        if len(self.durations) != len(self.agent.options) or not all(d > 0.0 for d in self.durations):
-            raise OptionError(f"'{self.agent.name}': durations {self.durations} must be positive, one for each option")
+        if len(self.durations) != len(self.agent.options) or not all(0.0 < d <= LONGEST for d in self.durations):
+            raise OptionError(
+                f"'{self.agent.name}': durations must be positive, at most {LONGEST:g} s, one for each option"
+            )
         if not 0 <= self.safe_option < len(self.durations):
             raise OptionError(f"'{self.agent.name}': safe option {self.safe_option} is none of its options")
 

@@ -13,7 +13,9 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from option_coordinator.exchange import AgentState, Grant, GrantStatus, Request, Status
+from option_coordinator.election import Epochs
+from option_coordinator.exchange import AgentState, Grant, GrantStatus, Request, Status, Word, same_team
+from option_coordinator.instant import Instant
 from option_coordinator.options import Mask, Observation
 
 
@@ -56,7 +58,7 @@ class Executes(Protocol):
 
 @dataclass(frozen=True)
 class Patience:
-    """All in seconds.
+    """All in seconds of a steady clock.
 
     Attributes:
         heartbeat: between statuses; some fit into a coordinator's lease.
@@ -73,7 +75,7 @@ _WANTING = (AgentState.WAITING, AgentState.FALLBACK)
 
 
 class RobotSide:
-    """What one robot says to its coordinator, and does at its word. Times are numbers in seconds, of any one clock.
+    """What one robot says to its coordinator, and does at its word.
 
     Args:
         name: of the robot, as the team knows it.
@@ -82,10 +84,10 @@ class RobotSide:
         incarnation: life of its process: larger with each.
         safe_option: what it does without a grant.
         patience: how long it waits for what.
+        team: Name of its team, empty for unnamed: it then follows the team of the last grant that it took.
 
     Attributes:
         state: what it does.
-        epoch: highest that it has seen.
         request_id: of its latest request.
         grant: that it carries out or has carried out last, None before the first.
         finished: its task is over, and the coordinator knows.
@@ -100,29 +102,37 @@ class RobotSide:
         incarnation: int,
         safe_option: int = 0,
         patience: Patience | None = None,
+        team: str = "",
     ) -> None:
         self.name, self.incarnation = name, incarnation
         self._options, self._executes, self._safe = options, executes, safe_option
         self._patience = patience or Patience()
         self.state = AgentState.IDLE
-        self.epoch = self.request_id = 0
+        self.request_id = 0
         self.grant: Grant | None = None
         self.finished = False
         self.counts: Counter[str] = Counter()
+        self._team = team
+        self._epochs = Epochs(self._patience.waiting)
         self._request: Request | None = None
         self._earned = Earned()
-        self._since = 0.0
+        self._asked_at = self._began_at = 0.0
         self._request_at = self._status_at = -math.inf
 
-    def ask(self, now: float, earned: Earned | None = None, terminated: bool = False) -> None:
+    @property
+    def epoch(self) -> int:
+        """Highest epoch of a coordinator that it believes, 0 for none."""
+        return self._epochs.highest
+
+    def ask(self, now: Instant, earned: Earned | None = None, terminated: bool = False) -> None:
         """Ask for an option, or say that the task is over for this robot."""
         self._earned = earned = earned or Earned()
         self.state, self.finished = AgentState.WAITING, False
         self.request_id += 1
-        self._since = self._request_at = self._status_at = now
+        self._asked_at = self._request_at = self._status_at = now.steady
         seen = self._executes.observe()
         self._request = Request(
-            stamp=now,
+            stamp=now.stamp,
             agent=self.name,
             incarnation=self.incarnation,
             request_id=self.request_id,
@@ -132,28 +142,36 @@ class RobotSide:
             option_reward=earned.reward,
             option_duration=earned.steps,
             terminated=terminated,
+            team=self._team,
         )
 
-    def ended(self, now: float, earned: Earned | None = None, terminated: bool = False) -> None:
+    def ended(self, now: Instant, earned: Earned | None = None, terminated: bool = False) -> None:
         """Note that the option that runs has ended by itself; a safe option for want of a grant just ends."""
         if self.state is AgentState.RUNNING:
             self.ask(now, earned, terminated)
 
-    def on_grant(self, grant: Grant, now: float) -> None:
-        """Take an answer: to an older request or life, and of a lower epoch, it means nothing."""
-        if (grant.agent, grant.incarnation) != (self.name, self.incarnation):
+    def on_word(self, word: Word, now: Instant) -> None:
+        """Hear that a coordinator of its team decides: grants of lower epochs mean nothing from now on."""
+        follows = self._team or (self.grant.team if self.grant is not None else None)
+        if word.team == follows and not self._epochs.believe(word.epoch, now.steady):
+            self.counts["epochs not believed"] += 1
+
+    def on_grant(self, grant: Grant, now: Instant) -> None:
+        """Take an answer: to an older request or life, of a lower epoch or another team, it means nothing."""
+        if (grant.agent, grant.incarnation) != (self.name, self.incarnation) or not same_team(grant.team, self._team):
             return
         if grant.coordinator_epoch < self.epoch:
             self.counts["lower epochs"] += 1
             return
-        news = grant.coordinator_epoch > self.epoch
-        self.epoch = grant.coordinator_epoch
+        if not self._epochs.believe(grant.coordinator_epoch, now.steady):
+            self.counts["epochs not believed"] += 1
+            return
         if grant.request_id != self.request_id:
             return
         wanting = self.state in _WANTING
         if grant.status is GrantStatus.REFUSED:
             if wanting:
-                self._refused(now, news)
+                self._refused(now, grant.coordinator_epoch)
         elif self._over:
             return
         elif grant.status is GrantStatus.CANCELLED:
@@ -162,45 +180,49 @@ class RobotSide:
         elif wanting:
             self._accept(grant, now)
         else:
-            self._status_at = now  # the coordinator has not heard that it is carried out
+            self._status_at = now.steady  # the coordinator has not heard that it is carried out
 
-    def tick(self, now: float) -> None:
+    def tick(self, now: Instant) -> None:
         """Let time pass: begin the safe option where no grant comes, or where an option takes too long."""
-        if self.state is AgentState.RUNNING and self.grant is not None and now - self._since > self.grant.deadline:
+        if self.state is AgentState.RUNNING and self.grant and now.task - self._began_at > self.grant.deadline:
             self.counts["deadlines"] += 1
             self.ask(now, self._stop())
             self._fall_back()
-        elif self.state is AgentState.WAITING and not self._over and now - self._since > self._patience.waiting:
+        elif self._waits and now.steady - self._asked_at > self._patience.waiting:
             self.counts["unanswered"] += 1
             self._fall_back()
 
-    def words(self, now: float) -> list[Request | Status]:
+    def words(self, now: Instant) -> list[Request | Status]:
         """Return what is to be said now, in this order."""
         out: list[Request | Status] = []
-        if self.state in _WANTING and self._request is not None and now >= self._request_at:
-            self._request_at = now + self._patience.repeat
+        if self.state in _WANTING and self._request is not None and now.steady >= self._request_at:
+            self._request_at = now.steady + self._patience.repeat
             self._request = replace(self._request, coordinator_epoch=self.epoch)
             out.append(self._request)
-        if now >= self._status_at:
-            self._status_at = now + self._patience.heartbeat
+        if now.steady >= self._status_at:
+            self._status_at = now.steady + self._patience.heartbeat
             out.append(self._status(now))
         return out
+
+    @property
+    def _waits(self) -> bool:
+        return self.state is AgentState.WAITING and not self._over
 
     @property
     def _over(self) -> bool:
         return self._request is not None and self._request.terminated
 
-    def _accept(self, grant: Grant, now: float) -> None:
-        if not 0 <= grant.option < self._options:
+    def _accept(self, grant: Grant, now: Instant) -> None:
+        if not 0 <= grant.option < self._options or grant.deadline <= 0.0:
             self.counts["impossible grants"] += 1
             return
         if self.state is AgentState.FALLBACK:
             self._executes.leave()
         self.state, self.grant = AgentState.RUNNING, grant
-        self._since = self._status_at = now
+        self._began_at, self._status_at = now.task, now.steady
         self._executes.begin(grant.option)
 
-    def _refused(self, now: float, news: bool) -> None:
+    def _refused(self, now: Instant, epoch: int) -> None:
         """Repeat the request at once where only the epoch was unknown; else make another one, of what is seen by then.
 
         A request never changes: which options are legal would else depend on which copy of it was answered.
@@ -208,12 +230,12 @@ class RobotSide:
         self.counts["refused"] += 1
         if self._over:
             self.state, self.finished = AgentState.IDLE, True
-        elif news:
-            self._request_at = now
+        elif self._request is not None and epoch > self._request.coordinator_epoch:
+            self._request_at = now.steady
         else:
-            state, since = self.state, self._since
+            state, asked_at = self.state, self._asked_at
             self.ask(now, self._earned)
-            self.state, self._since, self._request_at = state, since, now + self._patience.repeat
+            self.state, self._asked_at, self._request_at = state, asked_at, now.steady + self._patience.repeat
 
     def _fall_back(self) -> None:
         self.state = AgentState.FALLBACK
@@ -226,11 +248,11 @@ class RobotSide:
         earned = self._executes.leave()
         return earned if self.state is AgentState.RUNNING else Earned()
 
-    def _status(self, now: float) -> Status:
-        status = Status(self.name, self.incarnation, self.state, self.epoch, self.request_id)
+    def _status(self, now: Instant) -> Status:
+        status = Status(self.name, self.incarnation, self.state, self.epoch, self.request_id, team=self._team)
         if self.grant is None:
             return status
         status = replace(status, grant_id=self.grant.grant_id, option=self.grant.option)
         if self.state is not AgentState.RUNNING:
             return status
-        return replace(status, coordinator_epoch=self.grant.coordinator_epoch, elapsed=now - self._since)
+        return replace(status, coordinator_epoch=self.grant.coordinator_epoch, elapsed=now.task - self._began_at)

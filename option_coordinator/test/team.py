@@ -1,12 +1,13 @@
 """A simulated team under coordinators: robots as they should behave, on a network that loses, delays and doubles."""
 
 import heapq
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import count
 
 import numpy as np
 from option_coordinator.coordination import Coordinator
-from option_coordinator.exchange import AgentState, Answers, Grant, GrantStatus, Request, Status
+from option_coordinator.exchange import AgentState, Answers, Grant, GrantStatus, Request, Status, Word
+from option_coordinator.instant import Instant
 from option_coordinator.options import Agent
 from option_coordinator.robot import Robot, Times
 from option_coordinator.robot_side import Earned, Patience, RobotSide, Seen
@@ -31,28 +32,26 @@ def uniform(seed):
     return chooses
 
 
-@dataclass(frozen=True)
-class Word:
-    """That a coordinator decides."""
-
-    epoch: int
+def at(seconds):
+    """A moment at which all clocks agree."""
+    return Instant(seconds, seconds, seconds)
 
 
 class SimulatedCoordinator:
     """The real one, and what has arrived that it has not taken yet."""
 
     def __init__(self, now, seed):
-        self.core = Coordinator(AGENTS, uniform(seed), "digest", now, TIMES, seed)
+        self.core = Coordinator(AGENTS, uniform(seed), "digest", at(now), TIMES, seed)
         self.frozen = False
         self.inbox = []
 
     def take(self, message, now):
         """Take one message."""
         if isinstance(message, Request):
-            return self.core.on_request(message, now)
+            return self.core.on_request(message, at(now))
         if isinstance(message, Status):
-            return self.core.on_status(message, now)
-        self.core.on_word(message.epoch, now)
+            return self.core.on_status(message, at(now))
+        self.core.on_word(message, at(now))
         return Answers()
 
 
@@ -75,7 +74,7 @@ class SimulatedRobot:
 
     def ask(self, now):
         self.asked_at = now
-        self.side.ask(now)
+        self.side.ask(at(now))
 
     def observe(self):
         size = len(self.robot.durations)
@@ -102,18 +101,21 @@ class SimulatedRobot:
             return []
         request_id = self.side.request_id
         for grant in self.inbox:
+            if isinstance(grant, Word):
+                self.side.on_word(grant, at(now))
+                continue
             state = self.side.state
-            self.side.on_grant(grant, now)
+            self.side.on_grant(grant, at(now))
             if state is not AgentState.RUNNING and self.side.state is AgentState.RUNNING:
                 self.began, self.ends = now, now + self.lasts
         self.inbox = []
-        self.side.tick(now)
+        self.side.tick(at(now))
         if self.side.state is AgentState.RUNNING and now >= self.ends:
             self.running = None
-            self.side.ended(now)
+            self.side.ended(at(now))
         if self.side.request_id != request_id:
             self.asked_at = now
-        return self.side.words(now)
+        return self.side.words(at(now))
 
 
 class Team:
@@ -151,7 +153,7 @@ class Team:
         for step in answers.steps:
             self.check_step(step)
         if answers.word:
-            self.send(Word(answers.word))
+            self.send(answers.word)
 
     def check_grant(self, coordinator, grant):
         if grant.status is not GrantStatus.GRANTED:
@@ -160,8 +162,8 @@ class Team:
         key = (id(coordinator), grant.coordinator_epoch, grant.agent, grant.incarnation, grant.request_id)
         what = (grant.grant_id, grant.option)
         assert self.sent.setdefault(key, what) == what, "one request, two grants"
-        asked = self.requests[grant.agent, grant.incarnation, grant.request_id]
-        assert asked.legal[grant.option], "an illegal option"
+        asked = self.requests.get((grant.agent, grant.incarnation, grant.request_id))
+        assert asked is None or asked.legal[grant.option], "an illegal option"  # None: not this robot's own request
 
     def check_step(self, step):
         assert not np.any(step.running & step.absent)
@@ -178,6 +180,10 @@ class Team:
                 if robot.alive:
                     robot.inbox.append(message)
                 continue
+            if isinstance(message, Word):
+                for robot in self.robots.values():
+                    if robot.alive:
+                        robot.inbox.append(message)
             for coordinator in self.coordinators:
                 coordinator.inbox.append(message)
 
@@ -193,7 +199,7 @@ class Team:
             for coordinator in self.coordinators:
                 if coordinator.frozen:
                     continue
-                self.post(coordinator, coordinator.core.tick(self.now))  # who was frozen ticks before it hears
+                self.post(coordinator, coordinator.core.tick(at(self.now)))  # who was frozen ticks before it hears
                 for message in coordinator.inbox:
                     self.post(coordinator, coordinator.take(message, self.now))
                 coordinator.inbox.clear()

@@ -1,13 +1,15 @@
 """What a coordinator promises, one fault at a time."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from option_coordinator.choice import choose_or_safe
 from option_coordinator.coordination import Coordinator
 from option_coordinator.errors import OptionError
-from option_coordinator.exchange import AgentState, GrantStatus, Request, Status
+from option_coordinator.exchange import AgentState, GrantStatus, Request, Status, Word
 from option_coordinator.ledger import Entry, State
-from team import AGENTS, TIMES, uniform
+from team import AGENTS, TIMES, at, uniform
 
 START = 1.0 + TIMES.lost_after  # of robots that have not said anything
 
@@ -23,8 +25,42 @@ def running(grant, elapsed=0.0, **changes):
     return Status(agent=grant.agent, state=AgentState.RUNNING, **told)
 
 
-def coordinator(policy=None):
-    out = Coordinator(AGENTS, policy or uniform(0), "digest", 0.0, TIMES, seed=0)
+class OneClock:
+    """A coordinator all of whose clocks agree, and that is never frozen: it ticks five times a second."""
+
+    def __init__(self, *given, **named):
+        self.core = Coordinator(*given[:3], at(given[3]), *given[4:], **named)
+        self.ticked = given[3]
+
+    def __getattr__(self, name):
+        return getattr(self.core, name)
+
+    def _until(self, now):
+        while self.ticked + 0.2 < now:
+            self.ticked += 0.2
+            self.core.tick(at(self.ticked))
+        return at(now)
+
+    def tick(self, now):
+        out = self.core.tick(self._until(now))
+        self.ticked = now
+        return out
+
+    def on_request(self, request, now):
+        return self.core.on_request(request, self._until(now))
+
+    def on_status(self, status, now):
+        return self.core.on_status(status, self._until(now))
+
+    def on_word(self, word, now):
+        return self.core.on_word(word, self._until(now))
+
+    def close(self, now):
+        return self.core.close(self._until(now))
+
+
+def coordinator(policy=None, **named):
+    out = OneClock(AGENTS, policy or uniform(0), "digest", 0.0, TIMES, seed=0, **named)
     out.tick(START)
     return out
 
@@ -66,9 +102,12 @@ def test_a_silent_robot_is_suspect_then_lost_and_attached_again():
 def test_a_new_incarnation_voids_the_old_grant():
     team = coordinator()
     only(team.on_request(request(), START))
-    fresh = only(team.on_request(request(incarnation=8), START))
+    assert team.on_request(request(incarnation=8), START).grants == []  # one wrong message must not end a life
+    assert team.counts["second lives"] == 1
+    team.tick(START + TIMES.lease)
+    fresh = only(team.on_request(request(incarnation=8, now=START + TIMES.lease), START + TIMES.lease))
     assert (fresh.status, fresh.incarnation, fresh.grant_id) == (GrantStatus.GRANTED, 8, 2)
-    late = only(team.on_request(request(request_id=2), START))
+    late = only(team.on_request(request(request_id=2), START + TIMES.lease))
     assert late.status is GrantStatus.REFUSED
     assert "replaced" in late.reason
 
@@ -116,7 +155,7 @@ def test_an_overrun_cancels_that_robot_alone():
 def test_a_restarted_coordinator_adopts_what_runs():
     team = coordinator()
     grant = only(team.on_request(request(), START))
-    again = Coordinator(AGENTS, uniform(1), "digest", START, TIMES, seed=1)
+    again = OneClock(AGENTS, uniform(1), "digest", START, TIMES, seed=1)
     again.on_status(running(grant, 0.3), START + 0.3)
     assert again.tick(START + 0.4).grants == []
     for robot in AGENTS[1:]:
@@ -126,7 +165,7 @@ def test_a_restarted_coordinator_adopts_what_runs():
     assert again.epoch > team.epoch
     assert again.ledger["r0"].option == grant.option
     assert only(again.on_request(request(), START + 0.6)).grant_id == grant.grant_id
-    team.on_word(again.epoch, START + 0.6)
+    team.on_word(Word(again.epoch), START + 0.6)
     assert team.stands_by
     assert team.on_request(request(request_id=2), START + 0.7).grants == []
 
@@ -138,11 +177,11 @@ def test_a_restarted_coordinator_adopts_what_runs():
         ({"observation": np.zeros(3, np.float32)}, "shape"),
         ({"legal": np.zeros(2, bool)}, "legal"),
         ({"now": START - 5.0}, "old"),
-        ({"agent": "stranger"}, "no such robot"),
+        ({"agent": "stranger", "team": "delivery"}, "no such robot"),
     ],
 )
 def test_what_no_policy_may_see_is_refused(changes, reason):
-    team = coordinator()
+    team = coordinator(team="delivery")
     assert reason in only(team.on_request(request(**changes), START)).reason
     assert sum(n for kind, n in team.counts.items() if kind.startswith("refused")) == 1
 
@@ -187,9 +226,9 @@ def test_the_last_robot_to_end_closes_the_episode():
 def test_the_ledger_refuses_what_cannot_be():
     entry = Entry("r0")
     with pytest.raises(OptionError, match="heard first"):
-        entry.ask(1)
+        entry.ask(1, 0.0)
     entry.heard(7, 0.0)
-    for method in (entry.acknowledge, entry.cancel, lambda: entry.grant(1, 0, 0.0)):
+    for method in (entry.acknowledge, entry.cancel, lambda: entry.grant(1, 0, 0.0, 0.0)):
         with pytest.raises(OptionError, match="is idle"):
             method()
 
@@ -207,16 +246,17 @@ def test_a_late_word_of_an_old_life_revives_nothing_unless_the_robot_is_lost():
 def test_a_coordinator_that_hears_another_stands_by_and_knows_who_runs_what_when_it_ends():
     first = coordinator()
     grant = only(first.on_request(request(observation=np.ones(2, np.float32)), START))
-    second = Coordinator(AGENTS, uniform(1), "digest", START, TIMES, seed=1)
+    second = OneClock(AGENTS, uniform(1), "digest", START, TIMES, seed=1)
     for tenth in range(30):
         now = START + 0.1 * tenth
-        second.on_word(first.tick(now).word or first.epoch, now)
+        second.on_word(first.tick(now).word or Word(first.epoch), now)
         second.on_request(request(now=now, observation=np.ones(2, np.float32)), now)
         second.on_status(running(grant, 0.1 * tenth), now)
         assert (second.tick(now).grants, second.epoch, second.stands_by) == ([], 0, True)
     ended = now
     assert not second.tick(ended + 0.4).word
-    assert second.tick(ended + 0.5).word == second.epoch > first.epoch
+    assert second.tick(ended + 0.5).word == Word(second.epoch)
+    assert second.epoch > first.epoch
     answers = second.on_request(request("r1", now=ended + 0.5), ended + 0.5)
     answers = answers if answers.steps else second.tick(ended + 0.6)
     (step,) = answers.steps
@@ -234,11 +274,11 @@ def test_a_policy_is_replaced_between_decisions():
 
 def test_discounted_joint_rewards_add_up_to_what_the_options_brought():
     gamma = 0.9
-    team = Coordinator(AGENTS, uniform(0), "", 0.0, TIMES, seed=0, discount=gamma)
+    patient = [replace(robot, durations=(9.0,) * len(robot.durations)) for robot in AGENTS]
+    team = OneClock(patient, uniform(0), "", 0.0, TIMES, seed=0, discount=gamma)
     team.tick(START)
     steps = list(team.on_request(request("r0"), START).steps)  # an option from step 0 to 5
-    team.on_request(request("r1", now=START + 2), START + 2)
-    decided = team.tick(START + 2.02)  # and one from 2 to 7
+    decided = team.on_request(request("r1", now=START + 2), START + 2)  # and one from 2 to 7
     steps += decided.steps
     team.on_status(running(only(decided), 2.98), START + 5)
     team.on_request(request("r0", 2, now=START + 5, option_reward=3.0), START + 5)

@@ -1,5 +1,6 @@
 """What the coordinator promises, tried on real processes: killed, frozen, doubled, delayed, restarted, replaced."""
 
+import itertools
 import signal
 from collections import Counter
 
@@ -263,8 +264,10 @@ def test_a_stale_observation_is_refused(rig):
 def test_a_policy_that_is_too_slow_gives_safe_options(rig):
     rig.coordinator(policy_limit=0.00001)  # too short for any policy
 
+    numbers = itertools.count(1)
+
     def slow():
-        rig.ask("r0", request_id=rig.node.get_clock().now().nanoseconds)
+        rig.ask("r0", request_id=next(numbers))
         rig.let_pass(0.2)
         return rig.counted("policy too slow") > 0
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from option_coordinator.exchange import AgentState, Grant, GrantStatus, Request
 from option_coordinator.robot_side import Earned, Patience, RobotSide, Seen
+from team import at
 
 
 class Log:
@@ -28,7 +29,7 @@ class Log:
 @pytest.fixture
 def robot():
     side = RobotSide("r0", 3, Log(), incarnation=7, safe_option=2, patience=Patience(0.1, 0.1, 1.0))
-    side.ask(0.0)
+    side.ask(at(0.0))
     return side
 
 
@@ -45,84 +46,85 @@ def told(robot):
 
 
 def test_a_request_is_repeated_until_it_is_answered(robot):
-    assert [len(requests(robot.words(now))) for now in (0.0, 0.05, 0.1, 0.2)] == [1, 0, 1, 1]
-    robot.on_grant(granted(), 0.2)
-    (status,) = robot.words(0.2)
+    assert [len(requests(robot.words(at(now)))) for now in (0.0, 0.05, 0.1, 0.2)] == [1, 0, 1, 1]
+    robot.on_grant(granted(), at(0.2))
+    (status,) = robot.words(at(0.2))
     assert (status.state, status.grant_id, status.coordinator_epoch) == (AgentState.RUNNING, 1, 5)
-    assert not requests(robot.words(0.5))
+    assert not requests(robot.words(at(0.5)))
 
 
 def test_a_grant_is_carried_out_once_however_often_it_is_heard(robot):
     for _ in range(3):
-        robot.on_grant(granted(), 0.1)
+        robot.on_grant(granted(), at(0.1))
     assert told(robot) == [1]
 
 
 @pytest.mark.parametrize("change", [{"agent": "r1"}, {"incarnation": 6}, {"request_id": 2}, {"option": 3}])
 def test_what_is_meant_for_others_means_nothing(robot, change):
-    robot.on_grant(replace(granted(), **change), 0.1)
+    robot.on_grant(replace(granted(), **change), at(0.1))
     assert told(robot) == []
     assert robot.state is AgentState.WAITING
 
 
 def test_a_lower_epoch_means_nothing(robot):
-    robot.on_grant(granted(), 0.1)
-    robot.on_grant(granted(epoch=4, status=GrantStatus.CANCELLED), 0.2)
+    robot.on_grant(granted(), at(0.1))
+    robot.on_grant(granted(epoch=4, status=GrantStatus.CANCELLED), at(0.2))
     assert robot.state is AgentState.RUNNING
     assert robot.counts["lower epochs"] == 1
 
 
 def test_cancelled_it_leaves_the_option_and_asks_under_a_new_number(robot):
-    robot.on_grant(granted(), 0.1)
-    robot.on_grant(granted(status=GrantStatus.CANCELLED), 0.2)
-    (request,) = requests(robot.words(0.2))
+    robot.on_grant(granted(), at(0.1))
+    robot.on_grant(granted(status=GrantStatus.CANCELLED), at(0.2))
+    (request,) = requests(robot.words(at(0.2)))
     assert (request.request_id, request.option_reward, request.option_duration) == (2, 2.0, 4)
     assert told(robot) == [1, "leave"]
 
 
 def test_at_its_deadline_it_asks_and_has_its_safe_option_until_a_grant_comes(robot):
-    robot.on_grant(granted(), 0.1)
-    robot.tick(3.0)
+    robot.on_grant(granted(), at(0.1))
+    robot.tick(at(3.0))
     assert told(robot) == [1]
-    robot.tick(3.2)
+    robot.tick(at(3.2))
     assert (robot.state, told(robot)) == (AgentState.FALLBACK, [1, "leave", 2])
-    assert [request.request_id for request in requests(robot.words(3.2))] == [2]
-    robot.ended(3.3)  # the safe option may end by itself: nobody granted it
-    robot.on_grant(granted(request_id=2, grant_id=2, option=0), 3.4)
+    assert [request.request_id for request in requests(robot.words(at(3.2)))] == [2]
+    robot.ended(at(3.3))  # the safe option may end by itself: nobody granted it
+    robot.on_grant(granted(request_id=2, grant_id=2, option=0), at(3.4))
     assert told(robot) == [1, "leave", 2, "leave", 0]
 
 
 def test_without_an_answer_it_has_its_safe_option(robot):
-    robot.tick(0.9)
+    robot.tick(at(0.9))
     assert told(robot) == []
-    robot.tick(1.1)
+    robot.tick(at(1.1))
     assert (robot.state, told(robot)) == (AgentState.FALLBACK, [2])
 
 
 def test_refused_for_its_epoch_it_repeats_the_request_at_once(robot):
-    robot.words(0.0)
-    robot.on_grant(granted(status=GrantStatus.REFUSED), 0.01)
-    (request,) = requests(robot.words(0.01))
+    robot.words(at(0.0))
+    robot.on_grant(granted(status=GrantStatus.REFUSED), at(0.01))
+    (request,) = requests(robot.words(at(0.01)))
     assert (request.request_id, request.coordinator_epoch) == (1, 5)
 
 
 def test_refused_for_anything_else_it_observes_again_and_takes_its_time(robot):
-    robot.on_grant(granted(request_id=9), 0.0)
-    robot.on_grant(granted(status=GrantStatus.REFUSED), 0.01)
-    assert not requests(robot.words(0.05))
-    (request,) = requests(robot.words(0.2))
+    robot.on_grant(granted(request_id=9), at(0.0))
+    robot.words(at(0.0))
+    robot.on_grant(granted(status=GrantStatus.REFUSED), at(0.01))
+    assert not requests(robot.words(at(0.05)))
+    (request,) = requests(robot.words(at(0.2)))
     assert (request.request_id, request.stamp) == (2, 0.01)
-    robot.tick(1.1)
+    robot.tick(at(1.1))
     assert robot.state is AgentState.FALLBACK
 
 
 def test_its_last_word_is_repeated_until_it_is_heard(robot):
-    robot.on_grant(granted(), 0.1)
-    robot.ended(0.2, Earned(1.0, 2), terminated=True)
-    robot.tick(5.0)
-    (request,) = requests(robot.words(5.0))
+    robot.on_grant(granted(), at(0.1))
+    robot.ended(at(0.2), Earned(1.0, 2), terminated=True)
+    robot.tick(at(5.0))
+    (request,) = requests(robot.words(at(5.0)))
     assert request.terminated
     assert not robot.finished
-    robot.on_grant(granted(request_id=2, status=GrantStatus.REFUSED), 5.1)
+    robot.on_grant(granted(request_id=2, status=GrantStatus.REFUSED), at(5.1))
     assert (robot.finished, robot.state) == (True, AgentState.IDLE)
-    assert not requests(robot.words(6.0))
+    assert not requests(robot.words(at(6.0)))

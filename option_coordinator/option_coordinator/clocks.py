@@ -1,0 +1,35 @@
+"""A node's three clocks, read at once."""
+
+from __future__ import annotations
+
+import time
+
+from rclpy.clock import Clock, ClockType, ROSClock
+from rclpy.node import Node
+
+from option_coordinator.instant import Instant, TaskTime
+
+STEADY = Clock(clock_type=ClockType.STEADY_TIME)
+"""For timers that go on whatever happens to ROS's clock."""
+
+
+class Clocks:
+    """Reads the clocks of a node.
+
+    Args:
+        node: whose ROS clock is read.
+
+    Attributes:
+        task: Time in the robots' world; counts how often ROS's clock was set.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._clock = node.get_clock()
+        self.task = TaskTime()
+
+    def __call__(self) -> Instant:
+        """Return this moment. The steady clock also counts while the machine sleeps: the others do not."""
+        stamp = 1e-9 * float(self._clock.now().nanoseconds)
+        steady = time.clock_gettime(time.CLOCK_BOOTTIME)
+        simulated = isinstance(self._clock, ROSClock) and self._clock.ros_time_is_active
+        return Instant(steady, self.task(stamp, steady, simulated), stamp)
