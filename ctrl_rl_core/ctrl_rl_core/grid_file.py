@@ -1,29 +1,72 @@
 """One array and its JSON description in a safetensors file, written whole or not at all."""
 
 import hashlib
-import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from safetensors import SafetensorError, safe_open
-from safetensors.numpy import save
+from pydantic import Field
 
-from ctrl_rl_core.grid_axis import GridError
+from ctrl_rl_core import checked_tensors
+from ctrl_rl_core.file_door import FileError
+from ctrl_rl_core.grid_axis import Axis, GridError
+from ctrl_rl_core.schema import Name, Number, Schema, Sha256
 from ctrl_rl_core.whole_file import write_whole
 
-# safetensors writes metadata keys in random order; with a single key, equal grids are equal files.
-_HEADER_KEY = "value_grid"
+HEADER_KEY = "value_grid"
 _TENSOR = "values"
-_DTYPES = {"F32": np.float32, "F64": np.float64}
+_LARGEST_COUNT = 10_000_000
+
+
+class AxisHeader(Schema):
+    """An `Axis` in a file."""
+
+    name: Name
+    unit: Annotated[str, Field(max_length=100)]
+    lower: Number
+    upper: Number
+    count: Annotated[int, Field(ge=2, le=_LARGEST_COUNT)]
+    periodic: bool
+
+    @property
+    def axis(self) -> Axis:
+        """The axis itself."""
+        return Axis(**dict(self))
+
+
+class GridText(Schema):
+    """What a file says of a grid besides its axes, see `ValueGrid`."""
+
+    kind: Literal["time_to_reach", "oc_value"]
+    task: Name
+    task_digest: Sha256
+    solver: Name
+    residual: Annotated[float, Field(ge=0.0)]
+    notes: dict[str, str]
+    values_sha256: Sha256 | None = None
+    """Of the numbers alone, in files of before there was a digest of everything."""
+
+    def check(self, values: NDArray[Any]) -> None:
+        """Refuse numbers that the file's writer did not write.
+
+        Raises:
+            FileError: they have another checksum.
+        """
+        if self.values_sha256 not in (None, values_digest(values)):
+            raise FileError("has values that do not match their checksum; copy or compute it again")
+
+
+class _GridHeader(GridText):
+    format: Literal[1]
+    unit: Annotated[str, Field(max_length=100)] = ""
+    axes: Annotated[list[AxisHeader], Field(min_length=1, max_length=6)]
 
 
 def encode(values: NDArray[Any], description: Mapping[str, Any]) -> bytes:
     """Return the bytes of the file: the same for the same values (float32 or float64) and description."""
-    header = json.dumps({**description, "values_sha256": values_digest(values)}, sort_keys=True, allow_nan=False)
-    return save({_TENSOR: np.ascontiguousarray(values)}, metadata={_HEADER_KEY: header})
+    return checked_tensors.encode_tensors({_TENSOR: values}, HEADER_KEY, description)
 
 
 def write(path: Path, content: bytes, *, overwrite: bool) -> None:
@@ -40,41 +83,21 @@ def write(path: Path, content: bytes, *, overwrite: bool) -> None:
         raise GridError(f"{path}: cannot be written: {error.strerror or error}") from error
 
 
-def read(path: Path) -> tuple[NDArray[Any], dict[str, Any]]:
-    """Values and description of a file.
+def read(path: Path) -> tuple[NDArray[Any], tuple[Axis, ...], dict[str, Any]]:
+    """Values, axes and the rest of the description of a file.
 
     Raises:
-        GridError: no such file, not a whole safetensors file, another kind of content, or a wrong checksum.
+        FileError, ValidationError, OSError: it is not a whole grid, see `file_door.refused_as`.
     """
-    try:
-        with safe_open(path, framework="numpy") as file:
-            metadata = file.metadata() or {}
-            names = list(file.keys())
-            if _HEADER_KEY not in metadata or names != [_TENSOR]:
-                raise GridError(
-                    "is a safetensors file, but not a value grid (it lacks the tensor or the metadata of one)"
-                )
-            dtype = file.get_slice(_TENSOR).get_dtype()
-            if dtype not in _DTYPES:
-                raise GridError(f"holds values of type {dtype}; a value grid is F32 or F64")
-            values = file.get_tensor(_TENSOR)
-    except FileNotFoundError as error:
-        raise GridError("there is no such file; compute the grid first or correct the path") from error
-    except OSError as error:
-        raise GridError(f"cannot be read: {error.strerror or error}") from error
-    except SafetensorError as error:
-        raise GridError(f"is not a whole safetensors file ({error}); copy or compute it again") from error
-    try:
-        description = json.loads(metadata[_HEADER_KEY])
-    except ValueError as error:
-        raise GridError(f"has metadata that is not JSON: {error}") from error
-    if not isinstance(description, dict):
-        raise GridError("has metadata that is not a JSON object")
-    if description.pop("values_sha256", None) != values_digest(values):
-        raise GridError("has values that do not match their checksum; copy or compute it again")
-    return values, description
+    header, tensors, _ = checked_tensors.read_tensors(path, HEADER_KEY, largest=None, finite=False)
+    told = _GridHeader.model_validate(header)
+    if list(tensors) != [_TENSOR]:
+        raise FileError("is not a value grid: it lacks the values, or has more than those")
+    told.check(tensors[_TENSOR])
+    text = {name: getattr(told, name) for name in GridText.model_fields if name != "values_sha256"}
+    return tensors[_TENSOR], tuple(each.axis for each in told.axes), text
 
 
 def values_digest(values: NDArray[Any]) -> str:
-    """Return the SHA-256 (hex) of an array's numbers, which a file keeps to know itself whole."""
+    """Return the SHA-256 (hex) of an array's numbers."""
     return hashlib.sha256(np.ascontiguousarray(values).tobytes()).hexdigest()

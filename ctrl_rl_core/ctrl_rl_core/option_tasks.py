@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, Strict, model_validator
 
-from ctrl_rl_core.task_parts import Part, TaskHeader
-from ctrl_rl_core.units import LengthInterval, Point, PositiveLength, PositiveSpeed, PositiveTime
+from ctrl_rl_core.task_parts import Part, Reward, Samples, Several, Steps, TaskHeader
+from ctrl_rl_core.units import LengthInterval, Point, PositiveLength, PositiveSpeed, TimeStep
 
 
 class ToolDeliveryAgent(Part):
@@ -21,9 +21,9 @@ class ToolDeliveryAgent(Part):
 class ToolDeliveryRewards(Part):
     """What each event pays."""
 
-    step: float
-    failed_pass: float
-    delivery: float
+    step: Reward
+    failed_pass: Reward
+    delivery: Reward
 
 
 class ToolDelivery(TaskHeader):
@@ -33,22 +33,22 @@ class ToolDelivery(TaskHeader):
     room: Point
     workshop: Point
     tool_room: Point
-    turtlebots: tuple[ToolDeliveryAgent, ToolDeliveryAgent]
+    turtlebots: Annotated[tuple[ToolDeliveryAgent, ToolDeliveryAgent], Strict(False)]
     fetchbot: ToolDeliveryAgent
-    time_step: PositiveTime
+    time_step: TimeStep
     step_length: PositiveLength
-    stages: int = Field(gt=0)
-    stage_steps: int = Field(gt=0)
-    tools: tuple[int, ...]
-    horizon: int = Field(gt=0)
-    pass_steps: int = Field(gt=0)
-    search_steps: int = Field(gt=0)
-    wait_steps: int = Field(gt=0)
-    table_patience: int = Field(gt=0)
-    staged_tools: int = Field(gt=0)
+    stages: Steps
+    stage_steps: Steps
+    tools: Several[int] = Field(min_length=1, max_length=100)
+    horizon: Steps
+    pass_steps: Steps
+    search_steps: Steps
+    wait_steps: Steps
+    table_patience: Steps
+    staged_tools: Steps
     rewards: ToolDeliveryRewards
-    training_samples: int = Field(gt=0)
-    batch_samples: int = Field(gt=0)
+    training_samples: Samples
+    batch_samples: Samples
 
     @model_validator(mode="after")
     def _tools_and_spots(self) -> ToolDelivery:
@@ -70,18 +70,18 @@ class WaterFilling(TaskHeader):
     """A slow vehicle and a quick drone keep three jars filled (thesis 5.3.1, Eq. 5.6)."""
 
     kind: Literal["water_filling"]
-    room: tuple[LengthInterval, LengthInterval]
-    jars: tuple[Jar, ...] = Field(min_length=1)
+    room: Annotated[tuple[LengthInterval, LengthInterval], Strict(False)]
+    jars: Several[Jar] = Field(min_length=1, max_length=100)
     cell: PositiveLength
-    time_step: PositiveTime
+    time_step: TimeStep
     vehicle_speed: PositiveSpeed
     drone_speed: PositiveSpeed
     reach: PositiveLength
     start_level: float = Field(ge=0.0, le=1.0)
-    interval_means: tuple[int, int]
-    drop_divisor: float = Field(gt=0)
-    drop_deviation: float = Field(ge=0)
-    episode_option_steps: int = Field(gt=0)
-    training_samples: int = Field(gt=0)
-    batch_samples: int = Field(gt=0)
-    level_offset: float = Field(gt=0)
+    interval_means: Annotated[tuple[Steps, Steps], Strict(False)]
+    drop_divisor: float = Field(gt=0, le=1e9)
+    drop_deviation: float = Field(ge=0, le=1e9)
+    episode_option_steps: Steps
+    training_samples: Samples
+    batch_samples: Samples
+    level_offset: float = Field(gt=0, le=1)

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import BeforeValidator, Field, Strict, model_validator
 
+from ctrl_rl_core.file_door import shown
 from ctrl_rl_core.geometry import Arc, Box, Disc, Path, Shape, frame_walls
 from ctrl_rl_core.regions import Region
+from ctrl_rl_core.schema import Schema
 from ctrl_rl_core.system_models import SYSTEM_MODELS
 from ctrl_rl_core.systems import System, SystemModelError, make_system
 from ctrl_rl_core.units import (
@@ -21,7 +23,7 @@ from ctrl_rl_core.units import (
     Point,
     PositiveLength,
     PositiveRate,
-    PositiveTime,
+    TimeStep,
     parse_interval,
     parse_scalar,
 )
@@ -46,10 +48,17 @@ BODY_RADII: Mapping[str, float] = {"turtlebot3_burger": 0.123, "turtlebot2": 0.1
 """Circle around a body's origin that holds all of it [m]."""
 
 
-class Part(BaseModel):
-    """A part of a task file: unknown keys are errors, nothing changes after reading."""
+Steps = Annotated[int, Field(gt=0, le=10_000_000)]
+Samples = Annotated[int, Field(gt=0, le=10_000_000_000)]
+Reward = Annotated[float, Field(ge=-1e9, le=1e9)]
+Weight = Annotated[float, Field(gt=0.0, le=1e9)]
+_Entry = TypeVar("_Entry")
+Several = Annotated[tuple[_Entry, ...], Strict(False), Field(max_length=10_000)]
+"""A list of the file, which does not change after reading."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+
+class Part(Schema):
+    """A part of a task file: unknown keys are errors, nothing changes after reading."""
 
 
 class TaskHeader(Part):
@@ -65,7 +74,7 @@ class TaskHeader(Part):
     name: str = Field(pattern=r"^[a-z][a-z0-9_]*$")
     about: str
     source: str
-    differences: tuple[str, ...] = ()
+    differences: Several[str] = ()
 
 
 def _intervals(units: Mapping[str, str]) -> BeforeValidator:
@@ -80,7 +89,7 @@ def _intervals(units: Mapping[str, str]) -> BeforeValidator:
             try:
                 out[name] = parse_interval(text, unit)
             except ValueError as error:
-                raise ValueError(f"'{name}': {error}") from None
+                raise ValueError(f"{shown(name)}: {error}") from None
         return out
 
     return BeforeValidator(parse)
@@ -102,7 +111,7 @@ class SystemSpec(Part):
     @model_validator(mode="after")
     def _known(self) -> SystemSpec:
         if self.model not in SYSTEM_MODELS:
-            raise ValueError(f"model: no system model '{self.model}': there are {', '.join(SYSTEM_MODELS)}")
+            raise ValueError(f"model: no system model {shown(self.model)}: there are {', '.join(SYSTEM_MODELS)}")
         self.build()
         return self
 
@@ -137,7 +146,7 @@ class SystemSpec(Part):
 
 def _unit_of(name: str, units: Mapping[str, str]) -> str:
     if name not in units:
-        raise ValueError(f"'{name}': no such name; there are {', '.join(units) or 'none'}")
+        raise ValueError(f"{shown(name)}: no such name; there are {', '.join(units) or 'none'}")
     return units[name]
 
 
@@ -153,6 +162,14 @@ class RobotSpec(Part):
     body: Literal["turtlebot3_burger", "turtlebot2", "planar_quadrotor"]
     commands: Annotated[dict[str, Interval], _intervals(COMMAND_UNITS)]
     tilt_limit: Angle | None = None
+
+    @model_validator(mode="after")
+    def _of_the_body(self) -> RobotSpec:
+        wanted = ("T_1", "T_2") if self.body == "planar_quadrotor" else ("v", "omega")
+        if tuple(self.commands) != wanted:
+            there = ", ".join(self.commands) or "none"
+            raise ValueError(f"commands: are {there}, must be {' and '.join(wanted)}, in this order, for {self.body}")
+        return self
 
     @property
     def radius(self) -> float:
@@ -214,7 +231,7 @@ class CorridorSpec(Part):
     relative to it [rad].
     """
 
-    pieces: tuple[StraightSpec | TurnSpec, ...] = Field(min_length=1)
+    pieces: Several[StraightSpec | TurnSpec] = Field(min_length=1, max_length=1000)
     width: PositiveLength
     width_range: LengthInterval
     wall_thickness: PositiveLength
@@ -296,19 +313,19 @@ class RegionSpec(Part):
 class EpisodeSpec(Part):
     """How long an episode is: steps of a policy, and what a step lasts."""
 
-    steps: int = Field(gt=0)
-    time_step: PositiveTime
+    steps: Steps
+    time_step: TimeStep
 
 
 class RewardSpec(Part):
     """What the task pays (thesis Eq. 3.9, 3.15, 3.17)."""
 
-    goal: float
-    collision: float
-    intermediate: float = 0.0
-    trap: float | None = None
-    timeout: float = 0.0
-    tilt: float | None = None
+    goal: Reward
+    collision: Reward
+    intermediate: Reward = 0.0
+    trap: Reward | None = None
+    timeout: Reward = 0.0
+    tilt: Reward | None = None
 
 
 class LidarSpec(Part):
@@ -324,7 +341,7 @@ class LidarSpec(Part):
         dropout: probability that a beam returns nothing.
     """
 
-    beams: int = Field(gt=0)
+    beams: int = Field(gt=0, le=10_000)
     field: AngleInterval
     placement: Literal["edges", "centres"] = "edges"
     range: LengthInterval
@@ -349,7 +366,7 @@ class GridSpec(Part):
     """One axis of the published value grid: nodes over an interval."""
 
     interval: str
-    count: int = Field(gt=1)
+    count: int = Field(gt=1, le=100_000)
 
 
 class OptimalControlSpec(Part):
@@ -370,15 +387,15 @@ class OptimalControlSpec(Part):
         terminal_set: where a trajectory must end, by state name; the goal where left out.
     """
 
-    horizon: int = Field(gt=0)
-    time_step: PositiveTime
-    gamma: float = Field(gt=0)
+    horizon: int = Field(gt=0, le=10_000)
+    time_step: TimeStep
+    gamma: float = Field(gt=0, le=10)
     discount: float = Field(gt=0, le=1)
-    state_weight: float = Field(gt=0)
-    control_weight: float = Field(gt=0)
-    trap_weight: float = Field(default=0.0, ge=0)
+    state_weight: Weight
+    control_weight: Weight
+    trap_weight: float = Field(default=0.0, ge=0, le=1e9)
     clearance: Length
-    trajectories: int = Field(gt=0)
+    trajectories: Steps
     controls: Annotated[dict[str, Interval], _intervals(COMMAND_UNITS)]
     bounds: Annotated[dict[str, Interval], _intervals(STATE_UNITS)]
     terminal_set: RegionSpec | None = None

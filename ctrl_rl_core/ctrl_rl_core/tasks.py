@@ -10,13 +10,14 @@ from __future__ import annotations
 
 import hashlib
 from pathlib import Path as FilePath
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
-import yaml
 from pydantic import Discriminator, Field, TypeAdapter, ValidationError, model_validator
 
+from ctrl_rl_core.checked_yaml import read_yaml
 from ctrl_rl_core.errors import CtrlRlError
+from ctrl_rl_core.file_door import FileError, first_error, refused_as, shown
 from ctrl_rl_core.geometry import World
 from ctrl_rl_core.option_tasks import ToolDelivery, WaterFilling
 from ctrl_rl_core.system_models import SYSTEM_MODELS
@@ -31,6 +32,7 @@ from ctrl_rl_core.task_parts import (
     RegionSpec,
     RewardSpec,
     RobotSpec,
+    Several,
     SystemSpec,
     TaskHeader,
 )
@@ -55,7 +57,7 @@ class NavigationTask(TaskHeader):
     start: RegionSpec
     goal: RegionSpec
     trap: RegionSpec | None = None
-    obstacles: tuple[ObstacleSpec, ...] = ()
+    obstacles: Several[ObstacleSpec] = ()
     episode: EpisodeSpec
     rewards: RewardSpec
     lidar: LidarSpec
@@ -115,6 +117,7 @@ class NavigationTask(TaskHeader):
         return World(walls=self.corridor.walls(width), obstacles=shapes, path=self.corridor.path, width=width)
 
 
+_KINDS = ("navigation", "tool_delivery", "water_filling")
 Task = NavigationTask | ToolDelivery | WaterFilling
 _READER: TypeAdapter[Task] = TypeAdapter(Annotated[Task, Discriminator("kind")])
 
@@ -132,10 +135,12 @@ def task_file(name_or_path: str | FilePath) -> FilePath:
     """
     path = FilePath(name_or_path)
     if path.suffix in (".yaml", ".yml"):
-        return path
+        return path.expanduser()
     path = FOLDER / f"{name_or_path}.yaml"
-    if not path.is_file():
-        raise TaskError(f"no task '{name_or_path}': there are {', '.join(task_names())}, or give a .yaml file")
+    if str(name_or_path) not in task_names():
+        raise TaskError(
+            f"no task {shown(str(name_or_path))}: there are {', '.join(task_names())}, or give a .yaml file"
+        )
     return path
 
 
@@ -146,18 +151,14 @@ def load_task(name_or_path: str | FilePath) -> Task:
         TaskError: no such task, or the file is wrong; the message names file and key.
     """
     path = task_file(name_or_path)
-    try:
-        content = yaml.load(path.read_text(encoding="utf-8"), _StrictLoader)
-    except OSError as error:
-        raise TaskError(f"{path}: {error.strerror}") from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise TaskError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from None
-    try:
-        task = _READER.validate_python(content)
-    except ValidationError as error:
-        raise TaskError(f"{path}: {_first_error(error)}") from None
-    if task.name != path.stem:
-        raise TaskError(f"{path}: name: is '{task.name}', must be the file's name '{path.stem}'")
+    with refused_as(TaskError, path):
+        content = read_yaml(path)
+        try:
+            task = _READER.validate_python(content)
+        except ValidationError as error:
+            raise FileError(first_error(error, _KINDS)) from None
+        if task.name != path.stem:
+            raise FileError(f"name: is {shown(task.name)}, must be the file's name {shown(path.stem)}")
     return task
 
 
@@ -176,28 +177,3 @@ def load_navigation_task(name_or_path: str | FilePath) -> NavigationTask:
 def task_digest(task: TaskHeader) -> str:
     """Return the SHA-256 (hex) of what the task says in SI units; prose and layout of the file do not count."""
     return hashlib.sha256(task.model_dump_json(exclude=_PROSE).encode()).hexdigest()
-
-
-class _StrictLoader(yaml.SafeLoader):
-    """YAML without duplicate keys, which plain YAML lets the last one win."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        keys = [self.construct_object(key, deep=deep) for key, _ in node.value]
-        for index, key in enumerate(keys):
-            if key in keys[:index]:
-                raise yaml.YAMLError(
-                    f"key '{key}' stands twice, the second time in line {node.value[index][0].start_mark.line + 1}"
-                )
-        return super().construct_mapping(node, deep=deep)
-
-
-def _first_error(error: ValidationError) -> str:
-    """Return the first of the errors as `key.key: what is wrong`, and how many more there are."""
-    errors = error.errors(include_url=False)
-    first = errors[0]
-    kinds = ("navigation", "tool_delivery", "water_filling")
-    key = ".".join(str(part) for part in first["loc"] if part not in kinds)
-    text = {"extra_forbidden": "no such key", "missing": "is missing"}.get(first["type"], first["msg"])
-    text = text.removeprefix("Value error, ")
-    more = f" (and {len(errors) - 1} more)" if len(errors) > 1 else ""
-    return f"{key}: {text}{more}" if key else f"{text}{more}"

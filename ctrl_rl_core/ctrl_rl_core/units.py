@@ -12,6 +12,8 @@ from typing import Annotated, Any, NamedTuple
 
 from pydantic import BeforeValidator
 
+from ctrl_rl_core.file_door import shown
+
 _FACTORS: dict[str, dict[str, float]] = {
     "m": {"m": 1.0, "cm": 1e-2, "mm": 1e-3},
     "s": {"s": 1.0, "ms": 1e-3, "min": 60.0},
@@ -31,6 +33,11 @@ _FACTORS: dict[str, dict[str, float]] = {
 }
 
 
+_LARGEST: dict[str, float] = {"m": 1e5, "s": 1e6, "rad": 1e3, "m/s": 1e3, "rad/s": 1e4, "Hz": 1e5}
+"""Of a robot's world, in SI units; of the others 1e9."""
+_LEAST = 1e-6
+"""Of what must be positive, in SI units: less is nothing."""
+_LONGEST = 200
 _NUMBER = r"[-+]?(?:\d+(?:\.\d+)?|\.\d+)(?:[eE][-+]?\d+)?"
 _QUANTITY = re.compile(rf"(\(.*\)|{_NUMBER}(?:\s*\.\.\s*{_NUMBER})?)\s*(.*)")
 
@@ -66,7 +73,7 @@ def parse_scalar(text: object, unit: str) -> float:
         ValueError: no number, no unit or a unit of another kind.
     """
     number, factor = _split(text, unit)
-    return _number(number, text, factor)
+    return _number(number, text, factor, unit)
 
 
 def parse_interval(text: object, unit: str) -> Interval:
@@ -78,11 +85,11 @@ def parse_interval(text: object, unit: str) -> Interval:
     body, factor = _split(text, unit)
     low, dots, high = body.partition("..")
     if not dots:
-        value = _number(body, text, factor)
+        value = _number(body, text, factor, unit)
         return Interval(value, value)
-    out = Interval(_number(low, text, factor), _number(high, text, factor))
+    out = Interval(_number(low, text, factor, unit), _number(high, text, factor, unit))
     if out.low > out.high:
-        raise ValueError(f"'{text}' runs backwards: write the lower bound first")
+        raise ValueError(f"{shown(text)} runs backwards: write the lower bound first")
     return out
 
 
@@ -95,43 +102,48 @@ def parse_vector(text: object, unit: str, size: int) -> tuple[float, ...]:
     body, factor = _split(text, unit)
     if not (body.startswith("(") and body.endswith(")")):
         raise ValueError(
-            f"'{text}' must be {size} numbers in parentheses and a unit, e.g. ({', '.join(['1.0'] * size)}) {unit}"
+            f"{shown(text)} must be {size} numbers in parentheses and a unit, e.g. ({', '.join(['1.0'] * size)}) {unit}"
         )
     parts = body[1:-1].split(",")
     if len(parts) != size:
-        raise ValueError(f"'{text}' has {len(parts)} numbers, must have {size}")
-    return tuple(_number(part, text, factor) for part in parts)
+        raise ValueError(f"{shown(text)} has {len(parts)} numbers, must have {size}")
+    return tuple(_number(part, text, factor, unit) for part in parts)
 
 
 def _split(text: object, unit: str) -> tuple[str, float]:
     """Cut the unit off and return the rest with the unit's factor to SI."""
-    match = None if isinstance(text, bool) else _QUANTITY.fullmatch(str(text).strip())
+    plain = isinstance(text, str | int | float) and not isinstance(text, bool)
+    said = str(text).strip() if plain and not (isinstance(text, int) and abs(text) > 1e30) else ""
+    match = _QUANTITY.fullmatch(said) if len(said) <= _LONGEST else None
     if match is None:
-        raise ValueError(f"'{text}' is not a quantity: write e.g. '{f'1.0 {unit}' if unit != '1' else '1.0'}'")
+        raise ValueError(f"{shown(text)} is not a quantity: write e.g. '{f'1.0 {unit}' if unit != '1' else '1.0'}'")
     body, given = match.groups()
     if given not in _FACTORS[unit]:
         known = ", ".join(name for name in _FACTORS[unit] if name) or "no unit"
-        has = f"unit '{given}'" if given else "no unit"
-        raise ValueError(f"'{text}' has {has}: must be in {known}")
+        has = f"unit {shown(given)}" if given else "no unit"
+        raise ValueError(f"{shown(text)} has {has}: must be in {known}")
     return body, _FACTORS[unit][given]
 
 
-def _number(part: str, whole: object, factor: float) -> float:
+def _number(part: str, whole: object, factor: float, unit: str) -> float:
     try:
         value = float(part)
     except ValueError:
-        raise ValueError(f"'{whole}': '{part.strip()}' is not a number") from None
-    if not math.isfinite(value):
-        raise ValueError(f"'{whole}' is too large")
+        raise ValueError(f"{shown(whole)}: {shown(part.strip())} is not a number") from None
+    largest = _LARGEST.get(unit, 1e9)
+    if not abs(value * factor) <= largest:
+        raise ValueError(f"{shown(whole)} is too large: at most {largest:g} {unit} makes sense")
     # 70 cm is 0.7 m, not 0.7000000000000001 m: equal quantities give equal digests.
     return value if factor == 1.0 else float(f"{value * factor:.15g}")
 
 
-def _scalar(unit: str, positive: bool = False) -> Callable[[Any], float]:
+def _scalar(unit: str, positive: bool = False, largest: float = math.inf) -> Callable[[Any], float]:
     def parse(value: Any) -> float:
         out = parse_scalar(value, unit)
-        if positive and out <= 0.0:
-            raise ValueError(f"'{value}' must be positive")
+        if out > largest:
+            raise ValueError(f"{shown(value)} is too large: at most {largest:g} {unit} makes sense")
+        if positive and out < _LEAST:
+            raise ValueError(f"{shown(value)} must be at least {_LEAST:g} {unit}")
         return out
 
     return parse
@@ -148,6 +160,8 @@ def _vector(unit: str) -> Callable[[Any], tuple[float, ...]]:
 Length = Annotated[float, BeforeValidator(_scalar("m"))]
 PositiveLength = Annotated[float, BeforeValidator(_scalar("m", positive=True))]
 PositiveTime = Annotated[float, BeforeValidator(_scalar("s", positive=True))]
+TimeStep = Annotated[float, BeforeValidator(_scalar("s", positive=True, largest=60.0))]
+"""From one step of a policy to the next [s]."""
 Angle = Annotated[float, BeforeValidator(_scalar("rad"))]
 Speed = Annotated[float, BeforeValidator(_scalar("m/s"))]
 PositiveSpeed = Annotated[float, BeforeValidator(_scalar("m/s", positive=True))]

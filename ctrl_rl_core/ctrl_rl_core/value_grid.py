@@ -11,7 +11,7 @@ import hashlib
 import math
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field
 from functools import cached_property, partial
 from os import PathLike
 from pathlib import Path
@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ctrl_rl_core import grid_file
+from ctrl_rl_core.file_door import refused_as
 from ctrl_rl_core.grid_axis import Axis, GridError
 from ctrl_rl_core.interpolation import axis_table, gradient_at, gradients_at, value_at, values_at
 
@@ -153,11 +154,9 @@ class ValueGrid:
         Raises:
             GridError: names the file and what is wrong with it.
         """
-        try:
-            values, description = grid_file.read(Path(path))
-            return cls(values=values, **_parse_description(description))
-        except GridError as error:
-            raise GridError(f"{path}: {error}") from error
+        with refused_as(GridError, path):
+            values, axes, text = grid_file.read(Path(path))
+            return cls(values=values, axes=axes, **text)
 
     def _encode(self) -> bytes:
         description = {name: getattr(self, name) for name in _DESCRIPTION}
@@ -180,29 +179,6 @@ class ValueGrid:
 
 
 _DESCRIPTION = ("kind", "task", "task_digest", "solver", "residual", "notes")
-
-
-def _parse_description(description: Mapping[str, Any]) -> dict[str, Any]:
-    """Take the fields of a grid from a file's metadata."""
-    if description.get("format") != _FORMAT:
-        raise GridError(f"metadata 'format' is {description.get('format')!r}; this version reads format {_FORMAT}")
-    missing = [name for name in (*_DESCRIPTION, "axes") if name not in description]
-    if missing:
-        raise GridError(f"metadata lacks {', '.join(missing)}")
-    axes = description["axes"]
-    if not isinstance(axes, list):
-        raise GridError("metadata 'axes' is not a list")
-    return {**{name: description[name] for name in _DESCRIPTION}, "axes": tuple(_parse_axis(axis) for axis in axes)}
-
-
-def _parse_axis(axis: Any) -> Axis:
-    types = {"name": str, "unit": str, "lower": float, "upper": float, "count": int, "periodic": bool}
-    if not isinstance(axis, dict) or set(axis) != {field.name for field in fields(Axis)}:
-        raise GridError(f"metadata 'axes' has an entry that is not an axis ({', '.join(types)}): {axis!r}")
-    for name, kind in types.items():
-        if type(axis[name]) is not kind and not (kind is float and type(axis[name]) is int):
-            raise GridError(f"metadata 'axes': '{name}' is {axis[name]!r}; it must be of type {kind.__name__}")
-    return Axis(**axis)
 
 
 def _check_description(grid: ValueGrid) -> None:

@@ -35,5 +35,5 @@ def test_the_page_sets_each_row_beside_the_thesis(tmp_path: Path) -> None:
 
 def test_a_broken_file_is_named(tmp_path: Path) -> None:
     (tmp_path / "half.json").write_text('{"rows": [')
-    with pytest.raises(ResultsError, match=r"half\.json: not valid JSON"):
+    with pytest.raises(ResultsError, match=r"half\.json: is not valid JSON"):
         read_results(tmp_path)

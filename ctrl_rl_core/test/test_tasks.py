@@ -133,7 +133,7 @@ def test_a_wrong_file_gives_one_error_that_names_file_and_key(
 def test_missing_tasks_and_files_are_named(tmp_path: Path) -> None:
     with pytest.raises(TaskError, match="no task 'nowhere': there are car_navigation"):
         load_task("nowhere")
-    with pytest.raises(TaskError, match="No such file"):
+    with pytest.raises(TaskError, match="there is no such file"):
         load_task(tmp_path / "none.yaml")
     with pytest.raises(TaskError, match="a navigation task is needed"):
         load_navigation_task("tool_delivery")

@@ -11,13 +11,15 @@ from enum import StrEnum
 from functools import cached_property
 from itertools import combinations
 from pathlib import Path as FilePath
-from typing import Literal
+from typing import Annotated, Literal
 
-import yaml
-from ctrl_rl_core.task_parts import Part, TaskHeader
-from ctrl_rl_core.tasks import NavigationTask, TaskError, load_navigation_task, task_names
-from ctrl_rl_core.units import Point, PositiveTime
-from pydantic import Field, PrivateAttr, ValidationError, model_validator
+from ctrl_rl_core.checked_yaml import read_yaml
+from ctrl_rl_core.errors import CtrlRlError
+from ctrl_rl_core.file_door import FileError, refused_as, shown
+from ctrl_rl_core.task_parts import Part, Reward, Samples, TaskHeader
+from ctrl_rl_core.tasks import NavigationTask, load_navigation_task, task_names
+from ctrl_rl_core.units import Point, PositiveTime, TimeStep
+from pydantic import Field, PrivateAttr, Strict, model_validator
 
 from option_coordinator.errors import OptionError
 from option_coordinator.options import Agent
@@ -48,7 +50,7 @@ class NavigationOption(Part):
         lasts: how long the work takes [s].
     """
 
-    work: Work
+    work: Annotated[Work, Strict(False)]
     longest: PositiveTime
     station: Point | None = None
     lasts: PositiveTime = 1.0
@@ -69,8 +71,8 @@ class TeamRobot(Part):
 class TeamRewards(Part):
     """What a robot adds to the team's reward."""
 
-    step: float
-    delivery: float
+    step: Reward
+    delivery: Reward
 
 
 class Learning(Part):
@@ -83,8 +85,8 @@ class Learning(Part):
     """
 
     episode: PositiveTime
-    training_samples: int = Field(gt=0)
-    batch_samples: int = Field(gt=0)
+    training_samples: Samples
+    batch_samples: Samples
 
 
 class TeamFile(TaskHeader):
@@ -105,12 +107,12 @@ class TeamFile(TaskHeader):
     """
 
     kind: Literal["team_delivery"]
-    time_step: PositiveTime
+    time_step: TimeStep
     discount: float = Field(gt=0.0, le=1.0)
-    deliveries: int = Field(gt=0)
-    options: dict[str, NavigationOption] = Field(min_length=1)
+    deliveries: int = Field(gt=0, le=1000)
+    options: dict[str, NavigationOption] = Field(min_length=1, max_length=1000)
     safe_option: str
-    robots: dict[str, TeamRobot] = Field(min_length=1)
+    robots: dict[str, TeamRobot] = Field(min_length=1, max_length=1000)
     rewards: TeamRewards
     room: str
     learning: Learning
@@ -119,7 +121,10 @@ class TeamFile(TaskHeader):
     @model_validator(mode="after")
     def _safe(self) -> TeamFile:
         if self.safe_option not in self.options:
-            raise ValueError(f"safe_option: '{self.safe_option}' is none of the options")
+            raise ValueError(f"safe_option: {shown(self.safe_option)} is none of the options")
+        lacking = [work.value for work in Work if work not in {option.work for option in self.options.values()}]
+        if lacking:
+            raise ValueError(f"options: none of them is to {', '.join(lacking)}: a team needs one for each work")
         return self
 
     @property
@@ -170,8 +175,8 @@ def team_file(name_or_path: str) -> FilePath:
     if path.suffix in (".yaml", ".yml"):
         return path
     path = FOLDER / f"{name_or_path}.yaml"
-    if not path.is_file():
-        raise OptionError(f"no team '{name_or_path}': there is {', '.join(team_names())}, or give a .yaml file")
+    if name_or_path not in team_names():
+        raise OptionError(f"no team {shown(name_or_path)}: there is {', '.join(team_names())}, or give a .yaml file")
     return path
 
 
@@ -249,8 +254,8 @@ def is_team(name_or_path: str) -> bool:
     if path.suffix not in (".yaml", ".yml"):
         return name_or_path in team_names()
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, yaml.YAMLError, UnicodeDecodeError):
+        content = read_yaml(path)
+    except (OSError, CtrlRlError):
         return False
     return isinstance(content, dict) and content.get("kind") == KIND
 
@@ -262,21 +267,10 @@ def load_team(name_or_path: str) -> TeamFile:
         OptionError: there is none, or it is wrong; the message names file and key.
     """
     path = team_file(name_or_path)
-    try:
-        team = TeamFile.model_validate(yaml.safe_load(path.read_text(encoding="utf-8")))
-    except OSError as error:
-        raise OptionError(f"{path}: {error.strerror}") from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise OptionError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from None
-    except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        key = ".".join(str(part) for part in first["loc"])
-        raise OptionError(f"{path}: {f'{key}: ' if key else ''}{first['msg'].removeprefix('Value error, ')}") from None
-    if team.name != path.stem:
-        raise OptionError(f"{path}: name: is '{team.name}', must be the file's name '{path.stem}'")
-    team._folder = path.resolve().parent
-    try:
+    with refused_as(OptionError, path):
+        team = TeamFile.model_validate(read_yaml(path))
+        if team.name != path.stem:
+            raise FileError(f"name: is {shown(team.name)}, must be the file's name {shown(path.stem)}")
+        team._folder = path.resolve().parent
         load_room(team)
-    except (OptionError, TaskError) as error:
-        raise OptionError(f"{path}: {error}") from None
     return team

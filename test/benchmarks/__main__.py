@@ -39,7 +39,8 @@ def main() -> int:
 
 def write(file: Path, name: str, fresh: list[dict[str, Any]]) -> None:
     """Put a benchmark's rows in the place of its former ones; those of others stay."""
-    kept = [row for row in read_benchmarks(file) if row["benchmark"] in NAMES and row["benchmark"] != name]
+    there = [row.model_dump() for row in read_benchmarks(file)]
+    kept = [row for row in there if row["benchmark"] in NAMES and row["benchmark"] != name]
     file.parent.mkdir(parents=True, exist_ok=True)
     content = sorted(kept + fresh, key=lambda row: NAMES.index(row["benchmark"]))
     write_whole(file, json.dumps(content, indent=1) + "\n")

@@ -7,12 +7,12 @@ from importlib import import_module
 from pathlib import Path
 
 import pytest
+from ctrl_rl_core.memory import available
 from numba.core.caching import NullCache
 from numba.core.dispatcher import Dispatcher
 from ttr_reward_node.compiled import KERNEL_FILES
 from ttr_reward_node.errors import TimeToReachError
 from ttr_reward_node.machine_code import cached
-from ttr_reward_node.memory import available
 from ttr_reward_node.problem import problem_from_task
 from ttr_reward_node.solver import METHODS, memory_needed, solve
 

@@ -1,0 +1,151 @@
+"""The door that every file of others comes through: regular files of a bounded size, and errors of one line.
+
+    with refused_as(TaskError, path):
+        content = parse_yaml(read_bytes(path, 1_000_000))
+
+Whatever is wrong in there is a `TaskError` that names the file.
+"""
+
+from __future__ import annotations
+
+import os
+import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from pydantic import ValidationError
+
+from ctrl_rl_core.errors import CtrlRlError
+
+LONGEST_VALUE = 60
+"""Characters of a wrong value that an error shows."""
+LONGEST_ERROR = 400
+"""Characters of an error, without the file's name."""
+_LONGEST_NAME = 200
+
+
+class FileError(CtrlRlError):
+    """A file cannot be taken; the message does not name it, see `refused_as`."""
+
+
+def one_line(text: object, longest: int = LONGEST_ERROR) -> str:
+    """Return a text as one line that can be printed anywhere: what cannot is escaped, and a long text is cut."""
+    said = str(text)
+    said = said if len(said) <= longest else f"{said[: longest - 3]}..."
+    if not said.isprintable():
+        said = "".join(each if each.isprintable() else each.encode("unicode_escape").decode() for each in said)
+    return said
+
+
+def shown(value: object) -> str:
+    """Return a wrong value as an error shows it."""
+    if isinstance(value, int) and not isinstance(value, bool) and abs(value) >= 10**LONGEST_VALUE:
+        return "a number of more than 60 digits"
+    if isinstance(value, str):
+        value = value[: 2 * LONGEST_VALUE]
+    elif not isinstance(value, int | float | None):
+        return f"a {type(value).__name__}"
+    return one_line(repr(value), LONGEST_VALUE)
+
+
+def named(path: str | os.PathLike[str]) -> str:
+    """Return a path as an error shows it: of a long one the end."""
+    said = os.fspath(path)
+    return one_line(said if len(said) <= _LONGEST_NAME else f"...{said[-_LONGEST_NAME:]}", 2 * _LONGEST_NAME)
+
+
+@contextmanager
+def refused_as(kind: type[CtrlRlError], path: str | os.PathLike[str], advice: str = "") -> Iterator[None]:
+    """Turn whatever is wrong with a file into an error of the package's own, of one line that begins with its name.
+
+    Args:
+        kind: class of the error.
+        path: file that is read.
+        advice: what to do about a file that does not serve.
+    """
+    try:
+        yield
+    except ValidationError as error:
+        fault = first_error(error)
+    except OSError as error:
+        raise kind(f"{named(path)}: cannot be read: {one_line(error.strerror or error)}") from None
+    except MemoryError:
+        raise kind(f"{named(path)}: does not fit into the memory") from None
+    except CtrlRlError as error:
+        if str(error).startswith(f"{named(path)}: "):  # from a reader within
+            raise kind(str(error)) from None
+        fault = one_line(error)
+    else:
+        return
+    raise kind(f"{named(path)}: {fault}{f': {advice}' if advice else ''}") from None
+
+
+@contextmanager
+def open_file(path: str | os.PathLike[str], largest: float) -> Iterator[tuple[BinaryIO, int]]:
+    """Open a regular file of at most `largest` bytes; give it and its size [bytes].
+
+    Raises:
+        FileError: there is no such file, it is a folder, a pipe or a device, or it is too large.
+        OSError: it cannot be read.
+    """
+    try:
+        # A pipe would keep us waiting for somebody to write into it.
+        descriptor = os.open(Path(path).expanduser(), os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC | os.O_NOCTTY)
+    except (FileNotFoundError, NotADirectoryError):
+        raise FileError("there is no such file") from None
+    except (ValueError, RuntimeError) as error:  # a zero in the name, or no home
+        raise FileError(f"is not the name of a file ({error})") from None
+    try:
+        state = os.fstat(descriptor)
+        if not stat.S_ISREG(state.st_mode):
+            raise FileError("is a folder" if stat.S_ISDIR(state.st_mode) else "is no regular file")
+        if state.st_size > largest:
+            raise FileError(f"is too large: {state.st_size:,} bytes, at most {largest:,.0f} are read")
+        with os.fdopen(descriptor, "rb", closefd=False) as file:
+            yield file, state.st_size
+    finally:
+        os.close(descriptor)
+
+
+def read_bytes(path: str | os.PathLike[str], largest: float) -> bytes:
+    """Return the content of a regular file of at most `largest` bytes.
+
+    Raises:
+        FileError, OSError: as `open_file`.
+    """
+    with open_file(path, largest) as (file, size):
+        return file.read(size)
+
+
+def as_text(content: bytes) -> str:
+    """Return the text of a file.
+
+    Raises:
+        FileError: it is not UTF-8.
+    """
+    try:
+        return content.decode()
+    except UnicodeDecodeError as error:
+        raise FileError(f"is no text: byte {error.start} is not UTF-8") from None
+
+
+def first_error(error: ValidationError, hidden: tuple[str, ...] = ()) -> str:
+    """Return the first of a schema's complaints as `key.key: what is wrong`, and how many more there are.
+
+    Args:
+        error: what the schema raised.
+        hidden: parts of keys that are the schema's own and not the file's.
+    """
+    errors = error.errors(include_url=False, include_context=False)
+    first: Any = errors[0]
+    key = ".".join(str(part) for part in first["loc"] if part not in hidden)
+    given = first["input"]
+    text = {"extra_forbidden": "no such key", "missing": "is missing"}.get(first["type"], first["msg"])
+    if text is first["msg"] and not text.startswith("Value error, ") and isinstance(given, str | int | float | None):
+        text = f"is {shown(given)}: {text}"
+    text = text.removeprefix("Value error, ")
+    more = f" (and {len(errors) - 1} more)" if len(errors) > 1 else ""
+    said = f"{one_line(key, 100)}: {text}" if key else text
+    return f"{one_line(said, LONGEST_ERROR - 20)}{more}"
