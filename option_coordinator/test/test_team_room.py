@@ -44,7 +44,7 @@ def test_a_room_counts_from_the_team_file_wherever_one_works(files, tmp_path_fac
         ('"(-1.65, 1.0) m"', '"(0.1, 0.3) m"', "options.shelf_1.station: (0.1, 0.3) m lies 0 m from"),
         ('"(1.65, 1.0) m"', '"(1.95, 1.0) m"', "options.desk_1.station: (1.95, 1) m lies 0.05 m from"),
         ('"(0.0, -1.2) m"', '"(0.8, -1.2) m"', "robots.robot_2.home and robots.robot_3.home lie 0.1 m apart"),
-        ("room: rooms/hall.yaml", "room: hall.yaml", "hall.yaml: No such file or directory"),
+        ("room: rooms/hall.yaml", "room: hall.yaml", "hall.yaml: there is no such file"),
         ("room: rooms/hall.yaml", "room: nowhere", f"no room 'nowhere': there are {room_names()[0]}, car_navigation"),
     ],
 )
