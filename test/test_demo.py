@@ -2,19 +2,30 @@
 
 import json
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import check_refused, command
+from commands import check_refused, command, start
+from ctrl_rl_bringup.report import read_drive
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, subprocess.CompletedProcess[str]]:
+    """Drive, and try to start a second demo in the same ROS domain meanwhile."""
     folder = tmp_path_factory.mktemp("demo") / "run"
-    return folder, command("demo", "--speed", 6, "--seed", 5, "--output", folder)
+    process = start("demo", "--speed", 6, "--seed", 5, "--output", folder)
+    assert process.stdout is not None
+    said = process.stdout.readline()
+    second = folder.with_name("second")
+    check_refused("another run is at work in ROS domain", "demo", "--output", second)
+    check_refused("end that first, or set ROS_DOMAIN_ID", "options_demo", "--output", second)
+    assert not second.exists()
+    out, errors = process.communicate(timeout=280.0)
+    return folder, subprocess.CompletedProcess(process.args, process.returncode, said + out, errors)
 
 
 def test_the_robot_reaches_the_goal_and_nothing_is_lost(run) -> None:
@@ -30,6 +41,24 @@ def test_the_robot_reaches_the_goal_and_nothing_is_lost(run) -> None:
     assert (folder / "path.png").read_bytes().startswith(b"\x89PNG")
     for line in ("goal reached", "collisions          0", str(folder / "bag"), str(folder / "path.png")):
         assert line in answer.stdout
+
+
+def test_the_report_holds_what_the_run_promised_and_says_what_it_lacks(run) -> None:
+    folder, _ = run
+    report = json.loads((folder / "report.json").read_text())
+    assert report["lacks"] == []
+    assert report["oc_value_at_start"] == pytest.approx(265.0, abs=15.0)
+    drive = read_drive(folder / "bag")
+    assert {"policy", "time_to_reach", "oc_value"} <= drive.promised
+    nothing = np.empty((0, 2))
+    assert replace(drive, oc_values=nothing).lacks == ["no optimal value"]
+    assert replace(drive, oc_values=drive.oc_values[40:]).lacks[0].startswith("no optimal value before")
+    few = replace(drive, oc_values=drive.oc_values[:10])
+    assert few.lacks == [f"10 values of optimal value for {len(drive.odometry)} of odometry"]
+    assert replace(drive, rewards=drive.rewards[:0], latencies=np.empty(0)).lacks == [
+        "no reward",
+        "no command answers a scan",
+    ]
 
 
 def test_every_scan_was_answered_once_and_within_limits(run) -> None:

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import argparse
-import os
 from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 from ctrl_rl_core.command import check_least, file_to_write, run_command
+from ctrl_rl_core.errors import CtrlRlError
 from ctrl_rl_core.results import Result, as_markdown, read_benchmarks, read_results, write_results
 from ctrl_rl_core.whole_file import write_whole
 from koopman_lqr_controller.policy_file import DEFAULT_POLICY
 
+from ctrl_rl_bringup.domain import own_domain, stay_local
 from ctrl_rl_bringup.drive import drive, drive_seeds, follow_running, record_scripted, write_artifacts
 from ctrl_rl_bringup.report import Drive, read_drive
 from ctrl_rl_bringup.stack import DriveOptions
@@ -23,13 +24,17 @@ _AS_REAL = ("lidar", "scan_rate", "scan_dropout", "scan_noise", "odom_drift", "c
 """Parameters of the simulator that options ask for."""
 
 
+class IncompleteError(CtrlRlError):
+    """A run did not record what its nodes should have said."""
+
+
 def demo() -> int:
     """Drive the corridor once, record it, and say what happened."""
     parser = _parser("demo", "Drive a TurtleBot3 through the corridor in the simulator, record it, report.")
     _add_policy(parser)
     parser.add_argument("--seed", type=int, default=0, help="of start pose and noise (default %(default)s)")
     options = parser.parse_args()
-    return run_here("demo", lambda: _demo(_options(options, "demo", options.seed)))
+    return run_alone("demo", lambda: _demo(_options(options, "demo", options.seed)))
 
 
 def trials() -> int:
@@ -40,7 +45,7 @@ def trials() -> int:
     parser.add_argument("--at-least", type=int, help="exit with 1 if fewer reach the goal (default: 95 %%)")
     parser.add_argument("--results", type=file_to_write, help="JSON file to write the figures to")
     options = parser.parse_args()
-    return run_here("trials", lambda: _trials(options))
+    return run_alone("trials", lambda: _trials(options))
 
 
 def record_drives() -> int:
@@ -49,7 +54,7 @@ def record_drives() -> int:
     parser.add_argument("--episodes", type=int, default=12, help="how many drives (default %(default)s)")
     parser.add_argument("--seed", type=int, default=1000, help="of the first drive (default %(default)s)")
     options = parser.parse_args()
-    return run_here("record_drives", lambda: _record_drives(options))
+    return run_alone("record_drives", lambda: _record_drives(options))
 
 
 def report() -> int:
@@ -134,9 +139,18 @@ def _simulation(options: argparse.Namespace) -> dict[str, Any]:
 
 def run_here(program: str, work: Callable[[], int]) -> int:
     """Run a command whose nodes talk on this machine, and return its exit code."""
-    # A demo is for this machine; whoever wants it on the network says so with ROS's own variable.
-    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    stay_local()
     return run_command(program, work, failure=2)
+
+
+def run_alone(program: str, work: Callable[[], int]) -> int:
+    """Run a command that starts nodes, in a ROS domain of its own, and return its exit code."""
+
+    def alone() -> int:
+        with own_domain(program):
+            return work()
+
+    return run_here(program, alone)
 
 
 def _demo(options: DriveOptions) -> int:
@@ -150,6 +164,8 @@ def _report(result: Drive, options: DriveOptions) -> int:
     print(f"bag                 {options.bag}")
     print(f"picture             {artifacts.picture}")
     print(f"report              {artifacts.report}")
+    if lacks := result.lacks:
+        raise IncompleteError(f"the report is not whole: {'; '.join(lacks)}. The nodes' logs are in {options.folder}")
     return 0 if result.reached else 1
 
 

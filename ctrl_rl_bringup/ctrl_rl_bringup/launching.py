@@ -22,6 +22,7 @@ from launch.events.process import ProcessExited, SignalProcess
 from launch.substitutions import FindExecutable, LaunchConfiguration
 from launch_ros.actions import Node
 
+from ctrl_rl_bringup.domain import keep_domain, stay_local
 from ctrl_rl_bringup.stack import NodeSpec
 
 _PACKAGE = "ctrl_rl_bringup"
@@ -75,7 +76,10 @@ def description(
     def launch(context: LaunchContext) -> list[Action]:
         said = {key: LaunchConfiguration(key).perform(context) for key in known}
         said["folder"] = said["folder"] or f"runs/{name}-{datetime.now():%Y%m%d-%H%M%S}"
-        return _actions(prepare(**{key: _read(key, text) for key, text in said.items()}))
+        values = {key: _read(key, text) for key, text in said.items()}
+        stay_local()
+        keep_domain()
+        return _actions(prepare(**values))
 
     declared = [
         DeclareLaunchArgument(key, default_value=default, description=text) for key, (default, text) in known.items()

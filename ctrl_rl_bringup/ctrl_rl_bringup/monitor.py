@@ -5,10 +5,12 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import rclpy
 from ctrl_rl_core.errors import CtrlRlError
+from ctrl_rl_core.message_types import message_class
 from ctrl_rl_core.ros import RESULT
 from rclpy.node import Node
 from std_srvs.srv import SetBool
@@ -17,7 +19,7 @@ from ctrl_rl_bringup.progress import ProgressDisplay
 from ctrl_rl_bringup.session import uninterrupted
 from ctrl_rl_bringup.stack import RAW
 from ctrl_rl_msgs.msg import EpisodeStatus, TaskOutcome
-from ctrl_rl_msgs.srv import ResetWorld
+from ctrl_rl_msgs.srv import ResetWorld, StepWorld
 
 OUTCOMES = {
     TaskOutcome.RUNNING: "running",
@@ -30,6 +32,9 @@ RECORDER = "recorder"
 _RECORDED = ("scan", "odom", "cmd_vel", "episode", "clock", "ground_truth")
 _READY_S = 30.0
 _SILENT_S = 20.0
+_STEP_S = 0.05
+"""Longer than a period of odometry."""
+_ANSWER_S = 1.0
 
 
 class MonitorError(CtrlRlError):
@@ -57,7 +62,7 @@ class Monitor:
 
     Args:
         check: called often; raises if a node of the run has died.
-        topics: that must be recorded, besides those of every run.
+        topics: that must be recorded besides those of every run, and answer odometry before the drive begins.
     """
 
     def __init__(self, check: Callable[[], None], topics: Sequence[str] = ()) -> None:
@@ -67,8 +72,10 @@ class Monitor:
         self._episode: Episode | None = None
         self._wanted = 0
         self._heard = time.monotonic()
+        self._unheard = set(topics)
         self._node.create_subscription(EpisodeStatus, "episode", self._on_episode, RESULT)
         self._pause = self._node.create_client(SetBool, "sim_bridge/pause")
+        self._step = self._node.create_client(StepWorld, "sim_bridge/step")
         self._reset = self._node.create_client(ResetWorld, "sim_bridge/reset")
 
     def close(self) -> None:
@@ -76,7 +83,7 @@ class Monitor:
         self._node.destroy_node()
 
     def wait_until_ready(self) -> None:
-        """Return once simulator, driver and recorder have found each other.
+        """Return once simulator, driver and recorder have found each other, and each awaited topic has had a message.
 
         Raises:
             MonitorError: they have not after half a minute.
@@ -86,9 +93,12 @@ class Monitor:
             self._spin()
             if time.monotonic() > deadline:
                 raise MonitorError(f"not ready after {_READY_S:g} s: {missing}")
+        for topic in self._unheard:
+            self._listen(topic)
         settle = time.monotonic() + 0.5  # the last match is seen here before it is seen by both of its ends
         while time.monotonic() < settle:
             self._spin()
+        self._await_answers()
 
     def run(self) -> None:
         """Let the paused simulation go."""
@@ -125,6 +135,25 @@ class Monitor:
         finally:
             display.close()
         return self._episode
+
+    def _listen(self, topic: str) -> None:
+        heard = partial(self._on_answer, topic)
+        for info in self._node.get_publishers_info_by_topic(topic):
+            self._node.create_subscription(message_class(info.topic_type), topic, heard, RESULT, raw=True)
+
+    def _on_answer(self, topic: str, _message: bytes) -> None:
+        self._unheard.discard(topic)
+
+    def _await_answers(self) -> None:
+        """Let the paused world send odometry, a few steps of a standing robot, until each awaited topic answers it."""
+        deadline = time.monotonic() + _READY_S
+        while self._unheard:
+            if time.monotonic() > deadline:
+                raise MonitorError(f"not ready after {_READY_S:g} s: no message on {', '.join(sorted(self._unheard))}")
+            self._call(self._step, StepWorld.Request(duration=_STEP_S))
+            patience = time.monotonic() + _ANSWER_S
+            while self._unheard and time.monotonic() < patience:
+                self._spin()
 
     def _on_episode(self, message: EpisodeStatus) -> None:
         self._heard = time.monotonic()

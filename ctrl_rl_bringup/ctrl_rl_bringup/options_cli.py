@@ -12,7 +12,7 @@ from ctrl_rl_core.tasks import load_navigation_task
 from ctrl_rl_core.whole_file import write_whole
 from option_coordinator.team_file import Work, load_team
 
-from ctrl_rl_bringup.cli import run_here
+from ctrl_rl_bringup.cli import run_alone, run_here
 from ctrl_rl_bringup.options_picture import draw_team
 from ctrl_rl_bringup.options_report import read_team
 from ctrl_rl_bringup.options_run import follow_running_team, run_team
@@ -38,7 +38,7 @@ def demo() -> int:
     given = parser.parse_args()
     folder = given.output or Path("runs") / f"options-{datetime.now():%Y%m%d-%H%M%S}"
     options = TeamOptions(folder, given.team, given.room, given.policy, given.seed, given.speed, given.gui)
-    return run_here("options_demo", lambda: _demo(options))
+    return run_alone("options_demo", lambda: _demo(options))
 
 
 def report() -> int:

@@ -19,6 +19,11 @@ from ctrl_rl_bringup.transport import answer_latencies, lost_messages, read_sent
 from ctrl_rl_msgs.msg import TaskOutcome
 
 Array = NDArray[np.float64]
+_START_S = 0.5
+"""Until the first value of a run must be there."""
+_ANSWERED = 0.9
+"""Share of the odometry that values must answer."""
+_DIGEST = "digest."
 
 
 @dataclass(frozen=True)
@@ -43,6 +48,7 @@ class Drive:
         lost: published while the recorder listened, but not recorded.
         predictions: (n, 3) time, one-step error of the latent model, and that of "nothing changes".
         latent: the linear model that drove; None where none did.
+        promised: kinds of files that the run was started with: "policy", "time_to_reach", "oc_value" and so on.
     """
 
     task: str
@@ -62,6 +68,7 @@ class Drive:
     lost: int
     predictions: Array
     latent: LatentModel | None
+    promised: frozenset[str] = frozenset()
 
     @property
     def reached(self) -> bool:
@@ -72,6 +79,29 @@ class Drive:
     def time_to_reach(self) -> float:
         """At the start [s]; NaN where no reward was recorded."""
         return float(self.rewards[0, 2]) if len(self.rewards) else float("nan")
+
+    @property
+    def lacks(self) -> list[str]:
+        """What the nodes of the run should have said and the bag does not hold, in words; empty in a whole report."""
+        out = []
+        if "time_to_reach" in self.promised:
+            out += self._gaps("reward", self.rewards)
+        if "oc_value" in self.promised:
+            out += self._gaps("optimal value", self.oc_values)
+        if "policy" in self.promised and not len(self.latencies):
+            out.append("no command answers a scan")
+        return out
+
+    def _gaps(self, name: str, values: Array) -> list[str]:
+        """Say what is missing of values that answer odometry one by one."""
+        asked = self.odometry[:, 0]
+        if not len(values):
+            return [f"no {name}"]
+        if len(asked) and values[0, 0] > asked[0] + _START_S:
+            return [f"no {name} before {values[0, 0]:.1f} s"]
+        if len(values) < _ANSWERED * len(asked):
+            return [f"{len(values)} values of {name} for {len(asked)} of odometry"]
+        return []
 
     def latency(self, percentile: float) -> float:
         """Return a percentile of the latencies [s], NaN where no command answers a scan."""
@@ -93,6 +123,7 @@ class Drive:
             "messages_recorded": self.messages,
             "messages_lost": self.lost,
             "latent_model": self.latent.as_dict() if self.latent else None,
+            "lacks": self.lacks,
         }
 
     def text(self) -> str:
@@ -160,6 +191,7 @@ def read_drive(bag: Path) -> Drive:
         lost=lost_messages(sent),
         predictions=latent.steps - (begin, 0.0, 0.0) if latent else np.empty((0, 3)),
         latent=latent,
+        promised=frozenset(key.removeprefix(_DIGEST) for key in info.custom_data if key.startswith(_DIGEST)),
     )
 
 

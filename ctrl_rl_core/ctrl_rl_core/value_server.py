@@ -58,9 +58,10 @@ class ValueServer(SuiteNode):
         self._outside, self._foreign, self._heard = False, False, 0.0
         self._grids: dict[str, Publisher] = {}
         self._slice = self.create_publisher(OccupancyGrid, "~/slice", LATCHED)
-        self._values = self.create_publisher(StateValue, self.TOPIC, RESULT)
         self._load(self.settings["grid"])
         self.create_subscription(Odometry, "odom", self._on_odometry, _EVERY_MESSAGE)
+        # Last: who sees this publisher knows that the function is loaded and that odometry is heard.
+        self._values = self.create_publisher(StateValue, self.TOPIC, RESULT)
         self.create_service(QueryValues, "~/query", self._on_query)
         self.create_service(Trigger, "~/reload", self._on_reload)
 

@@ -1,0 +1,41 @@
+"""A drive begins when every node has spoken, not when its publishers are there."""
+
+import signal
+from pathlib import Path
+
+import pytest
+from ctrl_rl_bringup.monitor import Monitor
+from ctrl_rl_bringup.session import ros
+
+_FROZEN_SPINS = 40
+"""Calls of `check` at least 50 ms apart: longer than what the monitor lets matches settle."""
+
+
+@pytest.mark.fault
+def test_a_drive_waits_for_a_value_node_that_is_there_but_not_at_work(run_node, tmp_path: Path) -> None:
+    run_node("sim_bridge", "bridge", "task:=curved_corridor", "start_paused:=true")
+    run_node("ctrl_rl_core", "recorder", f"output:={tmp_path / 'bag'}")
+    run_node("koopman_lqr_controller", "controller", "use_sim_time:=true")
+    baseline = run_node("oc_baseline_node", "baseline", "use_sim_time:=true", "grid:=curved_corridor")
+    baseline.wait_for("points")
+    spins, frozen, thawed = 0, False, False
+
+    def check() -> None:
+        nonlocal spins, frozen, thawed
+        publishes = monitor._node.count_publishers("oc_value") == 1
+        if publishes and not frozen:
+            baseline.process.send_signal(signal.SIGSTOP)
+            frozen = True
+        spins += frozen
+        if spins == _FROZEN_SPINS:
+            baseline.process.send_signal(signal.SIGCONT)
+            thawed = True
+
+    with ros():
+        monitor = Monitor(check, ["oc_value"])
+        try:
+            monitor.wait_until_ready()
+            assert thawed
+        finally:
+            baseline.process.send_signal(signal.SIGCONT)
+            monitor.close()
