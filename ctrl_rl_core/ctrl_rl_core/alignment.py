@@ -15,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrl_rl_core.bag_metadata import BagError
+from ctrl_rl_core.bag_door import BagError
 from ctrl_rl_core.bag_reader import read_messages
 from ctrl_rl_core.odometry import yaw_of
 

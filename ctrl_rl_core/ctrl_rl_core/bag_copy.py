@@ -5,70 +5,45 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
 
-from mcap.exceptions import McapError
-from mcap.reader import make_reader
 from tqdm import tqdm
 
-from ctrl_rl_core.bag_metadata import BagError, Topic
-from ctrl_rl_core.bag_reader import bag_info, mend_hint, open_bag, read_raw, reason
+from ctrl_rl_core.bag_door import BagError
+from ctrl_rl_core.bag_metadata import Topic
+from ctrl_rl_core.bag_reader import bag_info, open_bag
+from ctrl_rl_core.bag_sources import WireMessage
 from ctrl_rl_core.bag_writer import BagWriter
 
 
-class WireMessage(NamedTuple):
-    """One message with all that the bag knows: times [ns since the epoch], the publisher's count, CDR bytes."""
-
-    topic: str
-    type: str
-    log_time: int
-    publish_time: int
-    sequence: int
-    data: bytes
-
-
 def read_wire(bag: Path | str) -> Iterator[WireMessage]:
-    """Yield every message of a bag in the order of its files.
+    """Yield every message of a bag, file by file in the order of their log time.
 
     An sqlite3 bag knows neither publication times nor counts: there they are the log time and 0.
 
     Raises:
-        BagError: the bag cannot be read.
+        BagError: the bag cannot be read, or a checksum in it is wrong.
     """
-    folder, files = Path(bag), bag_info(bag).files
-    if not all(file.endswith(".mcap") for file in files):
-        for raw in read_raw(bag):
-            yield WireMessage(raw.topic, raw.type, raw.log_time, raw.log_time, 0, raw.data)
-        return
-    for file in files:
-        path = folder / file if folder.is_dir() else folder
-        try:
-            with path.open("rb") as stream:
-                for schema, channel, message in make_reader(stream).iter_messages(log_time_order=False):
-                    name = schema.name if schema is not None else ""
-                    times = message.log_time, message.publish_time
-                    yield WireMessage(channel.topic, name, *times, message.sequence, message.data)
-        except (McapError, OSError) as error:
-            raise BagError(f"{path} cannot be read: {reason(error)}{mend_hint(bag)}") from None
+    with open_bag(bag) as opened:
+        opened.check()
+        yield from opened.messages()
 
 
 def bag_topics(bag: Path | str) -> list[Topic]:
     """Return the topics of a bag with their definitions and quality of service.
 
     Raises:
-        BagError: the bag cannot be read.
+        BagError: the bag cannot be read, or it neither defines a type nor is the type one of ROS 2 Jazzy.
     """
-    out = {}
-    info = bag_info(bag)
-    with open_bag(bag) as reader:
-        for connection in reader.connections:
-            known = info.topics[connection.topic]
-            definition = connection.msgdef.data
-            if not definition:  # a bag from before MCAP names its types, but does not define them
-                definition = reader.typestore.generate_msgdef(connection.msgtype, ros_version=2)[0]
-            out[connection.topic] = Topic(connection.topic, known.type, definition, known.type_hash, known.qos)
-    return list(out.values())
+    out = []
+    with open_bag(bag) as opened:
+        for topic in opened.topics.values():
+            if not topic.definition:  # a bag from before MCAP names its types, but does not define them
+                text = opened.types([topic.name]).store.generate_msgdef(topic.type, ros_version=2)[0]
+                topic = replace(topic, definition=text, encoding="ros2msg")
+            out.append(topic)
+    return out
 
 
 def copy_bag(

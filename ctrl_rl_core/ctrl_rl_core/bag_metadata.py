@@ -6,11 +6,12 @@ import copy
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import yaml
+from pydantic import BaseModel, Field, ValidationError
 
-from ctrl_rl_core.errors import CtrlRlError
+from ctrl_rl_core.bag_door import BagError, DamagedError, printable, read_yaml, reason
 from ctrl_rl_core.whole_file import write_whole
 
 METADATA_FILE = "metadata.yaml"
@@ -25,8 +26,40 @@ Qos = Mapping[str, Any]
 """One offered quality of service profile: the keys and texts that rosbag2 writes from version 9 on."""
 
 
-class BagError(CtrlRlError):
-    """A bag cannot be written, read or mended; the message names the file and says what to do."""
+class _Nanoseconds(BaseModel):
+    nanoseconds: Annotated[int, Field(ge=0, lt=2**64)]
+
+
+class _StartingTime(BaseModel):
+    nanoseconds_since_epoch: Annotated[int, Field(ge=0, lt=2**64)]
+
+
+class _TopicMetadata(BaseModel):
+    name: str
+    type: str
+    serialization_format: str = "cdr"
+    offered_qos_profiles: list[Any] | str = ""
+    type_description_hash: str = ""
+
+
+class _TopicCount(BaseModel):
+    topic_metadata: _TopicMetadata
+    message_count: Annotated[int, Field(ge=0, lt=2**63)]
+
+
+class BagMetadata(BaseModel):
+    """What is read of metadata.yaml, versions 1 to 9; the names are rosbag2's."""
+
+    version: Annotated[int, Field(ge=1, le=METADATA_VERSION)]
+    storage_identifier: Literal["mcap", "sqlite3"]
+    relative_file_paths: list[str]
+    duration: _Nanoseconds
+    starting_time: _StartingTime
+    message_count: Annotated[int, Field(ge=0, lt=2**63)]
+    topics_with_message_count: list[_TopicCount]
+    compression_format: str | None = ""
+    compression_mode: str | None = ""
+    custom_data: dict[str, str] | None = None
 
 
 @dataclass(frozen=True)
@@ -53,6 +86,14 @@ class Topic:
     def qos_text(self) -> str:
         """The offered profiles as YAML, as they stand in the MCAP channel; empty where none is known."""
         return yaml.safe_dump(_plain(self.qos), sort_keys=False).strip() if self.qos else ""
+
+
+def name_of_other_type(topic: str, kind: str) -> str:
+    """Return the name under which a bag keeps a topic's messages of another type than its first.
+
+    rosbag2 wants one type for each topic.
+    """
+    return f"{topic}/as/{kind.replace('/msg/', '/')}"
 
 
 @dataclass(frozen=True)
@@ -120,7 +161,7 @@ def write_metadata(folder: Path, information: Mapping[str, Any]) -> None:
     write_whole(folder / METADATA_FILE, yaml.safe_dump(content, sort_keys=False, allow_unicode=True))
 
 
-def read_metadata(folder: Path) -> dict[str, Any]:
+def read_metadata(folder: Path) -> BagMetadata:
     """Return what stands in a bag's metadata.yaml below `rosbag2_bagfile_information`.
 
     Raises:
@@ -128,9 +169,15 @@ def read_metadata(folder: Path) -> dict[str, Any]:
     """
     path = folder / METADATA_FILE
     try:
-        return dict(yaml.safe_load(path.read_text(encoding="utf-8"))["rosbag2_bagfile_information"])
-    except (OSError, UnicodeDecodeError, yaml.YAMLError, KeyError, TypeError, ValueError) as error:
-        raise BagError(f"{path}: cannot be read as a bag's metadata ({type(error).__name__})") from None
+        content = read_yaml(path)
+        information = content.get("rosbag2_bagfile_information") if isinstance(content, dict) else None
+        return BagMetadata.model_validate(information)
+    except ValidationError as error:
+        first = error.errors(include_url=False, include_input=False)[0]
+        where = ".".join(map(str, first["loc"]))
+        raise BagError(f"{path} is not a bag's metadata: {printable(where)}: {printable(first['msg'])}") from None
+    except (OSError, DamagedError) as error:
+        raise BagError(f"{path} cannot be read: {reason(error)}") from None
 
 
 def _plain(qos: Sequence[Qos]) -> list[dict[str, Any]]:

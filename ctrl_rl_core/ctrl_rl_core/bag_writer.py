@@ -17,7 +17,8 @@ from types import TracebackType
 
 import yaml
 
-from ctrl_rl_core.bag_metadata import CUSTOM_DATA_RECORD, BagError, FileSummary, Topic, bag_information, write_metadata
+from ctrl_rl_core.bag_door import BagError
+from ctrl_rl_core.bag_metadata import CUSTOM_DATA_RECORD, FileSummary, Topic, bag_information, write_metadata
 from ctrl_rl_core.mcap_file import CHUNK_BYTES, McapFile
 
 FLUSH_S = 0.25

@@ -4,7 +4,8 @@ The public names of the modules `bag_writer`, `bag_reader`, `bag_recovery` and `
 """
 
 from ctrl_rl_core.alignment import Aligned, Extractor, Scan, Track, align, sample
-from ctrl_rl_core.bag_metadata import BagError, Qos, Topic
+from ctrl_rl_core.bag_door import BagError
+from ctrl_rl_core.bag_metadata import Qos, Topic
 from ctrl_rl_core.bag_reader import (
     BagInfo,
     BagMessage,

@@ -62,6 +62,7 @@ class McapFile:
         self._counts: defaultdict[int, int] = defaultdict(int)
         self._chunk_indexes: list[ChunkIndex] = []
         self._metadata_indexes: list[MetadataIndex] = []
+        self._crc = 0
         self._file = path.open("xb", buffering=0)
         self._append(MAGIC + _bytes(Header("ros2", "ctrl_rl_core")))
 
@@ -166,7 +167,8 @@ class McapFile:
     def finish(self) -> None:
         """Write the open chunk and the summary; the file is then whole, and only `close` may follow."""
         self.flush()
-        start = self.size + len(_bytes(DataEnd(0)))
+        data_end = _bytes(DataEnd(self._crc))
+        start = self.size + len(data_end)
         groups: list[tuple[Opcode, list[McapRecord]]] = [
             (Opcode.SCHEMA, [*self._schemas.values()]),
             (Opcode.CHANNEL, [*self._channels.values()]),
@@ -183,7 +185,7 @@ class McapFile:
         offsets_start = start + len(summary)
         footer = struct.pack("<BQQQ", Opcode.FOOTER, 20, start, offsets_start)
         crc = zlib.crc32(summary + offsets + footer)
-        self._append(_bytes(DataEnd(0)) + summary + offsets + _bytes(Footer(start, offsets_start, crc)) + MAGIC)
+        self._append(data_end + summary + offsets + _bytes(Footer(start, offsets_start, crc)) + MAGIC)
 
     def close(self) -> None:
         """Let the disk confirm what was written and close the file."""
@@ -207,6 +209,7 @@ class McapFile:
             self._file.seek(self.size)
             raise
         self.size += len(data)
+        self._crc = zlib.crc32(data, self._crc)
 
     def _statistics(self) -> Statistics:
         return Statistics(

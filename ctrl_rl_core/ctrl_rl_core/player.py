@@ -17,8 +17,9 @@ from rclpy.signals import SignalHandlerOptions
 from rosgraph_msgs.msg import Clock
 from tqdm import tqdm
 
-from ctrl_rl_core.bag_metadata import BagError
+from ctrl_rl_core.bag_door import BagError
 from ctrl_rl_core.bag_reader import BagInfo, RawMessage, bag_info, read_raw
+from ctrl_rl_core.mcap_records import DEFAULT_LIMITS, Limits
 from ctrl_rl_core.message_types import UnknownTypeError, message_class
 from ctrl_rl_core.recorded_qos import is_latched, offer
 from ctrl_rl_core.signals import answered_by
@@ -43,6 +44,7 @@ class Playback:
         clock: publish the bag's time on /clock at 100 Hz, in place of a recorded one.
         start_offset: part of the bag [s] that is left out at its beginning.
         wait: longest time [s] to wait for a subscriber on every topic before the first message.
+        limits: the most that the bag may take of the memory.
     """
 
     rate: float = 1.0
@@ -52,6 +54,7 @@ class Playback:
     clock: bool = False
     start_offset: float = 0.0
     wait: float = 1.0
+    limits: Limits = DEFAULT_LIMITS
 
 
 def play(bag: Path | str, how: Playback, warn: Callable[[str], None], *, progress: bool = False) -> int:
@@ -66,7 +69,7 @@ def play(bag: Path | str, how: Playback, warn: Callable[[str], None], *, progres
     Raises:
         BagError: the bag cannot be read, a value is out of range, or nothing in it can be played.
     """
-    info = bag_info(bag)
+    info = bag_info(bag, how.limits)
     _check(info, how)
     stop = threading.Event()
     with answered_by(lambda *_: stop.set()):
@@ -119,8 +122,9 @@ class _Player:
         if self._how.start_offset > 0.0:
             latched = [name for name in self._publishers if is_latched(self._info.topics[name].qos)]
             if latched:
-                yield from read_raw(self._info.folder, latched, stop=self._first)
-        yield from read_raw(self._info.folder, list(self._publishers), start=self._first)
+                yield from read_raw(self._info.folder, latched, stop=self._first, limits=self._how.limits)
+        start = self._first if self._how.start_offset > 0.0 else None
+        yield from read_raw(self._info.folder, list(self._publishers), start=start, limits=self._how.limits)
 
     def _in_rhythm(self) -> Iterator[RawMessage]:
         """Yield each message at its time, the clock ticking in between, until stopped."""

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from rclpy.clock import Clock, ClockType
 
-from ctrl_rl_core.bag_metadata import BagError
+from ctrl_rl_core.bag_door import BagError
 from ctrl_rl_core.bag_writer import FLUSH_S, BagWriter
 from ctrl_rl_core.parameters import Parameter, ParameterError
 from ctrl_rl_core.recorder import ParameterCollector, TopicRecorder

@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.bag_copy import WireMessage, copy_bag
+from ctrl_rl_core.bag_copy import copy_bag
 from ctrl_rl_core.bag_metadata import Topic
 from ctrl_rl_core.bag_reader import bag_info, open_bag
+from ctrl_rl_core.bag_sources import WireMessage
 from ctrl_rl_core.message_types import message_definition
 from ctrl_rl_core.odometry import OdometryReader
 from ctrl_rl_core.recorded_qos import to_bag
@@ -67,10 +68,11 @@ def relabel(
     there = topics.keys() & kinds
     if there and not replace:
         raise TimeToReachError(f"{bag} has a topic {min(there)} already: to make it anew add --replace")
-    with open_bag(bag) as reader:
-        answer = _Answer(reader.typestore, odom, prefix, frame, function, label)
+    with open_bag(bag) as opened:
+        store = opened.types([odom]).store
+        answer = _Answer(store, odom, prefix, frame, function, label)
         added = [
-            Topic(name, kind, message_definition(kind), reader.typestore.hash_rihs01(kind), (to_bag(RESULT),))
+            Topic(name, kind, message_definition(kind), store.hash_rihs01(kind), (to_bag(RESULT),))
             for name, kind in kinds.items()
         ]
         digests = {"digest.time_to_reach": function.digest}
