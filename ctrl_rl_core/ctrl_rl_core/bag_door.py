@@ -1,9 +1,11 @@
-"""The door that bags come through: their errors, regular files only, and YAML of a bounded size and depth."""
+"""The door that bags come through: their errors, regular files only, and YAML of a bounded size and depth.
+
+A bag's YAML may be longer than what people write, `checked_yaml`: it holds the parameters of all nodes.
+"""
 
 from __future__ import annotations
 
-import os
-import stat
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,6 +14,7 @@ from typing import Any, BinaryIO
 import yaml
 
 from ctrl_rl_core.errors import CtrlRlError
+from ctrl_rl_core.file_door import FileError, one_line, open_file
 
 _LONGEST_REASON = 200
 _LARGEST_YAML = 8 << 20
@@ -36,24 +39,22 @@ def reason(error: Exception) -> str:
 
 def printable(text: str, longest: int = _LONGEST_REASON) -> str:
     """Return a text of a bag as it may be printed: of a bounded length, without line breaks and escapes."""
-    text = text if len(text) <= longest else f"{text[:longest]}..."
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+    return one_line(text, longest)
 
 
 @contextmanager
-def open_regular(path: Path) -> Iterator[tuple[BinaryIO, int]]:
-    """Open a regular file and give it and its size [bytes]; a pipe or a device would never end.
+def open_regular(path: Path, largest: float = math.inf) -> Iterator[tuple[BinaryIO, int]]:
+    """Open a regular file and give it and its size [bytes].
 
     Raises:
-        DamagedError: it is no regular file.
+        DamagedError: it is no regular file, or larger than `largest` [bytes].
         OSError: it cannot be opened.
     """
-    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC | os.O_NOCTTY)
-    with os.fdopen(descriptor, "rb") as stream:
-        state = os.fstat(descriptor)
-        if not stat.S_ISREG(state.st_mode):
-            raise DamagedError("it is no regular file")
-        yield stream, state.st_size
+    try:
+        with open_file(path, largest) as opened:
+            yield opened
+    except FileError as error:
+        raise DamagedError(f"it {error}" if str(error).startswith(("is ", "has ")) else str(error)) from None
 
 
 def read_yaml(path: Path) -> Any:
@@ -63,10 +64,8 @@ def read_yaml(path: Path) -> Any:
         DamagedError: it is too large, or no plain YAML.
         OSError: it cannot be read.
     """
-    with open_regular(path) as (stream, size):
-        if size > _LARGEST_YAML:
-            raise DamagedError(f"it has {size:,} bytes, where at most {_LARGEST_YAML:,} are read")
-        return parse_yaml(stream.read(_LARGEST_YAML))
+    with open_regular(path, _LARGEST_YAML) as (stream, size):
+        return parse_yaml(stream.read(size))
 
 
 def parse_yaml(text: str | bytes) -> Any:

@@ -230,7 +230,7 @@ def aliases(levels):
     [
         (aliases(12), "it has an alias"),
         ("[" * 10_000, "nested more than 20 levels"),
-        ("x" * (9 << 20), "at most"),
+        ("x" * (9 << 20), "is too large"),
         ("rosbag2_bagfile_information: 7\n", "not a bag's metadata"),
         ("- 1\n", "not a bag's metadata"),
         ("!!python/object/apply:os.getcwd []\n", "no YAML"),
