@@ -60,7 +60,10 @@ class BagWriter:
         self._channels: dict[str, int] = {}
         self._counts: dict[str, int] = {}
         self._custom_data = {"written_by": "ctrl_rl_core"}
-        self._files: list[McapFile] = []
+        self._finished: list[FileSummary] = []
+        self._finished_counts: dict[str, int] = {}
+        self._finished_bytes = 0
+        self._open: McapFile | None = None
         self._closed = False
         self._first_time: int | None = None
         self._flush_due = time.monotonic() + flush_s
@@ -77,12 +80,17 @@ class BagWriter:
     @property
     def file(self) -> Path:
         """The file that is being written."""
-        return self._files[-1].path
+        return self._file.path
+
+    @property
+    def _file(self) -> McapFile:
+        assert self._open is not None
+        return self._open
 
     @property
     def bytes_on_disk(self) -> int:
         """Size of all files so far."""
-        return sum(file.size for file in self._files)
+        return self._finished_bytes + self._file.size
 
     @property
     def message_counts(self) -> Mapping[str, int]:
@@ -103,7 +111,7 @@ class BagWriter:
         if topic.name in self._topics:
             raise BagError(f"{self.folder}: topic {topic.name} was added twice")
         try:
-            self._channels[topic.name] = self._files[-1].add_topic(topic)
+            self._channels[topic.name] = self._file.add_topic(topic)
         except OSError as error:
             raise self._disk_error(error) from None
         self._topics[topic.name] = topic
@@ -133,7 +141,7 @@ class BagWriter:
             channel = self._channels[topic]
         except KeyError:
             raise BagError(f"{self.folder}: no topic {topic} was added to the bag") from None
-        file = self._files[-1]
+        file = self._file
         try:
             if self._first_time is None:
                 self._first_time = log_time
@@ -141,7 +149,7 @@ class BagWriter:
                 self._max_bytes and file.size >= self._max_bytes
             ):
                 self._next_file()
-                file, channel, self._first_time = self._files[-1], self._channels[topic], log_time
+                file, channel, self._first_time = self._file, self._channels[topic], log_time
             file.write(
                 channel, data, log_time, log_time if publish_time is None else publish_time, sequence & 0xFFFFFFFF
             )
@@ -158,7 +166,7 @@ class BagWriter:
         """Keep a text with the bag: at once in the file, and in metadata.yaml when the bag is closed."""
         self._custom_data[key] = value
         try:
-            self._files[-1].add_metadata(CUSTOM_DATA_RECORD, {key: value})
+            self._file.add_metadata(CUSTOM_DATA_RECORD, {key: value})
         except OSError as error:
             raise self._disk_error(error) from None
 
@@ -175,11 +183,11 @@ class BagWriter:
         """
         self._flush_due = time.monotonic() + self._flush_s
         try:
-            self._files[-1].flush()
+            self._file.flush()
             if self._syncing is None or self._syncing.done():
                 if self._syncing is not None:
                     self._syncing.result()
-                self._syncing = self._disk.submit(os.fsync, self._files[-1].fileno())
+                self._syncing = self._disk.submit(os.fsync, self._file.fileno())
             if self._min_free_bytes:
                 disk = os.statvfs(self.folder)
                 free = disk.f_bavail * disk.f_frsize
@@ -200,15 +208,15 @@ class BagWriter:
         failure: OSError | None = None
         try:
             try:
-                self._files[-1].flush()
+                self._file.flush()
             except OSError as error:  # these messages are lost, but what is on the disk can perhaps be finished
                 failure = error
             self._finish_file()
-            write_metadata(self.folder, self._information(self._files))
+            write_metadata(self.folder, self._information(self._finished, self._finished_counts))
         except OSError as error:
             failure = failure or error
         self._disk.shutdown()
-        self._files[-1].abort()
+        self._file.abort()
         if failure is not None:
             raise self._disk_error(failure) from None
 
@@ -221,33 +229,35 @@ class BagWriter:
         self.close()
 
     def _next_file(self) -> None:
-        if self._files:
+        if self._open is not None:
             self._finish_file()
-        path = self.folder / f"{self.folder.name}_{len(self._files)}.mcap"
+        path = self.folder / f"{self.folder.name}_{len(self._finished)}.mcap"
         try:
             file = McapFile(path, self._chunk_bytes)
         except OSError as error:
             raise self._disk_error(error) from None
-        self._files.append(file)
+        self._open = file
         file.add_metadata(CUSTOM_DATA_RECORD, self._custom_data)
         self._channels = {name: file.add_topic(topic) for name, topic in self._topics.items()}
 
     def _finish_file(self) -> None:
-        file = self._files[-1]
+        """Finish the open file, and keep nothing of it but its summary."""
+        file = self._file
         file.flush()
+        summary = FileSummary(file.path.name, file.start, file.end, file.message_count)
         # rosbag2 reads this record where a single file is opened without its folder.
-        information = yaml.safe_dump(self._information([file]), sort_keys=False, allow_unicode=True)
-        file.add_metadata("rosbag2", {"serialized_metadata": information})
+        information = self._information([summary], file.message_counts)
+        text = yaml.safe_dump(information, sort_keys=False, allow_unicode=True)
+        file.add_metadata("rosbag2", {"serialized_metadata": text})
         file.finish()
+        self._finished.append(summary)
+        self._finished_bytes += file.size
+        for name, count in file.message_counts.items():
+            self._finished_counts[name] = self._finished_counts.get(name, 0) + count
         self._syncing = self._disk.submit(file.close)
 
-    def _information(self, files: list[McapFile]) -> dict[str, object]:
-        summaries = [FileSummary(file.path.name, file.start, file.end, file.message_count) for file in files]
-        counts: dict[str, int] = {}
-        for file in files:
-            for name, count in file.message_counts.items():
-                counts[name] = counts.get(name, 0) + count
-        return bag_information(summaries, self._topics.values(), counts, self._custom_data)
+    def _information(self, files: list[FileSummary], counts: Mapping[str, int]) -> dict[str, object]:
+        return bag_information(files, self._topics.values(), counts, self._custom_data)
 
     def _disk_error(self, error: OSError) -> BagError:
         return BagError(

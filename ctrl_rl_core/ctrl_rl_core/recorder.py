@@ -22,8 +22,8 @@ from rclpy.parameter import parameter_value_to_python
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 
-from ctrl_rl_core.bag_metadata import Topic
-from ctrl_rl_core.bag_writer import BagWriter
+from ctrl_rl_core.bag_metadata import Topic, name_of_other_type
+from ctrl_rl_core.bag_queue import BagQueue
 from ctrl_rl_core.message_types import UnknownTypeError, message_class, message_definition
 from ctrl_rl_core.recorded_qos import request, to_bag
 
@@ -35,9 +35,11 @@ _PATIENCE_S = 1.0
 
 @dataclass
 class _Recorded:
-    """A topic that is being recorded."""
+    """A topic that is being recorded: its type, and the name that its messages have in the bag."""
 
+    type_name: str
     type: Any
+    bag_name: str
     subscription: Subscription
     qos: QoSProfile
     publishers: int
@@ -46,80 +48,122 @@ class _Recorded:
 class TopicRecorder:
     """Subscribes to every selected topic that has a publisher and writes its bytes untouched.
 
+    A topic whose publishers all have another type now is recorded with that one, under `<topic>/as/<package>/<Name>`:
+    a bag has one type for each topic.
+
     Attributes:
         lost: messages that the middleware reports as lost on the way here.
         skipped: why a topic is not recorded, by name.
+        retyped: name in the bag of the topics whose type has changed.
     """
 
-    def __init__(self, node: Node, writer: BagWriter, selected: Callable[[str], bool], queue_depth: int) -> None:
+    def __init__(self, node: Node, queue: BagQueue, selected: Callable[[str], bool], queue_depth: int) -> None:
         self.lost = 0
         self.skipped: dict[str, str] = {}
+        self.retyped: dict[str, str] = {}
         self._node = node
-        self._writer = writer
+        self._queue = queue
         self._selected = selected
         self._queue_depth = queue_depth
         self._recorded: dict[str, _Recorded] = {}
+        self._in_bag: dict[str, str] = {}
+        self._added: set[str] = set()
+        self._refused: set[tuple[str, str]] = set()
 
     def discover(self) -> None:
         """Subscribe to new topics; ask for less where a new publisher offers less."""
         for name, types in self._node.get_topic_names_and_types():
             if name in self._recorded:
-                self._adapt(name)
-            elif name not in self.skipped and self._selected(name):
-                self._add(name, types)
+                self._adapt(name, types)
+            elif self._selected(name) and not all((name, kind) in self._refused for kind in types):
+                self._add(name, self._node.get_publishers_info_by_topic(name))
 
     def drain(self) -> None:
-        """Write what has arrived and was not yet looked at."""
-        for name, recorded in self._recorded.items():
-            self._take(name, recorded, limit=self._queue_depth)
+        """Hand over what has arrived and was not yet looked at."""
+        for recorded in self._recorded.values():
+            self._take(recorded, limit=self._queue_depth)
 
-    def _add(self, name: str, types: list[str]) -> None:
-        publishers = self._node.get_publishers_info_by_topic(name)
+    def _add(self, name: str, publishers: list[Any]) -> None:
+        """Record a topic with the type of its first publisher."""
         if not publishers:
             return
         type_name = publishers[0].topic_type
+        offers = [publisher for publisher in publishers if publisher.topic_type == type_name]
+        if (name, type_name) in self._refused:
+            return
         try:
             kind, definition = message_class(type_name), message_definition(type_name)
         except UnknownTypeError as error:
-            self.skipped[name] = str(error)
-            self._node.get_logger().warning(f"{name} is not recorded: {error}")
+            self._refused.add((name, type_name))
+            self._skip(name, str(error))
             return
-        if len(types) > 1:
-            self._node.get_logger().warning(f"{name} has types {', '.join(types)}: only {type_name} is recorded")
-        type_hash = str(publishers[0].topic_type_hash)
-        offered = [publisher.qos_profile for publisher in publishers]
-        self._writer.add_topic(
-            Topic(
-                name,
-                type_name,
-                definition,
-                type_hash if type_hash.startswith("RIHS") else "",
-                tuple(to_bag(profile) for profile in offered),
+        bag_name, profiles = name, [offer.qos_profile for offer in offers]
+        if self._in_bag.setdefault(name, type_name) != type_name:
+            bag_name = self.retyped[name] = name_of_other_type(name, type_name)
+            self._node.get_logger().warning(
+                f"{name} is a {type_name} now, not a {self._in_bag[name]}: recorded as {bag_name}"
             )
-        )
-        qos = request(offered, self._queue_depth)
-        self._recorded[name] = _Recorded(kind, self._subscribe(name, kind, qos), qos, len(publishers))
+        if self._in_bag.setdefault(bag_name, type_name) != type_name:
+            self._refused.add((name, type_name))
+            self._skip(bag_name, "the bag has another type under that name")
+            return
+        if bag_name not in self._added:
+            self._added.add(bag_name)
+            type_hash = str(offers[0].topic_type_hash)
+            known_hash = type_hash if type_hash.startswith("RIHS") else ""
+            qos_in_bag = tuple(to_bag(profile) for profile in profiles)
+            self._queue.add_topic(Topic(bag_name, type_name, definition, known_hash, qos_in_bag))
+        self.skipped.pop(name, None)
+        qos = request(profiles, self._queue_depth)
+        subscription = self._subscribe(name, kind, qos)
+        self._recorded[name] = _Recorded(type_name, kind, bag_name, subscription, qos, len(publishers))
+        self._say_others(name, type_name, publishers)
 
-    def _adapt(self, name: str) -> None:
+    def _adapt(self, name: str, types: list[str]) -> None:
+        """Follow a topic whose publishers are other ones now."""
         recorded = self._recorded[name]
         count = self._node.count_publishers(name)
+        if count == recorded.publishers and types == [recorded.type_name]:
+            return
+        publishers = self._node.get_publishers_info_by_topic(name)
+        offers = [publisher for publisher in publishers if publisher.topic_type == recorded.type_name]
+        if publishers and not offers:
+            # The middleware gives a process one type for each topic: the old one goes first.
+            self._take(recorded, limit=self._queue_depth)
+            self._node.destroy_subscription(recorded.subscription)
+            del self._recorded[name]
+            self._add(name, publishers)
+            return
         if count == recorded.publishers:
             return
         recorded.publishers = count
-        publishers = self._node.get_publishers_info_by_topic(name)
-        qos = request([publisher.qos_profile for publisher in publishers], self._queue_depth)
+        self._say_others(name, recorded.type_name, publishers)
+        qos = request([publisher.qos_profile for publisher in offers], self._queue_depth)
         # Only ever towards weaker requests: a stronger one would bring latched messages a second time.
-        if not publishers or not _weaker(qos, recorded.qos):
+        if not offers or not _weaker(qos, recorded.qos):
             return
-        self._take(name, recorded, limit=self._queue_depth)
+        self._take(recorded, limit=self._queue_depth)
         self._node.destroy_subscription(recorded.subscription)
         recorded.subscription, recorded.qos = self._subscribe(name, recorded.type, qos), qos
 
+    def _say_others(self, name: str, type_name: str, publishers: list[Any]) -> None:
+        others = sorted({publisher.topic_type for publisher in publishers} - {type_name})
+        if others:
+            self._skip(name, f"{', '.join(others)} is not recorded while {type_name} is published too")
+        else:
+            self.skipped.pop(name, None)
+
+    def _skip(self, name: str, why: str) -> None:
+        if self.skipped.get(name) != why:
+            self.skipped[name] = why
+            self._node.get_logger().warning(f"{name} is not recorded: {why}")
+
     def _subscribe(self, name: str, kind: Any, qos: QoSProfile) -> Subscription:
         def received(data: bytes, info: dict[str, int]) -> None:
-            self._write(name, data, info)
+            recorded = self._recorded[name]
+            self._write(recorded, data, info)
             # An executor hands over one message a round; a burst is cheaper to take in one go.
-            self._take(name, self._recorded[name], _TAKE_AT_ONCE)
+            self._take(recorded, _TAKE_AT_ONCE)
 
         def lost(event: Any) -> None:
             self.lost += event.total_count_change
@@ -129,20 +173,19 @@ class TopicRecorder:
         )
         return self._node.create_subscription(kind, name, received, qos, raw=True, event_callbacks=events)
 
-    def _take(self, name: str, recorded: _Recorded, limit: int) -> None:
+    def _take(self, recorded: _Recorded, limit: int) -> None:
         handle = recorded.subscription.handle
         with handle:
             for _ in range(limit):
                 taken = handle.take_message(recorded.type, True)
                 if taken is None:
                     return
-                self._write(name, *taken)
+                self._write(recorded, *taken)
 
-    def _write(self, name: str, data: bytes, info: dict[str, int]) -> None:
+    def _write(self, recorded: _Recorded, data: bytes, info: dict[str, int]) -> None:
         log_time = info["received_timestamp"] or self._node.get_clock().now().nanoseconds
-        self._writer.write(
-            name, data, log_time, info["source_timestamp"] or log_time, info["publication_sequence_number"] or 0
-        )
+        publish_time, sequence = info["source_timestamp"] or log_time, info["publication_sequence_number"] or 0
+        self._queue.write(recorded.bag_name, data, log_time, publish_time, sequence)
 
 
 class ParameterCollector:
@@ -151,9 +194,9 @@ class ParameterCollector:
     Best effort: a node that never answers is left out. Later changes are on /parameter_events.
     """
 
-    def __init__(self, node: Node, writer: BagWriter) -> None:
+    def __init__(self, node: Node, queue: BagQueue) -> None:
         self._node = node
-        self._writer = writer
+        self._queue = queue
         self._questions: dict[str, _ParameterQuestion] = {}
         self._known: set[str] = set()
 
@@ -172,7 +215,7 @@ class ParameterCollector:
             question.ask()
 
     def _keep(self, node: str, values: dict[str, Any]) -> None:
-        self._writer.set_custom_data(f"parameters.{node}", json.dumps(values, sort_keys=True, default=str))
+        self._queue.set_custom_data(f"parameters.{node}", json.dumps(values, sort_keys=True, default=str))
         self._known.add(node)
 
 

@@ -6,18 +6,20 @@ import hashlib
 import re
 import sys
 import time
-from contextlib import suppress
 from pathlib import Path
 
 from rclpy.clock import Clock, ClockType
 
 from ctrl_rl_core.bag_door import BagError
+from ctrl_rl_core.bag_queue import BagQueue
 from ctrl_rl_core.bag_writer import FLUSH_S, BagWriter
 from ctrl_rl_core.parameters import Parameter, ParameterError
 from ctrl_rl_core.recorder import ParameterCollector, TopicRecorder
 from ctrl_rl_core.ros import Status, SuiteNode, ok, run_node, warn
 
 _DISCOVERY_S = 0.2
+_PATIENCE_S = 4.0
+"""How long what waits is still written when the recorder stops [s]."""
 
 
 class RecorderNode(SuiteNode):
@@ -33,7 +35,8 @@ class RecorderNode(SuiteNode):
         Parameter("max_file_mb", 1000, "Size at which the next file begins [MB]; 0: one file.", 0, 1_000_000),
         Parameter("max_file_s", 0.0, "Time after which the next file begins [s]; 0: one file.", 0.0, 1e6),
         Parameter("min_free_mb", 64, "Stop, bag whole, when the disk has less space left [MB].", 0, 1_000_000),
-        Parameter("queue_depth", 2000, "Messages of a topic that may wait to be written.", 1, 1_000_000),
+        Parameter("queue_depth", 2000, "Messages of a topic that the middleware may keep for it.", 1, 1_000_000),
+        Parameter("max_queue_mb", 128, "Memory of all messages that wait to be written [MB].", 1, 1_000_000),
         Parameter("digest_files", [""], "NAME=PATH: files (task, grid, policy) whose SHA-256 the bag keeps."),
     )
 
@@ -51,13 +54,14 @@ class RecorderNode(SuiteNode):
             max_file_s=self.settings["max_file_s"],
             min_free_bytes=self.settings["min_free_mb"] * 1_000_000,
         )
+        self._queue = BagQueue(self._writer, self.settings["max_queue_mb"] * 1_000_000, self._say_dropped)
         for name, digest in digests.items():
-            self._writer.set_custom_data(f"digest.{name}", digest)
-        self._topics = TopicRecorder(self, self._writer, self._select, self.settings["queue_depth"])
-        self._parameter_collector = ParameterCollector(self, self._writer)
+            self._queue.set_custom_data(f"digest.{name}", digest)
+        self._topics = TopicRecorder(self, self._queue, self._select, self.settings["queue_depth"])
+        self._parameter_collector = ParameterCollector(self, self._queue)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(_DISCOVERY_S, self._discover, clock=steady)
-        self.create_timer(FLUSH_S / 2, self._writer.flush_if_due, clock=steady)
+        self.create_timer(FLUSH_S / 2, self._queue.check, clock=steady)
         self._discover()
         self.get_logger().info(f"recording to {self._writer.folder}")
 
@@ -67,26 +71,38 @@ class RecorderNode(SuiteNode):
         values = {
             "messages": self._writer.message_count,
             "lost": self._topics.lost,
+            "dropped": self._queue.dropped.total(),
+            "waiting_bytes": self._queue.waiting_bytes,
             "bytes": self._writer.bytes_received,
             "bytes_on_disk": self._writer.bytes_on_disk,
             "topics": len(self._writer.message_counts),
             "skipped_topics": skipped,
+            "retyped_topics": ", ".join(self._topics.retyped.values()),
             "file": self._writer.file,
         }
-        if self._topics.lost or skipped:
+        if self._topics.lost or self._queue.dropped or skipped:
             return warn("recording, not all of it", **values)
+        if self._topics.retyped:
+            return warn("recording; the type of a topic has changed", **values)
         return ok("recording", **values)
 
     def stop(self) -> None:
         """Finish the bag and say in one line what it holds."""
-        with suppress(BagError):  # it was this that stopped the node
-            self._topics.drain()
+        self._topics.drain()
+        finished = True
         try:
-            self._writer.close()
+            finished = self._queue.close(_PATIENCE_S)
         except BagError as error:
             self.get_logger().error(str(error))
+        if not finished:
+            self.get_logger().error(f"the disk does not answer: mend {self._writer.folder} with bag recover")
         count, used = self._writer.message_count, sum(count > 0 for count in self._writer.message_counts.values())
-        self.get_logger().info(f"{count} messages of {used} topics, {self._topics.lost} lost, in {self._writer.folder}")
+        dropped = f", {self._queue.dropped.total()} dropped" if self._queue.dropped else ""
+        lost = f"{self._topics.lost} lost{dropped}"
+        self.get_logger().info(f"{count} messages of {used} topics, {lost}, in {self._writer.folder}")
+
+    def _say_dropped(self, name: str) -> None:
+        self.get_logger().warning(f"{name}: messages are dropped, as they come faster than the disk takes them")
 
     def _discover(self) -> None:
         self._topics.discover()

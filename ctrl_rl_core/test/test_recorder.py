@@ -1,14 +1,12 @@
 """The recorder as a process, recording real publishers, stopped, refused and killed."""
 
 import json
-import os
 import signal
-import subprocess
-import sys
 import time
 
 import pytest
 from ctrl_rl_core.bags import bag_info, read_messages, recover
+from recording import record, stop
 
 # Sends scans numbered in their frame, at a rate, and one latched text before them.
 PUBLISHER = """
@@ -42,46 +40,8 @@ while True:
 """
 
 
-@pytest.fixture
-def start():
-    """Start Python processes in a ROS domain of their own; what is left of them ends with the test."""
-    environment = {
-        **os.environ,
-        "ROS_DOMAIN_ID": str(1 + os.getpid() % 100),
-        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-    }
-    processes = []
-
-    def run(*arguments):
-        process = subprocess.Popen(
-            [sys.executable, *map(str, arguments)],
-            env=environment,
-            text=True,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-        )
-        processes.append(process)
-        return process
-
-    yield run
-    for process in processes:
-        process.kill()
-        process.communicate()
-
-
-def record(start, folder, *parameters):
-    arguments = [item for parameter in (f"output:={folder}", *parameters) for item in ("-p", parameter)]
-    return start("-m", "ctrl_rl_core.recorder_node", "--ros-args", *arguments)
-
-
 def publish(start, name="sender", rate=300, count=300, reliability="RELIABLE"):
     return start("-c", PUBLISHER, name, rate, count, reliability)
-
-
-def stop(process, number=signal.SIGINT):
-    process.send_signal(number)
-    output, errors = process.communicate(timeout=10)
-    return process.returncode, output, errors
 
 
 def numbers(bag, name="sender"):
