@@ -15,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrl_rl_core.bag_door import BagError
+from ctrl_rl_core.bag_door import BagError, fields_of
 from ctrl_rl_core.bag_reader import read_messages
 from ctrl_rl_core.odometry import yaw_of
 
@@ -312,10 +312,11 @@ def _read(bag: Path | str, topics: Sequence[str] | Mapping[str, Extractor]) -> d
                 )
             extractors[topic] = EXTRACTORS[message.type]
         log[topic].append(message.log_time)
-        header = getattr(message.data, "header", None)
-        if header is not None:
-            stamps[topic].append(header.stamp.sec * 10**9 + header.stamp.nanosec)
-        values[topic].append(extractors[topic].read(message.data))
+        with fields_of(f"{bag}: a message of {topic}"):
+            header = getattr(message.data, "header", None)
+            if header is not None:
+                stamps[topic].append(header.stamp.sec * 10**9 + header.stamp.nanosec)
+            values[topic].append(extractors[topic].read(message.data))
     return {
         topic: _Read(
             np.array(log[topic], dtype=np.int64),

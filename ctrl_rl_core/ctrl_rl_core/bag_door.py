@@ -37,6 +37,19 @@ def reason(error: Exception) -> str:
     return printable(" ".join(str(error)[: 10 * _LONGEST_REASON].split()) or type(error).__name__)
 
 
+@contextmanager
+def fields_of(what: str) -> Iterator[None]:
+    """Refuse a message whose fields are not those of its type's name: a bag defines its types itself.
+
+    Raises:
+        BagError: begins with `what`.
+    """
+    try:
+        yield
+    except (AttributeError, TypeError, ValueError, IndexError, OverflowError) as error:
+        raise BagError(f"{what} is not what its type says: {reason(error)}") from None
+
+
 def printable(text: str, longest: int = _LONGEST_REASON) -> str:
     """Return a text of a bag as it may be printed: of a bounded length, without line breaks and escapes."""
     return one_line(text, longest)

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from ctrl_rl_core.bag_door import fields_of
 from ctrl_rl_core.bags import bag_info, read_messages
 from numpy.typing import NDArray
 
@@ -30,11 +31,12 @@ def yaw_of_lidar(bag: Path, scan: str, prefix: str = "") -> float:
     """
     known = bag_info(bag).topics
     topics = [name for name in dict.fromkeys((f"{prefix}/tf_static", "/tf_static")) if name in known]
-    frame = next((message.data.header.frame_id for message in read_messages(bag, [scan])), "")
     turns: dict[str, tuple[str, Any]] = {}
-    for message in read_messages(bag, topics) if topics else ():
-        for transform in message.data.transforms:
-            turns[transform.child_frame_id] = (transform.header.frame_id, transform.transform.rotation)
+    with fields_of(f"{bag}: a message of {scan} or tf_static"):
+        frame = next((message.data.header.frame_id for message in read_messages(bag, [scan])), "")
+        for message in read_messages(bag, topics) if topics else ():
+            for transform in message.data.transforms:
+                turns[transform.child_frame_id] = (transform.header.frame_id, transform.transform.rotation)
     if not turns:
         return 0.0
     axes = np.eye(3)

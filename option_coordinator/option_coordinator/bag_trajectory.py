@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from ctrl_rl_core.bag_door import fields_of
 from ctrl_rl_core.bags import bag_info, read_messages
 from numpy.typing import NDArray
 
@@ -75,8 +76,9 @@ def recordings(bag: Path) -> list[Recording]:
     # By number, not as they came: two coordinators may have spoken at a time, for a moment.
     lives: dict[tuple[str, int], dict[int, _Step]] = {}
     for message in read_messages(bag, topics):
-        life = lives.setdefault((message.topic, int(message.data.coordinator_epoch)), {})
-        life[int(message.data.step)] = _step(message.data, f"{bag}: {message.topic}: decision {message.data.step}")
+        with fields_of(f"{bag}: a message of {message.topic}"):
+            life = lives.setdefault((message.topic, int(message.data.coordinator_epoch)), {})
+            life[int(message.data.step)] = _step(message.data, f"{bag}: {message.topic}: decision {message.data.step}")
     found = [recording for life in lives.values() for recording in _parts([step for _, step in sorted(life.items())])]
     if not found:
         raise OptionError(f"{bag}: no decision is followed by the next one: nothing says what came of them")

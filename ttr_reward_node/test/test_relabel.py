@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from ament_index_python.packages import get_package_share_directory
 from ctrl_rl_core.bag_copy import read_wire
-from ctrl_rl_core.bags import BagWriter, Topic, bag_info, read_messages
+from ctrl_rl_core.bags import BagError, BagWriter, Topic, bag_info, read_messages
 from ctrl_rl_core.message_types import message_definition
 from ctrl_rl_core.recorded_qos import to_bag
 from ctrl_rl_core.ros import RESULT
@@ -98,3 +98,21 @@ def test_labels_are_in_the_frame_of_the_function(bag: Path, tmp_path: Path) -> N
     relabel(bag, tmp_path / "labelled", function, label, robot="robot", frame="hall")
     found = read_messages(tmp_path / "labelled", ["/robot/reward", "/robot/time_to_reach"])
     assert {message.data.header.frame_id for message in found} == {"hall"}
+
+
+@pytest.mark.fault
+@pytest.mark.parametrize(
+    ("definition", "data", "words"),
+    [
+        (message_definition(KIND), b"\0\1\0\0\1\2\3", "cannot be decoded"),
+        ("int32 pose\n", b"\0\1\0\0\1\0\0\0", "is not what its type says"),
+    ],
+)
+def test_odometry_that_is_none_is_refused(tmp_path: Path, definition: str, data: bytes, words: str) -> None:
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.add_topic(Topic("/odom", KIND, definition))
+        writer.write("/odom", data, 1)
+    function = solve_task("car_ttr", counts=(21, 21, 12))
+    with pytest.raises(BagError, match=words):
+        relabel(tmp_path / "bag", tmp_path / "new", function, Labeller(load_navigation_task("car_ttr"), function))
+    assert not (tmp_path / "new").exists()

@@ -9,16 +9,17 @@ from typing import Any
 
 import numpy as np
 from ctrl_rl_core.bag_copy import copy_bag
+from ctrl_rl_core.bag_door import BagError, DamagedError, fields_of
 from ctrl_rl_core.bag_metadata import Topic
 from ctrl_rl_core.bag_reader import bag_info, open_bag
 from ctrl_rl_core.bag_sources import WireMessage
+from ctrl_rl_core.bag_types import BagTypes
 from ctrl_rl_core.message_types import message_definition
 from ctrl_rl_core.odometry import OdometryReader
 from ctrl_rl_core.recorded_qos import to_bag
 from ctrl_rl_core.ros import RESULT
 from ctrl_rl_core.value_function import ValueFunction
 from rosbags.typesys import get_types_from_msg
-from rosbags.typesys.store import Typestore
 
 from ttr_reward_node.errors import TimeToReachError
 from ttr_reward_node.labels import Labeller
@@ -69,8 +70,9 @@ def relabel(
     if there and not replace:
         raise TimeToReachError(f"{bag} has a topic {min(there)} already: to make it anew add --replace")
     with open_bag(bag) as opened:
-        store = opened.types([odom]).store
-        answer = _Answer(store, odom, prefix, frame, function, label)
+        types = opened.types([odom])
+        store = types.store
+        answer = _Answer(types, f"{bag}: a message of {odom}", odom, prefix, frame, function, label)
         added = [
             Topic(name, kind, message_definition(kind), store.hash_rihs01(kind), (to_bag(RESULT),))
             for name, kind in kinds.items()
@@ -84,8 +86,10 @@ class _Answer:
     """Answers each odometry message of a bag with a reward and a value, serialized."""
 
     def __init__(
-        self, store: Typestore, odom: str, prefix: str, frame: str, function: ValueFunction, label: Labeller
+        self, known: BagTypes, what: str, odom: str, prefix: str, frame: str, function: ValueFunction, label: Labeller
     ) -> None:
+        store = known.store
+        self._known, self._what = known, what
         self._store, self._odom, self._prefix, self._frame = store, odom, prefix, frame
         self._function, self._label = function, label
         self._read = OdometryReader(function.state_names)
@@ -96,13 +100,17 @@ class _Answer:
     def __call__(self, message: WireMessage) -> Iterator[tuple[str, bytes]]:
         if message.topic != self._odom:
             return
-        odometry: Any = self._store.deserialize_cdr(message.data, _ODOMETRY)
-        state = self._read(odometry)
+        try:
+            odometry: Any = self._known.decode(message.data, _ODOMETRY)
+        except DamagedError as error:
+            raise BagError(f"{self._what} cannot be decoded: {error}") from None
+        with fields_of(self._what):
+            state = self._read(odometry)
+            header = dataclasses.replace(odometry.header, frame_id=self._frame)
         value, gradient = self._function.value_and_gradient_at(state)
         outcome, reward = self._label(state, value)
         types = self._store.types
         out = types["ctrl_rl_msgs/msg/TaskOutcome"](value=int(outcome))
-        header = dataclasses.replace(odometry.header, frame_id=self._frame)
         yield self._serialized("reward", types[REWARD](header, out, reward, value), REWARD)
         in_domain = not np.isnan(value)
         yield self._serialized("time_to_reach", types[VALUE](header, state, value, gradient, in_domain), VALUE)
