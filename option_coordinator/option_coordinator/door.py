@@ -19,6 +19,8 @@ LONGEST = 1e7
 LONGEST_NAME = 255
 MOST_NUMBERS = 65536
 MOST_OPTIONS = 10000
+LARGEST_REQUEST = 4 * MOST_NUMBERS + MOST_OPTIONS + 2 * LONGEST_NAME + 1024
+"""Of a serialised OptionRequest [bytes]."""
 
 
 class MessageError(OptionError):

@@ -7,7 +7,9 @@ import math
 import numpy as np
 from builtin_interfaces.msg import Time as TimeMsg
 from ctrl_rl_core.ros import float32_array, seconds, to_stamp
+from rclpy._rclpy_pybind11 import RCLError, RMWError
 from rclpy.qos import QoSProfile
+from rclpy.serialization import deserialize_message
 from std_msgs.msg import Header
 
 from ctrl_rl_msgs.msg import AgentStatus, CoordinatorStatus, JointOptionStep, OptionGrant, OptionRequest
@@ -38,6 +40,19 @@ def request_message(request: Request) -> OptionRequest:
         terminated=request.terminated,
         team=request.team,
     )
+
+
+def request_in(content: bytes) -> Request:
+    """Return a request that was heard, from the bytes of its message: too many of them are not looked at.
+
+    Raises:
+        MessageError: it is none, or holds what no robot may say.
+    """
+    door.sized(content, "request", door.LARGEST_REQUEST)
+    try:
+        return request_of(deserialize_message(content, OptionRequest))
+    except (RCLError, RMWError, UnicodeDecodeError) as error:
+        raise MessageError("request of another layout") from error
 
 
 def request_of(message: OptionRequest) -> Request:

@@ -27,7 +27,7 @@ from option_coordinator.messages import (
     EXCHANGE,
     StepMessages,
     grant_message,
-    request_of,
+    request_in,
     status_of,
     word_message,
     word_of,
@@ -111,7 +111,8 @@ class OptionCoordinator(SuiteNode):
         self._grants = self.create_publisher(OptionGrant, "option_grants", EXCHANGE)
         self._steps = self.create_publisher(JointOptionStep, "joint_option_step", EXCHANGE)
         self._words = self.create_publisher(CoordinatorStatus, "coordinator_status", EXCHANGE)
-        self.create_subscription(OptionRequest, "option_requests", self._on_request, EXCHANGE)
+        # As bytes: a message of millions of options takes long to be made an object of, and is not for anybody.
+        self.create_subscription(OptionRequest, "option_requests", self._on_request, EXCHANGE, raw=True)
         self.create_subscription(AgentStatus, "agent_status", self._on_status, EXCHANGE)
         self.create_subscription(CoordinatorStatus, "coordinator_status", self._on_word, EXCHANGE)
         self._batch = self.create_timer(max(times.window, 1e-4), self._end_batch, clock=STEADY)
@@ -205,8 +206,8 @@ class OptionCoordinator(SuiteNode):
 
         return timed
 
-    def _on_request(self, message: OptionRequest) -> None:
-        request = self._read(request_of, message)
+    def _on_request(self, message: bytes) -> None:
+        request = self._read(request_in, message)
         if request is not None and self._listens():
             self._send(self._coordinator.on_request(request, self._now()))
 
@@ -226,8 +227,7 @@ class OptionCoordinator(SuiteNode):
             return reader(message)
         except MessageError as error:
             self._coordinator.counts[f"not taken: {error.kind}"] += 1
-            kind = type(message).__name__
-            self.get_logger().warning(f"not taken: {kind}: {error}", throttle_duration_sec=_SAID_EVERY_S)
+            self.get_logger().warning(f"a message is not taken: {error}", throttle_duration_sec=_SAID_EVERY_S)
             return None
 
     def _end_batch(self) -> None:

@@ -1,5 +1,6 @@
 """Coordinators and robots as processes of their own, with whatever is said between them written down."""
 
+import contextlib
 import itertools
 import signal
 import subprocess
@@ -11,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
+from option_coordinator.door import MessageError
 from option_coordinator.exchange import AgentState, GrantStatus, Request, Status
 from option_coordinator.messages import EXCHANGE, grant_of, request_message, request_of, status_message
 from option_coordinator.options import Agent
@@ -29,9 +31,9 @@ STANDS_BY = "another coordinator decides"
 _NUMBERS = itertools.count()
 
 
-def write_policy(path, seed=0, robots=2):
+def write_policy(path, seed=0, robots=2, names=()):
     """A policy of robots r0, r1, ... with three options each, as far from uniform as weights are random."""
-    agents = tuple(Agent(f"r{i}", ("stay", "go", "look"), 2) for i in range(robots))
+    agents = tuple(Agent(name, ("stay", "go", "look"), 2) for name in names or [f"r{i}" for i in range(robots)])
     tensors = random_tensors("mixture", (3,) * robots, 2 * robots, np.random.default_rng(seed), 0.1)
     policy = OptionPolicy(agents, "mixture", False, tensors)
     policy.save(path)
@@ -48,7 +50,7 @@ class Rig:
         self.processes = {}
         self.node = rclpy.create_node("watcher", namespace=self.namespace)
         self.requests, self.grants, self.statuses, self.steps, self.diagnostics = [], [], [], [], []
-        self._listen(OptionRequest, "option_requests", lambda m: self.requests.append(request_of(m)))
+        self._listen(OptionRequest, "option_requests", self._on_request)
         self._given = defaultdict(dict)
         self._listen(OptionGrant, "option_grants", self._on_grant)
         self._listen(AgentStatus, "agent_status", self.statuses.append)
@@ -61,13 +63,17 @@ class Rig:
     def _listen(self, kind, topic, take, qos=EXCHANGE):
         self.node.create_subscription(kind, topic, take, qos)
 
+    def _on_request(self, message):
+        with contextlib.suppress(MessageError):  # tests send such ones
+            self.requests.append(request_of(message))
+
     def _on_grant(self, message):
         grant = grant_of(message)
         self.grants.append(grant)
         key = (grant.coordinator_epoch, grant.incarnation, grant.request_id)
         self._given[grant.agent, grant.status].setdefault(key, grant)
 
-    def _start(self, name, command, **parameters):
+    def start(self, name, command, **parameters):
         settings = [part for key, value in parameters.items() for part in ("-p", f"{key}:={value}")]
         names = ["-r", f"__ns:={self.namespace}", "-r", f"__node:={name}"]
         self.processes[name] = subprocess.Popen([*command, "--ros-args", *names, *settings, "--log-level", "error"])
@@ -78,12 +84,12 @@ class Rig:
         times = {"lease": LEASE, "lost_after": LOST_AFTER, "repeat": 0.05, "policy_limit": 10.0, "stale": 30.0}
         own = names or ("coordinator",)
         for name in own:
-            self._start(name, COORDINATOR, **({"policy": self.policy, "longest_option": 600.0} | times | parameters))
+            self.start(name, COORDINATOR, **({"policy": self.policy, "longest_option": 600.0} | times | parameters))
         for name in own:
             self.until(lambda name=name: self.status(name, said), f"the coordinator '{name}'")
 
-    def robot(self, name, **parameters):
-        self._start(name, ROBOT, robot=name, **parameters)
+    def robot(self, name, node=None, **parameters):
+        self.start(node or name, ROBOT, robot=name, **parameters)
 
     def signal(self, name, number):
         self.processes[name].send_signal(number)

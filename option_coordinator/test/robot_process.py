@@ -8,6 +8,7 @@ import numpy as np
 from ctrl_rl_core.parameters import Parameter
 from ctrl_rl_core.ros import SuiteNode, ok, run_node
 from option_coordinator.agent import OptionAgent
+from option_coordinator.clocks import STEADY, Clocks
 from option_coordinator.robot_side import Earned, Patience, Seen
 
 
@@ -18,6 +19,7 @@ class TestRobot(SuiteNode):
         Parameter("robot", "r0", "Name."),
         Parameter("lasts", 0.2, "How long each option lasts [s]."),
         Parameter("patience", 1.0, "Until it falls back [s]."),
+        Parameter("team", "", "Name of its team."),
         Parameter("broken", "", "What its observation is.", choices=("", "number", "size")),
     )
 
@@ -25,13 +27,15 @@ class TestRobot(SuiteNode):
         super().__init__("robot")
         self.running = None
         self.ends = math.inf
+        self.clocks = Clocks(self)
         patience = Patience(heartbeat=0.05, repeat=0.05, waiting=self.settings["patience"])
-        self.agent = OptionAgent(self, self.settings["robot"], ("stay", "go", "look"), self, patience=patience)
-        self.create_timer(0.005, self.work)
+        name, team = self.settings["robot"], self.settings["team"]
+        self.agent = OptionAgent(self, name, ("stay", "go", "look"), self, patience=patience, team=team)
+        self.create_timer(0.005, self.work, clock=STEADY)
         self.agent.start()
 
     def now(self):
-        return 1e-9 * self.get_clock().now().nanoseconds
+        return self.clocks().task
 
     def observe(self):
         broken = {"": np.zeros(2), "number": np.array((0.0, math.nan)), "size": np.zeros(3)}
