@@ -13,6 +13,11 @@ STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 """For timers that go on whatever happens to ROS's clock."""
 
 
+def steady_time() -> float:
+    """Return the time of a clock that nobody sets, and that goes on while the machine sleeps [s]."""
+    return time.clock_gettime(time.CLOCK_BOOTTIME)
+
+
 class Clocks:
     """Reads the clocks of a node.
 
@@ -28,8 +33,8 @@ class Clocks:
         self.task = TaskTime()
 
     def __call__(self) -> Instant:
-        """Return this moment. The steady clock also counts while the machine sleeps: the others do not."""
+        """Return this moment."""
         stamp = 1e-9 * float(self._clock.now().nanoseconds)
-        steady = time.clock_gettime(time.CLOCK_BOOTTIME)
+        steady = steady_time()
         simulated = isinstance(self._clock, ROSClock) and self._clock.ros_time_is_active
         return Instant(steady, self.task(stamp, steady, simulated), stamp)

@@ -44,7 +44,7 @@ _UNKNOWN_ROBOT = Refusal("unknown robot", "this team has no such robot")
 _TASK_OVER = Refusal("task over", "the task is over")
 _NOTHING_SAFE = Refusal("nothing safe", "policy failed, and the safe option is not legal")
 _LEAP = Refusal("request number leaps", "request_id grows by one per request: so many cannot have been missed")
-_LATE = 0.5
+LATE = 0.5
 _QUIET = 0.4
 _FROZEN = 8.0
 """Leases without a tick after which it listens before it goes on, how long it listens, and when it begins anew."""
@@ -244,7 +244,7 @@ class Coordinator:
     def _wake(self, now: Instant) -> None:
         """Notice that this coordinator has not run for a while: it is silent until it has heard what happened."""
         gap = (now.steady - self._ticked_at) / self._times.lease
-        if gap <= _LATE:
+        if gap <= LATE:
             return
         if now.steady >= self._quiet_until:
             self.counts["late ticks"] += 1

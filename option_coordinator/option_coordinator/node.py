@@ -16,8 +16,8 @@ from rclpy.duration import Duration
 
 from ctrl_rl_msgs.msg import AgentStatus, CoordinatorStatus, JointOptionStep, OptionGrant, OptionRequest
 from option_coordinator.choice import Choice, Chooses, policy_chooser
-from option_coordinator.clocks import STEADY, Clocks
-from option_coordinator.coordination import Coordinator
+from option_coordinator.clocks import STEADY, Clocks, steady_time
+from option_coordinator.coordination import LATE, Coordinator
 from option_coordinator.door import LONGEST_NAME, MessageError
 from option_coordinator.errors import OptionError
 from option_coordinator.exchange import Answers
@@ -103,6 +103,7 @@ class OptionCoordinator(SuiteNode):
         self._reported: Counter[str] = Counter()
         self._now = Clocks(self)
         self._began = False
+        self._held_up = LATE * times.lease
         chooses, digest = self._chooser(settings["policy"])
         self._coordinator = Coordinator(
             self._robots, chooses, digest, Instant(0.0, 0.0, 0.0), times, discount=discount, team=self._team_name()
@@ -153,7 +154,8 @@ class OptionCoordinator(SuiteNode):
 
     def stop(self) -> None:
         """Close the episode that is recorded; the word has arrived before the publisher goes."""
-        self._send(self._coordinator.close(self._now()))
+        now = self._now()
+        self._send(self._coordinator.close(now), now)
         self._steps.wait_for_all_acked(_LAST_WORD)
 
     def _prepare(self) -> tuple[Times, float]:
@@ -209,12 +211,14 @@ class OptionCoordinator(SuiteNode):
     def _on_request(self, message: bytes) -> None:
         request = self._read(request_in, message)
         if request is not None and self._listens():
-            self._send(self._coordinator.on_request(request, self._now()))
+            now = self._now()
+            self._send(self._coordinator.on_request(request, now), now)
 
     def _on_status(self, message: AgentStatus) -> None:
         status = self._read(status_of, message)
         if status is not None and self._listens():
-            self._send(self._coordinator.on_status(status, self._now()))
+            now = self._now()
+            self._send(self._coordinator.on_status(status, now), now)
 
     def _on_word(self, message: CoordinatorStatus) -> None:
         word = self._read(word_of, message)
@@ -236,15 +240,20 @@ class OptionCoordinator(SuiteNode):
 
     def _tick(self) -> None:
         if self._listens():
-            self._send(self._coordinator.tick(self._now()))
+            now = self._now()
+            self._send(self._coordinator.tick(now), now)
 
-    def _send(self, answers: Answers) -> None:
+    def _send(self, answers: Answers, decided: Instant) -> None:
+        """Publish answers; grants that were held up since they were decided come again, if they still hold."""
         for grant in answers.grants:
+            if steady_time() - decided.steady > self._held_up:
+                self._coordinator.counts["grants held up"] += 1
+                break
             self._grants.publish(grant_message(grant))
         for step in answers.steps:
             self._steps.publish(self._step_message(step))
         if answers.word is not None:
-            self._words.publish(word_message(answers.word, self._now().stamp))
+            self._words.publish(word_message(answers.word, decided.stamp))
         if self._coordinator.batches and self._batch.is_canceled():
             self._batch.reset()
 

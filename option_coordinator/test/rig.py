@@ -68,10 +68,11 @@ class Rig:
             self.requests.append(request_of(message))
 
     def _on_grant(self, message):
-        grant = grant_of(message)
-        self.grants.append(grant)
-        key = (grant.coordinator_epoch, grant.incarnation, grant.request_id)
-        self._given[grant.agent, grant.status].setdefault(key, grant)
+        with contextlib.suppress(MessageError):
+            grant = grant_of(message)
+            self.grants.append(grant)
+            key = (grant.coordinator_epoch, grant.incarnation, grant.request_id)
+            self._given[grant.agent, grant.status].setdefault(key, grant)
 
     def start(self, name, command, **parameters):
         settings = [part for key, value in parameters.items() for part in ("-p", f"{key}:={value}")]
