@@ -4,22 +4,17 @@ A coordinator listens for a lease before it decides anything, and for as long as
 it waits for a robot's first word: robots say what they run, and which epoch they have seen; its own is above that, and
 robots obey the highest only. What a robot says that it carries out is true: a grant that was on its way when a
 coordinator died is adopted, never doubled.
-
-A coordinator that has not run for half a lease, because it was frozen or the machine was busy, is silent for a while:
-another one may have taken over, and what that says is heard first.
 """
 
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from option_coordinator.choice import Choice, Chooses, choose_or_safe
 from option_coordinator.decision import NONE
-from option_coordinator.election import Election
 from option_coordinator.errors import OptionError
 from option_coordinator.exchange import (
     AgentState,
@@ -30,12 +25,12 @@ from option_coordinator.exchange import (
     Request,
     Status,
     Word,
-    same_team,
 )
 from option_coordinator.instant import Instant
 from option_coordinator.joint_policy import Options
 from option_coordinator.journal import Journal
-from option_coordinator.ledger import Entry, Ledger, State
+from option_coordinator.ledger import Entry, State
+from option_coordinator.member import Member
 from option_coordinator.options import slots
 from option_coordinator.refusal import Refusal, refusal_of
 from option_coordinator.robot import Robot, Times
@@ -44,13 +39,9 @@ _UNKNOWN_ROBOT = Refusal("unknown robot", "this team has no such robot")
 _TASK_OVER = Refusal("task over", "the task is over")
 _NOTHING_SAFE = Refusal("nothing safe", "policy failed, and the safe option is not legal")
 _LEAP = Refusal("request number leaps", "request_id grows by one per request: so many cannot have been missed")
-LATE = 0.5
-_QUIET = 0.4
-_FROZEN = 8.0
-"""Leases without a tick after which it listens before it goes on, how long it listens, and when it begins anew."""
 
 
-class Coordinator:
+class Coordinator(Member):
     """Decides for a team. Its methods return what is to be sent; `tick` is to be called often, each millisecond or so.
 
     Args:
@@ -64,10 +55,7 @@ class Coordinator:
         team: Name of the team; words of other teams mean nothing. Empty for unnamed: all words count.
 
     Attributes:
-        ledger: who runs what.
         digest: of the policy's file, empty for one that has none.
-        team: its name.
-        counts: how often what happened, for diagnostics.
     """
 
     def __init__(
@@ -83,40 +71,11 @@ class Coordinator:
     ) -> None:
         self._robots = {robot.agent.name: robot for robot in robots}
         self._index = {name: index for index, name in enumerate(self._robots)}
-        self._times = times or Times()
         self._policy, self.digest = policy, digest
-        self._discount, self.team = discount, team
-        self.counts: Counter[str] = Counter()
+        self._discount = discount
         self._observed = [np.zeros(robot.agent.observation_size, np.float32) for robot in robots]
         self._batch_at = math.inf
-        self._election = Election(now.steady, self._times.lease, seed)
-        self._quiet_until = -math.inf
-        self._forget(now)
-
-    def listen(self, now: Instant) -> None:
-        """Begin anew: decide nothing for a lease at least, hear who runs what, then take over."""
-        self._election.listen(now.steady)
-        self._forget(now)
-
-    @property
-    def epoch(self) -> int:
-        """Of this coordinator, 0 while it listens."""
-        return self._election.epoch
-
-    @property
-    def stands_by(self) -> bool:
-        """Whether it listens because another coordinator decides."""
-        return self._election.stands_by
-
-    @property
-    def epochs_not_believed(self) -> int:
-        """Number of times that an epoch was out of reach."""
-        return self._election.seen.refused
-
-    @property
-    def unheard(self) -> list[str]:
-        """Robots that have not said anything since this coordinator began to listen."""
-        return [entry.agent for entry in self.ledger if entry.phase is State.UNKNOWN]
+        super().__init__(self._robots, times or Times(), now, seed, team)
 
     @property
     def batches(self) -> bool:
@@ -128,21 +87,13 @@ class Coordinator:
         self._policy, self.digest = policy, digest
         self.counts["policies replaced"] += 1
 
-    def on_word(self, word: Word, now: Instant) -> None:
-        """Hear that a coordinator decides in an epoch: another one, or this one itself."""
-        if not same_team(word.team, self.team):
-            self.counts["words of other teams"] += 1
-            return
-        self._wake(now)
-        if self._election.on_word(word.epoch, now.steady):
-            self._step_down(now)
-
     def on_request(self, request: Request, now: Instant) -> Answers:
         """Take a request: it is decided, at once or by a `tick`, answered as before, or refused with a reason."""
         entry = self._entry(request)
         if entry is None:
             own = request.team == self.team != ""  # who names no team may be another one's
             return self._refuse(request, now, _UNKNOWN_ROBOT) if own and self._decides(now) else Answers()
+        self._wake(now)
         self._on_claim(entry, request.incarnation, request.coordinator_epoch, now)
         try:
             if not self._hear(entry, request.incarnation, now):
@@ -154,6 +105,9 @@ class Coordinator:
         if not self._decides(now):  # it asks again; what it runs, its status says
             if refusal is None:
                 self._observe(request)
+            return Answers()
+        if request.coordinator_epoch > self.epoch:  # it would not obey
+            self.counts["requests of higher epochs"] += 1
             return Answers()
         if entry.leaps(request.request_id):
             return self._refuse(request, now, _LEAP)
@@ -179,6 +133,7 @@ class Coordinator:
         entry = self._entry(status)
         if entry is None:
             return Answers()
+        self._wake(now)
         self._on_claim(entry, status.incarnation, status.coordinator_epoch, now)
         try:
             if not self._hear(entry, status.incarnation, now):
@@ -203,9 +158,7 @@ class Coordinator:
 
     def tick(self, now: Instant) -> Answers:
         """Let time pass: take over, decide, repeat what was not acknowledged, call off what takes too long."""
-        self._wake(now)
-        self._ticked_at = now.steady
-        if now.steady < self._quiet_until:  # nobody is lost whose heartbeats wait to be read
+        if self._quiet(now):
             return Answers()
         for entry in self.ledger:
             if entry.fall_silent(now.steady, self._times.lease, self._times.lost_after):
@@ -225,78 +178,20 @@ class Coordinator:
         """Cut the episode off: say so where it has begun and is not over."""
         return Answers(steps=[self._last_step(now, terminated=False)] if self.epoch and self._journal.open else [])
 
-    def _knows_enough(self, now: Instant) -> bool:
-        """Whether every robot was heard, or could have been: what is not heard yet may run something."""
-        return not self.unheard or now.steady >= self._began + self._times.lost_after
-
     def _forget(self, now: Instant) -> None:
-        self._began = self._ticked_at = now.steady
-        self.ledger = Ledger(self._robots)
+        super()._forget(now)
         self._journal = self._new_journal(now)
         self._open: dict[str, Request] = {}
         self._repeat_at: dict[str, float] = {}
         self._done: set[str] = set()
         self._batch_at = math.inf
 
+    def _forget_robot(self, agent: str) -> None:
+        self._open.pop(agent, None)
+        self._done.discard(agent)
+
     def _new_journal(self, now: Instant) -> Journal:
         return Journal(now.task, self._times.time_step, self._discount)
-
-    def _wake(self, now: Instant) -> None:
-        """Notice that this coordinator has not run for a while: it is silent until it has heard what happened."""
-        gap = (now.steady - self._ticked_at) / self._times.lease
-        if gap <= LATE:
-            return
-        if now.steady >= self._quiet_until:
-            self.counts["late ticks"] += 1
-        self._quiet_until = now.steady + _QUIET * self._times.lease
-        if self.epoch and gap > _FROZEN:
-            self._election.listen(now.steady)
-            self._step_down(now)
-
-    def _decides(self, now: Instant) -> bool:
-        """Whether this coordinator decides, and is sure of it."""
-        self._wake(now)
-        return bool(self.epoch) and now.steady >= self._quiet_until
-
-    def _entry(self, told: Request | Status) -> Entry | None:
-        """Return what is known of who says something, None where it is none of this team's."""
-        if not same_team(told.team, self.team):
-            self.counts["messages of other teams"] += 1
-            return None
-        if told.agent not in self._robots:
-            self.counts["messages of unknown robots"] += 1
-            return None
-        return self.ledger[told.agent]
-
-    def _on_claim(self, entry: Entry, incarnation: int, epoch: int, now: Instant) -> None:
-        """Note an epoch that a robot has seen; who decides goes by it once the robot has said so for a lease."""
-        if self.epoch and not entry.insists(epoch > self.epoch, incarnation, now.steady, self._times.lease):
-            return
-        if self._election.on_epoch(epoch, now.steady):
-            self._step_down(now)
-
-    def _step_down(self, now: Instant) -> None:
-        """Leave it to another one: what this one has granted may never have been obeyed."""
-        self.counts["stepped down"] += 1
-        self._forget(now)
-
-    def _hear(self, entry: Entry, incarnation: int, now: Instant) -> bool:
-        """Note a sign of life; return whether it counts.
-
-        Raises:
-            OptionError: it is one of a life that is over.
-        """
-        if entry.is_early(incarnation):
-            self.counts["second lives"] += 1
-            return False
-        before, lost = entry.incarnation, entry.silence is State.LOST
-        entry.heard(incarnation, now.steady)
-        if incarnation != before:
-            self._open.pop(entry.agent, None)
-            self._done.discard(entry.agent)
-        elif lost:
-            self.counts["returned robots"] += 1
-        return True
 
     def _observe(self, request: Request) -> None:
         self._observed[self._index[request.agent]] = np.asarray(request.observation, np.float32)

@@ -17,12 +17,13 @@ from rclpy.duration import Duration
 from ctrl_rl_msgs.msg import AgentStatus, CoordinatorStatus, JointOptionStep, OptionGrant, OptionRequest
 from option_coordinator.choice import Choice, Chooses, policy_chooser
 from option_coordinator.clocks import STEADY, Clocks, steady_time
-from option_coordinator.coordination import LATE, Coordinator
+from option_coordinator.coordination import Coordinator
 from option_coordinator.door import LONGEST_NAME, MessageError
 from option_coordinator.errors import OptionError
 from option_coordinator.exchange import Answers
 from option_coordinator.instant import Instant
 from option_coordinator.joint_policy import Options
+from option_coordinator.member import LATE
 from option_coordinator.messages import (
     EXCHANGE,
     StepMessages,

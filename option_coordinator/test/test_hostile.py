@@ -272,6 +272,17 @@ def test_who_was_frozen_hears_what_happened_before_it_decides():
         assert frozen.core.epoch != old or not frozen.core.epoch
 
 
+def test_a_request_of_a_higher_epoch_is_not_granted_in_a_lower_one():
+    team = Team(8)
+    team.advance(1.5)
+    core, side = team.coordinators[0].core, team.robots["r0"].side
+    above = core.epoch + (1 << 32)
+    seen, legal = np.zeros(2, np.float32), np.zeros(0, bool)
+    request = Request(team.now, "r0", side.incarnation, side.request_id + 1, above, seen, legal)
+    assert core.on_request(request, at(team.now)).grants == []
+    assert core.counts["requests of higher epochs"] == 1
+
+
 def test_a_thawed_coordinator_that_nobody_has_replaced_goes_on_in_its_epoch():
     team = Team(7)
     team.advance(1.5)

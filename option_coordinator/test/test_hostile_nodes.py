@@ -3,6 +3,7 @@
 import math
 import signal
 import sys
+import time
 from collections import Counter
 from pathlib import Path
 
@@ -154,16 +155,12 @@ def test_a_thawed_coordinator_grants_nothing_in_its_dead_epoch(rig):
             rig.until(lambda dead=dead: rig.grants[-1].coordinator_epoch > dead, "the other one takes over")
             goes_on(rig)
         finally:
-            known = {decision(grant) for grant in rig.grants}
+            heard, thawed = len(rig.grants), time.time()
             rig.signal(frozen, signal.SIGCONT)
         goes_on(rig, grants=20)
-        after = {decision(grant) for grant in rig.grants} - known
-        assert all(epoch > dead for epoch, *_ in after), "it decided in an epoch that was over"
-
-
-def decision(grant):
-    """What tells decisions apart; an old one may be repeated by who has taken over, where a robot asks again for it."""
-    return grant.coordinator_epoch, grant.agent, grant.incarnation, grant.request_id, grant.grant_id
+        # What it had decided before may be on its way still.
+        late = [grant for grant in rig.grants[heard:] if grant.coordinator_epoch <= dead and grant.stamp > thawed]
+        assert not late, "it decided in an epoch that was over"
 
 
 def test_giant_and_broken_requests_are_dropped_and_starve_nobody(rig):
