@@ -10,14 +10,16 @@ from pathlib import Path
 from typing import Any
 
 import rclpy
+from rclpy._rclpy_pybind11 import RCLError
 from rclpy.duration import Duration
+from rclpy.exceptions import InvalidTopicNameException
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.signals import SignalHandlerOptions
 from rosgraph_msgs.msg import Clock
 from tqdm import tqdm
 
-from ctrl_rl_core.bag_door import BagError
+from ctrl_rl_core.bag_door import BagError, printable, reason
 from ctrl_rl_core.bag_reader import BagInfo, RawMessage, bag_info, read_raw
 from ctrl_rl_core.mcap_records import DEFAULT_LIMITS, Limits
 from ctrl_rl_core.message_types import UnknownTypeError, message_class
@@ -175,10 +177,13 @@ def _publishers(node: Node, info: BagInfo, how: Playback, warn: Callable[[str], 
         try:
             kind: Any = message_class(topic.type)
         except UnknownTypeError as error:
-            warn(f"{name} is not played: {error}")
+            warn(f"{printable(name)} is not played: {error}")
             continue
         qos = offer(topic.qos, _LATCHED_DEPTH if is_latched(topic.qos) else _DEPTH)
-        out[name] = node.create_publisher(kind, how.remap.get(name, name), qos)
+        try:
+            out[name] = node.create_publisher(kind, how.remap.get(name, name), qos)
+        except (InvalidTopicNameException, RCLError) as error:
+            warn(f"{printable(name)} is not played: {reason(error)}")
     if not out:
         raise BagError(f"{info.folder}: there is nothing to play")
     return out

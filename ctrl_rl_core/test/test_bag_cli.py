@@ -235,3 +235,16 @@ class TestQos:
         assert (mixed.reliability, mixed.durability) == (ReliabilityPolicy.RELIABLE, DurabilityPolicy.TRANSIENT_LOCAL)
         assert offer([to_bag(BEST_EFFORT)], 7).reliability == ReliabilityPolicy.BEST_EFFORT
         assert offer([], 7).reliability == ReliabilityPolicy.RELIABLE
+
+
+@pytest.mark.fault
+def test_a_topic_whose_name_is_none_is_not_played(tmp_path):
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.add_topic(string_topic("/bad name\n", LATCHED))
+        writer.write("/bad name\n", text("hi"), 1)
+    process = play(tmp_path / "bag")
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 1
+    first, second = errors.strip().splitlines()
+    assert first.startswith("bag play: /bad name\\n is not played: Invalid topic name")
+    assert second.endswith("there is nothing to play")
