@@ -218,6 +218,10 @@ class McapReader:
             return False
         if not self.counts.keys() <= self.channels.keys():
             raise DamagedError("its summary counts messages of an unknown channel")
+        offsets, lengths = (np.array(column, np.uint64) for column in (self._chunks.offset, self._chunks.length))
+        order = np.argsort(offsets)
+        if np.any(offsets[order][:-1] + lengths[order][:-1] > offsets[order][1:]):
+            raise DamagedError("its index has a chunk twice")
         for offset, size in texts:
             self._read_metadata(offset, size)
         return True

@@ -362,3 +362,17 @@ def test_a_header_of_another_kind(tmp_path):
         path.write_bytes(content)
         with pytest.raises(BagError, match=words):
             bag_info(path)
+
+
+def test_a_chunk_that_is_in_the_index_twice(tmp_path):
+    path = write_texts(tmp_path / "bag") / "bag_0.mcap"
+    data = path.read_bytes()
+    opcode, size, start, offsets, _ = struct.unpack_from("<BQQQI", data, len(data) - 37)
+    at = start
+    while data[at] != 8:  # the first chunk index
+        at += 9 + struct.unpack_from("<Q", data, at + 1)[0]
+    record = data[at : at + 9 + struct.unpack_from("<Q", data, at + 1)[0]]
+    footer = struct.pack("<BQQQI", opcode, size, start, offsets + 1000 * len(record), 0)
+    path.write_bytes(data[:at] + 1000 * record + data[at:-37] + footer + MAGIC)
+    with pytest.raises(BagError, match="a chunk twice"):
+        bag_info(path)
