@@ -27,6 +27,7 @@ from ctrl_rl_core.units import Interval
 from numpy.typing import NDArray
 
 from ttr_reward_node.decomposed_value import DecomposedValue
+from ttr_reward_node.dependence import dependences
 from ttr_reward_node.errors import TimeToReachError
 from ttr_reward_node.problem import Clearance, Problem, problem_from_task
 from ttr_reward_node.solution import Progress, Solution
@@ -156,23 +157,12 @@ def join(
 
 
 def _needs(problem: Problem) -> list[set[str]]:
-    """Return for each state which states and controls its derivative depends on, found by changing them one by one."""
-    random, samples, system = np.random.default_rng(0), 64, problem.system
-    lower, upper = np.array([(axis.lower, axis.upper) for axis in problem.axes]).T
-    # Beyond the bounds too: a control that is held still counts as needed.
-    low, high = system.control_bounds
-    x, u = random.uniform(lower, upper, (samples, len(lower))), random.uniform(low, high + 1.0, (samples, len(low)))
-    rates = system.dynamics(x, u)
-    needs: list[set[str]] = [set() for _ in system.states]
-    for k, name in enumerate((*system.state_names, *system.control_names)):
-        other_x, other_u = x.copy(), u.copy()
-        if k < len(lower):
-            other_x[:, k] = random.uniform(lower[k], upper[k], samples)
-        else:
-            other_u[:, k - len(lower)] = random.uniform(low[k - len(lower)], high[k - len(lower)] + 1.0, samples)
-        for i in np.flatnonzero((system.dynamics(other_x, other_u) != rates).any(axis=0)):
-            needs[i].add(name)
-    return needs
+    """Return for each state which states and controls its derivative depends on; controls that are held count."""
+    system = problem.system
+    return [
+        {system.state_names[k] for k in rate.states} | {system.control_names[k] for k in rate.controls}
+        for rate in dependences(system, hold=False)
+    ]
 
 
 def _part(problem: Problem, states: tuple[str, ...], borrowed: tuple[str, ...], used: tuple[str, ...]) -> Problem:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ttr_reward_node.compiled import kernels
+from ttr_reward_node.dependence import check_affine_controls
 from ttr_reward_node.memory import require
 from ttr_reward_node.problem import Problem
 from ttr_reward_node.semi_lagrangian import flat, make_grid
@@ -40,6 +41,7 @@ def solve(
     progress: Progress | None = None,
 ) -> Sweeps:
     """Solve; see `solver.solve`."""
+    check_affine_controls(problem.system)
     require(memory_needed(problem), problem.points)
     layout = make_layout(problem)
     # f is affine in control and disturbance: their vertices give the Hamiltonian exactly.

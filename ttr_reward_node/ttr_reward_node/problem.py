@@ -28,6 +28,7 @@ from ctrl_rl_core.tasks import NavigationTask, load_navigation_task, task_digest
 from ctrl_rl_core.units import Interval, parse_interval
 from numpy.typing import NDArray
 
+from ttr_reward_node.dependence import check_game
 from ttr_reward_node.errors import TimeToReachError
 from ttr_reward_node.obstacles import make_clearance
 
@@ -98,6 +99,7 @@ class Problem:
             raise TimeToReachError(f"the target bounds '{min(unknown)}'; the states are {', '.join(names)}")
         if self.target.disc is not None and len(position_indices(names)) < 2:
             raise TimeToReachError(f"the target is a disc, but {self.system.name} has no plane of two positions")
+        check_game(self.system)
         if self.clearance is not None:
             _check_clearance(self.clearance, self.axes)
         if not self.digest:

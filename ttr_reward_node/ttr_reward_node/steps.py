@@ -15,10 +15,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from ctrl_rl_core.grid_axis import Axis
 from ctrl_rl_core.systems import System
 from numpy.typing import NDArray
 
+from ttr_reward_node.dependence import dependences
 from ttr_reward_node.problem import Problem
 
 _BLOCK = 1 << 16  # steps that are computed at once
@@ -71,9 +71,9 @@ class Steps:
 
 def make_layout(problem: Problem) -> Layout:
     """Find out which axes f depends on."""
-    depends = _dependence(problem.system, problem.axes)
-    outer = tuple(int(k) for k in np.flatnonzero(depends))
-    inner = tuple(int(k) for k in np.flatnonzero(~depends))
+    depends = frozenset[int]().union(*(rate.states for rate in dependences(problem.system)))
+    outer = tuple(k for k in range(len(problem.axes)) if k in depends)
+    inner = tuple(k for k in range(len(problem.axes)) if k not in depends)
     axes = [problem.axes[k] for k in outer + inner]
     counts, periodic = [axis.count for axis in axes], [axis.periodic for axis in axes]
     if not inner:
@@ -168,22 +168,6 @@ def _useful(
     vertex = np.isin(problem.system.control_samples(problem.control_counts), problem.system.control_bounds)
     short = durations < _STIFF * longest * np.asarray(cells)[:, None]
     return np.asarray(vertex.all(axis=-1) | ~short.all(axis=(0, 1, 2)))
-
-
-def _dependence(system: System, axes: tuple[Axis, ...], samples: int = 64) -> NDArray[np.bool_]:
-    """Which state components f depends on, found by changing one at a time at random states."""
-    random = np.random.default_rng(0)
-    lower, upper = np.array([(axis.lower, axis.upper) for axis in axes]).T
-    x = random.uniform(lower, upper, (samples, len(axes)))
-    low, high = system.control_bounds
-    u = random.uniform(low, high, (samples, len(system.controls)))
-    rates = system.dynamics(x, u)
-    depends = np.zeros(len(axes), dtype=bool)
-    for k in range(len(axes)):
-        other = x.copy()
-        other[:, k] = random.uniform(lower[k], upper[k], samples)
-        depends[k] = not np.array_equal(rates, system.dynamics(other, u))
-    return depends
 
 
 def _longest(
