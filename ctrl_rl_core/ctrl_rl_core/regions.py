@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from ctrl_rl_core.geometry import Disc
 from ctrl_rl_core.units import Interval
 
-ANGLES = frozenset({"theta", "psi", "heading"})
+ANGLES = frozenset({"theta", "phi", "psi", "heading"})
 """State components on the circle: an interval of them is met by any equal angle."""
 
 

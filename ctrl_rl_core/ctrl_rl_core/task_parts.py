@@ -29,19 +29,12 @@ from ctrl_rl_core.units import (
 )
 
 STATE_UNITS: Mapping[str, str] = {
-    "x": "m",
-    "y": "m",
-    "z": "m",
-    "theta": "rad",
-    "psi": "rad",
-    "v": "m/s",
-    "v_x": "m/s",
-    "v_z": "m/s",
-    "omega": "rad/s",
+    **{state.name: state.unit for model in SYSTEM_MODELS.values() for state in model.states},
     "s": "m",
     "lateral": "m",
     "heading": "rad",
 }
+"""Units of the states of all system models, and of the coordinates along a corridor's path."""
 COMMAND_UNITS: Mapping[str, str] = {"v": "m/s", "omega": "rad/s", "T_1": "N", "T_2": "N"}
 """Commands of the bodies: speeds of a differential drive, thrusts of a planar quadrotor."""
 BODY_RADII: Mapping[str, float] = {"turtlebot3_burger": 0.123, "turtlebot2": 0.177, "planar_quadrotor": 0.4191}

@@ -70,8 +70,8 @@ def test_joined_by_the_maximum(quadrotor):
 @given(x=st.floats(-4.5, 4.5), y=st.floats(-4.5, 4.5), theta=st.floats(-3.1, 3.1))
 def test_lower_bound_of_the_exact_time(x, y, theta):
     state = np.array([[x, y, theta]])
-    exact, pose = dubins.to_box(state, BOX, 9, 6)
-    assume(dubins.stays_in(state, pose, -5.0, 5.0)[0])
+    exact, path = dubins.to_box(state, BOX)
+    assume(dubins.stays_in(state, path, -5.0, 5.0)[0])
     # Where the time jumps, the grid blurs it by a cell.
     cells = np.stack(np.meshgrid(*([-step, 0.0, step] for step in (0.2, 0.2, 2.0 * np.pi / 36.0))), axis=-1)
     assert car_bound().value(state + cells.reshape(-1, 3)).min() <= exact[0] + 0.05

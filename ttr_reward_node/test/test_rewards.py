@@ -5,15 +5,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from ctrl_rl_core.geometry import Disc
 from ctrl_rl_core.grid_axis import Axis
 from ctrl_rl_core.outcome import Outcome
-from ctrl_rl_core.task_parts import RewardSpec
+from ctrl_rl_core.regions import Region
+from ctrl_rl_core.task_parts import RegionSpec, RewardSpec
 from ctrl_rl_core.tasks import load_navigation_task, task_digest
+from ctrl_rl_core.units import Interval
 from ctrl_rl_core.value_function import ValueFunctionError
 from ctrl_rl_core.value_grid import ValueGrid
 from hypothesis import given
 from hypothesis import strategies as st
 from ttr_reward_node.errors import TimeToReachError
+from ttr_reward_node.labels import Labeller
 from ttr_reward_node.rewards import (
     DISTANCE_WEIGHTS,
     REWARDS,
@@ -118,3 +122,34 @@ def test_what_is_missing_or_unknown_is_said():
         make_reward("ttr", CAR)
     with pytest.raises(TimeToReachError, match="no reward 'dense': there are sparse"):
         make_reward("dense", CAR)
+
+
+def test_a_disc_has_a_middle_too():
+    goal = Region({"theta": Interval(0.5, 1.0)}, Disc((4.0, 4.0), 0.5))
+    assert distance_reward([[0.0, 1.0, 0.75]], NAMES, goal, 10.0)[0] == pytest.approx(-5.0)
+    assert distance_reward([[4.0, 4.0, 1.75]], NAMES, goal, 10.0)[0] == pytest.approx(-math.sqrt(10.0))
+
+
+@pytest.mark.parametrize(
+    ("goal", "words"),
+    [
+        ({"disc": {"centre": "(4, 4) m", "radius": "1 m"}}, "interval of one angle"),
+        ({"x": "3 .. 4 m", "theta": "0 .. 1 rad"}, "a disc, or with intervals of two positions"),
+    ],
+)
+def test_a_distance_to_a_goal_without_a_middle_is_refused_before_anything_is_learnt(goal, words):
+    task = CAR.model_copy(update={"goal": RegionSpec.model_validate(goal)})
+    with pytest.raises(TimeToReachError, match=words):
+        make_reward("distance_1", task)
+    assert make_reward("sparse", task).name == "sparse"
+
+
+@pytest.mark.fault
+@pytest.mark.parametrize(
+    "values", [np.full((3, 3, 4), np.inf), np.where(np.arange(4) > 1, np.inf, np.zeros((3, 3, 4)))]
+)
+def test_a_value_that_knows_no_way_is_refused(values):
+    with pytest.raises(TimeToReachError, match="nothing outside the goal reaches it"):
+        make_reward("ttr", CAR, car_value(values))
+    with pytest.raises(TimeToReachError, match="nothing outside the goal reaches it"):
+        Labeller(CAR, car_value(values))

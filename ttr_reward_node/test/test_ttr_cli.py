@@ -92,3 +92,17 @@ def test_a_function_is_checked_in_its_own_task(tmp_path, capsys):
         error = capsys.readouterr().err
         assert words in error
         assert error.count("\n") == 1
+
+
+def test_check_names_the_cause_of_collisions(tmp_path, capsys):
+    graze, wide = tmp_path / "graze.safetensors", tmp_path / "wide.safetensors"
+    finer = ["--count", "x=51", "y=51", "theta=36"]
+    assert solve_value(["--task", "car_ttr", *finer, "--output", str(graze)]) == 0
+    assert solve_value(["--task", "car_ttr", *finer, "--robot-size", "--output", str(wide)]) == 0
+    capsys.readouterr()
+    assert check([str(graze), "--starts", "200"]) == 0
+    said = capsys.readouterr().out
+    assert "obstacles were widened by 0 m, so the shortest paths graze them" in said
+    assert "solve again with --robot-size (0.177 m), or with --inflation 0.1 or more" in said
+    assert check([str(wide), "--starts", "200"]) == 0
+    assert "--robot-size" not in capsys.readouterr().out

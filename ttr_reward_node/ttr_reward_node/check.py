@@ -1,6 +1,6 @@
 """Check a time to reach by driving: the greedy policy should arrive, and take as long as promised.
 
-result = check_value(load_value("car_ttr.safetensors"), load_navigation_task("car_ttr"))
+result, _ = check_value(load_value("car_ttr.safetensors"), load_navigation_task("car_ttr"))
 result["reached"], result["ratio_median"]
 """
 
@@ -25,6 +25,8 @@ from ttr_reward_node.roll_out import RollOuts, roll_out
 from ttr_reward_node.solution import Progress
 from ttr_reward_node.solver import solve
 
+_FEW = 0.02
+"""Roll-outs that may collide without a word about the cause."""
 _MOST_DRAWS = 1000
 """Random states drawn for each that is wanted, before it gives up."""
 
@@ -80,8 +82,10 @@ def check_task(
 
 def check_value(
     value: ValueFunction, task: NavigationTask, *, width: float | None = None, states: int = 1000, seed: int = 0
-) -> dict[str, float]:
-    """Drive from random states by a value function of a task, in the task's world; see `check_task`.
+) -> tuple[dict[str, float], Problem]:
+    """Drive from random states by a value function of a task, in the task's world, and return figures and problem.
+
+    Figures are those of `check_task`.
 
     Args:
         value: to be checked.
@@ -102,8 +106,10 @@ def check_value(
         inflation=float(value.grids[0].notes.get("inflation", 0.0)),
         width=width,
     )
-    world = task.build_world(width)
-    return summary(roll_out(value, problem, random_starts(value, problem, states, seed, world=world), world=world))
+    # A system without positions has no walls either.
+    world = None if problem.clearance is None else task.build_world(width)
+    starts = random_starts(value, problem, states, seed, world=world)
+    return summary(roll_out(value, problem, starts, world=world)), problem
 
 
 def random_starts(
@@ -136,6 +142,25 @@ def as_line(figures: Mapping[str, float]) -> str:
     return (
         f"reached {100 * figures['reached']:5.1f} %  collided {100 * figures['collided']:4.1f} %  executed/predicted "
         f"median {figures['ratio_median']:.4f}, 95 % {figures['ratio_p95']:.4f}"
+    )
+
+
+def advice(figures: Mapping[str, float], problem: Problem, radius: float) -> str:
+    """Return why roll-outs collide and what to do about it; empty where they hardly do, or with a margin.
+
+    Args:
+        figures: of the roll-outs.
+        problem: whose clearance was used, with its inflation.
+        radius: of the robot [m].
+    """
+    if problem.clearance is None:
+        return ""
+    margin = 0.5 * max(problem.axes[k].spacing for k in problem.clearance.axes)
+    if figures["collided"] <= _FEW or problem.inflation >= margin:
+        return ""
+    return (
+        f"cause      obstacles were widened by {problem.inflation:g} m, so the shortest paths graze them\n"
+        f"mend       solve again with --robot-size ({radius:g} m), or with --inflation {margin:.2g} or more"
     )
 
 

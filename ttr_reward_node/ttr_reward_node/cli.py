@@ -9,9 +9,11 @@ from pathlib import Path
 
 from ctrl_rl_core.command import check_least, run_command
 from ctrl_rl_core.tasks import load_navigation_task
+from ctrl_rl_core.value_grid import ValueGrid
 from tqdm import tqdm
 
-from ttr_reward_node.check import as_line, check_value
+from ttr_reward_node.check import advice, as_line, check_value
+from ttr_reward_node.decomposed_value import DecomposedValue
 from ttr_reward_node.decomposition import DECOMPOSITIONS, find_decomposition, join, split
 from ttr_reward_node.errors import TimeToReachError
 from ttr_reward_node.labels import Labeller
@@ -19,7 +21,7 @@ from ttr_reward_node.memory import gigabytes
 from ttr_reward_node.problem import Problem, problem_from_task
 from ttr_reward_node.relabel import relabel
 from ttr_reward_node.solution import Solution
-from ttr_reward_node.solver import METHODS, memory_needed, solve
+from ttr_reward_node.solver import METHODS, check_reached, memory_needed, solve
 from ttr_reward_node.value_file import load_value
 
 
@@ -122,12 +124,14 @@ def _solve(options: argparse.Namespace) -> int:
         raise TimeToReachError(f"{output}: there is no folder {output.parent}: make it, or name another with --output")
     if options.decomposition is None:
         solutions = [_solve_one(problem, options)]
-        solutions[0].grid.save(output, overwrite=options.overwrite)
+        value: ValueGrid | DecomposedValue = solutions[0].grid
     else:
         decomposition = find_decomposition(problem.system, options.decomposition)
         subsystems = split(problem, decomposition)
         solutions = [_solve_one(part.problem, options) for part in subsystems]
-        join(decomposition, problem, subsystems, solutions).save(output, overwrite=options.overwrite)
+        value = join(decomposition, problem, subsystems, solutions)
+    check_reached(problem, value)
+    value.save(output, overwrite=options.overwrite)
     print(f"file       {output}")
     return 0 if all(solution.converged for solution in solutions) else 1
 
@@ -146,7 +150,7 @@ def _solve_one(problem: Problem, options: argparse.Namespace) -> Solution:
     state = "converged" if solution.converged else "NOT converged (allow more with --max-sweeps)"
     print(f"solved     {state} after {solution.sweeps} sweeps, {solution.cpu_seconds:.2f} s CPU")
     print(f"residual   {solution.residual:.2g} s, the largest change of the last sweep")
-    print(f"reachable  {100 * solution.reachable:.1f} % of the nodes")
+    print(f"reachable  {100 * solution.reachable:.1f} % of the nodes", flush=True)
     return solution
 
 
@@ -154,8 +158,10 @@ def _check(options: argparse.Namespace) -> int:
     check_least(options, starts=1)
     value = load_value(options.file)
     task = load_navigation_task(options.task or value.task)
-    found = check_value(value, task, width=options.width, states=options.starts, seed=options.seed)
+    found, problem = check_value(value, task, width=options.width, states=options.starts, seed=options.seed)
     print(as_line(found))
+    if cause := advice(found, problem, task.robot.radius):
+        print(cause)
     return 0 if options.at_least is None or found["reached"] >= options.at_least else 1
 
 

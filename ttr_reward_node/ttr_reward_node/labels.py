@@ -12,7 +12,7 @@ from ctrl_rl_core.tasks import NavigationTask
 from ctrl_rl_core.value_function import ValueFunction, check_function
 from numpy.typing import NDArray
 
-from ttr_reward_node.rewards import KIND, end_reward, longest_time, time_to_reach_reward
+from ttr_reward_node.rewards import KIND, check_useful, end_reward, longest_time, time_to_reach_reward
 
 
 class Label(NamedTuple):
@@ -36,10 +36,12 @@ class Labeller:
     Raises:
         TaskError: the width does not suit the task.
         ValueFunctionError: the function does not belong to the task.
+        TimeToReachError: the function knows of no way to the goal.
     """
 
     def __init__(self, task: NavigationTask, function: ValueFunction, width: float | None = None) -> None:
         self.up_to_date = check_function(function, task, KIND)
+        check_useful(function)
         self._sets = TaskSets(task, width)
         self._rewards = task.rewards
         self._longest = longest_time(function)

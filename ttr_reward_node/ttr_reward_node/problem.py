@@ -13,6 +13,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
@@ -20,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from ctrl_rl_core.geometry import World
 from ctrl_rl_core.grid_axis import Axis
 from ctrl_rl_core.regions import Region, position_indices
 from ctrl_rl_core.systems import System
@@ -31,6 +33,7 @@ from numpy.typing import NDArray
 from ttr_reward_node.dependence import check_game
 from ttr_reward_node.errors import TimeToReachError
 from ttr_reward_node.obstacles import make_clearance
+from ttr_reward_node.problem_checks import check_clearance, check_system, check_target
 
 _MOST_DIMENSIONS = 6  # the kernels' tables have room for the 2^6 corners of a cell
 _STRAIGHT = 1e-9
@@ -61,7 +64,7 @@ class Problem:
         control_counts: samples of each control between its bounds. Two are enough for the Hamiltonian of a system that
             is affine in u; the third, the middle, saves switching to and fro between the bounds.
         name: of the task.
-        digest: SHA-256 of the task; of system, axes and target where left out.
+        digest: SHA-256 of the task; empty where there is no task file, see `content_digest`.
         inflation: by how much the clearance has been reduced [m], for the record.
         corridor_width: of the task's corridor [m], for the record; None without one.
 
@@ -94,16 +97,23 @@ class Problem:
         for axis, state in zip(self.axes, self.system.states, strict=True):
             if axis.periodic and not state.periodic:
                 raise TimeToReachError(f"axis '{axis.name}' is periodic, but the state is not")
-        unknown = set(self.target.intervals) - set(names)
-        if unknown:
-            raise TimeToReachError(f"the target bounds '{min(unknown)}'; the states are {', '.join(names)}")
-        if self.target.disc is not None and len(position_indices(names)) < 2:
-            raise TimeToReachError(f"the target is a disc, but {self.system.name} has no plane of two positions")
+        check_system(self.system)
         check_game(self.system)
+        check_target(self.target, self.axes)
         if self.clearance is not None:
-            _check_clearance(self.clearance, self.axes)
-        if not self.digest:
-            object.__setattr__(self, "digest", self._own_digest())
+            check_clearance(self.clearance.axes, self.clearance.values, self.axes)
+        for what, number in (("inflation", self.inflation), ("corridor_width", self.corridor_width)):
+            if number is not None and not (math.isfinite(number) and number >= 0.0):
+                raise TimeToReachError(f"{what} is {number:g} m: it must be 0 or more")
+        if self.digest and not re.fullmatch("[0-9a-f]{64}", self.digest):
+            raise TimeToReachError(
+                f"the digest is '{self.digest[:80]}': give a SHA-256, 64 hexadecimal digits, or none"
+            )
+
+    @cached_property
+    def content_digest(self) -> str:
+        """SHA-256 of the task; without one that of system, axes, target and, where there is one, clearance."""
+        return self.digest or self._own_digest()
 
     @cached_property
     def counts(self) -> tuple[int, ...]:
@@ -155,6 +165,9 @@ class Problem:
             "axes": [asdict(axis) for axis in self.axes],
             "target": [dict(self.target.intervals), None if self.target.disc is None else asdict(self.target.disc)],
         }
+        if self.clearance is not None:  # without one the digest is that of earlier versions
+            values = np.ascontiguousarray(self.clearance.values, dtype="<f4")
+            content["clearance"] = [list(self.clearance.axes), hashlib.sha256(values.tobytes()).hexdigest()]
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
@@ -193,22 +206,36 @@ def problem_from_task(
     if disturbances:
         system = with_disturbances(system, disturbances)
     axes = _axes(task, system, counts)
-    plane = tuple(position_indices(system.state_names))
     world = task.build_world(width)
-    arena = None if task.arena is None else task.arena.bounds
-    shapes = world.obstacles if arena is not None else (*world.walls, *world.obstacles)
-    clearance = make_clearance(shapes, arena, [axes[k] for k in plane], inflation)
     return Problem(
         system=system,
         axes=axes,
         target=task.goal.region if task.corridor is None else _corridor_goal(task, task.corridor, width),
-        clearance=Clearance(plane, clearance),
+        clearance=_clearance(task, axes, world, inflation),
         control_counts=control_counts,
         name=task.name,
         digest=task_digest(task),
         inflation=inflation,
         corridor_width=world.width,
     )
+
+
+def _clearance(task: NavigationTask, axes: tuple[Axis, ...], world: World, inflation: float) -> Clearance | None:
+    """Return the clearance of a task's walls and obstacles; None for a system without positions."""
+    names = [axis.name for axis in axes]
+    plane = tuple(position_indices(names))
+    walls = "xy" if task.arena is None or task.arena.z is None else "xz"
+    if not plane and not world.obstacles:
+        return None
+    if [names[k] for k in plane] != list(walls):
+        own = ", ".join(names[k] for k in plane) or "none"
+        raise TimeToReachError(
+            f"task '{task.name}': walls and obstacles lie in {walls[0]} and {walls[1]}; the positions of "
+            f"{task.system.model} are {own}"
+        )
+    arena = None if task.arena is None else task.arena.bounds
+    shapes = world.obstacles if arena is not None else (*world.walls, *world.obstacles)
+    return Clearance(plane, make_clearance(shapes, arena, [axes[k] for k in plane], inflation))
 
 
 def with_disturbances(system: System, bounds: Mapping[str, Sequence[float]]) -> System:
@@ -269,11 +296,3 @@ def _axes(task: NavigationTask, system: System, counts: Sequence[int] | Mapping[
         count = counts.get(state.name, spec.count)
         axes.append(Axis(state.name, state.unit, interval.low, interval.high, count, state.periodic))
     return tuple(axes)
-
-
-def _check_clearance(clearance: Clearance, axes: tuple[Axis, ...]) -> None:
-    if not 1 <= len(clearance.axes) <= 2 or list(clearance.axes) != sorted(set(clearance.axes)):
-        raise TimeToReachError(f"the clearance spans axes {clearance.axes}; give one or two, ascending")
-    counts = tuple(axes[k].count for k in clearance.axes)
-    if clearance.values.shape != counts:
-        raise TimeToReachError(f"the clearance has shape {clearance.values.shape}; its axes have {counts}")

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from ctrl_rl_core.outcome import Outcome
-from ctrl_rl_core.regions import ANGLES, Region, wrap
+from ctrl_rl_core.regions import ANGLES, Region, position_indices, wrap
 from ctrl_rl_core.task_parts import RewardSpec
 from ctrl_rl_core.tasks import NavigationTask
 from ctrl_rl_core.value_function import ValueFunction, check_function
@@ -55,23 +55,37 @@ def distance_reward(states: ArrayLike, names: Sequence[str], goal: Region, weigh
     Args:
         states: (N, n) in SI units.
         names: of the state's components.
-        goal: intervals of two positions and, where `weight` is not 0, of one angle.
+        goal: a disc, or intervals of two positions; and, where `weight` is not 0, an interval of one angle.
         weight: lambda [m^2/rad^2].
 
     Raises:
-        TimeToReachError: the goal has no interval of a position, or of an angle where one is weighted.
+        TimeToReachError: the goal has no such middle.
     """
     states = np.asarray(states, dtype=float)
+    positions, angles = _middle(names, goal, weight)
     squared = np.zeros(states.shape[:-1])
-    positions = [name for name in goal.intervals if name in ("x", "y", "z")]
-    angles = [name for name in goal.intervals if name in ANGLES] if weight else []
-    if len(positions) != 2 or (weight and len(angles) != 1):
-        raise TimeToReachError("a distance reward needs a goal with intervals of two positions and one angle")
-    for name in positions:
-        squared += (states[..., names.index(name)] - goal.intervals[name].centre) ** 2
-    for name in angles:
-        squared += weight * wrap(states[..., names.index(name)] - goal.intervals[name].centre) ** 2
+    for name, centre in positions.items():
+        squared += (states[..., names.index(name)] - centre) ** 2
+    for name, centre in angles.items():
+        squared += weight * wrap(states[..., names.index(name)] - centre) ** 2
     return -np.sqrt(squared)
+
+
+def _middle(names: Sequence[str], goal: Region, weight: float) -> tuple[dict[str, float], dict[str, float]]:
+    """Return the middle of a goal: two positions by name and, where `weight` is not 0, an angle by name.
+
+    Raises:
+        TimeToReachError: it has no middle.
+    """
+    angles = {name: goal.intervals[name].centre for name in goal.intervals if name in ANGLES} if weight else {}
+    positions = {name: goal.intervals[name].centre for name in goal.intervals if name in ("x", "y", "z")}
+    if goal.disc is not None:
+        positions = dict(zip((names[k] for k in position_indices(names)), goal.disc.centre, strict=True))
+    if len(positions) != 2:
+        raise TimeToReachError("a distance reward needs a goal with a disc, or with intervals of two positions")
+    if weight and len(angles) != 1:
+        raise TimeToReachError("a distance reward that weighs the angle needs a goal with an interval of one angle")
+    return positions, angles
 
 
 def end_reward(outcomes: ArrayLike, rewards: RewardSpec, tilted: ArrayLike = False) -> Array:
@@ -132,17 +146,35 @@ def make_reward(name: str, task: NavigationTask, value: ValueFunction | None = N
         value: the task's time to reach; needed for "ttr" alone.
 
     Raises:
-        TimeToReachError: there is no such reward, or "ttr" without a value.
+        TimeToReachError: there is no such reward; "ttr" without a value, or with one that says nothing; a distance to
+            a goal that has no middle.
         ValueFunctionError: the value does not belong to the task.
     """
     if name not in REWARDS:
         raise TimeToReachError(f"no reward '{name}': there are {', '.join(REWARDS)}")
     if name == "ttr" and value is None:
         raise TimeToReachError("the reward 'ttr' needs the task's time to reach: solve the task first")
+    if name in DISTANCE_WEIGHTS:
+        _middle(task.system.build().state_names, task.goal.region, DISTANCE_WEIGHTS[name])
     used = value if name == "ttr" else None
     if used is not None and not check_function(used, task, KIND):
         raise TimeToReachError(f"the time to reach is of another version of task '{task.name}': solve it again")
+    if used is not None:
+        check_useful(used)
     return Reward(name, task, used, _domain(used, task.system.build().state_names), longest_time(used))
+
+
+def check_useful(value: ValueFunction) -> None:
+    """Refuse a time to reach that knows of no way to the goal: its reward would be the same everywhere.
+
+    Raises:
+        TimeToReachError: it is finite nowhere but in the goal.
+    """
+    if longest_time(value) == 0.0:
+        raise TimeToReachError(
+            f"by the time to reach of task '{value.task}' nothing outside the goal reaches it, so its reward would be "
+            "0 everywhere: mend the task and solve it again"
+        )
 
 
 def longest_time(value: ValueFunction | None) -> float:

@@ -14,11 +14,13 @@ from typing import Any
 
 import numpy as np
 from ctrl_rl_core.tasks import NavigationTask
+from ctrl_rl_core.value_function import ValueFunction
 from ctrl_rl_core.value_grid import ValueGrid
 
 from ttr_reward_node import lax_friedrichs, semi_lagrangian
 from ttr_reward_node.errors import TimeToReachError
 from ttr_reward_node.problem import Problem, problem_from_task
+from ttr_reward_node.rewards import longest_time
 from ttr_reward_node.solution import Progress, Solution
 
 METHODS = {"semi_lagrangian": semi_lagrangian, "lax_friedrichs": lax_friedrichs}
@@ -75,7 +77,7 @@ def solve(
         axes=problem.axes,
         kind="time_to_reach",
         task=problem.name,
-        task_digest=problem.digest,
+        task_digest=problem.content_digest,
         solver=method,
         residual=residual,
         notes={
@@ -88,6 +90,26 @@ def solve(
         },
     )
     return Solution(grid, sweeps.number, sweeps.residual, sweeps.converged, seconds, reachable, memory)
+
+
+def check_reached(problem: Problem, value: ValueFunction) -> None:
+    """Refuse a solution of a problem whose goal nothing reaches from outside, and say why.
+
+    Raises:
+        TimeToReachError: names the likely cause.
+    """
+    if any(np.isfinite(grid.values).any() for grid in value.grids) and longest_time(value) > 0.0:
+        return
+    inside = problem.in_target()
+    if inside.all():
+        why = "it covers the whole grid"
+    elif inside.any() and problem.blocked()[inside].all():
+        why = f"walls or obstacles cover it, widened by {problem.inflation:g} m"
+    elif inside.any():
+        why = "no control leads into it, against the disturbance and round the obstacles"
+    else:
+        why = "it is too small for the grid, or no control leads into it"
+    raise TimeToReachError(f"nothing outside the goal reaches it: {why}; no file is written")
 
 
 def solve_task(task: NavigationTask | str | Path, method: str = "semi_lagrangian", **options: Any) -> ValueGrid:

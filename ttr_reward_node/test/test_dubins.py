@@ -1,0 +1,67 @@
+"""Shortest paths to a box of poses: never longer than to any of its poses on a lattice, and they end in it."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from ttr_reward_node.dubins import to_box
+from ttr_reward_node.dubins_words import distance, end_of
+from ttr_reward_node.machine_code import cached
+
+BOX = np.array([[3.7, 4.3], [3.7, 4.3], [0.45, 1.05]])
+TOLERANCE = 1e-4
+
+
+@cached
+def nearest(states, box, lattice):
+    """Lengths (N,) from states (N, 3) to the best of lattice^3 poses of the box."""
+    out, size = np.full(len(states), np.inf), box[:, 1] - box[:, 0]
+    for n in range(len(states)):
+        x, y, a = states[n]
+        for i in range(lattice):
+            for j in range(lattice):
+                for k in range(lattice):
+                    end = box[:, 0] + size * np.array([i, j, k]) / (lattice - 1)
+                    out[n] = min(out[n], distance(x, y, a, end[0], end[1], end[2])[0])
+    return out
+
+
+def states_about(box, count, seed, far):
+    random = np.random.default_rng(seed)
+    low, high = box[:2, 0] - far, box[:2, 1] + far
+    return random.uniform([*low, -np.pi], [*high, np.pi], (count, 3))
+
+
+def check(states, box, lattice=11):
+    lengths, paths = to_box(states, box)
+    assert (lengths <= nearest(states, box, lattice) + TOLERANCE).all()
+    for state, length, (kind, t, p, q) in zip(states, lengths, paths, strict=True):
+        assert t + p + q == pytest.approx(length)
+        x, y, a = end_of(int(kind), t, p, q, *state, length)
+        assert box[0, 0] - 1e-6 <= x <= box[0, 1] + 1e-6
+        assert box[1, 0] - 1e-6 <= y <= box[1, 1] + 1e-6
+        assert (a - box[2, 0] + 1e-6) % (2.0 * np.pi) <= box[2, 1] - box[2, 0] + 2e-6
+
+
+def test_a_turn_to_the_nearest_heading_is_found():
+    """The poses that a turn alone leads to are a narrow ridge among poses that take a whole turn more."""
+    lengths, _ = to_box(np.array([[3.082, 4.137, -0.866]]), BOX)
+    assert lengths[0] == pytest.approx(0.866 + 0.45, abs=1e-6)
+
+
+@pytest.mark.parametrize("far", [0.5, 2.0, 8.0])
+def test_no_pose_of_the_box_is_nearer(far):
+    check(states_about(BOX, 200, 0, far), BOX)
+
+
+@settings(max_examples=25, deadline=None, derandomize=True)
+@given(
+    size=st.tuples(st.floats(0.05, 2.0), st.floats(0.05, 2.0), st.floats(0.05, 3.0)),
+    heading=st.floats(-np.pi, np.pi),
+    far=st.floats(0.1, 5.0),
+    seed=st.integers(0, 10_000),
+)
+def test_no_pose_of_any_box_is_nearer(size, heading, far, seed):
+    box = np.array([[-0.5, 0.5], [-0.5, 0.5], [-0.5, 0.5]]) * np.array(size)[:, None]
+    box[2] += heading
+    check(states_about(box, 20, seed, far), box, lattice=9)

@@ -1,0 +1,142 @@
+"""What a problem may not be, and how its digest tells it from others; every system model from a task file."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import yaml
+from ctrl_rl_core.geometry import Disc
+from ctrl_rl_core.regions import Region
+from ctrl_rl_core.system_models import SYSTEM_MODELS
+from ctrl_rl_core.tasks import task_file
+from ctrl_rl_core.units import Interval
+from games import line, plane
+from hypothesis import given
+from hypothesis import strategies as st
+from ttr_reward_node.cli import solve_value
+from ttr_reward_node.errors import TimeToReachError
+from ttr_reward_node.problem import Clearance, Problem
+from ttr_reward_node.value_file import load_value
+
+
+def write_task(folder, name, **changes):
+    """Write the car's task by another name with some keys replaced; None leaves one out."""
+    content = yaml.safe_load(task_file("car_ttr").read_text(encoding="utf-8"))
+    content.update(name=name, **changes)
+    file = folder / f"{name}.yaml"
+    file.write_text(yaml.safe_dump({key: value for key, value in content.items() if value is not None}))
+    return str(file)
+
+
+def small_grid(model):
+    """Five nodes an axis, over the bounds of the state or, where it has none, from -2 to 2."""
+    grid, goal = {}, {}
+    for state in SYSTEM_MODELS[model].states:
+        low, high = (
+            (max(state.lower, -2.0), min(state.upper, 2.0)) if not state.periodic else (state.lower, state.upper)
+        )
+        if model == "quadrotor_rotation" and state.name == "theta":
+            low, high = -1.0, 1.0  # singular upright
+        grid[state.name] = {"interval": f"{low} .. {high} {state.unit}", "count": 5}
+        goal[state.name] = f"{low / 2.0} .. {high / 2.0} {state.unit}"
+    return {"grid": grid, "goal": goal}
+
+
+@pytest.mark.parametrize("model", SYSTEM_MODELS)
+def test_every_system_is_solved_from_a_task_file(model, tmp_path):
+    names = [state.name for state in SYSTEM_MODELS[model].states]
+    flies = "z" in names and "y" not in names
+    arena = {"x": "-3.0 .. 3.0 m", ("z" if flies else "y"): "-3.0 .. 3.0 m", "wall_thickness": "0.2 m"}
+    task = write_task(
+        tmp_path, "own", system={"model": model}, arena=arena, start={}, obstacles=None, **small_grid(model)
+    )
+    file = tmp_path / "own.safetensors"
+    assert solve_value(["--task", task, "--output", str(file)]) == 0
+    value = load_value(file)
+    assert value.state_names == tuple(names)
+    assert 0.0 < value.grids[0].values[np.isfinite(value.grids[0].values)].max() < 100.0
+
+
+COARSE = ["--count", "x=21", "y=21", "theta=16"]
+
+
+@pytest.mark.fault
+@pytest.mark.parametrize(
+    ("goal", "words"),
+    [
+        ({"x": "13.7 .. 14.3 m", "y": "3.7 .. 4.3 m"}, "'x' in [13.7, 14.3] m, outside the grid's [-5, 5]"),
+        ({"disc": {"centre": "(0, 9) m", "radius": "1 m"}}, "'y' in [8, 10] m, outside the grid's [-5, 5]"),
+        ({"x": "-0.2 .. 0.2 m", "y": "-0.2 .. 0.2 m"}, "walls or obstacles cover it, widened by 0 m"),
+        ({"x": "-5 .. 5 m"}, "nothing outside the goal reaches it"),
+    ],
+)
+def test_a_goal_that_nothing_reaches_fails(goal, words, tmp_path, capsys):
+    task, file = write_task(tmp_path, "own", goal=goal), tmp_path / "own.safetensors"
+    assert solve_value(["--task", task, *COARSE, "--output", str(file)]) == 1
+    error = capsys.readouterr().err
+    assert words in error
+    assert error.count("\n") == 1
+    assert not file.exists()
+
+
+def test_walls_of_another_plane_are_refused(tmp_path, capsys):
+    arena = {"x": "-3.0 .. 3.0 m", "z": "-3.0 .. 3.0 m", "wall_thickness": "0.2 m"}
+    task = write_task(tmp_path, "own", arena=arena)
+    assert solve_value(["--task", task, *COARSE, "--output", str(tmp_path / "own.safetensors")]) == 1
+    assert "walls and obstacles lie in x and z; the positions of dubins_car are x, y" in capsys.readouterr().err
+
+
+NUMBERS = st.one_of(st.floats(allow_nan=True, allow_infinity=True), st.floats(-4.0, 4.0))
+
+
+@given(low=NUMBERS, high=NUMBERS)
+def test_a_target_is_an_interval_on_the_grid_or_refused(low, high):
+    """The axis goes from -3 to 3."""
+    right = math.isfinite(low) and math.isfinite(high) and low <= high and high >= -3.0 and low <= 3.0
+    if right:
+        assert replace(line(), target=Region({"x": Interval(low, high)})).target.intervals["x"] == (low, high)
+    else:
+        with pytest.raises(TimeToReachError, match="'x' in"):
+            replace(line(), target=Region({"x": Interval(low, high)}))
+
+
+@pytest.mark.fault
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"target": Region({"q": Interval(0.0, 1.0)})}, "the target bounds 'q'; the states are x, y"),
+        ({"target": Region({}, Disc((0.0, math.nan), 1.0))}, "disc of radius 1 m: give finite numbers"),
+        ({"target": Region({}, Disc((0.0, 0.0), -1.0))}, "disc of radius -1 m"),
+        ({"inflation": math.nan}, "inflation is nan m"),
+        ({"corridor_width": -1.0}, "corridor_width is -1 m"),
+        ({"digest": "mine"}, "the digest is 'mine'"),
+        ({"clearance": Clearance((0, 1), np.full((41, 41), np.nan, np.float32))}, "clearance is NaN or infinite"),
+        ({"clearance": Clearance((0, 1), np.full((41, 41), np.inf, np.float32))}, "clearance is NaN or infinite"),
+        ({"clearance": Clearance((0, 1), np.zeros((4, 4), np.float32))}, "the clearance has shape"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(changes, words):
+    with pytest.raises(TimeToReachError, match=words):
+        replace(plane(), **changes)
+
+
+def test_controls_within_bounds_that_are_none_are_refused():
+    system = line().system
+    for pair in ((1.0, -1.0), (math.nan, 1.0), (0.0, math.inf)):
+        wrong = replace(system, controls=(replace(system.controls[0], lower=pair[0], upper=pair[1]),))
+        with pytest.raises(TimeToReachError, match="'u_0' is in"):
+            replace(line(), system=wrong)
+
+
+def test_the_digest_tells_obstacles_apart():
+    problem: Problem = plane()
+    assert problem.digest == ""
+    free = problem.content_digest
+    walls = [plane(lambda x, _y, at=at: np.abs(x - at) - 0.15).content_digest for at in (0.5, 0.6)]
+    assert len({free, *walls}) == 3
+    # As files of earlier versions have it.
+    assert free == "176f7e9ba7ad106c3a48ed698b7beb830c3c20b7cdb19263c22f6ca5a0cfecd0"
+    moved = replace(problem, target=Region({"x": Interval(-1.6, -1.2)}))
+    assert moved.content_digest != free
+    assert replace(problem, digest="0" * 64).content_digest == "0" * 64
