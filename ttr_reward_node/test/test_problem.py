@@ -25,7 +25,8 @@ def write_task(folder, name, **changes):
     content = yaml.safe_load(task_file("car_ttr").read_text(encoding="utf-8"))
     content.update(name=name, **changes)
     file = folder / f"{name}.yaml"
-    file.write_text(yaml.safe_dump({key: value for key, value in content.items() if value is not None}))
+    left = {key: value for key, value in content.items() if value is not None}
+    file.write_text(yaml.safe_dump(left, sort_keys=False), encoding="utf-8")
     return str(file)
 
 
