@@ -24,10 +24,13 @@ from numpy.typing import NDArray
 from oc_baseline_node.errors import OcError
 from oc_baseline_node.extraction import extract
 from oc_baseline_node.problem import FORMS, Form, Problem, formulate
-from oc_baseline_node.starts import draw_start
+from oc_baseline_node.starts import draw_episode_start, draw_start
 from oc_baseline_node.value_data import DataSettings, ValueData, load_data, read_description
 from oc_baseline_node.value_file import find_value, load_value, save_value
 from oc_baseline_node.value_results import value_rows
+
+_EPISODES = 10
+"""Starts of an episode that `oc data` tries."""
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -144,9 +147,23 @@ def _data(options: argparse.Namespace) -> int:
     wanted = problem.task.optimal_control.trajectories if options.trajectories is None else options.trajectories
     data, wall, cpu = make_data(problem, DataSettings(wanted, seed=options.seed), options.output, options.workers)
     print(_report(data))
+    print(_start_set(problem, options.seed))
     print(f"this run      {wall:.1f} s with {options.workers} processes, {cpu:.1f} CPU s in all")
     print(f"data          {options.output}")
     return 0
+
+
+def _start_set(problem: Problem, seed: int) -> str:
+    """Say from how many starts of an episode there is a trajectory: the data are drawn from the whole map."""
+    from oc_baseline_node.mpc import Mpc
+
+    mpc, random = Mpc(problem), np.random.default_rng(seed)
+    found = [mpc.solve(draw_episode_start(problem, random)) for _ in range(_EPISODES)]
+    lacking = sorted({each.reason for each in found if not each.solved})
+    lines = [
+        f"start set     {sum(each.solved for each in found)} of {_EPISODES} starts of an episode have a trajectory"
+    ]
+    return "\n".join(lines + [f"              {reason}" for reason in lacking])
 
 
 def _report(data: ValueData) -> str:
@@ -183,7 +200,9 @@ def _fit(options: argparse.Namespace) -> int:
     save_value(value, options.output, options.overwrite)
     unseen, seen = value.manifest["held_out"], value.manifest["fitted"]
     print(
-        f"held out      error {unseen['mae']:.3g} mean, {unseen['p95']:.3g} p95, {unseen['rmse']:.3g} root mean square"
+        f"held out      error {unseen['mae']:.3g} mean, {unseen['p95']:.3g} p95, {unseen['rmse']:.3g} rms\n"
+        f"              over {unseen['trajectories']} trajectories; as many others would give a mean of "
+        f"{unseen['mae_low']:.3g} to {unseen['mae_high']:.3g} (95 %)"
     )
     print(f"values        spread by {unseen['std_of_values']:.3g} (their standard deviation)")
     print(f"fitted        error {seen['mae']:.3g} mean, {seen['p95']:.3g} p95, {seen['rmse']:.3g} root mean square")

@@ -5,11 +5,14 @@ from __future__ import annotations
 import numpy as np
 from ctrl_rl_core.systems import System
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
 
 from oc_baseline_node.problem import Problem
 from oc_baseline_node.ways import Ways
 
 Array = NDArray[np.float64]
+_SMOOTH = 9
+"""Points of a way over which its direction is averaged: it leads over a lattice."""
 
 
 class Guesses:
@@ -33,6 +36,7 @@ class Guesses:
         lines = [position + np.linspace(0.0, 1.0, count)[:, None] * (np.array(self._problem.goal) - position)]
         if self._ways is not None and not self._ways.straight(position):
             lines.insert(0, self._ways.way(position, count))
+            return [following(self._problem, start, lines[0]), *(sliding(self._problem, start, line) for line in lines)]
         return [sliding(self._problem, start, line) for line in lines]
 
 
@@ -44,6 +48,22 @@ def sliding(problem: Problem, start: Array, line: Array) -> tuple[Array, Array]:
     dying = [index for index, name in enumerate(names) if name in ("v", "v_x", "v_z", "omega", "psi")]
     states[:, dying] *= 1.0 - np.linspace(0.0, 1.0, H + 1)[:, None]
     return states, np.tile(resting_control(problem.system), (H, 1))
+
+
+def following(problem: Problem, start: Array, line: Array) -> tuple[Array, Array]:
+    """Return states (H+1, n) of a car that drives along `line` (H+1, 2), and its controls (H, m) within their bounds.
+
+    The line of what has no heading, or flies, slides: see `sliding`.
+    """
+    states, controls = sliding(problem, start, line)
+    names, wanted = problem.system.state_names, problem.system.control_names
+    if "theta" not in names or wanted != ("v", "omega"):
+        return states, controls
+    ahead = np.diff(uniform_filter1d(line, _SMOOTH, axis=0, mode="nearest"), axis=0)
+    heading = np.unwrap(np.concatenate(([start[names.index("theta")]], np.arctan2(ahead[:, 1], ahead[:, 0]))))
+    states[:, names.index("theta")] = heading
+    rates = np.column_stack((np.hypot(*ahead.T), np.diff(heading))) / problem.time_step
+    return states, np.clip(rates, *problem.system.control_bounds)
 
 
 def braking(problem: Problem, start: Array) -> tuple[Array, Array]:

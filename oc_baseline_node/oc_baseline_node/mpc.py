@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
 
 import numpy as np
+from ctrl_rl_core.geometry import signed_distance
 from numpy.typing import ArrayLike, NDArray
 
 from oc_baseline_node.guesses import Guesses, moved_on, resting_control
 from oc_baseline_node.problem import Problem
-from oc_baseline_node.transcription import Program, SolverName, transcribe
+from oc_baseline_node.transcription import Program, SolverName, cost_of, transcribe
 
 Array = NDArray[np.float64]
+_BETWEEN = (0.25, 0.5, 0.75)
+"""Parts of a step at which the clearance is looked at."""
 TOLERANCE = 1e-4
 """By how much a solved trajectory may miss a constraint [m, rad, ...]."""
 
@@ -44,8 +47,15 @@ class Trajectory:
     cpu_seconds: float
 
 
+_EASIER = ("", " (with the least control alone)", " (with a state cost that does not grow)")
+
+
 class Mpc:
     """Solves one problem from any start; the programs are set up once.
+
+    Where that fails and obstacles are in the way it goes by steps: first with the least control alone, then with a
+    state cost that does not grow, then the problem itself. Over hundreds of steps the growth of the state cost leaves
+    a solver nothing to hold on to at the beginning.
 
     Args:
         problem: to solve.
@@ -59,7 +69,9 @@ class Mpc:
         self.problem = problem
         self._solvers = solvers
         self._max_iterations = max_iterations
-        self._programs: dict[SolverName, Program] = {}
+        level = replace(problem, gamma=1.0)
+        self._problems = (problem, replace(level, state_weight=0.0, trap_weight=0.0), level)
+        self._programs: dict[tuple[int, SolverName], Program] = {}
         self._guesses = Guesses(problem)
 
     def solve(self, start: ArrayLike, guess: tuple[Array, Array] | None = None, check_start: bool = True) -> Trajectory:
@@ -74,31 +86,56 @@ class Mpc:
         refusal = self.problem.refusal(start) if check_start else ""
         if refusal:
             return _unsolved(self.problem, start, refusal)
-        iterations, seconds = 0, 0.0
         guesses = self._guesses(start) if guess is None else [guess]
-        for name, (states, controls) in product(self._solvers, guesses):
-            program = self._program(name)
-            begin = time.process_time()
-            variables = program.layout.pack(states, controls, self.problem.time_step)
-            answer = program.solver(x0=variables, p=start, **program.bounds)
-            stats = program.solver.stats()
-            seconds += time.process_time() - begin
-            iterations += int(stats["iter_count"])
-            reason = _reason(name, stats)
-            if stats["success"]:
-                states, controls, time_step = program.layout.unpack(np.asarray(answer["x"]).ravel())
-                reason = self._broken(start, states, controls, time_step)
-                if not reason:
-                    cost = float(answer["f"]) / program.cost_scale
-                    return Trajectory(
-                        states, controls, time_step, True, _reason(name, stats), cost, iterations, seconds
-                    )
-        return _unsolved(self.problem, start, reason, iterations, seconds)
+        tries: list[Trajectory] = []
+        for name, each in product(self._solvers, guesses):
+            tries.append(self._attempt(0, name, start, *each))
+            if tries[-1].solved:
+                break
+        else:
+            if len(guesses) > 1:  # the straight line runs through an obstacle
+                tries.extend(self._by_steps(start, guesses[0]))
+        # The last of the steps that was solved; without any the reason is that of the problem itself.
+        best = next((each for each in reversed(tries) if each.solved), tries[-1])
+        iterations, seconds = sum(each.iterations for each in tries), sum(each.cpu_seconds for each in tries)
+        return replace(best, iterations=iterations, cpu_seconds=seconds)
 
-    def _program(self, name: SolverName) -> Program:
-        if name not in self._programs:
-            self._programs[name] = transcribe(self.problem, name, self._max_iterations)
-        return self._programs[name]
+    def _by_steps(self, start: Array, guess: tuple[Array, Array]) -> list[Trajectory]:
+        """Return trajectories of easier problems up to the problem itself, each begun with the one before.
+
+        The last that is solved keeps every constraint, though its objective may be an easier one, as its reason says.
+        """
+        name, found = self._solvers[0], []
+        for rung in range(1, len(self._problems) + 1):
+            trajectory = self._attempt(rung % len(self._problems), name, start, *guess)
+            if not trajectory.solved:
+                break
+            found.append(trajectory)
+            guess = (trajectory.states, trajectory.controls)
+        return found
+
+    def _attempt(self, rung: int, name: SolverName, start: Array, states: Array, controls: Array) -> Trajectory:
+        """Return what one solver makes of one of the problems."""
+        program = self._program(rung, name)
+        begin = time.process_time()
+        variables = program.layout.pack(states, controls, self.problem.time_step)
+        answer = program.solver(x0=variables, p=start, **program.bounds)
+        stats = program.solver.stats()
+        seconds, iterations = time.process_time() - begin, int(stats["iter_count"])
+        reason = _reason(name, stats) + _EASIER[rung]
+        if not stats["success"]:
+            return _unsolved(self.problem, start, reason, iterations, seconds)
+        states, controls, time_step = program.layout.unpack(np.asarray(answer["x"]).ravel())
+        broken = self._broken(start, states, controls, time_step)
+        if broken:
+            return _unsolved(self.problem, start, broken, iterations, seconds)
+        cost = cost_of(self.problem, states, controls, time_step)
+        return Trajectory(states, controls, time_step, True, reason, cost, iterations, seconds)
+
+    def _program(self, rung: int, name: SolverName) -> Program:
+        if (rung, name) not in self._programs:
+            self._programs[rung, name] = transcribe(self._problems[rung], name, self._max_iterations)
+        return self._programs[rung, name]
 
     def _broken(self, start: Array, states: Array, controls: Array, time_step: float) -> str:
         """Say which constraint a trajectory misses by more than the tolerance, checked against the real boxes."""
@@ -110,6 +147,7 @@ class Mpc:
             "start": np.abs(states[0] - start).max(),
             "dynamics": np.abs(states[1:] - steps).max(),
             "clearance": -problem.margin(states[1:]).min(),
+            "clearance between samples": problem.clearance - _nearest_between(problem, states, controls, time_step),
             "state bounds": max((low - states[1:]).max(), (states[1:] - high).max()),
             "control bounds": max((u_low - controls).max(), (controls - u_high).max()),
             "terminal set": problem.terminal_violation(states[-1]),
@@ -118,6 +156,17 @@ class Mpc:
             if not violation <= TOLERANCE:
                 return f"solution misses {name} by {violation:.2g}"
         return ""
+
+
+def _nearest_between(problem: Problem, states: Array, controls: Array, time_step: float) -> float:
+    """Return how near a trajectory comes to an obstacle between its samples [m], but for the step from the start.
+
+    The start may lie at d_min, from where a step leads nearer to a corner before it leads away.
+    """
+    if not problem.obstacles:
+        return np.inf
+    between = [problem.system.step(states[1:-1], controls[1:], dt=part * time_step) for part in _BETWEEN]
+    return float(signed_distance(problem.obstacles, np.array(between)[..., problem.positions]).min())
 
 
 class RecedingHorizon:

@@ -23,6 +23,11 @@ def state_space(problem: Problem) -> Array:
     return space
 
 
+def draw_episode_start(problem: Problem, random: np.random.Generator) -> Array:
+    """Return one state (n,) from where the task's episodes start, in the problem's coordinates."""
+    return problem.task.start.region.sample(problem.system.state_names, random)
+
+
 def draw_start(problem: Problem, random: np.random.Generator) -> Array:
     """Return one state (n,) drawn uniformly from the state space less the obstacles grown by d_min.
 

@@ -14,11 +14,13 @@ import casadi
 import numpy as np
 from numpy.typing import NDArray
 
-from oc_baseline_node.obstacles import cover
+from oc_baseline_node.obstacles import covers
 from oc_baseline_node.problem import TIME_STEP_RANGE, Problem
 
 Array = NDArray[np.float64]
 SolverName = Literal["ipopt", "fatrop"]
+_LEAST_CLEARANCE = 0.05
+"""Of which a sagitta is reckoned [m]: around a corner that may be touched, nothing bounds it."""
 _COST_RANGE = 1e3
 """The largest weight of a squared distance [1/m^2] after scaling: gamma^H alone is 6e5."""
 
@@ -66,13 +68,11 @@ class Program:
         layout: of its variables.
         solver: the CasADi function; its parameter is the start x_0.
         bounds: lbx, ubx, lbg, ubg.
-        cost_scale: what the objective was multiplied by.
     """
 
     layout: Layout
     solver: Any
     bounds: dict[str, Array]
-    cost_scale: float
 
 
 def transcribe(problem: Problem, solver: SolverName, max_iterations: int) -> Program:
@@ -82,7 +82,7 @@ def transcribe(problem: Problem, solver: SolverName, max_iterations: int) -> Pro
     start = casadi.SX.sym("x0", n)
     X = [casadi.SX.sym(f"x_{k}", n + layout.free_time) for k in range(H + 1)]
     U = [casadi.SX.sym(f"u_{k}", len(layout.free_controls)) for k in range(H)]
-    covers = [cover(shape, problem.clearance) for shape in problem.obstacles]
+    ellipses = [ellipse for shape in problem.obstacles for ellipse in covers(shape, problem.clearance)]
     heaviest = problem.state_weight * problem.gamma**H
     scale = _COST_RANGE / max(heaviest, _COST_RANGE)
     g: list[Any] = []
@@ -109,8 +109,9 @@ def transcribe(problem: Problem, solver: SolverName, max_iterations: int) -> Pro
         if k == 0:
             constrain(X[0][:n] - start, 0.0, 0.0)
         else:
-            for ellipse in covers:
-                constrain(ellipse.outside(p[0], p[1]), 0.0, math.inf)
+            sag = 0.0 if k == H or not ellipses else sagitta(problem, X[k][:n], u, step)
+            for ellipse in ellipses:
+                constrain(ellipse.outside(p[0], p[1]) - sag, 0.0, math.inf)
     if problem.terminal.disc is not None:
         disc = problem.terminal.disc
         offset = X[H][problem.positions] - casadi.DM(disc.centre)
@@ -119,7 +120,18 @@ def transcribe(problem: Problem, solver: SolverName, max_iterations: int) -> Pro
     nlp = {"x": casadi.vertcat(*variables), "f": cost, "g": casadi.vertcat(*g), "p": start}
     options = _options(solver, max_iterations, [least == most for least, most in zip(low, high, strict=True)])
     bounds = {"lbg": np.array(low), "ubg": np.array(high), **_variable_bounds(layout)}
-    return Program(layout, casadi.nlpsol("mpc", solver, nlp, options), bounds, scale)
+    return Program(layout, casadi.nlpsol("mpc", solver, nlp, options), bounds)
+
+
+def sagitta(problem: Problem, x: Any, u: Any, step: Any) -> Any:
+    """Return by how much a step from x may cut the corner of an obstacle [m], for CasADi.
+
+    Between two positions at d_min from a corner the way is a chord of the circle around it, which is nearer in its
+    middle by (v dt)^2 / (8 d_min).
+    """
+    rates = problem.system.dynamics(x, u, math=casadi)
+    speed_squared = sum(rates[index] ** 2 for index in problem.positions)
+    return speed_squared * step**2 / (8.0 * max(problem.clearance, _LEAST_CLEARANCE))
 
 
 def stage_cost(problem: Problem, p: Any, u: Any, k: int) -> Any:
@@ -131,6 +143,13 @@ def stage_cost(problem: Problem, p: Any, u: Any, k: int) -> Any:
         trap = (p[0] - problem.trap[0]) ** 2 + (p[1] - problem.trap[1]) ** 2
         cost -= growth * problem.trap_weight * trap
     return cost + problem.control_weight * sum(u[i] ** 2 for i in range(len(problem.system.controls)))
+
+
+def cost_of(problem: Problem, states: Array, controls: Array, time_step: float) -> float:
+    """Return the cost of Eq. 3.16 of states (H+1, n) and controls (H, m)."""
+    p = states[:-1, problem.positions]
+    stages = [stage_cost(problem, p[k], u, k) for k, u in enumerate(controls)]
+    return float(sum(stages)) * time_step / problem.time_step
 
 
 def _controls(layout: Layout, free: Any) -> Any:

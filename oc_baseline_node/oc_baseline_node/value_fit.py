@@ -22,6 +22,10 @@ from oc_baseline_node.value_data import ValueData
 Array = NDArray[np.float64]
 _FINE = {"position": 81, "angle": 36, "rate": 21}
 _COARSE = {"position": 21, "angle": 18, "rate": 7}
+_TESTED = 80
+"""Trajectories to measure the error on, where it can be had: few err much, and of a handful there may be none."""
+_MOST_FOLDS = 5
+_RESAMPLED = 1000
 _LARGE = 3
 """State components up to which the sampled grid is fine."""
 
@@ -54,6 +58,9 @@ class FitSettings:
 def fit(problem: Problem, data: ValueData, settings: FitSettings | None = None, progress: bool = True) -> MlpValue:
     """Return V_oc fitted to value data up to each arrival; its manifest tells the error on held-out trajectories.
 
+    A tenth of a few trajectories is too few to tell the error by. Then others are held out in turn, from up to four
+    more networks fitted alike, and the error is that of all of them.
+
     Args:
         problem: that the data solve.
         data: trajectories; the states of each that an episode would meet are samples.
@@ -69,29 +76,49 @@ def fit(problem: Problem, data: ValueData, settings: FitSettings | None = None, 
     states, values, met = data.samples(problem, discount, settings.whole_horizon)
     met[:, -1] &= not settings.whole_horizon  # the last state then only ends the sum
     count = len(states)
-    held = np.isin(np.arange(count), random.permutation(count)[: round(settings.held_out * count)])
-    if not held.any() or held.all():
+    order, size = random.permutation(count), round(settings.held_out * count)
+    if not 0 < size < count:
         raise OcError(f"{count} trajectories: too few to hold {settings.held_out:.0%} out; make more")
-    seen, unseen = met & ~held[:, None], met & held[:, None]
-    x, y = states[seen], values[seen]
-    axes = domain(problem, states)
-    offset, scale = float(y.mean()), float(max(y.std(), 1e-9))
-    inputs = features(axes, x)
-    middle, spread = inputs.mean(axis=0), np.maximum(inputs.std(axis=0), 1e-6)
-    (weight, bias), *rest = _train((inputs - middle) / spread, (y - offset) / scale, settings, progress)
-    # The standardisation of the inputs becomes part of the first layer.
-    layers = ((weight / spread, bias - (weight / spread) @ middle), *rest)
-    network = MlpValue(layers, axes, offset, scale, problem.task.name, problem.digest, CollisionSet.of(problem.task))
+    folds = max(1, min(count // size, -(-_TESTED // size), _MOST_FOLDS))
+    axes, networks = domain(problem, states), []
+    errors = [np.empty(0)] * count
+    for fold in range(folds):
+        held = order[fold * size : (fold + 1) * size]
+        seen = met.copy()
+        seen[held] = False
+        networks.append(_fit_once(problem, axes, states[seen], values[seen], settings, progress))
+        for index in held:
+            errors[index] = _error(networks[-1], states[index][met[index]], values[index][met[index]])
+    network, tested = networks[0], order[: folds * size]
+    seen = met.copy()
+    seen[order[:size]] = False
     manifest = {
         "discount": discount,
         "fit": {**asdict(settings), "hidden": list(settings.hidden)},
         "data": {"trajectories": count, "states": int(met.sum())},
         "clearance": problem.clearance,
         "form": problem.form,
-        "held_out": _errors(network, states[unseen], values[unseen]),
-        "fitted": _errors(network, x, y),
+        "held_out": {
+            **_figures(np.concatenate([errors[k] for k in tested]), values[tested][met[tested]]),
+            **_uncertainty([errors[k] for k in tested], random),
+            "trajectories": len(tested),
+        },
+        "fitted": _figures(_error(network, states[seen], values[seen]), values[seen]),
     }
     return replace(network, manifest=manifest)
+
+
+def _fit_once(
+    problem: Problem, axes: tuple[Axis, ...], x: Array, y: Array, settings: FitSettings, progress: bool
+) -> MlpValue:
+    """Return a network fitted to values (N,) at states (N, n)."""
+    offset, scale = float(y.mean()), float(max(y.std(), 1e-9))
+    inputs = features(axes, x)
+    middle, spread = inputs.mean(axis=0), np.maximum(inputs.std(axis=0), 1e-6)
+    (weight, bias), *rest = _train((inputs - middle) / spread, (y - offset) / scale, settings, progress)
+    # The standardisation of the inputs becomes part of the first layer.
+    layers = ((weight / spread, bias - (weight / spread) @ middle), *rest)
+    return MlpValue(layers, axes, offset, scale, problem.task.name, problem.digest, CollisionSet.of(problem.task))
 
 
 def domain(problem: Problem, reached: Array) -> tuple[Axis, ...]:
@@ -147,9 +174,23 @@ def _train(x: Array, y: Array, settings: FitSettings, progress: bool) -> tuple[t
     )
 
 
-def _errors(network: MlpValue, states: Array, values: Array) -> dict[str, float]:
+def _error(network: MlpValue, states: Array, values: Array) -> Array:
+    """Return the absolute error (N,) [reward] at states (N, n)."""
+    out: Array = np.abs(network.without_collisions().value(network.clipped(states)) - values)
+    return out
+
+
+def _uncertainty(errors: list[Array], random: np.random.Generator) -> dict[str, float]:
+    """Return between which mean absolute errors [reward] 95 % of as many other trajectories would lie (bootstrap)."""
+    sums, counts = np.array([error.sum() for error in errors]), np.array([len(error) for error in errors])
+    drawn = random.integers(len(errors), size=(_RESAMPLED, len(errors)))
+    means = sums[drawn].sum(axis=1) / np.maximum(counts[drawn].sum(axis=1), 1)
+    low, high = np.percentile(means, (2.5, 97.5))
+    return {"mae_low": float(low), "mae_high": float(high)}
+
+
+def _figures(error: Array, values: Array) -> dict[str, float]:
     """Return root mean square, mean absolute and 95th percentile error [reward], and the values' own spread."""
-    error = np.abs(network.without_collisions().value(network.clipped(states)) - values)
     return {
         "rmse": float(np.sqrt(np.mean(error**2))),
         "mae": float(error.mean()),

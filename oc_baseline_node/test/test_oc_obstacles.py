@@ -6,7 +6,7 @@ import pytest
 from ctrl_rl_core.geometry import Box, Disc
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from oc_baseline_node.obstacles import cover
+from oc_baseline_node.obstacles import cover, covers
 
 lengths = st.floats(0.05, 5.0)
 
@@ -34,6 +34,34 @@ def test_every_point_within_the_clearance_of_a_box_is_inside(
     assert np.allclose(box.signed_distance(corner), clearance, atol=1e-9)
     for some in (points, corner):
         assert (cover(box, clearance, exponent).outside(*some.T) <= 1e-9).all()
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.floats(0.05, 1.0), st.floats(1.0, 40.0), st.floats(0.1, 0.5), st.floats(-3.0, 3.0), st.booleans())
+def test_a_long_box_is_covered_and_its_ends_stay_open(
+    thickness: float, ratio: float, clearance: float, angle: float, upright: bool
+) -> None:
+    size = (min(ratio * thickness, 12.0), thickness)
+    box = Box((1.0, -2.0), size[::-1] if upright else size, angle)
+    ellipses = covers(box, clearance)
+    random = np.random.default_rng(0)
+    local = random.uniform(-1.0, 1.0, (4000, 2)) * (0.5 * np.array(box.size) + clearance)
+    turn = np.linspace(0.0, 2.0 * np.pi, 400)
+    edge = np.column_stack((np.cos(turn), np.sin(turn)))
+    local = np.vstack((local, 0.5 * np.array(box.size) * np.sign(edge) + clearance * edge))
+    c, s = np.cos(angle), np.sin(angle)
+    points = np.asarray(box.centre) + local @ np.array([[c, s], [-s, c]])
+    points = points[box.signed_distance(points) <= clearance + 1e-9]
+    assert (np.min([ellipse.outside(*points.T) for ellipse in ellipses], axis=0) <= 1e-6).all()
+    end = 0.5 * max(box.size) + clearance + 0.15
+    tip = np.asarray(box.centre) + np.array([[0.0, end] if upright else [end, 0.0]]) @ np.array([[c, s], [-s, c]])
+    assert all((ellipse.outside(*tip.T) > 0.0).all() for ellipse in ellipses)
+
+
+def test_the_boxes_of_the_shipped_tasks_have_one_cover_each() -> None:
+    assert len(covers(Box((0.0, 0.0), (0.7, 0.7)), 0.277)) == 1
+    assert len(covers(Box((0.0, 0.0), (3.0, 1.5)), 0.44)) == 1
+    assert len(covers(Box((0.0, 0.0), (8.0, 0.3)), 0.277)) == 3
 
 
 def test_a_disc_is_covered_exactly() -> None:

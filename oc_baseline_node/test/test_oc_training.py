@@ -133,3 +133,21 @@ def test_an_unknown_method_and_a_value_of_another_task_are_refused(tmp_path):
     changed = own_task(tmp_path, "quad_trap", ("steps: 100", "steps: 90"))
     with pytest.raises(OcError, match="is of another version of 'quad_trap': make it"):
         OcRun(load_navigation_task(changed), "oc_ppo", 0).model(ROLL_OUT)
+
+
+def test_a_method_without_v_oc_needs_no_file_of_it():
+    own = load_navigation_task("car_navigation").model_copy(update={"name": "own"})
+    run = OcRun(own, "ppo", 0)
+    assert run.description["value_digest"] is None
+    assert run.discount == own.optimal_control.discount
+    with pytest.raises(OcError, match="no value 'own'"):
+        _ = OcRun(own, "oc_ppo", 0).description
+    bare = own.model_copy(update={"optimal_control": None})
+    with pytest.raises(OcError, match=r"no 'optimal_control\.discount' to learn with"):
+        _ = OcRun(bare, "ppo", 0).description
+
+
+@pytest.mark.parametrize("name", ["car_navigation", "quad_navigation", "quad_trap"])
+def test_methods_that_are_compared_have_the_same_discount(name):
+    task = load_navigation_task(name)
+    assert OcRun(task, "ppo", 0).discount == OcRun(task, "oc_ppo", 0).discount

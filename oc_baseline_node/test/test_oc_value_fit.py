@@ -58,6 +58,14 @@ def test_the_same_seed_gives_the_same_network(made: Made) -> None:
     assert fit(problem, data, FitSettings(epochs=1, seed=1), progress=False).digest != value.digest
 
 
+def test_the_error_is_of_many_trajectories_that_the_network_fitted_without(made: Made) -> None:
+    """Six of sixty would be too few: five networks are tested on six others each."""
+    unseen = made[2].manifest["held_out"]
+    assert unseen["trajectories"] == 30
+    assert unseen["mae_low"] < unseen["mae"] < unseen["mae_high"]
+    assert unseen["mae"] > made[2].manifest["fitted"]["mae"]
+
+
 def test_too_few_trajectories_are_refused(made: Made) -> None:
     problem, data, _ = made
     one = ValueData(data.states[:1], data.controls[:1], data.time_steps[:1], data.cpu_seconds[:1], data.unsolved,

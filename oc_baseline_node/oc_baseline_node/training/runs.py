@@ -88,8 +88,16 @@ class OcRun:
 
     @property
     def discount(self) -> float:
-        """Discount of a step, that of V_oc: every method learns with it. Errors as for `network`."""
-        return float(self.network.manifest["discount"])
+        """Discount of a step: that of V_oc, with which all methods are compared; without one the task's.
+
+        Raises:
+            OcError: see `network`; or a method without V_oc has none from the task either.
+        """
+        if self.method.needs_value or self.value is not None:
+            return float(self.network.manifest["discount"])
+        if self.task.optimal_control is None:
+            raise OcError(f"task '{self.task.name}' has no 'optimal_control.discount' to learn with: add it")
+        return self.task.optimal_control.discount
 
     def baseline(self) -> OcBaseline:
         """Return b(s) = V_oc(x). Errors as for `network`."""
