@@ -33,11 +33,11 @@ class Guesses:
         """
         count = self._problem.horizon + 1
         position = start[self._problem.positions]
-        lines = [position + np.linspace(0.0, 1.0, count)[:, None] * (np.array(self._problem.goal) - position)]
+        straight = position + np.linspace(0.0, 1.0, count)[:, None] * (np.array(self._problem.goal) - position)
         if self._ways is not None and not self._ways.straight(position):
-            lines.insert(0, self._ways.way(position, count))
-            return [following(self._problem, start, lines[0]), *(sliding(self._problem, start, line) for line in lines)]
-        return [sliding(self._problem, start, line) for line in lines]
+            round_ = self._ways.way(position, count)
+            return [following(self._problem, start, round_), sliding(self._problem, start, straight)]
+        return [sliding(self._problem, start, straight)]
 
 
 def sliding(problem: Problem, start: Array, line: Array) -> tuple[Array, Array]:
