@@ -91,7 +91,8 @@ def simulator(options: DriveOptions) -> NodeSpec:
 def recorder(options: DriveOptions, digests: Mapping[str, Path]) -> NodeSpec:
     """Return the recorder of every topic; `digests` names the files whose SHA-256 the bag is to hold."""
     files = [f"{name}={path}" for name, path in digests.items()]
-    return NodeSpec("ctrl_rl_core", "recorder", {"output": str(options.bag), "digest_files": files})
+    parameters = {"use_sim_time": True, "output": str(options.bag), "digest_files": files}
+    return NodeSpec("ctrl_rl_core", "recorder", parameters)
 
 
 def controller(options: DriveOptions) -> NodeSpec:

@@ -3,18 +3,27 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+import os
+import re
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.node import Node
+from rclpy.parameter import Parameter as RosParameter
 
 from ctrl_rl_core.errors import CtrlRlError
 
 _LARGEST_FLOAT = 1.7976931348623157e308
 _LARGEST_INT = 2**63 - 1
+LONGEST_TEXT = 4096
+"""Letters of a text: the longest path."""
+LONGEST_LIST = 1000
+_LONGEST_PART = 240
+"""Letters of one part of a path: file systems take 255 bytes, with the ending that a name may be given."""
+_ROS_NAME = re.compile(r"(~(?=/|$))?/?([A-Za-z_{][A-Za-z0-9_{}]*(/[A-Za-z_{][A-Za-z0-9_{}]*)*/?)?", re.ASCII)
 _KINDS = {bool: "true or false", int: "a whole number", float: "a number, written with a point", str: "a text"}
 
 
@@ -34,6 +43,7 @@ class Parameter:
         maximum: largest value allowed, None for no bound.
         choices: the texts allowed; empty for any.
         live: whether `ros2 param set` may change it while the node runs.
+        kind: what a text is: any; the name or path of a file, `~` at its start for the home folder; a name of ROS.
     """
 
     name: str
@@ -43,6 +53,7 @@ class Parameter:
     maximum: float | None = None
     choices: tuple[str, ...] = ()
     live: bool = False
+    kind: Literal["text", "path", "name"] = "text"
 
     @property
     def limits(self) -> str:
@@ -74,12 +85,70 @@ class Parameter:
             out.floating_point_range = [FloatingPointRange(from_value=real[0], to_value=real[1])]
         return out
 
-    def check(self, value: Any) -> None:
-        """Raise ParameterError where `value` is no finite number or not one of the choices."""
+    def check(self, value: Any) -> Any:
+        """Return `value` as the node works with it.
+
+        Raises:
+            ParameterError: it is of another type, no finite number, not one of the choices, too long, or no name or
+                path.
+        """
+        kind = type(self.default)
+        if not (isinstance(value, kind) or (kind is list and isinstance(value, tuple))) or (
+            isinstance(value, bool) and kind is not bool
+        ):
+            raise self._wrong(_shown(value))
         if isinstance(value, float) and not math.isfinite(value):
             raise ParameterError(f"parameter '{self.name}' must be a finite number, not {value}: {self.description}")
         if self.choices and value not in self.choices:
-            raise ParameterError(f"parameter '{self.name}' is '{value}': must be {self.limits}")
+            raise ParameterError(f"parameter '{self.name}' is '{_shown(value)}': must be {self.limits}")
+        if isinstance(value, str):
+            return self._text(value)
+        if isinstance(value, list | tuple):
+            if len(value) > LONGEST_LIST:
+                raise ParameterError(f"parameter '{self.name}' has {len(value)} entries: at most {LONGEST_LIST}")
+            return [self._text(each) for each in value]
+        return value
+
+    def _text(self, text: str) -> str:
+        if len(text) > LONGEST_TEXT:
+            raise ParameterError(f"parameter '{self.name}' has {len(text)} letters: at most {LONGEST_TEXT}")
+        if not text.isprintable():
+            raise ParameterError(f"parameter '{self.name}' has letters that cannot be printed: {_shown(text)!a}")
+        if self.kind == "name" and not _ROS_NAME.fullmatch(text):
+            raise ParameterError(
+                f"parameter '{self.name}': '{_shown(text)}' is no name of ROS: use letters, digits, _ and /"
+            )
+        if self.kind == "path":
+            longest = max(map(len, text.split("/")))
+            if longest > _LONGEST_PART:
+                raise ParameterError(
+                    f"parameter '{self.name}': a part of the path has {longest} letters: at most {_LONGEST_PART}"
+                )
+            return os.path.expanduser(text)
+        return text
+
+    def _wrong(self, given: str) -> ParameterError:
+        kind = _KINDS.get(type(self.default), "a list, [..., ...]")
+        return ParameterError(f"parameter '{self.name}' is {given}: must be {kind}: {self.description}")
+
+    def _given(self, value: Any) -> Any:
+        """Return what was given at start, where YAML took a text for a number, or cannot tell the type of a list."""
+        if isinstance(self.default, list) and value in (None, []):
+            return [""]
+        if isinstance(self.default, str) and isinstance(value, float) and not math.isfinite(value):
+            return str(value)
+        if value is None:
+            raise self._wrong("not set")
+        return value
+
+
+def check_all(table: Iterable[Parameter], values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return those `values` that are in the table, as the node works with them.
+
+    Raises:
+        ParameterError: one is not allowed.
+    """
+    return {each.name: each.check(values[each.name]) for each in table if each.name in values}
 
 
 def declare(node: Node, table: Iterable[Parameter]) -> dict[str, Any]:
@@ -89,22 +158,26 @@ def declare(node: Node, table: Iterable[Parameter]) -> dict[str, Any]:
         ParameterError: a value given at start has a wrong type or is not allowed.
     """
     values: dict[str, Any] = {}
+    overrides = node._parameter_overrides
     for parameter in table:
+        given = overrides.get(parameter.name)
+        if given is not None:
+            overrides[parameter.name] = RosParameter(parameter.name, value=parameter._given(given.value))
         try:
             value = node.declare_parameter(parameter.name, parameter.default, parameter.descriptor()).value
-        except InvalidParameterTypeException as error:
-            given = str(error).partition("' to ")[2].partition(" of type")[0]
-            kind = _KINDS.get(type(parameter.default), "a list, [..., ...]")
-            raise ParameterError(
-                f"parameter '{parameter.name}' is {given}: must be {kind}: {parameter.description}"
-            ) from None
+        except InvalidParameterTypeException:
+            raise parameter._wrong(f"'{_shown(overrides[parameter.name].value)}'") from None
         except InvalidParameterValueException:
             raise ParameterError(
                 f"parameter '{parameter.name}' is out of range: must be {parameter.limits}: {parameter.description}"
             ) from None
-        parameter.check(value)
-        values[parameter.name] = value
+        values[parameter.name] = parameter.check(value)
     return values
+
+
+def _shown(value: Any) -> str:
+    text = str(value)
+    return text if len(text) <= 100 else f"{text[:96]} ..."
 
 
 def help_text(program: str, description: str, table: Iterable[Parameter]) -> str:

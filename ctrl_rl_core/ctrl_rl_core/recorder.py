@@ -183,7 +183,7 @@ class TopicRecorder:
                 self._write(recorded, *taken)
 
     def _write(self, recorded: _Recorded, data: bytes, info: dict[str, int]) -> None:
-        log_time = info["received_timestamp"] or self._node.get_clock().now().nanoseconds
+        log_time = info["received_timestamp"] or time.time_ns()
         publish_time, sequence = info["source_timestamp"] or log_time, info["publication_sequence_number"] or 0
         self._queue.write(recorded.bag_name, data, log_time, publish_time, sequence)
 

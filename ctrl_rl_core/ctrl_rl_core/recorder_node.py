@@ -28,8 +28,8 @@ class RecorderNode(SuiteNode):
     QUICK = False
     FATAL = (BagError,)
     PARAMETERS = (
-        Parameter("output", "", "Folder of the bag; empty: bag_<date>-<time> in the working folder."),
-        Parameter("topics", [""], "Topics to record; empty: all, also those that appear later."),
+        Parameter("output", "", "Folder of the bag; empty: bag_<date>-<time> in the working folder.", kind="path"),
+        Parameter("topics", [""], "Topics to record; empty: all, also those that appear later.", kind="name"),
         Parameter("exclude", [""], "Regular expressions of topics that are not recorded."),
         Parameter("include_hidden", False, "Record topics with a name part that begins with _ too."),
         Parameter("max_file_mb", 1000, "Size at which the next file begins [MB]; 0: one file.", 0, 1_000_000),
@@ -144,7 +144,7 @@ def _digests(texts: list[str]) -> dict[str, str]:
         if not name or not path:
             raise ParameterError(f"parameter 'digest_files': '{text}' must be NAME=PATH")
         try:
-            with Path(path).open("rb") as file:
+            with Path(path).expanduser().open("rb") as file:
                 out[name] = hashlib.file_digest(file, "sha256").hexdigest()
         except OSError as error:
             raise ParameterError(f"parameter 'digest_files': {path} cannot be read ({error.strerror})") from None

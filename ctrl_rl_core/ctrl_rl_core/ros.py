@@ -16,32 +16,24 @@ A node of this suite is a class derived from `SuiteNode`, run by `run_node`:
 
 from __future__ import annotations
 
-import inspect
-import signal
-import sys
-import time
 from array import array
 from collections.abc import Callable, Mapping
 from typing import Any, ClassVar
 
 import numpy as np
-import rclpy
 from builtin_interfaces.msg import Time as TimeMsg
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from numpy.typing import NDArray
 from rcl_interfaces.msg import SetParametersResult
-from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError
 from rclpy.clock import Clock, ClockType
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
-from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
-from rclpy.signals import SignalHandlerOptions
 
 from ctrl_rl_core.errors import CtrlRlError, one_line
 from ctrl_rl_core.faults import Faults
 from ctrl_rl_core.parameter_service import CheckedParameterService
-from ctrl_rl_core.parameters import Parameter, ParameterError, declare, help_text
+from ctrl_rl_core.parameters import Parameter, ParameterError, check_all, declare
+from ctrl_rl_core.running import run_node as run_node
 
 SENSOR = qos_profile_sensor_data
 """Subscribers to scan and odom: best effort matches every publisher, the real robot's too."""
@@ -50,13 +42,9 @@ ODOM_PUBLISHER = QoSProfile(depth=10)
 COMMAND = QoSProfile(depth=1)
 RESULT = QoSProfile(depth=100)
 """Rewards, values, latents, episode states: every message counts, bursts are buffered."""
+DIAGNOSTICS = "/diagnostics"
+"""For the robots of all namespaces, as ROS's aggregator expects it; a status carries its node's full name."""
 LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-
-EXIT_FAILURE = 1
-EXIT_USAGE = 2
-_POLL_S = 0.1
-_BREATH_S = 0.001
-"""After a failure outside of all callbacks, so that one that repeats for ever leaves the processor to others [s]."""
 
 Status = tuple[bytes, str, Mapping[str, object]]
 """Level (a DiagnosticStatus constant), one line of text, key figures."""
@@ -72,6 +60,7 @@ class SuiteNode(Node):
         PARAMETERS: the table of the node's parameters.
         FATAL: Errors of a callback that end the node, as it cannot do its work any more.
         faults: The failures of its callbacks.
+        executor_name: the kind of the executor that serves it.
         QUICK: whether to use the events executor: half the latency and CPU of the usual one, whose cost grows with
             every timer and service; it knows neither raw subscriptions nor guard conditions.
         settings: their values by name; kept up to date where `ros2 param set` changes them.
@@ -84,6 +73,7 @@ class SuiteNode(Node):
     def __init__(self, name: str, **kwargs: Any) -> None:
         self.faults = Faults(self.callback_failed, self.get_logger, self.FATAL)  # before the first callback
         self._refused_requests = 0
+        self.executor_name = ""
         super().__init__(name, start_parameter_services=False, **kwargs)
         for service in self.services:  # rclpy makes one by itself
             service.callback = self.faults.guard_service(service.callback, service.srv_name)
@@ -93,12 +83,16 @@ class SuiteNode(Node):
             if not self.has_parameter(given):
                 self.get_logger().warning(f"parameter '{given}' is unknown to this node and has no effect: see --help")
         self.add_on_set_parameters_callback(self._set_parameters)
-        self._diagnostics = self.create_publisher(DiagnosticArray, "diagnostics", 10)
+        self._diagnostics = self.create_publisher(DiagnosticArray, DIAGNOSTICS, 10)
         self.create_timer(1.0, self._publish_diagnostics, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def status(self) -> Status:
         """Return what `diagnostics` says; override it."""
         return ok("running")
+
+    def diagnostics_stamp(self) -> TimeMsg:
+        """Return ROS time now: wall time, or the simulation's with use_sim_time; override it where /clock is made."""
+        return self.get_clock().now().to_msg()
 
     def setting_changed(self, name: str) -> None:
         """Act on a live parameter that now has another value; override it where it matters.
@@ -144,7 +138,7 @@ class SuiteNode(Node):
         except Exception as error:  # a node that cannot say how it is must say at least that
             self.faults.note("status", error)
             level, message, values = DiagnosticStatus.ERROR, "no status", {}
-        values = dict(values)
+        values = {**values, "executor": self.executor_name}
         if self._refused_requests:
             values["refused parameter requests"] = self._refused_requests
         if self.faults.count:
@@ -163,19 +157,16 @@ class SuiteNode(Node):
             values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
         )
         out = DiagnosticArray(status=[status])
-        out.header.stamp = self.get_clock().now().to_msg()
+        out.header.stamp = self.diagnostics_stamp()
         self._diagnostics.publish(out)
 
     def _set_parameters(self, changes: list[Any]) -> SetParametersResult:
-        table = {parameter.name: parameter for parameter in self.PARAMETERS}
         try:
-            for change in changes:
-                if change.name in table:
-                    table[change.name].check(change.value)
+            values = check_all(self.PARAMETERS, {change.name: change.value for change in changes})
         except ParameterError as error:
             return SetParametersResult(successful=False, reason=str(error))
         before, taken = dict(self.settings), list[str]()
-        for name, value in ((change.name, change.value) for change in changes if change.name in table):
+        for name, value in values.items():
             self.settings[name] = value
             try:
                 self.setting_changed(name)
@@ -188,84 +179,6 @@ class SuiteNode(Node):
                 return SetParametersResult(successful=False, reason=one_line(error))
             taken.append(name)
         return SetParametersResult(successful=True)
-
-
-def run_node(kind: type[SuiteNode], arguments: list[str] | None = None) -> int:
-    """Run one node until SIGINT, SIGTERM or shutdown and return the process's exit code.
-
-    The signals are caught here rather than by rclpy, which would close the publishers before `SuiteNode.stop`
-    could send its zero velocity. 0: stopped in good order; 1: the work failed; 2: a wrong parameter or argument.
-    """
-    arguments = sys.argv if arguments is None else arguments
-    program = arguments[0].rsplit("/", 1)[-1]
-    if "-h" in arguments[1:] or "--help" in arguments[1:]:
-        _say(help_text(program, inspect.getdoc(kind) or "", kind.PARAMETERS), sys.stdout)
-        return 0
-    stopping = False
-
-    def request_stop(_signal: int, _frame: object) -> None:
-        nonlocal stopping
-        stopping = True
-
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, request_stop)
-    node: SuiteNode | None = None
-    try:
-        extra = _initialise(arguments)
-        if extra:
-            raise ParameterError(f"unknown argument '{extra[0]}': see --help")
-        node = kind()  # type: ignore[call-arg]
-        _spin(node, until=lambda: stopping)
-    except CtrlRlError as error:
-        _say(f"{program}: {error}", sys.stderr)
-        return EXIT_USAGE if isinstance(error, ParameterError) else EXIT_FAILURE
-    except ExternalShutdownException:
-        pass
-    finally:
-        _close(node)
-    return 0
-
-
-def _initialise(arguments: list[str]) -> list[str]:
-    """Start rclpy with the process's signals left alone and return the arguments that are not ROS's."""
-    try:
-        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
-        return list(rclpy.utilities.remove_ros_args(arguments))[1:]
-    except UnknownROSArgsError as error:
-        raise ParameterError(f"unknown ROS argument {error}: see --help") from None
-    except RCLError as error:
-        raise ParameterError(f"wrong ROS arguments ({str(error).split(', at ')[0]}): see --help") from None
-
-
-def _spin(node: SuiteNode, until: Callable[[], bool]) -> None:
-    """Serve the node's callbacks until `until` or the middleware says stop."""
-    executor = EventsExecutor() if node.QUICK else SingleThreadedExecutor()
-    executor.add_node(node)
-    try:
-        while not until() and rclpy.ok():
-            try:
-                executor.spin_once(timeout_sec=_POLL_S)
-            except ExternalShutdownException:
-                raise
-            except (
-                Exception
-            ) as error:  # not a callback's: a message that cannot be taken, an answer that cannot be sent
-                node.faults.note("executor", error)
-                time.sleep(_BREATH_S)
-            if node.faults.ended_by is not None:
-                raise node.faults.ended_by
-    finally:
-        executor.shutdown()  # while its context lives: its finaliser would complain afterwards
-
-
-def _close(node: SuiteNode | None) -> None:
-    try:
-        if node is not None and rclpy.ok():
-            node.stop()
-    finally:
-        if node is not None:
-            node.destroy_node()
-        rclpy.try_shutdown()
 
 
 def ok(message: str, **values: object) -> Status:
@@ -293,7 +206,3 @@ def float32_array(values: NDArray[np.floating]) -> array[float]:
     out = array("f")
     out.frombytes(np.ascontiguousarray(values, dtype=np.float32).tobytes())
     return out
-
-
-def _say(text: str, stream: Any) -> None:
-    print(text, file=stream)

@@ -23,6 +23,7 @@ from ctrl_rl_core.errors import CtrlRlError
 from ctrl_rl_core.odometry import OdometryReader
 from ctrl_rl_core.parameters import Parameter, ParameterError
 from ctrl_rl_core.ros import LATCHED, RESULT, Status, SuiteNode, ok, warn
+from ctrl_rl_core.running import interruptible
 from ctrl_rl_core.value_function import ValueFunction
 from ctrl_rl_core.value_messages import answer, grid_message, slice_message
 from ctrl_rl_msgs.msg import StateValue
@@ -30,7 +31,9 @@ from ctrl_rl_msgs.msg import ValueGrid as ValueGridMsg
 from ctrl_rl_msgs.srv import QueryValues
 
 SERVER_PARAMETERS = (
-    Parameter("grid", "", "File of the value function (.safetensors); another one is loaded at once.", live=True),
+    Parameter(
+        "grid", "", "File of the value function (.safetensors); another one is loaded at once.", live=True, kind="path"
+    ),
     Parameter("slice", [""], "NAME=VALUE: where ~/slice cuts, 0 for the components left out.", live=True),
     Parameter("frame", "map", "Frame of the value function's positions; odometry is taken as given in it."),
 )
@@ -101,19 +104,31 @@ class ValueServer(SuiteNode):
 
     def _load(self, file: str) -> None:
         if not file:
-            raise ParameterError("parameter 'grid' is empty: give the file of a value function")
+            meaning = next(each.description for each in self.PARAMETERS if each.name == "grid")
+            raise ParameterError(f"parameter 'grid' is empty: {meaning}")
+        with interruptible():
+            prepared = self._prepared(file)
+        self._serve(*prepared)
+        counts = " + ".join(str(grid.values.size) for grid in self._function.grids)
+        self.get_logger().info(
+            f"{Path(file).name} ({self._function.digest[:12]}): task '{self._function.task}', {counts} points"
+        )
+
+    def _prepared(self, file: str) -> tuple[ValueFunction, OdometryReader, Valued, OccupancyGrid]:
+        """Return all that serving a file takes."""
         function = self.read(Path(file))
         if function.kind != self.KIND:
             raise ParameterError(f"parameter 'grid': {file} holds '{function.kind}', not '{self.KIND}'")
         reader, slice_ = OdometryReader(function.state_names), self._slice_of(function)
         valued = self.prepare(function)
         function.value_and_gradient_at(np.zeros(len(function.state_names)))  # compiles before it counts
-        # Only what is right in every respect takes the place of what is served.
+        return function, reader, valued, slice_
+
+    def _serve(self, function: ValueFunction, reader: OdometryReader, valued: Valued, slice_: OccupancyGrid) -> None:
+        """Let what is right in every respect take the place of what is served."""
         self._function, self._reader, self._valued = function, reader, valued
         self._publish_grids()
         self._slice.publish(slice_)
-        counts = " + ".join(str(grid.values.size) for grid in function.grids)
-        self.get_logger().info(f"{Path(file).name} ({function.digest[:12]}): task '{function.task}', {counts} points")
 
     def _publish_grids(self) -> None:
         """Publish a single grid on ~/grid, each of several on ~/grid_<its states>."""

@@ -137,6 +137,8 @@ class VelocityNode(SuiteNode):
     def drive(self, command: NDArray[np.float64], stamp: Stamp | None = None) -> NDArray[np.float64]:
         """Send speed [m/s] and turn rate [rad/s] (2,), cut off at the limits, and return what was sent.
 
+        While a callback of an input or a timer fails, the robot stands: something is not known, or not watched.
+
         Args:
             command: the command; zeros for a robot that has nothing to do.
             stamp: time of what it answers; now where left out.
@@ -145,6 +147,9 @@ class VelocityNode(SuiteNode):
             VelocityError: it is not finite; nothing was sent, and the robot must stand.
         """
         command = self.limited(command)
+        if self.faults.failing:
+            self.stand(f"callback failed: {self.faults.last}", stamp)
+            return _STAND
         if not self.settings["dry_run"]:
             self.counts["commands"] += 1
             self._send(command, stamp)
@@ -164,6 +169,10 @@ class VelocityNode(SuiteNode):
         if problem != self.problem:
             self.get_logger().warning(f"stopping: {problem}")
         self.problem = problem
+
+    def callback_failed(self, _error: Exception) -> None:
+        """Let the robot stand until each callback that failed has done its work again."""
+        self.stand(f"callback failed: {self.faults.last}")
 
     def stale(self, problem: str) -> None:
         """Act on an input that stays away; the robot stands already. Override it to say so elsewhere."""

@@ -1,12 +1,29 @@
-"""A node whose callbacks raise what its parameters say, run as a process by test_faults.py."""
+"""A node whose callbacks raise what its parameters say, run as a process by tests of faults and of starting.
+
+Options besides ROS's: --slow for rclpy's usual executor, --without-events for an rclpy that has no other, --stuck for
+a constructor that takes a minute.
+"""
 
 import sys
+import time
+
+if "--without-events" in sys.argv:
+    sys.modules["rclpy.experimental"] = None
 
 from ctrl_rl_core.errors import CtrlRlError
 from ctrl_rl_core.parameters import Parameter
 from ctrl_rl_core.ros import SuiteNode, ok, run_node
+from ctrl_rl_core.running import interruptible
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
+
+OPTIONS = {name: name in sys.argv for name in ("--slow", "--stuck", "--without-events")}
+
+
+def work(seconds):
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        time.sleep(0.01)
 
 
 class FatalError(CtrlRlError):
@@ -20,16 +37,26 @@ class FailingNode(SuiteNode):
     PARAMETERS = (
         Parameter("broken", False, "Whether the timer raises.", live=True),
         Parameter("value", 1.0, "Refused by an unexpected error where it is negative.", live=True),
+        Parameter("text", "", "'crash' for a constructor that raises."),
+        Parameter("file", "", "A file.", kind="path"),
+        Parameter("name", "", "A name of ROS.", kind="name"),
+        Parameter("names", [""], "Names of ROS.", kind="name"),
         Parameter("fatal", False, "Whether the timer raises what ends the node.", live=True),
     )
 
     def __init__(self) -> None:
         super().__init__("failing")
+        if OPTIONS["--stuck"]:
+            self.get_logger().info("works")
+            work(60.0)
         self._heard = self.create_publisher(String, "heard", 100)
         self.create_subscription(String, "say", self._on_say, 100)
         self.create_service(Trigger, "~/trigger", self._on_trigger)
         self.create_timer(0.01, self._on_timer)
         self._status_fails = False
+        if self.settings["text"] == "crash":
+            raise LookupError("nothing of the kind")
+        self.get_logger().info("text {text!r}, names {names!r}, file {file!r}".format(**self.settings))
         self.get_logger().info("runs")
 
     def callback_failed(self, error):
@@ -52,6 +79,10 @@ class FailingNode(SuiteNode):
                 raise CtrlRlError("the suite's own")
             case "status":
                 self._status_fails = True
+            case "load":
+                self.get_logger().info("loads")
+                with interruptible():
+                    work(60.0)
             case "exit":
                 raise SystemExit(7)
             case _:
@@ -67,11 +98,6 @@ class FailingNode(SuiteNode):
             raise FatalError("the work is over")
 
 
-class FailingSlowNode(FailingNode):
-    """The same under rclpy's usual executor."""
-
-    QUICK = False
-
-
 if __name__ == "__main__":
-    sys.exit(run_node(FailingSlowNode if "--slow" in sys.argv and not sys.argv.remove("--slow") else FailingNode))
+    FailingNode.QUICK = not OPTIONS["--slow"]
+    sys.exit(run_node(FailingNode, [argument for argument in sys.argv if argument not in OPTIONS]))

@@ -1,5 +1,6 @@
 """Callbacks that raise: no node ends by them, and everybody is told. On real processes, under both executors."""
 
+import signal
 import subprocess
 import sys
 import time
@@ -71,7 +72,9 @@ class Failing:
         return {each.key: each.value for each in self.statuses[-1].values}.get(name, "") if self.statuses else ""
 
 
-@pytest.fixture(params=[(), ("--slow",)], ids=["events", "single-threaded"])
+@pytest.fixture(
+    params=[(), ("--slow",), ("--without-events",)], ids=["events", "single-threaded", "without events executor"]
+)
 def failing(request, tmp_path: Path) -> Iterator[Failing]:
     rclpy.init()
     out = Failing(tmp_path / "log", *request.param)
@@ -148,6 +151,18 @@ def test_a_fatal_error_ends_it_with_one_line(failing: Failing) -> None:
     failing.set("fatal", ParameterValue(type=ParameterType.PARAMETER_BOOL, bool_value=True))
     assert failing.process.wait(10.0) == 1
     assert failing.output.strip().splitlines()[-1] == "failing_node.py: the work is over"
+
+
+def test_a_signal_cuts_off_what_a_callback_loads(failing: Failing) -> None:
+    failing.say("load")
+    failing.wait(lambda: "loads" in failing.output)
+    failing.process.send_signal(signal.SIGINT)
+    assert failing.process.wait(20.0) == 0
+    assert "Traceback" not in failing.output
+
+
+def test_the_executor_is_said(failing: Failing) -> None:
+    failing.wait(lambda: failing.figure("executor") in ("EventsExecutor", "SingleThreadedExecutor"))
 
 
 def test_it_may_still_exit_by_itself(failing: Failing) -> None:

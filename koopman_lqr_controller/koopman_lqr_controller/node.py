@@ -50,6 +50,7 @@ class Controller(LidarDriver):
             DEFAULT_POLICY,
             "A policy that comes with the package, or a .safetensors file; another one drives from the next scan on.",
             live=True,
+            kind="path",
         ),
         Parameter(
             "largest_distance",

@@ -34,7 +34,9 @@ class OcBaselineNode(ValueServer):
     KIND = "oc_value"
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = (
         *map(_with_names, SERVER_PARAMETERS),
-        Parameter("task", "", "Name or .yaml file of the task; empty for the one that the grid was made for."),
+        Parameter(
+            "task", "", "Name or .yaml file of the task; empty for the one that the grid was made for.", kind="path"
+        ),
     )
 
     def __init__(self) -> None:

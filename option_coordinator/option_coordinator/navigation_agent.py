@@ -31,9 +31,9 @@ class NavigationAgent(VelocityNode):
 
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = (
         *VELOCITY_PARAMETERS,
-        Parameter("team", "delivery_team", "Team that comes with the package, or its .yaml file."),
+        Parameter("team", "delivery_team", "Team that comes with the package, or its .yaml file.", kind="path"),
         Parameter("robot", "", "Its name in the team; empty for that of the namespace."),
-        Parameter("team_namespace", "/", "Namespace of the coordinator's topics."),
+        Parameter("team_namespace", "/", "Namespace of the coordinator's topics.", kind="name"),
         Parameter("lidar_x", -0.032, "Where the lidar sits, ahead of the robot's middle [m].", -1.0, 1.0),
         Parameter(
             "lidar_yaw", 0.0, "Direction of the scan's zero bearing in the robot's frame [rad].", -3.1416, 3.1416

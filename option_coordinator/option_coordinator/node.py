@@ -54,7 +54,12 @@ _FINE = (
 """What is counted without being a fault."""
 
 PARAMETERS = (
-    Parameter("team", "", "Team that comes with the package, or its .yaml file; empty for the robots of the policy."),
+    Parameter(
+        "team",
+        "",
+        "Team that comes with the package, or its .yaml file; empty for the robots of the policy.",
+        kind="path",
+    ),
     Parameter(
         "team_name",
         "",
@@ -66,6 +71,7 @@ PARAMETERS = (
         "spread",
         "A learnt one's name or file; 'spread': a legal option whose station is free; 'uniform': any legal option.",
         live=True,
+        kind="path",
     ),
     Parameter("policy_digest", "", "SHA-256 that a policy file must have from now on; empty for any.", live=True),
     Parameter("batch_window", 0.0005, "For which a request waits for others to be decided with [s].", 0.0, 1.0),

@@ -47,8 +47,16 @@ def shipped_policies() -> dict[str, Path]:
 
 
 def policy_file(name_or_path: Path | str) -> Path:
-    """Return the file of a policy that comes with the package, by name, or the path itself."""
-    return shipped_policies().get(str(name_or_path), Path(name_or_path))
+    """Return the file of a policy that comes with the package, by name, or the path itself.
+
+    Raises:
+        OptionError: there is no such policy.
+    """
+    shipped = shipped_policies()
+    path = shipped.get(str(name_or_path), Path(name_or_path))
+    if not path.exists():
+        raise OptionError(f"no policy '{name_or_path}': there are {', '.join(shipped) or 'none'}, or give a file")
+    return path
 
 
 def make_policy(

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
+from builtin_interfaces.msg import Time
 from ctrl_rl_core.errors import CtrlRlError
 from ctrl_rl_core.parameters import ParameterError
 from ctrl_rl_core.ros import COMMAND, Status, SuiteNode, ok, run_node, to_stamp, warn
@@ -175,6 +176,10 @@ class Bridge(SuiteNode):
         if factor < 0.9 * wanted:
             return warn(f"slow: {factor:.2g} of {wanted:g} times real time", **values)
         return ok("running", **values)
+
+    def diagnostics_stamp(self) -> Time:
+        """Return simulation time: the one clock of all nodes that use this simulation."""
+        return to_stamp(self._time)
 
     def stop(self) -> None:
         """Give the physics back."""

@@ -11,7 +11,7 @@ from sim_bridge.lidar import LIDARS
 from sim_bridge.world import SimulationOptions
 
 PARAMETERS = (
-    Parameter("task", "curved_corridor", "Navigation task: a name of the suite, or a path to a .yaml file."),
+    Parameter("task", "curved_corridor", "Navigation task: a name of the suite, or a .yaml file.", kind="path"),
     Parameter("robots", [""], "Namespaces of the robots; [''] for one without."),
     Parameter("seed", 0, "Draws starts, noise and drift of the first episode.", minimum=0),
     Parameter(

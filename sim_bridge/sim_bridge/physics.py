@@ -6,6 +6,8 @@ A world in the x-y plane stands on a floor; one in the x-z plane hangs in space 
 from __future__ import annotations
 
 import math
+import os
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -31,6 +33,16 @@ _ALL_GROUPS = 0x7FFFFFFF
 _SEARCH_LIMIT = 100.0
 
 
+def _check_display() -> None:
+    """Raise SimulationError where there is no display: PyBullet would end the process with an error of X."""
+    display = os.environ.get("DISPLAY", "")
+    local = re.fullmatch(r":(\d+)(\.\d+)?", display)
+    if not display:
+        raise SimulationError("there is no display for a window (DISPLAY is not set): run with gui false")
+    if local and not Path(f"/tmp/.X11-unix/X{local[1]}").exists():
+        raise SimulationError(f"there is no display {display} for a window: run with gui false")
+
+
 class Physics:
     """A PyBullet client that runs in whole steps.
 
@@ -42,6 +54,8 @@ class Physics:
 
     def __init__(self, rate: int, gui: bool = False) -> None:
         self.rate = rate
+        if gui:
+            _check_display()
         self.client = pybullet.connect(pybullet.GUI if gui else pybullet.DIRECT)
         if self.client < 0:
             raise SimulationError("PyBullet gives no physics client: without a display run with gui false")

@@ -30,7 +30,9 @@ class RewardNode(ValueServer):
     KIND = "time_to_reach"
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = (
         *SERVER_PARAMETERS,
-        Parameter("task", "", "Name or .yaml file of the task; empty for the one that the grid was made for."),
+        Parameter(
+            "task", "", "Name or .yaml file of the task; empty for the one that the grid was made for.", kind="path"
+        ),
         Parameter("corridor_width", 0.0, "Of the task's corridor [m]; 0.0 for the task's own.", 0.0, 100.0),
     )
 

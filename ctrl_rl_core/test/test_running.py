@@ -1,0 +1,109 @@
+"""How a node's process starts and ends: one line where it cannot, and at once where it is told to. Real processes."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+HERE = Path(__file__).parent
+pytestmark = pytest.mark.fault
+
+
+def start(log: Path, *arguments: str, shell: str = "", **environment: str | None) -> subprocess.Popen:
+    known = {**os.environ, **environment}
+    command = [sys.executable, str(HERE / "failing_node.py"), *arguments]
+    if shell:
+        command = ["bash", "-c", f'{shell}; exec "$@"', "bash", *command]
+    with log.open("wb") as stream:
+        return subprocess.Popen(
+            command,
+            stdout=stream,
+            stderr=subprocess.STDOUT,
+            env={name: value for name, value in known.items() if value is not None},
+        )
+
+
+def wait_for(log: Path, words: str, process: subprocess.Popen) -> None:
+    deadline = time.monotonic() + 30.0
+    while words not in log.read_text():
+        assert process.poll() is None, log.read_text()
+        assert time.monotonic() < deadline, log.read_text()
+        time.sleep(0.02)
+
+
+@pytest.mark.parametrize(
+    ("shell", "environment", "words"),
+    [
+        ("ulimit -n 12", {}, "only 12 files may be open at once: a node needs 64, see ulimit -n"),
+        ("", {"HOME": None, "ROS_LOG_DIR": None, "ROS_HOME": None}, "HOME is not set"),
+        ("", {"ROS_LOG_DIR": "/dev/null/log"}, "ROS cannot write its log to /dev/null/log"),
+    ],
+    ids=["open files", "no home", "no place for the log"],
+)
+def test_what_it_lacks_is_said_in_one_line(tmp_path: Path, shell: str, environment: dict, words: str) -> None:
+    log = tmp_path / "log"
+    assert start(log, shell=shell, **environment).wait(30.0) == 2
+    (line,) = log.read_text().splitlines()
+    assert line.startswith("failing_node.py: ")
+    assert words in line
+
+
+@pytest.mark.parametrize(
+    ("parameter", "words"),
+    [
+        ("value:=[]", "parameter 'value' is not set: must be a number"),
+        ("text:=" + "a" * 5000, "parameter 'text' has 5000 letters: at most 4096"),
+        ("file:=" + "a" * 250, "a part of the path has 250 letters"),
+        ("name:=../../x.yaml", "'../../x.yaml' is no name of ROS"),
+        ("names:=[/my-scan]", "'/my-scan' is no name of ROS"),
+    ],
+)
+def test_a_bad_parameter_is_refused_in_one_line(tmp_path: Path, parameter: str, words: str) -> None:
+    log = tmp_path / "log"
+    assert start(log, "--ros-args", "-p", parameter).wait(30.0) == 2
+    (line,) = log.read_text().splitlines()
+    assert words in line
+
+
+def test_what_yaml_misreads_is_understood(tmp_path: Path) -> None:
+    log = tmp_path / "log"
+    given = ("text:=nan", "names:=[]", "file:=~/some.file")
+    process = start(log, "--ros-args", *(part for each in given for part in ("-p", each)), HOME=str(tmp_path))
+    wait_for(log, "runs", process)
+    process.terminate()
+    process.wait(20.0)
+    assert f"text 'nan', names [''], file '{tmp_path}/some.file'" in log.read_text()
+
+
+def test_an_unexpected_error_at_the_start_is_one_line(tmp_path: Path) -> None:
+    log = tmp_path / "log"
+    assert start(log, "--ros-args", "-p", "text:=crash").wait(30.0) == 1
+    assert log.read_text().splitlines() == ["failing_node.py: could not start: LookupError: nothing of the kind"]
+
+
+def test_log_level_debug_shows_its_traceback(tmp_path: Path) -> None:
+    log = tmp_path / "log"
+    assert start(log, "--ros-args", "-p", "text:=crash", "--log-level", "debug").wait(30.0) == 1
+    assert "Traceback" in log.read_text()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_cuts_the_start_off(tmp_path: Path, number: int) -> None:
+    log = tmp_path / "log"
+    process = start(log, "--stuck")  # for a minute
+    wait_for(log, "works", process)
+    process.send_signal(number)
+    assert process.wait(20.0) == 0
+    assert "Traceback" not in log.read_text()
+
+
+def test_without_an_events_executor_it_says_so_and_runs(tmp_path: Path) -> None:
+    log = tmp_path / "log"
+    process = start(log, "--without-events")
+    wait_for(log, "this rclpy has no EventsExecutor", process)
+    process.send_signal(signal.SIGINT)
+    assert process.wait(20.0) == 0
