@@ -63,12 +63,16 @@ class SuiteNode(Node):
         executor_name: the kind of the executor that serves it.
         QUICK: whether to use the events executor: half the latency and CPU of the usual one, whose cost grows with
             every timer and service; it knows neither raw subscriptions nor guard conditions.
+        SHARED_MEMORY: whether Fast DDS may use shared memory. What drives a robot does not: a process that is killed
+            while it holds a lock there freezes the others. The user's own choice of transports counts, and with
+            ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST rmw_fastrtps uses shared memory whatever is chosen.
         settings: their values by name; kept up to date where `ros2 param set` changes them.
     """
 
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = ()
     FATAL: ClassVar[tuple[type[Exception], ...]] = ()
     QUICK: ClassVar[bool] = True
+    SHARED_MEMORY: ClassVar[bool] = True
 
     def __init__(self, name: str, **kwargs: Any) -> None:
         self.faults = Faults(self.callback_failed, self.get_logger, self.FATAL)  # before the first callback

@@ -94,6 +94,8 @@ def run_node(kind: type[SuiteNode], arguments: list[str] | None = None) -> int:
     node: SuiteNode | None = None
     try:
         with interruptible():
+            if not kind.SHARED_MEMORY:
+                _leave_out_shared_memory()
             extra = _initialise(arguments)
             if extra:
                 raise ParameterError(f"unknown argument '{extra[0]}': see --help")
@@ -126,6 +128,13 @@ def _initialise(arguments: list[str]) -> list[str]:
         raise ParameterError(f"unknown ROS argument {error}: see --help") from None
     except RCLError as error:
         raise ParameterError(f"wrong ROS arguments ({str(error).split(', at ')[0]}): see --help") from None
+
+
+def _leave_out_shared_memory() -> None:
+    """Let Fast DDS use UDP alone, unless the user has chosen; its own variables are its only door."""
+    chosen = ("FASTDDS_BUILTIN_TRANSPORTS", "FASTDDS_DEFAULT_PROFILES_FILE", "FASTRTPS_DEFAULT_PROFILES_FILE")
+    if not any(os.environ.get(name) for name in chosen):
+        os.environ["FASTDDS_BUILTIN_TRANSPORTS"] = "UDPv4"
 
 
 def _check_open_files() -> None:

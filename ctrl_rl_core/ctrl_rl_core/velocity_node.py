@@ -60,6 +60,7 @@ class VelocityNode(SuiteNode):
     """
 
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = VELOCITY_PARAMETERS
+    SHARED_MEMORY = False
     TIMEOUT: ClassVar[str] = "scan_timeout"
 
     def __init__(self, name: str, needs: Sequence[str]) -> None:

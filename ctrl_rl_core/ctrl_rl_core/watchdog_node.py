@@ -28,6 +28,7 @@ class WatchdogNode(SuiteNode):
     this process itself dies, nobody stops the robot but its base.
     """
 
+    SHARED_MEMORY = False
     PARAMETERS = (
         Parameter("timeout", 0.5, "Age of the last command that stops the robot, in wall time [s].", 0.05, 60.0),
         Parameter("zero_rate", 10.0, "Zeros per second while no commands come [Hz].", 1.0, 100.0),

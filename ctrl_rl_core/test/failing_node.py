@@ -1,7 +1,7 @@
 """A node whose callbacks raise what its parameters say, run as a process by tests of faults and of starting.
 
-Options besides ROS's: --slow for rclpy's usual executor, --without-events for an rclpy that has no other, --stuck for
-a constructor that takes a minute.
+Options besides ROS's: --drives for a node that may share no memory, --slow for rclpy's usual executor,
+--without-events for an rclpy that has no other, --stuck for a constructor that takes a minute.
 """
 
 import sys
@@ -17,7 +17,7 @@ from ctrl_rl_core.running import interruptible
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-OPTIONS = {name: name in sys.argv for name in ("--slow", "--stuck", "--without-events")}
+OPTIONS = {name: name in sys.argv for name in ("--slow", "--stuck", "--without-events", "--drives")}
 
 
 def work(seconds):
@@ -99,5 +99,6 @@ class FailingNode(SuiteNode):
 
 
 if __name__ == "__main__":
+    FailingNode.SHARED_MEMORY = not OPTIONS["--drives"]
     FailingNode.QUICK = not OPTIONS["--slow"]
     sys.exit(run_node(FailingNode, [argument for argument in sys.argv if argument not in OPTIONS]))

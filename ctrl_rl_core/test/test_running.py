@@ -107,3 +107,26 @@ def test_without_an_events_executor_it_says_so_and_runs(tmp_path: Path) -> None:
     wait_for(log, "this rclpy has no EventsExecutor", process)
     process.send_signal(signal.SIGINT)
     assert process.wait(20.0) == 0
+
+
+def shared_memory(process: subprocess.Popen) -> bool:
+    return "/dev/shm/fastrtps_" in Path(f"/proc/{process.pid}/maps").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("options", "environment", "shares"),
+    [
+        ((), {}, True),
+        (("--drives",), {}, False),
+        (("--drives",), {"FASTDDS_BUILTIN_TRANSPORTS": "DEFAULT"}, True),
+    ],
+    ids=["others share memory", "what drives does not", "unless the user says so"],
+)
+def test_what_drives_a_robot_shares_no_memory(tmp_path: Path, options: tuple, environment: dict, shares: bool) -> None:
+    log = tmp_path / "log"
+    # With LOCALHOST rmw_fastrtps takes its own transports, whatever anyone says.
+    process = start(log, *options, ROS_AUTOMATIC_DISCOVERY_RANGE="SUBNET", **environment)
+    wait_for(log, "runs", process)
+    assert shared_memory(process) is shares
+    process.terminate()
+    assert process.wait(20.0) == 0

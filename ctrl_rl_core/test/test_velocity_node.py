@@ -40,6 +40,8 @@ class Echo(VelocityNode):
         self.heard("odometry")
         self.robot_frame(message.child_frame_id)
         twist = message.twist.twist
+        if twist.linear.y:
+            raise ZeroDivisionError("a callback's own mistake")
         try:
             self.drive(np.array((twist.linear.x, twist.angular.z)), message.header.stamp)
         except VelocityError as error:
@@ -136,3 +138,19 @@ def test_it_stands_without_recent_input_says_so_once_and_leaves_the_robot_standi
     base.process.send_signal(signal.SIGTERM)
     assert base.process.wait(5.0) == 0
     assert base.spin(2.0, lambda: len(base.commands) > before and base.commands[-1].twist.linear.x == 0.0)
+
+
+@pytest.mark.fault
+def test_a_callback_that_fails_leaves_the_robot_standing_until_it_works_again(start: Callable[..., Base]) -> None:
+    base = start("scan_timeout:=10.0")
+    assert base.answer(0.15, 0.0).twist.linear.x == 0.15
+    before, sideways = len(base.commands), Odometry()
+    sideways.twist.twist.linear.y = 1.0
+    base.odom.publish(sideways)
+    assert base.spin(10.0, lambda: len(base.commands) > before)
+    assert base.commands[-1].twist.linear.x == 0.0
+    assert "callback failed: on_odometry (odom): ZeroDivisionError: a callback's own mistake" in base.log.read_text()
+    for _ in range(3):
+        moves = base.answer(0.15, 0.0).twist.linear.x == 0.15
+    assert moves, "it goes on by itself"
+    assert base.process.poll() is None
