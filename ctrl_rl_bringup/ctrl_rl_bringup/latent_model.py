@@ -89,12 +89,13 @@ def read_latent_model(bag: Path) -> LatentModel | None:
         BagError: the bag cannot be read.
     """
     info = bag_info(bag)
-    if _TOPIC not in info.topics:
+    topic = min((name for name in info.topics if name.endswith(_TOPIC)), default="")
+    if not topic:
         return None
     before = np.empty(0)
     steps, distances, dimensions = [], [], 0
     stops: Counter[str] = Counter()
-    for message in read_messages(bag, [_TOPIC]):
+    for message in read_messages(bag, [topic]):
         data = message.data
         stop = getattr(data, "stop", "")  # bags from before there were guards have none
         stops.update([stop] if stop else [])

@@ -29,7 +29,7 @@ OUTCOMES = {
     TaskOutcome.TIMEOUT: "time-out",
 }
 RECORDER = "recorder"
-_RECORDED = ("scan", "odom", "cmd_vel", "episode", "clock", "ground_truth")
+_RECORDED = ("scan", "odom", "cmd_vel", "episode", "/clock", "ground_truth")
 _READY_S = 30.0
 _SILENT_S = 20.0
 _STEP_S = 0.05
@@ -186,7 +186,7 @@ class Monitor:
         )
 
     def _subscribers(self, topic: str) -> set[str]:
-        return {info.node_name for info in self._node.get_subscriptions_info_by_topic(f"/{topic}")}
+        return {info.node_name for info in self._node.get_subscriptions_info_by_topic(topic)}
 
     def _call(self, client: rclpy.client.Client, request: object) -> Any:
         future = client.call_async(request)

@@ -147,7 +147,7 @@ class Drive:
 
 
 def read_drive(bag: Path) -> Drive:
-    """Read the drive of one robot, in one episode, from a bag.
+    """Read the drive of one robot, in one episode, from a bag; in any namespace, the first by name of several.
 
     Raises:
         BagError: the bag cannot be read, or holds no episode.
@@ -156,12 +156,15 @@ def read_drive(bag: Path) -> Drive:
     rows: dict[str, list[tuple[float, ...]]] = defaultdict(list)
     topics = ("/scan", "/odom", "/ground_truth", "/cmd_vel", "/episode", "/reward", "/oc_value")
     info = bag_info(bag)
-    recorded = [topic for topic in topics if topic in info.topics]
-    if "/episode" not in recorded:
+    spaces = [topic.removesuffix("/episode") for topic in info.topics if topic.endswith("/episode")]
+    space = min(spaces, default="")
+    recorded = [space + topic for topic in topics if space + topic in info.topics]
+    if not spaces:
         raise BagError(f"{bag}: no topic /episode: is it a drive in the simulator?")
     for message in read_messages(bag, recorded):
-        stamps[message.topic].append(_stamp(message.data))
-        rows[message.topic].append(_row(message.topic, message.data))
+        topic = message.topic.removeprefix(space)
+        stamps[topic].append(_stamp(message.data))
+        rows[topic].append(_row(topic, message.data))
     begin = stamps["/episode"][0] - rows["/episode"][0][1]
     episode = np.array(rows["/episode"])
     task, width = _task_of(info.custom_data)
@@ -186,7 +189,7 @@ def read_drive(bag: Path) -> Drive:
         commands=track("/cmd_vel"),
         rewards=track("/reward"),
         oc_values=track("/oc_value"),
-        latencies=answer_latencies(sent["/scan"], sent["/cmd_vel"]),
+        latencies=answer_latencies(sent.get(f"{space}/scan", ()), sent.get(f"{space}/cmd_vel", ())),
         messages=info.message_count,
         lost=lost_messages(sent),
         predictions=latent.steps - (begin, 0.0, 0.0) if latent else np.empty((0, 3)),
@@ -228,7 +231,10 @@ def _duration(episode: Array) -> float:
 
 def _task_of(custom_data: Any) -> tuple[str, float | None]:
     """Return task and corridor width of the simulator, from its parameters."""
-    parameters = json.loads(custom_data.get("parameters./sim_bridge", "{}"))
+    name = min(
+        (key for key in custom_data if key.startswith("parameters.") and key.endswith("/sim_bridge")), default=""
+    )
+    parameters = json.loads(custom_data.get(name, "{}"))
     task = parameters.get("task", "curved_corridor")
     width = float(parameters.get("corridor_width", 0.0))
     return load_navigation_task(task).name if not str(task).endswith(".yaml") else task, width or None

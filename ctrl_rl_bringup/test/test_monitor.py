@@ -1,10 +1,12 @@
 """A drive begins when every node has spoken, not when its publishers are there."""
 
 import signal
+import sys
 from pathlib import Path
 
 import pytest
 from ctrl_rl_bringup.monitor import Monitor
+from ctrl_rl_bringup.report import read_drive
 from ctrl_rl_bringup.session import ros
 
 _FROZEN_SPINS = 40
@@ -39,3 +41,27 @@ def test_a_drive_waits_for_a_value_node_that_is_there_but_not_at_work(run_node, 
         finally:
             baseline.process.send_signal(signal.SIGCONT)
             monitor.close()
+
+
+def test_a_drive_in_a_namespace_is_followed_and_reported(
+    run_node, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    space = ("__ns:=/lab",)
+    run_node("sim_bridge", "bridge", "task:=curved_corridor", "start_paused:=true", remap=space)
+    recorder = run_node("ctrl_rl_core", "recorder", f"output:={tmp_path / 'bag'}", remap=space)
+    run_node("koopman_lqr_controller", "controller", "use_sim_time:=true", remap=space)
+    monkeypatch.setattr(sys, "argv", ["monitor", "--ros-args", "-r", space[0]])
+    with ros():
+        monitor = Monitor(lambda: None)
+        try:
+            monitor.wait_until_ready()
+            monitor.run()
+            while monitor._episode is None or monitor._episode.elapsed < 1.0:
+                monitor._spin()
+            monitor.pause()
+        finally:
+            monitor.close()
+    recorder.stop()
+    drive = read_drive(tmp_path / "bag")
+    assert drive.task == "curved_corridor"
+    assert len(drive.odometry)
