@@ -67,9 +67,12 @@ def run_node(tmp_path: Path) -> Iterator[Callable[..., NodeProcess]]:
     """Give a function that starts a node of a package by executable, parameters ("speed:=1.0") and remappings."""
     started: list[NodeProcess] = []
 
-    def run(package: str, executable: str, *parameters: str, remap: tuple[str, ...] = ()) -> NodeProcess:
+    def run(
+        package: str, executable: str, *parameters: str, remap: tuple[str, ...] = (), params_file: Path | None = None
+    ) -> NodeProcess:
         options = [part for parameter in parameters for part in ("-p", parameter)]
         options += [part for rule in remap for part in ("-r", rule)]
+        options += ["--params-file", str(params_file)] if params_file else []
         arguments = ("--ros-args", *options) if options else ()
         node = NodeProcess(package, executable, arguments, tmp_path / f"{len(started)}-{executable}.log")
         started.append(node)

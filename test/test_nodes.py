@@ -6,9 +6,12 @@ from pathlib import Path
 
 import pytest
 import rclpy
+import yaml
 from commands import command
 from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.srv import GetParameters, ListParameters
 from rclpy.node import Node
+from rclpy.parameter import parameter_value_to_python
 from ttr_reward_node.solver import solve_task
 
 NODES = {
@@ -119,3 +122,48 @@ def test_diagnostics_carry_name_level_and_figures(start: Callable, listener) -> 
         assert message.header.stamp.sec > 0 or message.status[0].name != "/recorder"
         assert message.status[0].message
         assert message.status[0].values
+
+
+def _dump(node: Node, name: str) -> dict[str, object]:
+    """Return the parameters of a node, as `ros2 param dump` writes them."""
+
+    def ask(kind: type, service: str, request: object) -> object:
+        client = node.create_client(kind, f"{name}/{service}")
+        assert client.wait_for_service(30.0)
+        future = client.call_async(request)
+        rclpy.spin_until_future_complete(node, future, timeout_sec=30.0)
+        node.destroy_client(client)
+        return future.result()
+
+    names = sorted(ask(ListParameters, "list_parameters", ListParameters.Request()).result.names)
+    values = ask(GetParameters, "get_parameters", GetParameters.Request(names=names)).values
+    return {key: parameter_value_to_python(value) for key, value in zip(names, values, strict=True)}
+
+
+@pytest.mark.fault
+@pytest.mark.parametrize("name", NODES)
+def test_dumped_parameters_load_again(
+    start: Callable, run_node: Callable, listener: tuple, tmp_path: Path, name: str
+) -> None:
+    node, heard = listener
+
+    def wait(process: object) -> str:
+        heard.clear()
+        for _ in range(1200):
+            rclpy.spin_once(node, timeout_sec=0.05)
+            if heard:
+                return next(iter(heard))
+            assert process.process.poll() is None, process.output
+        raise AssertionError(process.output)
+
+    first = start(name)
+    full_name = wait(first)
+    dumped = _dump(node, full_name)
+    first.stop()
+    file = tmp_path / "dumped.yaml"
+    again = {**dumped, "output": str(tmp_path / "again")} if "output" in dumped else dumped
+    file.write_text(yaml.safe_dump({full_name: {"ros__parameters": again}}, default_flow_style=False))
+    package, _ = NODES[name]
+    second = run_node(package, name, params_file=file)
+    assert _dump(node, wait(second)) == again
+    assert "unknown to this node" not in second.output
