@@ -1,21 +1,79 @@
-"""Machine code that is kept on disk between processes, where there is a place for it."""
+"""Machine code that is kept on disk between processes, where there is a place for it, and compiled again if damaged."""
 
 from __future__ import annotations
 
+import hashlib
+import os
+import pickle
+import sys
 from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 from numba import njit
+from numba.core.caching import IndexDataCacheFile
 
 
 def cached(function: Callable[..., Any], **options: Any) -> Callable[..., Any]:
     """Compile a function at its first call, or read its code from disk; options as for `numba.njit`."""
     try:
-        return _njit(function, cache=True, **options)
+        compiled: Any = njit(cache=True, **options)(function)
     except RuntimeError:  # no writable cache folder: a read-only installation without a home
-        return _njit(function, **options)
+        compiled = njit(**options)(function)
+    cache = getattr(compiled, "_cache", None)
+    if hasattr(cache, "_cache_file"):
+        locator = cache._impl.locator
+        cache._cache_file = _CheckedFile(cache._cache_path, cache._impl.filename_base, locator.get_source_stamp())
+    out: Callable[..., Any] = compiled
+    return out
 
 
-def _njit(function: Callable[..., Any], **options: Any) -> Callable[..., Any]:
-    compiled: Callable[..., Any] = njit(**options)(function)
-    return compiled
+class _CheckedFile(IndexDataCacheFile):  # type: ignore[misc]
+    """Numba's files with a digest in front: Numba runs whatever bytes it finds, and an empty file ends the process."""
+
+    def save(self, key: Any, data: Any) -> None:
+        """Keep code, or say why it cannot be kept: it works all the same."""
+        try:
+            super().save(key, data)
+        except OSError as error:
+            _say(f"compiled code cannot be kept in {self._cache_path} ({error.strerror}); it is compiled at each start")
+
+    def _load_index(self) -> dict[Any, str]:
+        with suppress(OSError):
+            version, stamp, overloads = pickle.loads(_read(self._index_path))  # noqa: S301 Numba's own format
+            if (version, stamp) == (self._version, self._source_stamp):
+                return dict(overloads)
+        return {}
+
+    def _save_index(self, overloads: dict[Any, str]) -> None:
+        self._write(self._index_path, (self._version, self._source_stamp, overloads))
+
+    def _load_data(self, name: str) -> Any:
+        return pickle.loads(_read(self._data_path(name)))  # noqa: S301
+
+    def _save_data(self, name: str, data: Any) -> None:
+        self._write(self._data_path(name), data)
+
+    def _write(self, path: str, data: Any) -> None:
+        body = self._dump(data)
+        with self._open_for_write(path) as file:
+            file.write(hashlib.sha256(body).digest() + body)
+
+
+def _read(path: str) -> bytes:
+    """Return the content of a file behind its digest.
+
+    Raises:
+        OSError: it is missing, or not as it was written; then the code is compiled anew and the file written again.
+    """
+    content = Path(path).read_bytes()
+    size = hashlib.sha256().digest_size
+    if hashlib.sha256(content[size:]).digest() != content[:size]:
+        _say(f"{os.path.basename(path)} in {os.path.dirname(path)} is damaged or of another version: compiling again")
+        raise OSError(f"{path} is damaged")
+    return content[size:]
+
+
+def _say(text: str) -> None:
+    sys.stderr.write(f"{text}\n")
