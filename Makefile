@@ -5,7 +5,7 @@ SHELL := /bin/bash
 RUN := set -eo pipefail; source scripts/workspace.bash;
 LINKED := ctrl_rl_core sim_bridge ctrl_rl_training ttr_reward_node oc_baseline_node koopman_lqr_controller option_coordinator ctrl_rl_bringup
 
-.PHONY: help setup build demo demo-options trials train ttr oc options koopman test test-all lint bench attack results clean
+.PHONY: help setup build demo demo-options trials train ttr oc options koopman test test-all lint bench attack results lock clean
 
 help: ## say what there is
 	@grep -E '^[a-z-]+:.*##' Makefile | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 18
@@ -92,6 +92,10 @@ attack: build ## fuzz readers and messages, break processes (ARGS="--seconds 60 
 
 results: build ## the page of results from the JSON files
 	@$(RUN) ros2 run ctrl_rl_bringup results docs/results docs/results.md
+
+lock: setup ## resolve the requirements anew: each package by version and hash, into requirements/lock/
+	@.venv/bin/python -m pip install --quiet --disable-pip-version-check --target .venv/tools/uv --upgrade uv==0.13.9
+	@.venv/bin/python scripts/lock .venv/tools/uv/bin/uv
 
 clean: ## remove environment and build
 	rm -rf .venv build install log

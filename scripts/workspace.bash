@@ -8,8 +8,10 @@ fi
 . "$_workspace/.venv/bin/activate"
 if [[ $(<"$_workspace/.venv/ros") == wheels ]]; then
   export AMENT_PREFIX_PATH=$_workspace/.venv ROS_DISTRO=jazzy
+  . "$_workspace/install/local_setup.bash"
+else
+  . "$_workspace/install/setup.bash"  # the ROS below as well, which a new shell may not have sourced
 fi
-. "$_workspace/install/local_setup.bash"
 
 if ! command -v ros2 >/dev/null; then
   ros2() {
