@@ -18,6 +18,7 @@ setup(
         (f"share/{NAME}/config", sorted(glob("config/*"))),
     ],
     install_requires=["setuptools"],
+    extras_require={"test": ["pytest"]},
     zip_safe=False,
     entry_points={
         "console_scripts": [

@@ -21,7 +21,7 @@ def cached(function: Callable[..., Any], **options: Any) -> Callable[..., Any]:
         compiled: Any = njit(cache=True, **options)(function)
     except RuntimeError:  # no writable cache folder: a read-only installation without a home
         compiled = njit(**options)(function)
-    cache = getattr(compiled, "_cache", None)
+    cache: Any = getattr(compiled, "_cache", None)
     if hasattr(cache, "_cache_file"):
         locator = cache._impl.locator
         cache._cache_file = _CheckedFile(cache._cache_path, cache._impl.filename_base, locator.get_source_stamp())
@@ -29,7 +29,7 @@ def cached(function: Callable[..., Any], **options: Any) -> Callable[..., Any]:
     return out
 
 
-class _CheckedFile(IndexDataCacheFile):  # type: ignore[misc]
+class _CheckedFile(IndexDataCacheFile):
     """Numba's files with a digest in front: Numba runs whatever bytes it finds, and an empty file ends the process."""
 
     def save(self, key: Any, data: Any) -> None:
