@@ -8,6 +8,8 @@ fi
 . "$_workspace/.venv/bin/activate"
 if [[ $(<"$_workspace/.venv/ros") == wheels ]]; then
   export AMENT_PREFIX_PATH=$_workspace/.venv ROS_DISTRO=jazzy
+  # The wheels are for trying and learning, not for a robot: nobody on the network needs to hear (docs/security.md).
+  export ROS_AUTOMATIC_DISCOVERY_RANGE=${ROS_AUTOMATIC_DISCOVERY_RANGE:-LOCALHOST}
   . "$_workspace/install/local_setup.bash"
 else
   . "$_workspace/install/setup.bash"  # the ROS below as well, which a new shell may not have sourced

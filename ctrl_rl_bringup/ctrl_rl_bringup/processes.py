@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import signal
 import subprocess
 import tempfile
@@ -17,6 +18,7 @@ from ctrl_rl_bringup.session import uninterrupted
 from ctrl_rl_bringup.stack import NodeSpec
 
 _STOP_S = 15.0
+_FULL_BYTES = 1_000_000
 
 
 class ProcessError(CtrlRlError):
@@ -126,5 +128,11 @@ class Processes:
         return f"{name} ended with exit code {code}: {self._last_words(name)}"
 
     def _last_words(self, name: str) -> str:
+        """Return the last error in a node's log, else its last line; on a full disk the log may lack both."""
         lines = (self._folder / f"{name}.log").read_text(errors="replace").strip().splitlines()
-        return lines[-1] if lines else "it said nothing"
+        own = f"{name.rpartition('.')[2]}: "  # what it ends for, before its publishers' last words
+        errors = [line for line in lines if line.startswith(own) or "[ERROR]" in line or "[FATAL]" in line]
+        words = (errors or lines or ["it said nothing"])[-1]
+        if shutil.disk_usage(self._folder).free < _FULL_BYTES:
+            return f"{words} (no space left on the disk of {self._folder})"
+        return words

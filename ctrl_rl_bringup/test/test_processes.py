@@ -1,11 +1,14 @@
 """Nodes as processes: started, watched, ended in order."""
 
+import shutil
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from ctrl_rl_bringup.processes import ProcessError, Processes, executable_path
-from ctrl_rl_bringup.stack import DriveOptions, NodeSpec, controller, scripted_driver
+from ctrl_rl_bringup.stack import DriveOptions, NodeSpec, controller, recorder, scripted_driver
+from ctrl_rl_core.tasks import task_file
 
 
 def wait_until(said: Path, words: str) -> None:
@@ -28,9 +31,31 @@ def test_a_node_that_ends_by_itself_is_found_with_its_last_words(tmp_path: Path)
     with Processes(tmp_path) as processes:
         processes.start([NodeSpec("koopman_lqr_controller", "controller", {"policy": "nowhere"})])
         wait_until(tmp_path / "controller.log", "no policy 'nowhere'")
-        time.sleep(0.5)
+        processes._running["controller"].wait(20.0)
         with pytest.raises(ProcessError, match=r"controller ended with exit code 1: .*no policy 'nowhere'"):
             processes.check()
+
+
+@pytest.mark.fault
+def test_a_full_disk_is_the_reason_that_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The recorder stops while there is space for the end of its bag; its last line is not its reason."""
+    spec = recorder(DriveOptions(tmp_path), {"task": task_file("curved_corridor")})
+    spec = replace(spec, parameters={**spec.parameters, "min_free_mb": 1_000_000})
+
+    def run() -> None:
+        with Processes(tmp_path) as processes:
+            processes.start([spec])
+            deadline = time.monotonic() + 30.0
+            while time.monotonic() < deadline:
+                processes.check()
+                time.sleep(0.05)
+
+    with pytest.raises(ProcessError, match=r"recorder ended with exit code 1: .*left on the disk"):
+        run()
+    usage = shutil.disk_usage(tmp_path)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _folder: usage._replace(free=4096))
+    with pytest.raises(ProcessError, match=f"no space left on the disk of {tmp_path}"):
+        run()
 
 
 def test_leaves_none_behind_when_the_work_fails(tmp_path: Path) -> None:
