@@ -54,6 +54,8 @@ class VelocityNode(SuiteNode):
 
     Attributes:
         TIMEOUT: name of the parameter that holds the age of an input that stops the robot [s].
+        low: least speed [m/s] and turn rate [rad/s] that are sent (2,).
+        high: the largest ones (2,).
         problem: the reason why the robot stands; empty while it drives.
         counts: number of commands, of stops, and of looks at the inputs that found one too old.
         moving: whether the last command that was sent moves the robot.
@@ -77,7 +79,7 @@ class VelocityNode(SuiteNode):
         self._header, self._twist = (self._out.header, self._out.twist) if stamped else (Header(), self._out)
         self._header.frame_id = self.settings["base_frame"] or _SOME_BASE
         self._publisher = self.create_publisher(type(self._out), "cmd_vel", COMMAND)
-        self._low, self._high = _STAND, _STAND
+        self.low, self.high = _STAND, _STAND
         # The age of things is no matter of the system's clock, which may be set while the robot drives; a simulation's
         # clock may stand still, and nothing gets old then.
         simulated = self.get_parameter("use_sim_time").value
@@ -87,7 +89,7 @@ class VelocityNode(SuiteNode):
         self.counts = {"commands": 0, "stopped": 0, "stale": 0}
         self.moving = False
         self.problem = f"waiting for {' and '.join(needs)}"
-        self.create_timer(0.5 * self._timeout, self._watch, clock=self._ages)
+        self.create_timer(0.5 * self.timeout, self._watch, clock=self._ages)
 
     def set_limits(self, low: ArrayLike, high: ArrayLike) -> None:
         """Set the least and the largest speed [m/s] and turn rate [rad/s] that are ever sent, (2,) each.
@@ -99,7 +101,7 @@ class VelocityNode(SuiteNode):
         shapes = least.shape == largest.shape == (2,)
         if not (shapes and np.isfinite((least, largest)).all() and (least <= largest).all()):
             raise VelocityError(f"commands from {least} to {largest}: must be two finite numbers each, the least first")
-        self._low, self._high = least, largest
+        self.low, self.high = least, largest
 
     def robot_frame(self, name: str) -> None:
         """Send commands in this frame, unless the parameter base_frame names another."""
@@ -122,7 +124,7 @@ class VelocityNode(SuiteNode):
 
     def missing(self) -> str:
         """Return "no recent ..." of the first input that is too old, empty where none is."""
-        return next((f"no recent {what}" for what in self._heard if self.age(what) > self._timeout), "")
+        return next((f"no recent {what}" for what in self._heard if self.age(what) > self.timeout), "")
 
     def limited(self, command: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return a command (2,), cut off at the limits.
@@ -133,7 +135,7 @@ class VelocityNode(SuiteNode):
         v, omega = command.tolist()
         if not (math.isfinite(v) and math.isfinite(omega)):
             raise VelocityError(f"the command is {v} m/s, {omega} rad/s: not finite")
-        return np.minimum(np.maximum(command, self._low), self._high)
+        return np.minimum(np.maximum(command, self.low), self.high)
 
     def drive(self, command: NDArray[np.float64], stamp: Stamp | None = None) -> NDArray[np.float64]:
         """Send speed [m/s] and turn rate [rad/s] (2,), cut off at the limits, and return what was sent.
@@ -145,17 +147,25 @@ class VelocityNode(SuiteNode):
             stamp: time of what it answers; now where left out.
 
         Raises:
-            VelocityError: it is not finite; nothing was sent, and the robot must stand.
+            VelocityError: it is not finite, or not safe; nothing was sent, and the robot must stand.
         """
-        command = self.limited(command)
         if self.faults.failing:
             self.stand(f"callback failed: {self.faults.last}", stamp)
             return _STAND
+        command, problem = self.safe(self.limited(command))
         if not self.settings["dry_run"]:
             self.counts["commands"] += 1
             self._send(command, stamp)
-        self.problem = ""
+        self._say(problem)
         return command
+
+    def safe(self, command: NDArray[np.float64]) -> tuple[NDArray[np.float64], str]:
+        """Return what is safe of a command (2,) within the limits, and why that is not all; override it.
+
+        Raises:
+            VelocityError: the robot must stand.
+        """
+        return command, ""
 
     def stand(self, problem: str, stamp: Stamp | None = None) -> None:
         """Send zero velocity, and say why where it is news.
@@ -164,12 +174,9 @@ class VelocityNode(SuiteNode):
             problem: the reason, for the log and for `diagnostics`.
             stamp: time of what it answers; now where left out.
         """
-        self.counts["stopped"] += 1
         if not self.settings["dry_run"]:
             self._send(_STAND, stamp)
-        if problem != self.problem:
-            self.get_logger().warning(f"stopping: {problem}")
-        self.problem = problem
+        self._say(problem)
 
     def callback_failed(self, _error: Exception) -> None:
         """Let the robot stand until each callback that failed has done its work again."""
@@ -196,18 +203,27 @@ class VelocityNode(SuiteNode):
         return warn(f"{dry}{self.problem}", **figures) if self.problem else ok(f"{dry}driving", **figures)
 
     @property
-    def _timeout(self) -> float:
+    def timeout(self) -> float:
+        """Age of an input that stops the robot [s]."""
         return float(self.settings[self.TIMEOUT])
 
     def _watch(self) -> None:
         """Stop the robot when an input stays away."""
-        if self._elapsed(self._begun) <= self._timeout:
+        if self._elapsed(self._begun) <= self.timeout:
             return  # what starts has a moment to be heard
         problem = self.missing()
         if problem:
             self.counts["stale"] += 1
             self.stand(problem)
             self.stale(problem)
+
+    def _say(self, problem: str) -> None:
+        """Take a reason to stand, empty for none; figures in it may change without being news."""
+        if problem:
+            self.counts["stopped"] += 1
+            if _kind(problem) != _kind(self.problem):
+                self.get_logger().warning(f"stopping: {problem}")
+        self.problem = problem
 
     def _elapsed(self, then: Time) -> float:
         return float((self._ages.now() - then).nanoseconds) * 1e-9
@@ -217,3 +233,8 @@ class VelocityNode(SuiteNode):
         self._twist.linear.x, self._twist.angular.z = v, omega = command.tolist()
         self.moving = v != 0.0 or omega != 0.0
         self._publisher.publish(self._out)
+
+
+def _kind(problem: str) -> str:
+    """Return a reason without its figures."""
+    return "".join(letter for letter in problem if not letter.isdigit())

@@ -12,6 +12,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from ctrl_rl_core.scan import ScanGeometry as ScanGeometry
 from numpy.typing import NDArray
 
 from koopman_lqr_controller.errors import KoopmanError
@@ -41,25 +42,6 @@ def check_speeds(v: float, omega: float) -> None:
     """
     if not (math.isfinite(v) and math.isfinite(omega)):
         raise KoopmanError(f"odometry with speed {v} and turn rate {omega}")
-
-
-@dataclass(frozen=True)
-class ScanGeometry:
-    """Where the beams of a scan point and what they can measure, as sensor_msgs/LaserScan says it.
-
-    Attributes:
-        beams: number of ranges.
-        angle_min: bearing of the first beam in the robot's frame, counter-clockwise from ahead [rad].
-        angle_increment: from beam to beam [rad].
-        range_min: least distance measured [m].
-        range_max: largest distance measured [m].
-    """
-
-    beams: int
-    angle_min: float
-    angle_increment: float
-    range_min: float
-    range_max: float
 
 
 class _Beams(NamedTuple):

@@ -9,20 +9,18 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 from ctrl_rl_core.errors import CtrlRlError
+from ctrl_rl_core.lidar_node import LIDAR_PARAMETERS, LidarNode
 from ctrl_rl_core.parameters import Parameter
-from ctrl_rl_core.ros import SENSOR, Status
-from ctrl_rl_core.velocity_node import VELOCITY_PARAMETERS, VelocityError, VelocityNode
-from nav_msgs.msg import Odometry
+from ctrl_rl_core.ros import Status
+from ctrl_rl_core.scan import ScanGeometry
+from ctrl_rl_core.velocity_node import VelocityError
 from numpy.typing import NDArray
 from sensor_msgs.msg import LaserScan
 from std_msgs.msg import Header
 
-from koopman_lqr_controller.lidar import ScanGeometry
-
 DRIVER_PARAMETERS = (
-    *VELOCITY_PARAMETERS,
+    *LIDAR_PARAMETERS,
     Parameter("scan_timeout", 0.5, "Age of the last scan or odometry that stops the robot [s].", 0.05, 10.0),
-    Parameter("lidar_yaw", 0.0, "Direction of the scan's zero bearing in the robot's frame [rad].", -3.1416, 3.1416),
 )
 _RECENT = 1000
 _STAND = np.zeros(2)
@@ -38,18 +36,14 @@ class Sensed(NamedTuple):
     header: Header
 
 
-class LidarDriver(VelocityNode):
+class LidarDriver(LidarNode):
     """Publishes one cmd_vel for each scan, zero velocity where the scan, the odometry or the decision is unfit."""
 
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = DRIVER_PARAMETERS
 
     def __init__(self, name: str) -> None:
-        super().__init__(name, needs=("scan", "odometry"))
-        self._speeds = (0.0, 0.0)
-        self._scans = 0
+        super().__init__(name)
         self._latencies: deque[float] = deque(maxlen=_RECENT)
-        self.create_subscription(Odometry, "odom", self._on_odometry, SENSOR)
-        self.create_subscription(LaserScan, "scan", self._on_scan, SENSOR)
 
     @abstractmethod
     def decide(self, sensed: Sensed) -> NDArray[np.float64]:
@@ -71,10 +65,9 @@ class LidarDriver(VelocityNode):
     def status(self) -> Status:
         """Say whether commands flow, and how quickly."""
         level, message, figures = super().status()
-        figures = {"scans": self._scans, **figures}
         if self._latencies:
             p50, p99 = np.percentile(self._latencies, (50, 99)) * 1e3
-            figures |= {"decision p50 [ms]": f"{p50:.3f}", "decision p99 [ms]": f"{p99:.3f}"}
+            figures = {**figures, "decision p50 [ms]": f"{p50:.3f}", "decision p99 [ms]": f"{p99:.3f}"}
         return level, message, figures
 
     def stale(self, problem: str) -> None:
@@ -82,30 +75,18 @@ class LidarDriver(VelocityNode):
         header = Header(stamp=self.get_clock().now().to_msg(), frame_id=self.frame)
         self.answered(header, _STAND, problem)
 
-    def _on_odometry(self, message: Odometry) -> None:
-        twist = message.twist.twist
-        self._speeds = (twist.linear.x, twist.angular.z)
-        self.robot_frame(message.child_frame_id)
-        self.heard("odometry")
-
-    def _on_scan(self, message: LaserScan) -> None:
+    def on_scan(self, message: LaserScan, ranges: NDArray[np.float32], scan: ScanGeometry) -> None:
+        """Answer it."""
         begin = time.perf_counter()
-        self._scans += 1
-        self.heard("scan")
         try:
-            problem = self.missing()
+            problem = self.unfit()
             if problem:
                 raise VelocityError(problem)
-            command = self.drive(self.decide(self._sensed(message)), message.header.stamp)
+            sensed = Sensed(ranges, scan, *self.motion, message.header)
+            command = self.drive(self.decide(sensed), message.header.stamp)
         except CtrlRlError as error:
             self.stand(str(error), message.header.stamp)
             self.answered(message.header, _STAND, str(error))
             return
         self._latencies.append(time.perf_counter() - begin)
-        self.answered(message.header, command, "")
-
-    def _sensed(self, message: LaserScan) -> Sensed:
-        ranges = np.frombuffer(message.ranges, np.float32)
-        bearing = message.angle_min + self.settings["lidar_yaw"]
-        scan = ScanGeometry(len(ranges), bearing, message.angle_increment, message.range_min, message.range_max)
-        return Sensed(ranges, scan, *self._speeds, message.header)
+        self.answered(message.header, command, self.problem)

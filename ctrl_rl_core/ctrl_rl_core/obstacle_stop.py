@@ -1,0 +1,87 @@
+"""No robot drives where it cannot stop: pure geometry on the echoes of a scan, whatever wants to drive there.
+
+A command (v, omega) sweeps the robot's disc along an arc. On the arc lie the way that the robot goes before anything
+can change, and the way that it brakes. Where an echo lies within the disc and its margin there, and nearer than it is
+now, the command is slowed, and where that does not help, only the turning is left of it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+_PACES = (1.0, 0.7, 0.4)
+"""Parts of a command's speed that are tried; a slower robot needs less room."""
+_STEP = 0.04
+"""Between two places of the robot on its arc [m]."""
+_MOST_STEPS = 40
+_NEARER = 1e-3
+"""Distance by which an echo must come nearer to count [m]: a robot beside a wall may go along it."""
+_STANDS = 1e-3
+"""Speed below which nothing is swept [m/s]: a disc that turns on the spot stays where it is."""
+
+
+@dataclass(frozen=True)
+class ObstacleStop:
+    """The room that a robot needs.
+
+    Attributes:
+        radius: radius of the disc around the robot's middle that holds all of it [m]; 0 for no obstacle stop.
+        margin: distance to keep besides [m].
+        deceleration: deceleration of its brakes [m/s^2].
+        delay: time from a command to its effect, and until the next command [s].
+    """
+
+    radius: float
+    margin: float
+    deceleration: float
+    delay: float
+
+    def reach(self, speed: float, age: float) -> float:
+        """Return how far a robot gets at a speed [m/s] before it stands [m], after a scan of some age [s]."""
+        return speed * (self.delay + age) + 0.5 * speed * speed / self.deceleration
+
+    def allow(self, command: Array, points: Array, v: float, age: float) -> tuple[Array, str]:
+        """Return what is safe of a command (2,), and why that is not all of it, empty where it is.
+
+        Args:
+            command: speed [m/s] and turn rate [rad/s] (2,).
+            points: echoes in the robot's frame (n, 2) [m].
+            v: speed by odometry [m/s].
+            age: age of the scan [s].
+        """
+        wanted, omega = command.tolist()
+        if self.radius <= 0.0 or abs(wanted) < _STANDS or len(points) == 0:
+            return command, ""
+        distance = math.inf
+        for pace in _PACES:
+            speed = pace * wanted
+            going = v if v * speed > 0.0 else 0.0
+            room = self.reach(max(abs(speed), abs(going)), age)
+            distance = self._hit(points, math.copysign(room, speed), omega / speed)
+            if distance == math.inf:
+                return (command if pace == 1.0 else np.array((speed, omega))), ""
+        where = "ahead" if wanted > 0.0 else "behind"
+        return np.array((0.0, omega)), f"obstacle {distance:.2f} m {where}"
+
+    def _hit(self, points: Array, room: float, curvature: float) -> float:
+        """Return how far the robot gets on an arc of some length [m] before its disc meets an echo [m], else inf."""
+        wide = self.radius + self.margin
+        x, y = points[:, 0], points[:, 1]
+        now = x * x + y * y
+        close = np.flatnonzero(now < (abs(room) + wide) ** 2)
+        if len(close) == 0:
+            return math.inf
+        x, y, now = x[close], y[close], np.sqrt(now[close])
+        count = min(_MOST_STEPS, math.ceil(abs(room) / _STEP))
+        s = np.linspace(0.0, room, count + 1)[1:]
+        turn = 0.5 * s * curvature
+        chord = s * np.sinc(turn / math.pi)
+        there = np.hypot(x[:, None] - chord * np.cos(turn), y[:, None] - chord * np.sin(turn))
+        hit = ((there < wide) & (there < now[:, None] - _NEARER)).any(axis=0)
+        return abs(float(s[hit.argmax()])) if hit.any() else math.inf

@@ -1,0 +1,117 @@
+"""What a laser scan says of the space around a robot: echoes as points, and the directions in which there were any.
+
+By REP-117 a range within range_min .. range_max is an echo, +inf nothing there, -inf something too close, NaN no
+measurement; an LDS-01 writes 0 for a miss. What a single beam without an echo means is for the policy to say; many of
+them side by side say nothing of what is there.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrl_rl_core.errors import CtrlRlError
+
+MOST_BEAMS = 20_000
+"""No lidar of one plane has more; a scan of a million would stop the node that looks at it for seconds."""
+DIRECTIONS = 360
+"""Directions around the robot in which a scan is asked for echoes."""
+_TURN = 2.0 * math.pi
+_BEARINGS = np.arange(DIRECTIONS) * (_TURN / DIRECTIONS)
+
+
+class ScanError(CtrlRlError):
+    """A scan from which nothing can be known: the message says why."""
+
+
+@dataclass(frozen=True)
+class ScanGeometry:
+    """Where the beams of a scan point and what they can measure, as sensor_msgs/LaserScan says it.
+
+    Attributes:
+        beams: number of ranges.
+        angle_min: bearing of the first beam in the robot's frame, counter-clockwise from ahead [rad].
+        angle_increment: from beam to beam [rad].
+        range_min: least distance measured [m].
+        range_max: largest distance measured [m].
+    """
+
+    beams: int
+    angle_min: float
+    angle_increment: float
+    range_min: float
+    range_max: float
+
+    def check(self) -> None:
+        """Refuse a geometry that no lidar has.
+
+        Raises:
+            ScanError: no beams, too many, or numbers that are not finite or contradict each other.
+        """
+        if not 0 < self.beams <= MOST_BEAMS:
+            raise ScanError(f"scan with {self.beams} ranges: must be 1 to {MOST_BEAMS}")
+        if not (0.0 <= self.range_min < self.range_max and math.isfinite(self.range_min)):
+            raise ScanError(f"scan with {self.beams} ranges in {self.range_min} .. {self.range_max} m")
+        if not (abs(self.angle_min) <= 4.0 * _TURN and 1e-6 < abs(self.angle_increment) <= _TURN):
+            raise ScanError(f"scan with angle_increment {self.angle_increment} and angle_min {self.angle_min}")
+
+
+class View(NamedTuple):
+    """One scan, as far as standing or driving goes.
+
+    Attributes:
+        share: part of the beams that have an echo, 0 to 1.
+        points: places of the echoes within reach in the robot's frame (n, 2) [m].
+        seen: whether the beam nearest to each direction has an echo, counter-clockwise from ahead (DIRECTIONS,).
+        field: whether there is a beam in each direction at all (DIRECTIONS,).
+    """
+
+    share: float
+    points: NDArray[np.float64]
+    seen: NDArray[np.bool_]
+    field: NDArray[np.bool_]
+
+
+def view(ranges: NDArray[np.float32], scan: ScanGeometry, reach: float, forward: float = 0.0) -> View:
+    """Return what a scan shows.
+
+    Args:
+        ranges: ranges (scan.beams,) [m].
+        scan: their geometry.
+        reach: farther echoes are no points [m], from the lidar.
+        forward: where the lidar sits, ahead of the robot's middle [m].
+
+    Raises:
+        ScanError: the geometry is none, or another count of ranges.
+    """
+    scan.check()
+    if len(ranges) != scan.beams:
+        raise ScanError(f"scan with {len(ranges)} ranges of {scan.beams}")
+    echo = (ranges >= max(scan.range_min, 1e-6)) & (ranges <= scan.range_max) & (ranges < np.inf)
+    close = ranges == -np.inf
+    echo |= close
+    near = np.flatnonzero(echo & (ranges < reach))
+    bearings = scan.angle_min + scan.angle_increment * near
+    distances = np.maximum(ranges[near], scan.range_min).astype(
+        np.float64
+    )  # what is too close is at the least distance
+    points = np.empty((len(near), 2))
+    points[:, 0], points[:, 1] = forward + distances * np.cos(bearings), distances * np.sin(bearings)
+    field, nearest = _nearest_beams(scan)
+    return View(float(np.count_nonzero(echo)) / scan.beams, points, field & echo[nearest], field)
+
+
+def _nearest_beams(scan: ScanGeometry) -> tuple[NDArray[np.bool_], NDArray[np.intp]]:
+    """Return whether each direction has a beam (DIRECTIONS,), and the one that is nearest to it (DIRECTIONS,)."""
+    step = abs(scan.angle_increment)
+    first = scan.angle_min if scan.angle_increment > 0.0 else scan.angle_min + scan.angle_increment * (scan.beams - 1)
+    half = max(0.5 * step, math.pi / DIRECTIONS)
+    offset = (_BEARINGS - (first - half)) % _TURN - half  # from -half: what lies just before the first beam is its own
+    beam = np.rint(offset / step).astype(np.intp)
+    field = offset <= step * (scan.beams - 1) + half
+    np.clip(beam, 0, scan.beams - 1, out=beam)
+    return field, beam if scan.angle_increment > 0.0 else scan.beams - 1 - beam
