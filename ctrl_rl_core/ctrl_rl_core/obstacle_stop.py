@@ -19,7 +19,8 @@ _PACES = (1.0, 0.7, 0.4)
 """Parts of a command's speed that are tried; a slower robot needs less room."""
 _STEP = 0.04
 """Between two places of the robot on its arc [m]."""
-_MOST_STEPS = 40
+_FARTHEST = 4.0
+"""No robot of this suite needs more room than that to stop [m], whatever its odometry says."""
 _NEARER = 1e-3
 """Distance by which an echo must come nearer to count [m]: a robot beside a wall may go along it."""
 _STANDS = 1e-3
@@ -44,7 +45,8 @@ class ObstacleStop:
 
     def reach(self, speed: float, age: float) -> float:
         """Return how far a robot gets at a speed [m/s] before it stands [m], after a scan of some age [s]."""
-        return speed * (self.delay + age) + 0.5 * speed * speed / self.deceleration
+        room = speed * (self.delay + age) + 0.5 * speed * speed / self.deceleration
+        return room if room < _FARTHEST else _FARTHEST  # of NaN, too
 
     def allow(self, command: Array, points: Array, v: float, age: float) -> tuple[Array, str]:
         """Return what is safe of a command (2,), and why that is not all of it, empty where it is.
@@ -78,7 +80,7 @@ class ObstacleStop:
         if len(close) == 0:
             return math.inf
         x, y, now = x[close], y[close], np.sqrt(now[close])
-        count = min(_MOST_STEPS, math.ceil(abs(room) / _STEP))
+        count = math.ceil(abs(room) / _STEP)
         s = np.linspace(0.0, room, count + 1)[1:]
         turn = 0.5 * s * curvature
         chord = s * np.sinc(turn / math.pi)
