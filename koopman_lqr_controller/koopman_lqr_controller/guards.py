@@ -2,7 +2,7 @@
 
 Two alarms watch a policy: that of the region, which the latent may not leave, and that of the prediction, whose error
 may not stay high. Each rises when what it watches was above its limit for some time, and ends when it was well below
-for as long.
+for as long. An error that stays high because the robot stands would never end: it may try again, slowly, some times.
 """
 
 from __future__ import annotations
@@ -19,6 +19,12 @@ Array = NDArray[np.float64]
 
 RELEASE = 0.8
 """Part of the limit below which an alarm ends: what hovers at the limit does not stop and go."""
+CREEP = 0.5
+"""Part of a command that is carried out while the robot tries again."""
+CREEPING = 3.0
+"""How long it tries [s]."""
+FORGET = 10.0
+"""How long all must have been well before former tries no longer count [s]."""
 GAP = 1.0
 """Values that are further apart say nothing of the time between them [s]."""
 
@@ -62,12 +68,56 @@ class Alarm:
         return self.raised
 
 
+@dataclass
+class Retries:
+    """A way out of an alarm that only driving can end: stand, then try again slowly, a bounded number of times.
+
+    Attributes:
+        wait: how long the robot stands before it tries again [s].
+        most: how many times it does; 0 for never.
+        used: how many times it has, since all was well for `FORGET`.
+    """
+
+    wait: float
+    most: int
+    used: int = 0
+    _creeping: bool = field(default=False, repr=False)
+    _since: float = field(default=math.nan, repr=False)
+    _well_since: float = field(default=math.nan, repr=False)
+
+    def see(self, now: float, alarm: bool) -> float:
+        """Return the part of a command that is to be carried out: 1 without an alarm, 0 to stand, CREEP to try again.
+
+        Args:
+            now: time [s].
+            alarm: whether the alarm is raised.
+        """
+        if not alarm:
+            self._creeping, self._since = False, math.nan
+            if not self._well_since <= now:
+                self._well_since = now
+            if now - self._well_since >= FORGET:
+                self.used = 0
+            return 1.0
+        self._well_since = math.nan
+        if not self._since <= now:  # the alarm is new, or the clock was set back
+            self._since, self._creeping = now, False
+        if self._creeping and now - self._since >= CREEPING:
+            self._creeping, self._since = False, now
+        elif not self._creeping and self.used < self.most and now - self._since >= self.wait:
+            self._creeping, self._since = True, now
+            self.used += 1
+        return CREEP if self._creeping else 0.0
+
+
 class Guard:
     """Holds a policy's latents and prediction errors against what training saw.
 
     Attributes:
         region: of the policy; None where its file has none: then nothing is watched.
         outside: how far outside the last latent was, see `Region.outside`; NaN where there is no region.
+        pace: part of the command that is to be carried out where nothing stops the robot: less than 1 on a retry.
+        retries: how often it has tried again.
     """
 
     def __init__(
@@ -82,6 +132,7 @@ class Guard:
             error_patience: how long it may stay [s].
         """
         self.region, self.outside = region, math.nan
+        self.pace, self.retries = 1.0, Retries(math.inf, 0)
         self._region_alarm, self._error_alarm = Alarm(0.0), Alarm(0.0)
         self.set_limits(largest_distance, largest_error, error_patience)
 
@@ -89,6 +140,10 @@ class Guard:
         """Change them; an alarm that is raised stays so until its own limit says otherwise."""
         self._region_alarm.limit = largest_distance
         self._error_alarm.limit, self._error_alarm.patience = largest_error, error_patience
+
+    def set_retries(self, wait: float, most: int) -> None:
+        """Let the robot try again slowly after it stood for `wait` [s] for its prediction error, `most` times."""
+        self.retries.wait, self.retries.most = wait, most
 
     def cannot_predict(self) -> None:
         """End the alarm of the prediction: there will be no more errors to end it."""
@@ -107,8 +162,9 @@ class Guard:
         self.outside = self.region.outside(z)
         left = self._region_alarm.see(now, self.outside)
         missed = self._error_alarm.see(now, error / self.region.error)
+        self.pace = self.retries.see(now, missed)
         if left:
             return "the latent has left the region seen in training (parameter largest_distance)"
-        if missed:
+        if self.pace == 0.0:
             return "the prediction error stays high (parameter largest_error)"
         return ""

@@ -24,6 +24,7 @@ _OUT_OF_STEP = 20
 """Scans in a row that were not predicted, after which it is said."""
 _SOME_SCAN = ScanGeometry(360, 0.0, 2.0 * np.pi / 360, 0.1, 3.5)
 _GUARDS = ("largest_distance", "largest_error", "error_patience")
+_RETRIES = ("retry_after", "most_retries")
 
 
 class _Thought(NamedTuple):
@@ -54,7 +55,7 @@ class Controller(LidarDriver):
         ),
         Parameter(
             "largest_distance",
-            2.0,
+            1.3,
             "Distance from the latents of training that stops the robot, over that of 99.9 % of them; 0.0 for none.",
             0.0,
             1000.0,
@@ -69,6 +70,15 @@ class Controller(LidarDriver):
             live=True,
         ),
         Parameter("error_patience", 1.0, "How long the prediction error may stay too large [s].", 0.0, 60.0, live=True),
+        Parameter(
+            "retry_after",
+            3.0,
+            "How long the robot stands for its prediction error before it tries again at half speed [s].",
+            0.0,
+            600.0,
+            live=True,
+        ),
+        Parameter("most_retries", 5, "How many times it tries again in a row; 0 for never.", 0, 1000, live=True),
     )
 
     def __init__(self) -> None:
@@ -86,6 +96,8 @@ class Controller(LidarDriver):
             self._load(self.settings["policy"])
         elif name in _GUARDS:
             self._guard.set_limits(*self._limits())
+        elif name in _RETRIES:
+            self._guard.set_retries(*self._retries())
         else:
             super().setting_changed(name)
 
@@ -95,6 +107,7 @@ class Controller(LidarDriver):
         watched = {
             "distance over the region's": self._not_watched("largest_distance") or f"{self._guard.outside:.2f}",
             "prediction": self._not_watched("largest_error") or self._out_of_step or "watched",
+            "retries": f"{self._guard.retries.used} of {self._guard.retries.most}",
         }
         return level, message, {**figures, **self._served, **watched}
 
@@ -114,7 +127,7 @@ class Controller(LidarDriver):
         reason = self._guard.see(now, decision.z, error)
         if reason:
             raise KoopmanError(reason)
-        return decision.command
+        return self._guard.pace * decision.command
 
     def answered(self, header: Header, command: NDArray[np.float64], problem: str) -> None:
         """Publish how the answer came about, and predict what comes of it."""
@@ -148,6 +161,7 @@ class Controller(LidarDriver):
         served = {"policy": path.name, "policy digest": digest(path)}
         # Only what is right in every respect takes the place of what drives.
         self._guard, self._served, self._next = Guard(policy.region, *self._limits()), served, None
+        self._guard.set_retries(*self._retries())
         self._late, self._out_of_step = 0, ""
         self._policy = policy
         self.set_limits(*policy.limits)
@@ -163,6 +177,9 @@ class Controller(LidarDriver):
     def _limits(self) -> tuple[float, float, float]:
         distance, error, patience = (float(self.settings[name]) for name in _GUARDS)
         return distance, error, patience
+
+    def _retries(self) -> tuple[float, int]:
+        return float(self.settings["retry_after"]), int(self.settings["most_retries"])
 
     def _in_step(self, elapsed: float) -> bool:
         """Whether so much time [s] since the last scan is what the model predicts for; say so where it never is."""

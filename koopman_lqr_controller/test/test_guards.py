@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
-from koopman_lqr_controller.guards import RELEASE, Alarm, Guard
+from koopman_lqr_controller.guards import CREEP, FORGET, RELEASE, Alarm, Guard, Retries
 from koopman_lqr_controller.region import Region
 
 REGION = Region(np.zeros(2), np.eye(2), distance=3.0, error=0.5)
@@ -96,3 +96,51 @@ def test_an_error_that_stays_high_stops_the_robot() -> None:
 def test_guards_can_be_turned_off_and_are_off_where_nothing_is_known(off: Guard) -> None:
     assert [off.see(0.2 * index, OUTSIDE, 9.0) for index in range(5)] == [""] * 5
     assert math.isnan(off.outside) == (off.region is None)
+
+
+def paces(retries: Retries, alarms: dict[int, bool], seconds: int) -> list[float]:
+    """Return the pace of each second; an alarm holds until the next entry says otherwise."""
+    out, alarm = [], False
+    for now in range(seconds):
+        alarm = alarms.get(now, alarm)
+        out.append(retries.see(float(now), alarm))
+    return out
+
+
+@pytest.mark.fault
+def test_an_alarm_that_standing_cannot_end_is_tried_again_slowly_and_not_for_ever() -> None:
+    """Ten seconds of standing, then three of creeping, twice; then it stands for good."""
+    seen = paces(Retries(wait=10.0, most=2), {0: True}, 100)
+    assert seen[:10] == [0.0] * 10
+    assert seen[10:13] == [CREEP] * 3
+    assert sum(pace == CREEP for pace in seen) == 6
+    assert set(seen[26:]) == {0.0}, "bounded"
+    assert set(paces(Retries(wait=0.0, most=0), {0: True}, 20)) == {0.0}
+
+
+@pytest.mark.fault
+def test_a_try_that_ends_the_alarm_drives_on_and_tries_come_back_when_all_was_well_for_long() -> None:
+    retries = Retries(wait=2.0, most=1)
+    assert paces(retries, {0: True, 3: False}, 5) == [0.0, 0.0, CREEP, 1.0, 1.0]
+    assert retries.see(5.0, True) == 0.0
+    assert {retries.see(float(now), True) for now in range(6, 30)} == {0.0}, "used up"
+    assert {retries.see(float(now), False) for now in range(30, 30 + int(FORGET) + 1)} == {1.0}
+    assert [retries.see(50.0 + now, True) for now in range(3)] == [0.0, 0.0, CREEP]
+
+
+@given(
+    steps=st.lists(st.tuples(st.floats(-5.0, 5.0), st.booleans()), max_size=200),
+    wait=st.floats(0.0, 5.0),
+    most=st.integers(0, 5),
+)
+@settings(max_examples=200, deadline=None)
+def test_there_are_never_more_tries_than_allowed_whatever_the_clock_does(
+    steps: list[tuple[float, bool]], wait: float, most: int
+) -> None:
+    retries, now = Retries(wait, most), 0.0
+    for step, alarm in steps:
+        now += step
+        pace = retries.see(now, alarm)
+        assert retries.used <= most
+        assert (pace == 1.0) == (not alarm)
+        assert pace in (0.0, CREEP, 1.0)

@@ -144,6 +144,8 @@ def episode(policy: DrivingPolicy, scene: Scene, seed: int, bare: bool, largest_
             world._physics.add_fixed((shape,), "xy")
         safety = None if bare else new_safety()
         guard = Guard(policy.region, largest_distance, 1.0, 1.0)
+        if not bare:
+            guard.set_retries(3.0, 5)
         seen: list[Scan] = []
         predicted: np.ndarray | None = None
         why, farthest = "", 0.0
@@ -219,7 +221,7 @@ def decide(
         decision = policy.decide(scan.ranges, geometry, *motion)
         error = math.nan if predicted is None else float(np.linalg.norm(decision.z - predicted))
         why = guard.see(0.2 * step, decision.z, error)
-        command = stand if why else decision.command
+        command = stand if why else guard.pace * decision.command
         if safety is not None and not why:
             command, why = safety.allow(command, motion[0], 0.0)
         return command, why, policy.predict(decision.z, command), guard.outside
@@ -233,7 +235,7 @@ def main() -> None:
     parser.add_argument("--starts", type=int, default=20, help="episodes of each (default %(default)s)")
     parser.add_argument("--policies", nargs="+", default=["curved_corridor", "curved_corridor_edmd"])
     parser.add_argument("--scenes", nargs="+", choices=SCENES, default=list(SCENES), metavar="SCENE")
-    parser.add_argument("--largest-distance", type=float, default=2.0, help="guard of the region (default %(default)s)")
+    parser.add_argument("--largest-distance", type=float, default=1.3, help="guard of the region (default %(default)s)")
     parser.add_argument("--bare", action="store_true", help="without scan checks and obstacle stop")
     options = parser.parse_args()
     print(f"{'policy':<22} {'scene':<24} {'collisions':>10} {'goals':>6}  farthest   stands at the end, and why")
