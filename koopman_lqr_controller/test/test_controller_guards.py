@@ -139,7 +139,8 @@ def test_a_lidar_of_another_pace_ends_the_alarm_of_the_prediction_and_is_said(
 ) -> None:
     file = tmp_path / "policy.safetensors"
     learnt(file, replace(ANYWHERE, error=1e-3))
-    run_node("koopman_lqr_controller", "controller", f"policy:={file}", "error_patience:=0.0", "scan_timeout:=5.0")
+    settings = ("error_patience:=0.0", "scan_timeout:=5.0", "most_retries:=0")
+    run_node("koopman_lqr_controller", "controller", f"policy:={file}", *settings)
     robot.wait_for_controller()
     assert "watched" in {each.value for each in diagnosed(robot, "watched").values}
     stamps = [1, 2, *range(4, 44, 2)]
