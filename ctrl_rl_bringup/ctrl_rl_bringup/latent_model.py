@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from ctrl_rl_core.bags import bag_info, read_messages
+from koopman_lqr_controller.arrival import ENDED
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.policy_file import digest, find_policy, load_policy
 from numpy.typing import NDArray
@@ -98,7 +99,7 @@ def read_latent_model(bag: Path) -> LatentModel | None:
     for message in read_messages(bag, [topic]):
         data = message.data
         stop = getattr(data, "stop", "")  # bags from before there were guards have none
-        stops.update([stop] if stop else [])
+        stops.update([stop] if stop and not stop.startswith(ENDED) else [])
         distances.append(getattr(data, "distance", np.nan))
         z = np.asarray(data.z, dtype=np.float64)
         dimensions = len(z)

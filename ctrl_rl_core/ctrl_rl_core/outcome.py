@@ -11,3 +11,8 @@ class Outcome(IntEnum):
     COLLISION = 2
     TRAP = 3
     TIMEOUT = 4
+
+    @property
+    def words(self) -> str:
+        """The outcome as people say it."""
+        return {"GOAL": "goal reached", "TRAP": "trapped", "TIMEOUT": "time-out"}.get(self.name, self.name.lower())

@@ -29,12 +29,15 @@ from std_msgs.msg import Header
 
 from ctrl_rl_core.errors import CtrlRlError
 from ctrl_rl_core.parameters import Parameter
+from ctrl_rl_core.publishers import other_publishers
 from ctrl_rl_core.ros import COMMAND, Status, SuiteNode, ok, warn
+from ctrl_rl_core.wall_watch import WALL_TIMEOUT, WallWatch
 
 VELOCITY_PARAMETERS = (
     Parameter("enable_stamped_cmd_vel", True, "Publish cmd_vel as TwistStamped (Jazzy) instead of Twist (Humble)."),
     Parameter("base_frame", "", "Frame of the commands; empty for the child frame of the odometry."),
     Parameter("dry_run", False, "Decide and say so, but send nothing on cmd_vel.", live=True),
+    WALL_TIMEOUT,
 )
 _SOME_BASE = "base_link"
 """The frame of the commands until odometry names one."""
@@ -81,11 +84,13 @@ class VelocityNode(SuiteNode):
         self._publisher = self.create_publisher(type(self._out), "cmd_vel", COMMAND)
         self.low, self.high = _STAND, _STAND
         # The age of things is no matter of the system's clock, which may be set while the robot drives; a simulation's
-        # clock may stand still, and nothing gets old then.
+        # clock may stand still, and then things get old in wall time only.
         simulated = self.get_parameter("use_sim_time").value
         self._ages = self.get_clock() if simulated else Clock(clock_type=ClockType.STEADY_TIME)
         self._heard: dict[str, Time | None] = dict.fromkeys(needs)
         self._begun = self._ages.now()
+        self._wall = WallWatch(self, self._watch_wall) if simulated else None
+        self._rivals: tuple[str, ...] = ()
         self.counts = {"commands": 0, "stopped": 0, "stale": 0}
         self.moving = False
         self.problem = f"waiting for {' and '.join(needs)}"
@@ -116,11 +121,15 @@ class VelocityNode(SuiteNode):
     def heard(self, what: str) -> None:
         """Note that an input has just come, and is fit for use."""
         self._heard[what] = self._ages.now()
+        if self._wall is not None:
+            self._wall.heard(what)
 
     def age(self, what: str) -> float:
-        """Return how long ago an input came [s], infinite where it never did."""
+        """Return how long ago an input came [s], infinite where it never did, or wall time says that it stays away."""
         at = self._heard[what]
-        return math.inf if at is None else self._elapsed(at)
+        if at is None or (self._wall is not None and self._wall.overdue(what)):
+            return math.inf
+        return self._elapsed(at)
 
     def missing(self) -> str:
         """Return "no recent ..." of the first input that is too old, empty where none is."""
@@ -197,9 +206,12 @@ class VelocityNode(SuiteNode):
             self._publisher.wait_for_all_acked(_LAST_WORD)
 
     def status(self) -> Status:
-        """Say whether commands flow."""
+        """Say whether commands flow, and who else sends some."""
         dry = "dry run, nothing is sent: " if self.settings["dry_run"] else ""
-        figures: dict[str, object] = dict(self.counts)
+        figures: dict[str, object] = {**self.counts, "other publishers": ", ".join(self._look_for_rivals())}
+        if self._rivals:
+            figures["problem"] = self.problem
+            return warn(f"{dry}{self._rivalry()}", **figures)
         return warn(f"{dry}{self.problem}", **figures) if self.problem else ok(f"{dry}driving", **figures)
 
     @property
@@ -211,6 +223,9 @@ class VelocityNode(SuiteNode):
         """Stop the robot when an input stays away."""
         if self._elapsed(self._begun) <= self.timeout:
             return  # what starts has a moment to be heard
+        self._stop_where_blind()
+
+    def _stop_where_blind(self) -> None:
         problem = self.missing()
         if problem:
             self.counts["stale"] += 1
@@ -224,6 +239,22 @@ class VelocityNode(SuiteNode):
             if _kind(problem) != _kind(self.problem):
                 self.get_logger().warning(f"stopping: {problem}")
         self.problem = problem
+
+    def _watch_wall(self) -> None:
+        """Stop a moving robot when an input stays away while the simulated clock stands still."""
+        if self.moving:
+            self._stop_where_blind()
+
+    def _look_for_rivals(self) -> tuple[str, ...]:
+        """Return who else publishes on this node's cmd_vel; say so where it is news."""
+        before, self._rivals = self._rivals, other_publishers(self, self._publisher.topic_name)
+        if self._rivals and self._rivals != before:
+            self.get_logger().warning(self._rivalry())
+        return self._rivals
+
+    def _rivalry(self) -> str:
+        names, topic = ", ".join(self._rivals), self._publisher.topic_name
+        return f"{names} publishes on {topic} too: the robot obeys whoever spoke last"
 
     def _elapsed(self, then: Time) -> float:
         return float((self._ages.now() - then).nanoseconds) * 1e-9

@@ -9,10 +9,12 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 from ctrl_rl_core.parameters import Parameter
 from ctrl_rl_core.ros import RESULT, Status, run_node, seconds
+from diagnostic_msgs.msg import DiagnosticStatus
 from numpy.typing import NDArray
 from std_msgs.msg import Header
 
-from ctrl_rl_msgs.msg import LatentState
+from ctrl_rl_msgs.msg import EpisodeStatus, LatentState
+from koopman_lqr_controller.arrival import ENDED, Arrival
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.guards import Guard
 from koopman_lqr_controller.lidar import SAME_STEP, ScanGeometry
@@ -79,6 +81,14 @@ class Controller(LidarDriver):
             live=True,
         ),
         Parameter("most_retries", 5, "How many times it tries again in a row; 0 for never.", 0, 1000, live=True),
+        Parameter(
+            "max_distance",
+            0.0,
+            "Distance by odometry after which the robot stands until this is set anew [m]; 0.0 for none.",
+            0.0,
+            1e6,
+            live=True,
+        ),
     )
 
     def __init__(self) -> None:
@@ -88,6 +98,8 @@ class Controller(LidarDriver):
         self._thought: _Thought | None = None
         self._next: NDArray[np.float64] | None = None
         self._next_since = math.nan
+        self._arrival = Arrival(self.settings["max_distance"])
+        self.create_subscription(EpisodeStatus, "episode", self._on_episode, RESULT)
         self._load(self.settings["policy"])
 
     def setting_changed(self, name: str) -> None:
@@ -98,6 +110,9 @@ class Controller(LidarDriver):
             self._guard.set_limits(*self._limits())
         elif name in _RETRIES:
             self._guard.set_retries(*self._retries())
+        elif name == "max_distance":
+            self._arrival.max_distance = self.settings["max_distance"]
+            self._arrival.begin()
         else:
             super().setting_changed(name)
 
@@ -109,6 +124,9 @@ class Controller(LidarDriver):
             "prediction": self._not_watched("largest_error") or self._out_of_step or "watched",
             "retries": f"{self._guard.retries.used} of {self._guard.retries.most}",
         }
+        watched["driven [m]"] = f"{self._arrival.travelled:.2f}"
+        if self.problem.startswith(ENDED) and not figures["other publishers"]:  # it stands because all is done
+            level = DiagnosticStatus.OK
         return level, message, {**figures, **self._served, **watched}
 
     def decide(self, sensed: Sensed) -> NDArray[np.float64]:
@@ -117,8 +135,12 @@ class Controller(LidarDriver):
         Raises:
             KoopmanError: it cannot be made, or would not be as in training.
         """
-        decision = self._policy.decide(sensed.ranges, sensed.scan, sensed.v, sensed.omega)
         now, predicted, error = seconds(sensed.header.stamp), None, math.nan
+        self._arrival.moved(now, sensed.v)
+        over = self._arrival.reason()
+        if over:
+            raise KoopmanError(over)
+        decision = self._policy.decide(sensed.ranges, sensed.scan, sensed.v, sensed.omega)
         if self._next is not None and self._in_step(now - self._next_since):
             predicted = self._next
             missed = decision.z - predicted
@@ -148,6 +170,13 @@ class Controller(LidarDriver):
             self._next = self._policy.predict(z, np.array(thought.measured) if dry else command)
             self._next_since = seconds(header.stamp)
         self._latent.publish(out)
+
+    def _on_episode(self, message: EpisodeStatus) -> None:
+        """Stand at once where a simulator says that the episode is over: the next scan may be a while away."""
+        self._arrival.episode(message.episode, message.outcome.value)
+        over = self._arrival.reason()
+        if over and self.moving:
+            self.stand(over)
 
     def _load(self, name: str) -> None:
         """Read, try out and take over a policy.

@@ -11,6 +11,7 @@ from typing import Any
 
 from builtin_interfaces.msg import Time
 from ctrl_rl_core.errors import CtrlRlError
+from ctrl_rl_core.outcome import Outcome
 from ctrl_rl_core.parameters import ParameterError
 from ctrl_rl_core.ros import COMMAND, Status, SuiteNode, ok, run_node, to_stamp, warn
 from ctrl_rl_core.tasks import load_navigation_task
@@ -112,8 +113,23 @@ class Bridge(SuiteNode):
                 robot.publish_episode(self._time, self._episode)
             if scan:
                 robot.publish_scan(self._time)
+        if odometry:
+            self._say_how_it_ended()
+
+    def _say_how_it_ended(self) -> None:
+        for robot, namespace in enumerate(self._namespaces):
+            episode = self._world.episode(robot)
+            if episode.outcome is Outcome.RUNNING or robot in self._ended:
+                continue
+            self._ended.add(robot)
+            name = f" of {namespace}" if namespace else ""
+            self.get_logger().info(
+                f"episode {self._episode}{name}: {episode.outcome.words} after {self._world.elapsed:.2f} s, "
+                f"closest {episode.smallest_clearance:.3f} m"
+            )
 
     def _begin_episode(self) -> None:
+        self._ended: set[int] = set()
         self._scans = Schedule(self._world.lidar.spec.rate, self._rate)
         self._odometry = Schedule(self.settings["odom_rate"], self._rate)
         self._publish_due()
