@@ -7,11 +7,13 @@ TurtleBot 4 with a third of them infinite. A policy sees none of that: it sees o
 from __future__ import annotations
 
 import math
+from collections import OrderedDict
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from ctrl_rl_core.scan import MOST_BEAMS
 from ctrl_rl_core.scan import ScanGeometry as ScanGeometry
 from numpy.typing import NDArray
 
@@ -28,6 +30,8 @@ SAME_STEP = 0.25
 _TURN = 2.0 * np.pi
 _KNOWN = 512
 """Geometries that are kept in mind: an LDS-01 has one, an LDS-02, whose motor's speed varies, some two hundred."""
+_KNOWN_BYTES = 16_000_000
+"""Memory that they may take; the one used longest ago goes first."""
 # Arrays, as NumPy takes a Python number or its own scalars in twice the time.
 _ONE = np.array(1)
 _HALVES = np.array((0.5, 0.5))
@@ -44,6 +48,10 @@ def check_speeds(v: float, omega: float) -> None:
         raise KoopmanError(f"odometry with speed {v} and turn rate {omega}")
 
 
+_Key = tuple[int, float, int]
+"""Number of beams, bearing of the first [rad], opening in units of `OPENING`."""
+
+
 class _Beams(NamedTuple):
     """Where the sectors find their beams in `_measured` of one geometry.
 
@@ -55,6 +63,31 @@ class _Beams(NamedTuple):
 
     places: NDArray[np.intp]
     begins: NDArray[np.intp]
+
+
+class _Geometries:
+    """The geometries that were used last, bounded in number and in memory."""
+
+    def __init__(self) -> None:
+        self._found: OrderedDict[_Key, _Beams] = OrderedDict()
+        self.bytes = 0
+
+    def __len__(self) -> int:
+        return len(self._found)
+
+    def get(self, key: _Key) -> _Beams | None:
+        """Return what is known of a geometry, None for nothing."""
+        found = self._found.get(key)
+        if found is not None:
+            self._found.move_to_end(key)
+        return found
+
+    def put(self, key: _Key, beams: _Beams) -> None:
+        """Take a new one; those used longest ago make room."""
+        self._found[key] = beams
+        self.bytes += beams.places.nbytes
+        while len(self._found) > _KNOWN or (self.bytes > _KNOWN_BYTES and len(self._found) > 1):
+            self.bytes -= self._found.popitem(last=False)[1].places.nbytes
 
 
 @dataclass(frozen=True)
@@ -107,10 +140,12 @@ class Sectors:
         return np.array(self.far)
 
     @cached_property
-    def _known(self) -> dict[tuple[int, float, int], _Beams]:
-        return {}
+    def _known(self) -> _Geometries:
+        return _Geometries()
 
     def _beams(self, scan: ScanGeometry) -> _Beams:
+        if scan.beams > MOST_BEAMS:
+            raise KoopmanError(f"scan with {scan.beams} ranges: must be 1 to {MOST_BEAMS}")
         opening = scan.angle_increment * scan.beams
         if not (math.isfinite(scan.angle_min) and math.isfinite(opening) and abs(opening) > OPENING):
             raise KoopmanError(f"scan with angle_increment {scan.angle_increment} and angle_min {scan.angle_min}")
@@ -120,9 +155,7 @@ class Sectors:
             places = self._places(*key)
             twice = 2 * places.shape[1] * np.arange(len(places))
             found = _Beams(places, np.array((twice - 1, twice)))
-            if len(self._known) >= _KNOWN:
-                self._known.clear()
-            self._known[key] = found
+            self._known.put(key, found)
         return found
 
     def _places(self, beams: int, angle_min: float, opening: int) -> NDArray[np.intp]:

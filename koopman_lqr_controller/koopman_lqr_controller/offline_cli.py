@@ -143,6 +143,11 @@ def _save(
         replace(policy, manifest={**policy.manifest, **manifest, **more}), options.output, overwrite=options.overwrite
     )
     _print(figures)
+    constant = policy.manifest.get("constant_observables")
+    if constant:
+        print(
+            f"These never changed and are left out of the model (a lidar that sees only ahead?): {', '.join(constant)}"
+        )
     print(f"policy            {options.output}")
     return 0
 

@@ -70,7 +70,12 @@ def fit_shrunk(data: Snapshots, twin: Snapshots | None = None, drift: bool = Tru
     chosen = _chosen(errors)
     W = _solve(X.T @ X, X.T @ Y, len(X), RIDGES[chosen]).T / unit
     n = data.z.shape[1]
-    model = LinearModel(np.eye(n) + W[:, :n], np.ascontiguousarray(W[:, n:]))
+    A = np.eye(n) + W[:, :n]
+    if not drift:
+        # What stays at the fixed point for ever says nothing; A = I would make a mode of it that nobody can damp.
+        still = ~(X[:, :n].any(axis=0) | Y.any(axis=0))
+        A[still, still] = 0.0
+    model = LinearModel(A, np.ascontiguousarray(W[:, n:]))
     return Shrunk(model, moved - W @ middle, RIDGES[chosen], float(np.sqrt(errors[:, chosen].mean())))
 
 

@@ -77,6 +77,11 @@ def train(
     data = seen.centred(z_ref, u_ref)
     mirrored = data.mirrored(observables.mirror, np.array([1.0, -1.0]))
     model = fit_shrunk(data, mirrored, drift=False).model if shrunk else fit(data + mirrored)
+    constant = [
+        name
+        for name, here, there in zip(observables.names, data.z.T, data.z_next.T, strict=True)
+        if np.ptp(here) == 0.0 and np.ptp(there) == 0.0
+    ]
     Q = np.diag(observables.state_cost(weights.side, weights.ahead, weights.speed))
     R = np.diag([weights.acceleration, weights.turning])
     regulator = solve_lqr(model, Q, R)
@@ -88,6 +93,7 @@ def train(
         "method": "EDMD and infinite-horizon LQR, two stages (thesis 2.3.1)",
         "speed": speed,
         "weights": vars(weights),
+        "constant_observables": constant,
         "snapshots": {"fitted": len(seen), "held_out": 0 if unseen is seen else len(unseen)},
         "one_step_error": error.tolist(),
         "persistence_error": persistence.tolist(),

@@ -78,6 +78,31 @@ def bags(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     return folders
 
 
+def test_a_lidar_that_sees_only_ahead_fits_a_policy_whose_rear_observables_stay_out(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of 240 degrees, as the real recordings' Hokuyo: the sectors behind read "nothing there" on both sides."""
+    states, commands = driven(300, 0)
+    random = np.random.default_rng(0)
+    with Bag(tmp_path / "bag", {name: kind for name, kind in KINDS.items() if name != "/episode"}) as bag:
+        for k, (state, command) in enumerate(zip(states, commands, strict=True)):
+            exact = CORRIDOR.scan(state)
+            ranges = (exact + random.normal(0.0, 0.01, len(exact))).astype(np.float32)
+            bearing = np.arange(len(ranges)) * 2 * np.pi / len(ranges)
+            ranges[(bearing > np.deg2rad(120.0)) & (bearing < np.deg2rad(240.0))] = np.nan
+            bag.put_step(k, ranges, state[2:], command)
+    output = tmp_path / "fitted.safetensors"
+    assert fit(["curved_corridor_edmd", str(tmp_path / "bag"), "--output", str(output)]) == 0
+    said = capsys.readouterr()
+    assert "never changed and are left out of the model" in said.out
+    assert "nearness left - right at 170 deg" in said.out
+    policy = load_policy(output)
+    rear = [policy.observables.names.index(name) for name in policy.manifest["constant_observables"]]
+    assert not policy.model.A[rear].any()
+    assert not policy.K[:, rear].any()
+    assert policy.K[1].any(), "it steers by what it sees"
+
+
 def test_a_refitted_policy_predicts_and_does_what_the_first_did() -> None:
     learnt, drive, fresh = some_policy(), seen(), seen(200, seed=5)
     assert judge(learnt, [fresh])["over_persistence"][0] > 1.0

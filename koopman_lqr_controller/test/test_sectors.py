@@ -131,12 +131,26 @@ def test_a_motor_of_varying_speed_is_looked_up_and_not_worked_out_again() -> Non
     assert len(sectors._known) < 250
 
 
+def test_geometries_without_end_are_forgotten_those_used_longest_ago_first() -> None:
+    """However many beams they have: their memory is bounded, and the lidar that is used stays known."""
+    sectors = Sectors(SECTORS.bearings, SECTORS.half_width, FAR)
+    own = scan_of(360)
+    sectors.distances(np.ones(360, np.float32), own)
+    first = sectors._beams(own)
+    for beams in (*range(361, 1100), *range(19_000, 20_000, 10)):
+        sectors.distances(np.ones(beams, np.float32), scan_of(beams))
+        assert sectors._beams(own) is first
+        assert len(sectors._known) <= 512
+        assert sectors._known.bytes < 20_000_000
+
+
 @pytest.mark.parametrize(
     ("ranges", "scan"),
     [
         ([], ScanGeometry(0, 0.0, 0.1, 0.12, 3.5)),
         ([np.nan] * 360, scan_of(360)),
         ([1.0] * 10, scan_of(11)),
+        ([1.0] * 1_000_000, scan_of(1_000_000)),
         ([1.0] * 10, ScanGeometry(10, 0.0, 0.0, 0.12, 3.5)),
         ([1.0] * 10, ScanGeometry(10, float("nan"), 0.1, 0.12, 3.5)),
         ([1.0] * 10, ScanGeometry(10, 0.0, 0.1, 3.5, 0.12)),
