@@ -21,6 +21,7 @@ from safetensors.numpy import save
 from ctrl_rl_core import checked_json
 from ctrl_rl_core.checked_json import DIGEST
 from ctrl_rl_core.file_door import FileError, as_text, open_file, shown
+from ctrl_rl_core.file_kinds import KINDS, described
 from ctrl_rl_core.memory import available
 from ctrl_rl_core.schema import Count, Schema
 
@@ -118,6 +119,9 @@ def read_tensors(
             head += file.read(min(length, size))
         metadata, entries = _parse_head(head, size)
         if key not in metadata:
+            known = next((found for found in metadata if found in KINDS), None)
+            if known is not None:
+                raise FileError(f"is {described(known)}; wanted is {described(key)}")
             found = shown(next(iter(metadata), "without a header"))
             raise FileError(f"is a safetensors file of another kind, {found}, not {shown(key)}")
         header = checked_json.parse_json(metadata[key])

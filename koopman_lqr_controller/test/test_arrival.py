@@ -78,7 +78,7 @@ def test_a_real_robot_stands_after_the_distance_that_it_may_drive(robot: Robot, 
     for count in range(1, 7):
         robot.odom.publish(moving)
         robot.spin(0.1)
-        robot.send(corridor(0.1), count * SECOND // 5, odometry=False)
+        robot.send(corridor(0.1 + 0.001 * count), count * SECOND // 5, odometry=False)
         stamp = count * SECOND // 5
         assert robot.spin(10.0, lambda stamp=stamp: robot.answer_to(stamp) is not None)
         speeds.append(robot.answer_to(stamp).twist.linear.x)
