@@ -91,9 +91,15 @@ class WatchdogNode(SuiteNode):
         self._send_zero()
         self._output.wait_for_all_acked(_LAST_ZERO)
 
+    def callback_failed(self, error: Exception) -> None:  # noqa: ARG002  (it is said already)
+        """Let the robot stand: what this node does is not known any more."""
+        self._send_zero()
+
     def _on_command(self, message: TwistStamped | Twist) -> None:
         twist = message.twist if self._stamped else message
         self._refusal = refusal(twist, self.settings["largest_speed"], self.settings["largest_turn_rate"])
+        if self.faults.failing:
+            self._refusal = f"a callback failed: {self.faults.last}"
         if self._refusal:
             self._counts["refused"] += 1
             self.get_logger().warning(f"zero instead of a command: {self._refusal}", throttle_duration_sec=5.0)

@@ -13,11 +13,12 @@ import rclpy
 from command_source import SPEED
 from ctrl_rl_core.ros import COMMAND
 from ctrl_rl_core.watchdog import Watchdog
-from ctrl_rl_core.watchdog_node import refusal
+from ctrl_rl_core.watchdog_node import WatchdogNode, refusal
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import Twist, TwistStamped
 from hypothesis import given
 from hypothesis import strategies as st
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 
@@ -245,6 +246,34 @@ def test_it_warns_of_whoever_drives_the_robot_past_it(base: Base, run_node: Call
     assert "/teleop publishes on /cmd_vel too, past this watchdog" in watchdog.output
     rival.send_signal(signal.SIGINT)
     base.until(base.says("no usable command yet"))
+
+
+class _Faulty(WatchdogNode):
+    """One whose timer fails, so that it would not notice a silence."""
+
+    def _tick(self) -> None:
+        raise RuntimeError("out of memory")
+
+
+@pytest.mark.fault
+def test_a_watchdog_that_fails_itself_lets_the_robot_stand(base: Base) -> None:
+    watchdog = _Faulty()
+    executor = SingleThreadedExecutor()
+    for node in (watchdog, base.node):
+        executor.add_node(node)
+    try:
+        deadline = time.monotonic() + PATIENCE_S
+        while watchdog.faults.count < 5 or base.raw.get_subscription_count() == 0:
+            assert time.monotonic() < deadline
+            executor.spin_once(timeout_sec=0.05)
+        while "a callback failed: " not in watchdog.status()[1]:
+            assert time.monotonic() < deadline
+            base.command(SPEED)
+            executor.spin_once(timeout_sec=0.05)
+        assert set(base.speeds) == {0.0}
+    finally:
+        executor.shutdown()
+        watchdog.destroy_node()
 
 
 def test_a_source_of_the_wrong_type_is_named(base: Base, run_node: Callable) -> None:
