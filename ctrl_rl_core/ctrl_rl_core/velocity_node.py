@@ -223,9 +223,6 @@ class VelocityNode(SuiteNode):
         """Stop the robot when an input stays away."""
         if self._elapsed(self._begun) <= self.timeout:
             return  # what starts has a moment to be heard
-        self._stop_where_blind()
-
-    def _stop_where_blind(self) -> None:
         problem = self.missing()
         if problem:
             self.counts["stale"] += 1
@@ -242,8 +239,10 @@ class VelocityNode(SuiteNode):
 
     def _watch_wall(self) -> None:
         """Stop a moving robot when an input stays away while the simulated clock stands still."""
-        if self.moving:
-            self._stop_where_blind()
+        problem = self.missing() if self.moving else ""
+        if problem:
+            self.counts["stale"] += 1
+            self.stand(f"{problem} in {self.settings[WALL_TIMEOUT.name]:g} s of wall time: is the simulation paused?")
 
     def _look_for_rivals(self) -> tuple[str, ...]:
         """Return who else publishes on this node's cmd_vel; say so where it is news."""
