@@ -168,6 +168,7 @@ def test_a_driver_that_says_nothing_leaves_the_robot_standing_though_its_process
     base: Base, run_node: Callable, source: Callable
 ) -> None:
     run_node("ctrl_rl_core", "watchdog", *QUICK)
+    base.until(lambda: base.stands)  # it hears the watchdog, so that no command is missed
     driver = source("--commands", "40")
     base.until(lambda: base.drives)
     base.until(lambda: base.stands)
