@@ -91,10 +91,6 @@ class WatchdogNode(SuiteNode):
         self._send_zero()
         self._output.wait_for_all_acked(_LAST_ZERO)
 
-    def callback_failed(self, error: Exception) -> None:  # noqa: ARG002  (it is said already)
-        """Let the robot stand: what this node does is not known any more."""
-        self._send_zero()
-
     def _on_command(self, message: TwistStamped | Twist) -> None:
         twist = message.twist if self._stamped else message
         self._refusal = refusal(twist, self.settings["largest_speed"], self.settings["largest_turn_rate"])
