@@ -131,6 +131,14 @@ class SuiteNode(Node):
         callback = self.faults.guard_service(callback, srv_name)
         return super().create_service(srv_type, srv_name, callback, *args, **kwargs)
 
+    def call_soon(self, callback: Callable[[], Any]) -> None:
+        """Call `callback` once what has arrived by now is handled, with the events executor; with others at once."""
+        executor = self.executor
+        if executor is None:
+            callback()
+        else:
+            executor.create_task(self.faults.guard(callback, "task"))
+
     def _refuse(self, reason: str) -> None:
         self._refused_requests += 1
         self.get_logger().warning(f"parameter request refused: {reason}", throttle_duration_sec=5.0)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 
 import numpy as np
 
@@ -73,7 +74,10 @@ class Coordinator(Member):
         self._index = {name: index for index, name in enumerate(self._robots)}
         self._policy, self.digest = policy, digest
         self._discount = discount
-        self._observed = [np.zeros(robot.agent.observation_size, np.float32) for robot in robots]
+        self._options = slots([len(robot.agent.options) for robot in robots])
+        ends = np.cumsum([robot.agent.observation_size for robot in robots]).tolist()
+        self._places = {name: slice(*ends) for name, ends in zip(self._robots, pairwise([0, *ends]), strict=True)}
+        self._observed = np.zeros(ends[-1], np.float32)
         self._batch_at = math.inf
         super().__init__(self._robots, times or Times(), now, seed, team)
 
@@ -88,7 +92,7 @@ class Coordinator(Member):
         self.counts["policies replaced"] += 1
 
     def on_request(self, request: Request, now: Instant) -> Answers:
-        """Take a request: it is decided, at once or by a `tick`, answered as before, or refused with a reason."""
+        """Take a request: it is answered as before, refused with a reason, or decided, at once or by `end_batch`."""
         entry = self._entry(request)
         if entry is None:
             own = request.team == self.team != ""  # who names no team may be another one's
@@ -126,7 +130,8 @@ class Coordinator(Member):
         self._open[entry.agent] = request
         self._observe(request)
         self._batch_at = min(self._batch_at, now.steady + self._times.window)
-        return self._decide(now) if self._all_wait() else self._decide_when_due(now)
+        # One decision serves all that ask at about the same time: one for each would cost 50 robots most of their time.
+        return self._decide(now) if self._all_wait() else Answers()
 
     def on_status(self, status: Status, now: Instant) -> Answers:
         """Take a heartbeat: a sign of life, an acknowledgement, or news of what a robot runs."""
@@ -174,6 +179,10 @@ class Coordinator(Member):
         decided = self._decide_when_due(now)
         return Answers(grants + decided.grants, decided.steps, Word(self.epoch, self.team) if word_due else None)
 
+    def end_batch(self, now: Instant) -> Answers:
+        """Decide for all that have asked, where their time to wait for others is over."""
+        return self._decide_when_due(now) if self._decides(now) else Answers()
+
     def close(self, now: Instant) -> Answers:
         """Cut the episode off: say so where it has begun and is not over."""
         return Answers(steps=[self._last_step(now, terminated=False)] if self.epoch and self._journal.open else [])
@@ -194,7 +203,7 @@ class Coordinator(Member):
         return Journal(now.task, self._times.time_step, self._discount)
 
     def _observe(self, request: Request) -> None:
-        self._observed[self._index[request.agent]] = np.asarray(request.observation, np.float32)
+        self._observed[self._places[request.agent]] = request.observation
 
     def _refuse(self, request: Request, now: Instant, refusal: Refusal) -> Answers:
         self.counts[f"refused: {refusal.kind}"] += 1
@@ -284,8 +293,8 @@ class Coordinator(Member):
         )
 
     def _all_wait(self) -> bool:
-        heard = [entry for entry in self.ledger if entry.phase is not State.UNKNOWN and entry.silence is None]
-        return all(entry.phase is State.WAITING for entry in heard)
+        """Whether every robot that is heard waits: who asks next is nobody."""
+        return all(entry.phase in (State.WAITING, State.UNKNOWN) or entry.silence is not None for entry in self.ledger)
 
     def _decide_when_due(self, now: Instant) -> Answers:
         return self._decide(now) if now.steady >= self._batch_at else Answers()
@@ -293,11 +302,12 @@ class Coordinator(Member):
     def _decide(self, now: Instant) -> Answers:
         """Decide for all that wait and are heard; who fell silent meanwhile asks again when it returns."""
         self._batch_at = math.inf
-        asking = {e.agent: self._open.pop(e.agent) for e in self.ledger if e.state is State.WAITING}
+        waiting = [name for name in self._open if self.ledger[name].state is State.WAITING]
+        asking = {name: self._open.pop(name) for name in sorted(waiting, key=self._index.__getitem__)}
         asked = self._choice(asking)
         choice = choose_or_safe(asked, self._policy, self._times.policy_limit, self._safe_options())
         self.counts.update(choice.faults)
-        grants = []
+        grants, running = [], asked.running.copy()
         for name, request in asking.items():
             entry, option = self.ledger[name], choice.options[self._index[name]]
             if option < 0:
@@ -305,32 +315,30 @@ class Coordinator(Member):
                 grants += self._refuse(request, now, _NOTHING_SAFE).grants
                 continue
             entry.grant(self.epoch, int(option), now.task, now.stamp)
+            running[self._index[name]] = option
             self._repeat_at[name] = now.steady + self._times.repeat
             grants.append(self._grant_of(entry, now))
         if all(grant.status is GrantStatus.REFUSED for grant in grants):
             return Answers(grants)
         digest = self.digest if choice.by_policy else ""
-        step = self._journal.decision(now, self.epoch, asked, self._all_run(), choice.log_probability, digest)
+        step = self._journal.decision(now, self.epoch, asked, running, choice.log_probability, digest)
         return Answers(grants, [step])
 
     def _choice(self, asking: Mapping[str, Request]) -> Choice:
         """Return what the policy is asked."""
-        legal = slots([len(robot.agent.options) for robot in self._robots.values()])
+        legal, choosing = self._options.copy(), np.zeros(len(self._robots), bool)
         for name, request in asking.items():
+            index = self._index[name]
+            choosing[index] = True
             if np.size(request.legal):
-                legal[self._index[name], : np.size(request.legal)] = request.legal
-        return Choice(
-            observation=np.concatenate(self._observed),
-            choosing=np.array([name in asking for name in self._robots]),
-            running=np.array([e.option if e.runs and e.agent not in asking else NONE for e in self.ledger]),
-            legal=legal,
-        )
+                legal[index, : np.size(request.legal)] = request.legal
+        return Choice(self._observed.copy(), choosing, self._all_run(), legal)
 
     def _safe_options(self) -> list[int]:
         return [robot.safe_option for robot in self._robots.values()]
 
     def _all_run(self) -> Options:
-        """Return what each robot carries out now (N,)."""
+        """Return what each robot carries out now (N,); who waits for an option carries out none."""
         return np.array([entry.option if entry.runs else NONE for entry in self.ledger])
 
     def _last_step(self, now: Instant, terminated: bool) -> JointStep:

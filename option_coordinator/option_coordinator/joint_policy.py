@@ -111,6 +111,10 @@ class JointPolicy(ABC):
         """Which options there are, (N, K), K the largest count."""
         return slots(self.counts)
 
+    @cached_property
+    def _counts(self) -> Options:
+        return np.array(self.counts)
+
     def given(self, observation: Array, choosing: Mask, running: Options, legal: Mask | None = None) -> Conditional:
         """Return pi-hat for one decision.
 
@@ -150,11 +154,11 @@ class JointPolicy(ABC):
             raise OptionError(
                 f"choosing and running have shapes {choosing.shape}, {running.shape}, must be ({agents},)"
             )
-        others = running[~choosing]
-        if np.any((others < NONE) | (others >= np.array(self.counts)[~choosing])):
+        if (~choosing & ((running < NONE) | (running >= self._counts))).any():
             raise OptionError(f"running options {running.tolist()} are not all below {list(self.counts)}")
-        if np.any(choosing & ~legal.any(axis=1)):
-            raise OptionError(f"agent {int(np.flatnonzero(choosing & ~legal.any(axis=1))[0])} has no legal option")
+        stuck = np.flatnonzero(choosing & ~legal.any(axis=1))
+        if len(stuck):
+            raise OptionError(f"agent {int(stuck[0])} has no legal option")
 
 
 def log_sum_exp(x: Array, axis: int | tuple[int, ...] | None = None) -> Array:

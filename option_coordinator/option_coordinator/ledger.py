@@ -77,7 +77,7 @@ class Entry:
     @property
     def holds(self) -> bool:
         """Whether it has an option, acknowledged or not."""
-        return self.phase in (State.GRANTED, State.RUNNING)
+        return self.phase is State.RUNNING or self.phase is State.GRANTED
 
     @property
     def runs(self) -> bool:

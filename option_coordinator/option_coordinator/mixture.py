@@ -34,8 +34,12 @@ class Mixture(JointPolicy):
 
     def _given(self, observation: Array, choosing: Mask, running: Options, legal: Mask) -> Conditional:
         x = features(self._tensors, observation)
-        logits = np.full((self.rank, *self.slots.shape), -np.inf)
-        logits[:, self.slots] = linear(self._tensors, "head", x).reshape(self.rank, -1)
+        flat = linear(self._tensors, "head", x)
+        if len(set(self.counts)) == 1:
+            logits = flat.reshape(self.rank, *self.slots.shape).astype(float)
+        else:
+            logits = np.full((self.rank, *self.slots.shape), -np.inf)
+            logits[:, self.slots] = flat.reshape(self.rank, -1)
         weights = linear(self._tensors, "weights", x).astype(float)
         return _MixtureConditional(self.counts, weights, logits, choosing, running, legal)
 

@@ -74,7 +74,13 @@ PARAMETERS = (
         kind="path",
     ),
     Parameter("policy_digest", "", "SHA-256 that a policy file must have from now on; empty for any.", live=True),
-    Parameter("batch_window", 0.0005, "For which a request waits for others to be decided with [s].", 0.0, 1.0),
+    Parameter(
+        "batch_window",
+        0.0,
+        "Time that a request waits for others to be decided with it [s]; 0 for those that have arrived already.",
+        0.0,
+        1.0,
+    ),
     Parameter(
         "lease", 0.5, "Silence that makes a robot suspect, or a coordinator take another one's place [s].", 0.05, 60.0
     ),
@@ -123,8 +129,9 @@ class OptionCoordinator(SuiteNode):
         self.create_subscription(OptionRequest, "option_requests", self._on_request, EXCHANGE, raw=True)
         self.create_subscription(AgentStatus, "agent_status", self._on_status, EXCHANGE)
         self.create_subscription(CoordinatorStatus, "coordinator_status", self._on_word, EXCHANGE)
-        self._batch = self.create_timer(max(times.window, 1e-4), self._end_batch, clock=STEADY)
-        self._batch.cancel()
+        self._batch_ends = False
+        self._window = self.create_timer(max(times.window, 1e-4), self._end_batch, clock=STEADY)
+        self._window.cancel()
         self.create_timer(_HOUSEKEEPING_S, self._tick, clock=STEADY)
         of_team = f"{len(self._robots)} robots of team '{self._coordinator.team}'"
         self.get_logger().info(f"policy {self._policy_name(settings['policy'], digest)}, {of_team}")
@@ -241,9 +248,19 @@ class OptionCoordinator(SuiteNode):
             self.get_logger().warning(f"a message is not taken: {error}", throttle_duration_sec=_SAID_EVERY_S)
             return None
 
+    def _begin_batch(self) -> None:
+        """See to it that the requests that wait are decided: once, however many more arrive until then."""
+        self._batch_ends = True
+        if self.settings["batch_window"] > 0.0:
+            self._window.reset()
+        else:
+            self.call_soon(self._end_batch)
+
     def _end_batch(self) -> None:
-        self._batch.cancel()
-        self._tick()
+        self._window.cancel()
+        self._batch_ends = False
+        if self._listens():
+            self._send(self._coordinator.end_batch(self._now()))
 
     def _tick(self) -> None:
         if self._listens():
@@ -261,8 +278,8 @@ class OptionCoordinator(SuiteNode):
             self._steps.publish(self._step_message(step))
         if answers.word is not None:
             self._words.publish(word_message(answers.word, decided.stamp))
-        if self._coordinator.batches and self._batch.is_canceled():
-            self._batch.reset()
+        if self._coordinator.batches and not self._batch_ends:
+            self._begin_batch()
 
     def _listens(self) -> bool:
         """Return whether there is a time yet; from its first moment on the coordinator listens for a lease."""

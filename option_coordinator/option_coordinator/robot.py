@@ -37,7 +37,7 @@ class Times:
     """All in seconds.
 
     Attributes:
-        window: for which the first request waits for others to be decided with.
+        window: time that the first request waits for others to be decided with it.
         lease: a robot silent for so long is suspect; a coordinator listens for so long before it decides.
         lost_after: a robot silent for so long is lost.
         repeat: between repetitions of what was not acknowledged.
@@ -46,7 +46,7 @@ class Times:
         time_step: of a low-level step, in which durations are told.
     """
 
-    window: float = 0.0005
+    window: float = 0.0
     lease: float = 0.5
     lost_after: float = 2.0
     repeat: float = 0.1

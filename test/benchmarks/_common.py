@@ -7,7 +7,7 @@ from typing import Any
 
 import rclpy
 from ament_index_python.packages import get_package_prefix
-from rclpy.executors import ExternalShutdownException
+from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
@@ -24,13 +24,24 @@ def executable(package: str, name: str) -> str:
     return str(Path(get_package_prefix(package)) / "lib" / package / name)
 
 
-def echo(taken: type, topic: str, given: type, answer: str, qos: tuple[QoSProfile, QoSProfile], ns: str = "") -> None:
+def echo(
+    taken: type,
+    topic: str,
+    given: type,
+    answer: str,
+    qos: tuple[QoSProfile, QoSProfile],
+    ns: str = "",
+    executor: type[Executor] = SingleThreadedExecutor,
+) -> None:
     """Answer each message with an empty one of the same header, until interrupted: the least rclpy node that can."""
     rclpy.init()
     node = Node("echo", namespace=ns or None)
     publisher = node.create_publisher(given, answer, qos[1])
     node.create_subscription(taken, topic, lambda message: publisher.publish(given(header=message.header)), qos[0])
+    spinner = executor()
+    spinner.add_node(node)
     try:
-        rclpy.spin(node)
+        while rclpy.ok():
+            spinner.spin_once(timeout_sec=0.1)
     except (KeyboardInterrupt, ExternalShutdownException):
         rclpy.try_shutdown()

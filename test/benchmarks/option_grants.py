@@ -1,11 +1,11 @@
-"""Option grants: latency on two processes against a bare topic ping-pong of the same messages, and a burst of requests.
+"""Option grants beside a bare ping-pong: for a team that asks at once, and for robots that ask at random.
 
-The floor is the least rclpy node that takes an OptionRequest and publishes an OptionGrant. A robot that asks while the
-others run waits for the batch window besides: with one robot, as here, nobody is waited for.
+The floor is the least rclpy node that takes an OptionRequest and publishes an OptionGrant, on the same executor.
 """
 
 from __future__ import annotations
 
+import heapq
 import itertools
 import os
 import signal
@@ -13,8 +13,8 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -30,33 +30,49 @@ from rclpy.node import Node
 
 from ctrl_rl_msgs.msg import AgentStatus, OptionGrant, OptionRequest
 
-ASKED = 500
+ASKED = {1: 500, 4: 200, 50: 40, 100: 20}
+"""How often teams of so many robots ask."""
+RATE = 200.0
+"""Requests a second of a whole team that asks at random."""
+TRAFFIC_S = 5.0
 PAUSE_S = 0.005
-BURST = 100
-BURSTS = 20
 _PATIENCE_S = 60.0
 _LIFE = itertools.count(1)
 
 
 def rows() -> list[Row]:
-    """Return medians and 99th percentiles of one robot's grants, and how long a burst takes."""
+    """Return medians and 99th percentiles of the time until all are answered."""
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    out = []
     with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
-        programs = {"echo": [sys.executable, __file__, "echo"]}
-        for name, robots in (("one", 1), ("many", BURST)):
-            programs[name] = _coordinator(name, write_policy(Path(folder) / f"{name}.safetensors", robots))
-        for program in programs.values():
-            stack.callback(_stop, subprocess.Popen(program, stdout=subprocess.DEVNULL))
         rclpy.init()
         stack.callback(rclpy.try_shutdown)
-        askers = {name: Asker(name, BURST if name == "many" else 1) for name in programs}
-        times: dict[str, list[float]] = {name: [] for name in ("echo", "one")}
-        for _ in range(ASKED):
-            for name, some in times.items():
-                some.append(1e3 * askers[name].ask())
-                time.sleep(PAUSE_S)
-        bursts = [1e3 * askers["many"].ask() for _ in range(BURSTS)]
-    return [*_latencies(times), *_burst(bursts, askers["many"].lost)]
+        for robots, count in ASKED.items():
+            name = f"team_{robots}"
+            policy = write_policy(Path(folder) / f"{name}.safetensors", robots)
+            with _running(_coordinator(name, policy)), _running([sys.executable, __file__, "echo"]):
+                askers = Asker(name, robots), Asker("echo", robots)
+                out += _latencies(_title(robots), *_ask_in_turn(*askers, count), sum(asker.lost for asker in askers))
+                if robots > 1:
+                    title = f"grant latency, {robots} robots that ask at random"
+                    out += _latencies(title, *(asker.traffic(TRAFFIC_S) for asker in askers), 0)
+                for asker in askers:
+                    asker.close()
+    return out
+
+
+def _title(robots: int) -> str:
+    return f"grants of {robots} simultaneous requests" if robots > 1 else "grant latency"
+
+
+def _ask_in_turn(coordinator: Asker, echo: Asker, count: int) -> tuple[list[float], list[float]]:
+    """Return times [ms] until the coordinator and the echo have answered."""
+    times: tuple[list[float], list[float]] = ([], [])
+    for _ in range(count):
+        for asker, some in zip((coordinator, echo), times, strict=True):
+            some.append(1e3 * asker.ask())
+            time.sleep(PAUSE_S)
+    return times
 
 
 def write_policy(path: Path, robots: int) -> Path:
@@ -72,13 +88,13 @@ class Asker:
     def __init__(self, namespace: str, robots: int) -> None:
         self._node = Node("asker", namespace=namespace)
         self._robots = robots
+        self._echoed = namespace == "echo"
         self._requests = self._node.create_publisher(OptionRequest, "option_requests", EXCHANGE)
         self._statuses = self._node.create_publisher(AgentStatus, "agent_status", EXCHANGE)
         self._node.create_subscription(OptionGrant, "option_grants", self._on_grant, EXCHANGE)
         self._executor = EventsExecutor()
         self._executor.add_node(self._node)
         self._life, self._number = time.time_ns(), 0
-        self._open: set[str] = set()
         self._grants: list[OptionGrant] = []
         self.lost = 0
         self._until_answered()
@@ -89,18 +105,49 @@ class Asker:
         self._number += 1
         self._grants.clear()
         now = 1e-9 * self._node.get_clock().now().nanoseconds
-        robots = range(self._robots)
-        self._open = {f"r{i}" for i in robots} if self._node.get_namespace() != "/echo" else {""}
-        messages = [request_message(self._request(f"r{i}", now)) for i in robots]
+        messages = [request_message(self._request(f"r{i}", now)) for i in range(self._robots)]
         begin = time.perf_counter()
         for message in messages:
             self._requests.publish(message)
-        self._spin(lambda: not self._open, 1.0)
+        self._spin(lambda: len(self._grants) == self._robots, 1.0)
         took = time.perf_counter() - begin
-        self.lost += len(self._open)
-        for grant in self._grants:
-            self._acknowledge(grant)
+        self.lost += self._robots - len(self._grants)
+        if not self._echoed:
+            for grant in self._grants:
+                self._acknowledge(grant)
         return took
+
+    def traffic(self, seconds: float) -> list[float]:
+        """Let each robot ask at random times, and return how long each request took [ms]."""
+        random = np.random.default_rng(0)
+        pause = self._robots / RATE
+        due = [(time.perf_counter() + random.uniform(0.0, pause), robot) for robot in range(self._robots)]
+        heapq.heapify(due)
+        self._number += 1  # one for all: an answer is told by its robot, who has one request open at a time
+        numbers = [self._number] * self._robots
+        end, times = time.perf_counter() + seconds, []
+        while due[0][0] < end:
+            begin, robot = due[0]
+            self._spin(lambda: False, begin - time.perf_counter())
+            self._grants.clear()
+            numbers[robot] += 1
+            self._number = numbers[robot]
+            now = 1e-9 * self._node.get_clock().now().nanoseconds
+            message = request_message(self._request(f"r{robot}", now))
+            began = time.perf_counter()
+            self._requests.publish(message)
+            self._spin(lambda: bool(self._grants), 1.0)
+            times.append(1e3 * (time.perf_counter() - began))
+            if self._grants and not self._echoed:
+                self._acknowledge(self._grants[0])
+            heapq.heapreplace(due, (time.perf_counter() + random.exponential(pause), robot))
+        self._number = max(numbers)
+        return times
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self._executor.shutdown()
+        self._node.destroy_node()
 
     def _request(self, name: str, now: float) -> Request:
         observation, legal = np.zeros(4, np.float32), np.ones(6, bool)
@@ -118,8 +165,7 @@ class Asker:
                 raise RuntimeError(f"no answer in {self._node.get_namespace()}")
 
     def _on_grant(self, message: OptionGrant) -> None:
-        if message.request_id in (self._number, 0) and message.agent in self._open:
-            self._open.discard(message.agent)
+        if self._echoed or message.request_id == self._number:
             self._grants.append(message)
 
     def _spin(self, until: Callable[[], bool], seconds: float) -> None:
@@ -136,26 +182,29 @@ def _coordinator(name: str, policy: Path) -> list[str]:
     return [node, "--ros-args", "-r", f"__ns:=/{name}", "-p", f"policy:={policy}", *settings, "--log-level", "error"]
 
 
-def _latencies(times: dict[str, list[float]]) -> list[Row]:
+def _latencies(name: str, times: list[float], floor: list[float], lost: int) -> list[Row]:
     out = []
     for label, percentile in (("median", 50), ("p99", 99)):
-        mine, floor = (float(np.percentile(times[name], percentile)) for name in ("one", "echo"))
-        out.append(row(f"grant latency, {label}", mine, "ms", f"bare rclpy ping-pong, {floor:.3f} ms", mine / floor))
+        mine, bare = (float(np.percentile(some, percentile)) for some in (times, floor))
+        against = f"bare rclpy ping-pong of as many, {bare:.3f} ms; {lost} unanswered"
+        out.append(row(f"{name}, {label}", mine, "ms", against, mine / bare))
     return out
 
 
-def _burst(times: list[float], lost: int) -> list[Row]:
-    name, against = f"{BURST} simultaneous requests, all answered", f"{BURSTS} bursts, {lost} requests unanswered"
-    return [row(name, float(np.median(times)), "ms", against, None)]
-
-
-def _stop(process: subprocess.Popen[bytes]) -> None:
-    process.send_signal(signal.SIGINT)
-    process.wait(10.0)
+@contextmanager
+def _running(program: list[str]) -> Iterator[None]:
+    process = subprocess.Popen(program, stdout=subprocess.DEVNULL)
+    try:
+        yield
+    finally:
+        process.send_signal(signal.SIGINT)
+        process.wait(10.0)
 
 
 if __name__ == "__main__":
     if sys.argv[1:] == ["echo"]:
-        echo(OptionRequest, "option_requests", OptionGrant, "option_grants", (EXCHANGE, EXCHANGE), "echo")
+        echo(
+            OptionRequest, "option_requests", OptionGrant, "option_grants", (EXCHANGE, EXCHANGE), "echo", EventsExecutor
+        )
     else:
         print(*rows(), sep="\n")
