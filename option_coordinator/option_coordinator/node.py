@@ -227,6 +227,8 @@ class OptionCoordinator(SuiteNode):
         if request is not None and self._listens():
             now = self._now()
             self._send(self._coordinator.on_request(request, now), now)
+            if self._coordinator.batches and not self._batch_ends:
+                self._begin_batch()
 
     def _on_status(self, message: AgentStatus) -> None:
         status = self._read(status_of, message)
@@ -260,7 +262,8 @@ class OptionCoordinator(SuiteNode):
         self._window.cancel()
         self._batch_ends = False
         if self._listens():
-            self._send(self._coordinator.end_batch(self._now()))
+            now = self._now()
+            self._send(self._coordinator.end_batch(now), now)
 
     def _tick(self) -> None:
         if self._listens():
@@ -278,8 +281,6 @@ class OptionCoordinator(SuiteNode):
             self._steps.publish(self._step_message(step))
         if answers.word is not None:
             self._words.publish(word_message(answers.word, decided.stamp))
-        if self._coordinator.batches and not self._batch_ends:
-            self._begin_batch()
 
     def _listens(self) -> bool:
         """Return whether there is a time yet; from its first moment on the coordinator listens for a lease."""
