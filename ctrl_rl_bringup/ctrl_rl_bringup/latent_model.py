@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -11,8 +10,9 @@ from typing import Any
 
 import numpy as np
 from ctrl_rl_core.bags import bag_info, read_messages
+from ctrl_rl_core.checked_json import parse_json
+from ctrl_rl_core.errors import CtrlRlError
 from koopman_lqr_controller.arrival import ENDED
-from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.policy_file import digest, find_policy, load_policy
 from numpy.typing import NDArray
 
@@ -116,13 +116,13 @@ def read_latent_model(bag: Path) -> LatentModel | None:
 
 def _poles(custom_data: Mapping[str, str]) -> NDArray[np.complex128]:
     """Return the poles of the policy that a bag names, if its file still is what it was."""
-    parameters = json.loads(custom_data.get("parameters./koopman_lqr_controller", "{}"))
     try:
-        path = find_policy(str(parameters.get("policy", "")))
+        parameters = parse_json(custom_data.get("parameters./koopman_lqr_controller", "{}"))
+        path = find_policy(str(parameters.get("policy", "")) if isinstance(parameters, dict) else "")
         if digest(path) != custom_data.get("digest.policy"):
             return np.empty(0, dtype=complex)
         poles = np.linalg.eigvals(load_policy(path).loop).astype(complex)
-    except KoopmanError:
+    except CtrlRlError:
         return np.empty(0, dtype=complex)
     return poles[np.argsort(-np.abs(poles), kind="stable")]
 

@@ -29,7 +29,7 @@ Tensors = dict[str, NDArray[Any]]
 LARGEST = 256_000_000
 """Bytes of a policy's file."""
 LARGEST_HEADER = 16_000_000
-_TYPES: dict[str, type[np.generic]] = {
+TYPES: dict[str, type[np.generic]] = {
     "F64": np.float64,
     "F32": np.float32,
     "F16": np.float16,
@@ -176,7 +176,7 @@ def _parse_head(head: bytes, size: int) -> tuple[dict[str, str], dict[str, _Entr
     entries = _ENTRIES.validate_python(told)
     end = 0
     for name, entry in sorted(entries.items(), key=lambda item: item[1].data_offsets):
-        kind = _TYPES.get(entry.dtype)
+        kind = TYPES.get(entry.dtype)
         if kind is None:
             raise FileError(f"tensor {shown(name)} is of type {shown(entry.dtype)}, which is not read")
         begin, stop = entry.data_offsets
@@ -190,7 +190,7 @@ def _parse_head(head: bytes, size: int) -> tuple[dict[str, str], dict[str, _Entr
 
 def _tensor(data: NDArray[np.uint8], entry: _Entry) -> NDArray[Any]:
     begin, stop = entry.data_offsets
-    flat = data[begin:stop].view(_TYPES[entry.dtype])
+    flat = data[begin:stop].view(TYPES[entry.dtype])
     if entry.dtype == "BOOL" and (data[begin:stop] > 1).any():
         raise FileError("holds truth values that are neither true nor false")
     return np.require(flat.reshape(entry.shape), requirements=["A"])

@@ -6,17 +6,18 @@ command = actor.command(observation)      # what the task's sensors say, in SI u
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
+from ctrl_rl_core.checked_tensors import encode_tensors, read_tensors
+from ctrl_rl_core.file_door import FileError, refused_as
+from ctrl_rl_core.schema import Anything, Schema
 from ctrl_rl_core.whole_file import write_whole
 from numpy.typing import ArrayLike, NDArray
-from safetensors import SafetensorError, safe_open
-from safetensors.numpy import save
+from pydantic import Field
 
 from ctrl_rl_training.errors import TrainingError
 
@@ -24,6 +25,18 @@ Array = NDArray[np.float32]
 
 FORMAT = "actor-1"
 _HEADER_KEY = "actor"
+
+
+class _Header(Schema):
+    """What a policy says of itself, see `Actor`."""
+
+    format: Literal["actor-1"]
+    layers: Annotated[int, Field(ge=1, le=100)]
+    activation: Literal["normalized_tanh", "normalized_relu"]
+    squashed: bool
+    manifest: Anything
+
+
 _LAYER_NORM_EPSILON = np.float32(1e-5)  # torch's
 
 
@@ -81,11 +94,8 @@ class Actor:
             "squashed": self.squashed,
             "manifest": dict(self.manifest),
         }
-        content = save(
-            {name: np.ascontiguousarray(tensor, dtype=np.float32) for name, tensor in tensors.items()},
-            metadata={_HEADER_KEY: json.dumps(manifest, sort_keys=True)},
-        )
-        write_whole(path, content)
+        plain = {name: np.ascontiguousarray(tensor, dtype=np.float32) for name, tensor in tensors.items()}
+        write_whole(path, encode_tensors(plain, _HEADER_KEY, manifest))
 
     @classmethod
     def load(cls, path: Path | str) -> Self:
@@ -94,22 +104,37 @@ class Actor:
         Raises:
             TrainingError: the file is missing or is not such a policy; the message names it.
         """
-        try:
-            with safe_open(path, framework="np") as file:
-                header = json.loads((file.metadata() or {}).get(_HEADER_KEY, "{}"))
-                if header.get("format") != FORMAT:
-                    raise TrainingError(f"{path}: is not a policy of format {FORMAT}: learn it again")
-                layers = range(header["layers"])
-                return cls(
-                    weights=tuple(file.get_tensor(f"weight_{index}") for index in layers),
-                    biases=tuple(file.get_tensor(f"bias_{index}") for index in layers),
-                    activation=header["activation"],
-                    squashed=header["squashed"],
-                    manifest=header["manifest"],
-                    **{name: file.get_tensor(name) for name in _VECTORS},
-                )
-        except (OSError, SafetensorError, ValueError, KeyError) as error:
-            raise TrainingError(f"{path}: cannot be read as a policy ({error})") from None
+        with refused_as(TrainingError, path, "learn it again"):
+            header, tensors, _ = read_tensors(path, _HEADER_KEY, types=("F32",))
+            told = _Header.model_validate(header)
+            layers = range(told.layers)
+            wanted = {*_VECTORS, *(f"{kind}_{index}" for kind in ("weight", "bias") for index in layers)}
+            if set(tensors) != wanted:
+                raise FileError("has other tensors than its layers need")
+            actor = cls(
+                weights=tuple(tensors[f"weight_{index}"] for index in layers),
+                biases=tuple(tensors[f"bias_{index}"] for index in layers),
+                activation=told.activation,
+                squashed=told.squashed,
+                manifest=told.manifest,
+                **{name: tensors[name] for name in _VECTORS},
+            )
+            actor.check()
+        return actor
+
+    def check(self) -> None:
+        """Refuse tensors that do not fit each other.
+
+        Raises:
+            TrainingError: they do not.
+        """
+        width, commands = self.middle.shape, self.low.shape
+        fits = len(width) == len(commands) == 1 and self.unit.shape == width and self.high.shape == commands
+        for W, b in zip(self.weights, self.biases, strict=True):
+            fits = fits and W.ndim == 2 and W.shape[1:] == width and b.shape == W.shape[:1]
+            width = b.shape
+        if not fits or width != commands or not (self.unit > 0.0).all():
+            raise TrainingError("its tensors do not fit each other")
 
 
 _VECTORS = ("middle", "unit", "low", "high")

@@ -9,13 +9,16 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any, Protocol
 
+from ctrl_rl_core.checked_json import with_digest
+from ctrl_rl_core.errors import CtrlRlError
+from ctrl_rl_core.file_door import refused_as
 from ctrl_rl_core.whole_file import write_whole
-from safetensors import SafetensorError
+from pydantic import ValidationError
 
 from ctrl_rl_training.errors import TrainingError
-from ctrl_rl_training.run_folder import Named, check_same, read_result, result_file
+from ctrl_rl_training.run_folder import Named, Progress, check_same, read_result, result_file
 
-UNUSABLE = (OSError, SafetensorError, ValueError, KeyError, RuntimeError, TypeError)
+UNUSABLE = (OSError, CtrlRlError, ValueError, LookupError, RuntimeError, TypeError, AttributeError)
 """What goes wrong with a checkpoint that is damaged, or of another learner."""
 Point = dict[str, Any]
 """What a curve says of an iteration, as JSON."""
@@ -89,8 +92,8 @@ def resumable(
         curve: list[Point] = []
         if checkpoint.is_file():
             progress = _load(learning, checkpoint)
-            check_same(checkpoint, progress["run"], terms)
-            curve = progress["curve"]
+            check_same(checkpoint, progress.run, terms)
+            curve = progress.curve
             if len(curve) > iterations:
                 raise TrainingError(
                     f"{checkpoint}: has {len(curve)} iterations already: ask for no fewer, or delete it to begin anew"
@@ -106,13 +109,16 @@ def resumable(
         result = {"run": dict(terms), "curve": curve, **learning.finish(finished.parent)}
         finishing = time.process_time() - cpu
         result["cpu_seconds"] = round(sum(point.get("cpu_seconds", 0.0) for point in curve) + finishing, 2)
-    write_whole(finished, json.dumps(result) + "\n")
+    write_whole(finished, json.dumps(with_digest(result)) + "\n")
     checkpoint.unlink(missing_ok=True)
     return result
 
 
-def _load(learning: Learning, checkpoint: Path) -> dict[str, Any]:
-    try:
-        return learning.load(checkpoint)
-    except UNUSABLE as error:
-        raise TrainingError(f"{checkpoint}: cannot go on from it ({error}); delete it to begin anew") from None
+def _load(learning: Learning, checkpoint: Path) -> Progress:
+    with refused_as(TrainingError, checkpoint, "cannot go on from it, delete it to begin anew"):
+        try:
+            return Progress.model_validate(learning.load(checkpoint))
+        except (ValidationError, OSError):
+            raise
+        except UNUSABLE as error:
+            raise TrainingError(f"is of another learner ({type(error).__name__}: {error})") from None

@@ -2,12 +2,47 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Annotated, Any, Protocol
+
+from ctrl_rl_core.checked_json import read_json
+from ctrl_rl_core.file_door import named, one_line, refused_as
+from ctrl_rl_core.schema import Anything, Schema
+from pydantic import ConfigDict, Field, field_validator
 
 from ctrl_rl_training.errors import TrainingError
+
+
+class _Point(Schema):
+    """What a curve says of an iteration: the learner's own words, and these."""
+
+    model_config = ConfigDict(extra="allow", allow_inf_nan=True)
+
+    seconds: float = 0.0
+    cpu_seconds: float = 0.0
+
+
+class Progress(Schema):
+    """What a checkpoint says of a run, besides what its learner keeps for itself."""
+
+    model_config = ConfigDict(extra="allow")
+
+    run: Anything
+    curve: Annotated[list[Anything], Field(max_length=1_000_000)]
+
+    @field_validator("curve")
+    @classmethod
+    def _points(cls, curve: list[Anything]) -> list[Anything]:
+        for point in curve:
+            _Point.model_validate(point)
+        return curve
+
+
+class Finished(Progress):
+    """What a finished run leaves."""
+
+    cpu_seconds: float = 0.0
 
 
 class Named(Protocol):
@@ -29,12 +64,10 @@ def read_result(file: Path) -> dict[str, Any]:
     Raises:
         TrainingError: the file is damaged.
     """
-    try:
-        result = json.loads(file.read_text(encoding="utf-8"))
-        len(result["curve"]), result["run"].items()
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        raise TrainingError(f"{file}: is not what a finished run leaves: delete it to have it learnt again") from None
-    return dict(result)
+    with refused_as(TrainingError, file, "is not what a finished run leaves: delete it to have it learnt again"):
+        result: dict[str, Any] = read_json(file)
+        Finished.model_validate(result)
+    return result
 
 
 def check_same(file: Path, before: Mapping[str, Any], now: Mapping[str, Any]) -> None:
@@ -46,5 +79,6 @@ def check_same(file: Path, before: Mapping[str, Any], now: Mapping[str, Any]) ->
     for name, value in now.items():
         if before.get(name) != value:
             raise TrainingError(
-                f"{file}: was made with {name} {before.get(name)}, now it is {value}: use another folder, or delete it"
+                f"{named(file)}: was made with {name} {one_line(before.get(name), 100)}, now it is "
+                f"{one_line(value, 100)}: use another folder, or delete it"
             )

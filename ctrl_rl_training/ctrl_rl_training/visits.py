@@ -7,12 +7,17 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
+from ctrl_rl_core.checked_tensors import encode_tensors, read_tensors
+from ctrl_rl_core.file_door import FileError, refused_as
 from ctrl_rl_core.regions import ANGLES, position_indices
 from ctrl_rl_core.tasks import NavigationTask
 from ctrl_rl_core.whole_file import write_whole
 from numpy.typing import NDArray
-from safetensors.numpy import load_file, save
 
+from ctrl_rl_training.errors import TrainingError
+
+FORMAT = "visits-1"
+_HEADER_KEY = "visits"
 PLACES = 50
 """Bins along each side of what the walls enclose."""
 TURNS = 72
@@ -60,11 +65,19 @@ class Visits:
         return self
 
     def save(self, path: Path) -> None:
-        """Write the counts as safetensors; the file is there whole or not at all."""
-        write_whole(path, save(self.counts()))
+        """Write the counts; the file is there whole or not at all."""
+        write_whole(path, encode_tensors(self.counts(), _HEADER_KEY, {"format": FORMAT}))
 
 
 def load_visits(path: Path) -> dict[str, Counts]:
-    """Return the counts of a file, see `Visits.counts`."""
-    counts: dict[str, Counts] = load_file(path)
+    """Return the counts of a file, see `Visits.counts`.
+
+    Raises:
+        TrainingError: it is no such file.
+    """
+    with refused_as(TrainingError, path):
+        header, counts, _ = read_tensors(path, _HEADER_KEY, largest=None, types=("U32",))
+        shapes = {name: counts[name].shape[1:] for name in sorted(counts)}
+        if header not in ({}, {"format": FORMAT}) or shapes != {"places": (PLACES, PLACES), "turns": (TURNS,)}:
+            raise FileError("holds no counts of visits")
     return counts

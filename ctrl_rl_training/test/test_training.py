@@ -122,7 +122,7 @@ def test_a_broken_checkpoint_is_named(tmp_path):
     checkpoint = tmp_path / run.name / "checkpoint.safetensors"
     checkpoint.parent.mkdir()
     checkpoint.write_bytes(b"half a file")
-    with pytest.raises(TrainingError, match=r"checkpoint\.safetensors: cannot go on from it .* delete it"):
+    with pytest.raises(TrainingError, match=r"checkpoint\.safetensors: .*: cannot go on from it, delete it"):
         train_one(run, Options(tmp_path, **SHORT))
 
 
@@ -136,7 +136,7 @@ def test_a_file_that_is_no_policy_is_named(tmp_path):
     with pytest.raises(TrainingError, match="policy"):
         Actor.load(file)
     file.write_bytes(b"{}")
-    with pytest.raises(TrainingError, match="cannot be read as a policy"):
+    with pytest.raises(TrainingError, match="learn it again"):
         Actor.load(file)
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
@@ -15,6 +16,7 @@ from koopman_lqr_controller.errors import KoopmanError
 Array = NDArray[np.float64]
 Weights = NDArray[np.float32]
 
+_MOST_PRODUCTS = 10_000_000_000
 EPSILON = np.float32(1e-5)
 """Added to the variance by `LayerNorm`."""
 
@@ -205,6 +207,11 @@ class Encoder:
                 for name, array in tensors.items()
                 if name.startswith(prefix)
             }
+            lacking = {"weight", "bias"} & {field.name for field in fields(kind)} ^ set(arrays)
+            if lacking or any(array.ndim == 0 for array in arrays.values()):
+                raise KoopmanError(f"encoder layer {index} ({kind.NAME}) has other tensors than it needs")
+            if kind is Convolution and arrays["weight"].size * math.prod(description["shape"][-2:]) > _MOST_PRODUCTS:
+                raise KoopmanError(f"encoder layer {index} ({kind.NAME}) is too large to be run at every step")
             layers.append(kind(**arrays, **rest))
         shape = tuple(int(size) for size in description["shape"])
         middle, unit = (tensors[f"encoder.{name}"].astype(np.float32) for name in ("middle", "unit"))

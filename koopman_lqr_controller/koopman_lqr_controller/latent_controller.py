@@ -113,7 +113,7 @@ class LatentController:
         """Encode one observation: what cannot be encoded now will not be while a robot drives."""
         try:
             z = self.latent(np.zeros(self.encoder.shape, np.float32))
-        except ValueError as error:
+        except (ValueError, IndexError) as error:
             raise KoopmanError(f"encoder and projection do not fit each other ({error})") from None
         if z.shape != self.z_ref.shape or not np.isfinite(z).all():
             raise KoopmanError(

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
 import numpy as np
+from ctrl_rl_core.checked_tensors import Tensors
 from numpy.typing import NDArray
 
 from koopman_lqr_controller.edmd import LinearModel
 from koopman_lqr_controller.encoder import Encoder
 from koopman_lqr_controller.latent_controller import LatentController
 from koopman_lqr_controller.latent_policy import LatentPolicy, LidarWiring
-from koopman_lqr_controller.lidar_observation import LidarObservation
+from koopman_lqr_controller.policy_header import LatentHeader
 
 FORMAT = "koopman-latent-2"
 _LQR = ("A", "B", "Q", "R", "z_ref")
@@ -45,29 +45,30 @@ def describe_latent(policy: LatentPolicy) -> tuple[dict[str, Any], dict[str, NDA
     return header, arrays
 
 
-def build_latent(header: Mapping[str, Any], tensors: Mapping[str, NDArray[Any]]) -> LatentPolicy:
+def build_latent(told: LatentHeader, tensors: Tensors) -> LatentPolicy:
     """Return the policy; its gain is computed anew.
 
     Raises:
         KoopmanError: the parts do not fit each other, or there is no regulator.
-        KeyError, TypeError, ValueError: something is missing or of another kind.
+        KeyError: a tensor is missing.
     """
-    wanted = _LQR if header["horizon"] is not None else _LQR + _REFERENCE
+    wanted = _LQR if told.horizon is not None else _LQR + _REFERENCE
     given = {name: np.ascontiguousarray(tensors[name], dtype=np.float64) for name in wanted}
     projection = tensors.get("projection")
     controller = LatentController(
-        encoder=Encoder.build(header["encoder"], tensors),
+        encoder=Encoder.build(told.encoder.model_dump(), tensors),
         model=LinearModel(given["A"], given["B"]),
         Q=given["Q"],
         R=given["R"],
         z_ref=given["z_ref"],
         a_ref=given.get("a_ref"),
         drift=given.get("drift"),
-        horizon=header["horizon"],
+        horizon=told.horizon,
         projection=None if projection is None else projection.astype(np.float64),
     )
     wiring = None
-    if "observation" in header:
+    if told.observation is not None:
         low, high = (tensors[name].astype(np.float64) for name in _WIRING)
-        wiring = LidarWiring(LidarObservation(**header["observation"]), low, high)
-    return LatentPolicy(controller, float(header["dt"]), wiring, header["manifest"])
+        wiring = LidarWiring(told.observation.observation, low, high)
+    manifest = told.manifest.model_dump(exclude_unset=True)
+    return LatentPolicy(controller, told.dt, wiring, manifest, told.region_of(tensors))

@@ -3,29 +3,28 @@
 from __future__ import annotations
 
 import hashlib
-import json
-from collections.abc import Callable, Mapping
-from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from ctrl_rl_core.checked_tensors import LARGEST, Tensors, encode_tensors, read_tensors
+from ctrl_rl_core.file_door import FileError, named, read_bytes, refused_as, shown
 from ctrl_rl_core.whole_file import write_whole
 from numpy.typing import NDArray
-from safetensors import SafetensorError, safe_open
-from safetensors.numpy import save
 
 from koopman_lqr_controller.edmd import LinearModel
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.latent_file import FORMAT as LATENT_FORMAT
 from koopman_lqr_controller.latent_file import build_latent, describe_latent
 from koopman_lqr_controller.latent_policy import LatentPolicy
-from koopman_lqr_controller.observables import CorridorObservables
 from koopman_lqr_controller.policy import KoopmanPolicy
-from koopman_lqr_controller.region import Region
+from koopman_lqr_controller.policy_header import EdmdHeader, LatentHeader
 
 FORMAT = "koopman-lqr-1"
+_HEADER_KEY = "policy"
+_LARGEST_LATENT = 500
+"""Dimensions: an LQR of more takes minutes, and a robot waits."""
 _TENSORS = ("A", "B", "K", "P", "z_ref", "u_ref", "u_low", "u_high")
 _REGION = ("distance", "error")
 _OBSERVABLES = ("bearings_deg", "half_width_deg", "near", "closest", "far")
@@ -48,19 +47,20 @@ def find_policy(name_or_path: str) -> Path:
         KoopmanError: there is no such policy.
     """
     shipped = shipped_policies()
-    path = shipped.get(name_or_path, Path(name_or_path))
+    path = shipped.get(name_or_path, Path(name_or_path).expanduser())
     try:
-        there = path.is_file()
-    except OSError as error:
-        raise KoopmanError(f"no policy '{name_or_path}': {error.strerror}") from None
+        there = path.exists()
+    except (OSError, ValueError) as error:
+        raise KoopmanError(f"no policy {shown(name_or_path)}: {error}") from None
     if not there:
-        raise KoopmanError(f"no policy '{name_or_path}': there are {', '.join(shipped) or 'none'}, or give a file")
+        raise KoopmanError(f"no policy {shown(name_or_path)}: there are {', '.join(shipped) or 'none'}, or give a file")
     return path
 
 
 def digest(path: Path) -> str:
     """Return the SHA-256 of a policy file (hex)."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+    with refused_as(KoopmanError, path):
+        return hashlib.sha256(read_bytes(path, LARGEST)).hexdigest()
 
 
 def refuse_existing(path: Path, overwrite: bool) -> None:
@@ -70,7 +70,7 @@ def refuse_existing(path: Path, overwrite: bool) -> None:
         KoopmanError: it is there.
     """
     if path.exists() and not overwrite:
-        raise KoopmanError(f"{path} exists: give another name, or ask to --overwrite it")
+        raise KoopmanError(f"{named(path)} exists: give another name, or ask to --overwrite it")
 
 
 def save_policy(policy: KoopmanPolicy | LatentPolicy, path: Path, overwrite: bool = False) -> None:
@@ -84,9 +84,7 @@ def save_policy(policy: KoopmanPolicy | LatentPolicy, path: Path, overwrite: boo
     if policy.region is not None:
         header["region"] = {name: getattr(policy.region, name) for name in _REGION}
         tensors |= {"region.mean": policy.region.mean, "region.covariance": policy.region.covariance}
-    content = save(
-        {name: np.ascontiguousarray(array) for name, array in tensors.items()}, {"policy": json.dumps(header)}
-    )
+    content = encode_tensors(tensors, _HEADER_KEY, header)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         write_whole(path, content)
@@ -100,37 +98,20 @@ def load_policy(path: Path) -> KoopmanPolicy | LatentPolicy:
     Raises:
         KoopmanError: no such file, or it is not a whole and consistent policy.
     """
-    try:
-        with safe_open(path, framework="numpy") as file:
-            header = json.loads((file.metadata() or {}).get("policy", "{}"))
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-    # Tensors of a kind that NumPy does not know end in TypeError or AttributeError.
-    except (OSError, SafetensorError, ValueError, TypeError, AttributeError) as error:
-        raise KoopmanError(f"{path}: not a readable policy file ({error})") from None
-    if not isinstance(header, dict):
-        raise KoopmanError(f"{path}: not a readable policy file (its header is no table)")
-    builders: dict[str, Callable[..., KoopmanPolicy | LatentPolicy]] = {
-        FORMAT: _build_edmd,
-        LATENT_FORMAT: build_latent,
-    }
-    build = builders.get(str(header.get("format", "")))
-    if build is None:
-        known = f"'{FORMAT}' or '{LATENT_FORMAT}'"
-        raise KoopmanError(f"{path}: format is '{header.get('format')}', must be {known}: train it again")
-    try:
-        return replace(build(header, tensors), region=_region(header, tensors))
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise KoopmanError(f"{path}: wrong manifest ({error}): train it again") from None
-    except KoopmanError as error:
-        raise KoopmanError(f"{path}: {error}") from None
-
-
-def _region(header: Mapping[str, Any], tensors: Mapping[str, NDArray[Any]]) -> Region | None:
-    """Return what training saw; files from before it was written down have none."""
-    if "region" not in header:
-        return None
-    mean, covariance = (tensors[f"region.{name}"].astype(np.float64) for name in ("mean", "covariance"))
-    return Region(mean, covariance, *(float(header["region"][name]) for name in _REGION))
+    with refused_as(KoopmanError, path):
+        header, tensors, _ = read_tensors(path, _HEADER_KEY)
+        large = [name for name in ("A", "P") if max(tensors.get(name, np.empty(0)).shape, default=0) > _LARGEST_LATENT]
+        if large:
+            raise FileError(f"{large[0]} has more than {_LARGEST_LATENT} rows or columns")
+        found = header.get("format")
+        try:
+            if found == FORMAT:
+                return _build_edmd(EdmdHeader.model_validate(header), tensors)
+            if found == LATENT_FORMAT:
+                return build_latent(LatentHeader.model_validate(header), tensors)
+        except KeyError as error:
+            raise FileError(f"lacks the tensor {shown(error.args[0])}: train it again") from None
+        raise FileError(f"format is {shown(found)}, must be '{FORMAT}' or '{LATENT_FORMAT}': train it again")
 
 
 def _describe_edmd(policy: KoopmanPolicy) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
@@ -149,15 +130,12 @@ def _describe_edmd(policy: KoopmanPolicy) -> tuple[dict[str, Any], dict[str, NDA
     return header, tensors
 
 
-def _build_edmd(header: Mapping[str, Any], tensors: Mapping[str, NDArray[Any]]) -> KoopmanPolicy:
-    missing = [name for name in _TENSORS if name not in tensors]
-    if missing:
-        raise KoopmanError(f"lacks {', '.join(missing)}: train it again")
-    given = header["observables"] | {"bearings_deg": tuple(header["observables"]["bearings_deg"])}
+def _build_edmd(told: EdmdHeader, tensors: Tensors) -> KoopmanPolicy:
     arrays: dict[str, Any] = {name: tensors[name].astype(np.float64) for name in _TENSORS}
     return KoopmanPolicy(
-        observables=CorridorObservables(**given),
+        observables=told.observables.observables,
         model=LinearModel(arrays.pop("A"), arrays.pop("B")),
-        manifest=header["manifest"],
+        manifest=told.manifest.model_dump(exclude_unset=True),
+        region=told.region_of(tensors),
         **arrays,
     )

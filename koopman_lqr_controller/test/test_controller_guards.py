@@ -193,8 +193,8 @@ def test_another_policy_drives_from_the_next_scan_on_and_a_bad_one_is_refused(
     assert robot.spin(20.0, lambda: len(robot.latents) >= 20)
     for name, words in (
         ("nowhere", "no policy 'nowhere'"),
-        (str(tmp_path / "broken.safetensors"), "not a readable policy file"),
-        (str(tmp_path / "headless.safetensors"), "its header is no table"),
+        (str(tmp_path / "broken.safetensors"), "is not a whole safetensors file"),
+        (str(tmp_path / "headless.safetensors"), "has a header that is no JSON object"),
         (str(tmp_path / "cheetah.safetensors"), "it knows no lidar"),
     ):
         taken, reason = set_parameter(robot, "policy", name)

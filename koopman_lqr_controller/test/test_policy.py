@@ -114,12 +114,12 @@ def test_a_broken_file_gives_one_clear_error(policy: KoopmanPolicy, tmp_path: Pa
     save_policy(policy, path)
     whole = path.read_bytes()
     path.write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(KoopmanError, match="not a readable policy file"):
+    with pytest.raises(KoopmanError, match="is not a whole safetensors file"):
         load_policy(path)
     path.write_bytes(whole)
     tensors = load_file(path)
     save_file(tensors, path)
-    with pytest.raises(KoopmanError, match="format is"):
+    with pytest.raises(KoopmanError, match="is a safetensors file of another kind"):
         load_policy(path)
     for header in ([], "x", {"format": []}, {"format": "koopman-latent-2", "controller": 3}):
         save_file(tensors, path, {"policy": json.dumps(header)})
@@ -127,7 +127,7 @@ def test_a_broken_file_gives_one_clear_error(policy: KoopmanPolicy, tmp_path: Pa
             load_policy(path)
     header = json.dumps({"A": {"dtype": "BF16", "shape": [1], "data_offsets": [0, 2]}}).encode()
     path.write_bytes(len(header).to_bytes(8, "little") + header + b"\0\0")
-    with pytest.raises(KoopmanError, match="not a readable policy file"):
+    with pytest.raises(KoopmanError, match="tensor 'A' is of type 'BF16', which is not read"):
         load_policy(path)
     with pytest.raises(KoopmanError, match="no policy 'missing'"):
         find_policy("missing")

@@ -6,19 +6,54 @@ where values differ by tens. NumPy only; a file of values carries its collision 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from ctrl_rl_core.geometry import Box, Disc, Shape, signed_distance
 from ctrl_rl_core.regions import position_indices, wrap
+from ctrl_rl_core.schema import Number, Positive, Schema
 from ctrl_rl_core.tasks import NavigationTask
 from numpy.typing import NDArray
+from pydantic import Field, model_validator
 
 from oc_baseline_node.returns import tilt_reward as tilt_reward_of
 
 Array = NDArray[np.float64]
+
+
+class ShapeHeader(Schema):
+    """A shape in a file: [x, y, width, height, angle] of a box or [x, y, radius] of a disc [m, rad]."""
+
+    box: Annotated[list[Number], Field(min_length=5, max_length=5)] | None = None
+    disc: Annotated[list[Number], Field(min_length=3, max_length=3)] | None = None
+
+    @model_validator(mode="after")
+    def _one(self) -> ShapeHeader:
+        if (self.box is None) == (self.disc is None):
+            raise ValueError("needs either 'box' or 'disc'")
+        if min(self.box[2:4] if self.box else self.disc[2:] if self.disc else [0.0]) <= 0.0:
+            raise ValueError("must have an extent")
+        return self
+
+    @property
+    def shape(self) -> Shape:
+        """The shape itself."""
+        if self.box is not None:
+            x, y, width, height, angle = self.box
+            return Box((x, y), (width, height), angle)
+        x, y, radius = self.disc or (0.0, 0.0, 0.0)
+        return Disc((x, y), radius)
+
+
+class CollisionHeader(Schema):
+    """A `CollisionSet` in a file."""
+
+    shapes: Annotated[list[ShapeHeader], Field(min_length=1, max_length=10_000)]
+    radius: Positive
+    reward: Number
+    tilt_limit: Positive | None
+    tilt_reward: Number
 
 
 @dataclass(frozen=True)
@@ -69,20 +104,7 @@ class CollisionSet:
                 "tilt_reward": self.tilt_reward}  # fmt: skip
 
     @classmethod
-    def from_json(cls, content: Mapping[str, Any]) -> CollisionSet:
-        """Read what `as_json` wrote.
-
-        Raises:
-            KeyError, TypeError, ValueError: it is something else.
-        """
-        shapes: list[Shape] = []
-        for shape in content["shapes"]:
-            if "box" in shape:
-                x, y, width, height, angle = map(float, shape["box"])
-                shapes.append(Box((x, y), (width, height), angle))
-            else:
-                x, y, radius = map(float, shape["disc"])
-                shapes.append(Disc((x, y), radius))
-        limit = np.inf if content["tilt_limit"] is None else float(content["tilt_limit"])
-        radius, reward, tilt_reward = (float(content[name]) for name in ("radius", "reward", "tilt_reward"))
-        return cls(tuple(shapes), radius, reward, limit, tilt_reward)
+    def from_file(cls, told: CollisionHeader) -> CollisionSet:
+        """Return what `as_json` wrote."""
+        limit = np.inf if told.tilt_limit is None else told.tilt_limit
+        return cls(tuple(shape.shape for shape in told.shapes), told.radius, told.reward, limit, told.tilt_reward)

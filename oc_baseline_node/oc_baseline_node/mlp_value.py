@@ -7,17 +7,16 @@ the output is scaled back to reward. It is a `ctrl_rl_core.value_function.ValueF
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
+from ctrl_rl_core.checked_tensors import encode_tensors
 from ctrl_rl_core.value_function import parts
 from ctrl_rl_core.value_grid import Axis, ValueGrid
 from numpy.typing import ArrayLike, NDArray
-from safetensors.numpy import save
 
 from oc_baseline_node.collision_set import CollisionSet
 from oc_baseline_node.errors import OcError
@@ -99,7 +98,7 @@ class MlpValue:
             "collisions": None if self.collisions is None else self.collisions.as_json(),
             "manifest": dict(self.manifest),
         }
-        return save(tensors, metadata={HEADER_KEY: json.dumps(header, sort_keys=True, allow_nan=False)})
+        return encode_tensors(tensors, HEADER_KEY, header)
 
     @cached_property
     def grids(self) -> tuple[ValueGrid, ...]:

@@ -5,15 +5,19 @@ Reading them needs no solver; `oc_baseline_node.chunk_solver` makes them.
 
 from __future__ import annotations
 
-import io
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from ctrl_rl_core.checked_arrays import encode_arrays, read_arrays
+from ctrl_rl_core.checked_json import read_json, with_digest
+from ctrl_rl_core.file_door import FileError, refused_as
+from ctrl_rl_core.schema import Name, Number, Schema, Sha256
 from ctrl_rl_core.whole_file import is_temporary, write_whole
 from numpy.typing import NDArray
+from pydantic import Field
 
 from oc_baseline_node.errors import OcError
 from oc_baseline_node.problem import Problem
@@ -23,16 +27,25 @@ Array = NDArray[np.float64]
 FORMAT = "oc-value-data-1"
 LOCK = ".lock"
 """File of a folder of value data that keeps a second call out."""
-_TYPES: dict[str, type | tuple[type, ...]] = {
-    "task": str,
-    "task_digest": str,
-    "form": str,
-    "clearance": (int, float),
-    "trajectories": int,
-    "chunk": int,
-    "seed": int,
+_LARGEST_CHUNK = 2_000_000_000
+"""Bytes of the arrays of a chunk."""
+_KINDS = dict.fromkeys(("states", "controls", "time_steps", "cpu_seconds", "unsolved", "wasted_seconds"), "f") | {
+    "reasons": "U",
+    "doomed": "b",
 }
-"""Of what a folder of value data says about itself."""
+
+
+class _Description(Schema):
+    """What a folder of value data says about itself."""
+
+    format: Literal["oc-value-data-1"]
+    task: Name
+    task_digest: Sha256
+    form: Name
+    clearance: Number
+    trajectories: Annotated[int, Field(ge=1, le=10_000_000)]
+    chunk: Annotated[int, Field(ge=1, le=10_000_000)]
+    seed: Annotated[int, Field(ge=0, le=2**63)]
 
 
 @dataclass(frozen=True)
@@ -150,11 +163,9 @@ def write_chunk(folder: Path, index: int, data: ValueData) -> None:
     Raises:
         OSError: it cannot be written.
     """
-    buffer = io.BytesIO()
     arrays: dict[str, Any] = {name: getattr(data, name) for name in ValueData.__annotations__}
     arrays["reasons"] = np.array(data.reasons, dtype=np.str_)
-    np.savez(buffer, **arrays)
-    write_whole(chunk_file(folder, index), buffer.getvalue())
+    write_whole(chunk_file(folder, index), encode_arrays(arrays))
 
 
 def make_folder(folder: Path) -> None:
@@ -185,7 +196,7 @@ def open_folder(folder: Path, problem: Problem, settings: DataSettings) -> list[
     for left in filter(is_temporary, folder.iterdir()):
         left.unlink()
     if not file.exists():
-        write_whole(file, json.dumps(description(problem, settings), indent=1) + "\n")
+        write_whole(file, json.dumps(with_digest(description(problem, settings)), indent=1) + "\n")
     return _lacking(folder, settings)
 
 
@@ -207,16 +218,10 @@ def read_description(folder: Path) -> dict[str, Any]:
         OcError: there is none, or it is wrong.
     """
     file = folder / "settings.json"
-    try:
-        content = json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        raise OcError(f"{folder} holds no value data: make them with 'oc data'") from None
-    if not isinstance(content, dict) or content.get("format") != FORMAT:
-        raise OcError(f"{file}: format is not '{FORMAT}': make the data again")
-    wrong = [name for name, kind in _TYPES.items() if not isinstance(content.get(name), kind)]
-    if wrong:
-        raise OcError(f"{file}: {', '.join(wrong)} missing or of a wrong type: make the data again in another folder")
-    return content
+    if not file.is_file():
+        raise OcError(f"{folder} holds no value data: make them with 'oc data'")
+    with refused_as(OcError, file, "make the data again in another folder"):
+        return _Description.model_validate(read_json(file)).model_dump()
 
 
 def load_data(folder: Path, problem: Problem) -> ValueData:
@@ -242,9 +247,17 @@ def join(parts: list[ValueData]) -> ValueData:
 
 
 def _read_chunk(file: Path) -> ValueData:
-    try:
-        with np.load(file, allow_pickle=False) as content:
-            arrays = {name: content[name] for name in ValueData.__annotations__}
-    except Exception as error:  # zipfile and NumPy raise nearly anything about a damaged archive
-        raise OcError(f"{file} is not a whole chunk ({error}): delete it and run 'oc data' again") from None
+    with refused_as(OcError, file, "delete it and run 'oc data' again"):
+        arrays: dict[str, Any] = read_arrays(file, tuple(ValueData.__annotations__), _LARGEST_CHUNK)
+        sizes = {name: array.shape for name, array in arrays.items()}
+        solved, unsolved = sizes["states"][:1], sizes["unsolved"][:1]
+        fits = (
+            [len(sizes[name]) for name in ("states", "controls", "unsolved")] == [3, 3, 2]
+            and sizes["controls"][:2] == (solved[0], sizes["states"][1] - 1)
+            and sizes["unsolved"][1] == sizes["states"][2]
+            and sizes["time_steps"] == sizes["cpu_seconds"] == solved
+            and sizes["reasons"] == sizes["doomed"] == sizes["wasted_seconds"] == unsolved
+        )
+        if not fits or any(arrays[name].dtype.kind != kind for name, kind in _KINDS.items()):
+            raise FileError("its arrays do not fit each other")
     return ValueData(**{**arrays, "reasons": tuple(arrays["reasons"].tolist())})

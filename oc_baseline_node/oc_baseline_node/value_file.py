@@ -2,22 +2,65 @@
 
 from __future__ import annotations
 
-import json
+import math
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Literal
 
 import numpy as np
-from ctrl_rl_core.errors import CtrlRlError
-from ctrl_rl_core.grid_axis import Axis
+from ctrl_rl_core.checked_tensors import Tensors, kind_of, read_tensors
+from ctrl_rl_core.file_door import FileError, named, refused_as, shown
+from ctrl_rl_core.grid_file import AxisHeader
+from ctrl_rl_core.schema import Name, Number, Positive, Schema, Sha256
 from ctrl_rl_core.value_function import ValueFunction
 from ctrl_rl_core.value_grid import ValueGrid
 from ctrl_rl_core.whole_file import write_whole
-from safetensors import SafetensorError, safe_open
+from pydantic import ConfigDict, Field, model_validator
 
-from oc_baseline_node.collision_set import CollisionSet
+from oc_baseline_node.collision_set import CollisionHeader, CollisionSet
 from oc_baseline_node.errors import OcError
-from oc_baseline_node.mlp_value import FORMAT, HEADER_KEY, MlpValue
+from oc_baseline_node.mlp_value import HEADER_KEY, MlpValue
+
+_MOST_NODES = 200_000_000
+_Error = Annotated[float, Field(ge=0.0, le=1e30)]
+
+
+class _Errors(Schema):
+    """How well the network fits values [reward]."""
+
+    model_config = ConfigDict(extra="allow")
+
+    mae: _Error
+    rmse: _Error
+    std_of_values: _Error
+
+
+class _Manifest(Schema):
+    """What the network was fitted to; other keys are for people."""
+
+    model_config = ConfigDict(extra="allow")
+
+    held_out: _Errors | None = None
+    fitted: _Errors | None = None
+    discount: Annotated[float, Field(gt=0.0, le=1.0)] | None = None
+
+
+class _Header(Schema):
+    format: Literal["oc-value-mlp-1"]
+    activation: Literal["tanh"] = "tanh"
+    task: Name
+    task_digest: Sha256
+    axes: Annotated[list[AxisHeader], Field(min_length=1, max_length=6)]
+    offset: Number
+    scale: Positive
+    collisions: CollisionHeader | None
+    manifest: _Manifest
+
+    @model_validator(mode="after")
+    def _sensible(self) -> _Header:
+        if math.prod(axis.count for axis in self.axes) > _MOST_NODES:
+            raise ValueError(f"axes: of more than {_MOST_NODES:,} nodes")
+        return self
 
 
 def save_value(value: MlpValue, path: Path, overwrite: bool = False) -> None:
@@ -46,10 +89,10 @@ def find_value(name_or_path: str | Path) -> Path:
         OcError: there is no such file.
     """
     shipped = shipped_values()
-    path = shipped.get(str(name_or_path), Path(name_or_path))
+    path = shipped.get(str(name_or_path), Path(name_or_path).expanduser())
     if not path.is_file():
         raise OcError(
-            f"no value '{name_or_path}': there are {', '.join(shipped) or 'none'}, or give a file of 'oc fit'"
+            f"no value {shown(str(name_or_path))}: there are {', '.join(shipped) or 'none'}, or give a file of 'oc fit'"
         )
     return path
 
@@ -60,16 +103,11 @@ def load_value(path: Path) -> ValueFunction:
     Raises:
         CtrlRlError: no such file, or it is neither; the message names it.
     """
-    try:
-        with safe_open(path, framework="numpy") as file:
-            text = (file.metadata() or {}).get(HEADER_KEY)
-            if text is None:
-                return ValueGrid.load(path)
-            header = json.loads(text)
-            tensors = {name: file.get_tensor(name).astype(np.float64) for name in file.keys()}  # noqa: SIM118
-    except (OSError, SafetensorError, ValueError) as error:
-        raise OcError(f"{path}: not a readable value file ({error})") from None
-    return _network(path, header, tensors)
+    with refused_as(OcError, path, "fit it again"):
+        if HEADER_KEY not in kind_of(path):
+            return ValueGrid.load(path)
+        header, tensors, _ = read_tensors(path, HEADER_KEY)
+        return _network(_Header.model_validate(header), tensors)
 
 
 def load_network(path: Path) -> MlpValue:
@@ -80,27 +118,24 @@ def load_network(path: Path) -> MlpValue:
     """
     value = load_value(path)
     if not isinstance(value, MlpValue):
-        raise OcError(f"{path} holds a value grid: give the network's file")
+        raise OcError(f"{named(path)} holds a value grid: give the network's file")
     return value
 
 
-def _network(path: Path, header: Any, tensors: dict[str, Any]) -> MlpValue:
-    found = header.get("format") if isinstance(header, dict) else None
-    if found != FORMAT:
-        raise OcError(f"{path}: format is '{found}', must be '{FORMAT}': fit it again")
-    try:
-        layers = tuple((tensors[f"weight_{i}"], tensors[f"bias_{i}"]) for i in range(len(tensors) // 2))
-        return MlpValue(
-            layers=layers,
-            axes=tuple(Axis(**axis) for axis in header["axes"]),
-            offset=float(header["offset"]),
-            scale=float(header["scale"]),
-            task=header["task"],
-            task_digest=header["task_digest"],
-            collisions=None if header["collisions"] is None else CollisionSet.from_json(header["collisions"]),
-            manifest=header["manifest"],
-        )
-    except (KeyError, TypeError, ValueError) as error:
-        raise OcError(f"{path}: wrong header ({error}): fit it again") from None
-    except CtrlRlError as error:
-        raise OcError(f"{path}: {error}") from None
+def _network(told: _Header, tensors: Tensors) -> MlpValue:
+    depth = len(tensors) // 2
+    wanted = {f"{kind}_{index}" for kind in ("weight", "bias") for index in range(depth)}
+    if set(tensors) != wanted:
+        raise FileError("its tensors are no layers, one weight and one bias each")
+    return MlpValue(
+        layers=tuple(
+            (tensors[f"weight_{i}"].astype(np.float64), tensors[f"bias_{i}"].astype(np.float64)) for i in range(depth)
+        ),
+        axes=tuple(each.axis for each in told.axes),
+        offset=told.offset,
+        scale=told.scale,
+        task=told.task,
+        task_digest=told.task_digest,
+        collisions=None if told.collisions is None else CollisionSet.from_file(told.collisions),
+        manifest=told.manifest.model_dump(exclude_unset=True),
+    )

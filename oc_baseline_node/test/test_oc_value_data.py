@@ -181,7 +181,7 @@ def test_a_folder_of_other_data_is_left_alone(car: Problem, tmp_path: Path) -> N
     encrypted = whole[:flag] + b"\x01" + whole[flag + 1 :]
     for damaged in (b"", b"not an archive", whole[: len(whole) // 2], encrypted):
         chunk_file(tmp_path, 0).write_bytes(damaged)
-        with pytest.raises(OcError, match=r"chunk-0000\.npz is not a whole chunk"):
+        with pytest.raises(OcError, match=r"chunk-0000\.npz: is not a whole \.npz file"):
             load_data(tmp_path, car)
     (tmp_path / "settings.json").unlink()
     with pytest.raises(OcError, match="holds something else than value data"):

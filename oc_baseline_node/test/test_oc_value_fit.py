@@ -13,7 +13,7 @@ from ctrl_rl_core.errors import CtrlRlError
 from ctrl_rl_core.tasks import load_navigation_task, task_digest
 from ctrl_rl_core.value_function import ValueFunction, ValueFunctionError
 from ctrl_rl_core.value_grid import Axis, ValueGrid
-from oc_baseline_node.collision_set import CollisionSet
+from oc_baseline_node.collision_set import CollisionHeader, CollisionSet
 from oc_baseline_node.errors import OcError
 from oc_baseline_node.mlp_value import MlpValue, features
 from oc_baseline_node.pictures import heat_map, trajectories
@@ -134,7 +134,7 @@ def test_in_collision_it_is_what_the_task_pays(made: Made) -> None:
     names = quad.system.build().state_names
     assert paid.rewards(names, states).tolist()[0] == -800.0
     assert np.isnan(paid.rewards(names, states)[1])
-    assert CollisionSet.from_json(paid.as_json()) == paid
+    assert CollisionSet.from_file(CollisionHeader.model_validate(paid.as_json())) == paid
 
 
 def test_the_grid_holds_its_values_at_the_nodes(made: Made) -> None:

@@ -7,17 +7,18 @@ choices = policy.choose(decision, generator)
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
+from ctrl_rl_core.checked_tensors import encode_tensors, read_tensors
+from ctrl_rl_core.file_door import named, one_line, refused_as, shown
+from ctrl_rl_core.schema import Anything, Name, Schema
 from ctrl_rl_core.whole_file import write_whole
-from safetensors import SafetensorError
-from safetensors.numpy import load, save
+from pydantic import Field
 
 from option_coordinator.autoregressive import Autoregressive
 from option_coordinator.decision import NONE, Decision
@@ -31,6 +32,28 @@ from option_coordinator.partial import Partial
 from option_coordinator.presence import Presence
 
 FORMAT = "option-policy-1"
+
+
+class _Agent(Schema):
+    """A robot in the header."""
+
+    name: Name
+    options: Annotated[list[Name], Field(min_length=1, max_length=1000)]
+    observation_size: Annotated[int, Field(ge=1, le=1_000_000)]
+
+
+class _Header(Schema):
+    """What a policy says of itself, see `OptionPolicy`."""
+
+    format: Literal["option-policy-1"]
+    agents: Annotated[list[_Agent], Field(min_length=1, max_length=1000)]
+    head: Literal["table", "mixture", "autoregressive"]
+    partial: bool
+    presence: bool = False
+    greedy: bool
+    manifest: Anything
+
+
 _HEADER_KEY = "option_policy"
 
 HEADS: Mapping[str, Callable[[Tensors, tuple[int, ...]], JointPolicy]] = {
@@ -53,9 +76,13 @@ def policy_file(name_or_path: Path | str) -> Path:
         OptionError: there is no such policy.
     """
     shipped = shipped_policies()
-    path = shipped.get(str(name_or_path), Path(name_or_path))
-    if not path.exists():
-        raise OptionError(f"no policy '{name_or_path}': there are {', '.join(shipped) or 'none'}, or give a file")
+    path = shipped.get(str(name_or_path), Path(name_or_path).expanduser())
+    try:
+        there, why = path.exists(), f"there are {', '.join(shipped) or 'none'}, or give a file"
+    except (OSError, ValueError) as error:
+        there, why = False, one_line(error, 100)
+    if not there:
+        raise OptionError(f"no policy {shown(str(name_or_path))}: {why}")
     return path
 
 
@@ -139,8 +166,7 @@ class OptionPolicy:
             "greedy": self.greedy,
             "manifest": dict(self.manifest),
         }
-        tensors = {name: np.ascontiguousarray(tensor) for name, tensor in self.tensors.items()}
-        return save(tensors, metadata={_HEADER_KEY: json.dumps(header, sort_keys=True)})
+        return encode_tensors(self.tensors, _HEADER_KEY, header)
 
     @classmethod
     def load_for(cls, path: Path | str, agents: Iterable[Agent]) -> Self:
@@ -152,7 +178,7 @@ class OptionPolicy:
         policy = cls.load(path)
         if policy.agents != tuple(agents):
             others = ", ".join(agent.name for agent in policy.agents)
-            raise OptionError(f"{path}: is a policy of other robots or options: {others}")
+            raise OptionError(f"{named(path)}: is a policy of other robots or options: {others}")
         return policy
 
     @classmethod
@@ -162,43 +188,29 @@ class OptionPolicy:
         Raises:
             OptionError: the file is missing or is no such policy; the message names it.
         """
-        try:
-            content = policy_file(path).read_bytes()
-            header = _header(content)
-            if header.get("format") != FORMAT:
-                raise OptionError(f"{path}: is not a policy of format {FORMAT}: learn it again")
+        file = policy_file(path)
+        with refused_as(OptionError, file):
+            header, tensors, digest = read_tensors(file, _HEADER_KEY, with_digest=True)
+            told = _Header.model_validate(header)
             policy = cls(
-                agents=tuple(
-                    Agent(agent["name"], tuple(agent["options"]), agent["observation_size"])
-                    for agent in header["agents"]
-                ),
-                head=header["head"],
-                partial=header["partial"],
-                tensors=load(content),
-                presence=header.get("presence", False),
-                greedy=header["greedy"],
-                manifest=header["manifest"],
+                agents=tuple(Agent(agent.name, tuple(agent.options), agent.observation_size) for agent in told.agents),
+                head=told.head,
+                partial=told.partial,
+                tensors=tensors,
+                presence=told.presence,
+                greedy=told.greedy,
+                manifest=told.manifest,
             )
-        except OSError as error:
-            raise OptionError(f"{path}: cannot be read as a policy: {str(error.strerror).lower()}") from None
-        except (SafetensorError, ValueError, KeyError, TypeError) as error:
-            raise OptionError(f"{path}: is no policy of options as `train` writes them ({error})") from None
-        policy.__dict__["digest"] = hashlib.sha256(content).hexdigest()  # of what was read, however it was written
-        try:
+            policy.__dict__["digest"] = digest  # of what was read, however it was written
             policy.check()
-        except OptionError as error:
-            raise OptionError(f"{path}: {error}") from None
         return policy
 
     def check(self) -> None:
         """Refuse what cannot choose.
 
         Raises:
-            OptionError: a tensor is missing, of another size or not finite.
+            OptionError: a tensor is missing or of another size.
         """
-        wrong = [name for name, tensor in self.tensors.items() if not np.isfinite(tensor).all()]
-        if wrong:
-            raise OptionError(f"not all numbers of {', '.join(wrong)} are finite: learn it again")
         everyone = np.ones(len(self.agents), dtype=bool)
         try:
             # Of one agent after the other too: each way through the network must have tensors of the right sizes.
@@ -207,10 +219,3 @@ class OptionPolicy:
                 given.log_prob(given.sample(np.random.default_rng(0)))
         except (ValueError, IndexError, KeyError) as error:
             raise OptionError(f"its tensors do not fit each other or its options ({error}): learn it again") from None
-
-
-def _header(content: bytes) -> dict[str, Any]:
-    """Return what a policy says of itself: safetensors begin with a length of 8 bytes and so much JSON."""
-    end = 8 + int.from_bytes(content[:8], "little")
-    described: dict[str, Any] = json.loads(json.loads(content[8:end])["__metadata__"][_HEADER_KEY])
-    return described

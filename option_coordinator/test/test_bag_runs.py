@@ -137,7 +137,7 @@ def test_what_does_not_fit_is_refused_in_one_line(tmp_path, recorded, capsys):
         (["--bags", bag], "give a policy with --from, or a --task"),
         (["--bags", bag, "--from", start, "--task", "water_filling"], "is for other robots"),
         (["--bags", tmp_path / "damaged", "--from", start], "is no bag"),
-        (["--bags", bag, "--from", bag], "cannot be read as a policy"),
+        (["--bags", bag, "--from", bag], "is a folder"),
         (["--from", start, "--task", TASK], "--from goes with --bags"),
         ([], "give a --task"),
     ):

@@ -235,7 +235,7 @@ def test_policies_that_could_not_choose_are_refused_when_they_are_read(tmp_path,
     OptionPolicy.load(path)
     nan = right | {f"{last}head.bias": np.full_like(right[f"{last}head.bias"], np.nan)}
     OptionPolicy(agents, head, partial, nan).save(path)
-    with pytest.raises(CtrlRlError, match=r"p\.safetensors: not all numbers of (2\.)?head\.bias are finite"):
+    with pytest.raises(CtrlRlError, match=r"p\.safetensors: not all numbers of '(2\.)?head\.bias' are finite"):
         OptionPolicy.load(path)
     for name in ("head.bias", "trunk.linear_2.weight"):
         broken = right | {f"{last}{name}": right[f"{last}{name}"][:-1]}

@@ -167,11 +167,11 @@ def _change_tensor(tensors: dict[str, Any], random: Random) -> None:
     tensor, what = tensors[name], int(random.integers(7))
     if what == 0:
         del tensors[name]
-    elif what == 1 and tensor.size:
+    elif what == 1 and tensor.size and tensor.dtype.kind != "U":
         tensor.flat[int(random.integers(tensor.size))] = (
             -1.0 if tensor.dtype.kind != "f" else random.choice([np.nan, np.inf, -np.inf, 1e30, -1e30, 0.0])
         )
-    elif what == 2:
+    elif what == 2 and tensor.dtype.kind != "U":
         tensors[name] = tensor.astype(random.choice([np.float64, np.float32, np.int64, np.uint8, np.bool_]))
     elif what == 3:
         tensors[name] = tensor[..., None] if random.random() < 0.5 else tensor.reshape(-1)

@@ -7,6 +7,7 @@ import logging
 import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -116,10 +117,126 @@ def _copy(file: Path, folder: Path) -> Path:
     return folder / file.name
 
 
+def _koopman(name: str) -> Callable[[Path], list[Path]]:
+    from koopman_lqr_controller.policy_file import find_policy
+
+    return lambda folder: [_copy(find_policy(name), folder)]
+
+
+def _load_koopman(path: Path) -> None:
+    from koopman_lqr_controller.lidar import ScanGeometry
+    from koopman_lqr_controller.policy_file import load_policy
+
+    policy = load_policy(path)
+    scan = ScanGeometry(360, 0.0, np.pi / 180, 0.12, 3.5)
+    command = policy.decide(np.full(360, 1.0, np.float32), scan, 0.1, 0.0).command
+    assert np.isfinite(command).all(), "it drives with a command that is none"
+
+
+def _options(folder: Path) -> list[Path]:
+    from option_coordinator.policy_file import policy_file
+
+    return [_copy(policy_file("delivery_team"), folder)]
+
+
+def _load_options(path: Path) -> None:
+    from option_coordinator.policy_file import OptionPolicy
+
+    OptionPolicy.load(path)
+
+
+def _values(folder: Path) -> list[Path]:
+    from oc_baseline_node.value_file import shipped_values
+
+    return [_copy(file, folder) for file in shipped_values().values()]
+
+
+def _load_value(path: Path) -> None:
+    from oc_baseline_node.value_file import load_value
+
+    load_value(path).value(np.zeros(len(load_value(path).state_names)))
+
+
+def _decomposed(folder: Path) -> list[Path]:
+    from ttr_reward_node.decomposed_value import DecomposedValue
+
+    axes = (Axis("x", "m", 0.0, 1.0, 3), Axis("y", "m", 0.0, 1.0, 4))
+    grids = [
+        ValueGrid(np.ones(axis.count, np.float32), (axis,), "time_to_reach", "mine", DIGEST, "s", 0.0) for axis in axes
+    ]
+    DecomposedValue(tuple(grids), axes, "halves", (("y",), ("x",))).save(folder / "whole.safetensors")
+    return [folder / "whole.safetensors"]
+
+
+def _load_decomposed(path: Path) -> None:
+    from ttr_reward_node.value_file import load_value
+
+    value = load_value(path)
+    value.value(np.zeros(len(value.state_names)))
+
+
+def _value_data(folder: Path) -> list[Path]:
+    from ctrl_rl_core.checked_json import with_digest
+    from oc_baseline_node.value_data import DataSettings, ValueData, chunk_file, description, write_chunk
+
+    problem, random = _problem(), np.random.default_rng(0)
+    (folder / "settings.json").write_text(json.dumps(with_digest(description(problem, DataSettings(2)))))
+    data = ValueData(
+        random.random((2, 5, 3)),
+        random.random((2, 4, 2)),
+        np.full(2, 0.1),
+        np.ones(2),
+        random.random((1, 3)),
+        ("none",),
+        np.array([True]),
+        np.ones(1),
+    )
+    write_chunk(folder, 0, data)
+    return [chunk_file(folder, 0)]
+
+
+def _load_value_data(path: Path) -> None:
+    from oc_baseline_node.value_data import load_data
+
+    load_data(path.parent, _problem())
+
+
+def _load_settings(path: Path) -> None:
+    _load_value_data(path)
+
+
+@cache
+def _problem() -> Any:
+    from oc_baseline_node.problem import formulate
+
+    return formulate(load_navigation_task("car_navigation"))
+
+
+def _teams(folder: Path) -> list[Path]:
+    from option_coordinator.team_file import FOLDER as TEAMS
+
+    return [_copy(TEAMS / "delivery_team.yaml", folder)]
+
+
+def _load_team(path: Path) -> None:
+    from option_coordinator.team_file import is_team, load_team
+
+    is_team(str(path))
+    load_team(str(path))
+
+
 KINDS = (
     Kind("task", _tasks, _mutations.change_yaml, _load_task),
     Kind("grid", _grids, _mutations.change_tensors, _load_grid),
     Kind("results", _results, _mutations.change_json, lambda path: as_markdown(read_results(path.parent))),
+    Kind("team", _teams, _mutations.change_yaml, _load_team),
+    Kind("decomposed", _decomposed, _mutations.change_tensors, _load_decomposed),
+    Kind("koopman", _koopman("curved_corridor"), _mutations.change_tensors, _load_koopman),
+    Kind("edmd", _koopman("curved_corridor_edmd"), _mutations.change_tensors, _load_koopman),
+    Kind("options", _options, _mutations.change_tensors, _load_options),
+    Kind("values", _values, _mutations.change_tensors, _load_value),
+    Kind("value-data", _value_data, _mutations.change_arrays, _load_value_data),
+    Kind("settings", lambda f: [_value_data(f)[0].with_name("settings.json")], _mutations.change_json, _load_settings),
     Kind("benchmarks", _benchmarks, _mutations.change_json, lambda path: as_markdown([], read_benchmarks(path))),
 )
 

@@ -125,5 +125,5 @@ def test_a_file_with_a_changed_number_is_refused(quadrotor, tmp_path):
     content = bytearray(file.read_bytes())
     content[-1000] ^= 1
     file.write_bytes(content)
-    with pytest.raises(GridError, match="do not match their checksum"):
+    with pytest.raises(GridError, match="does not match its digest"):
         DecomposedValue.load(file)

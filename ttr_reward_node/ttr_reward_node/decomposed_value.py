@@ -3,27 +3,48 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
-from typing import Any, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
+from ctrl_rl_core.checked_tensors import encode_tensors, read_tensors
+from ctrl_rl_core.file_door import FileError, refused_as, shown
 from ctrl_rl_core.grid_axis import Axis, GridError
-from ctrl_rl_core.grid_file import values_digest, write
+from ctrl_rl_core.grid_file import AxisHeader, GridText, write
+from ctrl_rl_core.schema import Name, Schema
 from ctrl_rl_core.value_grid import ValueGrid
 from numpy.typing import ArrayLike, NDArray
-from safetensors import SafetensorError, safe_open
-from safetensors.numpy import save
+from pydantic import Field
 
 HEADER_KEY = "decomposed_value"
 _FORMAT = 1
 _FIELDS = ("kind", "task", "task_digest", "solver", "residual", "notes")
 Array = NDArray[np.float64]
+
+
+class _Part(GridText):
+    """What the file says of a subsystem's grid."""
+
+    axes: Annotated[list[Name], Field(min_length=1, max_length=6)]
+
+    def grid(self, values: NDArray[Any], axes: Sequence[Axis]) -> ValueGrid:
+        self.check(values)
+        return ValueGrid(values=values, axes=tuple(axes), **{name: getattr(self, name) for name in _FIELDS})
+
+
+class _Header(Schema):
+    """What the file says of the whole."""
+
+    format: Literal[1]
+    name: Name
+    free: Annotated[list[Annotated[list[Name], Field(max_length=50)]], Field(max_length=50)]
+    axes: Annotated[list[AxisHeader], Field(min_length=1, max_length=50)]
+    grids: Annotated[list[_Part], Field(min_length=1, max_length=50)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,34 +147,22 @@ class DecomposedValue:
         Raises:
             GridError: names the file and what is wrong with it.
         """
-        try:
-            with safe_open(path, framework="numpy") as file:
-                header = json.loads((file.metadata() or {})[HEADER_KEY])
-                if header["format"] != _FORMAT:
-                    raise GridError(f"format is {header['format']!r}; this version reads format {_FORMAT}")
-                tensors = [file.get_tensor(f"values_{i}") for i in range(len(header["grids"]))]
-            for values, description in zip(tensors, header["grids"], strict=True):
-                if description["values_sha256"] != values_digest(values):
-                    raise GridError("has values that do not match their checksum; copy or compute it again")
-            axes = tuple(Axis(**axis) for axis in header["axes"])
+        with refused_as(GridError, path):
+            header, tensors, _ = read_tensors(path, HEADER_KEY, largest=None, finite=False)
+            told = _Header.model_validate(header)
+            axes = tuple(each.axis for each in told.axes)
             by_name = {axis.name: axis for axis in axes}
-            grids = tuple(
-                ValueGrid(
-                    values=values,
-                    axes=tuple(by_name[name] for name in description["axes"]),
-                    **{key: description[key] for key in _FIELDS},
-                )
-                for values, description in zip(tensors, header["grids"], strict=True)
-            )
-            return cls(grids, axes, header["name"], tuple(tuple(names) for names in header["free"]))
-        except FileNotFoundError as error:
-            raise GridError(f"{path}: there is no such file; compute it first or correct the path") from error
-        except OSError as error:
-            raise GridError(f"{path}: cannot be read: {error.strerror or error}") from error
-        except (SafetensorError, KeyError, TypeError, ValueError) as error:
-            raise GridError(f"{path}: is not a decomposed value function ({error})") from error
-        except GridError as error:
-            raise GridError(f"{path}: {error}") from error
+            wanted = [f"values_{i}" for i in range(len(told.grids))]
+            if sorted(tensors) != sorted(wanted) or len(by_name) < len(axes):
+                raise FileError(f"must hold {len(wanted)} grids, over axes of different names")
+            unknown = [name for part in told.grids for name in part.axes if name not in by_name]
+            if unknown:
+                raise FileError(f"a subsystem has axis {shown(unknown[0])}; the whole has {', '.join(by_name)}")
+            grids = [
+                part.grid(tensors[name], [by_name[axis] for axis in part.axes])
+                for name, part in zip(wanted, told.grids, strict=True)
+            ]
+            return cls(tuple(grids), axes, told.name, tuple(tuple(names) for names in told.free))
 
     def _encode(self) -> bytes:
         header = {
@@ -165,13 +174,11 @@ class DecomposedValue:
                 {
                     **{key: _plain(getattr(grid, key)) for key in _FIELDS},
                     "axes": [axis.name for axis in grid.axes],
-                    "values_sha256": values_digest(grid.values),
                 }
                 for grid in self.grids
             ],
         }
-        tensors = {f"values_{i}": np.ascontiguousarray(grid.values) for i, grid in enumerate(self.grids)}
-        return save(tensors, metadata={HEADER_KEY: json.dumps(header, sort_keys=True, allow_nan=False)})
+        return encode_tensors({f"values_{i}": grid.values for i, grid in enumerate(self.grids)}, HEADER_KEY, header)
 
     def _largest_at(self, state: Array) -> tuple[float, int]:
         """Value at one state (n,), and which part it is of."""

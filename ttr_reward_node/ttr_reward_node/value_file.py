@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from os import PathLike
 
+from ctrl_rl_core.checked_tensors import kind_of
+from ctrl_rl_core.file_door import refused_as
+from ctrl_rl_core.grid_axis import GridError
 from ctrl_rl_core.value_grid import ValueGrid
-from safetensors import SafetensorError, safe_open
 
-from ttr_reward_node import decomposed_value
-from ttr_reward_node.decomposed_value import DecomposedValue
+from ttr_reward_node.decomposed_value import HEADER_KEY, DecomposedValue
 
 
 def load_value(path: str | PathLike[str]) -> ValueGrid | DecomposedValue:
@@ -17,9 +18,5 @@ def load_value(path: str | PathLike[str]) -> ValueGrid | DecomposedValue:
     Raises:
         GridError: names the file and what is wrong with it.
     """
-    try:
-        with safe_open(path, framework="numpy") as file:
-            decomposed = decomposed_value.HEADER_KEY in (file.metadata() or {})
-    except (OSError, SafetensorError):
-        decomposed = False  # the reader of grids says what is wrong
-    return DecomposedValue.load(path) if decomposed else ValueGrid.load(path)
+    with refused_as(GridError, path):
+        return DecomposedValue.load(path) if HEADER_KEY in kind_of(path) else ValueGrid.load(path)

@@ -8,9 +8,11 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
+from ctrl_rl_core.schema import Schema
 from ctrl_rl_training.array_file import load_arrays, save_arrays
 from ctrl_rl_training.learner_state import Arrays
 from ctrl_rl_training.resumable import Point
+from pydantic import ConfigDict, Field
 
 from koopman_lqr_controller.latent_controller import LatentController
 from koopman_lqr_controller.latent_policy import LatentPolicy
@@ -31,6 +33,26 @@ CONSOLIDATED_FILE = "consolidated.safetensors"
 _EVALUATION_SEED = 1_000_000
 _MOST_FOR_REGION = 10_000
 """Steps that are enough to say what learning saw."""
+
+
+class _Best(Schema):
+    """The best policy so far, as a checkpoint says it."""
+
+    model_config = ConfigDict(extra="allow", allow_inf_nan=True)
+
+    returned: float = Field(alias="return")
+    actions: int
+    kind: str | None = None
+
+
+class _Point(Schema):
+    """What learning goes on from of a chunk, see `Course.iterate`."""
+
+    model_config = ConfigDict(extra="allow", allow_inf_nan=True)
+
+    actions: int
+    episodes: int
+    best_actions: int
 
 
 @dataclass(frozen=True)
@@ -192,7 +214,10 @@ class Course:
         """Go on from a checkpoint and return its progress."""
         arrays, progress = load_arrays(path)
         self._learner.restore(arrays)
-        self._best, self._curve = progress.pop("best"), progress["curve"]
+        best, self._curve = progress.pop("best"), progress["curve"]
+        self._best = _Best.model_validate(best).model_dump(by_alias=True, exclude_unset=True)
+        for point in self._curve:
+            _Point.model_validate(point)
         return progress
 
     def finish(self, folder: Path, /) -> dict[str, Any]:

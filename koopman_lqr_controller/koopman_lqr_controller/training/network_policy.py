@@ -8,12 +8,21 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from ctrl_rl_core.file_door import FileError, refused_as, shown
+from ctrl_rl_core.schema import Anything, Schema
 from ctrl_rl_training.array_file import load_arrays, save_arrays
 from numpy.typing import NDArray
 
 from koopman_lqr_controller.encoder import Encoder
+from koopman_lqr_controller.errors import KoopmanError
+from koopman_lqr_controller.policy_header import EncoderHeader
 
 Array = NDArray[np.float64]
+
+
+class _Header(Schema):
+    network: EncoderHeader
+    manifest: Anything
 
 
 @dataclass(frozen=True)
@@ -47,6 +56,15 @@ class NetworkPolicy:
 
     @classmethod
     def load(cls, path: Path) -> NetworkPolicy:
-        """Return what `save` wrote."""
-        tensors, header = load_arrays(path)
-        return cls(Encoder.build(header["network"], tensors), header["manifest"])
+        """Return what `save` wrote.
+
+        Raises:
+            KoopmanError: the file is missing or is something else; the message names it.
+        """
+        with refused_as(KoopmanError, path):
+            tensors, header = load_arrays(path)
+            told = _Header.model_validate(header)
+            try:
+                return cls(Encoder.build(told.network.model_dump(), tensors), told.manifest)
+            except KeyError as error:
+                raise FileError(f"lacks the tensor {shown(error.args[0])}") from None
