@@ -16,6 +16,7 @@ from ctrl_rl_core.tasks import NavigationTask, load_navigation_task, task_digest
 from ctrl_rl_training.run_folder import Named
 
 if TYPE_CHECKING:
+    from ctrl_rl_training.figure_data import Figures
     from ctrl_rl_training.training import Options
 
 
@@ -96,12 +97,12 @@ def add_figure_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--output", type=Path, default=Path("docs/images"), help="folder (default %(default)s)")
 
 
-def read_training(options: argparse.Namespace, parts: Sequence[str]) -> tuple[dict[str, Any], NavigationTask]:
+def read_training(options: argparse.Namespace, kind: type[Figures]) -> tuple[dict[str, Any], NavigationTask]:
     """Return the figures' data of a results file and the task that they belong to, and make the folder of pictures.
 
     Args:
         options: of `add_figure_options`.
-        parts: what the data must have.
+        kind: what the data must be.
 
     Raises:
         ResultsError: they are not such results, or of another task.
@@ -109,13 +110,16 @@ def read_training(options: argparse.Namespace, parts: Sequence[str]) -> tuple[di
     """
     from ctrl_rl_training.results import read_figures
 
-    figures = read_figures(options.results, ("task", *parts))
+    figures = read_figures(options.results, kind)
     name = figures["task"]
     if options.task is None and name not in task_names():
         raise ResultsError(f"{options.results}: is of task '{name}', none of the suite's: give its file with --task")
     task = load_navigation_task(options.task or name)
     if task.name != name:
         raise ResultsError(f"{options.results}: is of task '{name}', not of '{task.name}': leave --task out")
+    size = len(task.system.build().state_names)
+    if any(len(path["states"][0]) != size for paths in figures["paths"].values() for path in paths):
+        raise ResultsError(f"{options.results}: its paths are not of {size} states, as task '{name}' has")
     if figures.get("task_digest", task_digest(task)) != task_digest(task):
         remark = "is of another version of its task than is drawn: give its file with --task"
         print(f"{Path(sys.argv[0]).name}: {options.results}: {remark}", file=sys.stderr)

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
+from ctrl_rl_core.checked_json import read_json
+from ctrl_rl_core.file_door import FileError, refused_as
 from ctrl_rl_core.results import Result, ResultsError
 
+from ctrl_rl_training.figure_data import Figures
 from ctrl_rl_training.run_folder import Named, read_result, result_file
 
 AnyRun = TypeVar("AnyRun", bound=Named)
@@ -68,26 +70,24 @@ def _cells(row: Result, label: str) -> tuple[str, str, str, str]:
     return label, row.metric, ours, "" if row.thesis is None else f"{row.thesis:g}"
 
 
-def read_figures(file: Path, parts: Sequence[str]) -> dict[str, Any]:
+def read_figures(file: Path, kind: type[Figures]) -> dict[str, Any]:
     """Return the figures' data of a results file.
 
     Args:
         file: that `train --results` wrote.
-        parts: what they must have.
+        kind: what they must be.
 
     Raises:
         ResultsError: there is no such file, or it holds something else.
     """
-    try:
-        figures: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))["figures"]
-    except FileNotFoundError:
-        raise ResultsError(f"{file}: there is no such file; make it with `train --results`") from None
-    except (OSError, ValueError, KeyError, TypeError):
-        raise ResultsError(f"{file}: is not a file that `train --results` wrote: give one of those") from None
-    lacking = [part for part in parts if not isinstance(figures, dict) or part not in figures]
-    if lacking:
-        raise ResultsError(
-            f"{file}: is not a file that `train --results` wrote, it lacks {', '.join(lacking)}: "
-            "give one that `train` of the same package wrote"
-        )
-    return figures
+    other = "is not a file that `train --results` wrote"
+    with refused_as(ResultsError, file):
+        content = read_json(file)
+        figures = content.get("figures") if isinstance(content, dict) else None
+        if not isinstance(figures, dict):
+            raise FileError(f"{other}: give one of those")
+        lacking = [name for name, field in kind.model_fields.items() if field.is_required() and name not in figures]
+        if lacking:
+            advice = "give one that `train` of the same package wrote"
+            raise FileError(f"{other}, it lacks {', '.join(lacking)}: {advice}")
+        return kind.model_validate(figures).model_dump(exclude_unset=True)

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import logging
 import traceback
+from argparse import Namespace
 from collections.abc import Callable
+from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from functools import cache
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -225,6 +229,26 @@ def _load_team(path: Path) -> None:
     load_team(str(path))
 
 
+def _figures(name: str) -> Callable[[Path], list[Path]]:
+    return lambda folder: [_copy(ROOT / "docs/results" / f"{name}.json", folder)]
+
+
+def _draw(module: str, function: str) -> Load:
+    """Return what reads a results file and draws it: the work of a package's command."""
+
+    def load(path: Path) -> None:
+        import matplotlib as mpl
+
+        mpl.use("Agg")
+        many = [path] if module.endswith("compare_cli") else path
+        options = Namespace(results=many, task=None, output=path.parent / "pictures", algorithm=None)
+        with redirect_stdout(StringIO()), redirect_stderr(StringIO()):
+            getattr(importlib.import_module(module), function)(options)
+        mpl.pyplot.close("all")
+
+    return load
+
+
 KINDS = (
     Kind("task", _tasks, _mutations.change_yaml, _load_task),
     Kind("grid", _grids, _mutations.change_tensors, _load_grid),
@@ -237,6 +261,30 @@ KINDS = (
     Kind("values", _values, _mutations.change_tensors, _load_value),
     Kind("value-data", _value_data, _mutations.change_arrays, _load_value_data),
     Kind("settings", lambda f: [_value_data(f)[0].with_name("settings.json")], _mutations.change_json, _load_settings),
+    Kind(
+        "figures-koopman",
+        _figures("koopman_figure_4.3_cheetah_run"),
+        _mutations.change_json,
+        _draw("koopman_lqr_controller.training.compare_cli", "_draw"),
+    ),
+    Kind(
+        "figures-options",
+        _figures("options_delivery_team"),
+        _mutations.change_json,
+        _draw("option_coordinator.training.training_cli", "_figures"),
+    ),
+    Kind(
+        "figures-oc",
+        _figures("oc_training_quad_trap"),
+        _mutations.change_json,
+        _draw("oc_baseline_node.training.training_cli", "_figures"),
+    ),
+    Kind(
+        "figures-ttr",
+        _figures("ttr_training_car_ttr"),
+        _mutations.change_json,
+        _draw("ttr_reward_node.training_cli", "_figures"),
+    ),
     Kind("benchmarks", _benchmarks, _mutations.change_json, lambda path: as_markdown([], read_benchmarks(path))),
 )
 
@@ -244,7 +292,7 @@ ATTACKS = tuple(
     Attack(
         f"files-{kind.name}",
         f"A broken file ({kind.name}) is loaded as what it is or refused in one line, quickly and in bounded memory.",
-        attack(kind, 300),
+        attack(kind, 20 if "figures" in kind.name else 300),
         memory=6 * 1024**3,
     )
     for kind in KINDS

@@ -63,9 +63,9 @@ def _train(options: argparse.Namespace) -> int:
 def _figures(options: argparse.Namespace) -> int:
     from ctrl_rl_training.pictures import draw_paths  # matplotlib is not for robots
 
-    from ttr_reward_node.training_pictures import PARTS, draw_curves, draw_visits
+    from ttr_reward_node.training_pictures import Learning, draw_curves, draw_visits
 
-    figures, task = read_training(options, PARTS)
+    figures, task = read_training(options, Learning)
     there = list(dict.fromkeys(method.split(", ")[0] for method in figures["curves"]))
     algorithm = options.algorithm or there[0]
     if algorithm not in there:

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from ctrl_rl_core.drawing import draw_world, save_figure
 from ctrl_rl_core.regions import ANGLES, position_indices
+from ctrl_rl_core.results import ResultsError
+from ctrl_rl_core.schema import Schema
 from ctrl_rl_core.tasks import NavigationTask
+from ctrl_rl_training.figure_data import DrivenPath, Figures, SuccessCurve
 from ctrl_rl_training.pictures import draw_curve, over_seeds
 from matplotlib import pyplot as plt
+from pydantic import Field, model_validator
 
 from ttr_reward_node.rewards import REWARDS
 from ttr_reward_node.training_results import STAGES
@@ -25,8 +29,34 @@ _LABELS = {
     "distance_10": "distance, λ = 10",
     "ttr": "time to reach",
 }
-PARTS = ("seeds", "curves", "visits", "paths")
-"""What is drawn of the results, besides their task."""
+_Row = Annotated[list[int], Field(min_length=1, max_length=1000)]
+_Rows = Annotated[list[_Row], Field(min_length=1, max_length=1000)]
+
+
+class Visited(Schema):
+    """How often states were met in each third of the training, see `training_results.collect`."""
+
+    places: Annotated[list[_Rows], Field(min_length=STAGES, max_length=STAGES)]
+    turns: Annotated[list[_Row], Field(min_length=STAGES, max_length=STAGES)]
+
+    @model_validator(mode="after")
+    def _rectangular(self) -> Visited:
+        if any(len({len(row) for row in rows}) > 1 for rows in self.places):
+            raise ValueError("places: rows of different lengths")
+        if min(map(min, self.turns)) < 0 or min(min(map(min, rows)) for rows in self.places) < 0:
+            raise ValueError("a count below zero")
+        return self
+
+
+class Learning(Figures):
+    """What is drawn of learning, see `training_results.collect`."""
+
+    seeds: Annotated[dict[str, Annotated[list[int], Field(max_length=100_000)]], Field(min_length=1)]
+    curves: Annotated[dict[str, SuccessCurve], Field(min_length=1, max_length=100)]
+    visits: dict[str, Visited]
+    paths: dict[str, Annotated[list[DrivenPath], Field(max_length=1000)]]
+
+
 _COMPARED = ("sparse", "distance_10", "ttr")
 """Rewards of Fig. 3.7."""
 
@@ -58,6 +88,8 @@ def draw_curves(figures: Mapping[str, Any], path: Path) -> None:
 def draw_visits(figures: Mapping[str, Any], task: NavigationTask, algorithm: str, path: Path) -> None:
     """Draw which states learning met in each third of the training: where, and at which angle, as Fig. 3.7 does."""
     rewards = [reward for reward in _COMPARED if f"{algorithm}, {reward}" in figures["visits"]]
+    if not rewards:
+        raise ResultsError(f"there are no visits of {algorithm} with {', '.join(_COMPARED)} to draw")
     figure, axes = plt.subplots(
         2, STAGES * len(rewards), figsize=(2.3 * STAGES * len(rewards), 4.6), squeeze=False, layout="constrained"
     )

@@ -146,11 +146,11 @@ def _compare_on(
 def _draw(options: argparse.Namespace) -> int:
     from ctrl_rl_training.results import read_figures
 
-    from koopman_lqr_controller.training.pictures import draw_comparison  # matplotlib is not for robots
+    from koopman_lqr_controller.training.pictures import Comparison, draw_comparison  # matplotlib is not for robots
 
     options.output.mkdir(parents=True, exist_ok=True)
     for file in options.results:
-        figures = read_figures(file, ("comparison", "kind", "task", "reference", "curves"))
+        figures = read_figures(file, Comparison)
         picture = options.output / f"{file.stem}.png"
         draw_comparison(figures, picture)
         print(f"picture    {picture}")

@@ -4,16 +4,38 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from ctrl_rl_core.drawing import save_figure
+from ctrl_rl_core.file_door import shown
+from ctrl_rl_core.schema import Name
+from ctrl_rl_training.figure_data import Figures, ValueCurve
 from ctrl_rl_training.pictures import draw_curve, over_seeds
 from matplotlib import pyplot as plt
+from pydantic import Field, model_validator
 
 from koopman_lqr_controller.training.methods import METHODS
 
 _COLOURS = ("tab:blue", "tab:orange", "tab:green", "tab:red", "tab:purple", "tab:brown")
+
+
+class Comparison(Figures):
+    """What a comparison is drawn from, see `collect_comparison`."""
+
+    comparison: Name
+    kind: Literal["curves", "gaps", "levels", "finals"]
+    reference: float | None
+    curves: Annotated[dict[str, ValueCurve], Field(min_length=1, max_length=100)]
+
+    @model_validator(mode="after")
+    def _known(self) -> Comparison:
+        unknown = [method for method in self.curves if method not in METHODS]
+        if unknown:
+            raise ValueError(f"curves: no method {shown(unknown[0])}: there are {', '.join(METHODS)}")
+        if self.kind == "gaps" and self.reference is None:
+            raise ValueError("reference: a gap needs one")
+        return self
 
 
 def draw_comparison(figures: Mapping[str, Any], path: Path) -> None:

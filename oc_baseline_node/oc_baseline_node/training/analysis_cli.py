@@ -133,10 +133,14 @@ def _mpc(options: argparse.Namespace) -> int:
 def _learnt_paths(file: Path, task: NavigationTask) -> Sequence[Mapping[str, Any]]:
     from ctrl_rl_training.results import read_figures
 
-    figures = read_figures(file, ("task", "curves", "paths"))
+    from oc_baseline_node.training.pictures import Learnt  # matplotlib is not for robots
+
+    figures = read_figures(file, Learnt)
     if figures["task"] != task.name or "oc_ppo" not in figures["paths"]:
         raise ResultsError(f"{file}: holds no paths of oc_ppo in task '{task.name}': give what its `train` wrote")
     paths: Sequence[Mapping[str, Any]] = figures["paths"]["oc_ppo"]
+    if any(len(path["states"][0]) != len(task.system.build().state_names) for path in paths):
+        raise ResultsError(f"{file}: its paths are not of the states of task '{task.name}'")
     return paths
 
 

@@ -4,21 +4,45 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from ctrl_rl_core.drawing import save_figure
 from ctrl_rl_core.tasks import NavigationTask
+from ctrl_rl_training.figure_data import DrivenPath, Figures, ReturnCurve
 from ctrl_rl_training.pictures import draw_curve, draw_paths
 from matplotlib import pyplot as plt
+from pydantic import Field, model_validator
 
 from oc_baseline_node.training.methods import GROUPS, METHODS
 
 _COLOURS = {"oc_ppo": "tab:red", "oc_corrected": "tab:blue", "ppo": "0.3"}
 _OTHERS = ("tab:orange", "tab:green", "tab:purple", "tab:brown", "tab:cyan", "tab:olive", "tab:pink")
 _WITH_AND_WITHOUT = ("oc_ppo", "ppo")
-PARTS = ("curves", "advantages", "paths")
-"""What is drawn of the results, besides their task."""
+_Range = Annotated[list[float], Field(min_length=3, max_length=3)]
+_Updates = Annotated[list[_Range], Field(min_length=1, max_length=100_000)]
+_OfSeed = Annotated[list[_Updates], Field(min_length=1, max_length=100_000)]
+
+
+class Learnt(Figures):
+    """What learnt paths are drawn from."""
+
+    curves: dict[str, ReturnCurve]
+    paths: dict[str, list[DrivenPath]]
+
+
+class Learning(Learnt):
+    """What is drawn of learning, see `results.collect`."""
+
+    advantages: dict[str, Annotated[list[_OfSeed], Field(min_length=1)]]
+
+    @model_validator(mode="after")
+    def _of_one_size(self) -> Learning:
+        for name, seeds in self.advantages.items():
+            length = min(len(seed) for seed in seeds)
+            if len({sum(len(updates) for updates in seed[:length]) for seed in seeds}) > 1:
+                raise ValueError(f"advantages.{name}: seeds of different sizes")
+        return self
 
 
 def draw_all(figures: Mapping[str, Any], task: NavigationTask, folder: Path) -> Iterator[Path]:

@@ -65,9 +65,9 @@ def _methods(options: argparse.Namespace) -> Sequence[str]:
 
 
 def _figures(options: argparse.Namespace) -> int:
-    from oc_baseline_node.training.pictures import PARTS, draw_all  # matplotlib is not for robots
+    from oc_baseline_node.training.pictures import Learning, draw_all  # matplotlib is not for robots
 
-    figures, task = read_training(options, PARTS)
+    figures, task = read_training(options, Learning)
     for picture in draw_all(figures, task, options.output):
         print(f"picture    {picture}")
     return 0

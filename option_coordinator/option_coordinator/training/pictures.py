@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from ctrl_rl_core.drawing import save_figure
+from ctrl_rl_core.schema import Name
+from ctrl_rl_training.figure_data import Figures, ValueCurve
 from ctrl_rl_training.pictures import draw_curve, over_seeds
 from matplotlib import pyplot as plt
 from matplotlib.ticker import ScalarFormatter, SymmetricalLogLocator
+from pydantic import Field
 
 from option_coordinator.training.methods import METHODS
 
@@ -25,6 +28,14 @@ _COLOURS = (
     "tab:pink",
     "tab:olive",
 )
+
+
+class Learning(Figures):
+    """What curves are drawn from, see `results.collect`."""
+
+    metric: Name
+    scripted: float
+    curves: Annotated[dict[str, ValueCurve], Field(max_length=100)]
 
 
 def draw_curves(figures: Mapping[str, Any], path: Path) -> None:

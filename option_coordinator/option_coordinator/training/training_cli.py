@@ -111,9 +111,9 @@ def _train_on_bags(options: argparse.Namespace) -> int:
 def _figures(options: argparse.Namespace) -> int:
     from ctrl_rl_training.results import read_figures
 
-    from option_coordinator.training.pictures import draw_curves  # matplotlib is not for robots
+    from option_coordinator.training.pictures import Learning, draw_curves  # matplotlib is not for robots
 
-    figures = read_figures(options.results, ("task", "metric", "scripted", "curves"))
+    figures = read_figures(options.results, Learning)
     options.output.mkdir(parents=True, exist_ok=True)
     file = options.output / f"{figures['task']}_options.png"
     draw_curves(figures, file)
