@@ -10,11 +10,12 @@ from typing import Any
 
 import numpy as np
 from ctrl_rl_core.bags import bag_info, read_messages
-from ctrl_rl_core.checked_json import parse_json
 from ctrl_rl_core.errors import CtrlRlError
 from koopman_lqr_controller.arrival import ENDED
 from koopman_lqr_controller.policy_file import digest, find_policy, load_policy
 from numpy.typing import NDArray
+
+from ctrl_rl_bringup.recorded_parameters import recorded_parameters
 
 Array = NDArray[np.float64]
 
@@ -117,8 +118,7 @@ def read_latent_model(bag: Path) -> LatentModel | None:
 def _poles(custom_data: Mapping[str, str]) -> NDArray[np.complex128]:
     """Return the poles of the policy that a bag names, if its file still is what it was."""
     try:
-        parameters = parse_json(custom_data.get("parameters./koopman_lqr_controller", "{}"))
-        path = find_policy(str(parameters.get("policy", "")) if isinstance(parameters, dict) else "")
+        path = find_policy(str(recorded_parameters(custom_data, "koopman_lqr_controller").get("policy", "")))
         if digest(path) != custom_data.get("digest.policy"):
             return np.empty(0, dtype=complex)
         poles = np.linalg.eigvals(load_policy(path).loop).astype(complex)

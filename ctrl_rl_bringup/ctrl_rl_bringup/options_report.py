@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter, defaultdict
 from collections.abc import Collection
 from dataclasses import dataclass
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 from option_coordinator.exchange import GrantStatus
 from option_coordinator.trace import Span
 
+from ctrl_rl_bringup.recorded_parameters import recorded_parameters
 from ctrl_rl_bringup.transport import lost_messages, read_sent
 
 Array = NDArray[np.float64]
@@ -130,7 +130,7 @@ def read_team(bag: Path, idle: Collection[str] = ()) -> TeamRun:
     steps = [step for _, step in said["/joint_option_step"]]
     begin, end = _seconds(steps[0]), _seconds(steps[-1])
     grants, requests = said["/option_grants"], said["/option_requests"]
-    settings = json.loads(info.custom_data.get("parameters./option_coordinator", "{}"))
+    settings = recorded_parameters(info.custom_data, "option_coordinator")
     return TeamRun(
         agents=tuple(steps[0].agents),
         policy=Path(str(settings.get("policy", "unknown"))).name

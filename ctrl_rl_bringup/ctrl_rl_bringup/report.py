@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections import defaultdict
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 
 from ctrl_rl_bringup.latent_model import LatentModel, read_latent_model
 from ctrl_rl_bringup.monitor import OUTCOMES
+from ctrl_rl_bringup.recorded_parameters import recorded_parameters
 from ctrl_rl_bringup.transport import answer_latencies, lost_messages, read_sent
 from ctrl_rl_msgs.msg import TaskOutcome
 
@@ -231,10 +231,7 @@ def _duration(episode: Array) -> float:
 
 def _task_of(custom_data: Any) -> tuple[str, float | None]:
     """Return task and corridor width of the simulator, from its parameters."""
-    name = min(
-        (key for key in custom_data if key.startswith("parameters.") and key.endswith("/sim_bridge")), default=""
-    )
-    parameters = json.loads(custom_data.get(name, "{}"))
-    task = parameters.get("task", "curved_corridor")
-    width = float(parameters.get("corridor_width", 0.0))
-    return load_navigation_task(task).name if not str(task).endswith(".yaml") else task, width or None
+    parameters = recorded_parameters(custom_data, "sim_bridge")
+    task, width = str(parameters.get("task", "curved_corridor")), parameters.get("corridor_width", 0.0)
+    known = float(width) if isinstance(width, int | float) else 0.0
+    return load_navigation_task(task).name if not task.endswith(".yaml") else task, known or None
