@@ -17,7 +17,7 @@ from pydantic import Discriminator, Field, TypeAdapter, ValidationError, model_v
 
 from ctrl_rl_core.checked_yaml import read_yaml
 from ctrl_rl_core.errors import CtrlRlError
-from ctrl_rl_core.file_door import FileError, first_error, refused_as, shown
+from ctrl_rl_core.file_door import FileError, first_error, named, refused_as, shown
 from ctrl_rl_core.geometry import World
 from ctrl_rl_core.option_tasks import ToolDelivery, WaterFilling
 from ctrl_rl_core.system_models import SYSTEM_MODELS
@@ -138,9 +138,7 @@ def task_file(name_or_path: str | FilePath) -> FilePath:
         return path.expanduser()
     path = FOLDER / f"{name_or_path}.yaml"
     if str(name_or_path) not in task_names():
-        raise TaskError(
-            f"no task {shown(str(name_or_path))}: there are {', '.join(task_names())}, or give a .yaml file"
-        )
+        raise TaskError(f"no task '{named(name_or_path)}': there are {', '.join(task_names())}, or give a .yaml file")
     return path
 
 

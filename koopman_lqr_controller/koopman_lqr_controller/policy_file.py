@@ -51,9 +51,11 @@ def find_policy(name_or_path: str) -> Path:
     try:
         there = path.exists()
     except (OSError, ValueError) as error:
-        raise KoopmanError(f"no policy {shown(name_or_path)}: {error}") from None
+        raise KoopmanError(f"no policy '{named(name_or_path)}': {error}") from None
     if not there:
-        raise KoopmanError(f"no policy {shown(name_or_path)}: there are {', '.join(shipped) or 'none'}, or give a file")
+        raise KoopmanError(
+            f"no policy '{named(name_or_path)}': there are {', '.join(shipped) or 'none'}, or give a file"
+        )
     return path
 
 

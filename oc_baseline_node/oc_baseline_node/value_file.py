@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 from ctrl_rl_core.checked_tensors import Tensors, kind_of, read_tensors
-from ctrl_rl_core.file_door import FileError, named, refused_as, shown
+from ctrl_rl_core.file_door import FileError, named, refused_as
 from ctrl_rl_core.grid_file import AxisHeader
 from ctrl_rl_core.schema import Name, Number, Positive, Schema, Sha256
 from ctrl_rl_core.value_function import ValueFunction
@@ -92,7 +92,7 @@ def find_value(name_or_path: str | Path) -> Path:
     path = shipped.get(str(name_or_path), Path(name_or_path).expanduser())
     if not path.is_file():
         raise OcError(
-            f"no value {shown(str(name_or_path))}: there are {', '.join(shipped) or 'none'}, or give a file of 'oc fit'"
+            f"no value '{named(name_or_path)}': there are {', '.join(shipped) or 'none'}, or give a file of 'oc fit'"
         )
     return path
 

@@ -15,7 +15,7 @@ from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from ctrl_rl_core.checked_tensors import encode_tensors, read_tensors
-from ctrl_rl_core.file_door import named, one_line, refused_as, shown
+from ctrl_rl_core.file_door import named, one_line, refused_as
 from ctrl_rl_core.schema import Anything, Name, Schema
 from ctrl_rl_core.whole_file import write_whole
 from pydantic import Field
@@ -82,7 +82,7 @@ def policy_file(name_or_path: Path | str) -> Path:
     except (OSError, ValueError) as error:
         there, why = False, one_line(error, 100)
     if not there:
-        raise OptionError(f"no policy {shown(str(name_or_path))}: {why}")
+        raise OptionError(f"no policy '{named(name_or_path)}': {why}")
     return path
 
 

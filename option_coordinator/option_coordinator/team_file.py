@@ -15,7 +15,7 @@ from typing import Annotated, Literal
 
 from ctrl_rl_core.checked_yaml import read_yaml
 from ctrl_rl_core.errors import CtrlRlError
-from ctrl_rl_core.file_door import FileError, refused_as, shown
+from ctrl_rl_core.file_door import FileError, named, refused_as, shown
 from ctrl_rl_core.task_parts import Part, Reward, Samples, TaskHeader
 from ctrl_rl_core.tasks import NavigationTask, load_navigation_task, task_names
 from ctrl_rl_core.units import Point, PositiveTime, TimeStep
@@ -176,7 +176,7 @@ def team_file(name_or_path: str) -> FilePath:
         return path
     path = FOLDER / f"{name_or_path}.yaml"
     if name_or_path not in team_names():
-        raise OptionError(f"no team {shown(name_or_path)}: there is {', '.join(team_names())}, or give a .yaml file")
+        raise OptionError(f"no team '{named(name_or_path)}': there is {', '.join(team_names())}, or give a .yaml file")
     return path
 
 
