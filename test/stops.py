@@ -1,6 +1,6 @@
 """Count collisions and stops of the shipped policies on broken scans and before obstacles, with and without the stops.
 
-python test/benchmarks/stops.py [--starts 20] [--policies curved_corridor ...] [--scenes leg ...] [--bare]
+python test/stops.py [--starts 20] [--policies curved_corridor ...] [--scenes leg ...] [--bare]
 
 Each start is one episode of the curved corridor in PyBullet, driven as the controller drives, but in one process. A
 scene breaks the scans or puts something into the way. `--bare` drives as before there were scan checks and the obstacle
