@@ -46,6 +46,7 @@ def test_a_room_counts_from_the_team_file_wherever_one_works(files, tmp_path_fac
         ('"(0.0, -1.2) m"', '"(0.8, -1.2) m"', "robots.robot_2.home and robots.robot_3.home lie 0.1 m apart"),
         ("room: rooms/hall.yaml", "room: hall.yaml", "hall.yaml: there is no such file"),
         ("room: rooms/hall.yaml", "room: nowhere", f"no room 'nowhere': there are {room_names()[0]}, car_navigation"),
+        ("  robot_2:", "  robot_1:", "key 'robot_1' stands twice"),
     ],
 )
 def test_what_a_robot_cannot_do_is_refused_with_its_key(files, old, new, words):
