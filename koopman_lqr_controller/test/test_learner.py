@@ -1,6 +1,5 @@
 """Learning with the real thing on a tiny budget: it resumes exactly, and leaves a policy that needs no torch."""
 
-import json
 import os
 import signal
 import subprocess
@@ -12,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from ctrl_rl_core.checked_json import read_json
 from ctrl_rl_training.errors import TrainingError
 from ctrl_rl_training.run_folder import result_file
 from koopman_lqr_controller.errors import KoopmanError
@@ -37,7 +37,7 @@ def options(folder: Path, chunks: int = 3) -> LearningOptions:
 
 def learnt(folder: Path, run: LearningRun = RUN) -> tuple[dict, bytes]:
     """Return everything that the run leaves, but for what it took."""
-    result = json.loads(result_file(folder, run).read_text(encoding="utf-8"))
+    result = read_json(result_file(folder, run))
     for point in result["curve"]:
         del point["seconds"], point["cpu_seconds"]
     del result["cpu_seconds"]
