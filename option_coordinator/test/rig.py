@@ -55,7 +55,7 @@ class Rig:
         self._listen(OptionGrant, "option_grants", self._on_grant)
         self._listen(AgentStatus, "agent_status", self.statuses.append)
         self._listen(JointOptionStep, "joint_option_step", self.steps.append)
-        self._listen(DiagnosticArray, "diagnostics", self.diagnostics.append, 100)
+        self._listen(DiagnosticArray, "/diagnostics", self._on_diagnostics, 100)
         self.request_publisher = self.node.create_publisher(OptionRequest, "option_requests", EXCHANGE)
         self.status_publisher = self.node.create_publisher(AgentStatus, "agent_status", EXCHANGE)
         self.grant_publisher = self.node.create_publisher(OptionGrant, "option_grants", EXCHANGE)
@@ -66,6 +66,10 @@ class Rig:
     def _on_request(self, message):
         with contextlib.suppress(MessageError):  # tests send such ones
             self.requests.append(request_of(message))
+
+    def _on_diagnostics(self, message):
+        if message.status[0].hardware_id == self.namespace:  # one topic for all namespaces
+            self.diagnostics.append(message)
 
     def _on_grant(self, message):
         with contextlib.suppress(MessageError):
