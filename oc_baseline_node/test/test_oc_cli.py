@@ -75,8 +75,8 @@ def test_what_it_cannot_do_it_says_in_one_line(
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"form": None, "clearance": "wide"}, "form, clearance missing or of a wrong type: make the data again"),
-        ({"trajectories": 0}, "0 trajectories, 10 to a file, seed 0: the first two must be at least 1"),
+        ({"form": None, "clearance": "wide"}, "settings.json: form: is missing"),
+        ({"trajectories": 0}, "settings.json: trajectories: is 0: Input should be greater than or equal to 1"),
         ({"form": "quick"}, "no form 'quick': there are"),
     ],
 )
