@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import io
 import json
+import sys
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -15,6 +16,8 @@ from ctrl_rl_core import checked_arrays, checked_json, checked_tensors
 
 Random = np.random.Generator
 Mutate = Callable[[bytes, Random], bytes]
+_DEEPEST = 100_000
+"""Calls within each other that YAML of 1,000 levels may take."""
 
 _VALUES: tuple[Any, ...] = (
     *(None, True, False, 0, 1, -1, 2**31, -(2**63), 10**12, 10**30, 0.5, -0.5, 1e300, -1e300, 1e-300),
@@ -129,7 +132,17 @@ def change_yaml(content: bytes, random: Random) -> bytes:
         lines = text.splitlines(keepends=True)
         index = int(random.integers(len(lines)))
         return "".join([*lines[:index], lines[index], *lines[index:]]).encode()
-    return yaml.safe_dump(change(yaml.safe_load(text), random), sort_keys=False).encode()
+    return _dump_yaml(change(yaml.safe_load(text), random)).encode()
+
+
+def _dump_yaml(content: object) -> str:
+    """Return content as YAML, however deep: the dumper calls itself for each level."""
+    limit = sys.getrecursionlimit()
+    sys.setrecursionlimit(_DEEPEST)
+    try:
+        return yaml.safe_dump(content, sort_keys=False)
+    finally:
+        sys.setrecursionlimit(limit)
 
 
 def change_tensors(content: bytes, random: Random) -> bytes:
