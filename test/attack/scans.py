@@ -59,7 +59,7 @@ def holds_knowledge(ranges: np.ndarray, scan: dict[str, Any]) -> bool:
     numbers = [scan[name] for name in ("angle_min", "angle_increment", "range_min", "range_max")]
     if not 0 < len(ranges) <= 20_000 or any(math.isnan(number) for number in numbers):
         return False
-    low, high = max(scan["range_min"], 0.0), scan["range_max"]
+    low, high = max(float(np.float32(scan["range_min"])), 0.0), float(np.float32(scan["range_max"]))  # as in messages
     echoes = sum(r == -math.inf or (0.0 < r < math.inf and low <= r <= high) for r in ranges.tolist())
     return echoes / len(ranges) >= _NO_KNOWLEDGE
 
