@@ -22,8 +22,10 @@ from ctrl_rl_core.odometry import yaw_of
 Method = Literal["previous", "nearest", "linear"]
 Clock = Literal["header", "log"]
 
-_RESET_NS = 50_000_000
-"""Stamps of one topic that fall back by more than this: the clock was set back, a simulation was reset."""
+_RESET_NS = 500_000_000
+"""Stamps of one topic that fall back by more than this: the clock was set back, a simulation was reset.
+
+A watchdog's zero has the time at which it was sent, the command after it that of the scan before: a fall of less."""
 _SAME_CLOCK_NS = 1_000_000_000
 """Stamps and log times closer than this are of one clock."""
 
