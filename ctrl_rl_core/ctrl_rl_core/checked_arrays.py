@@ -35,8 +35,8 @@ def read_arrays(path: str | os.PathLike[str], names: Sequence[str], largest: int
     """Return the arrays of an archive: booleans, whole and finite numbers, and texts.
 
     Args:
-        path: of the file.
-        names: of all its arrays.
+        path: The file to read.
+        names: Names of all arrays in the file.
         largest: bytes that they may have unpacked, all together.
 
     Raises:

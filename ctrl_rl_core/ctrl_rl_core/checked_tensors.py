@@ -70,7 +70,7 @@ def encode_tensors(tensors: Mapping[str, NDArray[Any]], key: str, header: Mappin
 
     Args:
         tensors: by name.
-        key: of the metadata, which says what kind of file it is.
+        key: Metadata key that marks the kind of file.
         header: JSON, without the digest.
     """
     plain = {name: np.ascontiguousarray(tensor) for name, tensor in tensors.items()}
@@ -101,10 +101,10 @@ def read_tensors(
     """Read a file of one kind and check it against its digest.
 
     Args:
-        path: of the file.
-        key: of the metadata that this kind of file has.
+        path: The file to read.
+        key: Metadata key that marks the kind of file.
         largest: bytes that it may have; None for as many as the memory takes.
-        types: of the tensors.
+        types: Allowed types of the tensors.
         finite: whether NaN and infinity are refused.
         with_digest: whether the file's own SHA-256 is wanted, for which it is gone through once more.
 

@@ -53,7 +53,7 @@ class Faults:
         """Return `callback` so that it cannot raise.
 
         Args:
-            callback: of a timer or a topic.
+            callback: The function that a timer or a topic calls.
             source: the topic, or "timer".
         """
         name = f"{_name_of(callback)} ({source})"

@@ -63,7 +63,7 @@ def refused_as(kind: type[CtrlRlError], path: str | os.PathLike[str], advice: st
     Args:
         kind: class of the error.
         path: file that is read.
-        advice: what to do about a file that does not serve.
+        advice: Sentence that tells the user how to mend a bad file.
     """
     try:
         yield
