@@ -24,7 +24,7 @@ PLAIN = [sys.executable, str(Path(__file__).with_name("plain_robot.py"))]
 
 @pytest.fixture(scope="module")
 def watchers():
-    """The tests' nodes, which end together; see test_faults."""
+    """The tests' nodes, which end together; see test_process_faults."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
         rclpy.init()
