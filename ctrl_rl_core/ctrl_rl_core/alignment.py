@@ -25,7 +25,7 @@ Clock = Literal["header", "log"]
 _RESET_NS = 500_000_000
 """Stamps of one topic that fall back by more than this: the clock was set back, a simulation was reset.
 
-A watchdog's zero has the time at which it was sent, the command after it that of the scan before: a fall of less."""
+Several nodes may publish on one topic, and each stamps with the time of its own input: such stamps fall by less."""
 _SAME_CLOCK_NS = 1_000_000_000
 """Stamps and log times closer than this are of one clock."""
 

@@ -6,9 +6,11 @@ import math
 import sys
 import time
 
+from builtin_interfaces.msg import Time as Stamp
 from geometry_msgs.msg import Twist, TwistStamped
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
+from rclpy.time import Time
 
 from ctrl_rl_core.parameters import Parameter
 from ctrl_rl_core.publishers import other_publishers, publishers_of_other_types
@@ -18,6 +20,8 @@ from ctrl_rl_core.watchdog import Watchdog
 INPUT, OUTPUT = "cmd_vel_raw", "cmd_vel"
 _LAST_ZERO = Duration(seconds=0.3)
 _ROUNDING = 1.0 + 1e-6
+_LATEST_NS = 2**31 * 10**9 - 1
+"""The largest time that a stamp can hold."""
 
 
 class WatchdogNode(SuiteNode):
@@ -53,6 +57,7 @@ class WatchdogNode(SuiteNode):
         self._watchdog = Watchdog(time.monotonic(), self.settings["timeout"], period, self.settings["repeat_for"])
         self._counts = {"passed": 0, "refused": 0, "zeros": 0, "stops": 0}
         self._refusal = ""
+        self._stamp_lag_ns = 0
         self._said_silent = True
         self._rivals: tuple[str, ...] = ()
         kind = TwistStamped if self._stamped else Twist
@@ -104,6 +109,7 @@ class WatchdogNode(SuiteNode):
             self._counts["passed"] += 1
             if self._stamped:
                 self._frame = message.header.frame_id
+                self._stamp_lag_ns = self._lag_of(message.header.stamp)
             self._output.publish(message)
         else:
             self._send_zero()
@@ -129,8 +135,22 @@ class WatchdogNode(SuiteNode):
         self._counts["zeros"] += 1
         zero = TwistStamped() if self._stamped else Twist()
         if self._stamped:
-            zero.header.stamp, zero.header.frame_id = self.get_clock().now().to_msg(), self._frame
+            zero.header.stamp, zero.header.frame_id = self._driver_time(), self._frame
         self._output.publish(zero)
+
+    def _lag_of(self, stamp: Stamp) -> int:
+        """Return how far a command's stamp lies behind this node's clock [ns]; zero where it has no stamp."""
+        sent = Time.from_msg(stamp).nanoseconds
+        return self.get_clock().now().nanoseconds - sent if sent > 0 else 0
+
+    def _driver_time(self) -> Stamp:
+        """Return this node's time on the clock of the last command's stamp.
+
+        A driver may stamp a command with the time of its scan, or by another clock. A zero stamped with this node's
+        own time would then lie ahead of the command after it, and the clock of `cmd_vel` would seem to be set back.
+        """
+        now = self.get_clock().now().nanoseconds - self._stamp_lag_ns
+        return Time(nanoseconds=min(max(now, 0), _LATEST_NS)).to_msg()
 
     def _look_around(self) -> tuple[str, ...]:
         """Return who else publishes on the output; say so once for each change."""

@@ -1,5 +1,6 @@
 """The watchdog: commands pass, and zeros take their place when they stop, whoever was killed, frozen or silent."""
 
+import itertools
 import math
 import signal
 import subprocess
@@ -73,6 +74,7 @@ class Base:
         self.node = Node("base")
         self.kind = kind
         self.speeds: list[float] = []
+        self.stamps: list[float] = []
         self.said: DiagnosticStatus | None = None
         self.node.create_subscription(kind, "cmd_vel", self._on_command, COMMAND)
         self.node.create_subscription(DiagnosticArray, "diagnostics", self._on_diagnostics, 10)
@@ -80,6 +82,8 @@ class Base:
 
     def _on_command(self, message: TwistStamped | Twist) -> None:
         self.speeds.append((message.twist if self.kind is TwistStamped else message).linear.x)
+        if self.kind is TwistStamped:
+            self.stamps.append(message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec)
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         if message.status[0].name == "/watchdog":
@@ -102,8 +106,10 @@ class Base:
     def says(self, words: str) -> Callable[[], bool]:
         return lambda: self.said is not None and words in self.said.message
 
-    def command(self, speed: float, turn: float = 0.0) -> None:
+    def command(self, speed: float, turn: float = 0.0, stamp: float = 0.0) -> None:
         message = self.kind()
+        if self.kind is TwistStamped:
+            message.header.stamp.sec, message.header.stamp.nanosec = int(stamp), int(stamp % 1.0 * 1e9)
         twist = message.twist if self.kind is TwistStamped else message
         twist.linear.x, twist.angular.z = speed, turn
         self.raw.publish(message)
@@ -299,3 +305,32 @@ def test_it_starts_without_the_heavy_libraries() -> None:
     code = "import sys, ctrl_rl_core.watchdog_node; print(sorted({'numba', 'scipy'} & set(sys.modules)))"
     answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert answer.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize("behind", [5.0, -5.0])
+def test_zeros_are_stamped_by_the_clock_of_the_commands(base: Base, run_node: Callable, behind: float) -> None:
+    """Between commands that carry the time of a scan, or another computer's, a zero does not turn the clock back."""
+    run_node("ctrl_rl_core", "watchdog", *QUICK)
+
+    def driven() -> bool:
+        base.command(SPEED, stamp=time.time() - behind)
+        return base.drives
+
+    base.until(driven)
+    first = base.speeds.index(SPEED)
+    base.until(lambda: base.stands and base.speeds[-3:] == [0.0] * 3)
+    base.until(driven)
+    stamps = base.stamps[first:]
+    assert all(later - earlier > -0.5 for earlier, later in itertools.pairwise(stamps))
+
+
+@pytest.mark.parametrize("stamp", [0.0, 2.0**31 - 1.0])
+def test_a_zero_follows_a_command_of_any_stamp(base: Base, run_node: Callable, stamp: float) -> None:
+    run_node("ctrl_rl_core", "watchdog", *QUICK)
+
+    def driven() -> bool:
+        base.command(SPEED, stamp=stamp)
+        return base.drives
+
+    base.until(driven)
+    base.until(lambda: base.stands)
