@@ -105,7 +105,7 @@ def cut_off() -> Callable[[Callable[..., Any], Any, Any], None]:
 @pytest.fixture
 def check_resuming(tmp_path: Path, cut_off: Callable[..., None]) -> Callable[..., Path]:
     """Give a function that checks that a run ends alike, cut off after an iteration or not, and returns its folder."""
-    from ctrl_rl_core.checked_json import read_json
+    from ctrl_rl_core.io.checked_json import read_json
 
     def learnt(folder: Path) -> tuple[Any, bytes]:
         result = read_json(folder / "result.json")  # without its digest, which is of the times too

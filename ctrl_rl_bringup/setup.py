@@ -1,6 +1,6 @@
 from glob import glob
 
-from setuptools import setup
+from setuptools import find_packages, setup
 
 NAME = "ctrl_rl_bringup"
 
@@ -9,8 +9,8 @@ setup(
     version="0.1.0",
     description="Launch files, parameter files and the demo that starts everything.",
     license="Apache-2.0",
-    packages=[NAME],
-    package_data={"ctrl_rl_bringup": ["py.typed"]},
+    packages=find_packages(include=[NAME, f"{NAME}.*"]),
+    package_data={NAME: ["py.typed"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
@@ -22,15 +22,15 @@ setup(
     zip_safe=False,
     entry_points={
         "console_scripts": [
-            "demo = ctrl_rl_bringup.cli:demo",
-            "monitor = ctrl_rl_bringup.cli:monitor",
-            "options_demo = ctrl_rl_bringup.options_cli:demo",
-            "options_monitor = ctrl_rl_bringup.options_cli:monitor",
-            "options_report = ctrl_rl_bringup.options_cli:report",
-            "record_drives = ctrl_rl_bringup.cli:record_drives",
-            "report = ctrl_rl_bringup.cli:report",
-            "results = ctrl_rl_bringup.cli:results",
-            "trials = ctrl_rl_bringup.cli:trials",
+            "demo = ctrl_rl_bringup.cli.drive:demo",
+            "monitor = ctrl_rl_bringup.cli.drive:monitor",
+            "options_demo = ctrl_rl_bringup.cli.team:demo",
+            "options_monitor = ctrl_rl_bringup.cli.team:monitor",
+            "options_report = ctrl_rl_bringup.cli.team:report",
+            "record_drives = ctrl_rl_bringup.cli.drive:record_drives",
+            "report = ctrl_rl_bringup.cli.drive:report",
+            "results = ctrl_rl_bringup.cli.drive:results",
+            "trials = ctrl_rl_bringup.cli.drive:trials",
         ],
     },
 )

@@ -1,14 +1,14 @@
-from setuptools import setup
+from setuptools import find_packages, setup
 
 NAME = "ctrl_rl_core"
 
 setup(
     name=NAME,
     version="0.1.0",
-    description="What every package shares: robot system models, tasks, value grids, bags, the recorder.",
+    description="What every package shares: system models, tasks, value grids, files, the base of the nodes.",
     license="Apache-2.0",
-    packages=[NAME],
-    package_data={"ctrl_rl_core": ["py.typed", "task_files/*.yaml"]},
+    packages=find_packages(include=[NAME, f"{NAME}.*"]),
+    package_data={NAME: ["py.typed", "tasks/task_files/*.yaml"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
@@ -18,9 +18,9 @@ setup(
     zip_safe=False,
     entry_points={
         "console_scripts": [
-            "bag = ctrl_rl_core.bag_cli:main",
-            "recorder = ctrl_rl_core.recorder_node:main",
-            "watchdog = ctrl_rl_core.watchdog_node:main",
+            "bag = ctrl_rl_core.moved:bag",
+            "recorder = ctrl_rl_core.moved:recorder",
+            "watchdog = ctrl_rl_core.driving.watchdog_node:main",
         ],
     },
 )

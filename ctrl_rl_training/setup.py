@@ -1,4 +1,4 @@
-from setuptools import setup
+from setuptools import find_packages, setup
 
 NAME = "ctrl_rl_training"
 
@@ -7,7 +7,7 @@ setup(
     version="0.1.0",
     description="Learning with Stable-Baselines3 in the simulated tasks: resumable runs, deployable policies.",
     license="Apache-2.0",
-    packages=[NAME],
+    packages=find_packages(include=[NAME, f"{NAME}.*"]),
     package_data={NAME: ["py.typed"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),

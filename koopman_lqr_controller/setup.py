@@ -1,4 +1,4 @@
-from setuptools import setup
+from setuptools import find_packages, setup
 
 NAME = "koopman_lqr_controller"
 
@@ -7,8 +7,8 @@ setup(
     version="0.1.0",
     description="Koopman control from lidar: a learned linear model and its LQR (thesis 2.3 and 4).",
     license="Apache-2.0",
-    packages=[NAME, f"{NAME}.training"],
-    package_data={"koopman_lqr_controller": ["py.typed", "policies/*"]},
+    packages=find_packages(include=[NAME, f"{NAME}.*"]),
+    package_data={NAME: ["py.typed", "policies/pretrained/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
@@ -18,17 +18,17 @@ setup(
     zip_safe=False,
     entry_points={
         "console_scripts": [
-            "analyse = koopman_lqr_controller.analysis_cli:analyse",
-            "compare = koopman_lqr_controller.training.compare_cli:compare",
-            "comparison_figures = koopman_lqr_controller.training.compare_cli:comparison_figures",
-            "consolidate = koopman_lqr_controller.training_cli:consolidate",
-            "controller = koopman_lqr_controller.node:main",
-            "evaluate = koopman_lqr_controller.offline_cli:evaluate",
-            "fit = koopman_lqr_controller.offline_cli:fit",
-            "learn = koopman_lqr_controller.training_cli:learn",
-            "learn_offline = koopman_lqr_controller.offline_cli:learn_offline",
-            "scripted_driver = koopman_lqr_controller.scripted_driver_node:main",
-            "train = koopman_lqr_controller.two_stage_cli:main",
+            "analyse = koopman_lqr_controller.cli.analyse:analyse",
+            "compare = koopman_lqr_controller.cli.compare:compare",
+            "comparison_figures = koopman_lqr_controller.cli.compare:comparison_figures",
+            "consolidate = koopman_lqr_controller.cli.learn:consolidate",
+            "controller = koopman_lqr_controller.nodes.controller_node:main",
+            "evaluate = koopman_lqr_controller.cli.offline:evaluate",
+            "fit = koopman_lqr_controller.cli.offline:fit",
+            "learn = koopman_lqr_controller.cli.learn:learn",
+            "learn_offline = koopman_lqr_controller.cli.offline:learn_offline",
+            "scripted_driver = koopman_lqr_controller.nodes.scripted_driver_node:main",
+            "train = koopman_lqr_controller.cli.train:main",
         ],
     },
 )

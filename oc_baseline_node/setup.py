@@ -1,4 +1,4 @@
-from setuptools import setup
+from setuptools import find_packages, setup
 
 NAME = "oc_baseline_node"
 
@@ -7,8 +7,8 @@ setup(
     version="0.1.0",
     description="Optimal-control return-to-go as a policy-gradient baseline (thesis 3.3).",
     license="Apache-2.0",
-    packages=[NAME, f"{NAME}.training"],
-    package_data={"oc_baseline_node": ["py.typed", "values/*"]},
+    packages=find_packages(include=[NAME, f"{NAME}.*"]),
+    package_data={NAME: ["py.typed", "values/pretrained/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
@@ -18,11 +18,11 @@ setup(
     zip_safe=False,
     entry_points={
         "console_scripts": [
-            "analyse = oc_baseline_node.training.analysis_cli:main",
+            "analyse = oc_baseline_node.training.analysis.cli:main",
             "baseline = oc_baseline_node.node:main",
             "oc = oc_baseline_node.cli:main",
-            "train = oc_baseline_node.training.training_cli:train",
-            "training_figures = oc_baseline_node.training.training_cli:training_figures",
+            "train = oc_baseline_node.training.cli:train",
+            "training_figures = oc_baseline_node.training.cli:training_figures",
         ],
     },
 )

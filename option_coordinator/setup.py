@@ -1,4 +1,4 @@
-from setuptools import setup
+from setuptools import find_packages, setup
 
 NAME = "option_coordinator"
 
@@ -7,8 +7,8 @@ setup(
     version="0.1.0",
     description="Grants options to robots that finish at different times (thesis 2.4 and 5).",
     license="Apache-2.0",
-    packages=[NAME, f"{NAME}.tasks", f"{NAME}.training"],
-    package_data={"option_coordinator": ["py.typed", "teams/*.yaml", "policies/*"]},
+    packages=find_packages(include=[NAME, f"{NAME}.*"]),
+    package_data={NAME: ["py.typed", "teams/*.yaml", "policies/pretrained/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
@@ -18,11 +18,11 @@ setup(
     zip_safe=False,
     entry_points={
         "console_scripts": [
-            "coordinator = option_coordinator.node:main",
-            "navigation_agent = option_coordinator.navigation_agent:main",
+            "coordinator = option_coordinator.nodes.coordinator_node:main",
+            "navigation_agent = option_coordinator.nodes.navigation_agent:main",
             "replay = option_coordinator.cli:replay",
-            "train = option_coordinator.training.training_cli:train",
-            "training_figures = option_coordinator.training.training_cli:training_figures",
+            "train = option_coordinator.training.cli:train",
+            "training_figures = option_coordinator.training.cli:training_figures",
         ],
     },
 )

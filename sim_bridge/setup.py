@@ -1,4 +1,4 @@
-from setuptools import setup
+from setuptools import find_packages, setup
 
 NAME = "sim_bridge"
 
@@ -7,8 +7,8 @@ setup(
     version="0.1.0",
     description="PyBullet worlds that stand in for the robots: the bridge node and Gymnasium environments.",
     license="Apache-2.0",
-    packages=[NAME],
-    package_data={"sim_bridge": ["py.typed", "urdf/*"]},
+    packages=find_packages(include=[NAME, f"{NAME}.*"]),
+    package_data={NAME: ["py.typed", "urdf/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
@@ -18,7 +18,7 @@ setup(
     zip_safe=False,
     entry_points={
         "console_scripts": [
-            "bridge = sim_bridge.node:main",
+            "bridge = sim_bridge.ros.bridge_node:main",
         ],
     },
 )

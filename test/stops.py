@@ -15,20 +15,20 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-from ctrl_rl_core.drive_safety import DriveSafety
+from ctrl_rl_core.driving.drive_safety import DriveSafety
+from ctrl_rl_core.driving.lidar_node import LIDAR_PARAMETERS
+from ctrl_rl_core.driving.obstacle_stop import ObstacleStop
+from ctrl_rl_core.driving.scan import ScanGeometry
+from ctrl_rl_core.driving.scan_health import ScanHealth
 from ctrl_rl_core.errors import CtrlRlError
-from ctrl_rl_core.geometry import Box, Disc, Shape
-from ctrl_rl_core.lidar_node import LIDAR_PARAMETERS
-from ctrl_rl_core.obstacle_stop import ObstacleStop
-from ctrl_rl_core.outcome import Outcome
-from ctrl_rl_core.scan import ScanGeometry
-from ctrl_rl_core.scan_health import ScanHealth
-from ctrl_rl_core.tasks import load_navigation_task
-from koopman_lqr_controller.guards import Guard
-from koopman_lqr_controller.policy import DrivingPolicy
-from koopman_lqr_controller.policy_file import find_policy, load_policy
-from sim_bridge.lidar import Scan
-from sim_bridge.world import SimulatedWorld, SimulationOptions
+from ctrl_rl_core.geometry.shapes import Box, Disc, Shape
+from ctrl_rl_core.tasks.outcome import Outcome
+from ctrl_rl_core.tasks.task import load_navigation_task
+from koopman_lqr_controller.policies.edmd_policy import DrivingPolicy
+from koopman_lqr_controller.policies.policy_file import find_policy, load_policy
+from koopman_lqr_controller.safety.guards import Guard
+from sim_bridge.simulation.lidar import Scan
+from sim_bridge.simulation.world import SimulatedWorld, SimulationOptions
 
 TASK = load_navigation_task("curved_corridor")
 DEFAULTS = {parameter.name: parameter.default for parameter in LIDAR_PARAMETERS}
@@ -177,7 +177,7 @@ def episode(policy: DrivingPolicy, scene: Scene, seed: int, bare: bool, largest_
 
 def come_nearer(world: SimulatedWorld, path: object, s: float, step: float) -> float:
     """Move the obstacle along the path until it is near the robot, where whoever comes stops as well."""
-    from sim_bridge.engine import pybullet
+    from sim_bridge.engines.quiet_pybullet import pybullet
 
     physics = world._physics
     body = physics.fixed[-1]

@@ -1,10 +1,11 @@
-"""The arrows between packages point one way, and what runs on a robot imports nothing heavy."""
+"""Arrows between packages and between their rooms point one way, and a robot imports nothing heavy."""
 
 import ast
 import os
 import re
 import subprocess
 import sys
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -13,10 +14,11 @@ ROOT = Path(__file__).resolve().parents[1]
 METHODS = ("ttr_reward_node", "oc_baseline_node", "koopman_lqr_controller", "option_coordinator")
 MAY_IMPORT = {
     "ctrl_rl_core": set(),
+    "ctrl_rl_bags": {"ctrl_rl_core"},
     "sim_bridge": {"ctrl_rl_core"},
     "ctrl_rl_training": {"ctrl_rl_core", "sim_bridge"},
-    **{package: {"ctrl_rl_core"} for package in METHODS},
-    "ctrl_rl_bringup": {"ctrl_rl_core", "sim_bridge", *METHODS},
+    **{package: {"ctrl_rl_core", "ctrl_rl_bags"} for package in METHODS},
+    "ctrl_rl_bringup": {"ctrl_rl_core", "ctrl_rl_bags", "sim_bridge", *METHODS},
 }
 ROS_PACKAGE = re.compile(r"rclpy|launch\w*|ament_index_python|\w+_(msgs|srvs|interfaces)")
 HEAVY = {
@@ -33,29 +35,29 @@ HEAVY = {
     "dm_control",
 }
 RUN_TIME_MODULES = (
-    "ctrl_rl_core.recorder_node",
-    "ctrl_rl_core.bag_cli",
-    "ctrl_rl_core.systems",
-    "ctrl_rl_core.tasks",
-    "ctrl_rl_core.value_grid",
-    "ctrl_rl_core.value_server",
-    "ctrl_rl_core.watchdog_node",
-    "ctrl_rl_training.actor",
-    "koopman_lqr_controller.node",
-    "koopman_lqr_controller.scripted_driver_node",
-    "koopman_lqr_controller.two_stage_cli",
-    "koopman_lqr_controller.training.compare_cli",
-    "koopman_lqr_controller.analysis_cli",
-    "koopman_lqr_controller.offline_cli",
-    "koopman_lqr_controller.training_cli",
-    "option_coordinator.agent",
+    "ctrl_rl_bags.recording.recorder_node",
+    "ctrl_rl_bags.cli",
+    "ctrl_rl_core.systems.system",
+    "ctrl_rl_core.tasks.task",
+    "ctrl_rl_core.values.value_grid",
+    "ctrl_rl_core.ros.value_server",
+    "ctrl_rl_core.driving.watchdog_node",
+    "ctrl_rl_training.io.actor",
+    "koopman_lqr_controller.nodes.controller_node",
+    "koopman_lqr_controller.nodes.scripted_driver_node",
+    "koopman_lqr_controller.cli.train",
+    "koopman_lqr_controller.cli.compare",
+    "koopman_lqr_controller.cli.analyse",
+    "koopman_lqr_controller.cli.offline",
+    "koopman_lqr_controller.cli.learn",
+    "option_coordinator.nodes.option_agent",
     "option_coordinator.cli",
-    "option_coordinator.navigation_agent",
-    "option_coordinator.node",
-    "option_coordinator.policy_file",
-    "option_coordinator.tasks",
-    "ttr_reward_node.cli",
-    "ttr_reward_node.node",
+    "option_coordinator.nodes.navigation_agent",
+    "option_coordinator.nodes.coordinator_node",
+    "option_coordinator.policies.policy_file",
+    "option_coordinator.environments.tasks",
+    "ttr_reward_node.cli.values",
+    "ttr_reward_node.nodes.reward_node",
 )
 
 
@@ -74,13 +76,77 @@ def sources(package: str) -> list[Path]:
     return sorted((ROOT / package / package).rglob("*.py"))
 
 
+def module_of(file: Path) -> str:
+    parts = file.relative_to(ROOT).with_suffix("").parts[1:]
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+MODULES = {module_of(file): file for package in MAY_IMPORT for file in sources(package)}
+
+
+def room_of(module: str) -> str:
+    """Return the subpackage that a module lies in; `training` of a method package has rooms of its own."""
+    parts = module.split(".")
+    nested = len(parts) > 2 and parts[0] in METHODS and parts[1] == "training"
+    return ".".join(parts[: 3 if nested else 2])
+
+
+def modules_imported(file: Path) -> set[str]:
+    found = set()
+    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
+            submodules = {f"{node.module}.{alias.name}" for alias in node.names} & MODULES.keys()
+            found |= submodules or {node.module}
+        elif isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+    return found & MODULES.keys()
+
+
+def arrows() -> dict[str, set[str]]:
+    """Return which rooms each room imports from."""
+    out: dict[str, set[str]] = {}
+    for module, file in MODULES.items():
+        room = room_of(module)
+        out.setdefault(room, set()).update(room_of(other) for other in modules_imported(file) if room_of(other) != room)
+    return out
+
+
+def test_no_arrow_between_rooms_runs_in_a_circle() -> None:
+    TopologicalSorter(arrows()).prepare()  # raises CycleError, which names the circle
+
+
+def runs_on_a_robot(file: Path) -> bool:
+    """Tell whether a robot needs a file: learning and the commands that start it are for other machines."""
+    package, *rooms = file.relative_to(ROOT).parts[1:]
+    return package not in METHODS or not {"training", "cli"} & set(rooms)
+
+
+def test_what_runs_on_a_robot_imports_no_training_and_no_simulation() -> None:
+    for package in METHODS:
+        for file in filter(runs_on_a_robot, sources(package)):
+            imported = modules_imported(file)
+            above = {name for name in imported if name.startswith((f"{package}.training", f"{package}.cli"))}
+            assert not above, f"{file.relative_to(ROOT)} imports {sorted(above)}"
+
+
+@pytest.mark.parametrize("package", MAY_IMPORT)
+def test_the_first_level_of_a_package_is_one_look(package: str) -> None:
+    files = [file for file in (ROOT / package / package).iterdir() if file.is_file()]
+    assert len(files) <= 12, sorted(file.name for file in files)
+
+
+def test_a_circle_is_found() -> None:
+    with pytest.raises(CycleError):
+        TopologicalSorter({**arrows(), "ctrl_rl_core.errors": {"ctrl_rl_bringup.cli"}}).prepare()
+
+
 @pytest.mark.parametrize("package", MAY_IMPORT)
 def test_packages_import_only_what_lies_before_them(package: str) -> None:
     assert sources(package)
     for file in sources(package):
         ours = imports_of(file) & set(MAY_IMPORT) - {package}
         allowed = MAY_IMPORT[package]
-        if package in METHODS and ("training" in file.stem or file.parent.name == "training"):
+        if not runs_on_a_robot(file):
             allowed = allowed | {"sim_bridge", "ctrl_rl_training"}
         assert ours <= allowed, f"{file.relative_to(ROOT)} imports {ours - allowed}"
 
@@ -89,9 +155,10 @@ def test_packages_import_only_what_lies_before_them(package: str) -> None:
 def test_package_xml_names_every_ros_package_that_is_imported(package: str) -> None:
     text = (ROOT / package / "package.xml").read_text(encoding="utf-8")
     named = set(re.findall(r"<(?:exec_|build_)?depend>(\w+)<", text)) | {package}
-    used = set().union(*(imports_of(file) for file in sources(package)))
+    used = set().union(*(imports_of(file) for file in sources(package) if runs_on_a_robot(file)))
     ros = {name for name in used if name in MAY_IMPORT or ROS_PACKAGE.fullmatch(name)}
     assert ros <= named, f"{package}/package.xml lacks {sorted(ros - named)}"
+    assert package not in METHODS or not named & {"ctrl_rl_training", "sim_bridge"}, "a robot's install has neither"
 
 
 @pytest.mark.parametrize("module", RUN_TIME_MODULES)

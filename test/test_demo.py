@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commands import check_refused, command, start
-from ctrl_rl_bringup.report import read_drive
+from ctrl_rl_bringup.corridor.report import read_drive
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 

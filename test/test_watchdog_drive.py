@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import pytest
 import rclpy
-from ctrl_rl_core.ros import SENSOR
+from ctrl_rl_core.ros.node import SENSOR
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
 

@@ -1,4 +1,4 @@
-from setuptools import setup
+from setuptools import find_packages, setup
 
 NAME = "ttr_reward_node"
 
@@ -7,8 +7,8 @@ setup(
     version="0.1.0",
     description="Time-to-reach rewards from Hamilton-Jacobi value functions (thesis 3.2).",
     license="Apache-2.0",
-    packages=[NAME],
-    package_data={"ttr_reward_node": ["py.typed"]},
+    packages=find_packages(include=[NAME, f"{NAME}.*"]),
+    package_data={NAME: ["py.typed"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
@@ -18,14 +18,14 @@ setup(
     zip_safe=False,
     entry_points={
         "console_scripts": [
-            "check = ttr_reward_node.cli:check",
-            "relabel = ttr_reward_node.cli:relabel_bag",
-            "reward = ttr_reward_node.node:main",
-            "slices = ttr_reward_node.cli:slices",
-            "solve = ttr_reward_node.cli:solve_value",
-            "ttr_experiments = ttr_reward_node.experiments_cli:main",
-            "train = ttr_reward_node.training_cli:train",
-            "training_figures = ttr_reward_node.training_cli:training_figures",
+            "check = ttr_reward_node.cli.values:check",
+            "relabel = ttr_reward_node.cli.values:relabel_bag",
+            "reward = ttr_reward_node.nodes.reward_node:main",
+            "slices = ttr_reward_node.cli.values:slices",
+            "solve = ttr_reward_node.cli.values:solve_value",
+            "ttr_experiments = ttr_reward_node.cli.experiments:main",
+            "train = ttr_reward_node.training.cli:train",
+            "training_figures = ttr_reward_node.training.cli:training_figures",
         ],
     },
 )

@@ -2,11 +2,11 @@
 
 from pathlib import Path
 
-from ctrl_rl_bringup.launching import Launch, description
-from ctrl_rl_bringup.prepare import new_run, value_files
-from ctrl_rl_bringup.stack import DriveOptions, controller, recorder, simulator, value_nodes, watchdog
-from ctrl_rl_core.tasks import task_file
-from koopman_lqr_controller.policy_file import find_policy
+from ctrl_rl_bringup.runner.launching import Launch, description
+from ctrl_rl_bringup.runner.prepare import new_run, value_files
+from ctrl_rl_bringup.runner.stack import DriveOptions, controller, recorder, simulator, value_nodes, watchdog
+from ctrl_rl_core.tasks.task import task_file
+from koopman_lqr_controller.policies.policy_file import find_policy
 from launch import LaunchDescription
 
 ARGUMENTS = {

@@ -2,10 +2,10 @@
 
 from pathlib import Path
 
-from ctrl_rl_bringup.launching import Launch, description
-from ctrl_rl_bringup.options_run import new_team_run
-from ctrl_rl_bringup.options_stack import TeamOptions, agents, coordinator, team_simulator, watchdogs
-from ctrl_rl_bringup.stack import recorder
+from ctrl_rl_bringup.runner.launching import Launch, description
+from ctrl_rl_bringup.runner.stack import recorder
+from ctrl_rl_bringup.team.run import new_team_run
+from ctrl_rl_bringup.team.stack import TeamOptions, agents, coordinator, team_simulator, watchdogs
 from launch import LaunchDescription
 
 ARGUMENTS = {

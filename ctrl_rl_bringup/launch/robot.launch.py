@@ -3,7 +3,7 @@
 The watchdog stops the robot when the controller dies. It is started again when it dies itself, and begins with zeros.
 """
 
-from koopman_lqr_controller.policy_file import DEFAULT_POLICY
+from koopman_lqr_controller.policies.policy_file import DEFAULT_POLICY
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument
 from launch.substitutions import LaunchConfiguration

@@ -3,8 +3,8 @@
 import os
 
 import pytest
-from ctrl_rl_bringup.cli import run_alone
-from ctrl_rl_bringup.domain import DomainError, claim, own_domain, stay_local
+from ctrl_rl_bringup.cli.drive import run_alone
+from ctrl_rl_bringup.runner.domain import DomainError, claim, own_domain, stay_local
 from rclpy.context import Context
 from rclpy.node import Node
 from sensor_msgs.msg import LaserScan

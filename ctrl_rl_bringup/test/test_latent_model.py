@@ -5,13 +5,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ctrl_rl_bringup.latent_model import LatentModel, read_latent_model
-from ctrl_rl_core.bags import BagWriter, Topic
-from ctrl_rl_core.message_types import message_definition
-from ctrl_rl_core.ros import to_stamp
-from koopman_lqr_controller.policy_file import digest, find_policy, load_policy
+from ctrl_rl_bags.recording.message_types import message_definition
+from ctrl_rl_bringup.corridor.latent_model import LatentModel, read_latent_model
+from ctrl_rl_core.ros.node import to_stamp
+from koopman_lqr_controller.policies.policy_file import digest, find_policy, load_policy
 from rclpy.serialization import serialize_message
 
+from ctrl_rl_bags import BagWriter, Topic
 from ctrl_rl_msgs.msg import LatentState
 
 KIND = "ctrl_rl_msgs/msg/LatentState"

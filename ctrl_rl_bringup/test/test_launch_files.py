@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from ctrl_rl_bringup.options_stack import TeamOptions, agents, coordinator, team_of, team_simulator
-from ctrl_rl_bringup.processes import executable_path
-from ctrl_rl_bringup.stack import DriveOptions, NodeSpec, controller, recorder, simulator, value_nodes
+from ctrl_rl_bringup.runner.processes import executable_path
+from ctrl_rl_bringup.runner.stack import DriveOptions, NodeSpec, controller, recorder, simulator, value_nodes
+from ctrl_rl_bringup.team.stack import TeamOptions, agents, coordinator, team_of, team_simulator
 
 FILES = sorted((Path(__file__).parents[1] / "launch").glob("*.launch.py"))
 RUNS = [file for file in FILES if "Launch(" in file.read_text()]

@@ -5,9 +5,9 @@ import sys
 from pathlib import Path
 
 import pytest
-from ctrl_rl_bringup.monitor import Monitor
-from ctrl_rl_bringup.report import read_drive
-from ctrl_rl_bringup.session import ros
+from ctrl_rl_bringup.corridor.report import read_drive
+from ctrl_rl_bringup.runner.monitor import Monitor
+from ctrl_rl_bringup.runner.session import ros
 
 _FROZEN_SPINS = 40
 """Calls of `check` at least 50 ms apart: longer than what the monitor lets matches settle."""

@@ -6,9 +6,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from ctrl_rl_bringup.processes import ProcessError, Processes, executable_path
-from ctrl_rl_bringup.stack import DriveOptions, NodeSpec, controller, recorder, scripted_driver
-from ctrl_rl_core.tasks import task_file
+from ctrl_rl_bringup.runner.processes import ProcessError, Processes, executable_path
+from ctrl_rl_bringup.runner.stack import DriveOptions, NodeSpec, controller, recorder, scripted_driver
+from ctrl_rl_core.tasks.task import task_file
 
 
 def wait_until(said: Path, words: str) -> None:

@@ -5,8 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ctrl_rl_bringup.transport import Sent, answer_latencies, lost_messages, read_sent
-from ctrl_rl_core.bags import BagWriter, Topic
+from ctrl_rl_bringup.runner.transport import Sent, answer_latencies, lost_messages, read_sent
+
+from ctrl_rl_bags import BagWriter, Topic
 
 MS = 10**6
 

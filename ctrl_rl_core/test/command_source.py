@@ -4,7 +4,7 @@ import argparse
 import time
 
 import rclpy
-from ctrl_rl_core.ros import COMMAND
+from ctrl_rl_core.ros.node import COMMAND
 from geometry_msgs.msg import TwistStamped
 from rclpy.node import Node
 

@@ -11,9 +11,9 @@ if "--without-events" in sys.argv:
     sys.modules["rclpy.experimental"] = None
 
 from ctrl_rl_core.errors import CtrlRlError
-from ctrl_rl_core.parameters import Parameter
-from ctrl_rl_core.ros import SuiteNode, ok, run_node
-from ctrl_rl_core.running import interruptible
+from ctrl_rl_core.ros.node import SuiteNode, ok, run_node
+from ctrl_rl_core.ros.parameters import Parameter
+from ctrl_rl_core.ros.running import interruptible
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 

@@ -4,10 +4,10 @@ import math
 
 import numpy as np
 import pytest
-from ctrl_rl_core.drive_safety import DriveSafety
-from ctrl_rl_core.obstacle_stop import ObstacleStop
-from ctrl_rl_core.scan import DIRECTIONS, MOST_BEAMS, ScanError, ScanGeometry, view
-from ctrl_rl_core.scan_health import MIXED, ScanHealth
+from ctrl_rl_core.driving.drive_safety import DriveSafety
+from ctrl_rl_core.driving.obstacle_stop import ObstacleStop
+from ctrl_rl_core.driving.scan import DIRECTIONS, MOST_BEAMS, ScanError, ScanGeometry, view
+from ctrl_rl_core.driving.scan_health import MIXED, ScanHealth
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

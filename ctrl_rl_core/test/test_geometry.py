@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from ctrl_rl_core.geometry import Arc, Box, Disc, Path, frame_walls, signed_distance
+from ctrl_rl_core.geometry.shapes import Arc, Box, Disc, Path, frame_walls, signed_distance
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

@@ -4,12 +4,12 @@ import subprocess
 import sys
 
 import pytest
-from ctrl_rl_core.lock import LockError, alone
+from ctrl_rl_core.processes.exclusive_lock import LockError, alone
 
 HOLD = """
 import sys
 from pathlib import Path
-from ctrl_rl_core.lock import alone
+from ctrl_rl_core.processes.exclusive_lock import alone
 with alone(Path(sys.argv[1])):
     print("held", flush=True)
     sys.stdin.read()

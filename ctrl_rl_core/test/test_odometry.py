@@ -5,7 +5,7 @@ from types import SimpleNamespace as Message
 
 import numpy as np
 import pytest
-from ctrl_rl_core.odometry import OdometryError, OdometryReader
+from ctrl_rl_core.geometry.odometry import OdometryError, OdometryReader
 from hypothesis import given
 from hypothesis import strategies as st
 

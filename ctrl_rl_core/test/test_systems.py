@@ -3,8 +3,8 @@ import math
 import casadi
 import numpy as np
 import pytest
-from ctrl_rl_core.system_models import SYSTEM_MODELS
-from ctrl_rl_core.systems import System, SystemModelError, make_system
+from ctrl_rl_core.systems.models import SYSTEM_MODELS
+from ctrl_rl_core.systems.system import System, SystemModelError, make_system
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numba import njit

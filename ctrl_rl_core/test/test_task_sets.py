@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from ctrl_rl_core.outcome import Outcome
-from ctrl_rl_core.task_sets import PathCoordinates, TaskSets
-from ctrl_rl_core.tasks import load_navigation_task
+from ctrl_rl_core.tasks.outcome import Outcome
+from ctrl_rl_core.tasks.task import load_navigation_task
+from ctrl_rl_core.tasks.task_sets import PathCoordinates, TaskSets
 from hypothesis import given
 from hypothesis import strategies as st
 

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from ctrl_rl_core.regions import wrap
-from ctrl_rl_core.tasks import (
+from ctrl_rl_core.tasks.regions import wrap
+from ctrl_rl_core.tasks.task import (
     FOLDER,
     TaskError,
     load_navigation_task,

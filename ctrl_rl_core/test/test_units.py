@@ -3,7 +3,7 @@
 import math
 
 import pytest
-from ctrl_rl_core.units import Interval, parse_interval, parse_scalar, parse_vector
+from ctrl_rl_core.geometry.units import Interval, parse_interval, parse_scalar, parse_vector
 from hypothesis import given
 from hypothesis import strategies as st
 

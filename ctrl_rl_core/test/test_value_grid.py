@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from ctrl_rl_core.value_grid import Axis, GridError, ValueGrid
+from ctrl_rl_core.values.value_grid import Axis, GridError, ValueGrid
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from safetensors import safe_open
@@ -407,7 +407,7 @@ def test_works_without_a_writable_cache_folder(tmp_path):
         "import numba.core.caching as caching\n"
         "caching.CacheImpl._locator_classes = []\n"
         "import numpy as np\n"
-        "from ctrl_rl_core.value_grid import Axis, ValueGrid\n"
+        "from ctrl_rl_core.values.value_grid import Axis, ValueGrid\n"
         "grid = ValueGrid(np.array([0.0, 1.0]), (Axis('x', 'm', 0.0, 1.0, 2),), 'oc_value', 't', 'a' * 64, 's', 0.0)\n"
         "assert grid.at(np.array([0.25])) == 0.25\n"
     )

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rclpy
-from ctrl_rl_core.ros import COMMAND
+from ctrl_rl_core.ros.node import COMMAND
 from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
@@ -20,9 +20,9 @@ from rclpy.node import Node
 DRIVER = '''
 import sys
 import numpy as np
-from ctrl_rl_core.parameters import Parameter
-from ctrl_rl_core.ros import SENSOR, run_node
-from ctrl_rl_core.velocity_node import VELOCITY_PARAMETERS, VelocityError, VelocityNode
+from ctrl_rl_core.ros.parameters import Parameter
+from ctrl_rl_core.ros.node import SENSOR, run_node
+from ctrl_rl_core.driving.velocity_node import VELOCITY_PARAMETERS, VelocityError, VelocityNode
 from nav_msgs.msg import Odometry
 
 

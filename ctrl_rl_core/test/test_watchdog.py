@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 import rclpy
 from command_source import SPEED
-from ctrl_rl_core.ros import COMMAND
-from ctrl_rl_core.watchdog import Watchdog
-from ctrl_rl_core.watchdog_node import WatchdogNode, refusal
+from ctrl_rl_core.driving.watchdog import Watchdog
+from ctrl_rl_core.driving.watchdog_node import WatchdogNode, refusal
+from ctrl_rl_core.ros.node import COMMAND
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import Twist, TwistStamped
 from hypothesis import given
@@ -302,7 +302,7 @@ def test_plain_twists_pass_where_the_robot_is_older(run_node: Callable) -> None:
 
 def test_it_starts_without_the_heavy_libraries() -> None:
     """A robot that has lost its watchdog waits for the next one."""
-    code = "import sys, ctrl_rl_core.watchdog_node; print(sorted({'numba', 'scipy'} & set(sys.modules)))"
+    code = "import sys, ctrl_rl_core.driving.watchdog_node; print(sorted({'numba', 'scipy'} & set(sys.modules)))"
     answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert answer.stdout.strip() == "[]"
 

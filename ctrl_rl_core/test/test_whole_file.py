@@ -1,7 +1,7 @@
 """Files that are there whole or not at all."""
 
 import pytest
-from ctrl_rl_core.whole_file import is_temporary, write_whole
+from ctrl_rl_core.io.atomic_write import is_temporary, write_whole
 
 
 def test_text_and_bytes_replace_what_was_there(tmp_path):

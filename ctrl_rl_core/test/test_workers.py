@@ -7,7 +7,7 @@ import sys
 import time
 
 import pytest
-from ctrl_rl_core.workers import WorkersError, in_processes
+from ctrl_rl_core.processes.workers import WorkersError, in_processes
 
 _prepared = []
 
@@ -55,7 +55,7 @@ import sys
 from pathlib import Path
 sys.path.insert(0, sys.argv[1])
 from test_workers import note_and_wait
-from ctrl_rl_core.workers import in_processes
+from ctrl_rl_core.processes.workers import in_processes
 if __name__ == "__main__":
     list(in_processes(note_and_wait, [Path(sys.argv[2])], 1))
 """

@@ -9,15 +9,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 from ctrl_rl_core.command import check_least, file_to_write, folder_to_write
-from ctrl_rl_core.results import Result, ResultsError, write_results
-from ctrl_rl_core.task_parts import TaskHeader
-from ctrl_rl_core.tasks import NavigationTask, load_navigation_task, task_digest, task_names
+from ctrl_rl_core.io.results import Result, ResultsError, write_results
+from ctrl_rl_core.tasks.task import NavigationTask, load_navigation_task, task_digest, task_names
+from ctrl_rl_core.tasks.task_schema import TaskHeader
 
-from ctrl_rl_training.run_folder import Named
+from ctrl_rl_training.experiments.run_folder import Named
 
 if TYPE_CHECKING:
-    from ctrl_rl_training.figure_data import Figures
-    from ctrl_rl_training.training import Options
+    from ctrl_rl_training.experiments.figure_data import Figures
+    from ctrl_rl_training.sb3.training import Options
 
 
 class RunOfTask(Named, Protocol):
@@ -72,10 +72,10 @@ def train_and_collect(
     Raises:
         CtrlRlError: see `train_all`.
     """
-    from ctrl_rl_training.matrix import train_all
+    from ctrl_rl_training.experiments.matrix import train_all
 
     task = runs[0].task
-    train_all(runs, how or _usual(options), options.workers, task.name, train)
+    train_all(runs, how or _usual(options), train or _train_with_sb3(), options.workers, task.name)
     rows, figures = collect(runs, options.folder)
     print(as_text(rows))
     if options.results is not None:
@@ -84,8 +84,14 @@ def train_and_collect(
         print(f"results    {options.results}")
 
 
+def _train_with_sb3() -> Callable[..., dict[str, Any]]:
+    from ctrl_rl_training.sb3.training import train_one  # its simulator and library are not for every run
+
+    return train_one
+
+
 def _usual(options: argparse.Namespace) -> Options:
-    from ctrl_rl_training.training import Options  # its simulator and library are not for every run
+    from ctrl_rl_training.sb3.training import Options  # its simulator and library are not for every run
 
     return Options(options.folder, options.iterations)
 
@@ -108,7 +114,7 @@ def read_training(options: argparse.Namespace, kind: type[Figures]) -> tuple[dic
         ResultsError: they are not such results, or of another task.
         TaskError: there is no such task.
     """
-    from ctrl_rl_training.results import read_figures
+    from ctrl_rl_training.experiments.results import read_figures
 
     figures = read_figures(options.results, kind)
     name = figures["task"]

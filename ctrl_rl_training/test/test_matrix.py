@@ -3,7 +3,7 @@
 import io
 from queue import Queue
 
-from ctrl_rl_training.matrix import _show
+from ctrl_rl_training.experiments.matrix import _show
 from tqdm import tqdm
 
 

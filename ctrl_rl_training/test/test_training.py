@@ -7,16 +7,16 @@ from functools import partial
 
 import numpy as np
 import pytest
-from ctrl_rl_core.tasks import load_navigation_task
-from ctrl_rl_training.actor import Actor
-from ctrl_rl_training.algorithm_names import ALGORITHMS
-from ctrl_rl_training.algorithms import ROLL_OUT, extract_actor, make_algorithm
-from ctrl_rl_training.environment import make_environment
+from ctrl_rl_core.tasks.task import load_navigation_task
 from ctrl_rl_training.errors import TrainingError
-from ctrl_rl_training.matrix import train_all
-from ctrl_rl_training.run_folder import result_file
-from ctrl_rl_training.training import Options, evaluate, train_one
-from ctrl_rl_training.visits import load_visits
+from ctrl_rl_training.experiments.matrix import train_all
+from ctrl_rl_training.experiments.run_folder import result_file
+from ctrl_rl_training.io.actor import Actor
+from ctrl_rl_training.sb3.algorithm_names import ALGORITHMS
+from ctrl_rl_training.sb3.algorithms import ROLL_OUT, extract_actor, make_algorithm
+from ctrl_rl_training.sb3.environment import make_environment
+from ctrl_rl_training.sb3.state_visitation import load_visits
+from ctrl_rl_training.sb3.training import Options, evaluate, train_one
 
 TASK = load_navigation_task("quad_ttr")
 SHORT = {"iterations": 2, "samples": ROLL_OUT, "evaluations": 1, "final_evaluations": 2}
@@ -93,10 +93,10 @@ def test_evaluations_are_the_same_for_all():
 def test_many_runs_on_several_cores_and_never_twice(tmp_path):
     runs = [PlainRun("ppo", seed) for seed in range(2)]
     options = Options(tmp_path, 1, ROLL_OUT, 1, 1)
-    results = train_all(runs, options, workers=2)
+    results = train_all(runs, options, train_one, workers=2)
     assert [result["run"]["seed"] for result in results] == [0, 1]
     before = [result_file(tmp_path, run).stat().st_mtime_ns for run in runs]
-    assert train_all(runs, options) == results
+    assert train_all(runs, options, train_one) == results
     assert before == [result_file(tmp_path, run).stat().st_mtime_ns for run in runs]
 
 
@@ -105,7 +105,7 @@ def test_a_finished_run_is_not_made_longer_and_says_what_to_do_instead(tmp_path)
     train_one(runs[1], Options(tmp_path, 1, ROLL_OUT, 1, 1))
     what_to_do = r"result\.json: is finished with 1 iterations .* ask for 1 again, or .* delete .*ppo-0 to learn 2 from"
     with pytest.raises(TrainingError, match=what_to_do):
-        train_all(runs, Options(tmp_path, 2, ROLL_OUT, 1, 1))
+        train_all(runs, Options(tmp_path, 2, ROLL_OUT, 1, 1), train_one)
     assert not (tmp_path / "ppo-1").exists(), "it is said before anything is learnt"
 
 
@@ -141,5 +141,5 @@ def test_a_file_that_is_no_policy_is_named(tmp_path):
 
 
 def test_the_deployed_policy_needs_no_torch():
-    program = "import sys, ctrl_rl_training.actor; sys.exit('torch' in sys.modules or 'gymnasium' in sys.modules)"
+    program = "import sys, ctrl_rl_training.io.actor; sys.exit('torch' in sys.modules or 'gymnasium' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0

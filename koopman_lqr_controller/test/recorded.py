@@ -3,8 +3,9 @@
 from pathlib import Path
 
 import numpy as np
-from ctrl_rl_core.bags import BagWriter, Topic
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from ctrl_rl_bags import BagWriter, Topic
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 MESSAGES = Path(__file__).parents[2] / "ctrl_rl_msgs" / "msg"

@@ -7,12 +7,12 @@ from functools import partial
 
 import numpy as np
 import rclpy
-from ctrl_rl_core.ros import COMMAND, RESULT, SCAN_PUBLISHER, to_stamp
+from ctrl_rl_core.ros.node import COMMAND, RESULT, SCAN_PUBLISHER, to_stamp
 from geometry_msgs.msg import Twist, TwistStamped
-from koopman_lqr_controller.edmd import LinearModel
-from koopman_lqr_controller.encoder import Dense, Encoder
-from koopman_lqr_controller.latent_controller import LatentController
-from koopman_lqr_controller.latent_policy import LatentPolicy, LidarWiring
+from koopman_lqr_controller.control.latent_controller import LatentController
+from koopman_lqr_controller.models.edmd import LinearModel
+from koopman_lqr_controller.models.encoder import Dense, Encoder
+from koopman_lqr_controller.policies.latent_policy import LatentPolicy, LidarWiring
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from sensor_msgs.msg import LaserScan

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from koopman_lqr_controller.analysis import (
+from koopman_lqr_controller.control.linear_analysis import (
     components_for,
     controllability_values,
     costs_of,
@@ -19,9 +19,9 @@ from koopman_lqr_controller.analysis import (
     ranks,
     variances,
 )
-from koopman_lqr_controller.edmd import LinearModel
-from koopman_lqr_controller.riccati import solve_lqr
-from koopman_lqr_controller.straight_corridor import StraightCorridor
+from koopman_lqr_controller.control.riccati import solve_lqr
+from koopman_lqr_controller.models.edmd import LinearModel
+from koopman_lqr_controller.training.analysis.straight_corridor import StraightCorridor
 
 SEEDS = st.integers(0, 2**31)
 

@@ -4,11 +4,11 @@ import time
 from collections.abc import Callable
 
 import pytest
-from ctrl_rl_core.outcome import Outcome
-from ctrl_rl_core.ros import RESULT, SENSOR
+from ctrl_rl_core.ros.node import RESULT, SENSOR
+from ctrl_rl_core.tasks.outcome import Outcome
 from hypothesis import given
 from hypothesis import strategies as st
-from koopman_lqr_controller.arrival import ENDED, Arrival
+from koopman_lqr_controller.nodes.arrival import ENDED, Arrival
 from nav_msgs.msg import Odometry
 from robot_side import Robot, ask, corridor
 

@@ -5,13 +5,13 @@ import shlex
 from pathlib import Path
 
 import pytest
-from koopman_lqr_controller.policy_file import load_policy
-from koopman_lqr_controller.training.compare_cli import compare, comparison_figures
-from koopman_lqr_controller.training.comparison_results import collect_comparison
-from koopman_lqr_controller.training.comparisons import COMPARISONS
-from koopman_lqr_controller.training.methods import LEARNERS, METHODS
-from koopman_lqr_controller.training.problems import find_problem
-from koopman_lqr_controller.training_cli import learn
+from koopman_lqr_controller.cli.compare import compare, comparison_figures
+from koopman_lqr_controller.cli.learn import learn
+from koopman_lqr_controller.policies.policy_file import load_policy
+from koopman_lqr_controller.training.environments.problems import find_problem
+from koopman_lqr_controller.training.experiments.comparison_results import collect_comparison
+from koopman_lqr_controller.training.experiments.comparisons import COMPARISONS
+from koopman_lqr_controller.training.experiments.methods import LEARNERS, METHODS
 
 TINY = ["--tasks", "cartpole_swingup", "--seeds", "1", "--workers", "1", "--chunks", "1", "--actions", "60"]
 TINY += ["--episodes", "1", "--consolidation", "0", "--set", "batch=16", "hidden=16", "latent=6", "first_steps=30"]

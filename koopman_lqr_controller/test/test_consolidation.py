@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from koopman_lqr_controller.data.roll_outs import evaluate, noisy_roll_outs, projected
 from koopman_lqr_controller.errors import KoopmanError
-from koopman_lqr_controller.prediction import horizon_errors
-from koopman_lqr_controller.roll_outs import evaluate, noisy_roll_outs, projected
-from koopman_lqr_controller.training.consolidation import Plan, _surely_lost, consolidate, proof
-from koopman_lqr_controller.training.distillation import DistillationSettings, Distilled
+from koopman_lqr_controller.models.prediction import horizon_errors
+from koopman_lqr_controller.training.consolidation.consolidation import Plan, _surely_lost, consolidate, proof
+from koopman_lqr_controller.training.consolidation.distillation import DistillationSettings, Distilled
 from line import Line, learnt_controller
 
 QUICK = DistillationSettings(hidden=64, updates=600, batch=128)

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from koopman_lqr_controller.latent_policy import LatentPolicy, LidarWiring
-from koopman_lqr_controller.lidar import ScanGeometry
-from koopman_lqr_controller.lidar_observation import LidarObservation
-from koopman_lqr_controller.policy_file import DEFAULT_POLICY, find_policy, load_policy, save_policy
-from koopman_lqr_controller.region import Region
+from koopman_lqr_controller.policies.latent_policy import LatentPolicy, LidarWiring
+from koopman_lqr_controller.policies.policy_file import DEFAULT_POLICY, find_policy, load_policy, save_policy
+from koopman_lqr_controller.safety.latent_distribution import Region
+from koopman_lqr_controller.sensing.lidar import ScanGeometry
+from koopman_lqr_controller.sensing.lidar_observation import LidarObservation
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.parameter import Parameter
 from robot_side import Robot, a_policy, ask, corridor

@@ -9,14 +9,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ctrl_rl_core.bags import read_messages
-from ctrl_rl_core.ros import to_stamp
-from koopman_lqr_controller.latent_policy import LidarWiring
-from koopman_lqr_controller.lidar_observation import LidarObservation
-from koopman_lqr_controller.policy_file import save_policy
+from ctrl_rl_core.ros.node import to_stamp
+from koopman_lqr_controller.policies.latent_policy import LidarWiring
+from koopman_lqr_controller.policies.policy_file import save_policy
+from koopman_lqr_controller.sensing.lidar_observation import LidarObservation
 from nav_msgs.msg import Odometry
 from robot_side import PATIENCE_S, Robot, a_policy, answered, ask, corridor
 from sensor_msgs.msg import LaserScan
+
+from ctrl_rl_bags import read_messages
 
 V_LIMIT, OMEGA_LIMIT = 0.22, 2.84
 SCAN_PERIOD_NS = 200_000_000

@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from ctrl_rl_core.ros import COMMAND
+from ctrl_rl_core.ros.node import COMMAND
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import TwistStamped
 from robot_side import Robot, ask, corridor

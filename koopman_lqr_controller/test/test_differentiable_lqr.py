@@ -5,9 +5,9 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from koopman_lqr_controller.edmd import LinearModel
-from koopman_lqr_controller.riccati import finite_horizon, solve_lqr
-from koopman_lqr_controller.training.differentiable_lqr import LatentLqr, doubled_gain, riccati_gain
+from koopman_lqr_controller.control.riccati import finite_horizon, solve_lqr
+from koopman_lqr_controller.models.edmd import LinearModel
+from koopman_lqr_controller.training.networks.differentiable_lqr import LatentLqr, doubled_gain, riccati_gain
 from scipy.linalg import solve_discrete_are
 
 SEEDS = st.integers(0, 10_000)

@@ -5,13 +5,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from koopman_lqr_controller.edmd import LinearModel
-from koopman_lqr_controller.encoder import Dense, Encoder
+from koopman_lqr_controller.control.latent_controller import LatentController
+from koopman_lqr_controller.data.roll_outs import Episode, noisy_roll_outs, projected
 from koopman_lqr_controller.errors import KoopmanError
-from koopman_lqr_controller.latent_controller import LatentController
-from koopman_lqr_controller.prediction import horizon_errors, law_error
-from koopman_lqr_controller.roll_outs import Episode, noisy_roll_outs, projected
-from koopman_lqr_controller.training.distillation import DistillationSettings, distil
+from koopman_lqr_controller.models.edmd import LinearModel
+from koopman_lqr_controller.models.encoder import Dense, Encoder
+from koopman_lqr_controller.models.prediction import horizon_errors, law_error
+from koopman_lqr_controller.training.consolidation.distillation import DistillationSettings, distil
 
 SETTINGS = DistillationSettings(hidden=64, updates=800, batch=128)
 GOAL = np.zeros(2)

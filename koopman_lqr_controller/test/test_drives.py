@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from koopman_lqr_controller.drives import Drive, drives_of, snapshots_of, split
+from koopman_lqr_controller.data.drives import Drive, drives_of, snapshots_of, split
 from koopman_lqr_controller.errors import KoopmanError
-from koopman_lqr_controller.observables import CorridorObservables
+from koopman_lqr_controller.sensing.observables import CorridorObservables
 from recorded import KINDS, STEP, Bag
 
 OBSERVABLES = CorridorObservables()

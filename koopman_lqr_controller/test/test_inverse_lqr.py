@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from koopman_lqr_controller.edmd import LinearModel
+from koopman_lqr_controller.control.inverse_lqr import Law, fit_costs, mismatch_and_gradient
+from koopman_lqr_controller.control.riccati import solve_lqr
 from koopman_lqr_controller.errors import KoopmanError
-from koopman_lqr_controller.inverse_lqr import Law, fit_costs, mismatch_and_gradient
-from koopman_lqr_controller.riccati import solve_lqr
+from koopman_lqr_controller.models.edmd import LinearModel
 
 
 def some_model(random: np.random.Generator, n: int = 4, m: int = 2) -> LinearModel:

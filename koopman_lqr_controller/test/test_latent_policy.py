@@ -7,18 +7,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ctrl_rl_core.checked_tensors import encode_tensors, read_tensors
+from ctrl_rl_core.io.checked_tensors import encode_tensors, read_tensors
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from koopman_lqr_controller.edmd import LinearModel
-from koopman_lqr_controller.encoder import Dense, Encoder, LayerNorm
+from koopman_lqr_controller.control.latent_controller import LatentController
 from koopman_lqr_controller.errors import KoopmanError
-from koopman_lqr_controller.latent_controller import LatentController
-from koopman_lqr_controller.latent_policy import LatentPolicy, LidarWiring
-from koopman_lqr_controller.lidar import ScanGeometry
-from koopman_lqr_controller.lidar_observation import LidarObservation
-from koopman_lqr_controller.policy import DrivingPolicy
-from koopman_lqr_controller.policy_file import load_policy, save_policy
+from koopman_lqr_controller.models.edmd import LinearModel
+from koopman_lqr_controller.models.encoder import Dense, Encoder, LayerNorm
+from koopman_lqr_controller.policies.edmd_policy import DrivingPolicy
+from koopman_lqr_controller.policies.latent_policy import LatentPolicy, LidarWiring
+from koopman_lqr_controller.policies.policy_file import load_policy, save_policy
+from koopman_lqr_controller.sensing.lidar import ScanGeometry
+from koopman_lqr_controller.sensing.lidar_observation import LidarObservation
 from safetensors import safe_open
 from scipy.linalg import solve_discrete_are
 
@@ -249,7 +249,8 @@ def test_deciding_needs_neither_torch_nor_a_simulator(tmp_path: Path) -> None:
     path = tmp_path / "policy.safetensors"
     save_policy(some_policy(), path)
     program = (
-        "import sys\nfrom pathlib import Path\nimport numpy as np\nimport koopman_lqr_controller.node as node\n"
+        "import sys\nfrom pathlib import Path\nimport numpy as np\n"
+        "import koopman_lqr_controller.nodes.controller_node as node\n"
         f"policy = node.load_policy(Path({str(path)!r}))\n"
         "policy.decide(np.ones(360, np.float32), node._SOME_SCAN, 0.0, 0.0)\n"
         "sys.exit(any(name in sys.modules for name in ('torch', 'gymnasium', 'pybullet', 'mujoco')))"

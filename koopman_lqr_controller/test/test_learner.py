@@ -11,20 +11,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from ctrl_rl_core.checked_json import read_json
+from ctrl_rl_core.io.checked_json import read_json
 from ctrl_rl_training.errors import TrainingError
-from ctrl_rl_training.run_folder import result_file
+from ctrl_rl_training.experiments.run_folder import result_file
+from koopman_lqr_controller.data.roll_outs import evaluate
 from koopman_lqr_controller.errors import KoopmanError
-from koopman_lqr_controller.policy_file import load_policy
-from koopman_lqr_controller.roll_outs import evaluate
-from koopman_lqr_controller.training.actor import Interface
-from koopman_lqr_controller.training.agent import Agent
-from koopman_lqr_controller.training.consolidation import REPORT_SEED
-from koopman_lqr_controller.training.course import POLICY_FILE, LearningOptions
-from koopman_lqr_controller.training.encoder_losses import Seen
-from koopman_lqr_controller.training.problems import PROBLEMS
+from koopman_lqr_controller.policies.policy_file import load_policy
+from koopman_lqr_controller.training.agents.actor import Interface
+from koopman_lqr_controller.training.agents.agent import Agent
+from koopman_lqr_controller.training.consolidation.consolidation import REPORT_SEED
+from koopman_lqr_controller.training.environments.problems import PROBLEMS
+from koopman_lqr_controller.training.experiments.runs import LearningRun, learn_one
+from koopman_lqr_controller.training.experiments.trainer import POLICY_FILE, LearningOptions
+from koopman_lqr_controller.training.networks.encoder_losses import Seen
 from koopman_lqr_controller.training.replay import Transitions
-from koopman_lqr_controller.training.runs import LearningRun, learn_one
 from koopman_lqr_controller.training.settings import Settings
 
 TINY = (("batch", 16), ("first_steps", 30), ("hidden", 16), ("latent", 6))
@@ -122,8 +122,8 @@ def test_a_run_that_was_killed_goes_on_exactly(tmp_path: Path) -> None:
     whole, killed = tmp_path / "whole", tmp_path / "killed"
     learn_one(RUN, options(whole))
     program = (
-        "from pathlib import Path\nfrom koopman_lqr_controller.training.course import LearningOptions\n"
-        "from koopman_lqr_controller.training.runs import LearningRun, learn_one\n"
+        "from pathlib import Path\nfrom koopman_lqr_controller.training.experiments.trainer import LearningOptions\n"
+        "from koopman_lqr_controller.training.experiments.runs import LearningRun, learn_one\n"
         f"learn_one({RUN!r}, LearningOptions(Path({str(killed)!r}), 3, 40, 1, 2))"
     )
     process = subprocess.Popen([sys.executable, "-c", program])
@@ -327,7 +327,7 @@ def test_a_device_that_is_not_there_is_named(tmp_path: Path) -> None:
 
 def test_learning_needs_no_other_library_of_learning() -> None:
     program = (
-        "import sys, koopman_lqr_controller.training.runs, ctrl_rl_training.matrix\n"
+        "import sys, koopman_lqr_controller.training.experiments.runs, ctrl_rl_training.experiments.matrix\n"
         "sys.exit(any(name in sys.modules for name in ('stable_baselines3', 'pybullet', 'casadi')))"
     )
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0

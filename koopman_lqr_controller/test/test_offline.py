@@ -5,20 +5,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from koopman_lqr_controller.drives import Drive
-from koopman_lqr_controller.edmd import LinearModel
-from koopman_lqr_controller.encoder import Dense, Encoder
+from koopman_lqr_controller.cli.offline import evaluate, fit, learn_offline
+from koopman_lqr_controller.cli.train import main as train
+from koopman_lqr_controller.control.latent_controller import LatentController
+from koopman_lqr_controller.data.drives import Drive
 from koopman_lqr_controller.errors import KoopmanError
-from koopman_lqr_controller.evaluation import judge, other_step
-from koopman_lqr_controller.latent_controller import LatentController
-from koopman_lqr_controller.latent_policy import LatentPolicy, LidarWiring
-from koopman_lqr_controller.lidar_observation import LidarObservation
-from koopman_lqr_controller.offline import refit
-from koopman_lqr_controller.offline_cli import evaluate, fit, learn_offline
-from koopman_lqr_controller.policy_file import find_policy, load_policy, save_policy
-from koopman_lqr_controller.straight_corridor import StraightCorridor
-from koopman_lqr_controller.training.imitation import ImitationSettings, imitate
-from koopman_lqr_controller.two_stage_cli import main as train
+from koopman_lqr_controller.identification.evaluation import judge, other_step
+from koopman_lqr_controller.identification.offline import refit
+from koopman_lqr_controller.models.edmd import LinearModel
+from koopman_lqr_controller.models.encoder import Dense, Encoder
+from koopman_lqr_controller.policies.latent_policy import LatentPolicy, LidarWiring
+from koopman_lqr_controller.policies.policy_file import find_policy, load_policy, save_policy
+from koopman_lqr_controller.sensing.lidar_observation import LidarObservation
+from koopman_lqr_controller.training.agents.imitation import ImitationSettings, imitate
+from koopman_lqr_controller.training.analysis.straight_corridor import StraightCorridor
 from recorded import KINDS, Bag
 
 CORRIDOR = StraightCorridor(0.7, 0.2)

@@ -5,16 +5,22 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ctrl_rl_core.units import Interval
+from ctrl_rl_core.geometry.units import Interval
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from koopman_lqr_controller.edmd import Snapshots
 from koopman_lqr_controller.errors import KoopmanError
-from koopman_lqr_controller.lidar import ScanGeometry
-from koopman_lqr_controller.observables import CorridorObservables
-from koopman_lqr_controller.policy import KoopmanPolicy
-from koopman_lqr_controller.policy_file import DEFAULT_POLICY, find_policy, load_policy, save_policy, shipped_policies
-from koopman_lqr_controller.two_stage import train
+from koopman_lqr_controller.identification.two_stage import train
+from koopman_lqr_controller.models.edmd import Snapshots
+from koopman_lqr_controller.policies.edmd_policy import KoopmanPolicy
+from koopman_lqr_controller.policies.policy_file import (
+    DEFAULT_POLICY,
+    find_policy,
+    load_policy,
+    save_policy,
+    shipped_policies,
+)
+from koopman_lqr_controller.sensing.lidar import ScanGeometry
+from koopman_lqr_controller.sensing.observables import CorridorObservables
 from numpy.typing import NDArray
 from safetensors.numpy import load_file, save_file
 

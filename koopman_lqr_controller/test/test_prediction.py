@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from koopman_lqr_controller.linear_loop import linear_loop
-from koopman_lqr_controller.policy_file import find_policy, load_policy
-from koopman_lqr_controller.prediction import horizon_errors, law_error, linear_floor, noise_floor
-from koopman_lqr_controller.training.corridor import Conditions
-from koopman_lqr_controller.training.policy_world import make_corridor
-from koopman_lqr_controller.training.prediction_limits import prediction_limits
+from koopman_lqr_controller.models.prediction import horizon_errors, law_error, linear_floor, noise_floor
+from koopman_lqr_controller.policies.closed_loop_model import linear_loop
+from koopman_lqr_controller.policies.policy_file import find_policy, load_policy
+from koopman_lqr_controller.training.analysis.disturbance_ablation import prediction_limits
+from koopman_lqr_controller.training.analysis.policy_world import make_corridor
+from koopman_lqr_controller.training.environments.corridor import Conditions
 
 A = np.array([[0.9, 0.2], [-0.2, 0.9]])
 B = np.array([[0.0], [1.0]])

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from koopman_lqr_controller.encoder import CentreCrop, Dense, Encoder, Flatten, LayerNorm
 from koopman_lqr_controller.errors import KoopmanError
-from koopman_lqr_controller.quick_encoder import QuickEncoder
+from koopman_lqr_controller.models.encoder import CentreCrop, Dense, Encoder, Flatten, LayerNorm
+from koopman_lqr_controller.models.fused_encoder import QuickEncoder
 
 KINDS = st.lists(st.sampled_from(["linear", "rectified", "norm"]), min_size=1, max_size=6)
 

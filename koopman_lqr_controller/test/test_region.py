@@ -5,17 +5,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ctrl_rl_core.checked_tensors import encode_tensors, read_tensors
-from ctrl_rl_core.units import Interval
+from ctrl_rl_core.geometry.units import Interval
+from ctrl_rl_core.io.checked_tensors import encode_tensors, read_tensors
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from koopman_lqr_controller.edmd import Snapshots
 from koopman_lqr_controller.errors import KoopmanError
-from koopman_lqr_controller.observables import CorridorObservables
-from koopman_lqr_controller.policy import KoopmanPolicy
-from koopman_lqr_controller.policy_file import load_policy, save_policy
-from koopman_lqr_controller.region import Region, region_of, region_of_episodes
-from koopman_lqr_controller.two_stage import train
+from koopman_lqr_controller.identification.two_stage import train
+from koopman_lqr_controller.models.edmd import Snapshots
+from koopman_lqr_controller.policies.edmd_policy import KoopmanPolicy
+from koopman_lqr_controller.policies.policy_file import load_policy, save_policy
+from koopman_lqr_controller.safety.latent_distribution import Region, region_of, region_of_episodes
+from koopman_lqr_controller.sensing.observables import CorridorObservables
 from scipy.spatial.distance import mahalanobis
 from scipy.stats import chi2
 

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from koopman_lqr_controller.prediction import horizon_errors
-from koopman_lqr_controller.regulators import Refit, reference_inside
-from koopman_lqr_controller.roll_outs import noisy_roll_outs, projected
+from koopman_lqr_controller.data.roll_outs import noisy_roll_outs, projected
+from koopman_lqr_controller.identification.regulators import Refit, reference_inside
+from koopman_lqr_controller.models.prediction import horizon_errors
 from line import A, Line, learnt_controller
 
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from koopman_lqr_controller.errors import KoopmanError
-from koopman_lqr_controller.lidar import EDGE, OPENING, ScanGeometry, Sectors
+from koopman_lqr_controller.sensing.lidar import EDGE, OPENING, ScanGeometry, Sectors
 
 FAR = 3.5
 SECTORS = Sectors(tuple(np.deg2rad([-90.0, -45.0, 0.0, 45.0, 90.0]).tolist()), float(np.deg2rad(5.0)), FAR)

@@ -7,10 +7,10 @@ import sys
 from pathlib import Path
 
 import pytest
-from koopman_lqr_controller.latent_policy import LatentPolicy
-from koopman_lqr_controller.policy_file import find_policy, load_policy
-from koopman_lqr_controller.training.course import CONSOLIDATED_FILE, POLICY_FILE
-from koopman_lqr_controller.training_cli import consolidate, learn
+from koopman_lqr_controller.cli.learn import consolidate, learn
+from koopman_lqr_controller.policies.latent_policy import LatentPolicy
+from koopman_lqr_controller.policies.policy_file import find_policy, load_policy
+from koopman_lqr_controller.training.experiments.trainer import CONSOLIDATED_FILE, POLICY_FILE
 
 TINY = ["--set", "batch=16", "hidden=16", "latent=6", "first_steps=30", "--chunks", "2", "--actions", "60"]
 TINY += ["--episodes", "3", "--consolidation", "5"]
@@ -124,7 +124,7 @@ def test_a_policy_that_was_not_learnt_here_cannot_be_consolidated(
 
 def test_help_comes_without_torch() -> None:
     program = (
-        "import sys\nfrom koopman_lqr_controller.training_cli import learn\n"
+        "import sys\nfrom koopman_lqr_controller.cli.learn import learn\n"
         "try: learn(['--help'])\nexcept SystemExit: sys.exit('torch' in sys.modules)"
     )
     answer = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)

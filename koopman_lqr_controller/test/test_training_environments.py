@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ctrl_rl_core.tasks import task_file
+from ctrl_rl_core.tasks.task import task_file
 from koopman_lqr_controller.errors import KoopmanError
-from koopman_lqr_controller.straight_corridor import StraightCorridor
-from koopman_lqr_controller.training.control_suite import FRAMES, ControlSuite
-from koopman_lqr_controller.training.corridor import Conditions, Corridor
-from koopman_lqr_controller.training.problems import PROBLEMS, find_problem, problem_of
+from koopman_lqr_controller.training.analysis.straight_corridor import StraightCorridor
+from koopman_lqr_controller.training.environments.control_suite import FRAMES, ControlSuite
+from koopman_lqr_controller.training.environments.corridor import Conditions, Corridor
+from koopman_lqr_controller.training.environments.problems import PROBLEMS, find_problem, problem_of
 
 if find_library("EGL"):
     os.environ.setdefault("MUJOCO_GL", "egl")  # else MuJoCo comes without OpenGL where states are simulated first

@@ -16,18 +16,18 @@ from pathlib import Path
 
 import numpy as np
 from ctrl_rl_core.command import check_least, file_to_write, run_command
-from ctrl_rl_core.results import write_results
-from ctrl_rl_core.tasks import NavigationTask, load_navigation_task
-from ctrl_rl_core.value_function import ValueFunction
+from ctrl_rl_core.io.results import write_results
+from ctrl_rl_core.tasks.task import NavigationTask, load_navigation_task
+from ctrl_rl_core.values.value_function import ValueFunction
 from numpy.typing import NDArray
 
 from oc_baseline_node.errors import OcError
-from oc_baseline_node.extraction import extract
-from oc_baseline_node.problem import FORMS, Form, Problem, formulate
-from oc_baseline_node.starts import draw_episode_start, draw_start
-from oc_baseline_node.value_data import DataSettings, ValueData, load_data, read_description
-from oc_baseline_node.value_file import find_value, load_value, save_value
-from oc_baseline_node.value_results import value_rows
+from oc_baseline_node.problems.extraction import extract
+from oc_baseline_node.problems.problem import FORMS, Form, Problem, formulate
+from oc_baseline_node.problems.start_states import draw_episode_start, draw_start
+from oc_baseline_node.value_data.dataset import DataSettings, ValueData, load_data, read_description
+from oc_baseline_node.value_data.results import value_rows
+from oc_baseline_node.values.value_file import find_value, load_value, save_value
 
 _EPISODES = 10
 """Starts of an episode that `oc data` tries."""
@@ -114,7 +114,7 @@ def _extract(options: argparse.Namespace) -> int:
 
 
 def _solve(options: argparse.Namespace) -> int:
-    from oc_baseline_node.mpc import Mpc
+    from oc_baseline_node.mpc.mpc import Mpc
 
     check_least(options, seed=0)
     problem = formulate(*_terms(options))
@@ -131,7 +131,7 @@ def _solve(options: argparse.Namespace) -> int:
     least = float(problem.margin(trajectory.states).min())
     print(f"clearance     at least {problem.clearance + least:.3f} m from the real obstacles and walls")
     if options.output is not None:
-        from oc_baseline_node.pictures import trajectories
+        from oc_baseline_node.plots import trajectories
 
         trajectories(problem.task, [problem.task_states(trajectory.states)], options.output)
         print(f"picture       {options.output}")
@@ -139,7 +139,7 @@ def _solve(options: argparse.Namespace) -> int:
 
 
 def _data(options: argparse.Namespace) -> int:
-    from oc_baseline_node.value_data_workers import make_data
+    from oc_baseline_node.value_data.workers import make_data
 
     check_least(options, trajectories=1, seed=0, workers=1)
     problem = formulate(*_terms(options))
@@ -155,7 +155,7 @@ def _data(options: argparse.Namespace) -> int:
 
 def _start_set(problem: Problem, seed: int) -> str:
     """Say from how many starts of an episode there is a trajectory: the data are drawn from the whole map."""
-    from oc_baseline_node.mpc import Mpc
+    from oc_baseline_node.mpc.mpc import Mpc
 
     mpc, random = Mpc(problem), np.random.default_rng(seed)
     found = [mpc.solve(draw_episode_start(problem, random)) for _ in range(_EPISODES)]
@@ -183,7 +183,7 @@ def _report(data: ValueData) -> str:
 
 
 def _fit(options: argparse.Namespace) -> int:
-    from oc_baseline_node.value_fit import FitSettings, fit
+    from oc_baseline_node.value_data.value_fit import FitSettings, fit
 
     check_least(options, epochs=1, seed=0)
     if options.discount is not None and not 0.0 < options.discount <= 1.0:
@@ -218,7 +218,7 @@ def _fit(options: argparse.Namespace) -> int:
 
 
 def _map(options: argparse.Namespace) -> int:
-    from oc_baseline_node.pictures import heat_map
+    from oc_baseline_node.plots import heat_map
 
     value = load_value(find_value(options.value))
     values = heat_map(value, _task_of(value, options.task), options.output, dict(map(_setting, options.at)))

@@ -6,13 +6,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import ClassVar
 
-from ctrl_rl_core.parameters import Parameter
-from ctrl_rl_core.ros import run_node
-from ctrl_rl_core.tasks import load_navigation_task, task_names
-from ctrl_rl_core.value_function import ValueFunction, check_function
-from ctrl_rl_core.value_server import SERVER_PARAMETERS, Valued, ValueServer
+from ctrl_rl_core.ros.node import run_node
+from ctrl_rl_core.ros.parameters import Parameter
+from ctrl_rl_core.ros.value_server import SERVER_PARAMETERS, Valued, ValueServer
+from ctrl_rl_core.tasks.task import load_navigation_task, task_names
+from ctrl_rl_core.values.value_function import ValueFunction, check_function
 
-from oc_baseline_node.value_file import find_value, load_value, shipped_values
+from oc_baseline_node.values.value_file import find_value, load_value, shipped_values
 
 
 def _with_names(parameter: Parameter) -> Parameter:

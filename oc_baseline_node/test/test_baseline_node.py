@@ -9,16 +9,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rclpy
-from ctrl_rl_core.geometry import Box
-from ctrl_rl_core.ros import LATCHED, RESULT
-from ctrl_rl_core.value_function import ROWS
-from ctrl_rl_core.value_grid import Axis
-from ctrl_rl_core.value_messages import answer
+from ctrl_rl_core.geometry.shapes import Box
+from ctrl_rl_core.ros.node import LATCHED, RESULT
+from ctrl_rl_core.ros.value_messages import answer
+from ctrl_rl_core.values.value_function import ROWS
+from ctrl_rl_core.values.value_grid import Axis
 from nav_msgs.msg import OccupancyGrid, Odometry
-from oc_baseline_node.collision_set import CollisionSet
-from oc_baseline_node.mlp_value import MlpValue
 from oc_baseline_node.node import OcBaselineNode
-from oc_baseline_node.value_file import load_network, save_value, shipped_values
+from oc_baseline_node.values.collision_set import CollisionSet
+from oc_baseline_node.values.mlp_value import MlpValue
+from oc_baseline_node.values.value_file import load_network, save_value, shipped_values
 from rclpy.node import Node
 
 from ctrl_rl_msgs.msg import StateValue

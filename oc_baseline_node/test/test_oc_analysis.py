@@ -6,16 +6,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from ctrl_rl_core.systems import make_system
-from ctrl_rl_core.tasks import load_navigation_task
-from ctrl_rl_training.algorithms import ROLL_OUT
+from ctrl_rl_core.systems.system import make_system
+from ctrl_rl_core.tasks.task import load_navigation_task
+from ctrl_rl_training.sb3.algorithms import ROLL_OUT
 from hypothesis import given
 from hypothesis import strategies as st
-from oc_baseline_node.training import gradients
-from oc_baseline_node.training.analysis_cli import main
-from oc_baseline_node.training.analysis_pictures import draw_drives
-from oc_baseline_node.training.mismatch import action_of, command, drive_by_mpc, heavier, predict, transition_errors
-from oc_baseline_node.training.runs import OcRun
+from oc_baseline_node.training.analysis import gradients
+from oc_baseline_node.training.analysis.cli import main
+from oc_baseline_node.training.analysis.mismatch import (
+    action_of,
+    command,
+    drive_by_mpc,
+    heavier,
+    predict,
+    transition_errors,
+)
+from oc_baseline_node.training.analysis.plots import draw_drives
+from oc_baseline_node.training.experiments.runs import OcRun
 
 MPC = Path(__file__).parents[2] / "docs" / "results" / "oc_mpc_quad_navigation.json"
 CAR = load_navigation_task("car_navigation")

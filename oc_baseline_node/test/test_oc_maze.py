@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from ctrl_rl_core.geometry import signed_distance
-from ctrl_rl_core.tasks import load_navigation_task, task_file
+from ctrl_rl_core.geometry.shapes import signed_distance
+from ctrl_rl_core.tasks.task import load_navigation_task, task_file
 from oc_baseline_node.cli import main
-from oc_baseline_node.mpc import Mpc, Trajectory
-from oc_baseline_node.problem import Problem, formulate
-from oc_baseline_node.starts import draw_episode_start, draw_start
+from oc_baseline_node.mpc.mpc import Mpc, Trajectory
+from oc_baseline_node.problems.problem import Problem, formulate
+from oc_baseline_node.problems.start_states import draw_episode_start, draw_start
 
 
 def wall(left: float, right: float, y: float) -> dict[str, dict[str, str]]:

@@ -4,17 +4,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from ctrl_rl_core.geometry import signed_distance
-from ctrl_rl_core.outcome import Outcome
-from ctrl_rl_core.regions import Region
-from ctrl_rl_core.systems import make_system
-from ctrl_rl_core.task_sets import TaskSets
-from ctrl_rl_core.tasks import NavigationTask, load_navigation_task
-from oc_baseline_node.guesses import moved_on, resting_control
-from oc_baseline_node.mpc import Mpc, RecedingHorizon, Trajectory
-from oc_baseline_node.problem import Problem, formulate
-from oc_baseline_node.starts import draw_start
-from oc_baseline_node.transcription import Layout, stage_cost
+from ctrl_rl_core.geometry.shapes import signed_distance
+from ctrl_rl_core.systems.system import make_system
+from ctrl_rl_core.tasks.outcome import Outcome
+from ctrl_rl_core.tasks.regions import Region
+from ctrl_rl_core.tasks.task import NavigationTask, load_navigation_task
+from ctrl_rl_core.tasks.task_sets import TaskSets
+from oc_baseline_node.mpc.initial_guess import moved_on, resting_control
+from oc_baseline_node.mpc.mpc import Mpc, RecedingHorizon, Trajectory
+from oc_baseline_node.mpc.transcription import Layout, stage_cost
+from oc_baseline_node.problems.problem import Problem, formulate
+from oc_baseline_node.problems.start_states import draw_start
 from scipy.linalg import solve_discrete_are
 
 TASKS = ("car_navigation", "quad_navigation", "quad_trap")

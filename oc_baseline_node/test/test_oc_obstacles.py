@@ -3,10 +3,10 @@
 import casadi
 import numpy as np
 import pytest
-from ctrl_rl_core.geometry import Box, Disc
+from ctrl_rl_core.geometry.shapes import Box, Disc
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from oc_baseline_node.obstacles import cover, covers
+from oc_baseline_node.mpc.obstacles import cover, covers
 
 lengths = st.floats(0.05, 5.0)
 

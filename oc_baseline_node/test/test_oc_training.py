@@ -6,16 +6,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ctrl_rl_core.tasks import load_navigation_task, task_digest, task_file
-from ctrl_rl_core.value_function import ValueFunctionError
-from ctrl_rl_training.algorithms import ROLL_OUT
-from ctrl_rl_training.training import Options, train_one
+from ctrl_rl_core.tasks.task import load_navigation_task, task_digest, task_file
+from ctrl_rl_core.values.value_function import ValueFunctionError
+from ctrl_rl_training.sb3.algorithms import ROLL_OUT
+from ctrl_rl_training.sb3.training import Options, train_one
 from oc_baseline_node.errors import OcError
-from oc_baseline_node.training.environment import PaidTimeOut
-from oc_baseline_node.training.methods import GROUPS, METHODS
-from oc_baseline_node.training.results import collect
-from oc_baseline_node.training.runs import OcRun, oc_runs
-from oc_baseline_node.training.training_cli import train, training_figures
+from oc_baseline_node.training.cli import train, training_figures
+from oc_baseline_node.training.experiments.environment import PaidTimeOut
+from oc_baseline_node.training.experiments.methods import GROUPS, METHODS
+from oc_baseline_node.training.experiments.results import collect
+from oc_baseline_node.training.experiments.runs import OcRun, oc_runs
 from sim_bridge.environments import NavigationEnv
 
 RESULTS = Path(__file__).parents[2] / "docs" / "results"
@@ -126,7 +126,7 @@ def test_what_is_wrong_is_said_in_one_line(arguments, message, capsys, tmp_path)
 def test_an_unknown_method_and_a_value_of_another_task_are_refused(tmp_path):
     with pytest.raises(OcError, match="no method 'sarsa': there are oc_ppo, ppo"):
         OcRun(TASK, "sarsa", 0).model(ROLL_OUT)
-    from oc_baseline_node.value_file import find_value
+    from oc_baseline_node.values.value_file import find_value
 
     with pytest.raises(ValueFunctionError, match="is of task 'car_navigation', not of 'quad_trap'"):
         OcRun(TASK, "oc_ppo", 0, find_value("car_navigation")).model(ROLL_OUT)

@@ -9,24 +9,24 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ctrl_rl_core.lock import LockError, alone
-from ctrl_rl_core.tasks import load_navigation_task
+from ctrl_rl_core.processes.exclusive_lock import LockError, alone
+from ctrl_rl_core.tasks.task import load_navigation_task
 from hypothesis import given
 from hypothesis import strategies as st
 from oc_baseline_node.errors import OcError
-from oc_baseline_node.problem import Problem, formulate
-from oc_baseline_node.returns import returns, rewards, step_discount
-from oc_baseline_node.starts import draw_start, state_space
-from oc_baseline_node.value_data import LOCK, DataSettings, ValueData, chunk_file, load_data
-from oc_baseline_node.value_data_workers import make_data
+from oc_baseline_node.problems.problem import Problem, formulate
+from oc_baseline_node.problems.start_states import draw_start, state_space
+from oc_baseline_node.value_data.dataset import LOCK, DataSettings, ValueData, chunk_file, load_data
+from oc_baseline_node.value_data.workers import make_data
+from oc_baseline_node.values.returns import returns, rewards, step_discount
 
 MAKE = """
 import sys
 from pathlib import Path
-from ctrl_rl_core.tasks import load_navigation_task
-from oc_baseline_node.problem import formulate
-from oc_baseline_node.value_data import DataSettings
-from oc_baseline_node.value_data_workers import make_data
+from ctrl_rl_core.tasks.task import load_navigation_task
+from oc_baseline_node.problems.problem import formulate
+from oc_baseline_node.value_data.dataset import DataSettings
+from oc_baseline_node.value_data.workers import make_data
 make_data(formulate(load_navigation_task("car_navigation")), DataSettings(16, chunk=1), Path(sys.argv[1]))
 """
 

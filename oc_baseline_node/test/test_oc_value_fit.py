@@ -10,18 +10,18 @@ import numpy as np
 import pytest
 import torch
 from ctrl_rl_core.errors import CtrlRlError
-from ctrl_rl_core.tasks import load_navigation_task, task_digest
-from ctrl_rl_core.value_function import ValueFunction, ValueFunctionError
-from ctrl_rl_core.value_grid import Axis, ValueGrid
-from oc_baseline_node.collision_set import CollisionHeader, CollisionSet
+from ctrl_rl_core.tasks.task import load_navigation_task, task_digest
+from ctrl_rl_core.values.value_function import ValueFunction, ValueFunctionError
+from ctrl_rl_core.values.value_grid import Axis, ValueGrid
 from oc_baseline_node.errors import OcError
-from oc_baseline_node.mlp_value import MlpValue, features
-from oc_baseline_node.pictures import heat_map, trajectories
-from oc_baseline_node.problem import Problem, formulate
-from oc_baseline_node.value_data import DataSettings, ValueData
-from oc_baseline_node.value_data_workers import make_data
-from oc_baseline_node.value_file import find_value, load_network, load_value, save_value
-from oc_baseline_node.value_fit import FitSettings, fit
+from oc_baseline_node.plots import heat_map, trajectories
+from oc_baseline_node.problems.problem import Problem, formulate
+from oc_baseline_node.value_data.dataset import DataSettings, ValueData
+from oc_baseline_node.value_data.value_fit import FitSettings, fit
+from oc_baseline_node.value_data.workers import make_data
+from oc_baseline_node.values.collision_set import CollisionHeader, CollisionSet
+from oc_baseline_node.values.mlp_value import MlpValue, features
+from oc_baseline_node.values.value_file import find_value, load_network, load_value, save_value
 
 Made = tuple[Problem, ValueData, MlpValue]
 STATE = np.array([-3.0, -3.5, 0.7])
@@ -230,7 +230,7 @@ def test_pictures_are_drawn(made: Made, tmp_path: Path) -> None:
 
 
 def test_what_serves_values_imports_nothing_heavy() -> None:
-    code = "import sys, oc_baseline_node.node, oc_baseline_node.value_data; print(*sys.modules)"
+    code = "import sys, oc_baseline_node.node, oc_baseline_node.value_data.dataset; print(*sys.modules)"
     answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=os.environ, check=False)
     assert answer.returncode == 0, answer.stderr
     loaded = {name.partition(".")[0] for name in answer.stdout.split()}

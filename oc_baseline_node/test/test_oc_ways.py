@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from ctrl_rl_core.regions import Region
-from ctrl_rl_core.tasks import load_navigation_task
-from oc_baseline_node.guesses import Guesses, braking
-from oc_baseline_node.mpc import Mpc
-from oc_baseline_node.problem import formulate
-from oc_baseline_node.starts import draw_start
-from oc_baseline_node.ways import Ways
+from ctrl_rl_core.tasks.regions import Region
+from ctrl_rl_core.tasks.task import load_navigation_task
+from oc_baseline_node.mpc.initial_guess import Guesses, braking
+from oc_baseline_node.mpc.mpc import Mpc
+from oc_baseline_node.mpc.shortest_path import Ways
+from oc_baseline_node.problems.problem import formulate
+from oc_baseline_node.problems.start_states import draw_start
 
 TASKS = ("car_navigation", "quad_navigation", "quad_trap")
 

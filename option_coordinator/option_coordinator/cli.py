@@ -10,14 +10,14 @@ from typing import Any
 
 import numpy as np
 from ctrl_rl_core.command import run_command
-from ctrl_rl_core.tasks import task_digest
+from ctrl_rl_core.tasks.task import task_digest
 
+from option_coordinator.environments.option_env import OptionEnvironment
+from option_coordinator.environments.roll_out import play_episodes
+from option_coordinator.environments.tasks import load_option_task, make_environment
 from option_coordinator.errors import OptionError
-from option_coordinator.event_driven import OptionEnvironment
-from option_coordinator.policy_file import OptionPolicy
-from option_coordinator.roll_out import play_episodes
-from option_coordinator.scripted import Chooser, RandomChooser, scripted_chooser
-from option_coordinator.tasks import load_option_task, make_environment
+from option_coordinator.policies.policy_file import OptionPolicy
+from option_coordinator.scripted.task_policies import Chooser, RandomChooser, scripted_chooser
 
 _HOW = {"async": "whoever is ready chooses", "wait": "all wait for the last", "cut": "all are cut by the first"}
 
@@ -67,7 +67,7 @@ def _replay(options: argparse.Namespace) -> int:
 def _draw(options: argparse.Namespace, environment: OptionEnvironment) -> None:
     if options.timeline is None and options.animation is None:
         return
-    from option_coordinator.pictures import draw_replay, draw_timeline  # matplotlib is not for robots
+    from option_coordinator.plots import draw_replay, draw_timeline  # matplotlib is not for robots
 
     title = f"{options.task}, {options.policy}"
     for file, draw in ((options.timeline, draw_timeline), (options.animation, draw_replay)):

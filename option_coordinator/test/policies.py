@@ -3,9 +3,9 @@
 from itertools import product
 
 import numpy as np
-from option_coordinator.decision import NONE
-from option_coordinator.options import slots
-from option_coordinator.policy_file import make_policy
+from option_coordinator.options.decision import NONE
+from option_coordinator.options.options import slots
+from option_coordinator.policies.policy_file import make_policy
 
 HIDDEN = 12
 RANK = 3

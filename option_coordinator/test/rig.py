@@ -12,18 +12,22 @@ from pathlib import Path
 import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from option_coordinator.door import MessageError
-from option_coordinator.exchange import AgentState, GrantStatus, Request, Status
-from option_coordinator.messages import EXCHANGE, grant_of, request_message, request_of, status_message
-from option_coordinator.options import Agent
-from option_coordinator.policy_file import OptionPolicy
+from option_coordinator.nodes.messages import EXCHANGE, grant_of, request_message, request_of, status_message
+from option_coordinator.options.options import Agent
+from option_coordinator.policies.policy_file import OptionPolicy
+from option_coordinator.protocol.message_checks import MessageError
+from option_coordinator.protocol.protocol_types import AgentState, GrantStatus, Request, Status
 from policies import random_tensors
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 
 from ctrl_rl_msgs.msg import AgentStatus, JointOptionStep, OptionGrant, OptionRequest
 
-COORDINATOR = [sys.executable, "-c", "import sys; from option_coordinator.node import main; sys.exit(main())"]
+COORDINATOR = [
+    sys.executable,
+    "-c",
+    "import sys; from option_coordinator.nodes.coordinator_node import main; sys.exit(main())",
+]
 ROBOT = [sys.executable, str(Path(__file__).with_name("robot_process.py"))]
 PATIENCE = 120.0  # s of wall time, for a busy machine
 LEASE, LOST_AFTER = 0.5, 1.0

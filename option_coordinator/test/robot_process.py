@@ -5,11 +5,11 @@ import sys
 from typing import ClassVar
 
 import numpy as np
-from ctrl_rl_core.parameters import Parameter
-from ctrl_rl_core.ros import SuiteNode, ok, run_node
-from option_coordinator.agent import OptionAgent
-from option_coordinator.clocks import STEADY, Clocks
-from option_coordinator.robot_side import Earned, Patience, Seen
+from ctrl_rl_core.ros.node import SuiteNode, ok, run_node
+from ctrl_rl_core.ros.parameters import Parameter
+from option_coordinator.nodes.clocks import STEADY, Clocks
+from option_coordinator.nodes.option_agent import OptionAgent
+from option_coordinator.protocol.option_client import Earned, Patience, Seen
 
 
 class TestRobot(SuiteNode):

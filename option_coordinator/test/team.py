@@ -5,12 +5,12 @@ from dataclasses import replace
 from itertools import count
 
 import numpy as np
-from option_coordinator.coordination import Coordinator
-from option_coordinator.exchange import AgentState, Answers, Grant, GrantStatus, Request, Status, Word
-from option_coordinator.instant import Instant
-from option_coordinator.options import Agent
-from option_coordinator.robot import Robot, Times
-from option_coordinator.robot_side import Earned, Patience, RobotSide, Seen
+from option_coordinator.options.options import Agent
+from option_coordinator.protocol.coordination import Coordinator
+from option_coordinator.protocol.instant import Instant
+from option_coordinator.protocol.option_client import Earned, Patience, RobotSide, Seen
+from option_coordinator.protocol.protocol_types import AgentState, Answers, Grant, GrantStatus, Request, Status, Word
+from option_coordinator.protocol.team_settings import Robot, Times
 
 TIMES = Times(window=0.01)
 STEP = 0.02  # s, of the simulation

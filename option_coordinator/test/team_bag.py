@@ -3,10 +3,11 @@
 from pathlib import Path
 
 import numpy as np
-from ctrl_rl_core.bags import BagWriter, Topic
-from option_coordinator.bag_trajectory import TYPE
-from option_coordinator.trajectory import TrajectoryWriter
+from option_coordinator.data.bag_trajectory import TYPE
+from option_coordinator.data.trajectory import TrajectoryWriter
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from ctrl_rl_bags import BagWriter, Topic
 
 TOPIC = "/joint_option_step"
 STORE = get_typestore(Stores.ROS2_JAZZY)

@@ -10,11 +10,11 @@ import pytest
 from ctrl_rl_core.errors import CtrlRlError
 from matplotlib import pyplot as plt
 from option_coordinator.cli import replay
-from option_coordinator.pictures import draw_replay, draw_spans, draw_timeline
-from option_coordinator.tasks import make_environment
-from option_coordinator.trace import Span
+from option_coordinator.environments.tasks import make_environment
+from option_coordinator.environments.timeline import Span
+from option_coordinator.plots import draw_replay, draw_spans, draw_timeline
+from option_coordinator.training.cli import train, training_figures
 from option_coordinator.training.parallel_environment import ParallelOptions
-from option_coordinator.training.training_cli import train, training_figures
 from pettingzoo.test import parallel_api_test
 from PIL import Image
 

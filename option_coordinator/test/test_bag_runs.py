@@ -6,19 +6,19 @@ import numpy as np
 import pytest
 import torch
 from ctrl_rl_core.errors import CtrlRlError
-from option_coordinator.bag_trajectory import recordings
-from option_coordinator.policy_file import OptionPolicy
-from option_coordinator.roll_out import RollOut
-from option_coordinator.scripted import scripted_chooser
-from option_coordinator.tasks import make_environment
-from option_coordinator.training.bag_runs import BagOptions, BagRun, train_on_bags
-from option_coordinator.training.heads import as_numpy
-from option_coordinator.training.imitation import Imitation
-from option_coordinator.training.learner import as_choice
-from option_coordinator.training.mappo import Mappo
-from option_coordinator.training.runs import OptionRun
-from option_coordinator.training.training_cli import train
-from option_coordinator.trajectory import Trajectory
+from option_coordinator.data.bag_trajectory import recordings
+from option_coordinator.data.trajectory import Trajectory
+from option_coordinator.environments.roll_out import RollOut
+from option_coordinator.environments.tasks import make_environment
+from option_coordinator.policies.policy_file import OptionPolicy
+from option_coordinator.scripted.task_policies import scripted_chooser
+from option_coordinator.training.cli import train
+from option_coordinator.training.experiments.bag_runs import BagOptions, BagRun, train_on_bags
+from option_coordinator.training.experiments.runs import OptionRun
+from option_coordinator.training.heads.heads import as_numpy
+from option_coordinator.training.learners.imitation import Imitation
+from option_coordinator.training.learners.learner import as_choice
+from option_coordinator.training.learners.mappo import Mappo
 from team_bag import TeamBag, play_into
 
 TASK = "tool_delivery"

@@ -6,13 +6,14 @@ from dataclasses import fields
 import numpy as np
 import pytest
 import torch
-from ctrl_rl_core.bags import BagWriter, Topic
 from ctrl_rl_core.errors import CtrlRlError
-from option_coordinator.bag_trajectory import Team, recordings
-from option_coordinator.tasks import make_environment
-from option_coordinator.training.mappo import Mappo
-from option_coordinator.trajectory import Trajectory
+from option_coordinator.data.bag_trajectory import Team, recordings
+from option_coordinator.data.trajectory import Trajectory
+from option_coordinator.environments.tasks import make_environment
+from option_coordinator.training.learners.mappo import Mappo
 from team_bag import TeamBag, play_into
+
+from ctrl_rl_bags import BagWriter, Topic
 
 
 def untrained(environment, presence=False):

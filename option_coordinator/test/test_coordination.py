@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from option_coordinator.choice import choose_or_safe
-from option_coordinator.coordination import Coordinator
 from option_coordinator.errors import OptionError
-from option_coordinator.exchange import AgentState, GrantStatus, Request, Status, Word
-from option_coordinator.ledger import Entry, State
+from option_coordinator.policies.policy_query import choose_or_safe
+from option_coordinator.protocol.coordination import Coordinator
+from option_coordinator.protocol.ledger import Entry, State
+from option_coordinator.protocol.protocol_types import AgentState, GrantStatus, Request, Status, Word
 from team import AGENTS, TIMES, at, uniform
 
 START = 1.0 + TIMES.lost_after  # of robots that have not said anything

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis.stateful import RuleBasedStateMachine, initialize, precondition, rule
-from option_coordinator.election import Election
+from option_coordinator.protocol.election import Election
 
 LEASE = 0.5
 STEP = 0.02

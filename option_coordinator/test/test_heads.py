@@ -5,12 +5,12 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from option_coordinator.decision import NONE
-from option_coordinator.options import Agent
-from option_coordinator.policy_file import HEADS, make_policy
-from option_coordinator.training import mixture_head
-from option_coordinator.training.head_parts import Choice
-from option_coordinator.training.heads import as_numpy, make_head
+from option_coordinator.options.decision import NONE
+from option_coordinator.options.options import Agent
+from option_coordinator.policies.policy_file import HEADS, make_policy
+from option_coordinator.training.heads import mixture_head
+from option_coordinator.training.heads.head_parts import Choice
+from option_coordinator.training.heads.heads import as_numpy, make_head
 from policies import random_decision
 
 COUNTS = (3, 2, 4)

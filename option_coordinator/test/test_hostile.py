@@ -7,12 +7,12 @@ import hypothesis.strategies as st
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
-from option_coordinator.door import MessageError
-from option_coordinator.election import Epochs
-from option_coordinator.exchange import AgentState, Grant, GrantStatus, Request, Status, Word
-from option_coordinator.instant import TaskTime
-from option_coordinator.journal import Journal
-from option_coordinator.messages import StepMessages, grant_message, grant_of, request_of, status_of, word_of
+from option_coordinator.nodes.messages import StepMessages, grant_message, grant_of, request_of, status_of, word_of
+from option_coordinator.protocol.election import Epochs
+from option_coordinator.protocol.instant import TaskTime
+from option_coordinator.protocol.journal import Journal
+from option_coordinator.protocol.message_checks import MessageError
+from option_coordinator.protocol.protocol_types import AgentState, Grant, GrantStatus, Request, Status, Word
 from team import AGENTS, STEP, TIMES, SimulatedCoordinator, Team, at
 
 from ctrl_rl_msgs.msg import AgentStatus, CoordinatorStatus, OptionGrant, OptionRequest

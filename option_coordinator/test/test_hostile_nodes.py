@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rclpy
-from option_coordinator.exchange import AgentState, GrantStatus
+from option_coordinator.protocol.protocol_types import AgentState, GrantStatus
 from rclpy.qos import QoSProfile
 from rclpy.serialization import serialize_message
 from rig import COORDINATOR, LEASE, Rig, write_policy

@@ -7,10 +7,10 @@ import pytest
 from ctrl_rl_core.errors import CtrlRlError
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from option_coordinator.decision import NONE
-from option_coordinator.joint_policy import ENUMERABLE, draw, log_sum_exp, most_likely
-from option_coordinator.options import Agent
-from option_coordinator.policy_file import HEADS, OptionPolicy, make_policy
+from option_coordinator.options.decision import NONE
+from option_coordinator.options.options import Agent
+from option_coordinator.policies.joint_policy import ENUMERABLE, draw, log_sum_exp, most_likely
+from option_coordinator.policies.policy_file import HEADS, OptionPolicy, make_policy
 from policies import all_joint, brute_force, random_decision, random_policy, random_tensors
 
 COUNTS = (3, 2, 4)
@@ -64,7 +64,7 @@ def test_everybody_nobody_and_one_alone(head, choosing, absent):
 
 def naive_chain(tensors, counts, observation, choosing, running, legal, options):
     """log pi-hat of the autoregressive policy, written down once more, slowly."""
-    from option_coordinator.network import features, layer_norm, linear
+    from option_coordinator.policies.network import features, layer_norm, linear
 
     begin = [sum(counts[:i]) for i in range(len(counts))]
     known = np.zeros(sum(counts))

@@ -7,27 +7,27 @@ import numpy as np
 import pytest
 import torch
 from ctrl_rl_core.errors import CtrlRlError
-from ctrl_rl_training.matrix import train_all
-from ctrl_rl_training.run_folder import result_file
+from ctrl_rl_training.experiments.matrix import train_all
+from ctrl_rl_training.experiments.run_folder import result_file
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from option_coordinator.decision import NONE
-from option_coordinator.event_driven import OptionEnvironment
-from option_coordinator.options import Agent, Scene, SimulationStep
-from option_coordinator.policy_file import OptionPolicy
-from option_coordinator.roll_out import Episode, PolicyChooser, RollOut, play_episodes
-from option_coordinator.scripted import scripted_chooser
-from option_coordinator.tasks import load_option_task, make_environment
-from option_coordinator.training.epsilon_greedy import EpsilonGreedy
-from option_coordinator.training.evaluation import evaluate, summary
-from option_coordinator.training.learner import as_choice
-from option_coordinator.training.mac_dqn import MacDqn
-from option_coordinator.training.mappo import Mappo, MappoSettings
-from option_coordinator.training.methods import METHODS
-from option_coordinator.training.replay import Replay
-from option_coordinator.training.runs import OptionRun, RunOptions, option_runs, train_one
-from option_coordinator.training.value import ValueNetwork
-from option_coordinator.trajectory import Trajectory, TrajectoryWriter, advantages
+from option_coordinator.data.trajectory import Trajectory, TrajectoryWriter, advantages
+from option_coordinator.environments.option_env import OptionEnvironment
+from option_coordinator.environments.roll_out import Episode, PolicyChooser, RollOut, play_episodes
+from option_coordinator.environments.tasks import load_option_task, make_environment
+from option_coordinator.options.decision import NONE
+from option_coordinator.options.options import Agent, Scene, SimulationStep
+from option_coordinator.policies.policy_file import OptionPolicy
+from option_coordinator.scripted.task_policies import scripted_chooser
+from option_coordinator.training.experiments.evaluation import evaluate, summary
+from option_coordinator.training.experiments.methods import METHODS
+from option_coordinator.training.experiments.runs import OptionRun, RunOptions, option_runs, train_one
+from option_coordinator.training.heads.value import ValueNetwork
+from option_coordinator.training.learners.epsilon_greedy import EpsilonGreedy
+from option_coordinator.training.learners.learner import as_choice
+from option_coordinator.training.learners.mac_dqn import MacDqn
+from option_coordinator.training.learners.mappo import Mappo, MappoSettings
+from option_coordinator.training.learners.replay import Replay
 
 SHORT = {"iterations": 2, "samples": 200, "evaluations": 1}
 
@@ -263,12 +263,12 @@ def test_many_runs_at_a_time(tmp_path):
     assert [run.method_name for run in runs] == ["async", "sync_cut"]
     assert option_runs("tool_delivery", ["async", "sync_cut", "async"], 1) == runs
     options = RunOptions(tmp_path, **(SHORT | {"iterations": 1}))
-    results = train_all(runs, options, workers=2, train=train_one)
+    results = train_all(runs, options, train_one, workers=2)
     assert [result["run"]["method"] for result in results] == ["async", "sync_cut"]
-    assert train_all(runs, options, train=train_one) == results
+    assert train_all(runs, options, train_one) == results
     result_file(tmp_path, runs[0]).write_text("{", encoding="utf-8")
     with pytest.raises(CtrlRlError, match=r"async-s0/result\.json: .*: is not what a finished run leaves"):
-        train_all(runs, options, train=train_one)
+        train_all(runs, options, train_one)
 
 
 def test_every_method_has_an_environment_and_a_learner():

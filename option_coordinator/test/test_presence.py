@@ -6,18 +6,18 @@ import torch
 from ctrl_rl_core.errors import CtrlRlError
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from option_coordinator.decision import NONE
-from option_coordinator.event_driven import OptionEnvironment
-from option_coordinator.options import Agent, Scene, SimulationStep
-from option_coordinator.outage import draw_outage
-from option_coordinator.policy_file import HEADS, OptionPolicy, make_policy
-from option_coordinator.roll_out import RollOut
-from option_coordinator.scripted import RandomChooser
-from option_coordinator.tasks import make_environment
-from option_coordinator.training.heads import as_numpy
-from option_coordinator.training.learner import as_choice
-from option_coordinator.training.mappo import Mappo
-from option_coordinator.training.runs import OptionRun
+from option_coordinator.environments.option_env import OptionEnvironment
+from option_coordinator.environments.robot_dropout import draw_outage
+from option_coordinator.environments.roll_out import RollOut
+from option_coordinator.environments.tasks import make_environment
+from option_coordinator.options.decision import NONE
+from option_coordinator.options.options import Agent, Scene, SimulationStep
+from option_coordinator.policies.policy_file import HEADS, OptionPolicy, make_policy
+from option_coordinator.scripted.task_policies import RandomChooser
+from option_coordinator.training.experiments.runs import OptionRun
+from option_coordinator.training.heads.heads import as_numpy
+from option_coordinator.training.learners.learner import as_choice
+from option_coordinator.training.learners.mappo import Mappo
 
 ALONE, TOGETHER = range(2)
 

@@ -7,8 +7,8 @@ from collections import Counter
 import numpy as np
 import pytest
 import rclpy
-from option_coordinator.exchange import AgentState, Grant, GrantStatus
-from option_coordinator.messages import grant_message
+from option_coordinator.nodes.messages import grant_message
+from option_coordinator.protocol.protocol_types import AgentState, Grant, GrantStatus
 from rig import LOST_AFTER, Rig, write_policy
 
 pytestmark = pytest.mark.timeout(900)  # waits end by themselves, see `PATIENCE`

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from option_coordinator.exchange import AgentState, Grant, GrantStatus, Request
-from option_coordinator.robot_side import Earned, Patience, RobotSide, Seen
+from option_coordinator.protocol.option_client import Earned, Patience, RobotSide, Seen
+from option_coordinator.protocol.protocol_types import AgentState, Grant, GrantStatus, Request
 from team import at
 
 

@@ -9,9 +9,9 @@ import pytest
 from ctrl_rl_core.errors import CtrlRlError
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from option_coordinator.event_driven import OptionEnvironment
-from option_coordinator.scripted import RandomChooser, scripted_chooser
-from option_coordinator.tasks import load_option_task, make_environment, make_simulation
+from option_coordinator.environments.option_env import OptionEnvironment
+from option_coordinator.environments.tasks import load_option_task, make_environment, make_simulation
+from option_coordinator.scripted.task_policies import RandomChooser, scripted_chooser
 
 TASK = load_option_task("tool_delivery")
 GO_TO_WS, GO_TO_TR, GET_TOOL = range(3)

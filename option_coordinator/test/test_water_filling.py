@@ -5,10 +5,10 @@ import pytest
 from ctrl_rl_core.errors import CtrlRlError
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from option_coordinator.event_driven import OptionEnvironment
-from option_coordinator.scripted import GreedyFiller, JarCycle, RandomChooser
-from option_coordinator.tasks import load_option_task, make_environment
-from option_coordinator.tasks.water_filling import WaterFillingSimulation
+from option_coordinator.environments.option_env import OptionEnvironment
+from option_coordinator.environments.tasks import load_option_task, make_environment
+from option_coordinator.environments.tasks.water_filling import WaterFillingSimulation
+from option_coordinator.scripted.task_policies import GreedyFiller, JarCycle, RandomChooser
 
 TASK = load_option_task("water_filling")
 

@@ -15,13 +15,13 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-from ctrl_rl_core.outcome import Outcome
-from ctrl_rl_core.tasks import NavigationTask, load_navigation_task, load_task, task_names
+from ctrl_rl_core.tasks.outcome import Outcome
+from ctrl_rl_core.tasks.task import NavigationTask, load_navigation_task, load_task, task_names
 from gymnasium import spaces
 from numpy.typing import NDArray
 
 from sim_bridge.errors import SimulationError
-from sim_bridge.world import SimulatedWorld, SimulationOptions
+from sim_bridge.simulation.world import SimulatedWorld, SimulationOptions
 
 _FLIGHT_SPEED = 20.0
 _FLIGHT_TURN = 60.0

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from sim_bridge.commands import CommandChannel
+from sim_bridge.simulation.commands import CommandChannel
 
 BOUNDS = np.array(((-0.22, 0.22), (-2.84, 2.84)))
 IDLE = np.zeros(2)

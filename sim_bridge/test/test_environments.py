@@ -4,7 +4,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from sim_bridge.environments import NavigationEnv, register_environments
 from sim_bridge.errors import SimulationError
-from sim_bridge.world import SimulationOptions
+from sim_bridge.simulation.world import SimulationOptions
 
 IDS = register_environments()
 

@@ -10,7 +10,7 @@ import time
 import numpy as np
 import pytest
 import rclpy
-from ctrl_rl_core.ros import RESULT, SENSOR, seconds
+from ctrl_rl_core.ros.node import RESULT, SENSOR, seconds
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Twist, TwistStamped
 from nav_msgs.msg import Odometry
@@ -22,7 +22,12 @@ from std_srvs.srv import SetBool
 from ctrl_rl_msgs.msg import EpisodeStatus, RotorThrusts, TaskOutcome
 from ctrl_rl_msgs.srv import ResetWorld, StepWorld
 
-PROGRAM = [sys.executable, "-c", "import sys; from sim_bridge.node import main; sys.exit(main())", "--ros-args"]
+PROGRAM = [
+    sys.executable,
+    "-c",
+    "import sys; from sim_bridge.ros.bridge_node import main; sys.exit(main())",
+    "--ros-args",
+]
 PATIENCE = 20.0
 
 

@@ -3,7 +3,7 @@ import math
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from sim_bridge.pacing import LONGEST_GAP, Pacer, Schedule, SpeedMeter
+from sim_bridge.ros.pacing import LONGEST_GAP, Pacer, Schedule, SpeedMeter
 
 
 @given(st.lists(st.floats(0.0, 0.09), min_size=10, max_size=100), st.floats(0.1, 30.0))

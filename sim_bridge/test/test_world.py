@@ -3,8 +3,8 @@ import sys
 
 import numpy as np
 import pytest
-from ctrl_rl_core.tasks import TaskError, load_navigation_task
-from sim_bridge.world import SimulatedWorld, SimulationOptions
+from ctrl_rl_core.tasks.task import TaskError, load_navigation_task
+from sim_bridge.simulation.world import SimulatedWorld, SimulationOptions
 
 
 def drive(world, steps=25):
@@ -42,8 +42,8 @@ def test_the_same_seed_gives_the_same_bits_in_two_processes(tmp_path):
     script.write_text(
         """
 import hashlib
-from ctrl_rl_core.tasks import TaskError, load_navigation_task
-from sim_bridge.world import SimulatedWorld, SimulationOptions
+from ctrl_rl_core.tasks.task import TaskError, load_navigation_task
+from sim_bridge.simulation.world import SimulatedWorld, SimulationOptions
 world = SimulatedWorld(load_navigation_task("curved_corridor"), seed=3, robots=2,
                        options=SimulationOptions(odom_drift=0.05, scan_dropout=0.05, randomise_width=True))
 digest = hashlib.sha256()

@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 import yaml
-
-from ctrl_rl_core import checked_arrays, checked_json, checked_tensors
+from ctrl_rl_core.io import checked_arrays, checked_json, checked_tensors
 
 Random = np.random.Generator
 Mutate = Callable[[bytes, Random], bytes]

@@ -23,9 +23,10 @@ import numpy as np
 import yaml
 import zstandard
 from _attack import Attack
-from ctrl_rl_core.bags import BagWriter, Topic, read_raw
-from ctrl_rl_core.message_types import UnknownTypeError, is_type_name, message_class, message_definition
+from ctrl_rl_bags.recording.message_types import UnknownTypeError, is_type_name, message_class, message_definition
 from mcap.opcode import Opcode
+
+from ctrl_rl_bags import BagWriter, Topic, read_raw
 
 T = TypeVar("T")
 Random = np.random.Generator
@@ -64,8 +65,8 @@ _USE = """
 import json, sys
 from pathlib import Path
 import numpy as np
-from ctrl_rl_core.bag_copy import copy_bag, read_wire
-from ctrl_rl_core.bags import BagError, read_messages
+from ctrl_rl_bags.format.copy import copy_bag, read_wire
+from ctrl_rl_bags import BagError, read_messages
 from ctrl_rl_core.errors import CtrlRlError
 
 bag, output, what = sys.argv[1:]
@@ -79,9 +80,9 @@ try:
     elif what == "copy":
         copy_bag(bag, output, [], lambda message: ())
     elif what == "play":
-        from ctrl_rl_core.bags import bag_info
-        from ctrl_rl_core.message_types import UnknownTypeError, message_class
-        from ctrl_rl_core.recorded_qos import offer
+        from ctrl_rl_bags import bag_info
+        from ctrl_rl_bags.recording.message_types import UnknownTypeError, message_class
+        from ctrl_rl_bags.recording.qos import offer
         for name, topic in bag_info(bag).topics.items():
             try:
                 message_class(topic.type)
@@ -89,14 +90,14 @@ try:
                 pass
             offer(topic.qos, 10)
     elif what == "relabel":
-        from ttr_reward_node.relabel import relabel
+        from ttr_reward_node.rewards.relabel import relabel
         class Flat:  # what is attacked is the bag; a solved function would say the same slowly
             state_names, digest = ("x", "y", "theta"), "0"
             def value_and_gradient_at(self, state):
                 return 1.0, np.zeros(3)
         relabel(Path(bag), Path(output), Flat(), lambda state, value: (0, -value))
     else:
-        from ctrl_rl_core.bag_cli import main
+        from ctrl_rl_bags.cli import main
         code = main([what, bag, *(["-o", output] if what == "recover" else [])])
         bad = {"this", "antigravity"} & set(sys.modules)
         assert not bad, bad

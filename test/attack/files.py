@@ -20,9 +20,9 @@ import numpy as np
 from _attack import Attack
 from _mutations import Mutate, broken
 from ctrl_rl_core.errors import CtrlRlError
-from ctrl_rl_core.results import Result, as_markdown, read_benchmarks, read_results, write_results
-from ctrl_rl_core.tasks import FOLDER, load_navigation_task, load_task, task_names
-from ctrl_rl_core.value_grid import Axis, ValueGrid
+from ctrl_rl_core.io.results import Result, as_markdown, read_benchmarks, read_results, write_results
+from ctrl_rl_core.tasks.task import FOLDER, load_navigation_task, load_task, task_names
+from ctrl_rl_core.values.value_grid import Axis, ValueGrid
 
 ROOT = Path(__file__).resolve().parents[2]
 LONGEST = 1000
@@ -122,14 +122,14 @@ def _copy(file: Path, folder: Path) -> Path:
 
 
 def _koopman(name: str) -> Callable[[Path], list[Path]]:
-    from koopman_lqr_controller.policy_file import find_policy
+    from koopman_lqr_controller.policies.policy_file import find_policy
 
     return lambda folder: [_copy(find_policy(name), folder)]
 
 
 def _load_koopman(path: Path) -> None:
-    from koopman_lqr_controller.lidar import ScanGeometry
-    from koopman_lqr_controller.policy_file import load_policy
+    from koopman_lqr_controller.policies.policy_file import load_policy
+    from koopman_lqr_controller.sensing.lidar import ScanGeometry
 
     policy = load_policy(path)
     scan = ScanGeometry(360, 0.0, np.pi / 180, 0.12, 3.5)
@@ -138,31 +138,31 @@ def _load_koopman(path: Path) -> None:
 
 
 def _options(folder: Path) -> list[Path]:
-    from option_coordinator.policy_file import policy_file
+    from option_coordinator.policies.policy_file import policy_file
 
     return [_copy(policy_file("delivery_team"), folder)]
 
 
 def _load_options(path: Path) -> None:
-    from option_coordinator.policy_file import OptionPolicy
+    from option_coordinator.policies.policy_file import OptionPolicy
 
     OptionPolicy.load(path)
 
 
 def _values(folder: Path) -> list[Path]:
-    from oc_baseline_node.value_file import shipped_values
+    from oc_baseline_node.values.value_file import shipped_values
 
     return [_copy(file, folder) for file in shipped_values().values()]
 
 
 def _load_value(path: Path) -> None:
-    from oc_baseline_node.value_file import load_value
+    from oc_baseline_node.values.value_file import load_value
 
     load_value(path).value(np.zeros(len(load_value(path).state_names)))
 
 
 def _decomposed(folder: Path) -> list[Path]:
-    from ttr_reward_node.decomposed_value import DecomposedValue
+    from ttr_reward_node.values.decomposed_value import DecomposedValue
 
     axes = (Axis("x", "m", 0.0, 1.0, 3), Axis("y", "m", 0.0, 1.0, 4))
     grids = [
@@ -173,15 +173,15 @@ def _decomposed(folder: Path) -> list[Path]:
 
 
 def _load_decomposed(path: Path) -> None:
-    from ttr_reward_node.value_file import load_value
+    from ttr_reward_node.values.value_file import load_value
 
     value = load_value(path)
     value.value(np.zeros(len(value.state_names)))
 
 
 def _value_data(folder: Path) -> list[Path]:
-    from ctrl_rl_core.checked_json import with_digest
-    from oc_baseline_node.value_data import DataSettings, ValueData, chunk_file, description, write_chunk
+    from ctrl_rl_core.io.checked_json import with_digest
+    from oc_baseline_node.value_data.dataset import DataSettings, ValueData, chunk_file, description, write_chunk
 
     problem, random = _problem(), np.random.default_rng(0)
     (folder / "settings.json").write_text(json.dumps(with_digest(description(problem, DataSettings(2)))))
@@ -200,7 +200,7 @@ def _value_data(folder: Path) -> list[Path]:
 
 
 def _load_value_data(path: Path) -> None:
-    from oc_baseline_node.value_data import load_data
+    from oc_baseline_node.value_data.dataset import load_data
 
     load_data(path.parent, _problem())
 
@@ -211,19 +211,19 @@ def _load_settings(path: Path) -> None:
 
 @cache
 def _problem() -> Any:
-    from oc_baseline_node.problem import formulate
+    from oc_baseline_node.problems.problem import formulate
 
     return formulate(load_navigation_task("car_navigation"))
 
 
 def _teams(folder: Path) -> list[Path]:
-    from option_coordinator.team_file import FOLDER as TEAMS
+    from option_coordinator.teams.team_file import FOLDER as TEAMS
 
     return [_copy(TEAMS / "delivery_team.yaml", folder)]
 
 
 def _load_team(path: Path) -> None:
-    from option_coordinator.team_file import is_team, load_team
+    from option_coordinator.teams.team_file import is_team, load_team
 
     is_team(str(path))
     load_team(str(path))
@@ -240,7 +240,7 @@ def _draw(module: str, function: str) -> Load:
         import matplotlib as mpl
 
         mpl.use("Agg")
-        many = [path] if module.endswith("compare_cli") else path
+        many = [path] if module.endswith(".compare") else path
         options = Namespace(results=many, task=None, output=path.parent / "pictures", algorithm=None)
         with redirect_stdout(StringIO()), redirect_stderr(StringIO()):
             getattr(importlib.import_module(module), function)(options)
@@ -265,25 +265,25 @@ KINDS = (
         "figures-koopman",
         _figures("koopman_figure_4.3_cheetah_run"),
         _mutations.change_json,
-        _draw("koopman_lqr_controller.training.compare_cli", "_draw"),
+        _draw("koopman_lqr_controller.cli.compare", "_draw"),
     ),
     Kind(
         "figures-options",
         _figures("options_delivery_team"),
         _mutations.change_json,
-        _draw("option_coordinator.training.training_cli", "_figures"),
+        _draw("option_coordinator.training.cli", "_figures"),
     ),
     Kind(
         "figures-oc",
         _figures("oc_training_quad_trap"),
         _mutations.change_json,
-        _draw("oc_baseline_node.training.training_cli", "_figures"),
+        _draw("oc_baseline_node.training.cli", "_figures"),
     ),
     Kind(
         "figures-ttr",
         _figures("ttr_training_car_ttr"),
         _mutations.change_json,
-        _draw("ttr_reward_node.training_cli", "_figures"),
+        _draw("ttr_reward_node.training.cli", "_figures"),
     ),
     Kind("benchmarks", _benchmarks, _mutations.change_json, lambda path: as_markdown([], read_benchmarks(path))),
 )

@@ -8,14 +8,14 @@ from pathlib import Path
 
 import numpy as np
 from _attack import Attack
-from ctrl_rl_core.grid_axis import Axis
-from ctrl_rl_core.regions import Region
-from ctrl_rl_core.system_models import Quantity
-from ctrl_rl_core.systems import System
-from ctrl_rl_core.units import Interval
+from ctrl_rl_core.geometry.units import Interval
+from ctrl_rl_core.systems.models import Quantity
+from ctrl_rl_core.systems.system import System
+from ctrl_rl_core.tasks.regions import Region
+from ctrl_rl_core.values.grid_axis import Axis
 from scipy.ndimage import map_coordinates
-from ttr_reward_node.problem import Clearance, Problem
-from ttr_reward_node.solver import solve
+from ttr_reward_node.problems.problem import Clearance, Problem
+from ttr_reward_node.solvers.solver import solve
 
 NODES = 31
 SIDE = 2.0

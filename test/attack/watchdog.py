@@ -39,7 +39,7 @@ class _Rig:
 
     def __init__(self, generator: np.random.Generator) -> None:
         import rclpy
-        from ctrl_rl_core.ros import COMMAND
+        from ctrl_rl_core.ros.node import COMMAND
         from geometry_msgs.msg import TwistStamped
 
         self._rclpy, self._kind, self._random = rclpy, TwistStamped, generator

@@ -12,8 +12,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from ctrl_rl_core.results import read_benchmarks
-from ctrl_rl_core.whole_file import write_whole
+from ctrl_rl_core.io.atomic_write import write_whole
+from ctrl_rl_core.io.results import read_benchmarks
 from tqdm import tqdm
 
 HERE = Path(__file__).parent

@@ -15,7 +15,7 @@ import time
 import numpy as np
 import rclpy
 from _common import Row, echo, executable, row
-from ctrl_rl_core.ros import COMMAND, SCAN_PUBLISHER, SENSOR, float32_array, to_stamp
+from ctrl_rl_core.ros.node import COMMAND, SCAN_PUBLISHER, SENSOR, float32_array, to_stamp
 from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Odometry
 from rclpy.node import Node

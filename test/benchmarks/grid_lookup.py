@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 from _common import Row, row
-from ctrl_rl_core.value_grid import Axis, ValueGrid
+from ctrl_rl_core.values.value_grid import Axis, ValueGrid
 from scipy.interpolate import RegularGridInterpolator
 
 STATES = 200_000

@@ -13,11 +13,11 @@ from dataclasses import replace
 
 import numpy as np
 from _common import Row, row
-from koopman_lqr_controller.encoder import Dense
-from koopman_lqr_controller.latent_policy import LatentPolicy
-from koopman_lqr_controller.lidar import ScanGeometry
-from koopman_lqr_controller.policy import DrivingPolicy, KoopmanPolicy
-from koopman_lqr_controller.policy_file import DEFAULT_POLICY, find_policy, load_policy
+from koopman_lqr_controller.models.encoder import Dense
+from koopman_lqr_controller.policies.edmd_policy import DrivingPolicy, KoopmanPolicy
+from koopman_lqr_controller.policies.latent_policy import LatentPolicy
+from koopman_lqr_controller.policies.policy_file import DEFAULT_POLICY, find_policy, load_policy
+from koopman_lqr_controller.sensing.lidar import ScanGeometry
 
 STRETCH = 1000
 STRETCHES = 10

@@ -20,11 +20,11 @@ from pathlib import Path
 import numpy as np
 import rclpy
 from _common import Row, echo, executable, row
-from option_coordinator.exchange import AgentState, Request, Status
-from option_coordinator.messages import EXCHANGE, request_message, status_message
-from option_coordinator.options import Agent
-from option_coordinator.policy_file import OptionPolicy
-from option_coordinator.training.heads import as_numpy, make_head
+from option_coordinator.nodes.messages import EXCHANGE, request_message, status_message
+from option_coordinator.options.options import Agent
+from option_coordinator.policies.policy_file import OptionPolicy
+from option_coordinator.protocol.protocol_types import AgentState, Request, Status
+from option_coordinator.training.heads.heads import as_numpy, make_head
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 

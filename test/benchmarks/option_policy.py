@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 from _common import Row, row
-from option_coordinator.choice import Choice, policy_chooser
-from option_coordinator.options import Agent
-from option_coordinator.policy_file import OptionPolicy
-from option_coordinator.training.heads import as_numpy, make_head
+from option_coordinator.options.options import Agent
+from option_coordinator.policies.policy_file import OptionPolicy
+from option_coordinator.policies.policy_query import Choice, policy_chooser
+from option_coordinator.training.heads.heads import as_numpy, make_head
 
 ROBOTS = (2, 5, 10, 20, 50, 100, 150, 200, 300)
 OPTIONS = 6
@@ -54,7 +54,7 @@ def decision_time(robots: int) -> float:
 
 def draw(path: Path) -> None:
     """Write the picture of cost against number of robots."""
-    from ctrl_rl_core.drawing import save_figure
+    from ctrl_rl_core.plots import save_figure
     from matplotlib import pyplot as plt
 
     figure, axes = plt.subplots(figsize=(6, 4), layout="constrained")

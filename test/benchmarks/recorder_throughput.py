@@ -9,9 +9,10 @@ from pathlib import Path
 
 import numpy as np
 from _common import Row, row
-from ctrl_rl_core.bags import BagWriter, Topic
 from mcap.writer import Writer
 from rosbags.typesys import Stores, get_typestore
+
+from ctrl_rl_bags import BagWriter, Topic
 
 TYPE = "sensor_msgs/msg/LaserScan"
 MESSAGES = 15_000

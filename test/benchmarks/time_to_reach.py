@@ -15,13 +15,13 @@ from pathlib import Path
 
 import numpy as np
 from _common import Row, row
-from ctrl_rl_core.value_grid import ValueGrid
-from ttr_reward_node.convergence import Errors, measure_errors
-from ttr_reward_node.cost import exponent, measure_cost
-from ttr_reward_node.decomposition import PLANAR_QUADROTOR_4D, solve_parts
-from ttr_reward_node.dubins import Reference, reference
-from ttr_reward_node.problem import Problem, problem_from_task
-from ttr_reward_node.solver import solve
+from ctrl_rl_core.values.value_grid import ValueGrid
+from ttr_reward_node.problems.problem import Problem, problem_from_task
+from ttr_reward_node.solvers.decomposition import PLANAR_QUADROTOR_4D, solve_parts
+from ttr_reward_node.solvers.solver import solve
+from ttr_reward_node.verification.convergence import Errors, measure_errors
+from ttr_reward_node.verification.cost import exponent, measure_cost
+from ttr_reward_node.verification.dubins import Reference, reference
 
 COUNTS = (101, 101, 72)
 STATES = 5000
@@ -31,8 +31,8 @@ THESIS_QUADROTOR = 90.0
 INSTALL = "hj_reachability is not installed: pip install -r requirements/benchmarks.txt"
 _FIRST_USE = """
 import time
-from ttr_reward_node.problem import problem_from_task
-from ttr_reward_node.solver import solve
+from ttr_reward_node.problems.problem import problem_from_task
+from ttr_reward_node.solvers.solver import solve
 problem = problem_from_task("car_ttr", counts=(21, 21, 18))
 begin = time.process_time()
 solve(problem)

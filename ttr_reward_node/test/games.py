@@ -1,12 +1,12 @@
 """Small systems with closed forms, shared by tests."""
 
 import numpy as np
-from ctrl_rl_core.grid_axis import Axis
-from ctrl_rl_core.regions import Region
-from ctrl_rl_core.system_models import Quantity
-from ctrl_rl_core.systems import System
-from ctrl_rl_core.units import Interval
-from ttr_reward_node.problem import Clearance, Problem
+from ctrl_rl_core.geometry.units import Interval
+from ctrl_rl_core.systems.models import Quantity
+from ctrl_rl_core.systems.system import System
+from ctrl_rl_core.tasks.regions import Region
+from ctrl_rl_core.values.grid_axis import Axis
+from ttr_reward_node.problems.problem import Clearance, Problem
 
 
 def _line(math, p):

@@ -5,13 +5,14 @@ from functools import cache
 
 import numpy as np
 import pytest
-from ctrl_rl_core.grid_axis import GridError
-from ctrl_rl_core.tasks import load_navigation_task
+from ctrl_rl_core.tasks.task import load_navigation_task
+from ctrl_rl_core.values.grid_axis import GridError
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from ttr_reward_node.cost import make_problem
-from ttr_reward_node.decomposed_value import DecomposedValue
-from ttr_reward_node.decomposition import (
+from ttr_reward_node.errors import TimeToReachError
+from ttr_reward_node.plots.decomposition_error import draw_gap
+from ttr_reward_node.problems.problem import problem_from_task
+from ttr_reward_node.solvers.decomposition import (
     DECOMPOSITIONS,
     PLANAR_QUADROTOR_4D,
     PLANAR_QUADROTOR_FIVE,
@@ -19,14 +20,12 @@ from ttr_reward_node.decomposition import (
     solve_decomposed,
     split,
 )
-from ttr_reward_node.errors import TimeToReachError
-from ttr_reward_node.gap import as_table, measure_gap
-from ttr_reward_node.gap_picture import draw_gap
-from ttr_reward_node.problem import problem_from_task
-from ttr_reward_node.solver import solve
-from ttr_reward_node.steps import crossing_time
-
-from ttr_reward_node import dubins
+from ttr_reward_node.solvers.solver import solve
+from ttr_reward_node.solvers.steps import crossing_time
+from ttr_reward_node.values.decomposed_value import DecomposedValue
+from ttr_reward_node.verification import dubins
+from ttr_reward_node.verification.cost import make_problem
+from ttr_reward_node.verification.decomposition_error import as_table, measure_gap
 
 COARSE = {"x": 11, "v_x": 7, "z": 11, "v_z": 7, "psi": 11, "omega": 5}
 CAR = Decomposition("car", (("x", "theta"), ("y", "theta")))

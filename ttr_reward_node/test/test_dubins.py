@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from ttr_reward_node.dubins import to_box
-from ttr_reward_node.dubins_words import distance, end_of
-from ttr_reward_node.machine_code import cached
+from ttr_reward_node.jit_cache import cached
+from ttr_reward_node.verification.dubins import to_box
+from ttr_reward_node.verification.dubins_words import distance, end_of
 
 BOX = np.array([[3.7, 4.3], [3.7, 4.3], [0.45, 1.05]])
 TOLERANCE = 1e-4

@@ -4,8 +4,8 @@ import json
 from functools import partial
 
 import pytest
-from ttr_reward_node.cost import measure_cost
-from ttr_reward_node.experiments_cli import main
+from ttr_reward_node.cli.experiments import main
+from ttr_reward_node.verification.cost import measure_cost
 
 
 @pytest.mark.parametrize(
@@ -30,7 +30,7 @@ def test_what_is_wrong_is_said_first(arguments, words, capsys, tmp_path, monkeyp
 
 def test_cost_is_written_and_drawn(capsys, tmp_path, monkeypatch):
     few = partial(measure_cost, ("3D Dubins car",), (1e3, 1e4, 3e4))
-    monkeypatch.setattr("ttr_reward_node.cost.measure_cost", few)
+    monkeypatch.setattr("ttr_reward_node.verification.cost.measure_cost", few)
     output, picture = tmp_path / "cost.json", tmp_path / "cost.png"
     assert main(["cost", "--output", str(output), "--picture", str(picture)]) == 0
     rows = json.loads(output.read_text(encoding="utf-8"))["rows"]

@@ -11,7 +11,7 @@ PROGRAM = """
 import sys
 sys.path.insert(0, {folder!r})
 from twice import twice
-from ttr_reward_node.machine_code import cached
+from ttr_reward_node.jit_cache import cached
 quick = cached(twice)
 print(quick(21.0), sum(quick.stats.cache_hits.values()))
 """

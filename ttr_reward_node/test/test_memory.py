@@ -7,19 +7,19 @@ from importlib import import_module
 from pathlib import Path
 
 import pytest
-from ctrl_rl_core.memory import available
+from ctrl_rl_core.io.memory import available
 from numba.core.caching import NullCache
 from numba.core.dispatcher import Dispatcher
-from ttr_reward_node.compiled import KERNEL_FILES
 from ttr_reward_node.errors import TimeToReachError
-from ttr_reward_node.machine_code import cached
-from ttr_reward_node.problem import problem_from_task
-from ttr_reward_node.solver import METHODS, memory_needed, solve
+from ttr_reward_node.jit_cache import cached
+from ttr_reward_node.kernels.compiled import KERNEL_FILES
+from ttr_reward_node.problems.problem import problem_from_task
+from ttr_reward_node.solvers.solver import METHODS, memory_needed, solve
 
 _SOLVE = """
-from ttr_reward_node.compiled import kernels
-from ttr_reward_node.problem import problem_from_task
-from ttr_reward_node.solver import solve
+from ttr_reward_node.kernels.compiled import kernels
+from ttr_reward_node.problems.problem import problem_from_task
+from ttr_reward_node.solvers.solver import solve
 solve(problem_from_task("car_ttr", counts=(21, 21, 18)))
 print(sum(kernels().sweep.stats.cache_hits.values()), sum(kernels().sweep.stats.cache_misses.values()))
 """
@@ -27,8 +27,8 @@ print(sum(kernels().sweep.stats.cache_hits.values()), sum(kernels().sweep.stats.
 _PEAK = """
 import sys
 from pathlib import Path
-from ttr_reward_node.cost import make_problem
-from ttr_reward_node.solver import memory_needed, solve
+from ttr_reward_node.verification.cost import make_problem
+from ttr_reward_node.solvers.solver import memory_needed, solve
 
 def status(key):
     lines = Path("/proc/self/status").read_text().splitlines()

@@ -6,19 +6,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 from ament_index_python.packages import get_package_share_directory
-from ctrl_rl_core.bag_copy import read_wire
-from ctrl_rl_core.bags import BagError, BagWriter, Topic, bag_info, read_messages
-from ctrl_rl_core.message_types import message_definition
-from ctrl_rl_core.recorded_qos import to_bag
-from ctrl_rl_core.ros import RESULT
-from ctrl_rl_core.tasks import load_navigation_task
+from ctrl_rl_bags.format.copy import read_wire
+from ctrl_rl_bags.recording.message_types import message_definition
+from ctrl_rl_bags.recording.qos import to_bag
+from ctrl_rl_core.ros.node import RESULT
+from ctrl_rl_core.tasks.task import load_navigation_task
 from nav_msgs.msg import Odometry
 from rclpy.serialization import serialize_message
 from std_msgs.msg import String
 from ttr_reward_node.errors import TimeToReachError
-from ttr_reward_node.labels import Labeller
-from ttr_reward_node.relabel import relabel
-from ttr_reward_node.solver import solve_task
+from ttr_reward_node.rewards.labels import Labeller
+from ttr_reward_node.rewards.relabel import relabel
+from ttr_reward_node.solvers.solver import solve_task
+
+from ctrl_rl_bags import BagError, BagWriter, Topic, bag_info, read_messages
 
 KIND = "nav_msgs/msg/Odometry"
 

@@ -9,17 +9,17 @@ from typing import Any
 import numpy as np
 import pytest
 import rclpy
-from ctrl_rl_core.ros import LATCHED, ODOM_PUBLISHER, RESULT, to_stamp
-from ctrl_rl_core.value_grid import ValueGrid
+from ctrl_rl_core.ros.node import LATCHED, ODOM_PUBLISHER, RESULT, to_stamp
+from ctrl_rl_core.values.value_grid import ValueGrid
 from nav_msgs.msg import OccupancyGrid, Odometry
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from rclpy.node import Node
 from std_srvs.srv import Trigger
-from ttr_reward_node.decomposed_value import DecomposedValue
-from ttr_reward_node.decomposition import PLANAR_QUADROTOR_FIVE, solve_decomposed
-from ttr_reward_node.rewards import longest_time
-from ttr_reward_node.solver import solve_task
+from ttr_reward_node.rewards.rewards import longest_time
+from ttr_reward_node.solvers.decomposition import PLANAR_QUADROTOR_FIVE, solve_decomposed
+from ttr_reward_node.solvers.solver import solve_task
+from ttr_reward_node.values.decomposed_value import DecomposedValue
 
 from ctrl_rl_msgs.msg import StateValue, TaskOutcome, TaskReward
 from ctrl_rl_msgs.msg import ValueGrid as ValueGridMsg

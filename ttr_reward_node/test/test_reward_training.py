@@ -5,19 +5,19 @@ import json
 import gymnasium
 import numpy as np
 import pytest
-from ctrl_rl_core.outcome import Outcome
-from ctrl_rl_core.tasks import load_navigation_task, task_file
-from ctrl_rl_training.algorithms import ROLL_OUT
-from ctrl_rl_training.results import samples_to
-from ctrl_rl_training.training import Options, train_one
-from ctrl_rl_training.visits import Visits
+from ctrl_rl_core.tasks.outcome import Outcome
+from ctrl_rl_core.tasks.task import load_navigation_task, task_file
+from ctrl_rl_training.experiments.results import samples_to
+from ctrl_rl_training.sb3.algorithms import ROLL_OUT
+from ctrl_rl_training.sb3.state_visitation import Visits
+from ctrl_rl_training.sb3.training import Options, train_one
 from ttr_reward_node.errors import TimeToReachError
-from ttr_reward_node.rewards import make_reward
-from ttr_reward_node.training import RewardRun, reward_runs
-from ttr_reward_node.training_cli import train, training_figures
-from ttr_reward_node.training_environment import make_rewarded
-from ttr_reward_node.training_pictures import draw_visits
-from ttr_reward_node.training_results import STAGES, collect
+from ttr_reward_node.rewards.rewards import make_reward
+from ttr_reward_node.training.cli import train, training_figures
+from ttr_reward_node.training.environment import make_rewarded
+from ttr_reward_node.training.plots import draw_visits
+from ttr_reward_node.training.results import STAGES, collect
+from ttr_reward_node.training.training import RewardRun, reward_runs
 
 
 def test_the_wrapper_pays_the_reward_and_leaves_the_rest_alone():

@@ -5,20 +5,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from ctrl_rl_core.geometry import Disc
-from ctrl_rl_core.grid_axis import Axis
-from ctrl_rl_core.outcome import Outcome
-from ctrl_rl_core.regions import Region
-from ctrl_rl_core.task_parts import RegionSpec, RewardSpec
-from ctrl_rl_core.tasks import load_navigation_task, task_digest
-from ctrl_rl_core.units import Interval
-from ctrl_rl_core.value_function import ValueFunctionError
-from ctrl_rl_core.value_grid import ValueGrid
+from ctrl_rl_core.geometry.shapes import Disc
+from ctrl_rl_core.geometry.units import Interval
+from ctrl_rl_core.tasks.outcome import Outcome
+from ctrl_rl_core.tasks.regions import Region
+from ctrl_rl_core.tasks.task import load_navigation_task, task_digest
+from ctrl_rl_core.tasks.task_schema import RegionSpec, RewardSpec
+from ctrl_rl_core.values.grid_axis import Axis
+from ctrl_rl_core.values.value_function import ValueFunctionError
+from ctrl_rl_core.values.value_grid import ValueGrid
 from hypothesis import given
 from hypothesis import strategies as st
 from ttr_reward_node.errors import TimeToReachError
-from ttr_reward_node.labels import Labeller
-from ttr_reward_node.rewards import (
+from ttr_reward_node.rewards.labels import Labeller
+from ttr_reward_node.rewards.rewards import (
     DISTANCE_WEIGHTS,
     REWARDS,
     distance_reward,

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from ttr_reward_node.check import check_task, random_starts
 from ttr_reward_node.errors import TimeToReachError
-from ttr_reward_node.problem import problem_from_task
-from ttr_reward_node.roll_out import roll_out
-from ttr_reward_node.solver import solve
+from ttr_reward_node.problems.problem import problem_from_task
+from ttr_reward_node.solvers.solver import solve
+from ttr_reward_node.verification.check import check_task, random_starts
+from ttr_reward_node.verification.roll_out import roll_out
 
 
 def test_without_obstacles_time_is_as_predicted():

@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from ctrl_rl_core.regions import Region
-from ctrl_rl_core.units import Interval
+from ctrl_rl_core.geometry.units import Interval
+from ctrl_rl_core.tasks.regions import Region
 from games import double_integrator, line, plane
-from ttr_reward_node.cost import CASES, exponent, make_problem, measure_cost
 from ttr_reward_node.errors import TimeToReachError
-from ttr_reward_node.problem import problem_from_task
-from ttr_reward_node.solver import METHODS, solve
+from ttr_reward_node.problems.problem import problem_from_task
+from ttr_reward_node.solvers.solver import METHODS, solve
+from ttr_reward_node.verification.cost import CASES, exponent, make_problem, measure_cost
 
 
 def wall(gap):
@@ -141,9 +141,9 @@ def test_a_file_says_how_it_was_solved():
 
 _PIECES = """
 import numpy as np
-from ttr_reward_node.decomposition import PLANAR_QUADROTOR_FIVE, split
-from ttr_reward_node.problem import problem_from_task
-from ttr_reward_node.solver import solve
+from ttr_reward_node.solvers.decomposition import PLANAR_QUADROTOR_FIVE, split
+from ttr_reward_node.problems.problem import problem_from_task
+from ttr_reward_node.solvers.solver import solve
 problem = problem_from_task("quad_ttr", counts={"psi": 31, "v_x": 21, "omega": 9})
 for part in split(problem, PLANAR_QUADROTOR_FIVE):
     if part.problem.system.state_names in (("omega",), ("v_x", "psi")):

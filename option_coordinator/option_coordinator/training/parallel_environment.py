@@ -15,9 +15,9 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
-from option_coordinator.decision import NONE, Decision
+from option_coordinator.environments.option_env import OptionEnvironment
 from option_coordinator.errors import OptionError
-from option_coordinator.event_driven import OptionEnvironment
+from option_coordinator.options.decision import NONE, Decision
 
 Seen = dict[str, NDArray[Any]]
 
@@ -96,7 +96,7 @@ class ParallelOptions(ParallelEnv[str, Seen, int]):
         )
 
     def render(self) -> None:
-        """Show nothing: pictures are made of the environment's trace, see `option_coordinator.pictures`."""
+        """Show nothing: pictures are made of the environment's trace, see `option_coordinator.plots`."""
 
     def _seen(self, decision: Decision) -> dict[str, Seen]:
         out: dict[str, Seen] = {}

@@ -1,0 +1,1 @@
+"""Time-aligned arrays from bags."""

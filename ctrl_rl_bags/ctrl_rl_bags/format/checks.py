@@ -1,0 +1,101 @@
+"""The door that bags come through: their errors, regular files only, and YAML of a bounded size and depth.
+
+A bag's YAML may be longer than what people write, `checked_yaml`: it holds the parameters of all nodes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import yaml
+from ctrl_rl_core.errors import CtrlRlError
+from ctrl_rl_core.io.file_checks import FileError, one_line, open_file
+
+_LONGEST_REASON = 200
+_LARGEST_YAML = 8 << 20
+_DEEPEST_YAML = 20
+_LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+
+
+class BagError(CtrlRlError):
+    """A bag cannot be written, read or mended; the message names the file and says what to do."""
+
+
+class DamagedError(BagError):
+    """A file is not what it says, or asks for more than the limits allow; the message does not name it."""
+
+
+def reason(error: Exception) -> str:
+    """Return any error as a part of one printable line."""
+    if isinstance(error, OSError) and error.strerror:
+        return error.strerror
+    return printable(" ".join(str(error)[: 10 * _LONGEST_REASON].split()) or type(error).__name__)
+
+
+@contextmanager
+def fields_of(what: str) -> Iterator[None]:
+    """Refuse a message whose fields are not those of its type's name: a bag defines its types itself.
+
+    Raises:
+        BagError: begins with `what`.
+    """
+    try:
+        yield
+    except (AttributeError, TypeError, ValueError, IndexError, OverflowError) as error:
+        raise BagError(f"{what} is not what its type says: {reason(error)}") from None
+
+
+def printable(text: str, longest: int = _LONGEST_REASON) -> str:
+    """Return a text of a bag as it may be printed: of a bounded length, without line breaks and escapes."""
+    return one_line(text, longest)
+
+
+@contextmanager
+def open_regular(path: Path, largest: float = math.inf) -> Iterator[tuple[BinaryIO, int]]:
+    """Open a regular file and give it and its size [bytes].
+
+    Raises:
+        DamagedError: it is no regular file, or larger than `largest` [bytes].
+        OSError: it cannot be opened.
+    """
+    try:
+        with open_file(path, largest) as opened:
+            yield opened
+    except FileError as error:
+        raise DamagedError(f"it {error}" if str(error).startswith(("is ", "has ")) else str(error)) from None
+
+
+def read_yaml(path: Path) -> Any:
+    """Return the content of a YAML file.
+
+    Raises:
+        DamagedError: it is too large, or no plain YAML.
+        OSError: it cannot be read.
+    """
+    with open_regular(path, _LARGEST_YAML) as (stream, size):
+        return parse_yaml(stream.read(size))
+
+
+def parse_yaml(text: str | bytes) -> Any:
+    """Return the content of a YAML text.
+
+    Raises:
+        DamagedError: it is no YAML, too large or too deep, or has aliases, which let a short text unfold without end.
+    """
+    if len(text) > _LARGEST_YAML:
+        raise DamagedError(f"it has {len(text):,} characters, where at most {_LARGEST_YAML:,} are read")
+    depth = 0
+    try:
+        for event in yaml.parse(text, Loader=_LOADER):
+            if isinstance(event, yaml.AliasEvent):
+                raise DamagedError("it has an alias, which no bag needs")
+            depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+            if depth > _DEEPEST_YAML:
+                raise DamagedError(f"it is nested more than {_DEEPEST_YAML} levels deep")
+        return yaml.load(text, _LOADER)
+    except (yaml.YAMLError, ValueError, TypeError, RecursionError) as error:
+        raise DamagedError(f"it is no YAML: {reason(error)}") from None

@@ -1,0 +1,100 @@
+"""Copies a bag message by message, as it was on the wire, and lets somebody add to it on the way."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+
+from tqdm import tqdm
+
+from ctrl_rl_bags.format.checks import BagError
+from ctrl_rl_bags.format.metadata import Topic
+from ctrl_rl_bags.format.reader import bag_info, open_bag
+from ctrl_rl_bags.format.sources import WireMessage
+from ctrl_rl_bags.format.writer import BagWriter
+
+
+def read_wire(bag: Path | str) -> Iterator[WireMessage]:
+    """Yield every message of a bag, file by file in the order of their log time.
+
+    An sqlite3 bag knows neither publication times nor counts: there they are the log time and 0.
+
+    Raises:
+        BagError: the bag cannot be read, or a checksum in it is wrong.
+    """
+    with open_bag(bag) as opened:
+        opened.check()
+        yield from opened.messages()
+
+
+def bag_topics(bag: Path | str) -> list[Topic]:
+    """Return the topics of a bag with their definitions and quality of service.
+
+    Raises:
+        BagError: the bag cannot be read, or it neither defines a type nor is the type one of ROS 2 Jazzy.
+    """
+    out = []
+    with open_bag(bag) as opened:
+        for topic in opened.topics.values():
+            if not topic.definition:  # a bag from before MCAP names its types, but does not define them
+                text = opened.types([topic.name]).store.generate_msgdef(topic.type, ros_version=2)[0]
+                topic = replace(topic, definition=text, encoding="ros2msg")
+            out.append(topic)
+    return out
+
+
+def copy_bag(
+    bag: Path | str,
+    output: Path | str,
+    added: Sequence[Topic],
+    add: Callable[[WireMessage], Iterable[tuple[str, bytes]]],
+    *,
+    left_out: Collection[str] = (),
+    custom_data: Mapping[str, str] | None = None,
+    progress: str = "",
+) -> int:
+    """Write a bag again with more topics in it; the messages kept stay as they are, byte for byte.
+
+    Args:
+        bag: folder or file.
+        output: folder of the new bag; it must not exist.
+        added: the new topics.
+        add: returns, for each message copied, the messages (topic, CDR bytes) that follow it, at its times.
+        left_out: topics of the old bag that the new one shall not have.
+        custom_data: texts that the new bag keeps beside the old one's.
+        progress: what a bar on a terminal is called; empty for none.
+
+    Returns:
+        How many messages were added.
+
+    Raises:
+        BagError: the bag cannot be read, it has one of the topics already, or the output exists.
+    """
+    topics, info = [topic for topic in bag_topics(bag) if topic.name not in left_out], bag_info(bag)
+    twice = {topic.name for topic in topics} & {topic.name for topic in added}
+    if twice:
+        raise BagError(f"{bag} has a topic {min(twice)} already")
+    count = 0
+    with BagWriter(output) as writer:
+        try:
+            for topic in (*topics, *added):
+                writer.add_topic(topic)
+            for key, value in (*info.custom_data.items(), *(custom_data or {}).items()):
+                writer.set_custom_data(key, value)
+            messages = tqdm(read_wire(bag), progress, info.message_count, disable=None if progress else True)
+            for message in messages:
+                if message.topic in left_out:
+                    continue
+                writer.write(message.topic, message.data, message.log_time, message.publish_time, message.sequence)
+                for name, data in add(message):
+                    writer.write(name, data, message.log_time, message.publish_time)
+                    count += 1
+        except BaseException:
+            with suppress(BagError):
+                writer.close()
+            shutil.rmtree(writer.folder, ignore_errors=True)
+            raise
+    return count

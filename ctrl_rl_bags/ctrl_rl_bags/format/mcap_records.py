@@ -1,0 +1,159 @@
+"""Records and chunks of MCAP files that nobody vouches for: every size is checked before anything of it is read.
+
+The layouts are those of https://mcap.dev/spec.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from dataclasses import dataclass
+from io import BytesIO
+from typing import BinaryIO, NamedTuple
+
+import lz4.frame  # type: ignore[import-untyped]
+import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Channel, Metadata, Schema
+
+from ctrl_rl_bags.format.checks import DamagedError
+
+MAGIC = b"\x89MCAP0\r\n"
+RECORD = struct.Struct("<BQ")
+MESSAGE = struct.Struct("<HIQQ")
+OPCODES = {int(opcode) for opcode in Opcode}
+_CHUNK = struct.Struct("<QQQI")
+_LONGEST_COMPRESSION = 32
+_KINDS: dict[int, type[Schema] | type[Channel] | type[Metadata]] = {
+    Opcode.SCHEMA: Schema,
+    Opcode.CHANNEL: Channel,
+    Opcode.METADATA: Metadata,
+}
+_ZSTD = zstandard.ZstdDecompressor()
+_MIB = 1 << 20
+_BROKEN = (McapError, struct.error, ValueError, zstandard.ZstdError, RuntimeError, MemoryError)
+
+
+@dataclass(frozen=True)
+class Limits:
+    """The most that a bag may take of the memory, whatever it claims.
+
+    Attributes:
+        chunk_bytes: Size of a chunk, uncompressed, and of a message.
+        open_bytes: Size of all chunks whose times overlap, uncompressed.
+        index_bytes: Size of a file's summary.
+        topics_bytes: Size of all schemas, channels and metadata records of a file.
+    """
+
+    chunk_bytes: int = 128 * _MIB
+    open_bytes: int = 256 * _MIB
+    index_bytes: int = 128 * _MIB
+    topics_bytes: int = 16 * _MIB
+
+
+DEFAULT_LIMITS = Limits()
+
+
+class ChunkHead(NamedTuple):
+    """What stands before a chunk's data: log times [ns], sizes [bytes], checksum (0: none), compression."""
+
+    start: int
+    end: int
+    size: int
+    crc: int
+    compression: str
+    data_at: int
+
+
+def read_exactly(stream: BinaryIO, size: int, limit: int) -> bytes:
+    """Return the next bytes of a file.
+
+    Raises:
+        DamagedError: there are fewer, or more than the limit are asked for.
+    """
+    if size > limit:
+        raise DamagedError(f"a record of {size:,} bytes, where at most {limit:,} are read")
+    data = stream.read(size)
+    if len(data) != size:
+        raise DamagedError("a record reaches beyond the end of the file")
+    return data
+
+
+def parse(opcode: int, content: bytes) -> Schema | Channel | Metadata | None:
+    """Return a schema, a channel or a metadata record; None for any other.
+
+    Raises:
+        DamagedError: its content is not what its kind has.
+    """
+    kind = _KINDS.get(opcode)
+    try:
+        return None if kind is None else kind.read(ReadDataStream(BytesIO(content)))
+    except _BROKEN as error:
+        raise DamagedError(f"a {Opcode(opcode).name.lower()} record cannot be read ({type(error).__name__})") from None
+
+
+def chunk_head(content: bytes, whole: bool = True) -> ChunkHead:
+    """Return what stands before the data of a chunk.
+
+    Args:
+        content: Content of the chunk's record.
+        whole: Whether all of it is there; of a torn one the data ends early.
+
+    Raises:
+        DamagedError: the chunk is too short to have it.
+    """
+    try:
+        start, end, size, crc = _CHUNK.unpack_from(content)
+        (length,) = struct.unpack_from("<I", content, _CHUNK.size)
+        name_at = _CHUNK.size + 4
+        if length > _LONGEST_COMPRESSION:
+            raise ValueError
+        name = bytes(content[name_at : name_at + length]).decode()
+        (data_size,) = struct.unpack_from("<Q", content, name_at + length)
+    except (struct.error, ValueError):
+        raise DamagedError("a chunk's head cannot be read") from None
+    data_at = name_at + length + 8
+    if whole and data_size != len(content) - data_at:
+        raise DamagedError("a chunk's data is not as long as its head says")
+    return ChunkHead(start, end, size, crc, name, data_at)
+
+
+def decompress(content: bytes, limit: int) -> bytes:
+    """Return the records of a whole chunk.
+
+    Raises:
+        DamagedError: it is larger than the limit, cannot be decompressed, or is not what its size and checksum say.
+    """
+    head = chunk_head(content)
+    if head.size > limit:
+        raise DamagedError(f"a chunk of {head.size:,} bytes, where at most {limit:,} are read: raise --max-chunk-mb")
+    records = decompress_some(head.compression, content[head.data_at :], head.size)
+    if len(records) != head.size:
+        raise DamagedError("a chunk is not as large as its head says")
+    if head.crc and zlib.crc32(records) != head.crc:
+        raise DamagedError("a chunk's checksum is wrong")
+    return records
+
+
+def decompress_some(compression: str, data: bytes, size: int) -> bytes:
+    """Return at most `size + 1` bytes of compressed data; of data that was cut off, what its compression lets through.
+
+    Raises:
+        DamagedError: the data is broken, or its compression unknown.
+    """
+    try:
+        if compression == "zstd":
+            if zstandard.get_frame_parameters(data).content_size == size:
+                return _ZSTD.decompress(data)
+            # Without a size that it knows, `decompress` does not stop: 130 kB may become 4 GB.
+            with _ZSTD.stream_reader(data, read_across_frames=True) as reader:
+                return reader.read(size + 1)
+        if compression == "lz4":
+            return bytes(lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size + 1))
+    except _BROKEN:
+        raise DamagedError("a chunk cannot be decompressed") from None
+    if compression:
+        raise DamagedError(f"a chunk's compression {compression!r} is unknown")
+    return data

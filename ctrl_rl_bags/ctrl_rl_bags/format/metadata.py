@@ -1,0 +1,185 @@
+"""What a bag says about itself: topics with their quality of service, and rosbag2's metadata.yaml (version 9)."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import yaml
+from ctrl_rl_core.io.atomic_write import write_whole
+from pydantic import BaseModel, Field, ValidationError
+
+from ctrl_rl_bags.format.checks import BagError, DamagedError, printable, read_yaml, reason
+
+METADATA_FILE = "metadata.yaml"
+METADATA_VERSION = 9
+ROS_DISTRO = "jazzy"
+CUSTOM_DATA_RECORD = "custom_data"
+"""Name of the MCAP metadata records that hold the bag's custom data, so that a bag cut off keeps them."""
+NO_TIME = 2**63 - 1
+"""Starting time of a bag without messages, as rosbag2 writes it."""
+
+Qos = Mapping[str, Any]
+"""One offered quality of service profile: the keys and texts that rosbag2 writes from version 9 on."""
+
+
+class _Nanoseconds(BaseModel):
+    nanoseconds: Annotated[int, Field(ge=0, lt=2**64)]
+
+
+class _StartingTime(BaseModel):
+    nanoseconds_since_epoch: Annotated[int, Field(ge=0, lt=2**64)]
+
+
+class _TopicMetadata(BaseModel):
+    name: str
+    type: str
+    serialization_format: str = "cdr"
+    offered_qos_profiles: list[Any] | str = ""
+    type_description_hash: str = ""
+
+
+class _TopicCount(BaseModel):
+    topic_metadata: _TopicMetadata
+    message_count: Annotated[int, Field(ge=0, lt=2**63)]
+
+
+class BagMetadata(BaseModel):
+    """What is read of metadata.yaml, versions 1 to 9; the names are rosbag2's."""
+
+    version: Annotated[int, Field(ge=1, le=METADATA_VERSION)]
+    storage_identifier: Literal["mcap", "sqlite3"]
+    relative_file_paths: list[str]
+    duration: _Nanoseconds
+    starting_time: _StartingTime
+    message_count: Annotated[int, Field(ge=0, lt=2**63)]
+    topics_with_message_count: list[_TopicCount]
+    compression_format: str | None = ""
+    compression_mode: str | None = ""
+    custom_data: dict[str, str] | None = None
+
+
+@dataclass(frozen=True)
+class Topic:
+    """One recorded topic.
+
+    Attributes:
+        name: full name, `/scan`.
+        type: `sensor_msgs/msg/LaserScan`.
+        definition: the message definition with all nested ones, as in a `ros2msg` schema.
+        type_hash: `RIHS01_...` (REP-2011), empty if unknown.
+        qos: what the publishers offered; it decides whether a replay is latched.
+        encoding: of the definition, `ros2msg` or `ros2idl`.
+    """
+
+    name: str
+    type: str
+    definition: str
+    type_hash: str = ""
+    qos: tuple[Qos, ...] = ()
+    encoding: str = "ros2msg"
+
+    @property
+    def qos_text(self) -> str:
+        """The offered profiles as YAML, as they stand in the MCAP channel; empty where none is known."""
+        return yaml.safe_dump(_plain(self.qos), sort_keys=False).strip() if self.qos else ""
+
+
+def name_of_other_type(topic: str, kind: str) -> str:
+    """Return the name under which a bag keeps a topic's messages of another type than its first.
+
+    rosbag2 wants one type for each topic.
+    """
+    return f"{topic}/as/{kind.replace('/msg/', '/')}"
+
+
+@dataclass(frozen=True)
+class FileSummary:
+    """Name, log times [ns] and number of messages of one .mcap file; the times are None without messages."""
+
+    path: str
+    start: int | None
+    end: int | None
+    message_count: int
+
+
+def bag_information(
+    files: Sequence[FileSummary],
+    topics: Iterable[Topic],
+    counts: Mapping[str, int],
+    custom_data: Mapping[str, str],
+) -> dict[str, Any]:
+    """Return what stands in metadata.yaml below `rosbag2_bagfile_information`."""
+    starts = [file.start for file in files if file.start is not None]
+    ends = [file.end for file in files if file.end is not None]
+    return {
+        "version": METADATA_VERSION,
+        "storage_identifier": "mcap",
+        "duration": {"nanoseconds": max(ends) - min(starts) if starts else 0},
+        "starting_time": {"nanoseconds_since_epoch": min(starts) if starts else NO_TIME},
+        "message_count": sum(file.message_count for file in files),
+        "topics_with_message_count": [
+            {
+                "topic_metadata": {
+                    "name": topic.name,
+                    "type": topic.type,
+                    "serialization_format": "cdr",
+                    "offered_qos_profiles": _plain(topic.qos),
+                    "type_description_hash": topic.type_hash,
+                },
+                "message_count": counts.get(topic.name, 0),
+            }
+            for topic in topics
+        ],
+        "compression_format": "",
+        "compression_mode": "",
+        "relative_file_paths": [file.path for file in files],
+        "files": [
+            {
+                "path": file.path,
+                "starting_time": {"nanoseconds_since_epoch": NO_TIME if file.start is None else file.start},
+                "duration": {"nanoseconds": 0 if file.start is None or file.end is None else file.end - file.start},
+                "message_count": file.message_count,
+            }
+            for file in files
+        ],
+        "custom_data": dict(custom_data),
+        "ros_distro": ROS_DISTRO,
+    }
+
+
+def write_metadata(folder: Path, information: Mapping[str, Any]) -> None:
+    """Write metadata.yaml whole or not at all.
+
+    Raises:
+        OSError: the disk refuses.
+    """
+    content = {"rosbag2_bagfile_information": information}
+    write_whole(folder / METADATA_FILE, yaml.safe_dump(content, sort_keys=False, allow_unicode=True))
+
+
+def read_metadata(folder: Path) -> BagMetadata:
+    """Return what stands in a bag's metadata.yaml below `rosbag2_bagfile_information`.
+
+    Raises:
+        BagError: there is no such file, or it is not a bag's.
+    """
+    path = folder / METADATA_FILE
+    try:
+        content = read_yaml(path)
+        information = content.get("rosbag2_bagfile_information") if isinstance(content, dict) else None
+        return BagMetadata.model_validate(information)
+    except ValidationError as error:
+        first = error.errors(include_url=False, include_input=False)[0]
+        where = ".".join(map(str, first["loc"]))
+        raise BagError(f"{path} is not a bag's metadata: {printable(where)}: {printable(first['msg'])}") from None
+    except (OSError, DamagedError) as error:
+        raise BagError(f"{path} cannot be read: {reason(error)}") from None
+
+
+def _plain(qos: Sequence[Qos]) -> list[dict[str, Any]]:
+    """Copy profiles so deeply that YAML finds no object twice, which it would write as an alias."""
+    return [copy.deepcopy(dict(profile)) for profile in qos]

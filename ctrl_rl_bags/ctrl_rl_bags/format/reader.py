@@ -1,0 +1,377 @@
+"""Reads rosbag2 folders, MCAP or the older sqlite3, without an installed ROS: the bag's own definitions are used.
+
+What a bag says is checked before it is believed: the memory it takes is bounded (`Limits`), each checksum that it has
+is checked, and `metadata.yaml` must say what the files say.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import zstandard
+
+from ctrl_rl_bags.format.checks import BagError, DamagedError, open_regular, printable, reason
+from ctrl_rl_bags.format.mcap_records import DEFAULT_LIMITS, Limits, decompress_some
+from ctrl_rl_bags.format.metadata import METADATA_FILE, BagMetadata, Qos, Topic, read_metadata
+from ctrl_rl_bags.format.sources import McapSource, Source, WireMessage, open_source, parsed_qos
+from ctrl_rl_bags.format.type_definitions import BagTypes, Definition
+
+_ROS1_MAGIC = b"#ROSBAG V"
+
+
+@dataclass(frozen=True)
+class BagMessage:
+    """One message of a bag.
+
+    Attributes:
+        topic: full name.
+        type: `sensor_msgs/msg/LaserScan`.
+        log_time: when it was received [ns since the epoch].
+        data: the message, with NumPy arrays for arrays of numbers.
+    """
+
+    topic: str
+    type: str
+    log_time: int
+    data: Any
+
+
+@dataclass(frozen=True)
+class RawMessage:
+    """One message of a bag as it was on the wire: CDR bytes with their header."""
+
+    topic: str
+    type: str
+    log_time: int
+    data: bytes
+
+
+@dataclass(frozen=True)
+class TopicInfo:
+    """Type, number of messages, type hash and offered quality of service of one topic."""
+
+    type: str
+    message_count: int
+    type_hash: str
+    qos: tuple[Qos, ...]
+
+
+@dataclass(frozen=True)
+class BagInfo:
+    """What a bag holds: log times [ns], files, topics by name, custom data, and what no checksum covers."""
+
+    folder: Path
+    start: int
+    end: int
+    message_count: int
+    files: tuple[str, ...]
+    topics: Mapping[str, TopicInfo]
+    custom_data: Mapping[str, str]
+    unchecked: str = ""
+
+
+class Bag:
+    """An open bag.
+
+    Attributes:
+        path: Its folder or file.
+        info: What it holds.
+        topics: Its topics by name, with their definitions.
+    """
+
+    def __init__(self, path: Path, limits: Limits, stack: ExitStack) -> None:
+        self.path = path
+        self._limits = limits
+        try:
+            self._metadata = read_metadata(path) if path.is_dir() else None
+        except BagError as error:
+            raise BagError(f"{error}{mend_hint(path)}") from None
+        self._storage = self._metadata.storage_identifier if self._metadata else _storage_of(path)
+        names = self._metadata.relative_file_paths if self._metadata else [path.name]
+        folder = path if path.is_dir() else path.parent
+        self._files = [folder / PurePosixPath(name).name for name in names]
+        self._by_message = False
+        if self._metadata and self._metadata.compression_mode and self._metadata.compression_mode.lower() != "none":
+            self._uncompress(self._metadata, stack)
+        self.topics: dict[str, Topic] = {}
+        self._mixed: dict[str, str] = {}
+        self._spans: list[tuple[int, int] | None] = []
+        self.info = self._read_info(tuple(names))
+        if self._metadata:
+            _compare(self._metadata, self.info, self._mixed)
+
+    def messages(
+        self, topics: Iterable[str] = (), start: int | None = None, stop: int | None = None
+    ) -> Iterator[WireMessage]:
+        """Yield messages as they were on the wire, file by file in the order of their log time.
+
+        Args:
+            topics: names to read; all if empty.
+            start: first log time [ns], included.
+            stop: last log time [ns], excluded.
+
+        Raises:
+            BagError: the bag has no such topic, or is damaged.
+        """
+        wanted = set(topics)
+        if missing := wanted - set(self.topics):
+            known = printable(", ".join(sorted(self.topics)))
+            raise BagError(f"{self.path} has no topic {', '.join(sorted(missing))}; it has {known or 'none'}")
+        wanted = wanted or set(self.topics)
+        if mixed := sorted(wanted & set(self._mixed)):
+            both = f"{printable(mixed[0])} has messages of two types, {self._mixed[mixed[0]]}"
+            raise BagError(f"{self.path}: {both}{mend_hint(self.path)}")
+        for file, span in zip(self._files, self._spans, strict=True):
+            if span is None or (start is not None and span[1] < start) or (stop is not None and span[0] >= stop):
+                continue
+            with self._open(file) as source:
+                for message in source.messages(wanted, start, stop):
+                    yield message._replace(data=self._plain(message.data)) if self._by_message else message
+
+    def check(self) -> None:
+        """Check all of the bag that has a checksum and that `messages` does not check.
+
+        Raises:
+            BagError: the bag is damaged.
+        """
+        for file in self._files:
+            with self._open(file) as source:
+                source.check()
+
+    def types(self, topics: Iterable[str] = ()) -> BagTypes:
+        """Return what decodes the messages of some topics, all if empty.
+
+        Raises:
+            BagError: a definition is missing or wrong.
+        """
+        chosen = [self.topics[name] for name in topics or self.topics]
+        kinds = {
+            topic.type: Definition(topic.type, topic.definition, topic.encoding, topic.type_hash) for topic in chosen
+        }
+        try:
+            return BagTypes(kinds.values())
+        except DamagedError as error:
+            raise BagError(f"{self.path}: {error}") from None
+
+    @contextmanager
+    def _open(self, file: Path) -> Iterator[Source]:
+        try:
+            source = open_source(file, self._storage, self._limits)
+            try:
+                yield source
+            finally:
+                source.close()
+        except (DamagedError, OSError) as error:
+            raise BagError(f"{file} cannot be read: {reason(error)}{mend_hint(self.path)}") from None
+
+    def _read_info(self, names: tuple[str, ...]) -> BagInfo:
+        counts: dict[str, int] = {}
+        custom: dict[str, str] = {}
+        unchecked: set[str] = set()
+        offered = (
+            {it.topic_metadata.name: it.topic_metadata for it in self._metadata.topics_with_message_count}
+            if self._metadata
+            else {}
+        )
+        for file in self._files:
+            with self._open(file) as source:
+                for topic, count in source.topics:
+                    known = self.topics.setdefault(topic.name, _completed(topic, offered))
+                    counts[topic.name] = counts.get(topic.name, 0) + count
+                    if known.type != topic.type:
+                        self._mixed[topic.name] = printable(f"{known.type} and {topic.type}")
+                here = sum(count for _, count in source.topics)
+                self._spans.append((source.start, source.end) if here else None)
+                custom |= source.custom_data
+                unchecked |= _unchecked(source)
+        spans = [span for span in self._spans if span is not None]
+        if self._metadata and self._metadata.custom_data is not None:
+            if custom and custom != self._metadata.custom_data:
+                raise BagError(
+                    f"{self.path}: {METADATA_FILE} has other custom data than its files{mend_hint(self.path)}"
+                )
+            custom = self._metadata.custom_data
+        return BagInfo(
+            folder=self.path,
+            start=min((span[0] for span in spans), default=0),
+            end=max((span[1] for span in spans), default=0),
+            message_count=sum(counts.values()),
+            files=names,
+            topics={
+                name: TopicInfo(self._mixed.get(name, topic.type), counts[name], topic.type_hash, topic.qos)
+                for name, topic in sorted(self.topics.items())
+            },
+            custom_data=custom,
+            unchecked=", ".join(sorted(unchecked)),
+        )
+
+    def _uncompress(self, metadata: BagMetadata, stack: ExitStack) -> None:
+        """Make ready for a bag that rosbag2 compressed as a whole, file by file or message by message."""
+        if metadata.compression_format != "zstd":
+            raise BagError(
+                f"{self.path}: its compression {printable(str(metadata.compression_format))!r} is unknown: use zstd"
+            )
+        self._by_message = str(metadata.compression_mode).lower() == "message"
+        if self._by_message:
+            return
+        folder = Path(stack.enter_context(TemporaryDirectory(prefix="bag-")))
+        try:
+            self._files = [_uncompressed(file, folder / file.stem) for file in self._files]
+        except (DamagedError, OSError, zstandard.ZstdError) as error:
+            raise BagError(f"{self.path} cannot be uncompressed: {reason(error)}") from None
+
+    def _plain(self, data: bytes) -> bytes:
+        plain = decompress_some("zstd", data, self._limits.chunk_bytes)
+        if len(plain) > self._limits.chunk_bytes:
+            raise DamagedError(f"a message of more than {self._limits.chunk_bytes:,} bytes")
+        return plain
+
+
+@contextmanager
+def open_bag(bag: Path | str, limits: Limits = DEFAULT_LIMITS) -> Iterator[Bag]:
+    """Open a bag: its folder, or one .mcap or .db3 file.
+
+    Raises:
+        BagError: there is no such bag, it was cut off, or it is damaged.
+    """
+    path = Path(bag)
+    if not path.exists():
+        raise BagError(f"{path}: there is no such bag")
+    if path.is_dir() and not (path / METADATA_FILE).exists():
+        if any(path.glob("*.mcap")):
+            raise BagError(f"{path} was cut off{mend_hint(path)}")
+        raise BagError(f"{path} is no bag: it has no {METADATA_FILE}")
+    with ExitStack() as stack:
+        yield Bag(path, limits, stack)
+
+
+def read_messages(
+    bag: Path | str, topics: Iterable[str] = (), start: int | None = None, stop: int | None = None
+) -> Iterator[BagMessage]:
+    """Yield the messages of a bag in the order of their log time.
+
+    Args:
+        bag: folder or file.
+        topics: names to read; all if empty.
+        start: first log time [ns], included.
+        stop: last log time [ns], excluded.
+
+    Raises:
+        BagError: the bag has no such topic, or cannot be read.
+    """
+    topics = list(topics)
+    with open_bag(bag) as opened:
+        messages, types = opened.messages(topics, start, stop), None
+        for message in messages:
+            types = types or opened.types(topics)
+            try:
+                data = types.decode(message.data, message.type)
+            except DamagedError as error:
+                raise BagError(f"{bag}: a message of {printable(message.topic)} cannot be decoded: {error}") from None
+            yield BagMessage(message.topic, message.type, message.log_time, data)
+
+
+def read_raw(
+    bag: Path | str,
+    topics: Iterable[str] = (),
+    start: int | None = None,
+    stop: int | None = None,
+    limits: Limits = DEFAULT_LIMITS,
+) -> Iterator[RawMessage]:
+    """As `read_messages`, without decoding; five times as fast."""
+    with open_bag(bag, limits) as opened:
+        for message in opened.messages(topics, start, stop):
+            yield RawMessage(message.topic, message.type, message.log_time, message.data)
+
+
+def bag_info(bag: Path | str, limits: Limits = DEFAULT_LIMITS) -> BagInfo:
+    """Return what a bag holds.
+
+    Raises:
+        BagError: there is no such bag, it was cut off, or it is damaged.
+    """
+    with open_bag(bag, limits) as opened:
+        return opened.info
+
+
+def mend_hint(bag: Path | str) -> str:
+    """Return what an error says of `bag recover`: nothing where it cannot help."""
+    path = Path(bag)
+    mendable = any(path.glob("*.mcap")) if path.is_dir() else path.suffix == ".mcap"
+    return f"; mend it with ros2 run ctrl_rl_bags bag recover {path}" if mendable else ""
+
+
+def _storage_of(path: Path) -> str:
+    """Return the storage of a single file, by how it begins."""
+    try:
+        with open_regular(path) as (stream, _):
+            begin = stream.read(len(_ROS1_MAGIC))
+    except (OSError, DamagedError) as error:
+        raise BagError(f"{path} cannot be read: {reason(error)}") from None
+    if begin == _ROS1_MAGIC:
+        new = path.with_suffix("")
+        raise BagError(f"{path} is a ROS 1 bag: convert it first with rosbags-convert --src {path} --dst {new}")
+    return "sqlite3" if begin.startswith(b"SQLite") else "mcap"
+
+
+def _completed(topic: Topic, offered: Mapping[str, Any]) -> Topic:
+    """Take from metadata.yaml what a file of another writer does not say."""
+    also = offered.get(topic.name)
+    if also is None:
+        return topic
+    qos = topic.qos or parsed_qos(also.offered_qos_profiles)
+    return Topic(
+        topic.name, topic.type, topic.definition, topic.type_hash or also.type_description_hash, qos, topic.encoding
+    )
+
+
+def _unchecked(source: Source) -> set[str]:
+    if not isinstance(source, McapSource):
+        return {"everything: sqlite3 has no checksums"}
+    summary, messages = source.checksums()
+    return ({"topics and times"} if not summary else set()) | ({"messages"} if not messages else set())
+
+
+def _compare(metadata: BagMetadata, info: BagInfo, mixed: Mapping[str, str]) -> None:
+    """Refuse a metadata.yaml that says something else than the files, which have checksums where it has none."""
+    said = {
+        it.topic_metadata.name: (it.topic_metadata.type, it.message_count) for it in metadata.topics_with_message_count
+    }
+    found = {name: (topic.type, topic.message_count) for name, topic in info.topics.items()}
+    wrong = next((name for name in sorted(said.keys() | found.keys()) if said.get(name) != found.get(name)), None)
+    if wrong in mixed:
+        return
+    if wrong is not None:
+        words = [
+            f"{kind}, {count} messages" if kind else "no such topic"
+            for kind, count in (said.get(wrong, ("", 0)), found.get(wrong, ("", 0)))
+        ]
+        fault = f"{wrong}: {words[0]}; its files: {words[1]}"
+    elif metadata.message_count != info.message_count:
+        fault = f"{metadata.message_count} messages; its files: {info.message_count}"
+    elif info.message_count and (metadata.starting_time.nanoseconds_since_epoch, metadata.duration.nanoseconds) != (
+        info.start,
+        info.end - info.start,
+    ):
+        fault = "other times than its files"
+    else:
+        return
+    raise BagError(f"{info.folder}: {METADATA_FILE} says {printable(fault)}{mend_hint(info.folder)}")
+
+
+def _uncompressed(file: Path, output: Path) -> Path:
+    """Write a file that was compressed, as long as half of the disk's free space suffices, and return it."""
+    left = shutil.disk_usage(output.parent).free // 2
+    with open_regular(file) as (stream, _), output.open("xb") as out:
+        for piece in zstandard.ZstdDecompressor().read_to_iter(stream):
+            left -= len(piece)
+            if left < 0:
+                raise DamagedError("it would take more than half of the disk's free space")
+            out.write(piece)
+    return output

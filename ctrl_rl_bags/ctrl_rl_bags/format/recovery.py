@@ -1,0 +1,325 @@
+"""Mends bags that were cut off by a SIGKILL, a power cut or a full disk.
+
+An MCAP file is a row of records, each with its length in front. All whole records are read, messages are written to a
+new bag, and the bag's metadata is rebuilt from them. The cut-off bag itself is only read. What asks for more memory
+than the limits allow is dropped and counted, as is what cannot be read.
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+import zlib
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import BinaryIO
+
+from mcap.opcode import Opcode
+from mcap.records import Channel, Metadata, Schema
+from tqdm import tqdm
+
+from ctrl_rl_bags.format.checks import BagError, DamagedError, open_regular, reason
+from ctrl_rl_bags.format.mcap_records import (
+    DEFAULT_LIMITS,
+    MAGIC,
+    MESSAGE,
+    OPCODES,
+    RECORD,
+    Limits,
+    chunk_head,
+    decompress_some,
+    parse,
+)
+from ctrl_rl_bags.format.metadata import CUSTOM_DATA_RECORD, METADATA_FILE, Topic, name_of_other_type
+from ctrl_rl_bags.format.reader import open_bag
+from ctrl_rl_bags.format.sources import parsed_qos
+from ctrl_rl_bags.format.writer import BagWriter
+
+_READ = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.METADATA)
+
+
+@dataclass
+class Recovery:
+    """What was found in a bag.
+
+    Attributes:
+        source: the bag that was read.
+        folder: the mended bag, None if the bag was whole and nothing was written.
+        messages: number of messages by topic.
+        start: first log time [ns], None without messages.
+        end: last log time [ns].
+        dropped_bytes: what could not be read, of all files together.
+        unfinished: names of the files that were cut off or damaged.
+        too_large: number of chunks and records that were dropped because they take more memory than is allowed.
+    """
+
+    source: Path
+    folder: Path | None = None
+    messages: dict[str, int] = field(default_factory=dict)
+    start: int | None = None
+    end: int | None = None
+    dropped_bytes: int = 0
+    unfinished: list[str] = field(default_factory=list)
+    too_large: int = 0
+
+
+def recover(
+    bag: Path | str, output: Path | str | None = None, *, progress: bool = False, limits: Limits = DEFAULT_LIMITS
+) -> Recovery:
+    """Write what can be read of a cut-off bag as a new, whole bag.
+
+    Args:
+        bag: the folder of the bag, or one .mcap file.
+        output: the new folder, `<bag>_recovered` if None; it must not exist.
+        progress: show a bar on a terminal.
+        limits: the most that the bag may take of the memory.
+
+    Raises:
+        BagError: no MCAP bag, nothing readable in it, or the output exists or cannot be written.
+    """
+    source = Path(bag).absolute()
+    if not source.exists():
+        raise BagError(f"{bag}: there is no such bag")
+    files = sorted(source.glob("*.mcap"), key=_file_order) if source.is_dir() else [source]
+    if not files:
+        raise BagError(f"{bag} holds no .mcap file: there is nothing to recover")
+    if source.is_file() and source.suffix != ".mcap":
+        raise BagError(f"{bag} is no .mcap file: there is nothing to recover")
+    whole = _whole(source, files, limits)
+    if whole is not None:
+        return whole
+    folder = (
+        Path(output)
+        if output is not None
+        else source.with_name(f"{source.stem if source.is_file() else source.name}_recovered")
+    )
+    if folder.exists():
+        raise BagError(f"{folder} exists: a bag is never overwritten; name another folder")
+    out = Recovery(source, folder)
+    copy = _Copy(folder, max(file.stat().st_size for file in files) if len(files) > 1 else 0, out, limits)
+    try:
+        for file in tqdm(files, desc="recover", unit="file", disable=None if progress else True):
+            copy.add_file(file)
+        copy.finish()
+    except BaseException:
+        copy.discard()
+        raise
+    return out
+
+
+class _Copy:
+    """Writes the readable part of one file after the other to a new bag."""
+
+    def __init__(self, folder: Path, max_file_bytes: int, found: Recovery, limits: Limits) -> None:
+        self._folder = folder
+        self._max_file_bytes = max_file_bytes
+        self._found = found
+        self._limits = limits
+        self._writer: BagWriter | None = None
+        self._topics: dict[str, Topic] = {}
+        self._custom_data: dict[str, str] = {}
+        self._schemas: dict[int, Schema] = {}
+        self._channels: dict[int, str] = {}
+        self._kept_bytes = 0
+
+    def add_file(self, path: Path) -> None:
+        self._schemas, self._channels, self._kept_bytes = {}, {}, 0
+        scan = _Scan(path, self._limits)
+        for opcode, content in scan.records():
+            try:
+                self._add_record(opcode, content)
+            except DamagedError:
+                scan.dropped_bytes += len(content)
+        self._found.too_large += scan.too_large
+        if scan.dropped_bytes or not scan.finished:
+            self._found.unfinished.append(path.name)
+            self._found.dropped_bytes += scan.dropped_bytes
+
+    def finish(self) -> None:
+        if self._writer is None:
+            large = f" ({self._found.too_large} chunks are larger than --max-chunk-mb)" if self._found.too_large else ""
+            raise BagError(f"{self._found.source} holds no readable message{large}: there is nothing to recover")
+        for name, topic in self._topics.items():
+            if name not in self._writer.message_counts:
+                self._writer.add_topic(topic)
+        for key, value in self._custom_data.items():
+            self._writer.set_custom_data(key, value)
+        self._writer.close()
+
+    def discard(self) -> None:
+        if self._writer is not None:
+            with suppress(BagError):
+                self._writer.close()
+            shutil.rmtree(self._folder, ignore_errors=True)
+
+    def _add_record(self, opcode: int, content: bytes) -> None:
+        if opcode == Opcode.MESSAGE:
+            self._add_message(content)
+            return
+        if self._kept_bytes + len(content) > self._limits.topics_bytes:
+            raise DamagedError("too many topics")
+        record = parse(opcode, content)
+        self._kept_bytes += len(content)
+        if isinstance(record, Schema):
+            self._schemas[record.id] = record
+        elif isinstance(record, Channel):
+            self._add_channel(record)
+        elif isinstance(record, Metadata) and record.name == CUSTOM_DATA_RECORD:
+            self._custom_data.update(record.metadata)
+
+    def _add_channel(self, channel: Channel) -> None:
+        schema = self._schemas.get(channel.schema_id) or Schema(0, b"", "", "unknown/msg/Unknown")
+        try:
+            definition = schema.data.decode()
+        except UnicodeDecodeError:
+            raise DamagedError("a definition is no text") from None
+        topic = Topic(
+            name=channel.topic,
+            type=schema.name,
+            definition=definition,
+            type_hash=channel.metadata.get("topic_type_hash", ""),
+            qos=parsed_qos(channel.metadata.get("offered_qos_profiles", "")),
+            encoding=schema.encoding,
+        )
+        if self._topics.get(topic.name, topic).type != topic.type:
+            topic = replace(topic, name=name_of_other_type(topic.name, topic.type))
+        self._channels[channel.id] = topic.name
+        self._topics.setdefault(topic.name, topic)
+
+    def _add_message(self, content: bytes) -> None:
+        name = None if len(content) < MESSAGE.size else self._channels.get(MESSAGE.unpack_from(content)[0])
+        if name is None:
+            raise DamagedError("message of an unknown channel")
+        _, sequence, log_time, publish_time = MESSAGE.unpack_from(content)
+        if self._writer is None:
+            self._writer = BagWriter(self._folder, max_file_bytes=self._max_file_bytes)
+        if name not in self._writer.message_counts:
+            self._writer.add_topic(self._topics[name])
+        self._writer.write(name, content[MESSAGE.size :], log_time, publish_time, sequence)
+        found = self._found
+        found.messages[name] = found.messages.get(name, 0) + 1
+        found.start = log_time if found.start is None else min(found.start, log_time)
+        found.end = log_time if found.end is None else max(found.end, log_time)
+
+
+class _Scan:
+    """Reads one file record by record, as far as it goes."""
+
+    def __init__(self, path: Path, limits: Limits) -> None:
+        self.path = path
+        self.finished = False
+        self.dropped_bytes = 0
+        self.too_large = 0
+        self._limits = limits
+
+    def records(self) -> Iterator[tuple[int, bytes]]:
+        """Yield opcode and content of every readable record before the summary, those in chunks too."""
+        try:
+            with open_regular(self.path) as (stream, size):
+                yield from self._records(stream, size)
+        except (DamagedError, OSError) as error:
+            raise BagError(f"{self.path} cannot be read: {reason(error)}") from None
+
+    def _records(self, stream: BinaryIO, size: int) -> Iterator[tuple[int, bytes]]:
+        if stream.read(len(MAGIC)) != MAGIC:
+            self.dropped_bytes = size
+            return
+        while True:
+            head = stream.read(RECORD.size)
+            if len(head) < RECORD.size:
+                self.dropped_bytes += len(head)
+                return
+            opcode, length = RECORD.unpack(head)
+            if opcode == Opcode.DATA_END:
+                self.finished = _ends_well(stream, size)
+                return
+            if opcode not in OPCODES:  # zeros, say, where a power cut left a hole
+                self.dropped_bytes += size - stream.tell() + len(head)
+                return
+            left = size - stream.tell()
+            if length > left and opcode not in (Opcode.CHUNK, *_READ):
+                self.dropped_bytes += left + len(head)
+                return
+            if opcode not in (Opcode.CHUNK, *_READ):
+                stream.seek(length, 1)
+            elif min(length, left) > self._limits.chunk_bytes:
+                self._drop(min(length, left), too_large=True)
+                stream.seek(min(length, left), 1)
+            else:
+                content = stream.read(min(length, left))
+                yield from self._open_record(opcode, content, len(content) == length)
+
+    def _open_record(self, opcode: int, content: bytes, whole: bool) -> Iterator[tuple[int, bytes]]:
+        if opcode == Opcode.CHUNK:
+            inside, sound = self._decompress(content, whole)
+            yield from _split_records(inside)
+            whole = whole and sound
+        elif whole:
+            yield opcode, content
+        if not whole:
+            self._drop(len(content))
+
+    def _decompress(self, chunk: bytes, whole: bool) -> tuple[bytes, bool]:
+        """Return a chunk's records, and whether that is all; of a torn chunk, what its compression lets through."""
+        try:
+            head = chunk_head(chunk, whole)
+            if head.size > self._limits.chunk_bytes:
+                self.too_large += 1
+                return b"", False
+            records = decompress_some(head.compression, chunk[head.data_at :], head.size)
+        except DamagedError:
+            return b"", False
+        if len(records) < head.size:
+            return records, False
+        if len(records) > head.size or (head.crc and zlib.crc32(records) != head.crc):
+            return b"", False
+        return records, True
+
+    def _drop(self, content: int, too_large: bool = False) -> None:
+        self.dropped_bytes += RECORD.size + content
+        self.too_large += too_large
+
+
+def _whole(source: Path, files: list[Path], limits: Limits) -> Recovery | None:
+    """Return what a bag holds if all of it can be read, None if it has to be mended."""
+    if source.is_dir() and not (source / METADATA_FILE).exists():
+        return None
+    try:
+        with open_bag(source, limits) as bag:
+            if {Path(name).name for name in bag.info.files} != {file.name for file in files}:
+                return None
+            bag.check()
+            for _ in bag.messages():
+                pass
+            info = bag.info
+    except BagError:
+        return None
+    empty = info.message_count == 0
+    return Recovery(
+        source,
+        messages={name: topic.message_count for name, topic in info.topics.items()},
+        start=None if empty else info.start,
+        end=None if empty else info.end,
+    )
+
+
+def _split_records(data: bytes) -> Iterator[tuple[int, bytes]]:
+    position = 0
+    while position + RECORD.size <= len(data):
+        opcode, length = RECORD.unpack_from(data, position)
+        position += RECORD.size + length
+        if position <= len(data):
+            yield opcode, data[position - length : position]
+
+
+def _ends_well(stream: BinaryIO, size: int) -> bool:
+    stream.seek(max(0, size - len(MAGIC)))
+    return stream.read() == MAGIC
+
+
+def _file_order(path: Path) -> tuple[int, str]:
+    """Order `name_10.mcap` behind `name_9.mcap`."""
+    number = re.search(r"(\d+)$", path.stem)
+    return (int(number[1]) if number else -1, path.name)

@@ -1,0 +1,105 @@
+"""Message types by name: their Python class and the definition text that a bag keeps.
+
+Both come from the installed packages on the ament index (`share/<package>/msg/*.msg`). Names come from bags and from
+other machines, so nothing is imported before `check_type` has found the name in an installed interface package.
+"""
+
+from __future__ import annotations
+
+import importlib
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
+from ament_index_python.resources import get_resource
+from ctrl_rl_core.errors import CtrlRlError
+
+_SEPARATOR = "=" * 80
+_PRIMITIVE = re.compile(r"bool|byte|char|float(32|64)|u?int(8|16|32|64)|w?string")
+_TYPE = re.compile(r"^([A-Za-z]\w*/)?(?:msg/)?([A-Za-z]\w*)")
+_TYPE_NAME = re.compile(r"(?!\w*__|\w*_/)[a-z][a-z0-9_]*/msg/[A-Z][A-Za-z0-9]*", re.ASCII)
+"""ROS's rule: https://design.ros2.org/articles/legacy_interface_definition.html, "Naming of messages and services"."""
+_LONGEST_NAME = 255
+_LONGEST_SHOWN = 80
+
+
+class UnknownTypeError(CtrlRlError):
+    """A message type is not installed here: its package is not sourced, or not built."""
+
+
+def is_type_name(name: str) -> bool:
+    """Tell whether a text is a valid ROS name of a message type: `package/msg/Name`."""
+    return len(name) <= _LONGEST_NAME and _TYPE_NAME.fullmatch(name) is not None
+
+
+def check_type(name: str) -> None:
+    """Refuse a type name that is not valid, or that no installed interface package has; nothing is imported.
+
+    Raises:
+        UnknownTypeError: says which of the two it is.
+    """
+    if not is_type_name(name):
+        shown = name if len(name) <= _LONGEST_SHOWN else f"{name[:_LONGEST_SHOWN]}..."
+        raise UnknownTypeError(f"{shown!r} is no name of a message type: it must be like package/msg/Name")
+    package, _, short = name.partition("/msg/")
+    try:
+        interfaces, _ = get_resource("rosidl_interfaces", package)
+    except (LookupError, OSError, ValueError):
+        interfaces = ""
+    if not {f"msg/{short}.msg", f"msg/{short}.idl"} & set(interfaces.split()):
+        raise UnknownTypeError(f"type {name} is not installed here: source the workspace that has {package}")
+
+
+def message_class(name: str) -> Any:
+    """Return the class of a type such as `sensor_msgs/msg/LaserScan`.
+
+    Raises:
+        UnknownTypeError: it is not installed here.
+    """
+    check_type(name)
+    package, _, short = name.partition("/msg/")
+    try:
+        return getattr(importlib.import_module(f"{package}.msg"), short)
+    except (ImportError, AttributeError):
+        raise UnknownTypeError(f"type {name} cannot be imported: build and source {package} again") from None
+
+
+def message_definition(name: str) -> str:
+    """Return the definition of a type followed by those of all nested types, as in a `ros2msg` schema.
+
+    Raises:
+        UnknownTypeError: a definition is not installed here.
+    """
+    texts = {name: _text(name)}
+    waiting = [name]
+    while waiting:
+        outer = waiting.pop()
+        for inner in _nested(outer, texts[outer]):
+            if inner not in texts:
+                texts[inner] = _text(inner)
+                waiting.append(inner)
+    head = texts.pop(name)
+    return head + "".join(f"{_SEPARATOR}\nMSG: {inner.replace('/msg/', '/')}\n{text}" for inner, text in texts.items())
+
+
+def _text(name: str) -> str:
+    check_type(name)
+    package, _, short = name.partition("/msg/")
+    try:
+        text = (Path(get_package_share_directory(package)) / "msg" / f"{short}.msg").read_text(encoding="utf-8")
+    except (PackageNotFoundError, OSError, ValueError):
+        raise UnknownTypeError(f"no definition of {name} is installed here: source the workspace that has it") from None
+    return text.rstrip("\n") + "\n"
+
+
+def _nested(name: str, text: str) -> Iterator[str]:
+    own_package = name.partition("/")[0]
+    for line in text.splitlines():
+        found = _TYPE.match(line.partition("#")[0].strip())
+        if found is None or (found[1] is None and _PRIMITIVE.fullmatch(found[2])):
+            continue
+        # `Header` alone is the one name that needs no package.
+        package = found[1][:-1] if found[1] else "std_msgs" if found[2] == "Header" else own_package
+        yield f"{package}/msg/{found[2]}"

@@ -1,0 +1,25 @@
+from setuptools import find_packages, setup
+
+NAME = "ctrl_rl_bags"
+
+setup(
+    name=NAME,
+    version="0.1.0",
+    description="Bags: recording, reading, mending, playing and aligning rosbag2 folders.",
+    license="Apache-2.0",
+    packages=find_packages(include=[NAME, f"{NAME}.*"]),
+    package_data={NAME: ["py.typed"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+        (f"share/{NAME}", ["package.xml"]),
+    ],
+    install_requires=["setuptools"],
+    extras_require={"test": ["pytest"]},
+    zip_safe=False,
+    entry_points={
+        "console_scripts": [
+            "bag = ctrl_rl_bags.cli:main",
+            "recorder = ctrl_rl_bags.recording.recorder_node:main",
+        ],
+    },
+)

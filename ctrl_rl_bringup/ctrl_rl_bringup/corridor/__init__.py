@@ -1,0 +1,1 @@
+"""A drive through the corridor: its run, report and plot."""

@@ -1,0 +1,118 @@
+"""Runs: one drive under the controller, many drives from random starts, drives to learn from."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from ctrl_rl_core.io.atomic_write import write_whole
+from ctrl_rl_core.tasks.task import task_file
+from koopman_lqr_controller.policies.policy_file import find_policy
+
+from ctrl_rl_bringup.corridor.plot import draw_drive
+from ctrl_rl_bringup.corridor.report import Drive, read_drive
+from ctrl_rl_bringup.runner.monitor import Episode, Monitor
+from ctrl_rl_bringup.runner.prepare import new_run, value_files
+from ctrl_rl_bringup.runner.processes import Processes
+from ctrl_rl_bringup.runner.session import ros
+from ctrl_rl_bringup.runner.stack import (
+    DriveOptions,
+    NodeSpec,
+    controller,
+    recorder,
+    scripted_driver,
+    simulator,
+    value_nodes,
+    watchdog,
+)
+from ctrl_rl_msgs.msg import TaskOutcome
+
+
+@dataclass(frozen=True)
+class Artifacts:
+    """What a drive leaves behind, besides its bag."""
+
+    report: Path
+    picture: Path
+
+
+def drive(options: DriveOptions) -> Drive:
+    """Drive once under the controller, with its reward, record everything, and return what the bag says."""
+    policy = find_policy(options.policy)
+    new_run(options)
+    values = value_files(options)
+    nodes = [controller(options), watchdog(options.speed), *value_nodes(options, values)]
+    with _running(options, nodes, {"policy": policy, **values}) as monitor:
+        monitor.run()
+        monitor.follow("driving")
+    return read_drive(options.bag)
+
+
+def write_artifacts(result: Drive, folder: Path) -> Artifacts:
+    """Write report and picture of a drive into a folder."""
+    out = Artifacts(folder / "report.json", folder / "path.png")
+    write_whole(out.report, json.dumps(result.as_dict(), indent=2) + "\n")
+    draw_drive(result, out.picture)
+    return out
+
+
+def follow_running(topics: Sequence[str]) -> int:
+    """Follow a drive whose nodes somebody else has started, and return 0 if it reached the goal, else 1.
+
+    Args:
+        topics: that the drive waits for, besides those of every drive.
+    """
+    with ros():
+        monitor = Monitor(lambda: None, topics)
+        try:
+            monitor.wait_until_ready()
+            monitor.run()
+            outcome = monitor.follow("driving").outcome
+            monitor.pause()
+            return 0 if outcome == TaskOutcome.GOAL else 1
+        finally:
+            monitor.close()
+
+
+def drive_seeds(options: DriveOptions, seeds: Sequence[int]) -> list[Episode]:
+    """Drive under the controller once for each seed, in one recorded session, and return how each drive ended."""
+    policy = find_policy(options.policy)
+    new_run(options)
+    with _running(options, [controller(options), watchdog(options.speed)], {"policy": policy}) as monitor:
+        return _episodes(monitor, seeds, "seed")
+
+
+def record_scripted(options: DriveOptions, seeds: Sequence[int]) -> list[Episode]:
+    """Record the scripted driver, once for each seed: drives to learn from."""
+    new_run(options)
+    with _running(options, [scripted_driver(options.seed), watchdog(options.speed)], {}) as monitor:
+        return _episodes(monitor, seeds, "drive")
+
+
+def _episodes(monitor: Monitor, seeds: Sequence[int], title: str) -> list[Episode]:
+    out = []
+    for index, seed in enumerate(seeds):
+        monitor.reset(seed)
+        if index == 0:
+            monitor.run()
+        out.append(monitor.follow(f"{title} {seed} ({index + 1} of {len(seeds)})", lines=1))
+    return out
+
+
+@contextmanager
+def _running(options: DriveOptions, nodes: Sequence[NodeSpec], digests: dict[str, Path]) -> Iterator[Monitor]:
+    """Start simulator, recorder and nodes, and end them in an order in which the recorder misses nothing."""
+    with ros(), Processes(options.folder) as processes:
+        processes.start([recorder(options, {"task": task_file(options.task), **digests}), simulator(options), *nodes])
+        monitor = Monitor(processes.check, [topic for node in nodes for topic in node.publishes])
+        try:
+            monitor.wait_until_ready()
+            yield monitor
+            monitor.pause()
+        finally:
+            monitor.close()
+        for name in (*(node.executable for node in nodes), "bridge", "recorder"):
+            processes.stop(name)

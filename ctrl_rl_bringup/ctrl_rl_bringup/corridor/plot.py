@@ -1,0 +1,86 @@
+"""The picture of a drive: its path over the task's walls, and what happened over time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from ctrl_rl_core.plots import draw_world, save_figure
+from ctrl_rl_core.tasks.task import NavigationTask, load_navigation_task
+from matplotlib import pyplot as plt
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+
+from ctrl_rl_bringup.corridor.report import Drive
+from ctrl_rl_bringup.runner.monitor import OUTCOMES
+
+
+def draw_drive(drive: Drive, path: Path) -> None:
+    """Write the picture as a PNG; the file is there whole or not at all."""
+    task = load_navigation_task(drive.task)
+    rows = ["clearance", "speed", "turn"]
+    rows += ["reach"] if len(drive.rewards) else []
+    rows += ["value"] if len(drive.oc_values) else []
+    rows += ["error"] if len(drive.predictions) else []
+    figure, axes = plt.subplot_mosaic(
+        [["map", row] for row in rows],
+        width_ratios=(1.5, 1),
+        figsize=(12, 6),
+        layout="constrained",
+    )
+    _draw_map(axes["map"], task, drive)
+    _draw_over_time(axes, drive)
+    for row in rows:
+        axes[row].grid(alpha=0.3)
+        axes[row].set_xlim(0.0, max(drive.duration, 1e-3))
+    axes[rows[-1]].set_xlabel("time [s]")
+    figure.suptitle(f"{task.name}: {OUTCOMES[drive.outcome]} after {drive.duration:.1f} s", fontweight="bold")
+    save_figure(figure, path)
+
+
+def _draw_map(axes: Axes, task: NavigationTask, drive: Drive) -> None:
+    draw_world(axes, task, drive.width)
+    points = drive.truth[:, 1:3]
+    if len(points) > 1:
+        clearance = np.interp(drive.truth[:, 0], *drive.clearance.T)
+        line = LineCollection(list(np.stack((points[:-1], points[1:]), axis=1)), cmap="viridis", linewidth=2.5)
+        line.set_array(clearance[:-1])
+        axes.add_collection(line)
+        plt.colorbar(line, ax=axes, location="bottom", shrink=0.6, label="clearance [m]")
+        axes.plot(*points[0], "o", color="black", label="start")
+        _mark_times(axes, drive)
+    axes.set(xlabel="x [m]", ylabel="y [m]")
+    axes.autoscale_view()
+    axes.legend(loc="best", frameon=False)
+
+
+def _mark_times(axes: Axes, drive: Drive, step: float = 5.0) -> None:
+    """Write the time beside the path every few seconds."""
+    for time in np.arange(step, drive.duration, step):
+        x, y = (np.interp(time, drive.truth[:, 0], drive.truth[:, column]) for column in (1, 2))
+        axes.plot(x, y, ".", color="black", markersize=4)
+        axes.annotate(f"{time:g} s", (x, y), (4, 4), textcoords="offset points", fontsize=7)
+
+
+def _draw_over_time(axes: dict[str, Axes], drive: Drive) -> None:
+    axes["clearance"].plot(*drive.clearance.T, color="tab:blue")
+    axes["clearance"].axhline(0.0, color="tab:red", linewidth=1)
+    axes["clearance"].set_ylabel("clearance\n[m]")
+    axes["speed"].step(drive.commands[:, 0], drive.commands[:, 1], where="post", color="tab:green")
+    axes["speed"].set_ylabel("speed\n[m/s]")
+    axes["turn"].step(drive.commands[:, 0], drive.commands[:, 2], where="post", color="tab:orange")
+    axes["turn"].set_ylabel("turn rate\n[rad/s]")
+    if "reach" in axes:
+        axes["reach"].set_ylabel("time to\nreach [s]")
+        best = drive.time_to_reach
+        axes["reach"].plot(drive.rewards[:, 0], drive.rewards[:, 2], color="tab:purple", label="on the way")
+        axes["reach"].plot((0.0, best), (best, 0.0), "--", color="0.5", linewidth=1, label="at best")
+        axes["reach"].legend(fontsize=7, frameon=False)
+    if "value" in axes:
+        axes["value"].plot(*drive.oc_values.T, color="tab:brown")
+        axes["value"].set_ylabel("optimal\nvalue")
+    if "error" in axes:
+        axes["error"].plot(*drive.predictions[:, :2].T, color="tab:cyan", label="model")
+        axes["error"].plot(*drive.predictions[:, [0, 2]].T, color="0.5", linewidth=1, label="nothing changes")
+        axes["error"].set_ylabel("one-step\nerror")
+        axes["error"].legend(fontsize=7, frameon=False)

@@ -1,0 +1,237 @@
+"""What a bag says about a drive: reached or not, how close to a wall, how quickly the controller answered."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from ctrl_rl_core.tasks.task import load_navigation_task
+from numpy.typing import NDArray
+
+from ctrl_rl_bags import BagError, bag_info, read_messages
+from ctrl_rl_bringup.corridor.latent_model import LatentModel, read_latent_model
+from ctrl_rl_bringup.runner.monitor import OUTCOMES
+from ctrl_rl_bringup.runner.recorded_parameters import recorded_parameters
+from ctrl_rl_bringup.runner.transport import answer_latencies, lost_messages, read_sent
+from ctrl_rl_msgs.msg import TaskOutcome
+
+Array = NDArray[np.float64]
+_START_S = 0.5
+"""Until the first value of a run must be there."""
+_ANSWERED = 0.9
+"""Share of the odometry that values must answer."""
+_DIGEST = "digest."
+
+
+@dataclass(frozen=True)
+class Drive:
+    """One drive as recorded; times are seconds of simulation since the start.
+
+    Attributes:
+        task: its name or file.
+        width: of the corridor [m], None for the task's own.
+        outcome: a constant of TaskOutcome.
+        duration: until the outcome [s].
+        collisions: episodes that ended in one.
+        smallest_clearance: from the body to the nearest wall or obstacle [m].
+        truth: (n, 3) time, x, y in the frame map [s, m, m].
+        odometry: (n, 3) the same by the robot's wheels, in its own frame odom.
+        clearance: (n, 2) time and clearance [s, m].
+        commands: (n, 3) time, speed, turn rate [s, m/s, rad/s].
+        rewards: (n, 3) time, reward, time to reach [s, 1, s]; no rows where none was recorded.
+        oc_values: (n, 2) time, optimal control value [s, 1]; no rows where none was recorded.
+        latencies: from the publication of a scan to that of the command that answers it [s].
+        messages: recorded.
+        lost: published while the recorder listened, but not recorded.
+        predictions: (n, 3) time, one-step error of the latent model, and that of "nothing changes".
+        latent: the linear model that drove; None where none did.
+        promised: kinds of files that the run was started with: "policy", "time_to_reach", "oc_value" and so on.
+    """
+
+    task: str
+    width: float | None
+    outcome: int
+    duration: float
+    collisions: int
+    smallest_clearance: float
+    truth: Array
+    odometry: Array
+    clearance: Array
+    commands: Array
+    rewards: Array
+    oc_values: Array
+    latencies: Array
+    messages: int
+    lost: int
+    predictions: Array
+    latent: LatentModel | None
+    promised: frozenset[str] = frozenset()
+
+    @property
+    def reached(self) -> bool:
+        """Whether the goal was reached."""
+        return self.outcome == TaskOutcome.GOAL
+
+    @property
+    def time_to_reach(self) -> float:
+        """At the start [s]; NaN where no reward was recorded."""
+        return float(self.rewards[0, 2]) if len(self.rewards) else float("nan")
+
+    @property
+    def lacks(self) -> list[str]:
+        """What the nodes of the run should have said and the bag does not hold, in words; empty in a whole report."""
+        out = []
+        if "time_to_reach" in self.promised:
+            out += self._gaps("reward", self.rewards)
+        if "oc_value" in self.promised:
+            out += self._gaps("optimal value", self.oc_values)
+        if "policy" in self.promised and not len(self.latencies):
+            out.append("no command answers a scan")
+        return out
+
+    def _gaps(self, name: str, values: Array) -> list[str]:
+        """Say what is missing of values that answer odometry one by one."""
+        asked = self.odometry[:, 0]
+        if not len(values):
+            return [f"no {name}"]
+        if len(asked) and values[0, 0] > asked[0] + _START_S:
+            return [f"no {name} before {values[0, 0]:.1f} s"]
+        if len(values) < _ANSWERED * len(asked):
+            return [f"{len(values)} values of {name} for {len(asked)} of odometry"]
+        return []
+
+    def latency(self, percentile: float) -> float:
+        """Return a percentile of the latencies [s], NaN where no command answers a scan."""
+        return float(np.percentile(self.latencies, percentile)) if len(self.latencies) else float("nan")
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the figures as plain JSON values."""
+        return {
+            "task": self.task,
+            "outcome": OUTCOMES[self.outcome],
+            "time_s": self.duration,
+            "collisions": self.collisions,
+            "smallest_clearance_m": self.smallest_clearance,
+            "time_to_reach_at_start_s": self.time_to_reach if np.isfinite(self.time_to_reach) else None,
+            "rewards": len(self.rewards),
+            "oc_value_at_start": float(self.oc_values[0, 1]) if len(self.oc_values) else None,
+            "latency_median_ms": 1e3 * self.latency(50),
+            "latency_p99_ms": 1e3 * self.latency(99),
+            "messages_recorded": self.messages,
+            "messages_lost": self.lost,
+            "latent_model": self.latent.as_dict() if self.latent else None,
+            "lacks": self.lacks,
+        }
+
+    def text(self) -> str:
+        """Return the figures for people."""
+        ms = [1e3 * self.latency(percentile) for percentile in (50, 99)]
+        best = self.time_to_reach
+        value = f"{self.oc_values[0, 1]:.0f} at the start" if len(self.oc_values) else "none"
+        share = f", {self.duration / best:.2f} of the time to reach, {best:.1f} s" if np.isfinite(best) else ""
+        return "\n".join(
+            (
+                f"outcome             {OUTCOMES[self.outcome]}",
+                f"time                {self.duration:.1f} s{share if self.reached else ''}",
+                f"collisions          {self.collisions}",
+                f"smallest clearance  {self.smallest_clearance:.3f} m",
+                f"optimal value       {value}",
+                f"control latency     {ms[0]:.2f} ms median, {ms[1]:.2f} ms p99, {len(self.latencies)} scans",
+                f"messages            {self.messages} recorded, {self.lost} lost",
+                *(self.latent.text() if self.latent else ()),
+            )
+        )
+
+
+def read_drive(bag: Path) -> Drive:
+    """Read the drive of one robot, in one episode, from a bag; in any namespace, the first by name of several.
+
+    Raises:
+        BagError: the bag cannot be read, or holds no episode.
+    """
+    stamps: dict[str, list[float]] = defaultdict(list)
+    rows: dict[str, list[tuple[float, ...]]] = defaultdict(list)
+    topics = ("/scan", "/odom", "/ground_truth", "/cmd_vel", "/episode", "/reward", "/oc_value")
+    info = bag_info(bag)
+    spaces = [topic.removesuffix("/episode") for topic in info.topics if topic.endswith("/episode")]
+    space = min(spaces, default="")
+    recorded = [space + topic for topic in topics if space + topic in info.topics]
+    if not spaces:
+        raise BagError(f"{bag}: no topic /episode: is it a drive in the simulator?")
+    for message in read_messages(bag, recorded):
+        topic = message.topic.removeprefix(space)
+        stamps[topic].append(_stamp(message.data))
+        rows[topic].append(_row(topic, message.data))
+    begin = stamps["/episode"][0] - rows["/episode"][0][1]
+    episode = np.array(rows["/episode"])
+    task, width = _task_of(info.custom_data)
+
+    def track(topic: str) -> Array:
+        if topic not in rows:
+            return np.empty((0, 3))
+        return np.column_stack((np.array(stamps[topic]) - begin, np.array(rows[topic]).reshape(len(rows[topic]), -1)))
+
+    sent = read_sent(bag)
+    latent = read_latent_model(bag)
+    return Drive(
+        task=task,
+        width=width,
+        outcome=int(episode[-1, 3]),
+        duration=_duration(episode),
+        collisions=len({row[0] for row in episode if row[3] == TaskOutcome.COLLISION}),
+        smallest_clearance=float(episode[:, 2].min()),
+        truth=track("/ground_truth"),
+        odometry=track("/odom"),
+        clearance=np.column_stack((episode[:, 1], episode[:, 4])),
+        commands=track("/cmd_vel"),
+        rewards=track("/reward"),
+        oc_values=track("/oc_value"),
+        latencies=answer_latencies(sent.get(f"{space}/scan", ()), sent.get(f"{space}/cmd_vel", ())),
+        messages=info.message_count,
+        lost=lost_messages(sent),
+        predictions=latent.steps - (begin, 0.0, 0.0) if latent else np.empty((0, 3)),
+        latent=latent,
+        promised=frozenset(key.removeprefix(_DIGEST) for key in info.custom_data if key.startswith(_DIGEST)),
+    )
+
+
+def _stamp(message: Any) -> float:
+    header = getattr(message, "header", None)
+    return float("nan") if header is None else header.stamp.sec + 1e-9 * header.stamp.nanosec
+
+
+def _row(topic: str, message: Any) -> tuple[float, ...]:
+    if topic == "/episode":
+        return (
+            message.episode,
+            message.elapsed,
+            message.smallest_clearance,
+            message.outcome.value,
+            message.clearance,
+        )
+    if topic in ("/odom", "/ground_truth"):
+        return message.pose.pose.position.x, message.pose.pose.position.y
+    if topic == "/cmd_vel":
+        twist = getattr(message, "twist", message)
+        return twist.linear.x, twist.angular.z
+    if topic == "/reward":
+        return message.reward, message.time_to_reach
+    if topic == "/oc_value":
+        return (message.value,)
+    return ()
+
+
+def _duration(episode: Array) -> float:
+    ended = episode[episode[:, 3] != TaskOutcome.RUNNING]
+    return float(ended[0, 1] if len(ended) else episode[-1, 1])
+
+
+def _task_of(custom_data: Any) -> tuple[str, float | None]:
+    """Return task and corridor width of the simulator, from its parameters."""
+    parameters = recorded_parameters(custom_data, "sim_bridge")
+    task, width = str(parameters.get("task", "curved_corridor")), parameters.get("corridor_width", 0.0)
+    known = float(width) if isinstance(width, int | float) else 0.0
+    return load_navigation_task(task).name if not task.endswith(".yaml") else task, known or None

@@ -1,0 +1,206 @@
+"""Follows a drive: waits until everyone listens, lets the simulation run, shows how far the robot is."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import rclpy
+from ctrl_rl_bags.recording.message_types import message_class
+from ctrl_rl_core.errors import CtrlRlError
+from ctrl_rl_core.ros.node import RESULT
+from rclpy.node import Node
+from std_srvs.srv import SetBool
+
+from ctrl_rl_bringup.runner.progress import ProgressDisplay
+from ctrl_rl_bringup.runner.session import uninterrupted
+from ctrl_rl_bringup.runner.stack import RAW
+from ctrl_rl_msgs.msg import EpisodeStatus, TaskOutcome
+from ctrl_rl_msgs.srv import ResetWorld, StepWorld
+
+OUTCOMES = {
+    TaskOutcome.RUNNING: "running",
+    TaskOutcome.GOAL: "goal reached",
+    TaskOutcome.COLLISION: "collision",
+    TaskOutcome.TRAP: "trapped",
+    TaskOutcome.TIMEOUT: "time-out",
+}
+RECORDER = "recorder"
+_RECORDED = ("scan", "odom", "cmd_vel", "episode", "/clock", "ground_truth")
+_READY_S = 30.0
+_SILENT_S = 20.0
+_STEP_S = 0.05
+"""Longer than a period of odometry."""
+_ANSWER_S = 1.0
+
+
+class MonitorError(CtrlRlError):
+    """The nodes of a run did not come up, or fell silent."""
+
+
+@dataclass(frozen=True)
+class Episode:
+    """How an episode stands: number, outcome, time since the reset [s], part of the way done, least clearance [m]."""
+
+    number: int
+    outcome: int
+    elapsed: float
+    progress: float
+    smallest_clearance: float
+
+    @property
+    def figures(self) -> str:
+        """Time and clearance, for people."""
+        return f"{self.elapsed:5.1f} s, closest {self.smallest_clearance:.3f} m"
+
+
+class Monitor:
+    """A node that follows the episodes of one robot.
+
+    Args:
+        check: called often; raises if a node of the run has died.
+        topics: that must be recorded besides those of every run, and answer odometry before the drive begins.
+    """
+
+    def __init__(self, check: Callable[[], None], topics: Sequence[str] = ()) -> None:
+        self._node = Node("monitor")
+        self._topics = (*_RECORDED, *topics)
+        self._check = check
+        self._episode: Episode | None = None
+        self._wanted = 0
+        self._heard = time.monotonic()
+        self._unheard = set(topics)
+        self._node.create_subscription(EpisodeStatus, "episode", self._on_episode, RESULT)
+        self._pause = self._node.create_client(SetBool, "sim_bridge/pause")
+        self._step = self._node.create_client(StepWorld, "sim_bridge/step")
+        self._reset = self._node.create_client(ResetWorld, "sim_bridge/reset")
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self._node.destroy_node()
+
+    def wait_until_ready(self) -> None:
+        """Return once simulator, driver and recorder have found each other, and each awaited topic has had a message.
+
+        Raises:
+            MonitorError: they have not after half a minute.
+        """
+        deadline = time.monotonic() + _READY_S
+        while missing := self._missing():
+            self._spin()
+            if time.monotonic() > deadline:
+                raise MonitorError(f"not ready after {_READY_S:g} s: {missing}")
+        for topic in self._unheard:
+            self._listen(topic)
+        settle = time.monotonic() + 0.5  # the last match is seen here before it is seen by both of its ends
+        while time.monotonic() < settle:
+            self._spin()
+        self._await_answers()
+
+    def run(self) -> None:
+        """Let the paused simulation go."""
+        self._call(self._pause, SetBool.Request(data=False))
+
+    def pause(self) -> None:
+        """Let the simulation stand, so that what is under way is answered before the nodes end."""
+        self._call(self._pause, SetBool.Request(data=True))
+
+    def reset(self, seed: int) -> None:
+        """Start a new episode."""
+        self._wanted = self._call(self._reset, ResetWorld.Request(seed=seed)).episode
+        self._episode = None
+
+    def follow(self, title: str, lines: int = 10) -> Episode:
+        """Show the robot's progress until the episode has an outcome, and return how it ended.
+
+        Args:
+            title: what the drive is called.
+            lines: of progress, where no terminal shows a bar.
+
+        Raises:
+            MonitorError: nothing is heard of the episode any more.
+        """
+        self._heard = time.monotonic()
+        display = ProgressDisplay(title, lines)
+        try:
+            while self._episode is None or self._episode.outcome == TaskOutcome.RUNNING:
+                self._spin()
+                if time.monotonic() - self._heard > _SILENT_S:
+                    raise MonitorError(f"no episode status for {_SILENT_S:g} s: does the simulator still run?")
+                if self._episode is not None:
+                    display.show(self._episode.progress, self._episode.figures)
+        finally:
+            display.close()
+        return self._episode
+
+    def _listen(self, topic: str) -> None:
+        heard = partial(self._on_answer, topic)
+        for info in self._node.get_publishers_info_by_topic(topic):
+            self._node.create_subscription(message_class(info.topic_type), topic, heard, RESULT, raw=True)
+
+    def _on_answer(self, topic: str, _message: bytes) -> None:
+        self._unheard.discard(topic)
+
+    def _await_answers(self) -> None:
+        """Let the paused world send odometry, a few steps of a standing robot, until each awaited topic answers it."""
+        deadline = time.monotonic() + _READY_S
+        while self._unheard:
+            if time.monotonic() > deadline:
+                raise MonitorError(f"not ready after {_READY_S:g} s: no message on {', '.join(sorted(self._unheard))}")
+            self._call(self._step, StepWorld.Request(duration=_STEP_S))
+            patience = time.monotonic() + _ANSWER_S
+            while self._unheard and time.monotonic() < patience:
+                self._spin()
+
+    def _on_episode(self, message: EpisodeStatus) -> None:
+        self._heard = time.monotonic()
+        if message.episode != self._wanted:  # of the episode before the last reset, still under way
+            return
+        self._episode = Episode(
+            message.episode, message.outcome.value, message.elapsed, message.progress, message.smallest_clearance
+        )
+
+    def _missing(self) -> str:
+        """Return in words what is not there yet, empty if all is."""
+        for topic in self._topics:
+            subscribers = self._subscribers(topic)
+            publishers = self._node.count_publishers(topic)
+            if publishers == 0:
+                return f"nobody publishes {topic}"
+            if publishers > 1:
+                raise MonitorError(f"{publishers} nodes publish {topic}: end the other run, or set ROS_DOMAIN_ID")
+            if RECORDER not in subscribers:
+                return f"the recorder does not hear {topic}"
+            kind = topic.rsplit("/", 1)[-1]
+            if kind in ("scan", "odom") and len(subscribers) < 2:
+                return f"no driver hears {topic}"
+            if kind == "cmd_vel" and len(subscribers) < 2:
+                return f"the simulator does not hear {topic}"
+            if kind == RAW and len(subscribers) < 2:
+                return f"the watchdog does not hear {topic}"
+        return (
+            "" if self._pause.service_is_ready() and self._reset.service_is_ready() else "no pause and reset services"
+        )
+
+    def _subscribers(self, topic: str) -> set[str]:
+        return {info.node_name for info in self._node.get_subscriptions_info_by_topic(topic)}
+
+    def _call(self, client: rclpy.client.Client, request: object) -> Any:
+        future = client.call_async(request)
+        deadline = time.monotonic() + _READY_S
+        while not future.done():
+            self._spin()
+            if time.monotonic() > deadline:
+                raise MonitorError(f"service {client.srv_name} does not answer")
+        answer = future.result()
+        if not answer.success:
+            raise MonitorError(f"service {client.srv_name}: {answer.message}")
+        return answer
+
+    def _spin(self) -> None:
+        self._check()
+        with uninterrupted():  # rclpy makes a RuntimeError of an interruption while it converts a message
+            rclpy.spin_once(self._node, timeout_sec=0.05)

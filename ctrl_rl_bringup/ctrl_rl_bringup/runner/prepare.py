@@ -1,0 +1,55 @@
+"""What a drive needs before its nodes start: a folder of its own, and the value functions that are served beside it."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from ctrl_rl_core.errors import CtrlRlError
+from ctrl_rl_core.tasks.task import load_navigation_task
+from oc_baseline_node.values.value_file import find_value, shipped_values
+from ttr_reward_node.solvers.solver import solve_task
+
+from ctrl_rl_bringup.runner.stack import DriveOptions
+
+
+def new_run(options: DriveOptions) -> None:
+    """Check the task of a run and make its folder.
+
+    Raises:
+        CtrlRlError: there is no such task, it has no such width, or the folder exists or cannot be made.
+    """
+    load_navigation_task(options.task).build_world(options.width or None)
+    try:
+        options.folder.mkdir(parents=True)
+    except FileExistsError:
+        raise CtrlRlError(f"{options.folder} exists: give another folder") from None
+    except OSError as error:
+        raise CtrlRlError(f"cannot make {options.folder}: {error.strerror}") from None
+
+
+def value_files(options: DriveOptions) -> dict[str, Path]:
+    """Return the files of the value functions that are served beside a drive, by kind; what is lacking is said.
+
+    `time_to_reach` is solved now, for the robot's own size, and written beside the bag; `oc_value` comes with its
+    package.
+    """
+    task, out = load_navigation_task(options.task), {}
+    if not task.grid:
+        _say(f"no reward and no time to reach: task '{task.name}' has no 'grid'")
+    elif options.randomise_width:
+        _say("no reward and no time to reach: the corridor's width is drawn at random")
+    else:
+        _say("solving the time to reach ...")
+        out["time_to_reach"] = options.folder / "time_to_reach.safetensors"
+        grid = solve_task(task, width=options.width or None, inflation=task.robot.radius)
+        grid.save(out["time_to_reach"])
+    if task.name in shipped_values():
+        out["oc_value"] = find_value(task.name)
+    else:
+        _say(f"no optimal control value: there is none of task '{task.name}'; make one with 'oc data' and 'oc fit'")
+    return out
+
+
+def _say(text: str) -> None:
+    sys.stderr.write(f"{text}\n")

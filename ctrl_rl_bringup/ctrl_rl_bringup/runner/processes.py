@@ -1,0 +1,138 @@
+"""Starts nodes as processes and ends them in order: what `ros2 launch` does, where there is none."""
+
+from __future__ import annotations
+
+import shutil
+import signal
+import subprocess
+import tempfile
+from collections.abc import Iterable
+from pathlib import Path
+from types import TracebackType
+
+import yaml
+from ament_index_python.packages import PackageNotFoundError, get_package_prefix
+from ctrl_rl_core.errors import CtrlRlError
+
+from ctrl_rl_bringup.runner.session import uninterrupted
+from ctrl_rl_bringup.runner.stack import NodeSpec
+
+_STOP_S = 15.0
+_FULL_BYTES = 1_000_000
+
+
+class ProcessError(CtrlRlError):
+    """A node cannot be started, or ended by itself."""
+
+
+def executable_path(spec: NodeSpec) -> Path:
+    """Return the file that `ros2 run` would start.
+
+    Raises:
+        ProcessError: package or executable are not built.
+    """
+    try:
+        path = Path(get_package_prefix(spec.package)) / "lib" / spec.package / spec.executable
+    except PackageNotFoundError:
+        raise ProcessError(
+            f"package '{spec.package}' is not built: run 'make build' and source the workspace"
+        ) from None
+    if not path.is_file():
+        raise ProcessError(f"{path} is missing: run 'make build' again")
+    return path
+
+
+class Processes:
+    """Running nodes, ended in the order in which they are given; a context that leaves none behind.
+
+    Each node's output goes to `<folder>/<name>.log`.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._running: dict[str, subprocess.Popen[bytes]] = {}
+        self._parameters = tempfile.TemporaryDirectory(prefix="ctrl_rl_")
+
+    def start(self, specs: Iterable[NodeSpec]) -> None:
+        """Start nodes.
+
+        Raises:
+            ProcessError: one of them is not built.
+        """
+        for spec in specs:
+            rules = [f"__ns:=/{spec.namespace}"] if spec.namespace else []
+            rules += [f"{name}:={other}" for name, other in spec.remappings.items()]
+            names = [part for rule in rules for part in ("-r", rule)]
+            # An interruption between the start of a process and its entry here would leave it behind.
+            with uninterrupted(), (self._folder / f"{spec.name}.log").open("ab") as log:
+                self._running[spec.name] = subprocess.Popen(
+                    [executable_path(spec), "--ros-args", *names, "--params-file", self._parameter_file(spec)],
+                    stdin=subprocess.DEVNULL,
+                    stdout=log,
+                    stderr=subprocess.STDOUT,
+                    start_new_session=True,  # Ctrl-C in the terminal is ours to hand on, in order
+                )
+
+    def check(self) -> None:
+        """Raise ProcessError, with its last words, if a node has ended by itself."""
+        for name, process in self._running.items():
+            if process.poll() is not None:
+                raise ProcessError(self._end_of(name, process.returncode))
+
+    def stop(self, name: str) -> None:
+        """End one node by SIGINT and wait for it; kill it if it does not end.
+
+        Raises:
+            ProcessError: it had to be killed, or ended with another code than 0.
+        """
+        process = self._running.pop(name, None)
+        if process is None:
+            return
+        process.send_signal(signal.SIGINT)
+        try:
+            code = process.wait(_STOP_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+            raise ProcessError(
+                f"{name} did not stop within {_STOP_S:g} s and was killed: {self._last_words(name)}"
+            ) from None
+        if code != 0:
+            raise ProcessError(self._end_of(name, code))
+
+    def __enter__(self) -> Processes:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for process in self._running.values():
+            process.send_signal(signal.SIGINT)
+        for process in self._running.values():
+            try:
+                process.wait(_STOP_S)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+        self._running.clear()
+        self._parameters.cleanup()
+
+    def _parameter_file(self, spec: NodeSpec) -> str:
+        path = Path(self._parameters.name) / f"{spec.name}.yaml"
+        path.write_text(yaml.safe_dump({"/**": {"ros__parameters": dict(spec.parameters)}}), encoding="utf-8")
+        return str(path)
+
+    def _end_of(self, name: str, code: int) -> str:
+        if code < 0:
+            return f"{name} was ended by {signal.Signals(-code).name}; see {self._folder / name}.log"
+        return f"{name} ended with exit code {code}: {self._last_words(name)}"
+
+    def _last_words(self, name: str) -> str:
+        """Return the last error in a node's log, else its last line; on a full disk the log may lack both."""
+        lines = (self._folder / f"{name}.log").read_text(errors="replace").strip().splitlines()
+        own = f"{name.rpartition('.')[2]}: "  # what it ends for, before its publishers' last words
+        errors = [line for line in lines if line.startswith(own) or "[ERROR]" in line or "[FATAL]" in line]
+        words = (errors or lines or ["it said nothing"])[-1]
+        if shutil.disk_usage(self._folder).free < _FULL_BYTES:
+            return f"{words} (no space left on the disk of {self._folder})"
+        return words

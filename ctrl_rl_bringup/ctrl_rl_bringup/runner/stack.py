@@ -1,0 +1,133 @@
+"""Which nodes make up a run, said once: `processes.py` starts them without ROS's launch, `demo.launch.py` with it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from koopman_lqr_controller.policies.policy_file import DEFAULT_POLICY
+
+RAW = "cmd_vel_raw"
+"""What the driver says; the watchdog hears it, and passes it on to the robot as cmd_vel."""
+_WATCHDOG_S = 2.0
+"""A busy machine may stall for a second, in which a simulated robot does not move either."""
+
+
+@dataclass(frozen=True)
+class NodeSpec:
+    """One node of a run.
+
+    Attributes:
+        package: its package.
+        executable: as `ros2 run PACKAGE EXECUTABLE` names it.
+        parameters: by name.
+        publishes: topics of it that a drive waits for.
+        namespace: of its names, empty for none.
+        remappings: other names for its topics, by the node's own.
+    """
+
+    package: str
+    executable: str
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+    publishes: tuple[str, ...] = ()
+    namespace: str = ""
+    remappings: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def name(self) -> str:
+        """What its process is called: several may have one executable."""
+        return f"{self.namespace}.{self.executable}" if self.namespace else self.executable
+
+
+@dataclass(frozen=True)
+class DriveOptions:
+    """What can be chosen about a drive.
+
+    Attributes:
+        folder: of the run, new; bag, logs, report and picture go there.
+        task: name of a task, or its file.
+        policy: name of a policy, or its file.
+        seed: of start pose and noise.
+        speed: simulation time per wall time; 0 for as fast as it goes.
+        width: of the corridor [m]; 0 for the task's own.
+        gui: whether PyBullet shows a window.
+        randomise_width: whether each reset draws the corridor's width from the task's range.
+        simulation: more parameters of the simulator, by name: lidar, drop-outs, delay and so on.
+    """
+
+    folder: Path
+    task: str = "curved_corridor"
+    policy: str = DEFAULT_POLICY
+    seed: int = 0
+    speed: float = 1.0
+    width: float = 0.0
+    gui: bool = False
+    randomise_width: bool = False
+    simulation: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def bag(self) -> Path:
+        """Where the bag is written."""
+        return self.folder / "bag"
+
+
+def simulator(options: DriveOptions) -> NodeSpec:
+    """Return the bridge; it starts paused, so that nothing happens before everyone listens."""
+    parameters = {
+        "task": options.task,
+        "seed": options.seed,
+        "speed_factor": float(options.speed),
+        "corridor_width": float(options.width),
+        "gui": options.gui,
+        "randomise_width": options.randomise_width,
+        "start_paused": True,
+        **options.simulation,
+    }
+    return NodeSpec("sim_bridge", "bridge", parameters)
+
+
+def recorder(options: DriveOptions, digests: Mapping[str, Path]) -> NodeSpec:
+    """Return the recorder of every topic; `digests` names the files whose SHA-256 the bag is to hold."""
+    files = [f"{name}={path}" for name, path in digests.items()]
+    parameters = {"use_sim_time": True, "output": str(options.bag), "digest_files": files}
+    return NodeSpec("ctrl_rl_core", "recorder", parameters)
+
+
+def controller(options: DriveOptions) -> NodeSpec:
+    """Return the Koopman-LQR controller."""
+    parameters = {"use_sim_time": True, "policy": options.policy}
+    return NodeSpec("koopman_lqr_controller", "controller", parameters, (RAW,), remappings={"cmd_vel": RAW})
+
+
+def watchdog(speed: float, namespace: str = "") -> NodeSpec:
+    """Return the watchdog between a driver and its robot; in slow simulations it waits longer for a command."""
+    timeout = _WATCHDOG_S / min(1.0, speed) if speed > 0.0 else _WATCHDOG_S
+    parameters = {"use_sim_time": True, "timeout": min(timeout, 60.0)}
+    return NodeSpec("ctrl_rl_core", "watchdog", parameters, namespace=namespace)
+
+
+def value_nodes(options: DriveOptions, files: Mapping[str, Path]) -> list[NodeSpec]:
+    """Return the nodes that serve the value functions `files`, see `prepare.value_files`.
+
+    The simulator's odometry starts in the frame of the map.
+    """
+    nodes = []
+    if "time_to_reach" in files:
+        parameters = _served(files["time_to_reach"], task=options.task, corridor_width=float(options.width))
+        nodes.append(NodeSpec("ttr_reward_node", "reward", parameters, ("reward", "time_to_reach")))
+    if "oc_value" in files:
+        parameters = _served(files["oc_value"], task=options.task)
+        nodes.append(NodeSpec("oc_baseline_node", "baseline", parameters, ("oc_value",)))
+    return nodes
+
+
+def _served(file: Path, **more: Any) -> dict[str, Any]:
+    return {"use_sim_time": True, "grid": str(file), **more}
+
+
+def scripted_driver(seed: int) -> NodeSpec:
+    """Return the driver whose drives are learned from."""
+    parameters = {"use_sim_time": True, "seed": seed}
+    return NodeSpec("koopman_lqr_controller", "scripted_driver", parameters, (RAW,), remappings={"cmd_vel": RAW})

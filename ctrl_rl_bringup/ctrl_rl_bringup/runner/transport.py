@@ -1,0 +1,67 @@
+"""What a bag says about the way of its messages: how many were lost, how quickly commands answered scans."""
+
+from __future__ import annotations
+
+import struct
+from collections import defaultdict
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from ctrl_rl_bags.format.copy import read_wire
+from numpy.typing import NDArray
+
+_CDR_HEADER = 4
+_STAMP = struct.Struct("<iI")
+
+
+class Sent(NamedTuple):
+    """One recorded message: the publisher's count, when it was published [ns], and the stamp in its header [ns].
+
+    The stamp is that of messages which begin with a std_msgs/Header; of others it means nothing.
+    """
+
+    sequence: int
+    publish_time: int
+    stamp: int
+
+
+def read_sent(bag: Path) -> dict[str, list[Sent]]:
+    """Return the messages of a bag, by topic."""
+    out: dict[str, list[Sent]] = defaultdict(list)
+    for message in read_wire(bag):
+        out[message.topic].append(Sent(message.sequence, message.publish_time, _stamp(message.data)))
+    return out
+
+
+def lost_messages(sent: Mapping[str, list[Sent]]) -> int:
+    """Return how many messages are missing in the publishers' own count, on the topics that one node publishes."""
+    missing = 0
+    for messages in sent.values():
+        numbers = [message.sequence for message in messages]
+        one_publisher = len(set(numbers)) == len(numbers)
+        if one_publisher and min(numbers) > 0:
+            missing += max(numbers) - min(numbers) + 1 - len(numbers)
+    return missing
+
+
+def answer_latencies(questions: Iterable[Sent], answers: Iterable[Sent]) -> NDArray[np.float64]:
+    """Return the times (n,) [s] from the publication of a question to that of the first answer that carries its stamp.
+
+    What is sent without a question, a watchdog's zero in a paused world, may carry the stamp of one long answered.
+    """
+    asked = {question.stamp: question.publish_time for question in questions}
+    times = []
+    for answer in answers:
+        at = asked.pop(answer.stamp, None)
+        if at is not None:
+            times.append(answer.publish_time - at)
+    return 1e-9 * np.array(times, dtype=float)
+
+
+def _stamp(data: bytes) -> int:
+    if len(data) < _CDR_HEADER + _STAMP.size:
+        return 0
+    seconds, nanoseconds = _STAMP.unpack_from(data, _CDR_HEADER)
+    return int(seconds * 10**9 + nanoseconds)

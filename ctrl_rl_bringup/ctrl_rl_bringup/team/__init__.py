@@ -1,0 +1,1 @@
+"""A team under its coordinator: its run, report and plot."""

@@ -1,0 +1,187 @@
+"""What a bag says about a team under its coordinator: who ran which option when, and what came of it."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Collection
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from option_coordinator.environments.timeline import Span
+from option_coordinator.protocol.protocol_types import GrantStatus
+
+from ctrl_rl_bags import BagError, bag_info, read_messages
+from ctrl_rl_bringup.runner.recorded_parameters import recorded_parameters
+from ctrl_rl_bringup.runner.transport import lost_messages, read_sent
+
+Array = NDArray[np.float64]
+
+_SHARED = ("/option_requests", "/option_grants", "/joint_option_step")
+
+
+@dataclass(frozen=True)
+class TeamRun:
+    """A team's run as recorded; times are seconds of simulation since the first decision.
+
+    Attributes:
+        agents: the robots, in the policy's order.
+        policy: as the coordinator was told.
+        spans: who ran which option when.
+        finished: the team's work was over.
+        duration: until then, or until the recording ended [s].
+        decisions: joint steps.
+        team_return: undiscounted sum of the joint rewards.
+        answers: grants by what they said, refusals by their reasons too.
+        paths: true positions (n, 2) of each robot [m].
+        clearance: smallest, of any robot [m]; NaN where nobody tells.
+        latencies: from a request's arrival at the recorder to its grant's [s of wall time].
+        messages: recorded.
+        lost: published while the recorder listened, but not recorded.
+        idle: options that are no work.
+    """
+
+    agents: tuple[str, ...]
+    policy: str
+    spans: tuple[Span, ...]
+    finished: bool
+    duration: float
+    decisions: int
+    team_return: float
+    answers: dict[str, int]
+    paths: dict[str, Array]
+    clearance: float
+    latencies: Array
+    messages: int
+    lost: int
+    idle: frozenset[str] = frozenset()
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the figures as plain JSON values."""
+        return {
+            "finished": self.finished,
+            "policy": self.policy,
+            "time_s": self.duration,
+            "decisions": self.decisions,
+            "return": self.team_return,
+            "answers": self.answers,
+            "options": dict(Counter(span.option for span in self.spans)),
+            "busy": {agent: self.busy(agent) for agent in self.agents},
+            "smallest_clearance_m": self.clearance if np.isfinite(self.clearance) else None,
+            "grant_median_ms": 1e3 * float(np.median(self.latencies)) if len(self.latencies) else None,
+            "messages_recorded": self.messages,
+            "messages_lost": self.lost,
+            "spans": [span._asdict() for span in self.spans],
+        }
+
+    def text(self) -> str:
+        """Return the figures for people."""
+        options = ", ".join(f"{count} {name}" for name, count in Counter(span.option for span in self.spans).items())
+        answers = ", ".join(f"{count} {name}" for name, count in self.answers.items())
+        busy = ", ".join(f"{agent} {100 * self.busy(agent):.0f} %" for agent in self.agents)
+        latency = f"{1e3 * np.median(self.latencies):.1f} ms median" if len(self.latencies) else "none"
+        return "\n".join(
+            (
+                f"outcome             {'all work done' if self.finished else 'cut off'}",
+                f"policy              {self.policy}",
+                f"time                {self.duration:.1f} s",
+                f"decisions           {self.decisions}, return {self.team_return:.1f}",
+                f"options             {options}",
+                f"answers             {answers}; {latency}",
+                f"at work             {busy}",
+                f"smallest clearance  {self.clearance:.3f} m",
+                f"messages            {self.messages} recorded, {self.lost} lost",
+            )
+        )
+
+    def busy(self, agent: str) -> float:
+        """Return the part of the time in which a robot carried out an option that is work."""
+        work = [span for span in self.spans if span.agent == agent and span.option not in self.idle]
+        return sum(span.end - span.begin for span in work) / max(self.duration, 1e-9)
+
+
+def read_team(bag: Path, idle: Collection[str] = ()) -> TeamRun:
+    """Read a team's run from a bag.
+
+    Args:
+        bag: its folder.
+        idle: options that are no work.
+
+    Raises:
+        BagError: the bag cannot be read, or no coordinator decided in it.
+    """
+    info = bag_info(bag)
+    paths: dict[str, list[tuple[float, float]]] = defaultdict(list)
+    said: dict[str, list[tuple[int, Any]]] = defaultdict(list)
+    clearances = [float("nan")]
+    own = [topic for topic in info.topics if topic.rsplit("/", 1)[-1] in ("ground_truth", "episode")]
+    for message in read_messages(bag, [*(topic for topic in _SHARED if topic in info.topics), *own]):
+        if message.topic in _SHARED:
+            said[message.topic].append((message.log_time, message.data))
+        elif message.topic.endswith("/ground_truth"):
+            place = message.data.pose.pose.position
+            paths[message.topic.split("/")[1]].append((place.x, place.y))
+        else:
+            clearances.append(message.data.smallest_clearance)
+    if not said["/joint_option_step"]:
+        raise BagError(f"{bag}: holds no joint_option_step: was there a coordinator?")
+    steps = [step for _, step in said["/joint_option_step"]]
+    begin, end = _seconds(steps[0]), _seconds(steps[-1])
+    grants, requests = said["/option_grants"], said["/option_requests"]
+    settings = recorded_parameters(info.custom_data, "option_coordinator")
+    return TeamRun(
+        agents=tuple(steps[0].agents),
+        policy=Path(str(settings.get("policy", "unknown"))).name
+        + (f" ({steps[0].policy_digest[:12]})" if steps[0].policy_digest else ", not learnt"),
+        spans=tuple(spans(grants, requests, begin, end)),
+        finished=bool(steps[-1].terminated),
+        duration=end - begin,
+        decisions=len(steps),
+        team_return=float(sum(step.reward for step in steps)),
+        answers=dict(Counter(_answer(grant) for _, grant in grants)),
+        paths={robot: np.array(points) for robot, points in paths.items()},
+        clearance=float(np.nanmin(clearances)) if len(clearances) > 1 else float("nan"),
+        latencies=_latencies(grants, requests),
+        messages=info.message_count,
+        lost=lost_messages(read_sent(bag)),
+        idle=frozenset(idle),
+    )
+
+
+def spans(grants: list[tuple[int, Any]], requests: list[tuple[int, Any]], begin: float, end: float) -> list[Span]:
+    """Return who ran which option when: from its grant to that robot's next request, in seconds since `begin`."""
+    ends: dict[tuple[str, int, int], float] = {}
+    for _, request in requests:
+        ends.setdefault((request.agent, request.incarnation, request.request_id), _seconds(request))
+    cancelled = {(g.agent, g.grant_id) for _, g in grants if g.status == GrantStatus.CANCELLED}
+    out: dict[tuple[str, int], Span] = {}
+    for _, grant in grants:
+        if grant.status != GrantStatus.GRANTED or (grant.agent, grant.grant_id) in out:
+            continue
+        key = (grant.agent, grant.incarnation, grant.request_id + 1)
+        finished = key in ends and (grant.agent, grant.grant_id) not in cancelled
+        times = _seconds(grant) - begin, ends.get(key, end) - begin
+        out[grant.agent, grant.grant_id] = Span(grant.agent, grant.option_name, *times, finished)
+    return list(out.values())
+
+
+def _answer(grant: Any) -> str:
+    status = GrantStatus(grant.status)
+    return f"refused ({grant.reason})" if status is GrantStatus.REFUSED else status.name.lower()
+
+
+def _latencies(grants: list[tuple[int, Any]], requests: list[tuple[int, Any]]) -> Array:
+    asked: dict[tuple[str, int, int], int] = {}
+    for time, request in requests:
+        asked.setdefault((request.agent, request.incarnation, request.request_id), time)
+    answered: dict[tuple[str, int, int], int] = {}
+    for time, grant in grants:
+        if grant.status == GrantStatus.GRANTED:
+            answered.setdefault((grant.agent, grant.incarnation, grant.request_id), time)
+    return 1e-9 * np.array([time - asked[key] for key, time in answered.items() if key in asked], dtype=float)
+
+
+def _seconds(message: Any) -> float:
+    return float(message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec)

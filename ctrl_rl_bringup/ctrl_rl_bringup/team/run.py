@@ -1,0 +1,129 @@
+"""A team's run: its nodes under a coordinator, recorded, followed to the end of the work."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from ctrl_rl_core.tasks.task import task_file
+from option_coordinator.nodes.messages import EXCHANGE
+from option_coordinator.policies.policy_file import OptionPolicy, policy_file
+from option_coordinator.protocol.protocol_types import GrantStatus
+from option_coordinator.scripted.policy_queries import SCRIPTED
+from option_coordinator.teams.team_file import TeamFile, Work, load_room, team_file
+
+from ctrl_rl_bringup.runner.monitor import RECORDER, Monitor, MonitorError
+from ctrl_rl_bringup.runner.prepare import new_run
+from ctrl_rl_bringup.runner.processes import Processes
+from ctrl_rl_bringup.runner.progress import ProgressDisplay
+from ctrl_rl_bringup.runner.session import ros
+from ctrl_rl_bringup.runner.stack import RAW, recorder
+from ctrl_rl_bringup.team.stack import TeamOptions, agents, coordinator, team_of, team_simulator, watchdogs
+from ctrl_rl_msgs.msg import AgentStatus, JointOptionStep, OptionGrant
+
+_SILENT_S = 60.0
+
+
+class TeamMonitor(Monitor):
+    """Follows a team until its coordinator says that the work is over.
+
+    Args:
+        check: called often; raises if a node of the run has died.
+        team: whose.
+    """
+
+    def __init__(self, check: Callable[[], None], team: TeamFile) -> None:
+        super().__init__(check)
+        self._team = team
+        own = [f"{robot}/{topic}" for robot in team.robots for topic in ("scan", "odom", RAW, "cmd_vel", "episode")]
+        self._topics = ("clock", "joint_option_step", "option_grants", *own)
+        self._shared = ("option_requests", "agent_status")
+        self._over = False
+        self._granted: set[tuple[str, int]] = set()
+        self._node.create_subscription(JointOptionStep, "joint_option_step", self._on_step, EXCHANGE)
+        self._node.create_subscription(OptionGrant, "option_grants", self._on_grant, EXCHANGE)
+        self._node.create_subscription(AgentStatus, "agent_status", self._on_status, EXCHANGE)
+
+    def follow_team(self) -> None:
+        """Show how much of the work is done until it is over.
+
+        Raises:
+            MonitorError: nothing is heard of the robots any more.
+        """
+        self._heard = time.monotonic()
+        display = ProgressDisplay("working", 10)
+        wanted = len(self._team.robots) * (2 * self._team.deliveries + 1)
+        try:
+            while not self._over:
+                self._spin()
+                if time.monotonic() - self._heard > _SILENT_S:
+                    raise MonitorError(f"no robot said anything for {_SILENT_S:g} s: do they still run?")
+                display.show(min(1.0, len(self._granted) / wanted), f"{len(self._granted)} options granted")
+        finally:
+            display.close()
+
+    def _on_step(self, message: JointOptionStep) -> None:
+        self._over = self._over or message.terminated
+
+    def _on_status(self, _message: AgentStatus) -> None:
+        self._heard = time.monotonic()
+
+    def _on_grant(self, message: OptionGrant) -> None:
+        if message.status == GrantStatus.GRANTED and self._team.options[message.option_name].work is not Work.WAIT:
+            self._granted.add((message.agent, message.grant_id))
+
+    def _missing(self) -> str:
+        missing = super()._missing()
+        if missing:
+            return missing
+        for topic in self._shared:
+            if self._node.count_publishers(topic) < len(self._team.robots):
+                return f"not all robots publish {topic}"
+            if RECORDER not in self._subscribers(topic):
+                return f"the recorder does not hear {topic}"
+        return ""
+
+
+def new_team_run(options: TeamOptions) -> tuple[TeamFile, dict[str, Path]]:
+    """Make the folder of a run; return its team, and the files whose digests its bag is to hold.
+
+    Raises:
+        CtrlRlError: team, room or policy cannot be read, or the folder is there already.
+    """
+    team = team_of(options)
+    load_room(team, options.room)
+    digests = {"task": task_file(options.task), "team": team_file(options.team)}
+    if options.chooses not in SCRIPTED:
+        digests["policy"] = policy_file(options.chooses)
+        OptionPolicy.load_for(options.chooses, (robot.agent for robot in team.coordinated))
+    new_run(options.drive)
+    return team, digests
+
+
+def run_team(options: TeamOptions) -> None:
+    """Let a team work once, and record everything."""
+    team, digests = new_team_run(options)
+    others = [coordinator(options), *watchdogs(options, team), *agents(options, team)]
+    with ros(), Processes(options.folder) as processes:
+        processes.start([recorder(options.drive, digests), team_simulator(options, team), *others])
+        _follow(TeamMonitor(processes.check, team))
+        for name in (*(node.name for node in reversed(others)), "bridge", "recorder"):
+            processes.stop(name)
+
+
+def follow_running_team(team: TeamFile) -> int:
+    """Follow a team whose nodes somebody else has started, and return 0 once its work is over."""
+    with ros():
+        _follow(TeamMonitor(lambda: None, team))
+    return 0
+
+
+def _follow(monitor: TeamMonitor) -> None:
+    try:
+        monitor.wait_until_ready()
+        monitor.run()
+        monitor.follow_team()
+        monitor.pause()
+    finally:
+        monitor.close()

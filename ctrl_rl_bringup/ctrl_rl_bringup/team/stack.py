@@ -1,0 +1,102 @@
+"""Which nodes make up a run of a team under its coordinator, said once, as `stack.py` for a drive."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+from option_coordinator.policies.policy_file import shipped_policies
+from option_coordinator.teams.team_file import TeamFile, load_team, room_file
+
+from ctrl_rl_bringup.runner.stack import RAW, DriveOptions, NodeSpec, simulator, watchdog
+
+_LEASE = 0.5
+_HEARTBEAT = 0.1
+
+
+@dataclass(frozen=True)
+class TeamOptions:
+    """What can be chosen about a team's run.
+
+    Attributes:
+        folder: of the run, new; bag, logs, report and picture go there.
+        team: name of a team, or its file.
+        room: name of a navigation task, or its file; empty for the team's own.
+        policy: as the coordinator's parameter; empty for the team's, where one comes with the package, else 'spread'.
+        seed: of starts, noise and draws.
+        speed: simulation time per wall time.
+        gui: whether PyBullet shows a window.
+    """
+
+    folder: Path
+    team: str = "delivery_team"
+    room: str = ""
+    policy: str = ""
+    seed: int = 0
+    speed: float = 1.0
+    gui: bool = False
+
+    @cached_property
+    def task(self) -> str:
+        """Name or file of the room."""
+        return room_file(self.room) if self.room else load_team(self.team).room_file
+
+    @property
+    def chooses(self) -> str:
+        """The policy that it is."""
+        return self.policy or (self.team if self.team in shipped_policies() else "spread")
+
+    @property
+    def drive(self) -> DriveOptions:
+        """The part that is as for a single robot."""
+        return DriveOptions(
+            self.folder, task=self.task, policy=self.chooses, seed=self.seed, speed=self.speed, gui=self.gui
+        )
+
+
+def team_simulator(options: TeamOptions, team: TeamFile) -> NodeSpec:
+    """Return the bridge with the team's robots, each in its namespace; it starts paused."""
+    spec = simulator(options.drive)
+    parameters = {**spec.parameters, "robots": list(team.robots), "odom_rate": 10.0}
+    return NodeSpec(spec.package, spec.executable, parameters)
+
+
+def coordinator(options: TeamOptions) -> NodeSpec:
+    """Return the coordinator. Stamps are of simulated time, so that an observation ages as fast as that goes."""
+    parameters = {
+        "use_sim_time": True,
+        "team": options.team,
+        "policy": options.chooses,
+        "seed": options.seed,
+        "lease": _LEASE,
+        "lost_after": 4.0 * _LEASE,
+        "stale": 4.0 * _LEASE * max(1.0, options.speed),
+        "repeat": _HEARTBEAT,
+    }
+    return NodeSpec("option_coordinator", "coordinator", parameters)
+
+
+def agents(options: TeamOptions, team: TeamFile) -> list[NodeSpec]:
+    """Return the robots' own nodes."""
+    parameters = {
+        "use_sim_time": True,
+        "team": options.team,
+        "heartbeat": _HEARTBEAT,
+        "patience": 8.0 * _LEASE,
+        "sensor_timeout": max(1.0, options.speed),
+    }
+    return [
+        NodeSpec("option_coordinator", "navigation_agent", parameters, namespace=name, remappings={"cmd_vel": RAW})
+        for name in team.robots
+    ]
+
+
+def watchdogs(options: TeamOptions, team: TeamFile) -> list[NodeSpec]:
+    """Return the watchdog of each robot."""
+    return [watchdog(options.speed, namespace=name) for name in team.robots]
+
+
+def team_of(options: TeamOptions) -> TeamFile:
+    """Return the team of a run."""
+    return load_team(options.team)

@@ -1,0 +1,196 @@
+"""The base of every node that drives by a lidar: it stands on scans that are no knowledge, and before obstacles.
+
+Whatever a policy wants, `drive` sends only what the last scan shows to be safe.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import ClassVar
+
+import numpy as np
+from nav_msgs.msg import Odometry
+from numpy.typing import ArrayLike, NDArray
+from rclpy.clock import Clock, ClockType
+from sensor_msgs.msg import LaserScan
+
+from ctrl_rl_core.driving.drive_safety import DriveSafety
+from ctrl_rl_core.driving.obstacle_stop import ObstacleStop
+from ctrl_rl_core.driving.scan import ScanError, ScanGeometry
+from ctrl_rl_core.driving.scan_health import ScanHealth
+from ctrl_rl_core.driving.velocity_node import VELOCITY_PARAMETERS, VelocityError, VelocityNode
+from ctrl_rl_core.ros.node import SENSOR, Status
+from ctrl_rl_core.ros.parameters import Parameter
+
+_SCAN_CHECKS = (
+    Parameter(
+        "min_echo_share",
+        0.3,
+        "Least part of a scan's beams with an echo; below, the robot stands; 0.0 to drive in the open.",
+        0.0,
+        1.0,
+        live=True,
+    ),
+    Parameter(
+        "largest_gap",
+        2.1,
+        "Widest angle without echoes in the direction of travel; beyond, the robot stands; 6.3 for any [rad].",
+        0.1,
+        6.3,
+        live=True,
+    ),
+    Parameter(
+        "frozen_scans",
+        2,
+        "Repetitions of the same ranges, while odometry says that the robot moves, that stop it; 0 for never.",
+        0,
+        1000,
+        live=True,
+    ),
+)
+_OBSTACLE_STOP = (
+    Parameter(
+        "robot_radius",
+        0.125,
+        "Radius around base_link that holds all of the robot; 0.0 for no obstacle stop [m].",
+        0.0,
+        2.0,
+        live=True,
+    ),
+    Parameter("obstacle_margin", 0.02, "Distance to obstacles that is kept besides [m].", 0.0, 2.0, live=True),
+    Parameter("deceleration", 0.5, "Deceleration of the robot when it brakes [m/s^2].", 0.05, 20.0, live=True),
+    Parameter(
+        "reaction_time",
+        0.3,
+        "From a scan to the effect of the command that answers the next one [s].",
+        0.0,
+        5.0,
+        live=True,
+    ),
+)
+LIDAR_PARAMETERS = (
+    *VELOCITY_PARAMETERS,
+    Parameter("lidar_x", -0.032, "Where the lidar sits, ahead of the robot's middle [m].", -1.0, 1.0),
+    Parameter("lidar_yaw", 0.0, "Direction of the scan's zero bearing in the robot's frame [rad].", -3.1416, 3.1416),
+    *_SCAN_CHECKS,
+    *_OBSTACLE_STOP,
+)
+_CHECKED = {parameter.name for parameter in (*_SCAN_CHECKS, *_OBSTACLE_STOP)}
+_FASTER = 1.5
+"""A robot may be faster than its commands by this factor."""
+_LOOK_AROUND_S = 1.0
+"""Between two looks at who publishes scans: a question to the graph takes a fraction of a millisecond."""
+
+
+class LidarNode(VelocityNode):
+    """Subscribes to scan and odom; sends only commands that are safe by the last scan.
+
+    A class that derives from it takes `on_odometry` and `on_scan`, and calls `drive` in one of them.
+    """
+
+    PARAMETERS: ClassVar[tuple[Parameter, ...]] = LIDAR_PARAMETERS
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name, needs=("scan", "odometry"))
+        self.motion = (0.0, 0.0)
+        self._odometry_unfit = ""
+        self._received = 0
+        self._crowd = ""
+        self._safety = DriveSafety(*self._checks(), forward=self.settings["lidar_x"], reach=self._reach())
+        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_subscription(Odometry, "odom", self._on_odometry, SENSOR)
+        self._scans = self.create_subscription(LaserScan, "scan", self._on_scan, SENSOR)
+        self.create_timer(_LOOK_AROUND_S, self._look_around, clock=self._steady)
+
+    def on_odometry(self, message: Odometry) -> None:
+        """Act on odometry, whose twist is finite; override it where it matters."""
+
+    def on_scan(self, message: LaserScan, ranges: NDArray[np.float32], scan: ScanGeometry) -> None:
+        """Act on a scan, fit or not: `drive` knows; override it where it matters.
+
+        Args:
+            message: the scan.
+            ranges: its ranges (scan.beams,) [m].
+            scan: its geometry in the robot's frame.
+        """
+
+    def unfit(self) -> str:
+        """Return why scan and odometry allow no command at all, empty where they do."""
+        return self.missing() or self._odometry_unfit or self._crowd or self._safety.unfit
+
+    def safe(self, command: NDArray[np.float64]) -> tuple[NDArray[np.float64], str]:
+        """Return what is safe of a command (2,) by the last scan, and why that is not all.
+
+        Raises:
+            VelocityError: there is no recent scan that says anything of where the command leads.
+        """
+        problem = self.unfit() if command.any() else ""
+        if problem:
+            raise VelocityError(problem)
+        try:
+            return self._safety.allow(command, self.motion[0], self.age("scan"))
+        except ScanError as error:
+            raise VelocityError(str(error)) from None
+
+    def setting_changed(self, name: str) -> None:
+        """Check otherwise from the next scan on."""
+        if name in _CHECKED:
+            self._safety.set_checks(*self._checks(), reach=self._reach())
+        else:
+            super().setting_changed(name)
+
+    def status(self) -> Status:
+        """Say whether commands flow, and how much the last scan shows."""
+        level, message, figures = super().status()
+        view = self._safety.view
+        share = "none" if view is None else f"{100 * view.share:.0f}"
+        return level, message, {"scans": self._received, **figures, "beams with an echo [%]": share}
+
+    def set_limits(self, low: ArrayLike, high: ArrayLike) -> None:
+        """Set the limits of the commands, and look as far as the fastest of them needs."""
+        super().set_limits(low, high)
+        self._safety.reach = self._reach()
+
+    def _checks(self) -> tuple[ScanHealth, ObstacleStop]:
+        value = self.settings
+        return (
+            ScanHealth(value["min_echo_share"], value["largest_gap"], value["frozen_scans"]),
+            ObstacleStop(
+                value["robot_radius"], value["obstacle_margin"], value["deceleration"], value["reaction_time"]
+            ),
+        )
+
+    def _reach(self) -> float:
+        """Return how far from the lidar an echo may stop the robot [m]."""
+        _, obstacles = self._checks()
+        top = float(np.abs((self.low[0], self.high[0])).max())
+        wide = obstacles.radius + obstacles.margin + abs(self.settings["lidar_x"])
+        return wide + obstacles.reach(_FASTER * top, self.timeout)
+
+    def _on_odometry(self, message: Odometry) -> None:
+        twist = message.twist.twist
+        motion = (twist.linear.x, twist.angular.z)
+        self.robot_frame(message.child_frame_id)
+        self.heard("odometry")
+        if not (math.isfinite(motion[0]) and math.isfinite(motion[1])):
+            self._odometry_unfit = f"odometry with speed {motion[0]} and turn rate {motion[1]}"
+            self.stand(self._odometry_unfit, message.header.stamp)
+            return
+        self.motion, self._odometry_unfit = motion, ""
+        self.on_odometry(message)
+
+    def _on_scan(self, message: LaserScan) -> None:
+        self._received += 1
+        self.heard("scan")
+        ranges = np.frombuffer(message.ranges, np.float32)
+        bearing = message.angle_min + self.settings["lidar_yaw"]
+        scan = ScanGeometry(len(ranges), bearing, message.angle_increment, message.range_min, message.range_max)
+        stamp = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+        now = self._steady.now().nanoseconds * 1e-9
+        self._safety.see(now, stamp, message.header.frame_id, ranges, scan, self.motion)
+        self.on_scan(message, ranges, scan)
+
+    def _look_around(self) -> None:
+        """Look for further lidars on the topic."""
+        count = self.count_publishers(self._scans.topic_name)
+        self._crowd = f"{count} publishers on {self._scans.topic_name}: there must be one lidar" if count > 1 else ""

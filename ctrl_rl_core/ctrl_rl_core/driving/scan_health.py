@@ -1,0 +1,147 @@
+"""Whether scans are knowledge: pure logic, time is passed in.
+
+A lidar that is dead, covered, frozen or not alone says something all the same: zeros, infinities, the scan of a minute
+ago, another robot's. A robot must not drive on that.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrl_rl_core.driving.scan import DIRECTIONS, ScanGeometry, View
+
+MIXED = 2.0
+"""How long a robot stands after scans of two kinds came in turn [s]: a lidar may be exchanged, once."""
+_STILL = (0.02, 0.05)
+"""Speed [m/s] and turn rate [rad/s] by odometry up to which a robot counts as standing."""
+_SPECKLES = 0.05
+"""Part of a gap's directions that may have an echo: a covered lidar sees specks of dust."""
+_AHEAD = math.radians(100.0)
+"""A gap whose middle is farther than this from the direction of travel does not matter [rad]."""
+
+
+class Sender(NamedTuple):
+    """What tells scans of two lidars apart."""
+
+    frame: str
+    range_min: float
+    range_max: float
+    angle_min: float
+    counter_clockwise: bool
+
+    def same(self, other: Sender) -> bool:
+        """Return whether two scans may come from one lidar: its count of beams and its first bearing may vary a bit."""
+        return self[:3] == other[:3] and self[4] == other[4] and abs(self.angle_min - other.angle_min) <= 0.2
+
+
+@dataclass
+class ScanHealth:
+    """Looks at scan after scan.
+
+    Attributes:
+        min_echo_share: least part of the beams that must have an echo; 0 for none.
+        largest_gap: widest angle without echoes that may lie ahead [rad]; 2 pi and more for any.
+        frozen_scans: repetitions of the same ranges, while the robot moves, that mean a frozen lidar; 0 for never.
+    """
+
+    min_echo_share: float
+    largest_gap: float
+    frozen_scans: int
+    _last: bytes = field(default=b"", repr=False)
+    _stamp: int = field(default=0, repr=False)
+    _repeated: int = field(default=0, repr=False)
+    _sender: Sender | None = field(default=None, repr=False)
+    _mixed_at: float = field(default=-math.inf, repr=False)
+    _kinds: str = field(default="", repr=False)
+
+    def see(
+        self,
+        now: float,
+        view: View,
+        content: bytes,
+        stamp: int,
+        sender: Sender,
+        motion: tuple[float, float],
+    ) -> str:
+        """Take a scan and return why the robot must stand, empty where it need not.
+
+        Args:
+            now: steady time [s].
+            view: the scan.
+            content: its ranges as they came.
+            stamp: its time stamp [ns].
+            sender: what kind of lidar it is of.
+            motion: speed [m/s] and turn rate [rad/s] by odometry.
+        """
+        frozen, mixed = self._frozen(content, stamp, motion), self._mixed(now, sender)
+        if view.share < self.min_echo_share:
+            return (
+                f"only {100 * view.share:.0f} % of the scan's beams have an echo: "
+                "lidar dead, covered or in the open (parameter min_echo_share)"
+            )
+        if frozen:
+            return f"the scan is the same again and again while the robot moves: lidar frozen ({self._repeated} times)"
+        return mixed
+
+    def unseen(self, view: View, v: float) -> str:
+        """Return why the robot must not go where a speed v [m/s] leads, empty where it may."""
+        if v == 0.0 or self.largest_gap >= 2.0 * math.pi:
+            return ""
+        seen = view.seen if v > 0.0 else np.roll(view.seen, DIRECTIONS // 2)
+        known = view.field if v > 0.0 else np.roll(view.field, DIRECTIONS // 2)
+        where = "ahead" if v > 0.0 else "behind"
+        if not known[_NARROW].any():
+            return f"the lidar does not look {where}"
+        width = max(1, math.ceil(self.largest_gap * DIRECTIONS / (2.0 * math.pi)))
+        if _emptiest(seen | ~known, width) <= _SPECKLES * width:
+            return (
+                f"no echoes within {math.degrees(self.largest_gap):.0f} deg {where}: "
+                "lidar covered, or nothing there (parameter largest_gap)"
+            )
+        return ""
+
+    def _frozen(self, content: bytes, stamp: int, motion: tuple[float, float]) -> bool:
+        """Count repetitions while the robot moves: one that stands in a simulation without noise sees the same."""
+        if content != self._last:
+            self._repeated = 0
+        elif stamp != self._stamp and (abs(motion[0]) > _STILL[0] or abs(motion[1]) > _STILL[1]):
+            self._repeated += 1
+        self._last, self._stamp = content, stamp
+        return 0 < self.frozen_scans <= self._repeated
+
+    def _mixed(self, now: float, sender: Sender) -> str:
+        last, self._sender = self._sender, sender
+        if last is not None and not sender.same(last):
+            self._mixed_at = now
+            names = sorted({last.frame, sender.frame})
+            self._kinds = f"frames {' and '.join(names)}" if len(names) > 1 else "another range or first bearing"
+        if 0.0 <= now - self._mixed_at < MIXED:
+            return f"scans of two lidars on one topic: {self._kinds}"
+        return ""
+
+
+_NARROW = np.r_[-10:11]
+
+
+def _emptiest(seen: NDArray[np.bool_], width: int) -> int:
+    """Return the least count of echoes in `width` directions side by side whose middle lies ahead.
+
+    Args:
+        seen: directions with an echo, counter-clockwise from ahead (DIRECTIONS,).
+        width: number of directions, up to DIRECTIONS.
+    """
+    span = math.floor(_AHEAD * DIRECTIONS / (2.0 * math.pi))
+    begin = -span - width // 2
+    ring = np.take(seen, np.arange(begin, span - width // 2 + width), mode="wrap")
+    total = np.concatenate(((0,), np.cumsum(ring)))
+    return int((total[width:] - total[:-width]).min())
+
+
+def sender_of(frame: str, scan: ScanGeometry) -> Sender:
+    """Return what tells a scan's lidar from another."""
+    return Sender(frame, scan.range_min, scan.range_max, scan.angle_min, scan.angle_increment > 0.0)

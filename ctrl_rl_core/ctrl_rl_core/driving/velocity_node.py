@@ -1,0 +1,270 @@
+"""The base of every node that drives a robot: one way out for velocities, and the robot stands when in doubt.
+
+class Driver(VelocityNode):
+    def __init__(self) -> None:
+        super().__init__("driver", needs=("odometry",))
+        self.set_limits((-0.22, -2.84), (0.22, 2.84))
+        self.create_subscription(Odometry, "odom", self._on_odometry, SENSOR)
+
+    def _on_odometry(self, message: Odometry) -> None:
+        self.heard("odometry")
+        self.robot_frame(message.child_frame_id)
+        self.drive(np.array((0.1, 0.0)))
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import ClassVar
+
+import numpy as np
+from builtin_interfaces.msg import Time as Stamp
+from geometry_msgs.msg import Twist, TwistStamped
+from numpy.typing import ArrayLike, NDArray
+from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
+from rclpy.time import Time
+from std_msgs.msg import Header
+
+from ctrl_rl_core.driving.wall_watch import WALL_TIMEOUT, WallWatch
+from ctrl_rl_core.errors import CtrlRlError
+from ctrl_rl_core.ros.node import COMMAND, Status, SuiteNode, ok, warn
+from ctrl_rl_core.ros.parameters import Parameter
+from ctrl_rl_core.ros.publishers import other_publishers
+
+VELOCITY_PARAMETERS = (
+    Parameter("enable_stamped_cmd_vel", True, "Publish cmd_vel as TwistStamped (Jazzy) instead of Twist (Humble)."),
+    Parameter("base_frame", "", "Frame of the commands; empty for the child frame of the odometry."),
+    Parameter("dry_run", False, "Decide and say so, but send nothing on cmd_vel.", live=True),
+    WALL_TIMEOUT,
+)
+_SOME_BASE = "base_link"
+"""The frame of the commands until odometry names one."""
+_LAST_WORD = Duration(seconds=0.3)
+_STAND = np.zeros(2)
+_STAND.flags.writeable = False
+
+
+class VelocityError(CtrlRlError):
+    """There is no velocity to send: the robot must stand; the message is the reason."""
+
+
+class VelocityNode(SuiteNode):
+    """Publishes cmd_vel for one robot: finite, within limits, zero without recent input and when the node stops.
+
+    In a dry run all is as ever, but nothing is sent.
+
+    Attributes:
+        TIMEOUT: name of the parameter that holds the age of an input that stops the robot [s].
+        low: least speed [m/s] and turn rate [rad/s] that are sent (2,).
+        high: the largest ones (2,).
+        problem: the reason why the robot stands; empty while it drives.
+        counts: number of commands, of stops, and of looks at the inputs that found one too old.
+        moving: whether the last command that was sent moves the robot.
+    """
+
+    PARAMETERS: ClassVar[tuple[Parameter, ...]] = VELOCITY_PARAMETERS
+    SHARED_MEMORY = False
+    TIMEOUT: ClassVar[str] = "scan_timeout"
+
+    def __init__(self, name: str, needs: Sequence[str]) -> None:
+        """Set up the way out; the limits are zero until `set_limits`.
+
+        Args:
+            name: name of the node.
+            needs: inputs without which the robot stands, as they are called in "no recent ...".
+        """
+        super().__init__(name)
+        stamped: bool = self.settings["enable_stamped_cmd_vel"]
+        # One message for all commands: to make one takes as long as to decide.
+        self._out = TwistStamped() if stamped else Twist()
+        self._header, self._twist = (self._out.header, self._out.twist) if stamped else (Header(), self._out)
+        self._header.frame_id = self.settings["base_frame"] or _SOME_BASE
+        self._publisher = self.create_publisher(type(self._out), "cmd_vel", COMMAND)
+        self.low, self.high = _STAND, _STAND
+        # The age of things is no matter of the system's clock, which may be set while the robot drives; a simulation's
+        # clock may stand still, and then things get old in wall time only.
+        simulated = self.get_parameter("use_sim_time").value
+        self._ages = self.get_clock() if simulated else Clock(clock_type=ClockType.STEADY_TIME)
+        self._heard: dict[str, Time | None] = dict.fromkeys(needs)
+        self._begun = self._ages.now()
+        self._wall = WallWatch(self, self._watch_wall) if simulated else None
+        self._rivals: tuple[str, ...] = ()
+        self.counts = {"commands": 0, "stopped": 0, "stale": 0}
+        self.moving = False
+        self.problem = f"waiting for {' and '.join(needs)}"
+        self.create_timer(0.5 * self.timeout, self._watch, clock=self._ages)
+
+    def set_limits(self, low: ArrayLike, high: ArrayLike) -> None:
+        """Set the least and the largest speed [m/s] and turn rate [rad/s] that are ever sent, (2,) each.
+
+        Raises:
+            VelocityError: they are not finite, or no limits.
+        """
+        least, largest = np.array(low, np.float64), np.array(high, np.float64)
+        shapes = least.shape == largest.shape == (2,)
+        if not (shapes and np.isfinite((least, largest)).all() and (least <= largest).all()):
+            raise VelocityError(f"commands from {least} to {largest}: must be two finite numbers each, the least first")
+        self.low, self.high = least, largest
+
+    def robot_frame(self, name: str) -> None:
+        """Send commands in this frame, unless the parameter base_frame names another."""
+        if name and not self.settings["base_frame"]:
+            self._header.frame_id = name
+
+    @property
+    def frame(self) -> str:
+        """The frame of the commands."""
+        return str(self._header.frame_id)
+
+    def heard(self, what: str) -> None:
+        """Note that an input has just come, and is fit for use."""
+        self._heard[what] = self._ages.now()
+        if self._wall is not None:
+            self._wall.heard(what)
+
+    def age(self, what: str) -> float:
+        """Return how long ago an input came [s], infinite where it never did, or wall time says that it stays away."""
+        at = self._heard[what]
+        if at is None or (self._wall is not None and self._wall.overdue(what)):
+            return math.inf
+        return self._elapsed(at)
+
+    def missing(self) -> str:
+        """Return "no recent ..." of the first input that is too old, empty where none is."""
+        return next((f"no recent {what}" for what in self._heard if self.age(what) > self.timeout), "")
+
+    def limited(self, command: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return a command (2,), cut off at the limits.
+
+        Raises:
+            VelocityError: it is not finite.
+        """
+        v, omega = command.tolist()
+        if not (math.isfinite(v) and math.isfinite(omega)):
+            raise VelocityError(f"the command is {v} m/s, {omega} rad/s: not finite")
+        return np.minimum(np.maximum(command, self.low), self.high)
+
+    def drive(self, command: NDArray[np.float64], stamp: Stamp | None = None) -> NDArray[np.float64]:
+        """Send speed [m/s] and turn rate [rad/s] (2,), cut off at the limits, and return what was sent.
+
+        While a callback of an input or a timer fails, the robot stands: something is not known, or not watched.
+
+        Args:
+            command: the command; zeros for a robot that has nothing to do.
+            stamp: time of what it answers; now where left out.
+
+        Raises:
+            VelocityError: it is not finite, or not safe; nothing was sent, and the robot must stand.
+        """
+        if self.faults.failing:
+            self.stand(f"callback failed: {self.faults.last}", stamp)
+            return _STAND
+        command, problem = self.safe(self.limited(command))
+        if not self.settings["dry_run"]:
+            self.counts["commands"] += 1
+            self._send(command, stamp)
+        self._say(problem)
+        return command
+
+    def safe(self, command: NDArray[np.float64]) -> tuple[NDArray[np.float64], str]:
+        """Return what is safe of a command (2,) within the limits, and why that is not all; override it.
+
+        Raises:
+            VelocityError: the robot must stand.
+        """
+        return command, ""
+
+    def stand(self, problem: str, stamp: Stamp | None = None) -> None:
+        """Send zero velocity, and say why where it is news.
+
+        Args:
+            problem: the reason, for the log and for `diagnostics`.
+            stamp: time of what it answers; now where left out.
+        """
+        if not self.settings["dry_run"]:
+            self._send(_STAND, stamp)
+        self._say(problem)
+
+    def callback_failed(self, _error: Exception) -> None:
+        """Let the robot stand until each callback that failed has done its work again."""
+        self.stand(f"callback failed: {self.faults.last}")
+
+    def stale(self, problem: str) -> None:
+        """Act on an input that stays away; the robot stands already. Override it to say so elsewhere."""
+
+    def setting_changed(self, name: str) -> None:
+        """Let the robot stand when a dry run begins: it must not go on with the last command."""
+        if name == "dry_run" and self.settings["dry_run"] and self.moving:
+            self._send(_STAND, None)
+
+    def stop(self) -> None:
+        """Leave the robot standing: the zero velocity has arrived before the publisher goes."""
+        if not self.settings["dry_run"]:
+            self._send(_STAND, None)
+            self._publisher.wait_for_all_acked(_LAST_WORD)
+
+    def status(self) -> Status:
+        """Say whether commands flow, and who else sends some."""
+        dry = "dry run, nothing is sent: " if self.settings["dry_run"] else ""
+        figures: dict[str, object] = {**self.counts, "other publishers": ", ".join(self._look_for_rivals())}
+        if self._rivals:
+            figures["problem"] = self.problem
+            return warn(f"{dry}{self._rivalry()}", **figures)
+        return warn(f"{dry}{self.problem}", **figures) if self.problem else ok(f"{dry}driving", **figures)
+
+    @property
+    def timeout(self) -> float:
+        """Age of an input that stops the robot [s]."""
+        return float(self.settings[self.TIMEOUT])
+
+    def _watch(self) -> None:
+        """Stop the robot when an input stays away."""
+        if self._elapsed(self._begun) <= self.timeout:
+            return  # what starts has a moment to be heard
+        problem = self.missing()
+        if problem:
+            self.counts["stale"] += 1
+            self.stand(problem)
+            self.stale(problem)
+
+    def _say(self, problem: str) -> None:
+        """Take a reason to stand, empty for none; figures in it may change without being news."""
+        if problem:
+            self.counts["stopped"] += 1
+            if _kind(problem) != _kind(self.problem):
+                self.get_logger().warning(f"stopping: {problem}")
+        self.problem = problem
+
+    def _watch_wall(self) -> None:
+        """Stop a moving robot when an input stays away while the simulated clock stands still."""
+        problem = self.missing() if self.moving else ""
+        if problem:
+            self.counts["stale"] += 1
+            self.stand(f"{problem} in {self.settings[WALL_TIMEOUT.name]:g} s of wall time: is the simulation paused?")
+
+    def _look_for_rivals(self) -> tuple[str, ...]:
+        """Return who else publishes on this node's cmd_vel; say so where it is news."""
+        before, self._rivals = self._rivals, other_publishers(self, self._publisher.topic_name)
+        if self._rivals and self._rivals != before:
+            self.get_logger().warning(self._rivalry())
+        return self._rivals
+
+    def _rivalry(self) -> str:
+        names, topic = ", ".join(self._rivals), self._publisher.topic_name
+        return f"{names} publishes on {topic} too: the robot obeys whoever spoke last"
+
+    def _elapsed(self, then: Time) -> float:
+        return float((self._ages.now() - then).nanoseconds) * 1e-9
+
+    def _send(self, command: NDArray[np.float64], stamp: Stamp | None) -> None:
+        self._header.stamp = self.get_clock().now().to_msg() if stamp is None else stamp
+        self._twist.linear.x, self._twist.angular.z = v, omega = command.tolist()
+        self.moving = v != 0.0 or omega != 0.0
+        self._publisher.publish(self._out)
+
+
+def _kind(problem: str) -> str:
+    """Return a reason without its figures."""
+    return "".join(letter for letter in problem if not letter.isdigit())

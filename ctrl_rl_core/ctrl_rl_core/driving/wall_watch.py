@@ -1,0 +1,47 @@
+"""Ages of inputs in wall time, for nodes whose own clock is simulated and may stand still."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from rclpy.clock import Clock, ClockType
+
+from ctrl_rl_core.ros.node import SuiteNode
+from ctrl_rl_core.ros.parameters import Parameter
+
+WALL_TIMEOUT = Parameter(
+    "wall_timeout",
+    5.0,
+    "Age in wall time of an input that stops the robot though the clock of use_sim_time stands still [s].",
+    0.1,
+    3600.0,
+)
+
+
+class WallWatch:
+    """Looks at the ages of inputs on a steady clock.
+
+    It waits longer than the node's own time-out, since a simulation may run slower than real time. In a paused one it
+    lets the robot stand, which a robot does anyway where no time passes.
+    """
+
+    def __init__(self, node: SuiteNode, look: Callable[[], None]) -> None:
+        """Begin.
+
+        Args:
+            node: A node with the parameter WALL_TIMEOUT.
+            look: Called several times in each time-out.
+        """
+        self._limit: float = node.settings[WALL_TIMEOUT.name]
+        self._heard: dict[str, float] = {}
+        node.create_timer(0.25 * self._limit, look, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def heard(self, what: str) -> None:
+        """Note that an input has just come."""
+        self._heard[what] = time.monotonic()
+
+    def overdue(self, what: str) -> bool:
+        """Return whether an input that once came stays away for too long."""
+        at = self._heard.get(what)
+        return at is not None and time.monotonic() - at > self._limit

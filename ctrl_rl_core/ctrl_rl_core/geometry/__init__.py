@@ -1,0 +1,1 @@
+"""Plane geometry, quantities with units, and poses from odometry."""

@@ -1,0 +1,171 @@
+"""Quantities with units, as task files write them: `0.7 m`, `60 deg`, `-0.8 .. 2.0 m/s`, `(0.0, 3.5) m`.
+
+Everything is SI once read: metres, seconds, radians, kilograms, newtons.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable
+from typing import Annotated, Any, NamedTuple
+
+from pydantic import BeforeValidator
+
+from ctrl_rl_core.io.file_checks import shown
+
+_FACTORS: dict[str, dict[str, float]] = {
+    "m": {"m": 1.0, "cm": 1e-2, "mm": 1e-3},
+    "s": {"s": 1.0, "ms": 1e-3, "min": 60.0},
+    "rad": {"rad": 1.0, "deg": math.pi / 180.0},
+    "m/s": {"m/s": 1.0, "cm/s": 1e-2},
+    "rad/s": {"rad/s": 1.0, "deg/s": math.pi / 180.0},
+    "m/s^2": {"m/s^2": 1.0},
+    "rad/s^2": {"rad/s^2": 1.0},
+    "Hz": {"Hz": 1.0},
+    "kg": {"kg": 1.0, "g": 1e-3},
+    "kg m^2": {"kg m^2": 1.0},
+    "N": {"N": 1.0},
+    "N m": {"N m": 1.0},
+    "N s/m": {"N s/m": 1.0},
+    "N m s/rad": {"N m s/rad": 1.0},
+    "1": {"": 1.0, "1": 1.0},
+}
+
+
+_LARGEST: dict[str, float] = {"m": 1e5, "s": 1e6, "rad": 1e3, "m/s": 1e3, "rad/s": 1e4, "Hz": 1e5}
+"""Of a robot's world, in SI units; of the others 1e9."""
+_LEAST = 1e-6
+"""Of what must be positive, in SI units: less is nothing."""
+_LONGEST = 200
+_NUMBER = r"[-+]?(?:\d+(?:\.\d+)?|\.\d+)(?:[eE][-+]?\d+)?"
+_QUANTITY = re.compile(rf"(\(.*\)|{_NUMBER}(?:\s*\.\.\s*{_NUMBER})?)\s*(.*)")
+
+
+class Interval(NamedTuple):
+    """A closed interval, low <= high, in SI units."""
+
+    low: float
+    high: float
+
+    @property
+    def centre(self) -> float:
+        """The middle."""
+        return 0.5 * (self.low + self.high)
+
+    @property
+    def length(self) -> float:
+        """How long it is."""
+        return self.high - self.low
+
+    def __contains__(self, value: object) -> bool:
+        return isinstance(value, int | float) and self.low <= value <= self.high
+
+
+def parse_scalar(text: object, unit: str) -> float:
+    """Return `0.7 m` in SI units.
+
+    Args:
+        text: a number and a unit of the same kind as `unit`; for the unit "1" the number alone.
+        unit: the SI unit wanted, a key of the table above.
+
+    Raises:
+        ValueError: no number, no unit or a unit of another kind.
+    """
+    number, factor = _split(text, unit)
+    return _number(number, text, factor, unit)
+
+
+def parse_interval(text: object, unit: str) -> Interval:
+    """Return `low .. high unit` in SI units; a single quantity is an interval of length zero.
+
+    Raises:
+        ValueError: as `parse_scalar`, or low > high.
+    """
+    body, factor = _split(text, unit)
+    low, dots, high = body.partition("..")
+    if not dots:
+        value = _number(body, text, factor, unit)
+        return Interval(value, value)
+    out = Interval(_number(low, text, factor, unit), _number(high, text, factor, unit))
+    if out.low > out.high:
+        raise ValueError(f"{shown(text)} runs backwards: write the lower bound first")
+    return out
+
+
+def parse_vector(text: object, unit: str, size: int) -> tuple[float, ...]:
+    """Return `(a, b) unit` in SI units.
+
+    Raises:
+        ValueError: as `parse_scalar`, or not `size` numbers in parentheses.
+    """
+    body, factor = _split(text, unit)
+    if not (body.startswith("(") and body.endswith(")")):
+        raise ValueError(
+            f"{shown(text)} must be {size} numbers in parentheses and a unit, e.g. ({', '.join(['1.0'] * size)}) {unit}"
+        )
+    parts = body[1:-1].split(",")
+    if len(parts) != size:
+        raise ValueError(f"{shown(text)} has {len(parts)} numbers, must have {size}")
+    return tuple(_number(part, text, factor, unit) for part in parts)
+
+
+def _split(text: object, unit: str) -> tuple[str, float]:
+    """Cut the unit off and return the rest with the unit's factor to SI."""
+    plain = isinstance(text, str | int | float) and not isinstance(text, bool)
+    said = str(text).strip() if plain and not (isinstance(text, int) and abs(text) > 1e30) else ""
+    match = _QUANTITY.fullmatch(said) if len(said) <= _LONGEST else None
+    if match is None:
+        raise ValueError(f"{shown(text)} is not a quantity: write e.g. '{f'1.0 {unit}' if unit != '1' else '1.0'}'")
+    body, given = match.groups()
+    if given not in _FACTORS[unit]:
+        known = ", ".join(name for name in _FACTORS[unit] if name) or "no unit"
+        has = f"unit {shown(given)}" if given else "no unit"
+        raise ValueError(f"{shown(text)} has {has}: must be in {known}")
+    return body, _FACTORS[unit][given]
+
+
+def _number(part: str, whole: object, factor: float, unit: str) -> float:
+    try:
+        value = float(part)
+    except ValueError:
+        raise ValueError(f"{shown(whole)}: {shown(part.strip())} is not a number") from None
+    largest = _LARGEST.get(unit, 1e9)
+    if not abs(value * factor) <= largest:
+        raise ValueError(f"{shown(whole)} is too large: at most {largest:g} {unit} makes sense")
+    # 70 cm is 0.7 m, not 0.7000000000000001 m: equal quantities give equal digests.
+    return value if factor == 1.0 else float(f"{value * factor:.15g}")
+
+
+def _scalar(unit: str, positive: bool = False, largest: float = math.inf) -> Callable[[Any], float]:
+    def parse(value: Any) -> float:
+        out = parse_scalar(value, unit)
+        if out > largest:
+            raise ValueError(f"{shown(value)} is too large: at most {largest:g} {unit} makes sense")
+        if positive and out < _LEAST:
+            raise ValueError(f"{shown(value)} must be at least {_LEAST:g} {unit}")
+        return out
+
+    return parse
+
+
+def _interval(unit: str) -> Callable[[Any], Interval]:
+    return lambda value: parse_interval(value, unit)
+
+
+def _vector(unit: str) -> Callable[[Any], tuple[float, ...]]:
+    return lambda value: parse_vector(value, unit, 2)
+
+
+Length = Annotated[float, BeforeValidator(_scalar("m"))]
+PositiveLength = Annotated[float, BeforeValidator(_scalar("m", positive=True))]
+PositiveTime = Annotated[float, BeforeValidator(_scalar("s", positive=True))]
+TimeStep = Annotated[float, BeforeValidator(_scalar("s", positive=True, largest=60.0))]
+"""From one step of a policy to the next [s]."""
+Angle = Annotated[float, BeforeValidator(_scalar("rad"))]
+Speed = Annotated[float, BeforeValidator(_scalar("m/s"))]
+PositiveSpeed = Annotated[float, BeforeValidator(_scalar("m/s", positive=True))]
+PositiveRate = Annotated[float, BeforeValidator(_scalar("Hz", positive=True))]
+LengthInterval = Annotated[Interval, BeforeValidator(_interval("m"))]
+AngleInterval = Annotated[Interval, BeforeValidator(_interval("rad"))]
+Point = Annotated[tuple[float, float], BeforeValidator(_vector("m"))]

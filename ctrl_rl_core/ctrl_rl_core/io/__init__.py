@@ -1,0 +1,1 @@
+"""Files: checked reading, atomic writing, results."""

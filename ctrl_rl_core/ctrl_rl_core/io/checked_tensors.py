@@ -1,0 +1,196 @@
+"""Tensors and their JSON header in a safetensors file, checked before anything is allocated, with a digest of it all.
+
+The header is one entry of the file's metadata (safetensors writes several in random order) and holds its own digest:
+the SHA-256 of the whole file in which 64 zeros stand for the digest.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+from collections.abc import Mapping
+from typing import Annotated, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, TypeAdapter
+from safetensors.numpy import save
+
+from ctrl_rl_core.io import checked_json
+from ctrl_rl_core.io.checked_json import DIGEST
+from ctrl_rl_core.io.file_checks import FileError, as_text, open_file, shown
+from ctrl_rl_core.io.file_kinds import KINDS, described
+from ctrl_rl_core.io.memory import available
+from ctrl_rl_core.io.schema import Count, Schema
+
+Tensors = dict[str, NDArray[Any]]
+LARGEST = 256_000_000
+"""Bytes of a policy's file."""
+LARGEST_HEADER = 16_000_000
+TYPES: dict[str, type[np.generic]] = {
+    "F64": np.float64,
+    "F32": np.float32,
+    "F16": np.float16,
+    "I64": np.int64,
+    "I32": np.int32,
+    "I16": np.int16,
+    "I8": np.int8,
+    "U64": np.uint64,
+    "U32": np.uint32,
+    "U16": np.uint16,
+    "U8": np.uint8,
+    "BOOL": np.bool_,
+}
+_ZEROS = b"0" * 64
+
+
+class _Entry(Schema):
+    """Where a tensor lies in the file [bytes after the header]."""
+
+    dtype: str
+    shape: Annotated[list[Count], Field(max_length=8)]
+    data_offsets: Annotated[list[Count], Field(min_length=2, max_length=2)]
+
+
+_ENTRIES = TypeAdapter(Annotated[dict[str, _Entry], Field(max_length=10_000)])
+
+
+class TensorFile(NamedTuple):
+    """Header and tensors of a file, and its SHA-256 (hex), empty where it was not asked for."""
+
+    header: dict[str, Any]
+    tensors: Tensors
+    digest: str
+
+
+def encode_tensors(tensors: Mapping[str, NDArray[Any]], key: str, header: Mapping[str, Any]) -> bytes:
+    """Return the bytes of a file, the same for the same tensors and header.
+
+    Args:
+        tensors: by name.
+        key: Metadata key that marks the kind of file.
+        header: JSON, without the digest.
+    """
+    plain = {name: np.ascontiguousarray(tensor) for name, tensor in tensors.items()}
+    rest = json.dumps(dict(header), sort_keys=True)[1:]
+    told = f'{{"{DIGEST}": "{_ZEROS.decode()}"{", " if header else ""}{rest}'
+    content = save(plain, metadata={key: told})
+    return content.replace(_ZEROS, hashlib.sha256(content).hexdigest().encode(), 1)
+
+
+def kind_of(path: str | os.PathLike[str]) -> tuple[str, ...]:
+    """Return the keys of a file's metadata, which say what kind of file it is.
+
+    Raises:
+        FileError, OSError: as `read_tensors`.
+    """
+    with open_file(path, math.inf) as (file, size):
+        return tuple(_parse_head(file.read(8 + min(size, LARGEST_HEADER)), size)[0])
+
+
+def read_tensors(
+    path: str | os.PathLike[str],
+    key: str,
+    largest: float | None = LARGEST,
+    types: tuple[str, ...] = ("F32", "F64"),
+    finite: bool = True,
+    with_digest: bool = False,
+) -> TensorFile:
+    """Read a file of one kind and check it against its digest.
+
+    Args:
+        path: The file to read.
+        key: Metadata key that marks the kind of file.
+        largest: bytes that it may have; None for as many as the memory takes.
+        types: Allowed types of the tensors.
+        finite: whether NaN and infinity are refused.
+        with_digest: whether the file's own SHA-256 is wanted, for which it is gone through once more.
+
+    Raises:
+        FileError: it is no such file, too large, damaged, or holds other tensors.
+        OSError: it cannot be read.
+    """
+    with open_file(path, available() if largest is None else largest) as (file, size):
+        head = file.read(min(size, 8))
+        length = int.from_bytes(head, "little")
+        if length <= LARGEST_HEADER:
+            head += file.read(min(length, size))
+        metadata, entries = _parse_head(head, size)
+        if key not in metadata:
+            known = next((found for found in metadata if found in KINDS), None)
+            if known is not None:
+                raise FileError(f"is {described(known)}; wanted is {described(key)}")
+            found = shown(next(iter(metadata), "without a header"))
+            raise FileError(f"is a safetensors file of another kind, {found}, not {shown(key)}")
+        header = checked_json.parse_json(metadata[key])
+        if not isinstance(header, dict):
+            raise FileError("has a header that is no JSON object")
+        others = [name for name, entry in entries.items() if entry.dtype not in types]
+        if others:
+            raise FileError(
+                f"tensor {shown(others[0])} is of type {shown(entries[others[0]].dtype)}: must be {' or '.join(types)}"
+            )
+        data = np.fromfile(file, np.uint8, size - len(head))
+        if len(data) != size - len(head):
+            raise FileError("is shorter than it was a moment ago")
+    found = header.pop(DIGEST, None)
+    if found is None:
+        checked_json.tell_missing(path)
+    else:
+        _check_digest(head, data, found)
+    digest = _sha256(head, data) if with_digest else ""
+    tensors = {name: _tensor(data, entry) for name, entry in entries.items()}
+    wrong = [n for n, it in tensors.items() if finite and it.dtype.kind == "f" and not np.isfinite(it).all()]
+    if wrong:
+        raise FileError(f"not all numbers of {shown(wrong[0])} are finite")
+    return TensorFile(header, tensors, digest)
+
+
+def _check_digest(head: bytes, data: NDArray[np.uint8], found: Any) -> None:
+    place = head.find(found.encode()) if isinstance(found, str) and len(found) == len(_ZEROS) else -1
+    if place < 0:
+        raise FileError("has a digest that is none")
+    if _sha256(head[:place] + _ZEROS + head[place + len(_ZEROS) :], data) != found:
+        raise FileError("does not match its digest: it is damaged; copy or make it again")
+
+
+def _sha256(head: bytes, data: NDArray[np.uint8]) -> str:
+    sum_ = hashlib.sha256(head)
+    sum_.update(data.data)
+    return sum_.hexdigest()
+
+
+def _parse_head(head: bytes, size: int) -> tuple[dict[str, str], dict[str, _Entry]]:
+    """Return metadata and entries of a file that begins so and has so many bytes."""
+    length = int.from_bytes(head[:8], "little")
+    if size < 10 or length > size - 8:
+        raise FileError("is not a whole safetensors file: copy or make it again")
+    if length > LARGEST_HEADER:
+        raise FileError(f"has a header of {length:,} bytes: at most {LARGEST_HEADER:,} are read")
+    told = checked_json.parse_json(as_text(head[8 : 8 + length]))
+    metadata = told.pop("__metadata__", {}) if isinstance(told, dict) else None
+    if not isinstance(metadata, dict) or not all(isinstance(text, str) for text in metadata.values()):
+        raise FileError("is no safetensors file: its header is none")
+    entries = _ENTRIES.validate_python(told)
+    end = 0
+    for name, entry in sorted(entries.items(), key=lambda item: item[1].data_offsets):
+        kind = TYPES.get(entry.dtype)
+        if kind is None:
+            raise FileError(f"tensor {shown(name)} is of type {shown(entry.dtype)}, which is not read")
+        begin, stop = entry.data_offsets
+        if begin != end or stop - begin != math.prod(entry.shape) * np.dtype(kind).itemsize:
+            raise FileError(f"tensor {shown(name)} does not lie where its shape says")
+        end = stop
+    if end != size - 8 - length:
+        raise FileError("is not a whole safetensors file: copy or make it again")
+    return metadata, entries
+
+
+def _tensor(data: NDArray[np.uint8], entry: _Entry) -> NDArray[Any]:
+    begin, stop = entry.data_offsets
+    flat = data[begin:stop].view(TYPES[entry.dtype])
+    if entry.dtype == "BOOL" and (data[begin:stop] > 1).any():
+        raise FileError("holds truth values that are neither true nor false")
+    return np.require(flat.reshape(entry.shape), requirements=["A"])

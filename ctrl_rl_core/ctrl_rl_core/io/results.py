@@ -1,0 +1,208 @@
+"""Results as data: one JSON file per experiment, from which tables and plots are made."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import ConfigDict, Field, TypeAdapter
+
+from ctrl_rl_core.errors import CtrlRlError
+from ctrl_rl_core.io import checked_json
+from ctrl_rl_core.io.atomic_write import write_whole
+from ctrl_rl_core.io.file_checks import refused_as
+from ctrl_rl_core.io.schema import Anything, Name, Schema
+
+
+class ResultsError(CtrlRlError):
+    """A results file cannot be read."""
+
+
+Text = Annotated[str, Field(max_length=10_000)]
+
+
+class _Written(Schema):
+    """Part of a file of ours; a figure may be NaN where there was nothing to measure."""
+
+    model_config = ConfigDict(allow_inf_nan=True)
+
+
+class Row(_Written):
+    """One row as it is written."""
+
+    method: Name
+    metric: Name
+    unit: Name
+    values: Annotated[list[float], Field(min_length=1, max_length=1_000_000)]
+    mean: float
+    std: float
+    thesis: float | None
+
+
+class Experiment(_Written):
+    """A results file."""
+
+    experiment: Name
+    command: Text
+    commit: Text
+    seeds: Annotated[list[int], Field(max_length=100_000)]
+    rows: Annotated[list[Row], Field(max_length=100_000)]
+    figures: Anything | None = None
+
+
+class Benchmark(_Written):
+    """A row of `make bench`."""
+
+    benchmark: Text = ""
+    name: Name
+    value: float
+    unit: Name
+    against: Text
+    ratio: float | None
+
+
+_BENCHMARKS = TypeAdapter(Annotated[list[Benchmark], Field(max_length=10_000)])
+
+
+@dataclass(frozen=True)
+class Result:
+    """One row: a method's figure, one value per seed, beside the thesis's where it has one."""
+
+    method: str
+    metric: str
+    unit: str
+    values: Sequence[float]
+    thesis: float | None = None
+
+
+def write_results(
+    path: Path,
+    experiment: str,
+    seeds: Sequence[int],
+    rows: Sequence[Result],
+    figures: Mapping[str, Any] | None = None,
+) -> None:
+    """Write an experiment's rows, with the command and commit that gave them; the file is there whole or not at all.
+
+    Args:
+        path: of the file; replaced if it exists.
+        experiment: its name.
+        seeds: that it ran with.
+        rows: the table.
+        figures: what its pictures are drawn from, as JSON.
+    """
+    content: dict[str, Any] = {
+        "experiment": experiment,
+        "command": " ".join([Path(sys.argv[0]).name, *sys.argv[1:]]),
+        "commit": _commit(),
+        "seeds": list(seeds),
+        "rows": [
+            {
+                "method": row.method,
+                "metric": row.metric,
+                "unit": row.unit,
+                "values": list(row.values),
+                "mean": float(np.mean(row.values)),
+                "std": float(np.std(row.values)),
+                "thesis": row.thesis,
+            }
+            for row in rows
+        ],
+    }
+    if figures is not None:
+        content["figures"] = dict(figures)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(path, _dump(checked_json.with_digest(content)))
+
+
+def read_results(folder: Path) -> list[Experiment]:
+    """Return every experiment of a folder; benchmark rows, a list, are not one.
+
+    Raises:
+        ResultsError: a file is damaged, or not what `write_results` wrote.
+    """
+    out = []
+    for file in sorted(folder.glob("*.json")):
+        with refused_as(ResultsError, file):
+            content = checked_json.read_json(file)
+            if isinstance(content, dict) and "rows" in content:
+                out.append(Experiment.model_validate(content))
+    return out
+
+
+def read_benchmarks(file: Path) -> list[Benchmark]:
+    """Return the rows that `make bench` wrote; none where it has not run.
+
+    Raises:
+        ResultsError: the file holds something else.
+    """
+    if not file.exists():
+        return []
+    with refused_as(ResultsError, file):
+        return _BENCHMARKS.validate_python(checked_json.read_json(file))
+
+
+def as_markdown(experiments: Sequence[Experiment], benchmarks: Sequence[Benchmark] = ()) -> str:
+    """Return experiments and benchmarks as a page of tables, each figure beside the thesis's or a peer's."""
+    lines = ["# Results", "", "Made from the JSON files in `docs/results/` by `make results`; do not edit."]
+    for experiment in experiments:
+        lines += ["", f"## {experiment.experiment}", "", f"    {experiment.command}", ""]
+        lines += [_remark(experiment), "", *_table(experiment.rows)]
+    if benchmarks:
+        lines += ["", "## Benchmarks", "", "    make bench", "", "Each figure and its peer were measured in one run."]
+        lines += ["", "| what | ours | against | ratio |", "|---|---|---|---|"]
+        for row in benchmarks:
+            ratio = "" if row.ratio is None else f"{row.ratio:.3g}"
+            lines.append(f"| {row.name} | {row.value:.4g} {row.unit} | {row.against} | {ratio} |")
+    return "\n".join(lines) + "\n"
+
+
+def _remark(experiment: Experiment) -> str:
+    remark = f"Commit {experiment.commit}"
+    seeds = len(experiment.seeds)
+    if seeds > 1:
+        remark += f", {seeds} seeds, mean and standard deviation over them"
+    elif any(len(row.values) > 1 for row in experiment.rows):
+        remark += ", mean and standard deviation"
+    if any(row.thesis is not None for row in experiment.rows):
+        remark += "; in brackets the thesis's"
+    return f"{remark}."
+
+
+def _table(rows: Sequence[Row]) -> list[str]:
+    """Return a line for each method, a column for each metric."""
+    units = {row.metric: "" if row.unit == "1" else f" [{row.unit}]" for row in rows}
+    cells = {(row.method, row.metric): _cell(row) for row in rows}
+    head = ["method", *(f"{metric}{unit}" for metric, unit in units.items())]
+    lines = [head, ["---"] * len(head)]
+    methods = dict.fromkeys(row.method for row in rows)
+    lines += [[method, *(cells.get((method, metric), "") for metric in units)] for method in methods]
+    return [f"| {' | '.join(line)} |" for line in lines]
+
+
+def _cell(row: Row) -> str:
+    spread = f" ± {row.std:.2g}" if len(row.values) > 1 else ""
+    thesis = "" if row.thesis is None else f" ({row.thesis:g})"
+    return f"{row.mean:.4g}{spread}{thesis}"
+
+
+def _dump(content: Mapping[str, Any]) -> str:
+    """Return the JSON: a line for each field and row; figures, which are long, on one line."""
+    figures = content.get("figures")
+    text = json.dumps({key: value for key, value in content.items() if key != "figures"}, indent=1)
+    return f"{text}\n" if figures is None else f'{text[:-2]},\n "figures": {json.dumps(figures)}\n}}\n'
+
+
+def _commit() -> str:
+    """Return the commit of the working folder, empty where there is none."""
+    try:
+        answer = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False)
+    except OSError:
+        return ""
+    return answer.stdout.strip()

@@ -1,0 +1,96 @@
+"""Work in several processes that ends when told to: Ctrl-C is for the main one, a dead parent leaves no orphan."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from multiprocessing.connection import wait as wait_for_any
+from typing import Any, TypeVar
+
+from ctrl_rl_core.errors import CtrlRlError
+from ctrl_rl_core.processes.signals import answered_by
+
+Item = TypeVar("Item")
+Answer = TypeVar("Answer")
+_TICK = 1.0
+
+CONTEXT = multiprocessing.get_context("spawn")
+"""A forked copy of threads and of a library's state is no safe place to work in."""
+
+
+class WorkersError(CtrlRlError):
+    """A worker process was killed."""
+
+
+def in_processes(
+    work: Callable[[Item], Answer],
+    items: Sequence[Item],
+    workers: int,
+    prepare: Callable[..., None] | None = None,
+    terms: tuple[Any, ...] = (),
+    tick: Callable[[], None] | None = None,
+) -> Iterator[Answer]:
+    """Yield the answers as they come, not in the order of the items.
+
+    Args:
+        work: importable by name; called in a worker, one item at a time.
+        items: begun in this order.
+        workers: how many processes.
+        prepare: importable by name; called once in each worker with `terms`.
+        terms: see `prepare`.
+        tick: called here about once a second, e.g. to show progress.
+
+    Raises:
+        WorkersError: a worker was killed.
+        Exception: whatever `work` raises; what has not begun then is dropped.
+    """
+    with ProcessPoolExecutor(workers, CONTEXT, _begin, (prepare, terms)) as pool:
+        with _deaf_to_interrupts():
+            waiting: set[Future[Answer]] = {pool.submit(work, item) for item in items}
+        try:
+            while waiting:
+                finished, waiting = wait(waiting, None if tick is None else _TICK, FIRST_COMPLETED)
+                if tick is not None:
+                    tick()
+                yield from (future.result() for future in finished)
+        except BrokenProcessPool:
+            raise WorkersError(
+                "a worker process was killed: run the same command again, it goes on where this ended"
+            ) from None
+        except BaseException:
+            # What is under way is not waited for: it may take minutes, and may be taken up again.
+            for process in list((pool._processes or {}).values()):
+                process.terminate()
+            raise
+        finally:
+            pool.shutdown(wait=True, cancel_futures=True)
+
+
+@contextmanager
+def _deaf_to_interrupts() -> Iterator[None]:
+    """Let processes that start meanwhile inherit that SIGINT is ignored: Ctrl-C is for this one, it ends the others."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    with answered_by(signal.SIG_IGN, (signal.SIGINT,)):
+        yield
+
+
+def _begin(prepare: Callable[..., None] | None, terms: tuple[Any, ...]) -> None:
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    if prepare is not None:
+        prepare(*terms)
+
+
+def _end_with_parent() -> None:
+    """End this worker when its parent is gone: it must not go on writing into a folder that the next run takes up."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        wait_for_any([parent.sentinel])
+        os._exit(1)

@@ -1,0 +1,220 @@
+"""The little rclpy glue that all nodes share: quality of service, settings, diagnostics, life and death.
+
+A node of this suite is a class derived from `SuiteNode`, run by `run_node`:
+
+    class Controller(SuiteNode):
+        PARAMETERS = (Parameter("timeout", 0.5, "Age of a stale scan [s].", minimum=0.05, maximum=5.0),)
+
+        def __init__(self) -> None:
+            super().__init__("controller")
+            self.create_timer(self.settings["timeout"], self.stop)
+
+
+    def main() -> int:
+        return run_node(Controller)
+"""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Callable, Mapping
+from typing import Any, ClassVar
+
+import numpy as np
+from builtin_interfaces.msg import Time as TimeMsg
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from numpy.typing import NDArray
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
+
+from ctrl_rl_core.errors import CtrlRlError, one_line
+from ctrl_rl_core.ros.callback_faults import Faults
+from ctrl_rl_core.ros.parameter_service import CheckedParameterService
+from ctrl_rl_core.ros.parameters import Parameter, ParameterError, check_all, declare
+from ctrl_rl_core.ros.running import run_node as run_node
+
+SENSOR = qos_profile_sensor_data
+"""Subscribers to scan and odom: best effort matches every publisher, the real robot's too."""
+SCAN_PUBLISHER = QoSProfile(depth=5)
+ODOM_PUBLISHER = QoSProfile(depth=10)
+COMMAND = QoSProfile(depth=1)
+RESULT = QoSProfile(depth=100)
+"""Rewards, values, latents, episode states: every message counts, bursts are buffered."""
+DIAGNOSTICS = "/diagnostics"
+"""For the robots of all namespaces, as ROS's aggregator expects it; a status carries its node's full name."""
+LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+Status = tuple[bytes, str, Mapping[str, object]]
+"""Level (a DiagnosticStatus constant), one line of text, key figures."""
+
+
+class SuiteNode(Node):
+    """A node with checked settings, diagnostics at 1 Hz of wall time, and a last word before it stops.
+
+    No callback ends it: what one raises is counted, said in the log and in diagnostics, and handed to
+    `callback_failed`. Log level debug shows the traceback.
+
+    Attributes:
+        PARAMETERS: the table of the node's parameters.
+        FATAL: Errors of a callback that end the node, as it cannot do its work any more.
+        faults: The failures of its callbacks.
+        executor_name: the kind of the executor that serves it.
+        QUICK: whether to use the events executor: half the latency and CPU of the usual one, whose cost grows with
+            every timer and service; it knows neither raw subscriptions nor guard conditions.
+        SHARED_MEMORY: whether Fast DDS may use shared memory. What drives a robot does not: a process that is killed
+            while it holds a lock there freezes the others. The user's own choice of transports counts, and with
+            ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST rmw_fastrtps uses shared memory whatever is chosen.
+        settings: their values by name; kept up to date where `ros2 param set` changes them.
+    """
+
+    PARAMETERS: ClassVar[tuple[Parameter, ...]] = ()
+    FATAL: ClassVar[tuple[type[Exception], ...]] = ()
+    QUICK: ClassVar[bool] = True
+    SHARED_MEMORY: ClassVar[bool] = True
+
+    def __init__(self, name: str, **kwargs: Any) -> None:
+        self.faults = Faults(self.callback_failed, self.get_logger, self.FATAL)  # before the first callback
+        self._refused_requests = 0
+        self.executor_name = ""
+        super().__init__(name, start_parameter_services=False, **kwargs)
+        for service in self.services:  # rclpy makes one by itself
+            service.callback = self.faults.guard_service(service.callback, service.srv_name)
+        self._checked_parameters = CheckedParameterService(self, self._refuse)
+        self.settings = declare(self, self.PARAMETERS)
+        for given in self._parameter_overrides:
+            if not self.has_parameter(given):
+                self.get_logger().warning(f"parameter '{given}' is unknown to this node and has no effect: see --help")
+        self.add_on_set_parameters_callback(self._set_parameters)
+        self._diagnostics = self.create_publisher(DiagnosticArray, DIAGNOSTICS, 10)
+        self.create_timer(1.0, self._publish_diagnostics, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def status(self) -> Status:
+        """Return what `diagnostics` says; override it."""
+        return ok("running")
+
+    def diagnostics_stamp(self) -> TimeMsg:
+        """Return ROS time now: wall time, or the simulation's with use_sim_time; override it where /clock is made."""
+        return self.get_clock().now().to_msg()
+
+    def setting_changed(self, name: str) -> None:
+        """Act on a live parameter that now has another value; override it where it matters.
+
+        Raises:
+            CtrlRlError: the value does not serve; the parameter keeps the one it had.
+        """
+
+    def stop(self) -> None:
+        """Say the last word (zero velocity, a finished file) while publishers still work; called once, override it."""
+
+    def callback_failed(self, error: Exception) -> None:
+        """React to a callback that raised, which is counted and said already; override it in a node that drives.
+
+        There the robot stands, and goes on standing while `faults.failing` names an input.
+        """
+
+    def create_timer(self, timer_period_sec: float, callback: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
+        """Create a timer whose callback cannot end the node."""
+        return super().create_timer(timer_period_sec, self.faults.guard(callback, "timer"), *args, **kwargs)
+
+    def create_subscription(
+        self, msg_type: Any, topic: str, callback: Callable[..., Any], *args: Any, **kwargs: Any
+    ) -> Any:
+        """Subscribe with a callback that cannot end the node."""
+        return super().create_subscription(msg_type, topic, self.faults.guard(callback, topic), *args, **kwargs)
+
+    def create_service(
+        self, srv_type: Any, srv_name: str, callback: Callable[..., Any], *args: Any, **kwargs: Any
+    ) -> Any:
+        """Serve with a callback that cannot end the node; where it fails, the client gets an empty response."""
+        callback = self.faults.guard_service(callback, srv_name)
+        return super().create_service(srv_type, srv_name, callback, *args, **kwargs)
+
+    def call_soon(self, callback: Callable[[], Any]) -> None:
+        """Call `callback` once what has arrived by now is handled, with the events executor; with others at once."""
+        executor = self.executor
+        if executor is None:
+            callback()
+        else:
+            executor.create_task(self.faults.guard(callback, "task"))
+
+    def _refuse(self, reason: str) -> None:
+        self._refused_requests += 1
+        self.get_logger().warning(f"parameter request refused: {reason}", throttle_duration_sec=5.0)
+
+    def _status(self) -> Status:
+        """Return the node's status with what failed in it."""
+        try:
+            level, message, values = self.status()
+        except Exception as error:  # a node that cannot say how it is must say at least that
+            self.faults.note("status", error)
+            level, message, values = DiagnosticStatus.ERROR, "no status", {}
+        values = {**values, "executor": self.executor_name}
+        if self._refused_requests:
+            values["refused parameter requests"] = self._refused_requests
+        if self.faults.count:
+            values |= {"failed callbacks": self.faults.count, "last failure": self.faults.last}
+        if self.faults.recent:
+            return DiagnosticStatus.ERROR, f"callback failed: {self.faults.last}", values
+        return level, message, values
+
+    def _publish_diagnostics(self) -> None:
+        level, message, values = self._status()
+        status = DiagnosticStatus(
+            level=level,
+            name=self.get_fully_qualified_name(),
+            message=message,
+            hardware_id=self.get_namespace(),
+            values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
+        )
+        out = DiagnosticArray(status=[status])
+        out.header.stamp = self.diagnostics_stamp()
+        self._diagnostics.publish(out)
+
+    def _set_parameters(self, changes: list[Any]) -> SetParametersResult:
+        try:
+            values = check_all(self.PARAMETERS, {change.name: change.value for change in changes})
+        except ParameterError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        before, taken = dict(self.settings), list[str]()
+        for name, value in values.items():
+            self.settings[name] = value
+            try:
+                self.setting_changed(name)
+            except Exception as error:
+                if not isinstance(error, CtrlRlError):
+                    self.faults.note(f"setting_changed ({name})", error)
+                self.settings |= before
+                for other in taken:  # all or nothing: ROS keeps the old values of all of them
+                    self.setting_changed(other)
+                return SetParametersResult(successful=False, reason=one_line(error))
+            taken.append(name)
+        return SetParametersResult(successful=True)
+
+
+def ok(message: str, **values: object) -> Status:
+    """Return a healthy `SuiteNode.status`."""
+    return DiagnosticStatus.OK, message, values
+
+
+def warn(message: str, **values: object) -> Status:
+    """Return a `SuiteNode.status` that asks for attention."""
+    return DiagnosticStatus.WARN, message, values
+
+
+def seconds(stamp: TimeMsg) -> float:
+    """Return a time stamp in seconds."""
+    return stamp.sec + 1e-9 * stamp.nanosec
+
+
+def to_stamp(nanoseconds: int) -> TimeMsg:
+    """Return a time stamp from whole nanoseconds."""
+    return TimeMsg(sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9)
+
+
+def float32_array(values: NDArray[np.floating]) -> array[float]:
+    """Return `values` as the array that a float32[] field takes whole; an ndarray is copied element by element."""
+    out = array("f")
+    out.frombytes(np.ascontiguousarray(values, dtype=np.float32).tobytes())
+    return out

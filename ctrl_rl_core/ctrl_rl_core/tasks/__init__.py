@@ -1,0 +1,1 @@
+"""Tasks as validated YAML: regions, starts, outcomes, and the schema of each part."""

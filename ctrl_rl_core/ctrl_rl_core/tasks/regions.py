@@ -1,0 +1,77 @@
+"""Sets of states: where episodes start, the goal, the trap."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ctrl_rl_core.geometry.shapes import Disc
+from ctrl_rl_core.geometry.units import Interval
+
+ANGLES = frozenset({"theta", "phi", "psi", "heading"})
+"""State components on the circle: an interval of them is met by any equal angle."""
+
+
+@dataclass(frozen=True)
+class Region:
+    """Intervals of some state components, and optionally a disc of positions; other components are free.
+
+    Attributes:
+        intervals: by state name, in SI units.
+        disc: of positions [m], None for none.
+    """
+
+    intervals: Mapping[str, Interval] = field(default_factory=dict)
+    disc: Disc | None = None
+
+    def contains(self, names: Sequence[str], states: ArrayLike) -> NDArray[np.bool_]:
+        """Return which states lie in the region.
+
+        Args:
+            names: components of a state; the first two that are positions (x, y or x, z) meet the disc.
+            states: (..., n) in SI units.
+
+        Raises:
+            KeyError: the region bounds a component that `names` lacks.
+        """
+        states = np.asarray(states, dtype=float)
+        inside = np.ones(states.shape[:-1], dtype=bool)
+        for name, interval in self.intervals.items():
+            if name not in names:
+                raise KeyError(f"the region bounds '{name}', but the state has only {', '.join(names)}")
+            values = states[..., list(names).index(name)]
+            if name in ANGLES:
+                values = interval.centre + wrap(values - interval.centre)
+            inside &= (values >= interval.low) & (values <= interval.high)
+        if self.disc is not None:
+            inside &= self.disc.signed_distance(states[..., position_indices(names)]) <= 0.0
+        return inside
+
+    def sample(self, names: Sequence[str], random: np.random.Generator) -> NDArray[np.float64]:
+        """Return one state (n,) drawn uniformly from intervals and disc; 0 where the region leaves it free."""
+        state = np.array([random.uniform(*self.intervals.get(name, Interval(0.0, 0.0))) for name in names])
+        if self.disc is not None:
+            radius, angle = self.disc.radius * np.sqrt(random.uniform()), random.uniform(-np.pi, np.pi)
+            state[position_indices(names)] = np.add(self.disc.centre, (radius * np.cos(angle), radius * np.sin(angle)))
+        return state
+
+    @property
+    def position(self) -> tuple[float, float]:
+        """The middle of the region's positions [m]."""
+        if self.disc is not None:
+            return self.disc.centre
+        middles = [self.intervals[name].centre for name in ("x", "y", "z") if name in self.intervals]
+        return (middles[0], middles[1])
+
+
+def position_indices(names: Sequence[str]) -> list[int]:
+    """Return where the two position components stand: x and y, or x and z."""
+    return [index for index, name in enumerate(names) if name in ("x", "y", "z")][:2]
+
+
+def wrap(angle: ArrayLike) -> NDArray[np.float64]:
+    """Return angles in [-pi, pi)."""
+    return (np.asarray(angle, dtype=float) + np.pi) % (2.0 * np.pi) - np.pi

@@ -1,0 +1,90 @@
+"""Start states of robots, drawn from a task's start set, clear of walls, obstacles and each other."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrl_rl_core.geometry.shapes import World
+from ctrl_rl_core.systems.system import System
+from ctrl_rl_core.tasks.regions import position_indices, wrap
+from ctrl_rl_core.tasks.task import NavigationTask, TaskError
+
+Array = NDArray[np.float64]
+_TRIES = 200
+"""Draws of one robot's state before its layout is given up."""
+_LAYOUTS = 50
+"""Layouts that are begun before the start set counts as too small. One that fails says little: the first robots may
+happen to stand where no other finds room."""
+_GAP = 0.1
+"""Free space between two robots at the start [m]."""
+
+
+def draw_starts(
+    task: NavigationTask, system: System, world: World, count: int, radius: float, random: np.random.Generator
+) -> list[Array]:
+    """Return one start state (n,) for each of `count` robots, ordered as the system names its components.
+
+    In a corridor each further robot is set so much further along the path that two cannot touch.
+
+    Args:
+        task: the task whose start set is drawn from.
+        system: the task's system model.
+        world: walls and obstacles.
+        count: the number of robots.
+        radius: the radius of a circle that holds a robot [m].
+        random: the generator that the states are drawn from.
+
+    Raises:
+        TaskError: the start set has no room for so many robots.
+    """
+    most = 0
+    for _ in range(_LAYOUTS):
+        layout = _draw_layout(task, system, world, count, radius, random)
+        if len(layout) == count:
+            return layout
+        most = max(most, len(layout))
+    raise TaskError(f"task '{task.name}' has no room for {count} robots at its start: use {most} or fewer")
+
+
+def _draw_layout(
+    task: NavigationTask, system: System, world: World, count: int, radius: float, random: np.random.Generator
+) -> list[Array]:
+    """Return the start states of as many robots as found room one after the other."""
+    place = position_indices(system.state_names)
+    distance = 2 * radius + _GAP
+    layout: list[Array] = []
+    for index in range(count):
+        for _ in range(_TRIES):
+            state = _in_corridor(task, system, world, index * distance, random)
+            if state is None:
+                state = task.start.region.sample(system.state_names, random)
+            apart = all(np.linalg.norm(state[place] - other[place]) >= distance for other in layout)
+            # The first robot starts where the task says: a long thin body may be nearer to a wall than its radius.
+            if apart and (index == 0 or world.signed_distance(state[place]) >= radius):
+                layout.append(state)
+                break
+        else:
+            break
+    return layout
+
+
+def _in_corridor(
+    task: NavigationTask, system: System, world: World, ahead: float, random: np.random.Generator
+) -> Array | None:
+    """Return a start state drawn in path coordinates and set `ahead` metres on, None where there is no path."""
+    if world.path is None:
+        return None
+    intervals = task.start.intervals
+    along, lateral, heading = task.start.region.sample(("s", "lateral", "heading"), random)
+    spread = intervals["s"].length if "s" in intervals else 0.0
+    x, y, direction = world.path.pose(along + (ahead + spread if ahead else 0.0))
+    state = np.zeros(len(system.state_names))
+    values = {
+        "x": x - lateral * np.sin(direction),
+        "y": y + lateral * np.cos(direction),
+        "theta": float(wrap(direction + heading)),
+    }
+    for name, value in values.items():
+        state[system.state_names.index(name)] = value
+    return state

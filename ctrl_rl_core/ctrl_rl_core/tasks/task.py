@@ -1,0 +1,177 @@
+"""Tasks as validated YAML: one file says what solver, MPC, simulator, rewards and reports all need to know.
+
+    task = load_task("curved_corridor")     # a task of the suite, or a path to a file of your own
+    world = task.build_world(width=0.65)
+
+A file that has a wrong key, unit or shape is refused with one error that names file and key.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path as FilePath
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Discriminator, Field, TypeAdapter, ValidationError, model_validator
+
+from ctrl_rl_core.errors import CtrlRlError
+from ctrl_rl_core.geometry.shapes import World
+from ctrl_rl_core.geometry.units import Interval
+from ctrl_rl_core.io.checked_yaml import read_yaml
+from ctrl_rl_core.io.file_checks import FileError, first_error, named, refused_as, shown
+from ctrl_rl_core.systems.models import SYSTEM_MODELS
+from ctrl_rl_core.tasks.option_tasks import ToolDelivery, WaterFilling
+from ctrl_rl_core.tasks.task_schema import (
+    ArenaSpec,
+    CorridorSpec,
+    EpisodeSpec,
+    GridSpec,
+    LidarSpec,
+    ObstacleSpec,
+    OptimalControlSpec,
+    RegionSpec,
+    RewardSpec,
+    RobotSpec,
+    Several,
+    SystemSpec,
+    TaskHeader,
+)
+
+FOLDER = FilePath(__file__).parent / "task_files"
+_PROSE = {"about", "source", "differences"}
+
+
+class TaskError(CtrlRlError):
+    """A task file is missing or wrong."""
+
+
+class NavigationTask(TaskHeader):
+    """A robot goes from a start set to a goal set in a plane, (x, y) or (x, z), among obstacles."""
+
+    kind: Literal["navigation"]
+    system: SystemSpec
+    robot: RobotSpec
+    arena: ArenaSpec | None = None
+    corridor: CorridorSpec | None = None
+    start: RegionSpec
+    goal: RegionSpec
+    trap: RegionSpec | None = None
+    obstacles: Several[ObstacleSpec] = ()
+    episode: EpisodeSpec
+    rewards: RewardSpec
+    lidar: LidarSpec
+    grid: dict[str, GridSpec] = Field(default_factory=dict)
+    optimal_control: OptimalControlSpec | None = None
+
+    @model_validator(mode="after")
+    def _one_place(self) -> NavigationTask:
+        if (self.arena is None) == (self.corridor is None):
+            raise ValueError("needs either 'arena' or 'corridor'")
+        names = {"s", "lateral", "heading"} if self.corridor else set(self.system.build().state_names)
+        for key in ("start", "goal", "trap"):
+            region: RegionSpec | None = getattr(self, key)
+            unknown = set() if region is None else set(region.intervals) - names
+            if unknown:
+                raise ValueError(f"{key}.{min(unknown)}: no such state component; there are {', '.join(sorted(names))}")
+        return self
+
+    @property
+    def plane(self) -> str:
+        """The coordinates of the plane: "xz" for a quadrotor, "xy" for what drives."""
+        return "xz" if "z" in (state.name for state in SYSTEM_MODELS[self.system.model].states) else "xy"
+
+    @property
+    def observed_states(self) -> tuple[str, ...]:
+        """What a learner is told of the robot's own motion: the system's state, in a corridor the speeds too."""
+        own = self.system.build().state_names
+        return own if self.corridor is None else (*own, "v", "omega")
+
+    @property
+    def plane_bounds(self) -> dict[str, Interval]:
+        """What the walls enclose, by the plane's coordinates [m]; around a corridor at its widest."""
+        if self.arena is not None:
+            return dict(zip(self.plane, self.arena.bounds, strict=True))
+        assert self.corridor is not None
+        path, half = self.corridor.path, 0.5 * self.corridor.width_range.high
+        points = path.pose(np.linspace(0.0, path.length, 1000))[:, :2]
+        ends = zip(self.plane, points.min(axis=0) - half, points.max(axis=0) + half, strict=True)
+        return {name: Interval(float(low), float(high)) for name, low, high in ends}
+
+    def build_world(self, width: float | None = None) -> World:
+        """Return walls and obstacles; `width` [m] replaces the corridor's nominal one.
+
+        Raises:
+            TaskError: there is no corridor, or its width range does not hold `width`.
+        """
+        shapes = tuple(obstacle.shape for obstacle in self.obstacles)
+        if self.corridor is None:
+            if width is not None:
+                raise TaskError(f"task '{self.name}' has no corridor: its width cannot be set")
+            assert self.arena is not None
+            return World(walls=self.arena.walls(), obstacles=shapes, path=None, width=None)
+        width = self.corridor.width if width is None else width
+        if width not in self.corridor.width_range:
+            low, high = self.corridor.width_range
+            raise TaskError(f"width {width:g} m: task '{self.name}' allows {low:g} to {high:g} m")
+        return World(walls=self.corridor.walls(width), obstacles=shapes, path=self.corridor.path, width=width)
+
+
+_KINDS = ("navigation", "tool_delivery", "water_filling")
+Task = NavigationTask | ToolDelivery | WaterFilling
+_READER: TypeAdapter[Task] = TypeAdapter(Annotated[Task, Discriminator("kind")])
+
+
+def task_names() -> tuple[str, ...]:
+    """Return the names of the suite's own tasks."""
+    return tuple(sorted(file.stem for file in FOLDER.glob("*.yaml")))
+
+
+def task_file(name_or_path: str | FilePath) -> FilePath:
+    """Return the file of a task by name, or the path itself.
+
+    Raises:
+        TaskError: the suite has no task of that name.
+    """
+    path = FilePath(name_or_path)
+    if path.suffix in (".yaml", ".yml"):
+        return path.expanduser()
+    path = FOLDER / f"{name_or_path}.yaml"
+    if str(name_or_path) not in task_names():
+        raise TaskError(f"no task '{named(name_or_path)}': there are {', '.join(task_names())}, or give a .yaml file")
+    return path
+
+
+def load_task(name_or_path: str | FilePath) -> Task:
+    """Read a task by name, or from a file.
+
+    Raises:
+        TaskError: no such task, or the file is wrong; the message names file and key.
+    """
+    path = task_file(name_or_path)
+    with refused_as(TaskError, path):
+        content = read_yaml(path)
+        try:
+            task = _READER.validate_python(content)
+        except ValidationError as error:
+            raise FileError(first_error(error, _KINDS)) from None
+        if task.name != path.stem:
+            raise FileError(f"name: is {shown(task.name)}, must be the file's name {shown(path.stem)}")
+    return task
+
+
+def load_navigation_task(name_or_path: str | FilePath) -> NavigationTask:
+    """Read a task that must be a navigation task.
+
+    Raises:
+        TaskError: as `load_task`, or the task is of another kind.
+    """
+    task = load_task(name_or_path)
+    if not isinstance(task, NavigationTask):
+        raise TaskError(f"task '{task.name}' is of kind '{task.kind}': a navigation task is needed here")
+    return task
+
+
+def task_digest(task: TaskHeader) -> str:
+    """Return the SHA-256 (hex) of what the task says in SI units; prose and layout of the file do not count."""
+    return hashlib.sha256(task.model_dump_json(exclude=_PROSE).encode()).hexdigest()

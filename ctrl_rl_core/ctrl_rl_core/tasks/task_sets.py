@@ -1,0 +1,87 @@
+"""Which of a task's sets a state lies in: goal G, collision C, trap Tr, or intermediate I (thesis Eq. 3.9, 3.15, 3.17).
+
+Geometry alone decides, so that it can be asked of a real robot as well: the body counts as a disc, and time does not.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ctrl_rl_core.geometry.shapes import Path
+from ctrl_rl_core.tasks.outcome import Outcome
+from ctrl_rl_core.tasks.regions import Region, position_indices, wrap
+from ctrl_rl_core.tasks.task import NavigationTask
+
+PATH_NAMES = ("s", "lateral", "heading")
+"""Components in which the regions of a task with a corridor are given."""
+
+
+class PathCoordinates:
+    """Poses along a path, from samples of it that are made once."""
+
+    _STEP = 0.01
+
+    def __init__(self, path: Path) -> None:
+        self._s = np.linspace(0.0, path.length, max(2, math.ceil(path.length / self._STEP) + 1))
+        self._poses = path.pose(self._s)
+
+    def __call__(self, pose: ArrayLike) -> NDArray[np.float64]:
+        """Return s [m], lateral [m] and heading [rad] (3,) of a pose x, y, theta (3,)."""
+        x, y, theta = np.asarray(pose, dtype=float)
+        dx, dy = x - self._poses[:, 0], y - self._poses[:, 1]
+        nearest = int(np.argmin(dx * dx + dy * dy))
+        direction = self._poses[nearest, 2]
+        c, s = math.cos(direction), math.sin(direction)
+        along, lateral = c * dx[nearest] + s * dy[nearest], c * dy[nearest] - s * dx[nearest]
+        along = min(max(self._s[nearest] + along, 0.0), self._s[-1])
+        return np.array((along, lateral, float(wrap(theta - direction))))
+
+
+class TaskSets:
+    """The sets of one navigation task, over states of its system.
+
+    Args:
+        task: the task.
+        width: of its corridor [m], None for the task's own.
+
+    Raises:
+        TaskError: the width does not suit the task.
+    """
+
+    def __init__(self, task: NavigationTask, width: float | None = None) -> None:
+        self._names = task.system.build().state_names
+        self._positions = position_indices(self._names)
+        self._world = task.build_world(width)
+        self._radius = task.robot.radius
+        self._tilt_limit = math.inf if task.robot.tilt_limit is None else task.robot.tilt_limit
+        self._tilt = self._names.index("psi") if "psi" in self._names else None
+        self._goal = task.goal.region
+        self._trap = None if task.trap is None else task.trap.region
+        self._path = None if self._world.path is None else PathCoordinates(self._world.path)
+
+    def clearance(self, states: ArrayLike) -> NDArray[np.float64]:
+        """Return the distance (...) of the body's disc to the nearest wall or obstacle [m] at states (..., n)."""
+        points = np.asarray(states, dtype=float)[..., self._positions]
+        return self._world.signed_distance(points) - self._radius
+
+    def outcomes(self, states: ArrayLike) -> NDArray[np.uint8]:
+        """Return for states (..., n) in which set (...) they lie; collision goes before goal, goal before trap."""
+        states = np.asarray(states, dtype=float)
+        out = np.full(states.shape[:-1], Outcome.RUNNING, dtype=np.uint8)
+        if self._trap is not None:
+            out[self._contains(self._trap, states)] = Outcome.TRAP
+        out[self._contains(self._goal, states)] = Outcome.GOAL
+        out[self.clearance(states) <= 0.0] = Outcome.COLLISION
+        if self._tilt is not None:
+            out[np.abs(wrap(states[..., self._tilt])) > self._tilt_limit] = Outcome.COLLISION
+        return out
+
+    def _contains(self, region: Region, states: NDArray[np.float64]) -> NDArray[np.bool_]:
+        if self._path is None:
+            return region.contains(self._names, states)
+        poses = states.reshape(-1, len(self._names))[:, :3]  # a corridor's systems begin with x, y, theta
+        along = np.array([self._path(pose) for pose in poses]).reshape(*states.shape[:-1], 3)
+        return region.contains(PATH_NAMES, along)

@@ -1,0 +1,1 @@
+"""Value functions on regular grids: interpolation, files, and what users of a value may ask."""

@@ -1,0 +1,103 @@
+"""One array and its JSON description in a safetensors file, written whole or not at all."""
+
+import hashlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from ctrl_rl_core.io import checked_tensors
+from ctrl_rl_core.io.atomic_write import write_whole
+from ctrl_rl_core.io.file_checks import FileError
+from ctrl_rl_core.io.schema import Name, Number, Schema, Sha256
+from ctrl_rl_core.values.grid_axis import Axis, GridError
+
+HEADER_KEY = "value_grid"
+_TENSOR = "values"
+_LARGEST_COUNT = 10_000_000
+
+
+class AxisHeader(Schema):
+    """An `Axis` in a file."""
+
+    name: Name
+    unit: Annotated[str, Field(max_length=100)]
+    lower: Number
+    upper: Number
+    count: Annotated[int, Field(ge=2, le=_LARGEST_COUNT)]
+    periodic: bool
+
+    @property
+    def axis(self) -> Axis:
+        """The axis itself."""
+        return Axis(**dict(self))
+
+
+class GridText(Schema):
+    """What a file says of a grid besides its axes, see `ValueGrid`."""
+
+    kind: Literal["time_to_reach", "oc_value"]
+    task: Name
+    task_digest: Sha256
+    solver: Name
+    residual: Annotated[float, Field(ge=0.0)]
+    notes: dict[str, str]
+    values_sha256: Sha256 | None = None
+    """Of the numbers alone, in files of before there was a digest of everything."""
+
+    def check(self, values: NDArray[Any]) -> None:
+        """Refuse numbers that the file's writer did not write.
+
+        Raises:
+            FileError: they have another checksum.
+        """
+        if self.values_sha256 not in (None, values_digest(values)):
+            raise FileError("has values that do not match their checksum; copy or compute it again")
+
+
+class _GridHeader(GridText):
+    format: Literal[1]
+    unit: Annotated[str, Field(max_length=100)] = ""
+    axes: Annotated[list[AxisHeader], Field(min_length=1, max_length=6)]
+
+
+def encode(values: NDArray[Any], description: Mapping[str, Any]) -> bytes:
+    """Return the bytes of the file: the same for the same values (float32 or float64) and description."""
+    return checked_tensors.encode_tensors({_TENSOR: values}, HEADER_KEY, description)
+
+
+def write(path: Path, content: bytes, *, overwrite: bool) -> None:
+    """Write the file, whole or not at all.
+
+    Raises:
+        GridError: the file exists and `overwrite` is false, or it cannot be written.
+    """
+    if path.exists() and not overwrite:
+        raise GridError(f"{path}: exists already; give another name or ask to overwrite it")
+    try:
+        write_whole(path, content)
+    except OSError as error:
+        raise GridError(f"{path}: cannot be written: {error.strerror or error}") from error
+
+
+def read(path: Path) -> tuple[NDArray[Any], tuple[Axis, ...], dict[str, Any]]:
+    """Values, axes and the rest of the description of a file.
+
+    Raises:
+        FileError, ValidationError, OSError: it is not a whole grid, see `file_door.refused_as`.
+    """
+    header, tensors, _ = checked_tensors.read_tensors(path, HEADER_KEY, largest=None, finite=False)
+    told = _GridHeader.model_validate(header)
+    if list(tensors) != [_TENSOR]:
+        raise FileError("is not a value grid: it lacks the values, or has more than those")
+    told.check(tensors[_TENSOR])
+    text = {name: getattr(told, name) for name in GridText.model_fields if name != "values_sha256"}
+    return tensors[_TENSOR], tuple(each.axis for each in told.axes), text
+
+
+def values_digest(values: NDArray[Any]) -> str:
+    """Return the SHA-256 (hex) of an array's numbers."""
+    return hashlib.sha256(np.ascontiguousarray(values).tobytes()).hexdigest()

@@ -1,0 +1,72 @@
+"""The plane of positions through the domain of a value function, over which slices are served and drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrl_rl_core.tasks.regions import position_indices
+from ctrl_rl_core.values.grid_axis import Axis
+from ctrl_rl_core.values.value_function import ValueFunction, ValueFunctionError
+
+
+@dataclass(frozen=True)
+class Plane:
+    """x-y or x-z.
+
+    Attributes:
+        names: of the whole state.
+        first: axis drawn to the right.
+        second: axis drawn upwards.
+    """
+
+    names: tuple[str, ...]
+    first: Axis
+    second: Axis
+
+    @property
+    def others(self) -> tuple[str, ...]:
+        """Names of the components that are fixed in a slice."""
+        return tuple(name for name in self.names if name not in (self.first.name, self.second.name))
+
+    def states(
+        self, first: NDArray[np.float64], second: NDArray[np.float64], at: Mapping[str, float]
+    ) -> NDArray[np.float64]:
+        """Return the states (len(second), len(first), n) over the plane.
+
+        Args:
+            first: positions along the first axis [m].
+            second: positions along the second axis [m].
+            at: the other components [their unit]; 0 where left out.
+
+        Raises:
+            ValueFunctionError: `at` names something else.
+        """
+        for name in at:
+            if name not in self.others:
+                raise ValueFunctionError(
+                    f"'{name}' cannot be fixed: besides the position there are {', '.join(self.others) or 'none'}"
+                )
+        out = np.zeros((len(second), len(first), len(self.names)))
+        for name, value in at.items():
+            out[..., self.names.index(name)] = value
+        out[..., self.names.index(self.first.name)] = first
+        out[..., self.names.index(self.second.name)] = second[:, None]
+        return out
+
+
+def plane_of(function: ValueFunction) -> Plane:
+    """Return the plane of a function's positions.
+
+    Raises:
+        ValueFunctionError: its state has no two positions.
+    """
+    names = function.state_names
+    indices = position_indices(names)
+    if len(indices) < 2:
+        raise ValueFunctionError(f"the states {', '.join(names)} have no plane of positions to show")
+    axes = {axis.name: axis for grid in function.grids for axis in grid.axes}
+    return Plane(names, *(axes[names[index]] for index in indices))

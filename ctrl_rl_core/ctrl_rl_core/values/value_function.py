@@ -1,0 +1,82 @@
+"""What a value function is to those that use one: rewards, baselines, the nodes that serve it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ctrl_rl_core.errors import CtrlRlError
+from ctrl_rl_core.tasks.task import NavigationTask, task_digest
+from ctrl_rl_core.values.value_grid import ValueGrid
+
+ROWS = 8192
+"""States of a large batch that are looked up at a time: each layer of 64 units of a network then takes 4 MB."""
+
+
+class ValueFunctionError(CtrlRlError):
+    """A value function and what is to be done with it do not belong together."""
+
+
+class ValueFunction(Protocol):
+    """A function of the state: one value grid, or several joined (a `ValueGrid` is one as well)."""
+
+    @property
+    def kind(self) -> str:
+        """What it is: "time_to_reach" or "oc_value"."""
+
+    @property
+    def task(self) -> str:
+        """Name of the task that it belongs to."""
+
+    @property
+    def task_digest(self) -> str:
+        """SHA-256 of that task."""
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of its file."""
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """Components of the state, in order."""
+
+    @property
+    def grids(self) -> tuple[ValueGrid, ...]:
+        """The grids that it consists of."""
+
+    def value(self, states: ArrayLike) -> NDArray[np.float64]:
+        """Values (...) at states (..., n): NaN outside the domain, +inf where the goal cannot be reached."""
+
+    def value_and_gradient(self, states: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Values (...) and gradients (..., n) at states (..., n)."""
+
+    def value_and_gradient_at(self, state: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+        """Value and gradient (n,) at one state (n,), quickly."""
+
+
+def parts(count: int) -> Iterator[slice]:
+    """Yield the slices of a batch of `count` states, `ROWS` in each and the rest in the last."""
+    for begin in range(0, count, ROWS):
+        yield slice(begin, min(begin + ROWS, count))
+
+
+def check_function(function: ValueFunction, task: NavigationTask, kind: str) -> bool:
+    """Return whether a function was made for this very version of its task.
+
+    Raises:
+        ValueFunctionError: it is of another kind, of another task, or of another state.
+    """
+    names = task.system.build().state_names
+    if function.kind != kind:
+        raise ValueFunctionError(f"the value function holds '{function.kind}': '{kind}' is needed here")
+    if function.task != task.name:
+        raise ValueFunctionError(f"the value function is of task '{function.task}', not of '{task.name}'")
+    if function.state_names != names:
+        raise ValueFunctionError(
+            f"the value function's states are {', '.join(function.state_names)}; those of task '{task.name}' are "
+            + ", ".join(names)
+        )
+    return function.task_digest == task_digest(task)

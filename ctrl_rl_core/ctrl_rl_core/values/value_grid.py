@@ -1,0 +1,218 @@
+"""A value function on a regular grid: what it is, its file, and its value and gradient at any state.
+
+    grid = ValueGrid.load("car_ttr.safetensors")
+    phi = grid.at(np.array([0.0, 1.0, 0.5]))       # one state, the quick way
+    phi, gradient = grid.value_and_gradient(states)  # (N, 3) -> (N,), (N, 3)
+
+The rule of interpolation, for +inf ("cannot reach") and outside the domain (NaN), is told in `interpolation`.
+"""
+
+import hashlib
+import math
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field
+from functools import cached_property, partial
+from os import PathLike
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ctrl_rl_core.io.file_checks import refused_as
+from ctrl_rl_core.values import grid_file
+from ctrl_rl_core.values.grid_axis import Axis, GridError
+from ctrl_rl_core.values.interpolation import axis_table, gradient_at, gradients_at, value_at, values_at
+
+__all__ = ["KIND_UNITS", "Axis", "GridError", "ValueGrid"]
+
+KIND_UNITS = {"time_to_reach": "s", "oc_value": "1"}
+_MAX_DIMENSIONS = 6
+_FORMAT = 1
+
+
+@dataclass(frozen=True, eq=False)
+class ValueGrid:
+    """A value function on a regular grid of one to six dimensions; immutable.
+
+    Attributes:
+        values: shape (count of axis 0, ...), float32 or float64, read-only. A time to reach is not negative and may be
+            +inf (cannot reach); an optimal control value is finite.
+        axes: one an index of `values`, in the order of the state's components.
+        kind: "time_to_reach" (thesis Eq. 2.18) or "oc_value" (thesis Eq. 3.13).
+        task: name of the task that the values belong to.
+        task_digest: SHA-256 of that task, 64 hexadecimal digits.
+        solver: what computed the values.
+        residual: the solver's last residual [unit of the values], zero or more.
+        notes: anything else worth keeping, text by name.
+        at: value at one state, a C-contiguous float64 array (n,), the quickest way; GridError for another size.
+
+    Raises:
+        GridError: anything that contradicts the above.
+    """
+
+    values: NDArray[np.float32] | NDArray[np.float64]
+    axes: tuple[Axis, ...]
+    kind: str
+    task: str
+    task_digest: str
+    solver: str
+    residual: float
+    notes: Mapping[str, str] = field(default_factory=dict)
+    at: Callable[[NDArray[np.float64]], float] = field(init=False, repr=False)
+    _table: NDArray[np.float64] = field(init=False, repr=False)
+    _own_values: NDArray[Any] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        _check_description(self)
+        values: NDArray[Any] = np.array(self.values, order="C")
+        _check_values(values, tuple(self.axes), self.kind)
+        public = values.view()
+        public.flags.writeable = False
+        table = axis_table(self.axes)
+        derived = {
+            "values": public,
+            "axes": tuple(self.axes),
+            "notes": dict(self.notes),
+            "_table": table,
+            # The kernels get the writable array: Numba would compile again for a read-only one.
+            "_own_values": values,
+            "at": partial(value_at, values, table),
+        }
+        for name, value in derived.items():
+            object.__setattr__(self, name, value)
+
+    @property
+    def unit(self) -> str:
+        """Unit of the values: "s" or "1"."""
+        return KIND_UNITS[self.kind]
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """Components of the state, in the order of the axes."""
+        return tuple(axis.name for axis in self.axes)
+
+    @property
+    def grids(self) -> tuple[Self, ...]:
+        """Itself: a value function may also consist of several grids."""
+        return (self,)
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 of the file that `save` writes, 64 hexadecimal digits."""
+        return hashlib.sha256(self._encode()).hexdigest()
+
+    def value(self, states: ArrayLike) -> NDArray[np.float64]:
+        """Values at the states.
+
+        Args:
+            states: shape (n,) or (..., n), in the order and units of the axes.
+
+        Returns:
+            Shape (...), NaN outside the domain, +inf where the goal cannot be reached [unit of the values].
+
+        Raises:
+            GridError: states whose last dimension is not n.
+        """
+        rows, shape = self._rows(states)
+        out = np.empty(len(rows))
+        values_at(self._own_values, self._table, rows, out)
+        return out.reshape(shape)
+
+    def value_and_gradient(self, states: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Values and gradients at the states, shapes (...) and (..., n); arguments, units and errors as for `value`.
+
+        A gradient [unit of the values per unit of the axis] is NaN where the value is NaN or +inf.
+        """
+        rows, shape = self._rows(states)
+        out, gradients = np.empty(len(rows)), np.empty(rows.shape)
+        gradients_at(self._own_values, self._table, rows, out, gradients)
+        return out.reshape(shape), gradients.reshape(*shape, len(self.axes))
+
+    def value_and_gradient_at(self, state: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+        """As `value_and_gradient` for one state, quickly: a C-contiguous float64 array (n,), without conversions."""
+        gradient = np.empty(len(self.axes))
+        return gradient_at(self._own_values, self._table, state, gradient), gradient
+
+    def in_domain(self, states: ArrayLike) -> NDArray[np.bool_]:
+        """Whether each state (..., n) lies inside the grid, edges included; shape (...). Errors as for `value`."""
+        return ~np.isnan(self.value(states))
+
+    def save(self, path: str | PathLike[str], *, overwrite: bool = False) -> None:
+        """Write the grid as one safetensors file, whole or not at all.
+
+        Raises:
+            GridError: the file exists and `overwrite` is false, or it cannot be written.
+        """
+        grid_file.write(Path(path), self._encode(), overwrite=overwrite)
+
+    @classmethod
+    def load(cls, path: str | PathLike[str]) -> Self:
+        """Read and check a grid.
+
+        Raises:
+            GridError: names the file and what is wrong with it.
+        """
+        with refused_as(GridError, path):
+            values, axes, text = grid_file.read(Path(path))
+            return cls(values=values, axes=axes, **text)
+
+    def _encode(self) -> bytes:
+        description = {name: getattr(self, name) for name in _DESCRIPTION}
+        return grid_file.encode(
+            self.values,
+            {**description, "axes": [asdict(axis) for axis in self.axes], "format": _FORMAT, "unit": self.unit},
+        )
+
+    def _rows(self, states: ArrayLike) -> tuple[NDArray[np.float64], tuple[int, ...]]:
+        """Return the states as rows (N, n) and the shape (...) that they came in."""
+        try:
+            array = np.asarray(states, dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            raise GridError(f"the states are not an array of numbers: {error}") from error
+        n = len(self.axes)
+        if array.shape[-1:] != (n,):
+            names = ", ".join(axis.name for axis in self.axes)
+            raise GridError(f"the states have shape {array.shape}; give (..., {n}), one component per axis: {names}")
+        return np.require(array.reshape(-1, n), requirements=["C", "W"]), array.shape[:-1]
+
+
+_DESCRIPTION = ("kind", "task", "task_digest", "solver", "residual", "notes")
+
+
+def _check_description(grid: ValueGrid) -> None:
+    for name in ("kind", "task", "task_digest", "solver"):
+        text = getattr(grid, name)
+        if not isinstance(text, str) or not text:
+            raise GridError(f"'{name}' is {text!r}; give a text")
+    if grid.kind not in KIND_UNITS:
+        raise GridError(f"'kind' is '{grid.kind}'; give one of {', '.join(KIND_UNITS)}")
+    if not re.fullmatch("[0-9a-f]{64}", grid.task_digest):
+        raise GridError(f"'task_digest' is '{grid.task_digest}'; give a SHA-256, 64 hexadecimal digits")
+    if isinstance(grid.residual, bool) or not isinstance(grid.residual, int | float):
+        raise GridError(f"'residual' is {grid.residual!r}; give a number")
+    if not (math.isfinite(grid.residual) and grid.residual >= 0):
+        raise GridError(f"'residual' is {grid.residual:g}; give a finite number, zero or more")
+    notes = grid.notes
+    if not isinstance(notes, Mapping) or not all(isinstance(text, str) for item in notes.items() for text in item):
+        raise GridError("'notes' must map texts to texts")
+
+
+def _check_values(values: NDArray[Any], axes: tuple[Axis, ...], kind: str) -> None:
+    if not 1 <= len(axes) <= _MAX_DIMENSIONS:
+        raise GridError(f"there are {len(axes)} axes; give one to {_MAX_DIMENSIONS}")
+    names = [axis.name for axis in axes]
+    if len(set(names)) != len(names):
+        raise GridError(f"the axes' names repeat: {', '.join(names)}")
+    if values.dtype not in (np.float32, np.float64):
+        raise GridError(f"the values are of type {values.dtype}; give float32 or float64")
+    counts = tuple(axis.count for axis in axes)
+    if values.shape != counts:
+        raise GridError(f"the values have shape {values.shape}, the axes {counts}")
+    if np.isnan(values).any() or np.isneginf(values).any():
+        raise GridError("there are values that are NaN or -inf")
+    if kind == "time_to_reach" and values.min() < 0:
+        raise GridError(f"a time to reach is negative ({values.min():g} s)")
+    if kind == "oc_value" and np.isinf(values).any():
+        raise GridError("an optimal control value is infinite")

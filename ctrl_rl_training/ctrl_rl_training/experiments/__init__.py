@@ -1,0 +1,1 @@
+"""Runs: many at a time, resumable, with their results."""

@@ -1,0 +1,1 @@
+"""Files of learnt actors, arrays and learner states."""

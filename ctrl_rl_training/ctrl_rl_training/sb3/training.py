@@ -1,0 +1,273 @@
+"""One run of learning: an algorithm on a task, from one seed; may be cut off at any time.
+
+    result = train_one(run, Options(Path("runs/mine")))        # run: see `Run`
+
+It goes in iterations of `ITERATION` samples. Each begins with fresh episodes and draws its random numbers from the seed
+and its own number, so that a run that goes on from its last checkpoint ends exactly as if it had not been cut off.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+import torch
+from ctrl_rl_core.tasks.outcome import Outcome
+from ctrl_rl_core.tasks.task import NavigationTask, task_digest
+from numpy.typing import NDArray
+from stable_baselines3 import DDPG
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import BaseCallback
+
+from ctrl_rl_training.experiments.resumable import Point, resumable
+from ctrl_rl_training.io.actor import Actor
+from ctrl_rl_training.sb3.algorithms import ROLL_OUT, extract_actor
+from ctrl_rl_training.sb3.checkpoint import load_checkpoint, save_checkpoint
+from ctrl_rl_training.sb3.environment import DEPLOYED_RATE, Environment, observation_names
+from ctrl_rl_training.sb3.state_visitation import Visits
+
+ITERATION = 5 * ROLL_OUT
+"""Samples of an iteration."""
+_EVALUATION_SEED = 1_000_000
+_SUCCESS = Outcome.GOAL.name
+
+
+class Run(Protocol):
+    """What is learnt: everything about it, and nothing that cannot be sent to another process."""
+
+    @property
+    def name(self) -> str:
+        """Name of it, and of its folder."""
+
+    @property
+    def seed(self) -> int:
+        """Of everything random."""
+
+    @property
+    def task(self) -> NavigationTask:
+        """The task."""
+
+    @property
+    def description(self) -> dict[str, Any]:
+        """What results and policy say about it, as JSON."""
+
+    def environment(self, rate: int | None = None) -> Environment:
+        """Return the environment, see `ctrl_rl_training.sb3.environment.make_environment`."""
+
+    def model(self, samples: int) -> BaseAlgorithm:
+        """Return the untrained algorithm with its own environments, for so many samples."""
+
+    def notes(self, model: BaseAlgorithm, /) -> dict[str, Any]:
+        """Return what else the curve shall say, as JSON; called after each iteration."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """How runs go.
+
+    Attributes:
+        folder: where each has a folder of its own.
+        iterations: how many.
+        samples: of an iteration.
+        evaluations: episodes after each iteration.
+        final_evaluations: episodes after the last one.
+    """
+
+    folder: Path
+    iterations: int = 10
+    samples: int = ITERATION
+    evaluations: int = 20
+    final_evaluations: int = 50
+
+
+Report = Callable[[Run, int, float], None]
+"""What is told of an iteration: the run, the iterations done, and the success rate of the evaluation."""
+
+
+def train_one(run: Run, options: Options, report: Report = lambda *_: None) -> dict[str, Any]:
+    """Learn, or go on where an earlier call was cut off; a finished run is read, never computed again.
+
+    The folder of the run then holds result.json (what is returned), policy.safetensors (an `Actor`) and
+    visits.safetensors (how often states were met, see `Visits`).
+
+    Args:
+        run: what is learnt.
+        options: how.
+        report: called after each iteration.
+
+    Returns:
+        description, digest of the task, `curve` (for each iteration: samples, episodes and how they ended, success of
+        the evaluation and its mean undiscounted return, the run's own notes, seconds), `success`, `returns` and how
+        they `ended` (of the last evaluation) and `paths` (states of its first episodes).
+
+    Raises:
+        CtrlRlError: the run asks for what is not there, or its checkpoint cannot be used.
+    """
+    return resumable(
+        run,
+        options.folder,
+        options.iterations,
+        _terms(run),
+        lambda: _learning(run, options),
+        lambda done, point: report(run, done, point["evaluation"]),
+    )
+
+
+@contextmanager
+def _learning(run: Run, options: Options) -> Iterator[_Learning]:
+    torch.set_num_threads(1)
+    model = run.model(options.samples * options.iterations)
+    test_environment = run.environment()
+    try:
+        yield _Learning(run, options, model, test_environment)
+    finally:
+        test_environment.close()
+        if model.env is not None:
+            model.env.close()
+
+
+class _Learning:
+    """An algorithm of Stable-Baselines3 as `resumable` wants it."""
+
+    def __init__(self, run: Run, options: Options, model: BaseAlgorithm, test_environment: Environment) -> None:
+        self._run = run
+        self._options = options
+        self._model = model
+        self._test_environment = test_environment
+        self._visits = Visits(run.task)
+
+    def iterate(self, curve: Sequence[Point], /) -> Point:
+        run, model, options = self._run, self._model, self._options
+        outcomes = _iterate(model, _seed_of(run.seed, len(curve)), options.samples, self._visits)
+        actor = extract_actor(model, run.task, {})
+        tested = evaluate(actor, self._test_environment, options.evaluations, _EVALUATION_SEED)
+        self._visits.end_iteration()
+        return {
+            "samples": model.num_timesteps,
+            "episodes": len(outcomes),
+            "ended": _count(outcomes),
+            "evaluation": _rate([episode.outcome for episode in tested]),
+            "return": float(np.mean([episode.total for episode in tested])) if tested else 0.0,
+            "notes": run.notes(model),
+        }
+
+    def save(self, path: Path, progress: Mapping[str, Any], /) -> None:
+        save_checkpoint(path, self._model, progress, self._visits.counts())
+
+    def load(self, path: Path, /) -> dict[str, Any]:
+        progress, arrays = load_checkpoint(path, self._model)
+        self._visits = self._visits.with_counts(arrays)
+        return progress
+
+    def finish(self, folder: Path, /) -> dict[str, Any]:
+        """Evaluate at the rate of the deployed robots, and write policy and visits."""
+        run = self._run
+        manifest = {
+            **_terms(run),
+            "observation": observation_names(run.task),
+            "commands": list(run.task.robot.commands),
+        }
+        actor = extract_actor(self._model, run.task, manifest)
+        environment = run.environment(DEPLOYED_RATE)
+        try:
+            episodes = evaluate(actor, environment, self._options.final_evaluations, 2 * _EVALUATION_SEED)
+        finally:
+            environment.close()
+        actor.save(folder / "policy.safetensors")
+        self._visits.save(folder / "visits.safetensors")
+        outcomes = [episode.outcome for episode in episodes]
+        lasted = [len(episode.states) - 1 for episode in episodes if episode.outcome == _SUCCESS]
+        return {
+            "success": _rate(outcomes),
+            "ended": _count(outcomes),
+            "seconds_to_goal": float(np.mean(lasted)) * run.task.episode.time_step if lasted else None,
+            "returns": [episode.total for episode in episodes],
+            "paths": [{"outcome": one.outcome, "states": one.states.round(4).tolist()} for one in episodes[:3]],
+        }
+
+
+def _terms(run: Run) -> dict[str, Any]:
+    return {**run.description, "task_digest": task_digest(run.task)}
+
+
+def _iterate(model: BaseAlgorithm, seed: int, samples: int, visits: Visits) -> list[str]:
+    """Learn from so many samples of fresh episodes and return how those ended that did."""
+    model.set_random_seed(seed)
+    model._last_obs = None  # makes `learn` reset the environments
+    recorder = Recorder(visits)
+    model.learn(samples, callback=recorder, reset_num_timesteps=False)
+    if isinstance(model, DDPG) and model.replay_buffer is not None:
+        # What comes next in the replay is another episode: returns over several steps must end here.
+        last = model.replay_buffer.pos - 1
+        model.replay_buffer.timeouts[last] = np.maximum(
+            model.replay_buffer.timeouts[last], model.replay_buffer.dones[last] == 0.0
+        )
+    return recorder.outcomes
+
+
+class Recorder(BaseCallback):
+    """Notes how episodes end and which states they meet.
+
+    Args:
+        visits: that states are added to, None for none.
+
+    Attributes:
+        outcomes: of the episodes that ended.
+    """
+
+    def __init__(self, visits: Visits | None = None) -> None:
+        super().__init__()
+        self.outcomes: list[str] = []
+        self._visits = visits
+
+    def _on_step(self) -> bool:
+        infos = self.locals["infos"]
+        if self._visits is not None:
+            self._visits.add([info["state"] for info in infos])
+        self.outcomes += [info["outcome"] for info, done in zip(infos, self.locals["dones"], strict=True) if done]
+        return True
+
+
+class EvaluatedEpisode(NamedTuple):
+    """An episode of a deterministic policy.
+
+    Attributes:
+        outcome: how it ended.
+        states: that it went through (steps + 1, n).
+        total: its undiscounted return.
+    """
+
+    outcome: str
+    states: NDArray[np.float64]
+    total: float
+
+
+def evaluate(actor: Actor, environment: Environment, episodes: int, seed: int) -> list[EvaluatedEpisode]:
+    """Return episodes from the seeds `seed`, `seed` + 1 and so on."""
+    found = []
+    for episode in range(episodes):
+        observation, info = environment.reset(seed=seed + episode)
+        states, total, over = [info["state"]], 0.0, False
+        while not over:
+            observation, paid, terminated, truncated, info = environment.step(actor.scaled_action(observation))
+            states.append(info["state"])
+            total += float(paid)
+            over = terminated or truncated
+        found.append(EvaluatedEpisode(info["outcome"], np.array(states), total))
+    return found
+
+
+def _rate(outcomes: list[str]) -> float:
+    return outcomes.count(_SUCCESS) / len(outcomes) if outcomes else 0.0
+
+
+def _count(outcomes: list[str]) -> dict[str, int]:
+    return {outcome.name: outcomes.count(outcome.name) for outcome in Outcome if outcome}
+
+
+def _seed_of(seed: int, iteration: int) -> int:
+    return int(np.random.SeedSequence((seed, iteration)).generate_state(1)[0]) % 2**31

@@ -1,0 +1,90 @@
+"""The command `analyse`: what control theory says of a policy file, as a page with pictures."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from ctrl_rl_core.command import check_least, folder_to_write, run_command
+from ctrl_rl_core.errors import CtrlRlError
+from ctrl_rl_core.io.atomic_write import write_whole
+
+from koopman_lqr_controller.cli.drive_options import add_topics, read_drives
+from koopman_lqr_controller.errors import KoopmanError
+from koopman_lqr_controller.identification.evaluation import other_step
+from koopman_lqr_controller.policies.closed_loop_model import controls_of, sight
+from koopman_lqr_controller.policies.policy_file import digest, find_policy, load_policy
+
+_PAGE, _DATA = "analysis.md", "analysis.json"
+
+
+def analyse(arguments: Sequence[str] | None = None) -> int:
+    """Say what control theory says of a policy: poles, controllability, costs, prediction, the closed loop."""
+    parser = argparse.ArgumentParser(
+        prog="analyse",
+        description=analyse.__doc__,
+        epilog="The folder then holds analysis.md, its pictures, and analysis.json, which they are made from.\n"
+        "Parts that need an environment or a bag are left out where there is none, with a line that says so.\n\n"
+        "example:\n  analyse runs/koopman/cartpole_swingup-s0/policy.safetensors",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("policy", help="policy file of either kind, or the name of one that comes with the package")
+    parser.add_argument("--output", type=folder_to_write, help="folder to write to (default: the policy's name, here)")
+    parser.add_argument("--bags", nargs="+", type=Path, default=[], help="judge prediction by these drives instead")
+    add_topics(parser)
+    parser.add_argument("--episodes", type=int, default=6, help="in the environment (default %(default)s)")
+    options = parser.parse_args(arguments)
+    return run_command("analyse", lambda: _analyse(options))
+
+
+def _analyse(options: argparse.Namespace) -> int:
+    check_least(options, episodes=1)
+    file = find_policy(options.policy)
+    policy = load_policy(file)
+    from tqdm import tqdm
+
+    from koopman_lqr_controller.training.analysis.page import page
+    from koopman_lqr_controller.training.analysis.plots import draw_all
+    from koopman_lqr_controller.training.analysis.policy_analysis import analyse as find
+    from koopman_lqr_controller.training.analysis.policy_world import Trajectory, make_world
+
+    drives = read_drives(options, sight(policy)) if options.bags else []
+    recorded = [Trajectory(drive.x, controls_of(policy, drive.u), drive.u[:, 0] * 0.0, {}) for drive in drives]
+    world: Any = None
+    try:
+        world = make_world(policy)
+    except ModuleNotFoundError as error:
+        world = KoopmanError(f"needs '{error.name}': python -m pip install -r requirements/training.txt")
+    except CtrlRlError as error:
+        world = error
+    try:
+        with tqdm(desc="analysing", unit="part", disable=None) as bar:
+
+            def tick(what: str) -> None:
+                bar.set_postfix_str(what)
+                bar.update()
+
+            found = find(policy, world, recorded, options.episodes, tick)
+    finally:
+        if not isinstance(world, CtrlRlError):
+            world.close()
+    folder = options.output or Path(f"{file.stem}-analysis")
+    folder.mkdir(parents=True, exist_ok=True)
+    write_whole(folder / _DATA, json.dumps({"file": file.name, "digest": digest(file), **found}) + "\n")
+    write_whole(folder / _PAGE, page(found, file.name, draw_all(found, folder)))
+    for row in found.get("limits", {}).get("rows", ()):
+        over_best = row["model"] / max(row["linear_floor"], 1e-12)
+        print(
+            f"one step   {row['model']:.2f} of persistence, {over_best:.2f} of the best linear model; noise alone "
+            f"{row['noise_floor']:.2f} (hardship: {row['name']}, noise in the actions {row['noise']:g})"
+        )
+    for part, reason in found["left_out"].items():
+        print(f"left out   {part}: {reason}")
+    told = other_step(policy, drives) if drives else ""
+    if told:
+        print(told)
+    print(f"page       {folder / _PAGE}")
+    return 0

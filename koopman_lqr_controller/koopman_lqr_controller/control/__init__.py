@@ -1,0 +1,1 @@
+"""Linear quadratic control and linear analysis."""

@@ -1,0 +1,112 @@
+"""Which cost makes a given law optimal? Diagonal Q and R whose true infinite-horizon LQR is nearest to it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_discrete_lyapunov
+from scipy.optimize import minimize
+
+from koopman_lqr_controller.control.riccati import solve_lqr
+from koopman_lqr_controller.errors import KoopmanError
+from koopman_lqr_controller.models.edmd import LinearModel
+
+Array = NDArray[np.float64]
+
+_LOG_RANGE = 14.0
+_RESTRAINT = 1e-7
+"""On squared logarithms, relative to the law's own power: it decides where the data do not."""
+_REFUSED = 1e6
+"""Loss where there is no regulator: the search turns back."""
+
+
+@dataclass(frozen=True)
+class Law:
+    """A linear law u = -K z by what it does on data, weighted: E[w u u^T], E[w u z^T], E[w z z^T].
+
+    Attributes:
+        uu: trace of the first.
+        uz: (m, n).
+        zz: (n, n).
+    """
+
+    uu: float
+    uz: Array
+    zz: Array
+
+    @classmethod
+    def seen(cls, z: Array, u: Array, weight: Array) -> Law:
+        """Return the law of samples z (N, n), u (N, m) with weights (N,)."""
+        share = (weight / weight.sum())[:, None]
+        return cls(float((share * u * u).sum()), (share * u).T @ z, (share * z).T @ z)
+
+    def mismatch(self, K: Array) -> float:
+        """Return E[w |u + K z|^2] over E[w |u|^2]: 0 for the same law, 1 for one that does nothing."""
+        return float((self.uu + 2.0 * np.sum(K * self.uz) + np.sum((K @ self.zz) * K)) / max(self.uu, 1e-12))
+
+    def gradient(self, K: Array) -> Array:
+        """Return the derivative of `mismatch` by K (m, n)."""
+        return 2.0 * (K @ self.zz + self.uz) / max(self.uu, 1e-12)
+
+
+def mismatch_and_gradient(logs: Array, model: LinearModel, law: Law) -> tuple[float, Array]:
+    """Return how far the LQR of exp(logs) is from a law, and the derivative by the logarithms.
+
+    The cost-to-go P moves with the costs by the closed loop's Lyapunov equation; its adjoint is solved once.
+
+    Args:
+        logs: logarithms of Q's and R's diagonals (n + m,).
+        model: A (n, n), B (n, m).
+        law: to come near to.
+
+    Raises:
+        KoopmanError: there is no regulator.
+    """
+    A, B = model.A, model.B
+    n = len(A)
+    Q, R = np.exp(logs[:n]), np.exp(logs[n:])
+    regulator = solve_lqr(model, np.diag(Q), np.diag(R))
+    K, P = regulator.K, regulator.P
+    closed = A - B @ K
+    by_K = np.linalg.solve(np.diag(R) + B.T @ P @ B, law.gradient(K))
+    by_P = B @ by_K @ closed.T
+    adjoint = solve_discrete_lyapunov(closed, 0.5 * (by_P + by_P.T))
+    by_Q = np.diag(adjoint)
+    by_R = np.diag(K @ adjoint @ K.T) - np.sum(by_K * K, axis=1)
+    return law.mismatch(K), np.concatenate((by_Q * Q, by_R * R))
+
+
+def fit_costs(model: LinearModel, law: Law, Q: Array, R: Array, iterations: int = 150) -> tuple[Array, Array, float]:
+    """Return Q (n,), R (m,) and the mismatch that is left.
+
+    Args:
+        model: A, B.
+        law: what the regulator shall do.
+        Q: to begin with (n,), positive.
+        R: to begin with (m,), positive.
+        iterations: at most.
+
+    Raises:
+        KoopmanError: the model has no regulator for the costs to begin with.
+    """
+    n = len(Q)
+    begin = np.clip(np.log(np.concatenate((Q, R))), -_LOG_RANGE, _LOG_RANGE)
+    mismatch_and_gradient(begin, model, law)  # refuses a model that cannot be regulated at all
+
+    def loss(logs: Array) -> tuple[float, Array]:
+        try:
+            value, gradient = mismatch_and_gradient(logs, model, law)
+        except KoopmanError:
+            return _REFUSED, np.zeros_like(logs)
+        return value + _RESTRAINT * float(logs @ logs), gradient + 2.0 * _RESTRAINT * logs
+
+    bounds = [(-_LOG_RANGE, _LOG_RANGE)] * len(begin)
+    found = minimize(loss, begin, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": iterations})
+    logs = np.asarray(found.x, dtype=np.float64)
+    try:
+        value = mismatch_and_gradient(logs, model, law)[0]
+    except KoopmanError:
+        logs, value = begin, mismatch_and_gradient(begin, model, law)[0]
+    return np.exp(logs[:n]), np.exp(logs[n:]), value

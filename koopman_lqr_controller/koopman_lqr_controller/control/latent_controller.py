@@ -1,0 +1,162 @@
+"""Linear control in a learnt latent space (thesis Eq. 4.8, 4.9), as it runs on the robot: NumPy only.
+
+The gain is not stored: it follows from A, B, Q, R when a policy is made, so that none can differ from its own model.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from koopman_lqr_controller.control.riccati import finite_horizon, solve_lqr
+from koopman_lqr_controller.errors import KoopmanError
+from koopman_lqr_controller.models.edmd import LinearModel
+from koopman_lqr_controller.models.encoder import Encoder
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class LatentController:
+    """u = k - K z with z = C psi(x), and the action is u brought into [-1, 1].
+
+    With a `horizon` the gain is that of Algorithm 1 after so many iterations, k follows the reference, the action is
+    tanh(u), and the model is one of z: what learning optimises. Without, it is the regulator of the infinite horizon,
+    and the model is one of deviations from z_ref and a_ref, with a drift: u = a_ref - K (z - z_ref) is the action
+    itself, cut off at -1 and 1. As a_ref lies inside, the loop as it is deployed is A - B K around z_ref: what
+    consolidation makes. The drift moves the loop's fixed point, not its poles.
+
+    Attributes:
+        encoder: psi.
+        model: A (n, n), B (n, m).
+        Q: diagonal of the state cost (n,).
+        R: diagonal of the control cost (m,).
+        z_ref: goal (n,); zeros where there is none.
+        a_ref: action at z_ref (m,), inside (-1, 1); zeros unless given. Only for the infinite horizon.
+        drift: what the model adds to z in a step at the reference (n,); zeros unless given, as for a_ref.
+        horizon: Riccati iterations; None for infinitely many.
+        projection: C (n, encoder's n), None for the identity: a reduced latent space.
+        K: gain (m, n).
+        k: offset (m,).
+        P: cost-to-go (n, n).
+        spectral_radius: of A - B K.
+        residual: of the algebraic Riccati equation, relative; infinite with a finite horizon.
+    """
+
+    encoder: Encoder
+    model: LinearModel
+    Q: Array
+    R: Array
+    z_ref: Array
+    horizon: int | None = None
+    projection: Array | None = None
+    a_ref: Array | None = None
+    drift: Array | None = None
+    K: Array = field(init=False)
+    k: Array = field(init=False)
+    P: Array = field(init=False)
+    spectral_radius: float = field(init=False)
+    residual: float = field(init=False)
+
+    def __post_init__(self) -> None:
+        if self.a_ref is None:
+            object.__setattr__(self, "a_ref", np.zeros(len(self.R)))
+        if self.drift is None:
+            object.__setattr__(self, "drift", np.zeros(len(self.Q)))
+        self._check()
+        self._try_out()
+        if self.horizon is None:
+            regulator = solve_lqr(self.model, np.diag(self.Q), np.diag(self.R))
+            K, P, k = regulator.K, regulator.P, self._a_ref + regulator.K @ self.z_ref
+            radius, residual = regulator.spectral_radius, regulator.residual
+        else:
+            K, k, P = finite_horizon(self.model, self.Q, self.R, self.z_ref, self.horizon)
+            radius = float(np.abs(np.linalg.eigvals(self.model.A - self.model.B @ K)).max())
+            residual = float("inf")
+        if not (np.isfinite(K).all() and np.isfinite(k).all() and np.isfinite(P).all()):
+            raise KoopmanError("the gain of this model is not finite")
+        for name, value in (("K", K), ("k", k), ("P", P), ("spectral_radius", radius), ("residual", residual)):
+            object.__setattr__(self, name, value)
+
+    def _check(self) -> None:
+        n, m = self.model.B.shape if self.model.B.ndim == 2 else (0, 0)
+        shapes = {
+            "A": (self.model.A, (n, n)),
+            "B": (self.model.B, (n, m)),
+            "Q": (self.Q, (n,)),
+            "R": (self.R, (m,)),
+            "z_ref": (self.z_ref, (n,)),
+            "a_ref": (self._a_ref, (m,)),
+            "drift": (self._drift, (n,)),
+        }
+        for name, (array, shape) in shapes.items():
+            if array.shape != shape:
+                raise KoopmanError(f"{name} has shape {array.shape}, must have {shape} for the B it comes with")
+            if not np.isfinite(array).all():
+                raise KoopmanError(f"{name} holds values that are not finite")
+        if (self.Q < 0.0).any() or (self.R <= 0.0).any():
+            raise KoopmanError("Q must not be negative, and R must be positive")
+        if self.horizon is not None and (self.horizon < 1 or self._a_ref.any() or self._drift.any()):
+            raise KoopmanError(
+                f"horizon is {self.horizon}: must be at least 1 and without a_ref and drift, or null for infinity"
+            )
+        if (np.abs(self._a_ref) >= 1.0).any():
+            raise KoopmanError(f"a_ref is {self._a_ref}: must lie inside -1 .. 1, else the loop is not linear there")
+        if self.projection is not None and not np.isfinite(self.projection).all():
+            raise KoopmanError("the projection holds values that are not finite")
+        if self.projection is not None and (self.projection.ndim != 2 or self.projection.shape[0] != n):
+            raise KoopmanError(f"the projection has shape {self.projection.shape}, must have {n} rows")
+
+    def _try_out(self) -> None:
+        """Encode one observation: what cannot be encoded now will not be while a robot drives."""
+        try:
+            z = self.latent(np.zeros(self.encoder.shape, np.float32))
+        except (ValueError, IndexError) as error:
+            raise KoopmanError(f"encoder and projection do not fit each other ({error})") from None
+        if z.shape != self.z_ref.shape or not np.isfinite(z).all():
+            raise KoopmanError(
+                f"an observation of zeros becomes {z.shape}, must become {len(self.z_ref)} finite numbers"
+            )
+
+    @property
+    def _a_ref(self) -> Array:
+        assert self.a_ref is not None
+        return self.a_ref
+
+    @property
+    def _drift(self) -> Array:
+        assert self.drift is not None
+        return self.drift
+
+    def latent(self, x: ArrayLike) -> Array:
+        """Return z (n,) or (N, n) for one observation or many."""
+        return self.project(self.encoder(x))
+
+    def project(self, psi: Array) -> Array:
+        """Return z = C psi (n,) or (N, n)."""
+        return psi if self.projection is None else psi.dot(self.projection.T)
+
+    def control(self, z: Array) -> Array:
+        """Return u (m,) or (N, m): what the linear law asks for."""
+        return self.k - z.dot(self.K.T)
+
+    def saturate(self, u: Array) -> Array:
+        """Return the action in [-1, 1] that stands for u."""
+        return np.minimum(np.maximum(u, -1.0), 1.0) if self.horizon is None else np.tanh(u)
+
+    def action(self, x: ArrayLike) -> Array:
+        """Return the action (m,) in [-1, 1] for one observation."""
+        return self.saturate(self.control(self.latent(x)))
+
+    def predict(self, z: Array, action: Array) -> Array:
+        """Return the model's next z under an action in [-1, 1]."""
+        if self.horizon is None:
+            return self.z_ref + self._drift + self.model.predict(z - self.z_ref, action - self._a_ref)
+        return self.model.predict(z, action)
+
+    def cost_to_go(self, z: Array) -> float:
+        """Return (z - z_ref)^T P (z - z_ref)."""
+        deviation = z - self.z_ref
+        return float(deviation @ self.P @ deviation)

@@ -1,0 +1,1 @@
+"""Recorded drives and roll-outs as training data."""

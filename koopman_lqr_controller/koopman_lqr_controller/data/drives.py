@@ -1,0 +1,165 @@
+"""From bags to what a policy would have seen in them, and what was commanded."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from ctrl_rl_bags.alignment.alignment import EXTRACTORS
+from numpy.typing import NDArray
+
+from ctrl_rl_bags import Aligned, Extractor, align, bag_info
+from koopman_lqr_controller.errors import KoopmanError
+from koopman_lqr_controller.models.edmd import Snapshots
+from koopman_lqr_controller.policies.closed_loop_model import See
+from koopman_lqr_controller.sensing.lidar import SAME_STEP, ScanGeometry
+from koopman_lqr_controller.sensing.lidar_mounting import yaw_of_lidar
+
+Array = NDArray[np.float64]
+
+_EPISODE = Extractor(lambda message: (message.episode, message.outcome.value), ("episode", "outcome"))
+_OLDEST = 1.0
+"""Commands and odometry older than this do not count: a base stops without them [s]."""
+
+
+@dataclass(frozen=True)
+class Drive:
+    """A part of a drive without a gap.
+
+    Attributes:
+        x: what was seen at each scan (T + 1, n).
+        u: commands from each scan to the next (T, 2): speed [m/s], turn rate [rad/s].
+        dt: from scan to scan, the usual one [s].
+    """
+
+    x: Array
+    u: Array
+    dt: float
+
+    def __len__(self) -> int:
+        return len(self.u)
+
+    def cut(self, begin: int, end: int) -> Drive:
+        """Return the steps from `begin` to before `end`."""
+        return Drive(self.x[begin : end + 1], self.u[begin:end], self.dt)
+
+
+def drives_of(bag: Path, see: See, robot: str = "", lidar_yaw: float | None = None) -> list[Drive]:
+    """Return what was seen and commanded in one bag, apart for each sequence without a gap.
+
+    Where the bag holds ground truth about episodes (a simulator's), what follows a collision or the goal is left out;
+    so is what has no command or odometry of the last second.
+
+    Args:
+        bag: with the topics scan, odom and cmd_vel (Twist or TwistStamped).
+        see: what to take of scan and odometry.
+        robot: namespace of the topics.
+        lidar_yaw: direction of the scan's zero bearing in the robot's frame [rad]; None for what the bag's /tf_static
+            says, and 0 where it says nothing.
+
+    Raises:
+        KoopmanError: a topic is missing or holds nothing usable.
+        BagError: the bag cannot be read.
+    """
+    prefix = f"/{robot.strip('/')}" if robot else ""
+    scan, odom, command, episode = (f"{prefix}/{name}" for name in ("scan", "odom", "cmd_vel", "episode"))
+    info = {name: topic.type for name, topic in bag_info(bag).topics.items()}
+    missing = [topic for topic in (scan, odom, command) if topic not in info]
+    if missing:
+        raise KoopmanError(f"{bag}: no topic {', '.join(missing)}; it has {', '.join(sorted(info))}")
+    topics: dict[str, Extractor | None] = {scan: None, odom: None, command: None}
+    if episode in info:
+        topics[episode] = _EPISODE
+    stamped = info[command].endswith("TwistStamped")
+    yaw = yaw_of_lidar(bag, scan, prefix) if lidar_yaw is None else lidar_yaw
+    sequences = align(bag, _extractors(topics, info), reference=scan, methods={odom: "linear"})
+    out: list[Drive] = []
+    for sequence in sequences:
+        out += _pieces(sequence, see, yaw, (scan, odom, command, episode), stamped)
+    if not out:
+        raise KoopmanError(f"{bag}: no two consecutive scans with odometry and a command: was the robot driven?")
+    return out
+
+
+def snapshots_of(drives: Sequence[Drive]) -> list[Snapshots]:
+    """Return the snapshots of each drive."""
+    return [Snapshots(drive.x[:-1], drive.u, drive.x[1:]) for drive in drives]
+
+
+def usual_step(drives: Sequence[Drive]) -> float:
+    """Return the time between two steps of drives [s], long ones counting more."""
+    return float(np.average([drive.dt for drive in drives], weights=[len(drive) for drive in drives]))
+
+
+def check_held_out(share: float) -> None:
+    """Refuse a part that cannot be held out.
+
+    Raises:
+        KoopmanError: it is not in [0, 1).
+    """
+    if not 0.0 <= share < 1.0:
+        raise KoopmanError(f"--held-out is {share}: must be at least 0 and less than 1")
+
+
+def split(drives: Sequence[Drive], held_out: float) -> tuple[list[Drive], list[Drive]]:
+    """Return drives to fit to, and the last part of all steps, to measure on.
+
+    Args:
+        drives: in the order of their bags.
+        held_out: part of the steps, 0 <= held_out < 1.
+    """
+    left = sum(len(drive) for drive in drives) - round(held_out * sum(len(drive) for drive in drives))
+    seen: list[Drive] = []
+    unseen: list[Drive] = []
+    for drive in drives:
+        here = min(max(left, 0), len(drive))
+        seen += [drive.cut(0, here)] if here else []
+        unseen += [drive.cut(here, len(drive))] if here < len(drive) else []
+        left -= here
+    return seen, unseen
+
+
+def _extractors(topics: Mapping[str, Extractor | None], info: Mapping[str, str]) -> dict[str, Extractor]:
+    out = {}
+    for topic, given in topics.items():
+        extractor = given or EXTRACTORS.get(info[topic])
+        if extractor is None:
+            raise KoopmanError(f"{topic} is of type {info[topic]}: must be one of {', '.join(EXTRACTORS)}")
+        out[topic] = extractor
+    return out
+
+
+def _pieces(sequence: Aligned, see: See, yaw: float, topics: Sequence[str], stamped: bool) -> list[Drive]:
+    scan, odom, command, episode = topics
+    odometry, commands = sequence.values[odom], sequence.values[command]
+    seen = [_seen(see, s, yaw, o) for s, o in zip(sequence.values[scan], odometry, strict=True)]
+    width = max((len(x) for x in seen if x is not None), default=0)
+    if not width:  # no scan shows anything
+        return []
+    x = np.array([np.full(width, np.nan) if it is None else it for it in seen])
+    # A stamped command carries the stamp of the scan it answers; an unstamped one was sent after it, before the next.
+    held = slice(None, -1) if stamped else slice(1, None)
+    u, step = commands[held], np.diff(sequence.seconds)
+    usable = np.isfinite(x[:-1]).all(axis=1) & np.isfinite(x[1:]).all(axis=1) & np.isfinite(u).all(axis=1)
+    usable &= (sequence.ages[command][held] < _OLDEST) & (sequence.ages[odom][:-1] < _OLDEST)
+    usual = float(np.median(step)) if len(step) else np.nan
+    usable &= np.abs(step / usual - 1.0) < SAME_STEP
+    if episode in sequence.values:
+        number, outcome = sequence.values[episode].T
+        usable &= (number[:-1] == number[1:]) & (outcome[1:] == 0)
+    cuts = np.flatnonzero(~usable)
+    runs = np.split(np.arange(len(usable)), np.unique(np.concatenate((cuts, cuts + 1))))
+    return [Drive(x[rows[0] : rows[-1] + 2], u[rows], usual) for rows in runs if len(rows) and usable[rows].all()]
+
+
+def _seen(see: See, scan: Any, yaw: float, odometry: NDArray[np.float64]) -> Array | None:
+    """Return x of one sample, None where the scan shows nothing."""
+    bearing = scan.angle_min + yaw
+    geometry = ScanGeometry(len(scan.ranges), bearing, scan.angle_increment, scan.range_min, scan.range_max)
+    try:
+        return see(scan.ranges, geometry, odometry[3], odometry[4])
+    except KoopmanError:
+        return None

@@ -1,0 +1,1 @@
+"""Models and regulators identified from data."""

@@ -1,0 +1,60 @@
+"""How well a policy predicts recorded drives, and how far it would have commanded the same."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from koopman_lqr_controller.data.drives import Drive, usual_step
+from koopman_lqr_controller.errors import KoopmanError
+from koopman_lqr_controller.models.prediction import HORIZON, horizon_errors
+from koopman_lqr_controller.policies.closed_loop_model import commands_of, controls_of, linear_loop
+from koopman_lqr_controller.policies.edmd_policy import KoopmanPolicy
+from koopman_lqr_controller.policies.latent_policy import LatentPolicy
+from koopman_lqr_controller.sensing.lidar import SAME_STEP
+
+_COMMANDS = ("speed [m/s]", "turn rate [rad/s]")
+
+
+def judge(policy: KoopmanPolicy | LatentPolicy, drives: Sequence[Drive]) -> dict[str, Any]:
+    """Return figures of a policy on drives, as JSON.
+
+    Returns:
+        `steps`; `over_persistence`, the prediction error over that of "nothing changes" after 1, 2, ... steps;
+        `commands`, for each the root mean square difference between the policy's and the recorded one, that of their
+        mean, and the share of the recorded one's variance that the policy explains (1 - squared ratio of the two).
+
+    Raises:
+        KoopmanError: there is no step, or the policy is of a task without a lidar.
+    """
+    if not drives:
+        raise KoopmanError("no steps to evaluate on")
+    loop = linear_loop(policy)
+    z = [loop.latent(drive.x) for drive in drives]
+    errors = horizon_errors(loop.predict, z, [controls_of(policy, drive.u) for drive in drives], HORIZON)
+    given = np.concatenate([drive.u for drive in drives])
+    own = np.concatenate([commands_of(policy, loop.control(each[:-1])) for each in z])
+    missed = np.sqrt(np.mean((own - given) ** 2, axis=0))
+    spread = given.std(axis=0)
+    return {
+        "steps": len(given),
+        "over_persistence": errors,
+        "commands": {
+            name: {
+                "difference": float(missed[index]),
+                "spread": float(spread[index]),
+                "explained": float(1.0 - (missed[index] / spread[index]) ** 2) if spread[index] > 0.0 else None,
+            }
+            for index, name in enumerate(_COMMANDS)
+        },
+    }
+
+
+def other_step(policy: KoopmanPolicy | LatentPolicy, drives: Sequence[Drive]) -> str:
+    """Return that a policy's model steps at another pace than drives, empty where it does not or nobody knows."""
+    step = usual_step(drives)
+    if policy.dt is None or abs(step / policy.dt - 1.0) < SAME_STEP:
+        return ""
+    return f"The model's step is {policy.dt:.2f} s, that of the drives {step:.2f} s: `fit` makes a model of theirs."

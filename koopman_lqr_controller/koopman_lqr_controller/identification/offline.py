@@ -1,0 +1,102 @@
+"""A latent policy refitted to recorded drives: its encoder and law stay, its model and regulator are made anew."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from koopman_lqr_controller.control.latent_controller import LatentController
+from koopman_lqr_controller.data.drives import Drive, usual_step
+from koopman_lqr_controller.data.roll_outs import Episode, projected
+from koopman_lqr_controller.errors import KoopmanError
+from koopman_lqr_controller.identification.regulators import Refit
+from koopman_lqr_controller.models.encoder import Dense
+from koopman_lqr_controller.policies.closed_loop_model import controls_of
+from koopman_lqr_controller.policies.latent_policy import LatentPolicy
+from koopman_lqr_controller.safety.latent_distribution import region_of_episodes
+
+Array = NDArray[np.float64]
+
+SIZES = (4, 8, 16, 1000)
+"""Latent dimensions that are tried; those beyond the encoder's own stand for all of them."""
+_SAME_LAW = 0.1
+"""Mismatch up to which a regulator does what the policy does, see `Law.mismatch`."""
+
+_STAYS = ("task", "task_digest")
+"""Of a manifest: all else is said of a policy that was made otherwise."""
+
+
+def refit(policy: LatentPolicy, drives: Sequence[Drive], sizes: Sequence[int] = SIZES) -> LatentPolicy:
+    """Return the regulator of a model of recorded drives that does what a policy does, with the region they span.
+
+    Of the projections whose regulator does the same, the one that predicts best in cross-validation is taken.
+
+    Args:
+        policy: a latent one that drives from a lidar.
+        drives: x as the policy sees it, and commands.
+        sizes: latent dimensions to try.
+
+    Raises:
+        KoopmanError: the policy is of another task, the drives are too short, or no model has a regulator.
+    """
+    learnt = _unprojected(policy.controller)
+    if not drives:
+        raise KoopmanError("no drive to fit to")
+    episodes = [_episode(learnt, policy, drive) for drive in drives]
+    mirrored = [_episode(learnt, policy, _mirrored(policy, drive)) for drive in drives]
+    found = Refit(learnt, episodes, mirrored, goal=bool(learnt.z_ref.any()))
+    candidates = (found.regulator(family, C) for family, C in found.projections(sizes))
+    tried = [each for each in candidates if each is not None]
+    if not tried:
+        raise KoopmanError("no regulator: the refitted model cannot be stabilised; record a livelier drive")
+    same = [each for each in tried if each.mismatch <= _SAME_LAW]
+    chosen = min(same, key=lambda each: each.shrunk.crossed) if same else min(tried, key=lambda each: each.mismatch)
+    controller = chosen.controller
+    region = region_of_episodes(controller.predict, *projected(controller.project, [*episodes, *mirrored]))
+    figures = {
+        "latent": len(controller.Q),
+        "family": chosen.family,
+        "mismatch": chosen.mismatch,
+        "action_difference": _difference(controller, learnt, episodes),
+        "contraction": chosen.contraction,
+        "ridge": chosen.shrunk.ridge,
+        "cross_validated_error_over_persistence": chosen.shrunk.crossed,
+        "spectral_radius": controller.spectral_radius,
+        "dare_residual": controller.residual,
+    }
+    manifest = {name: policy.manifest[name] for name in _STAYS if name in policy.manifest} | figures
+    return LatentPolicy(controller, usual_step(drives), policy.wiring, manifest, region)
+
+
+def _episode(learnt: LatentController, policy: LatentPolicy, drive: Drive) -> Episode:
+    """Return a drive as an episode; nobody paid for it."""
+    actions = controls_of(policy, drive.u)
+    none: dict[str, Any] = {}
+    return Episode(learnt.encoder(drive.x), actions, float("nan"), len(actions), 0.0, none)
+
+
+def _difference(controller: LatentController, learnt: LatentController, episodes: Sequence[Episode]) -> float:
+    """Return the root mean square of how far the actions of two controllers differ, of spans of 2."""
+    psi = np.concatenate([episode.features for episode in episodes])
+    done, wanted = (each.saturate(each.control(each.project(psi))) for each in (controller, learnt))
+    return float(np.sqrt(np.mean((done - wanted) ** 2)))
+
+
+def _mirrored(policy: LatentPolicy, drive: Drive) -> Drive:
+    """Return a drive as it would have been had left and right been swapped."""
+    order, sign = policy.wired.observation.mirror
+    return Drive(drive.x[:, order] * sign, drive.u * (1.0, -1.0), drive.dt)
+
+
+def _unprojected(controller: LatentController) -> LatentController:
+    """Return the same controller with its projection as the encoder's last layer."""
+    if controller.projection is None:
+        return controller
+    weight = controller.projection.astype(np.float32)
+    last = Dense(weight, np.zeros(len(weight), np.float32), False)
+    encoder = replace(controller.encoder, layers=(*controller.encoder.layers, last))
+    return replace(controller, encoder=encoder, projection=None)

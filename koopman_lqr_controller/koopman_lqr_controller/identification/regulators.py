@@ -1,0 +1,145 @@
+"""Regulators that do what a learnt controller does: one for each latent size and way of reducing it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from koopman_lqr_controller.control.inverse_lqr import Law, fit_costs
+from koopman_lqr_controller.control.latent_controller import LatentController
+from koopman_lqr_controller.data.roll_outs import Episode
+from koopman_lqr_controller.errors import KoopmanError
+from koopman_lqr_controller.models.edmd import Snapshots
+from koopman_lqr_controller.models.reduction import observed, principal
+from koopman_lqr_controller.models.shrinkage import Shrunk, fit_shrunk
+
+Array = NDArray[np.float64]
+
+LARGEST_RESIDUAL = 1e-8
+"""Of the Riccati equation, relative; what is above it is refused."""
+_SEEN = 1e-4
+"""Directions of the latent space that vary by less than this part of the first one say nothing but rounding."""
+_INSIDE = 0.9
+"""Largest action at the reference: the loop is linear around it."""
+_LEAST_WEIGHT = 0.05
+
+
+@dataclass(frozen=True)
+class Regulator:
+    """A candidate.
+
+    Attributes:
+        controller: of the infinite horizon.
+        family: how its dimensions were found: "observed" or "principal", see `reduction`.
+        mismatch: what is left of the difference to the law, see `Law.mismatch`.
+        contraction: what the refitted A was multiplied by, 1 for nothing: see `Refit.regulator`.
+        shrunk: how its model was chosen.
+    """
+
+    controller: LatentController
+    family: str
+    mismatch: float
+    contraction: float
+    shrunk: Shrunk
+
+
+def reference_inside(z_ref: Array, u_ref: Array, K: Array, spread: Array) -> tuple[Array, Array]:
+    """Return a reference of the law u = u_ref - K (z - z_ref) and its action there, which actions can be.
+
+    Where u_ref is beyond them the reference moves: to the nearest z, by the spread of what is met, that has such a u.
+
+    Args:
+        z_ref: reference (n,).
+        u_ref: what the law asks for there (m,).
+        K: gain (m, n).
+        spread: covariance of what is met (n, n).
+    """
+    a_ref = np.clip(u_ref, -_INSIDE, _INSIDE)
+    along = spread @ K.T
+    return z_ref + along @ np.linalg.pinv(K @ along) @ (u_ref - a_ref), a_ref
+
+
+class Refit:
+    """What recorded drives say about a learnt controller: its law as data, and models of projections of psi.
+
+    The models are shrunk towards "nothing changes": drives are short.
+
+    Args:
+        learnt: the controller.
+        episodes: the drives.
+        mirrored: the same with left and right swapped, as true as they are.
+        goal: whether z_ref is a goal, else the middle of what is met takes its place.
+
+    Attributes:
+        learnt: the controller.
+        directions: of psi that vary, those that vary most first (r, n).
+    """
+
+    def __init__(
+        self, learnt: LatentController, episodes: Sequence[Episode], mirrored: Sequence[Episode], goal: bool
+    ) -> None:
+        self.learnt, self._episodes, self._mirrored = learnt, episodes, mirrored
+        self._psi = np.concatenate([episode.features[:-1] for episode in (*episodes, *mirrored)])
+        # What the law asks for is linear; the action, bent by tanh, is not. Cut off instead, it differs by up to 0.24.
+        self._u = learnt.control(self._psi)
+        # What a difference of u makes of the action: where all of it is lost, the law need not be the same.
+        self._weight = np.mean(1.0 - np.tanh(self._u) ** 2, axis=1) + _LEAST_WEIGHT
+        self._psi_ref, self._a_ref = self._reference(goal)
+        self.directions = principal(self._psi - self._psi_ref, _SEEN)
+        self._A = self.shrunk(self.directions).model.A
+
+    def _reference(self, goal: bool) -> tuple[Array, Array]:
+        """Return the goal, or the weighted middle of what is met, and the law's u there: see `reference_inside`."""
+        learnt = self.learnt
+        psi_ref = learnt.z_ref if goal else np.average(self._psi, axis=0, weights=self._weight)
+        spread = np.cov(self._psi.T, aweights=self._weight)
+        return reference_inside(psi_ref, learnt.control(psi_ref), learnt.K, spread)
+
+    def shrunk(self, C: Array) -> Shrunk:
+        """Return the model of C psi and the action around the reference, and how it was chosen."""
+        twin = self._snapshots(C, self._mirrored) if self._mirrored else None
+        return fit_shrunk(self._snapshots(C, self._episodes), twin)
+
+    def _snapshots(self, C: Array, episodes: Sequence[Episode]) -> Snapshots:
+        """Return drives as deviations of C psi and of the actions from the reference."""
+        z = [(episode.features - self._psi_ref) @ C.T for episode in episodes]
+        u = np.concatenate([episode.actions for episode in episodes]) - self._a_ref
+        return Snapshots(np.concatenate([each[:-1] for each in z]), u, np.concatenate([each[1:] for each in z]))
+
+    def projections(self, sizes: Sequence[int]) -> Iterator[tuple[str, Array]]:
+        """Yield families and projections, what the law needs before what varies, small ones before large ones.
+
+        Sizes beyond what varies stand for all of it.
+        """
+        n = len(self.directions)
+        wanted = sorted({min(size, n) for size in sizes})
+        K = self.learnt.K @ self.directions.T
+        for size in wanted:
+            C = observed(K, self._A, size)
+            if len(C) == size < n:
+                yield "observed", C @ self.directions
+        for size in wanted:
+            yield "principal", self.directions[:size]
+
+    def regulator(self, family: str, C: Array) -> Regulator | None:
+        """Return the regulator for a projection; None where the model has none.
+
+        What a weak policy never moves cannot be regulated, and need not be: where the refitted model has no regulator,
+        one whose modes all fade is taken instead, and `contraction` says so.
+        """
+        shrunk, z_ref = self.shrunk(C), C @ self._psi_ref
+        model, drift = shrunk.model, shrunk.drift
+        law = Law.seen(self._psi @ C.T - z_ref, self._u - self._a_ref, self._weight)
+        for contraction, each in ((1.0, model), model.contracted()):
+            try:
+                Q, R, mismatch = fit_costs(each, law, np.ones(len(C)), self.learnt.R)
+            except KoopmanError:
+                continue
+            found = LatentController(self.learnt.encoder, each, Q, R, z_ref, None, C, self._a_ref, drift)
+            if found.residual >= LARGEST_RESIDUAL:
+                return None
+            return Regulator(found, family, mismatch, contraction, shrunk)
+        return None

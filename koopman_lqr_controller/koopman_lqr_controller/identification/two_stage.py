@@ -1,0 +1,118 @@
+"""The two-stage, model-oriented Koopman controller (thesis 2.3.1): first the model by EDMD, then its LQR."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import reduce
+from operator import add
+from typing import Any
+
+import numpy as np
+from ctrl_rl_core.geometry.units import Interval
+
+from koopman_lqr_controller.control.riccati import solve_lqr
+from koopman_lqr_controller.errors import KoopmanError
+from koopman_lqr_controller.models.edmd import Snapshots, fit, persistence_error
+from koopman_lqr_controller.models.shrinkage import fit_shrunk
+from koopman_lqr_controller.policies.edmd_policy import KoopmanPolicy
+from koopman_lqr_controller.safety.latent_distribution import region_of
+from koopman_lqr_controller.sensing.observables import CorridorObservables
+
+
+@dataclass(frozen=True)
+class Weights:
+    """The quadratic cost, chosen by hand: the step that task-oriented learning replaces.
+
+    Attributes:
+        side: on being off the middle (see `CorridorObservables.state_cost`).
+        ahead: on facing a wall.
+        speed: on the squared speed error [s^2/m^2].
+        acceleration: on the squared deviation of the commanded speed [s^2/m^2].
+        turning: on the squared turn rate [s^2/rad^2].
+    """
+
+    side: float = 1.0
+    ahead: float = 1.0
+    speed: float = 10.0
+    acceleration: float = 10.0
+    turning: float = 0.5
+
+
+def train(
+    sequences: Sequence[Snapshots],
+    observables: CorridorObservables,
+    speed: float,
+    limits: tuple[Interval, Interval],
+    weights: Weights | None = None,
+    held_out: float = 0.2,
+    manifest: dict[str, Any] | None = None,
+    shrunk: bool = False,
+) -> KoopmanPolicy:
+    """Fit model and regulator and return the policy, with its figures in the manifest.
+
+    Args:
+        sequences: of one or more drives; the last part of them measures the model and is not fitted.
+        observables: Psi.
+        speed: to drive at [m/s].
+        limits: of the speed [m/s] and the turn rate [rad/s].
+        weights: of the cost; the defaults where left out.
+        held_out: part of the snapshots that is kept for the measure, 0 <= held_out < 1.
+        manifest: more to be kept in the policy.
+        shrunk: towards "nothing changes", for little and noisy data; see `shrinkage`.
+
+    Raises:
+        KoopmanError: the speed is beyond the limits, too little data, or no stabilising regulator.
+    """
+    if not limits[0].low <= speed <= limits[0].high:
+        raise KoopmanError(f"the speed to drive at is {speed} m/s: must be from {limits[0].low} to {limits[0].high}")
+    if not sequences:
+        raise KoopmanError("no snapshots: record a drive first")
+    weights = weights or Weights()
+    seen, unseen = _split(reduce(add, sequences), held_out)
+    z_ref = np.zeros(len(observables.names))
+    z_ref[-1] = speed
+    u_ref = np.array([speed, 0.0])
+    # What was driven left could have been driven right: the mirrored drive is as true, and makes the model symmetric.
+    data = seen.centred(z_ref, u_ref)
+    mirrored = data.mirrored(observables.mirror, np.array([1.0, -1.0]))
+    model = fit_shrunk(data, mirrored, drift=False).model if shrunk else fit(data + mirrored)
+    constant = [
+        name
+        for name, here, there in zip(observables.names, data.z.T, data.z_next.T, strict=True)
+        if np.ptp(here) == 0.0 and np.ptp(there) == 0.0
+    ]
+    Q = np.diag(observables.state_cost(weights.side, weights.ahead, weights.speed))
+    R = np.diag([weights.acceleration, weights.turning])
+    regulator = solve_lqr(model, Q, R)
+    test = unseen.centred(z_ref, u_ref)
+    both = np.vstack((seen.z, seen.z * observables.mirror))
+    region = region_of(both, np.linalg.norm(test.z_next - model.predict(test.z, test.u), axis=1))
+    error, persistence = model.one_step_error(test), persistence_error(test)
+    figures = {
+        "method": "EDMD and infinite-horizon LQR, two stages (thesis 2.3.1)",
+        "speed": speed,
+        "weights": vars(weights),
+        "constant_observables": constant,
+        "snapshots": {"fitted": len(seen), "held_out": 0 if unseen is seen else len(unseen)},
+        "one_step_error": error.tolist(),
+        "persistence_error": persistence.tolist(),
+        "error_over_persistence": float(np.linalg.norm(error) / np.linalg.norm(persistence)),
+        "spectral_radius": regulator.spectral_radius,
+        "dare_residual": regulator.residual,
+    }
+    low, high = np.array(limits).T
+    return KoopmanPolicy(
+        observables, model, regulator.K, regulator.P, z_ref, u_ref, low, high, {**(manifest or {}), **figures}, region
+    )
+
+
+def _split(data: Snapshots, held_out: float) -> tuple[Snapshots, Snapshots]:
+    """Cut off the last part; where nothing is held out the measure is on what was fitted."""
+    cut = len(data) - round(held_out * len(data))
+    if cut == len(data):
+        return data, data
+    return (
+        Snapshots(data.z[:cut], data.u[:cut], data.z_next[:cut]),
+        Snapshots(data.z[cut:], data.u[cut:], data.z_next[cut:]),
+    )

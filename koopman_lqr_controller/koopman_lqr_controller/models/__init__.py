@@ -1,0 +1,1 @@
+"""Koopman models: EDMD, encoders, reduction, prediction error."""

@@ -1,0 +1,103 @@
+"""Least squares for little and noisy data: a linear model that is shrunk towards "nothing changes".
+
+The usual ridge pulls A towards zero, which predicts worse than persistence long before it has learnt anything. This one
+pulls towards A = I, B = 0, and how strongly is chosen by the data: by cross-validation over parts of the drive, and of
+those strengths that are not clearly worse than the best (one standard error) the strongest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from koopman_lqr_controller.errors import KoopmanError
+from koopman_lqr_controller.models.edmd import LinearModel, Snapshots
+
+Array = NDArray[np.float64]
+
+RIDGES = tuple(float(10.0**power) for power in np.arange(-6.0, 2.1, 1.0 / 3.0))
+"""Strengths that are tried, relative to each regressor's variance."""
+_FOLDS = 8
+
+
+@dataclass(frozen=True)
+class Shrunk:
+    """A model and how it was chosen: z_{k+1} = drift + A z_k + B u_k.
+
+    Attributes:
+        model: A (n, n), B (n, m).
+        drift: (n,).
+        ridge: its strength.
+        crossed: error over persistence in cross-validation, on parts that were not fitted.
+    """
+
+    model: LinearModel
+    drift: Array
+    ridge: float
+    crossed: float
+
+
+def fit_shrunk(data: Snapshots, twin: Snapshots | None = None, drift: bool = True) -> Shrunk:
+    """Return the model of snapshots in the order of time; neighbours stay together when parts are left out.
+
+    Args:
+        data: the snapshots.
+        twin: as many more, e.g. the same mirrored; each is left out together with its own.
+        drift: whether there may be one; else the model is of deviations from a fixed point.
+
+    Raises:
+        KoopmanError: fewer than two rows for each part, values that are not finite, or nothing moves.
+    """
+    if len(data) < 2 * _FOLDS:
+        raise KoopmanError(f"{len(data)} steps are too few to choose a model by: record a longer drive")
+    parts = [[rows] for rows in np.array_split(np.arange(len(data)), _FOLDS)]
+    if twin is not None:
+        parts = [[rows, rows + len(data)] for (rows,) in parts]
+        data = data + twin
+    X, Y = np.hstack((data.z, data.u)), data.z_next - data.z
+    if not (np.isfinite(X).all() and np.isfinite(Y).all()):
+        raise KoopmanError("snapshots hold values that are not finite")
+    if not Y.any():
+        raise KoopmanError("nothing changes in this drive")
+    middle, moved = (X.mean(axis=0), Y.mean(axis=0)) if drift else (np.zeros(X.shape[1]), np.zeros(Y.shape[1]))
+    unit = X.std(axis=0)
+    unit[unit == 0.0] = 1.0
+    X, Y = (X - middle) / unit, Y - moved
+    errors = _crossed(X, Y, moved, [np.concatenate(part) for part in parts])
+    chosen = _chosen(errors)
+    W = _solve(X.T @ X, X.T @ Y, len(X), RIDGES[chosen]).T / unit
+    n = data.z.shape[1]
+    A = np.eye(n) + W[:, :n]
+    if not drift:
+        # What stays at the fixed point for ever says nothing; A = I would make a mode of it that nobody can damp.
+        still = ~(X[:, :n].any(axis=0) | Y.any(axis=0))
+        A[still, still] = 0.0
+    model = LinearModel(A, np.ascontiguousarray(W[:, n:]))
+    return Shrunk(model, moved - W @ middle, RIDGES[chosen], float(np.sqrt(errors[:, chosen].mean())))
+
+
+def _crossed(X: Array, Y: Array, moved: Array, parts: Sequence[NDArray[np.intp]]) -> Array:
+    """Return squared errors over those of persistence (parts, ridges), each part predicted by the others."""
+    G, M = X.T @ X, X.T @ Y
+    out = []
+    for rows in parts:
+        x, y = X[rows], Y[rows]
+        G_rest, M_rest, rest = G - x.T @ x, M - x.T @ y, len(X) - len(rows)
+        still = max(float(np.sum((y + moved) ** 2)), np.finfo(float).tiny)
+        out.append([np.sum((y - x @ _solve(G_rest, M_rest, rest, ridge)) ** 2) / still for ridge in RIDGES])
+    return np.array(out)
+
+
+def _chosen(errors: Array) -> int:
+    """Return the strongest ridge whose error is within a standard error of the best one's, part by part."""
+    best = int(errors.mean(axis=0).argmin())
+    excess = errors - errors[:, [best]]
+    allowed = excess.std(axis=0, ddof=1) / np.sqrt(len(errors))
+    return int(np.flatnonzero(excess.mean(axis=0) <= allowed).max())
+
+
+def _solve(G: Array, M: Array, rows: int, ridge: float) -> Array:
+    return np.asarray(np.linalg.solve(G + ridge * rows * np.eye(len(G)), M), dtype=np.float64)

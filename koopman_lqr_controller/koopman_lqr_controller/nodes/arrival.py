@@ -1,0 +1,55 @@
+"""When a drive is over: its episode has an outcome, or the robot has gone as far as it may. Pure logic."""
+
+from __future__ import annotations
+
+import math
+
+from ctrl_rl_core.tasks.outcome import Outcome
+
+ENDED = "the drive is over: "
+"""How every reason of this module begins."""
+_LONGEST_STEP_S = 1.0
+
+
+class Arrival:
+    """Says why a robot that has arrived must stand.
+
+    Attributes:
+        max_distance: Distance after which the robot stands [m]; 0 for none.
+        travelled: Distance by odometry since the drive began [m].
+    """
+
+    def __init__(self, max_distance: float) -> None:
+        """Begin a drive."""
+        self.max_distance = max_distance
+        self._outcome = Outcome.RUNNING
+        self._episode: int | None = None
+        self._last = math.nan
+        self.begin()
+
+    def begin(self) -> None:
+        """Count the distance from here."""
+        self.travelled = 0.0
+
+    def episode(self, number: int, outcome: int) -> None:
+        """Take how an episode stands, as EpisodeStatus says it; a new one begins a new drive."""
+        known = {value.value for value in Outcome}
+        new = Outcome(outcome) if outcome in known else Outcome.RUNNING
+        if number != self._episode or (new is Outcome.RUNNING and self._outcome is not Outcome.RUNNING):
+            self.begin()
+        self._episode, self._outcome = number, new
+
+    def moved(self, now: float, speed: float) -> None:
+        """Take the speed [m/s] by odometry at the time of a scan [s]; longer gaps than a second are not counted."""
+        step = now - self._last
+        self._last = now
+        if 0.0 < step <= _LONGEST_STEP_S and math.isfinite(speed):
+            self.travelled += abs(speed) * step
+
+    def reason(self) -> str:
+        """Return why the robot must stand, empty while the drive goes on."""
+        if self._outcome is not Outcome.RUNNING:
+            return f"{ENDED}{self._outcome.words} (episode {self._episode})"
+        if 0.0 < self.max_distance <= self.travelled:
+            return f"{ENDED}{self.max_distance:g} m driven (parameter max_distance; set it anew to go on)"
+        return ""

@@ -1,0 +1,240 @@
+"""The controller node: scan and odometry in, velocity and latent state out."""
+
+from __future__ import annotations
+
+import math
+from array import array
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+from ctrl_rl_core.ros.node import RESULT, Status, run_node, seconds
+from ctrl_rl_core.ros.parameters import Parameter
+from diagnostic_msgs.msg import DiagnosticStatus
+from numpy.typing import NDArray
+from std_msgs.msg import Header
+
+from ctrl_rl_msgs.msg import EpisodeStatus, LatentState
+from koopman_lqr_controller.errors import KoopmanError
+from koopman_lqr_controller.nodes.arrival import ENDED, Arrival
+from koopman_lqr_controller.nodes.lidar_driver import DRIVER_PARAMETERS, LidarDriver, Sensed
+from koopman_lqr_controller.policies.edmd_policy import Decision, DrivingPolicy
+from koopman_lqr_controller.policies.policy_file import DEFAULT_POLICY, digest, find_policy, load_policy
+from koopman_lqr_controller.safety.guards import Guard
+from koopman_lqr_controller.sensing.lidar import SAME_STEP, ScanGeometry
+
+_OUT_OF_STEP = 20
+"""Scans in a row that were not predicted, after which it is said."""
+_SOME_SCAN = ScanGeometry(360, 0.0, 2.0 * np.pi / 360, 0.1, 3.5)
+_GUARDS = ("largest_distance", "largest_error", "error_patience")
+_RETRIES = ("retry_after", "most_retries")
+
+
+class _Thought(NamedTuple):
+    """What was thought of one scan, until its answer is out."""
+
+    decision: Decision
+    predicted: NDArray[np.float64] | None
+    error: float
+    measured: tuple[float, float]
+
+
+class Controller(LidarDriver):
+    """Drives a robot from its lidar with a Koopman-LQR policy.
+
+    Subscribes to scan and odom, publishes cmd_vel and ~/latent. Each cmd_vel carries the stamp of the scan that it
+    answers. Without a recent, usable scan and odometry the robot stands still; so it does outside what the policy's
+    training saw, and while the policy's model predicts badly. Another policy may be given while it drives.
+    """
+
+    PARAMETERS: ClassVar[tuple[Parameter, ...]] = (
+        *DRIVER_PARAMETERS,
+        Parameter(
+            "policy",
+            DEFAULT_POLICY,
+            "A policy that comes with the package, or a .safetensors file; another one drives from the next scan on.",
+            live=True,
+            kind="path",
+        ),
+        Parameter(
+            "largest_distance",
+            1.3,
+            "Distance from the latents of training that stops the robot, over that of 99.9 % of them; 0.0 for none.",
+            0.0,
+            1000.0,
+            live=True,
+        ),
+        Parameter(
+            "largest_error",
+            1.0,
+            "Prediction error that stops the robot if it stays, over that of 99 % of training; 0.0 for none.",
+            0.0,
+            1000.0,
+            live=True,
+        ),
+        Parameter("error_patience", 1.0, "How long the prediction error may stay too large [s].", 0.0, 60.0, live=True),
+        Parameter(
+            "retry_after",
+            3.0,
+            "How long the robot stands for its prediction error before it tries again at half speed [s].",
+            0.0,
+            600.0,
+            live=True,
+        ),
+        Parameter("most_retries", 5, "How many times it tries again in a row; 0 for never.", 0, 1000, live=True),
+        Parameter(
+            "max_distance",
+            0.0,
+            "Distance by odometry after which the robot stands until this is set anew [m]; 0.0 for none.",
+            0.0,
+            1e6,
+            live=True,
+        ),
+    )
+
+    def __init__(self) -> None:
+        super().__init__("koopman_lqr_controller")
+        self._latent = self.create_publisher(LatentState, "~/latent", RESULT)
+        self._policy: DrivingPolicy
+        self._thought: _Thought | None = None
+        self._next: NDArray[np.float64] | None = None
+        self._next_since = math.nan
+        self._arrival = Arrival(self.settings["max_distance"])
+        self.create_subscription(EpisodeStatus, "episode", self._on_episode, RESULT)
+        self._load(self.settings["policy"])
+
+    def setting_changed(self, name: str) -> None:
+        """Drive with another policy from the next scan on, or watch it otherwise."""
+        if name == "policy":
+            self._load(self.settings["policy"])
+        elif name in _GUARDS:
+            self._guard.set_limits(*self._limits())
+        elif name in _RETRIES:
+            self._guard.set_retries(*self._retries())
+        elif name == "max_distance":
+            self._arrival.max_distance = self.settings["max_distance"]
+            self._arrival.begin()
+        else:
+            super().setting_changed(name)
+
+    def status(self) -> Status:
+        """Say whether commands flow, which policy gives them, and how far from its training the robot is."""
+        level, message, figures = super().status()
+        watched = {
+            "distance over the region's": self._not_watched("largest_distance") or f"{self._guard.outside:.2f}",
+            "prediction": self._not_watched("largest_error") or self._out_of_step or "watched",
+            "retries": f"{self._guard.retries.used} of {self._guard.retries.most}",
+        }
+        watched["driven [m]"] = f"{self._arrival.travelled:.2f}"
+        if self.problem.startswith(ENDED) and not figures["other publishers"]:  # it stands because all is done
+            level = DiagnosticStatus.OK
+        return level, message, {**figures, **self._served, **watched}
+
+    def decide(self, sensed: Sensed) -> NDArray[np.float64]:
+        """Return the policy's command.
+
+        Raises:
+            KoopmanError: it cannot be made, or would not be as in training.
+        """
+        now, predicted, error = seconds(sensed.header.stamp), None, math.nan
+        self._arrival.moved(now, sensed.v)
+        over = self._arrival.reason()
+        if over:
+            raise KoopmanError(over)
+        decision = self._policy.decide(sensed.ranges, sensed.scan, sensed.v, sensed.omega)
+        if self._next is not None and self._in_step(now - self._next_since):
+            predicted = self._next
+            missed = decision.z - predicted
+            error = math.sqrt(missed.dot(missed))
+        self._thought = _Thought(decision, predicted, error, (sensed.v, sensed.omega))
+        reason = self._guard.see(now, decision.z, error)
+        if reason:
+            raise KoopmanError(reason)
+        return self._guard.pace * decision.command
+
+    def answered(self, header: Header, command: NDArray[np.float64], problem: str) -> None:
+        """Publish how the answer came about, and predict what comes of it."""
+        dry, thought, self._thought = self.settings["dry_run"], self._thought, None
+        nan = math.nan
+        out = LatentState(header=header, prediction_error=nan, cost_to_go=nan, distance=nan, stop=problem, dry_run=dry)
+        out.command = _doubles(command)
+        self._next = None  # not for a robot of which something is not known
+        if thought is None:
+            out.z, out.control = _doubles(np.full_like(self._policy.z_ref, nan)), _doubles(np.full(2, nan))
+        else:
+            z = thought.decision.z
+            out.z, out.control = _doubles(z), _doubles(thought.decision.control)
+            out.cost_to_go, out.distance = self._policy.cost_to_go(z), self._guard.outside
+            if thought.predicted is not None:
+                out.z_predicted, out.prediction_error = _doubles(thought.predicted), thought.error
+            # In a dry run somebody else drives, or nobody: what the robot does is what it does by odometry.
+            self._next = self._policy.predict(z, np.array(thought.measured) if dry else command)
+            self._next_since = seconds(header.stamp)
+        self._latent.publish(out)
+
+    def _on_episode(self, message: EpisodeStatus) -> None:
+        """Stand at once where a simulator says that the episode is over: the next scan may be a while away."""
+        self._arrival.episode(message.episode, message.outcome.value)
+        over = self._arrival.reason()
+        if over and self.moving:
+            self.stand(over)
+
+    def _load(self, name: str) -> None:
+        """Read, try out and take over a policy.
+
+        Raises:
+            KoopmanError: it does not serve; the one before goes on.
+        """
+        path = find_policy(name)
+        policy: DrivingPolicy = load_policy(path)
+        policy.decide(np.ones(_SOME_SCAN.beams, np.float32), _SOME_SCAN, 0.0, 0.0)  # one of another robot ends here
+        served = {"policy": path.name, "policy digest": digest(path)}
+        # Only what is right in every respect takes the place of what drives.
+        self._guard, self._served, self._next = Guard(policy.region, *self._limits()), served, None
+        self._guard.set_retries(*self._retries())
+        self._late, self._out_of_step = 0, ""
+        self._policy = policy
+        self.set_limits(*policy.limits)
+        self.get_logger().info(
+            f"policy {path.name} ({served['policy digest'][:12]}), {len(policy.z_ref)} observables, "
+            f"{len(policy.sectors.bearings)} sectors"
+        )
+        if policy.region is None:
+            self.get_logger().warning(
+                f"{path.name} does not say what its training saw: only stale and unusable input stops the robot"
+            )
+
+    def _limits(self) -> tuple[float, float, float]:
+        distance, error, patience = (float(self.settings[name]) for name in _GUARDS)
+        return distance, error, patience
+
+    def _retries(self) -> tuple[float, int]:
+        return float(self.settings["retry_after"]), int(self.settings["most_retries"])
+
+    def _in_step(self, elapsed: float) -> bool:
+        """Whether so much time [s] since the last scan is what the model predicts for; say so where it never is."""
+        dt = self._policy.dt
+        if dt is None or abs(elapsed / dt - 1.0) < SAME_STEP:
+            self._late, self._out_of_step = 0, ""
+            return True
+        self._late += 1
+        if self._late >= _OUT_OF_STEP and not self._out_of_step:
+            self._out_of_step = f"not watched: scans come every {elapsed:.2f} s, the model's step is {dt:.2f} s"
+            self._guard.cannot_predict()
+            self.get_logger().warning(f"prediction error {self._out_of_step}")
+        return False
+
+    def _not_watched(self, limit: str) -> str:
+        """Return why a parameter's limit is of no effect, empty where it is."""
+        if self._policy.region is None:
+            return "not watched: the policy's file has no region"
+        return "" if self.settings[limit] > 0.0 else f"not watched: {limit} is 0.0"
+
+
+def _doubles(values: NDArray[np.float64]) -> array[float]:
+    """Return `values` as the array that a float64[] field takes whole; of an ndarray it looks at each element."""
+    return array("d", values.tobytes())
+
+
+def main() -> int:
+    """Run the node."""
+    return run_node(Controller)

@@ -1,0 +1,1 @@
+"""Policies as they run on the robot, and their files."""

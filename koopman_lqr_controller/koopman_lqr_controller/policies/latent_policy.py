@@ -1,0 +1,167 @@
+"""A task-oriented Koopman policy (thesis chapter 4): the latent controller, and how a lidar robot is wired to it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from koopman_lqr_controller.control.latent_controller import LatentController
+from koopman_lqr_controller.errors import KoopmanError
+from koopman_lqr_controller.models.fused_encoder import QuickEncoder
+from koopman_lqr_controller.policies.edmd_policy import Decision
+from koopman_lqr_controller.safety.latent_distribution import Region, check_region
+from koopman_lqr_controller.sensing.lidar import ScanGeometry, Sectors
+from koopman_lqr_controller.sensing.lidar_observation import LidarObservation
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class LidarWiring:
+    """How a robot with a lidar is wired to a controller.
+
+    Attributes:
+        observation: from scan and odometry to x.
+        u_low: commands of action -1 (2,): speed [m/s], turn rate [rad/s].
+        u_high: commands of action 1 (2,).
+    """
+
+    observation: LidarObservation
+    u_low: Array
+    u_high: Array
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.u_low).all() and np.isfinite(self.u_high).all()):
+            raise KoopmanError("u_low and u_high hold values that are not finite")
+        if self.u_low.shape != (2,) or self.u_high.shape != (2,) or not (self.u_low < self.u_high).all():
+            raise KoopmanError("u_low and u_high must be two numbers each, u_low below u_high")
+
+    def command(self, action: Array) -> Array:
+        """Return the command (2,) of an action (2,)."""
+        return self.u_low + (action + 1.0) * self.half
+
+    @cached_property
+    def half(self) -> Array:
+        """Command per action (2,)."""
+        return 0.5 * (self.u_high - self.u_low)
+
+    def action(self, command: Array) -> Array:
+        """Return the actions (2,) or (N, 2), in [-1, 1], whose commands are nearest to these."""
+        return np.clip(2.0 * (command - self.u_low) / (self.u_high - self.u_low) - 1.0, -1.0, 1.0)
+
+
+@dataclass(frozen=True)
+class LatentPolicy:
+    """A controller, and where it may be used.
+
+    Attributes:
+        controller: the latent controller.
+        dt: from one decision to the next, for which the model predicts [s].
+        wiring: to a robot with a lidar; None for tasks that have none, e.g. those of the DeepMind control suite.
+        manifest: what was learnt from, how, and how well: plain JSON values.
+        region: what training saw; None where it was not written down.
+    """
+
+    controller: LatentController
+    dt: float
+    wiring: LidarWiring | None = None
+    manifest: Mapping[str, Any] = field(default_factory=dict)
+    region: Region | None = None
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.dt < float("inf"):
+            raise KoopmanError(f"dt is {self.dt} s: must be positive")
+        check_region(self.region, len(self.z_ref))
+        if self.wiring is not None:
+            wanted, controls = (len(self.wiring.observation.names),), len(self.controller.R)
+            if self.controller.encoder.shape != wanted or controls != 2:
+                raise KoopmanError(
+                    f"the encoder takes {self.controller.encoder.shape} and {controls} controls come out, "
+                    f"the robot gives {wanted} and takes 2"
+                )
+
+    @property
+    def z_ref(self) -> Array:
+        """Goal in the latent space (n,)."""
+        return self.controller.z_ref
+
+    @property
+    def wired(self) -> LidarWiring:
+        """The wiring, where there is one.
+
+        Raises:
+            KoopmanError: the policy is of a task without a lidar.
+        """
+        if self.wiring is None:
+            raise KoopmanError(f"this policy is of the task {self.manifest.get('task')}: it knows no lidar")
+        return self.wiring
+
+    @property
+    def sectors(self) -> Sectors:
+        """What the policy takes from a scan.
+
+        Raises:
+            KoopmanError: the policy is of another task.
+        """
+        return self.wired.observation.sectors
+
+    @property
+    def limits(self) -> tuple[Array, Array]:
+        """Least and largest command (2,), (2,): speed [m/s], turn rate [rad/s].
+
+        Raises:
+            KoopmanError: the policy is of another task.
+        """
+        return self.wired.u_low, self.wired.u_high
+
+    @cached_property
+    def _latent(self) -> Callable[[Array], Array]:
+        """The controller's `latent`, quick where it can be."""
+        try:
+            return QuickEncoder(self.controller.encoder, self.controller.projection)
+        except KoopmanError:
+            return self.controller.latent
+
+    @cached_property
+    def _gain(self) -> Array:
+        """The gain K in the units of the command (2, n)."""
+        return self.wired.half[:, None] * self.controller.K
+
+    @cached_property
+    def _offset(self) -> Array:
+        """The offset k in the units of the command (2,)."""
+        return self.wired.command(self.controller.k)
+
+    @property
+    def loop(self) -> Array:
+        """A - B K (n, n)."""
+        return self.controller.model.A - self.controller.model.B @ self.controller.K
+
+    def decide(self, ranges: NDArray[np.float32], scan: ScanGeometry, v: float, omega: float) -> Decision:
+        """Return the command for one scan and the odometry's speed [m/s] and turn rate [rad/s].
+
+        Raises:
+            KoopmanError: nothing can be seen in the scan, speed or turn rate are not finite, or the policy is of
+                another task.
+        """
+        wiring, controller = self.wired, self.controller
+        z = self._latent(wiring.observation.observe(ranges, scan, v, omega))
+        if controller.horizon is not None:
+            u = controller.control(z)
+            return Decision(wiring.command(controller.saturate(u)), wiring.command(u), z)
+        # Actions are cut off where commands are: the quickest is to think in commands.
+        control = self._offset - self._gain.dot(z)
+        return Decision(np.minimum(np.maximum(control, wiring.u_low), wiring.u_high), control, z)
+
+    def predict(self, z: Array, command: Array) -> Array:
+        """Return the model's next z (n,) under a command (2,), which counts as the nearest within the limits."""
+        return self.controller.predict(z, self.wired.action(command))
+
+    def cost_to_go(self, z: Array) -> float:
+        """Return (z - z_ref)^T P (z - z_ref)."""
+        return self.controller.cost_to_go(z)

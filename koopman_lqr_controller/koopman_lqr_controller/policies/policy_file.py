@@ -1,0 +1,143 @@
+"""Policy files: safetensors with a JSON manifest in the header. Nothing in them is executed."""
+
+from __future__ import annotations
+
+import hashlib
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from ctrl_rl_core.io.atomic_write import write_whole
+from ctrl_rl_core.io.checked_tensors import LARGEST, Tensors, encode_tensors, read_tensors
+from ctrl_rl_core.io.file_checks import FileError, named, read_bytes, refused_as, shown
+from numpy.typing import NDArray
+
+from koopman_lqr_controller.errors import KoopmanError
+from koopman_lqr_controller.models.edmd import LinearModel
+from koopman_lqr_controller.policies.edmd_policy import KoopmanPolicy
+from koopman_lqr_controller.policies.latent_file import FORMAT as LATENT_FORMAT
+from koopman_lqr_controller.policies.latent_file import build_latent, describe_latent
+from koopman_lqr_controller.policies.latent_policy import LatentPolicy
+from koopman_lqr_controller.policies.policy_header import EdmdHeader, LatentHeader
+
+FORMAT = "koopman-lqr-1"
+_HEADER_KEY = "policy"
+_LARGEST_LATENT = 500
+"""Dimensions: an LQR of more takes minutes, and a robot waits."""
+_TENSORS = ("A", "B", "K", "P", "z_ref", "u_ref", "u_low", "u_high")
+_REGION = ("distance", "error")
+_OBSERVABLES = ("bearings_deg", "half_width_deg", "near", "closest", "far")
+
+
+DEFAULT_POLICY = "curved_corridor"
+"""The learnt one of those that come with the package; "curved_corridor_edmd" is the classical one."""
+
+
+def shipped_policies() -> dict[str, Path]:
+    """Return the policies that come with the package, by name."""
+    folder = Path(str(files("koopman_lqr_controller"))) / "policies" / "pretrained"
+    return {file.stem: file for file in sorted(folder.glob("*.safetensors"))}
+
+
+def find_policy(name_or_path: str) -> Path:
+    """Return the file of a shipped policy, or the path itself.
+
+    Raises:
+        KoopmanError: there is no such policy.
+    """
+    shipped = shipped_policies()
+    path = shipped.get(name_or_path, Path(name_or_path).expanduser())
+    try:
+        there = path.exists()
+    except (OSError, ValueError) as error:
+        raise KoopmanError(f"no policy '{named(name_or_path)}': {error}") from None
+    if not there:
+        raise KoopmanError(
+            f"no policy '{named(name_or_path)}': there are {', '.join(shipped) or 'none'}, or give a file"
+        )
+    return path
+
+
+def digest(path: Path) -> str:
+    """Return the SHA-256 of a policy file (hex)."""
+    with refused_as(KoopmanError, path):
+        return hashlib.sha256(read_bytes(path, LARGEST)).hexdigest()
+
+
+def refuse_existing(path: Path, overwrite: bool) -> None:
+    """Refuse to write over a file unless that is asked for.
+
+    Raises:
+        KoopmanError: it is there.
+    """
+    if path.exists() and not overwrite:
+        raise KoopmanError(f"{named(path)} exists: give another name, or ask to --overwrite it")
+
+
+def save_policy(policy: KoopmanPolicy | LatentPolicy, path: Path, overwrite: bool = False) -> None:
+    """Write a policy; the file is there whole or not at all.
+
+    Raises:
+        KoopmanError: the file exists and `overwrite` is false, or it cannot be written.
+    """
+    refuse_existing(path, overwrite)
+    header, tensors = describe_latent(policy) if isinstance(policy, LatentPolicy) else _describe_edmd(policy)
+    if policy.region is not None:
+        header["region"] = {name: getattr(policy.region, name) for name in _REGION}
+        tensors |= {"region.mean": policy.region.mean, "region.covariance": policy.region.covariance}
+    content = encode_tensors(tensors, _HEADER_KEY, header)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_whole(path, content)
+    except OSError as error:
+        raise KoopmanError(f"cannot write {path}: {error.strerror}") from None
+
+
+def load_policy(path: Path) -> KoopmanPolicy | LatentPolicy:
+    """Read a policy of either kind and check it.
+
+    Raises:
+        KoopmanError: no such file, or it is not a whole and consistent policy.
+    """
+    with refused_as(KoopmanError, path):
+        header, tensors, _ = read_tensors(path, _HEADER_KEY)
+        large = [name for name in ("A", "P") if max(tensors.get(name, np.empty(0)).shape, default=0) > _LARGEST_LATENT]
+        if large:
+            raise FileError(f"{large[0]} has more than {_LARGEST_LATENT} rows or columns")
+        found = header.get("format")
+        try:
+            if found == FORMAT:
+                return _build_edmd(EdmdHeader.model_validate(header), tensors)
+            if found == LATENT_FORMAT:
+                return build_latent(LatentHeader.model_validate(header), tensors)
+        except KeyError as error:
+            raise FileError(f"lacks the tensor {shown(error.args[0])}: train it again") from None
+        raise FileError(f"format is {shown(found)}, must be '{FORMAT}' or '{LATENT_FORMAT}': train it again")
+
+
+def _describe_edmd(policy: KoopmanPolicy) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    tensors = {
+        "A": policy.model.A,
+        "B": policy.model.B,
+        **{name: getattr(policy, name) for name in _TENSORS if name not in "AB"},
+    }
+    header = {
+        "format": FORMAT,
+        "observables": {name: getattr(policy.observables, name) for name in _OBSERVABLES},
+        "observation": list(policy.observables.names),
+        "action": ["speed [m/s]", "turn rate [rad/s]"],
+        "manifest": dict(policy.manifest),
+    }
+    return header, tensors
+
+
+def _build_edmd(told: EdmdHeader, tensors: Tensors) -> KoopmanPolicy:
+    arrays: dict[str, Any] = {name: tensors[name].astype(np.float64) for name in _TENSORS}
+    return KoopmanPolicy(
+        observables=told.observables.observables,
+        model=LinearModel(arrays.pop("A"), arrays.pop("B")),
+        manifest=told.manifest.model_dump(exclude_unset=True),
+        region=told.region_of(tensors),
+        **arrays,
+    )

@@ -1,0 +1,1 @@
+"""Guards that compare a robot with what training saw."""

@@ -1,0 +1,1 @@
+"""From a laser scan to what a policy sees."""

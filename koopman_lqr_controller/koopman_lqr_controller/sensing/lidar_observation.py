@@ -1,0 +1,74 @@
+"""What a learnt policy sees of lidar and odometry: one number for each of some fixed bearings, speed and turn rate."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from koopman_lqr_controller.errors import KoopmanError
+from koopman_lqr_controller.sensing.lidar import ScanGeometry, Sectors, check_speeds
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class LidarObservation:
+    """x = nearness at bearings all around, then speed and turn rate, each of the order of 1.
+
+    Nearness, `near` over distance, tells 0.1 m from 0.2 m well and 3.0 m from 3.1 m hardly, as driving needs it.
+
+    Attributes:
+        count: sectors all around, the first ahead, counter-clockwise; half their spacing is half their opening.
+        near: distance that has nearness one [m].
+        closest: distances below this count as this [m].
+        far: distances above this, and nothing there, count as this [m].
+        speed: what counts as 1 of the speed [m/s].
+        turn: what counts as 1 of the turn rate [rad/s].
+    """
+
+    count: int = 36
+    near: float = 0.35
+    closest: float = 0.12
+    far: float = 3.5
+    speed: float = 0.22
+    turn: float = 1.5
+
+    def __post_init__(self) -> None:
+        if self.count < 4 or not 0.0 < self.closest < self.far or min(self.near, self.speed, self.turn) <= 0.0:
+            raise KoopmanError(
+                f"{self} is no observation: at least 4 sectors, lengths and units positive, closest < far"
+            )
+
+    @cached_property
+    def sectors(self) -> Sectors:
+        """What is taken from a scan."""
+        spacing = 2.0 * np.pi / self.count
+        return Sectors(tuple(float(spacing * index) for index in range(self.count)), 0.5 * spacing, self.far)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What each component of x is."""
+        degrees = (360.0 * index / self.count for index in range(self.count))
+        return (*(f"nearness at {angle:g} deg" for angle in degrees), "speed", "turn rate")
+
+    @property
+    def mirror(self) -> tuple[NDArray[np.intp], Array]:
+        """Order and sign of x's components when left and right are swapped (count + 2,): x[order] * sign."""
+        sectors = -np.arange(self.count) % self.count
+        order = np.concatenate((sectors, (self.count, self.count + 1))).astype(np.intp)
+        return order, np.concatenate((np.ones(self.count + 1), (-1.0,)))
+
+    def observe(self, ranges: NDArray[np.float32], scan: ScanGeometry, v: float, omega: float) -> Array:
+        """Return x (count + 2,) for one scan and the odometry's speed [m/s] and turn rate [rad/s].
+
+        Raises:
+            KoopmanError: nothing can be seen in the scan, or speed or turn rate are not finite.
+        """
+        check_speeds(v, omega)
+        x = np.empty(self.count + 2)
+        np.divide(self.near, np.maximum(self.sectors.distances(ranges, scan), self.closest), out=x[:-2])
+        x[-2], x[-1] = v / self.speed, omega / self.turn
+        return x

@@ -1,0 +1,158 @@
+"""The learner of thesis 4.2.4 (Algorithm 2): SAC around a differentiable LQR in a latent space of its own.
+
+Each update trains the critics and the encoder on Bellman's equation, the encoder on a loss of its own (Eq. 4.4), A and
+B on the model loss (Eq. 4.7); every other one trains encoder, A, B, Q and R on the actor's (Eq. 4.10). The model loss
+leaves the encoder alone: it would make all latent states equal. The actor's passes into it through the control, not
+through what the critics say of z; convolutions it leaves alone, they are most of the work. Losses of different
+parameters go back together. Of images so do Bellman's and the encoder's own, brought to one size: values grow to
+hundreds, and the encoder's own loss would no longer be heard.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Mapping
+from itertools import chain
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from koopman_lqr_controller.training.agents.actor import Interface, LqrActor, make_actor
+from koopman_lqr_controller.training.networks.contrastive import noisy, random_crop
+from koopman_lqr_controller.training.networks.differentiable_lqr import LatentLqr
+from koopman_lqr_controller.training.networks.encoder_losses import Seen, make_encoder_loss
+from koopman_lqr_controller.training.networks.networks import TwinCritic, follow
+from koopman_lqr_controller.training.replay import Transitions
+from koopman_lqr_controller.training.settings import Settings
+
+
+class Agent(nn.Module):
+    """All that is learnt, and how.
+
+    Attributes:
+        actor: what acts now.
+        averaged: the exponential average of `actor` over updates.
+        encoder_loss: the encoder's own.
+        key_encoder: momentum encoder of contrastive keys and of the target critic.
+        updates: how many there were.
+    """
+
+    def __init__(self, interface: Interface, settings: Settings, seed: int, device: str = "cpu") -> None:
+        super().__init__()
+        self.settings, self._device = settings, torch.device(device)
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(seed)
+            self.actor = make_actor(interface, settings)
+            normalised, halved = settings.critic == "layer_norm", settings.bfloat16 == "all"
+            self.critic = TwinCritic(settings.latent, interface.controls, settings.hidden, normalised, halved)
+            self.encoder_loss = make_encoder_loss(self.actor.encoder, settings)
+        self.averaged = copy.deepcopy(self.actor).requires_grad_(False)
+        self.key_encoder = copy.deepcopy(self.actor.encoder).requires_grad_(False)
+        self.target = copy.deepcopy(self.critic).requires_grad_(False)
+        self.log_temperature = nn.Parameter(torch.tensor(math.log(settings.temperature)))
+        self.updates = 0
+        self._target_entropy = -float(interface.controls)
+        self._images = settings.crop > 0
+        self.to(self._device)
+        encoder, own = self.actor.encoder.parameters(), self.encoder_loss.parameters()
+        self.optimizers = {
+            "critic": self._adam(chain(self.actor.encoder.parameters(), self.critic.parameters())),
+            "encoder": self._adam(own if self._images else chain(encoder, own)),
+            "actor": self._adam(self.actor.parameters()),
+            "temperature": self._adam([self.log_temperature]),
+        }
+        if self.lqr is not None:
+            self.optimizers["model"] = self._adam([self.lqr.A, self.lqr.B])
+
+    def _adam(self, parameters: object) -> torch.optim.Optimizer:
+        return torch.optim.Adam(list(parameters), lr=self.settings.learning_rate, fused=True)  # type: ignore[call-overload]
+
+    def act(self, x: NDArray[np.generic], generator: torch.Generator) -> NDArray[np.float32]:
+        """Return an action (m,) for an observation (*shape), with the noise that explores."""
+        with torch.no_grad():
+            z = self.actor.encoder(torch.from_numpy(np.asarray(x, np.float32))[None].to(self._device))
+            action: NDArray[np.float32] = self.actor.sample(z, generator)[0][0].cpu().numpy()
+        return action
+
+    def update(self, data: Transitions, generator: torch.Generator) -> None:
+        """Learn from a batch of steps.
+
+        Args:
+            data: the batch.
+            generator: of all noise, on the CPU.
+        """
+        x, u, reward, x_next, terminated = (torch.from_numpy(it).to(self._device) for it in data)
+        if self._images:  # as in CURL all losses see a window at random
+            query, key = (random_crop(x, self.settings.crop, generator) for _ in range(2))
+            x, x_next = query, random_crop(x_next, self.settings.crop, generator)
+        elif self.encoder_loss.augments:
+            query, key = (noisy(x, self.settings.noise, generator) for _ in range(2))
+        else:
+            query = key = x
+        seen = Seen(query, key, u, x_next, self.key_encoder, self.lqr)
+        features = self.actor.encoder.features(x)
+        z = self.actor.encoder.latent(features)
+        critic, z_next = self._critic_loss(z, u, reward, x_next, terminated, generator)
+        losses = {"critic": critic}
+        if self.lqr is not None:
+            losses["model"] = self.lqr.model_loss(z.detach(), u, z_next)
+        if self._images:
+            own = self.encoder_loss(z, seen)
+            self._step({**losses, "encoder": _as_large_as(critic, own, z) * own})
+        else:
+            self._step(losses)
+            self._step({"encoder": self.encoder_loss(self.actor.encoder(query), seen)})
+        if self.updates % self.settings.actor_every == 0:
+            z = self.actor.encoder.latent(features.detach()) if self._images else self.actor.encoder(x)
+            self._step(self._actor_losses(z, generator))
+            follow(self.target, self.critic, self.settings.critic_rate)
+            follow(self.key_encoder, self.actor.encoder, self.settings.encoder_rate)
+        follow(self.averaged, self.actor, self.settings.average_rate)
+        self.updates += 1
+
+    @property
+    def lqr(self) -> LatentLqr | None:
+        """A, B, Q, R; None where a network acts."""
+        return self.actor.lqr if isinstance(self.actor, LqrActor) else None
+
+    def _critic_loss(
+        self, z: Tensor, u: Tensor, reward: Tensor, x_next: Tensor, terminated: Tensor, generator: torch.Generator
+    ) -> tuple[Tensor, Tensor]:
+        """Return the loss of critics and encoder, and z_next as the encoder is now."""
+        with torch.no_grad():
+            z_next = self.actor.encoder(x_next)
+            u_next, log_density = self.actor.sample(z_next, generator)
+            value = self.target(self.key_encoder(x_next), u_next).amin(dim=0)
+            value = value - self.log_temperature.exp() * log_density
+            goal = reward + self.settings.discount * (1.0 - terminated) * value
+        return (self.critic(z, u) - goal).square().mean(dim=1).sum(), z_next
+
+    def _actor_losses(self, z: Tensor, generator: torch.Generator) -> dict[str, Tensor]:
+        """Return the losses of actor and temperature; they share no parameter."""
+        u, log_density = self.actor.sample(z, generator)
+        self.critic.requires_grad_(False)
+        value = self.critic(z.detach(), u).amin(dim=0)
+        self.critic.requires_grad_(True)
+        entropy_gap = (log_density.detach() + self._target_entropy).mean()
+        return {
+            "actor": (self.log_temperature.exp().detach() * log_density - value).mean(),
+            "temperature": -self.log_temperature.exp() * entropy_gap,
+        }
+
+    def _step(self, losses: Mapping[str, Tensor]) -> None:
+        """Go down losses, by the names of their optimisers, with one backward pass."""
+        optimizers = [self.optimizers[name] for name in losses]
+        for optimizer in optimizers:
+            optimizer.zero_grad()
+        torch.autograd.backward(list(losses.values()))
+        for optimizer in optimizers:
+            optimizer.step()
+
+
+def _as_large_as(first: Tensor, second: Tensor, z: Tensor) -> Tensor:
+    """Return what the second of two losses of z is to be multiplied by to pull at z as strongly as the first."""
+    pulls = (torch.autograd.grad(loss, z, retain_graph=True)[0].norm() for loss in (first, second))
+    return next(pulls) / (next(pulls) + torch.finfo(z.dtype).tiny)

@@ -1,0 +1,171 @@
+"""A latent policy from recorded drives alone: Algorithm 2 with the driver's commands in the place of a reward.
+
+Encoder, model and differentiable LQR are those of the learner that lives in an environment, and so are the contrastive
+loss (Eq. 4.4) and the model loss (Eq. 4.7). What SAC would find out by trying is not in a recording, and no critic can
+be trusted with actions that nobody did; so the LQR's action is drawn to the recorded one instead. A mirrored drive is
+as true as the drive itself, and doubles it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import chain
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from koopman_lqr_controller.control.latent_controller import LatentController
+from koopman_lqr_controller.data.drives import Drive, usual_step
+from koopman_lqr_controller.errors import KoopmanError
+from koopman_lqr_controller.models.edmd import LinearModel
+from koopman_lqr_controller.policies.latent_policy import LatentPolicy, LidarWiring
+from koopman_lqr_controller.sensing.lidar_observation import LidarObservation
+from koopman_lqr_controller.training.networks.contrastive import info_nce, noisy
+from koopman_lqr_controller.training.networks.differentiable_lqr import LatentLqr
+from koopman_lqr_controller.training.networks.networks import TorchEncoder, follow
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ImitationSettings:
+    """How is learnt.
+
+    Attributes:
+        latent: dimension of z.
+        hidden: units of each of the two hidden layers.
+        riccati_iterations: M of Algorithm 1.
+        updates: how many.
+        batch: steps in one.
+        learning_rate: of everything.
+        noise: eta of Eq. 4.5, in all losses: a recording is short, and its scans are noisy themselves.
+        model_weight: of the model loss, which reaches the encoder too; small, it would make all latents equal.
+        key_rate: at which the key encoder follows.
+        seed: of weights and batches.
+    """
+
+    latent: int = 16
+    hidden: int = 64
+    riccati_iterations: int = 5
+    updates: int = 1500
+    batch: int = 128
+    learning_rate: float = 1e-3
+    noise: float = 0.3
+    model_weight: float = 0.1
+    key_rate: float = 0.05
+    seed: int = 0
+
+
+def imitate(
+    drives: Sequence[Drive],
+    observation: LidarObservation,
+    settings: ImitationSettings | None = None,
+    tick: Callable[[], object] = lambda: None,
+) -> LatentPolicy:
+    """Return the policy as learnt, with the gain of a few Riccati iterations; `offline.refit` makes it consolidated.
+
+    Its commands span what was commanded in the drives, the same to both sides.
+
+    Args:
+        drives: x by `observation`, and commands.
+        observation: what is seen.
+        settings: how; the defaults where left out.
+        tick: called after each update.
+
+    Raises:
+        KoopmanError: there are fewer steps than in a batch, or a command never changes.
+    """
+    settings = settings or ImitationSettings()
+    steps = sum(len(drive) for drive in drives)
+    if steps < settings.batch:
+        raise KoopmanError(f"{steps} steps are too few to learn from: {settings.batch} at least")
+    wiring = _wiring(drives, observation)
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(settings.seed)
+        imitation = _Imitation(_Data.of(drives, wiring), settings)
+        for _ in range(settings.updates):
+            imitation.update()
+            tick()
+    return LatentPolicy(imitation.deploy(), usual_step(drives), wiring)
+
+
+def _wiring(drives: Sequence[Drive], observation: LidarObservation) -> LidarWiring:
+    u = np.concatenate([drive.u for drive in drives])
+    turn = float(np.abs(u[:, 1]).max())
+    low, high = np.array([min(0.0, u[:, 0].min()), -turn]), np.array([u[:, 0].max(), turn])
+    if not (low < high).all():
+        raise KoopmanError(
+            f"speed is commanded up to {high[0]:g} m/s, turn rate to {turn:g} rad/s: nothing to learn from"
+        )
+    return LidarWiring(observation, low, high)
+
+
+@dataclass(frozen=True)
+class _Data:
+    """Steps and their mirror images, as tensors."""
+
+    x: Tensor
+    u: Tensor
+    x_next: Tensor
+
+    @classmethod
+    def of(cls, drives: Sequence[Drive], wiring: LidarWiring) -> _Data:
+        order, sign = wiring.observation.mirror
+
+        def both(rows: Array) -> Tensor:
+            return torch.from_numpy(np.concatenate((rows, rows[:, order] * sign)).astype(np.float32))
+
+        u = wiring.action(np.concatenate([drive.u for drive in drives]))
+        return cls(
+            both(np.concatenate([drive.x[:-1] for drive in drives])),
+            torch.from_numpy(np.concatenate((u, u * (1.0, -1.0))).astype(np.float32)),
+            both(np.concatenate([drive.x[1:] for drive in drives])),
+        )
+
+
+class _Imitation:
+    """Learning under way."""
+
+    def __init__(self, data: _Data, settings: ImitationSettings) -> None:
+        self._data, self._settings = data, settings
+        size = data.x.shape[1]
+        middle, unit = data.x.mean(dim=0), data.x.std(dim=0) + 1e-3
+        self._encoder, self._keys = (
+            TorchEncoder((size,), settings.latent, settings.hidden, 2, middle, unit) for _ in range(2)
+        )
+        self._keys.load_state_dict(self._encoder.state_dict())
+        self._keys.requires_grad_(False)
+        self._lqr = LatentLqr(settings.latent, data.u.shape[1], settings.riccati_iterations)
+        self._W = torch.nn.Parameter(torch.eye(settings.latent))
+        self._goal = torch.zeros(settings.latent)
+        parameters = chain(self._encoder.parameters(), self._lqr.parameters(), [self._W])
+        self._optimizer = torch.optim.Adam(parameters, lr=settings.learning_rate)
+        self._generator = torch.Generator().manual_seed(settings.seed)
+
+    def update(self) -> None:
+        """Learn from one batch."""
+        settings, data, generator = self._settings, self._data, self._generator
+        rows = torch.randint(len(data.x), (settings.batch,), generator=generator)
+        x, u = data.x[rows], data.u[rows]
+        z, z_next = (self._encoder(noisy(each, settings.noise, generator)) for each in (x, data.x_next[rows]))
+        keys = self._keys(noisy(x, settings.noise, generator))
+        K, k = self._lqr.gain(self._goal)
+        loss = info_nce(z, keys, self._W)
+        loss = loss + (torch.tanh(k - z @ K.T) - u).square().sum(dim=1).mean()
+        loss = loss + settings.model_weight * self._lqr.model_loss(z, u, z_next)
+        self._optimizer.zero_grad()
+        torch.autograd.backward(loss)
+        self._optimizer.step()
+        follow(self._keys, self._encoder, settings.key_rate)
+
+    def deploy(self) -> LatentController:
+        """Return what was learnt, without torch."""
+        lqr = self._lqr
+        A, B, Q, R = (
+            each.detach().numpy().astype(np.float64) for each in (lqr.A, lqr.B, lqr.log_Q.exp(), lqr.log_R.exp())
+        )
+        goal = np.zeros(len(Q))
+        return LatentController(self._encoder.deploy(), LinearModel(A, B), Q, R, goal, lqr.iterations)

@@ -1,0 +1,70 @@
+"""A deterministic policy that is one network, for comparison: what acts where there is no linear model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from ctrl_rl_core.io.file_checks import FileError, refused_as, shown
+from ctrl_rl_core.io.schema import Anything, Schema
+from ctrl_rl_training.io.array_file import load_arrays, save_arrays
+from numpy.typing import NDArray
+
+from koopman_lqr_controller.errors import KoopmanError
+from koopman_lqr_controller.models.encoder import Encoder
+from koopman_lqr_controller.policies.policy_header import EncoderHeader
+
+Array = NDArray[np.float64]
+
+
+class _Header(Schema):
+    network: EncoderHeader
+    manifest: Anything
+
+
+@dataclass(frozen=True)
+class NetworkPolicy:
+    """The action is tanh(u), u = network(x); in a roll-out u itself takes the place of z.
+
+    Attributes:
+        encoder: the network, from x to u.
+        manifest: what was learnt, how, and how well: plain JSON values.
+    """
+
+    encoder: Encoder
+    manifest: Mapping[str, Any] = field(default_factory=dict)
+
+    def project(self, z: Array) -> Array:
+        """Return u."""
+        return z
+
+    def control(self, z: Array) -> Array:
+        """Return u."""
+        return z
+
+    def saturate(self, u: Array) -> Array:
+        """Return the action in [-1, 1] that stands for u."""
+        return np.tanh(u)
+
+    def save(self, path: Path) -> None:
+        """Write it; the file, replaced if it exists, is there whole or not at all."""
+        description, tensors = self.encoder.describe()
+        save_arrays(path, tensors, {"network": description, "manifest": dict(self.manifest)})
+
+    @classmethod
+    def load(cls, path: Path) -> NetworkPolicy:
+        """Return what `save` wrote.
+
+        Raises:
+            KoopmanError: the file is missing or is something else; the message names it.
+        """
+        with refused_as(KoopmanError, path):
+            tensors, header = load_arrays(path)
+            told = _Header.model_validate(header)
+            try:
+                return cls(Encoder.build(told.network.model_dump(), tensors), told.manifest)
+            except KeyError as error:
+                raise FileError(f"lacks the tensor {shown(error.args[0])}") from None

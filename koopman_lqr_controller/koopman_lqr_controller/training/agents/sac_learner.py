@@ -1,0 +1,107 @@
+"""Soft actor-critic of Stable-Baselines3 on the same tasks: what a policy without any model reaches."""
+
+from __future__ import annotations
+
+import numpy as np
+from ctrl_rl_training.io.learner_state import Arrays
+from ctrl_rl_training.sb3.checkpoint import model_arrays, restore_model
+from stable_baselines3 import SAC
+from stable_baselines3.common.callbacks import BaseCallback
+from torch import nn
+
+from koopman_lqr_controller.errors import KoopmanError
+from koopman_lqr_controller.models.encoder import Encoder
+from koopman_lqr_controller.training.agents.network_policy import NetworkPolicy
+from koopman_lqr_controller.training.environments.problems import AnyEnvironment, Problem
+from koopman_lqr_controller.training.networks.networks import deploy_layers
+
+_SAMPLES = "samples"
+_NOUGHT, _ONE = np.zeros((), np.float32), np.ones((), np.float32)
+
+
+class SacLearner:
+    """See `course.Learner`; the numbers are those of the task's settings, where the library has them.
+
+    Args:
+        problem: that it learns, from vectors.
+        environment: to act in.
+        seed: of everything random.
+        capacity: of the replay, for all actions of a run.
+        device: of the networks.
+
+    Raises:
+        KoopmanError: the task shows pictures.
+    """
+
+    method = "soft actor-critic (Stable-Baselines3)"
+    replay = None
+
+    def __init__(
+        self, problem: Problem, environment: AnyEnvironment, seed: int, capacity: int, device: str = "cpu"
+    ) -> None:
+        settings = problem.settings
+        if settings.crop:
+            raise KoopmanError(f"{problem.name}: sac learns from vectors only; `--set policy=network` sees pictures")
+        self._seed = seed
+        self._model = SAC(
+            "MlpPolicy",
+            environment,
+            learning_rate=settings.learning_rate,
+            buffer_size=capacity,
+            learning_starts=settings.first_steps,
+            batch_size=settings.batch,
+            tau=settings.critic_rate,
+            gamma=settings.discount,
+            train_freq=settings.update_every,
+            ent_coef=f"auto_{settings.temperature}",
+            policy_kwargs={"net_arch": [settings.hidden, settings.hidden]},
+            seed=seed,
+            device=device,
+        )
+
+    def learn(self, chunk: int, done: int, actions: int, episodes: int) -> tuple[int, int]:  # noqa: ARG002 - it counts
+        """Act and learn; see `course.Learner`."""
+        model = self._model
+        model.set_random_seed(int(np.random.SeedSequence((self._seed, chunk)).generate_state(1)[0]) % 2**31)
+        model._last_obs = None  # makes `learn` begin a fresh episode
+        counter, before = _Counter(episodes), model.num_timesteps
+        model.learn(actions, callback=counter, reset_num_timesteps=False)
+        return model.num_timesteps - before, counter.begun
+
+    def candidates(self) -> dict[str, NetworkPolicy]:
+        """Return the actor as it is now."""
+        actor = self._model.actor
+        layers = deploy_layers(nn.Sequential(*actor.latent_pi, actor.mu))
+        shape = self._model.observation_space.shape
+        assert shape is not None
+        return {"actor": NetworkPolicy(Encoder(tuple(layers), shape, _NOUGHT, _ONE))}
+
+    def arrays(self) -> Arrays:
+        """Return networks, optimisers and replay."""
+        return {**model_arrays(self._model), _SAMPLES: np.array([self._model.num_timesteps])}
+
+    def restore(self, arrays: Arrays, /) -> None:
+        """Take what `arrays` gave."""
+        restore_model(self._model, arrays)
+        self._model.num_timesteps = int(arrays[_SAMPLES].item())
+
+
+class _Counter(BaseCallback):
+    """Counts episodes, and ends learning after so many.
+
+    Args:
+        episodes: 0 for any number.
+
+    Attributes:
+        begun: how many episodes there were, the one under way included.
+    """
+
+    def __init__(self, episodes: int) -> None:
+        super().__init__()
+        self.begun, self._episodes, self._under_way = 0, episodes, False
+
+    def _on_step(self) -> bool:
+        if not self._under_way:
+            self.begun += 1
+        self._under_way = not self.locals["dones"][0]
+        return self._under_way or self.begun != self._episodes

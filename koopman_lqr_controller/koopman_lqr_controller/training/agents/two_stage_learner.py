@@ -1,0 +1,151 @@
+"""Model-oriented Koopman control (thesis 4.3.3): first the model from data, then its LQR, whose costs a hand has tuned.
+
+z is the observation and, after it, what a network makes of it: costs can be put on what has a meaning. The network is
+trained to be predicted one step ahead; or not at all, then its random features are the user-defined functions of EDMD.
+The data are as many actions as other methods get, drawn at random; A and B are their least-squares fit in the end.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+from ctrl_rl_training.io.learner_state import Arrays, restore_state, state_arrays
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from koopman_lqr_controller.control.latent_controller import LatentController
+from koopman_lqr_controller.errors import KoopmanError
+from koopman_lqr_controller.models.edmd import Snapshots, fit
+from koopman_lqr_controller.models.encoder import Encoder
+from koopman_lqr_controller.training.agents.actor import Interface
+from koopman_lqr_controller.training.agents.interaction import interact
+from koopman_lqr_controller.training.agents.learner import interface_of
+from koopman_lqr_controller.training.environments.problems import AnyEnvironment, Problem
+from koopman_lqr_controller.training.networks.differentiable_lqr import LatentLqr
+from koopman_lqr_controller.training.replay import Replay, Transitions
+from koopman_lqr_controller.training.settings import Settings
+
+_RIDGE = 1e-6
+
+
+class LiftedModel(nn.Module):
+    """z = [x, psi(x)] and A, B.
+
+    Attributes:
+        encoder: psi.
+        linear: A and B; its costs are not used.
+    """
+
+    def __init__(self, interface: Interface, settings: Settings) -> None:
+        super().__init__()
+        self.encoder = interface.encoder(settings)
+        self.linear = LatentLqr(interface.shape[0] + settings.latent, interface.controls, settings.riccati_iterations)
+
+    def lift(self, x: Tensor) -> Tensor:
+        """Return z (N, n)."""
+        return torch.cat((self.encoder.normalise(x), self.encoder(x)), dim=1)
+
+    def deploy(self) -> Encoder:
+        """Return the lifting without torch."""
+        return replace(self.encoder.deploy(), inclusive=True)
+
+
+class TwoStageLearner:
+    """See `course.Learner`.
+
+    Args:
+        problem: with a goal, seen as a vector.
+        environment: to act in.
+        seed: of everything random.
+        capacity: of the replay, for all actions of a run.
+        device: of the network.
+        learnt: whether psi is trained; else it stays as random as it begins.
+
+    Raises:
+        KoopmanError: the task shows pictures, has no goal, or no hand has tuned costs for it.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        environment: AnyEnvironment,
+        seed: int,
+        capacity: int,
+        device: str = "cpu",
+        learnt: bool = True,
+    ) -> None:
+        self._settings, self._environment, self._seed, self._learnt = problem.settings, environment, seed, learnt
+        self._device = torch.device(device)
+        self.method = "two-stage Koopman control, " + ("learnt lifting" if learnt else "EDMD with random features")
+        interface = interface_of(problem, environment)
+        if interface.goal is None or len(interface.shape) != 1 or problem.name not in HAND_TUNED:
+            raise KoopmanError(
+                f"{problem.name}: two_stage needs costs that a hand has tuned, as for {', '.join(HAND_TUNED)}"
+            )
+        self._goal, self._cost = interface.goal, HAND_TUNED[problem.name][problem.settings.cost]
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(seed)
+            self._model = LiftedModel(interface, problem.settings).to(self._device)
+        parameters = [*self._model.encoder.parameters(), self._model.linear.A, self._model.linear.B]
+        self._optimizer = torch.optim.Adam(parameters, lr=problem.settings.learning_rate)
+        kind = environment.observation_space.dtype.type
+        self.replay = Replay(capacity, interface.shape, interface.controls, kind)
+
+    def learn(self, chunk: int, done: int, actions: int, episodes: int) -> tuple[int, int]:
+        """Act at random and fit; see `course.Learner`."""
+        settings, random = self._settings, np.random.default_rng((self._seed, chunk))
+        shape = self._environment.action_space.shape
+
+        def act(_: int, __: object) -> NDArray[np.float32]:
+            return random.uniform(-1.0, 1.0, shape).astype(np.float32)
+
+        def update(step: int) -> None:
+            if self._learnt and done + step > settings.first_steps and (done + step) % settings.update_every == 0:
+                self._update(self.replay.draw(settings.batch, random))
+
+        return interact(self._environment, self.replay, random, actions, episodes, act, update)
+
+    def _update(self, data: Transitions) -> None:
+        x, u, _, x_next, _ = (torch.from_numpy(it).to(self._device).float() for it in data)
+        model = self._model
+        loss = model.linear.model_loss(model.lift(x), u, model.lift(x_next))
+        self._optimizer.zero_grad()
+        torch.autograd.backward(loss)
+        self._optimizer.step()
+
+    def candidates(self) -> dict[str, LatentController]:
+        """Return the LQR of the least-squares model; where that has none, of one whose modes all fade."""
+        encoder, data = self._model.deploy(), self.replay.everything()
+        u = data.u.astype(np.float64)
+        z_ref = encoder(self._goal)
+        model = fit(Snapshots(encoder(data.x), u, encoder(data.x_next)).centred(z_ref, np.zeros(u.shape[1])), _RIDGE)
+        first, rest = self._cost
+        Q = np.concatenate((first, np.full(len(z_ref) - len(first), rest)))
+        for each in (model, model.contracted()[1]):
+            try:
+                return {"lqr": LatentController(encoder, each, Q, np.ones(u.shape[1]), z_ref)}
+            except KoopmanError:
+                continue
+        raise KoopmanError("no regulator for the fitted model: give it more actions")
+
+    def arrays(self) -> Arrays:
+        """Return model, optimiser and replay."""
+        return {**state_arrays({"model": self._model}, {"optimizer": self._optimizer}), **self.replay.arrays()}
+
+    def restore(self, arrays: Arrays, /) -> None:
+        """Take what `arrays` gave."""
+        restore_state({"model": self._model}, {"optimizer": self._optimizer}, arrays)
+        self.replay.restore(arrays)
+
+
+HAND_TUNED = {
+    "cartpole_swingup": {
+        "Q1": ((84.12, 62.07, 65.79, 0.04, 0.04), 0.0),
+        "Q2": ((0.01, 10.0, 10.0, 0.01, 0.01), 0.0),
+        "Q3": ((10.0, 60.0, 60.0, 0.01, 0.01), 0.0),
+        "Q4": ((10.0, 60.0, 60.0, 10.0, 10.0), 0.1),
+    }
+}
+"""By task: of the observation's entries (position, cos, sin, speed, turn rate), and of all others (Table 4.2)."""

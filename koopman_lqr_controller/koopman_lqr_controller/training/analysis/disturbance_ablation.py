@@ -1,0 +1,97 @@
+"""Why a corridor's model does not predict better: the same starts under one hardship after the other.
+
+Each state is looked at twice, which tells what the sensor's noise alone makes any model miss; and the linear model that
+is fitted to the very steps tells what no linear model of these latents could have known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from koopman_lqr_controller.models.prediction import horizon_errors, law_error, linear_floor, noise_floor
+from koopman_lqr_controller.policies.closed_loop_model import LinearLoop
+from koopman_lqr_controller.training.analysis.policy_world import live
+from koopman_lqr_controller.training.environments.corridor import Conditions, Corridor, Vector
+
+HARDSHIPS: Mapping[str, Conditions] = {
+    "none": Conditions(noise=0.0),
+    "noise": Conditions(),
+    "noise and drop-out": Conditions(dropout=0.1),
+    "noise and delay": Conditions(delay=0.1),
+}
+_SEED = 8_000_000
+
+
+def prediction_limits(
+    loop: LinearLoop,
+    make: Callable[[Conditions], Corridor],
+    noises: Sequence[float],
+    episodes: int,
+    hardships: Mapping[str, Conditions] = HARDSHIPS,
+    tick: Callable[[str], None] = lambda _: None,
+) -> list[dict[str, Any]]:
+    """Return what a policy's model misses.
+
+    Args:
+        loop: the policy.
+        make: makes the corridor of a robot.
+        noises: in the actions, see `live`; judged apart, as how much changes in a step depends on them.
+        episodes: for each of them, the same starts under all hardships.
+        hardships: by name.
+        tick: told what is done.
+
+    Returns:
+        For each hardship and noise `name`, `noise`, `steps` and, all of them errors of one step over that of
+        persistence, `model`, `law` (see `law_error`), `linear_floor` and `noise_floor`.
+    """
+    out = []
+    for name, conditions in hardships.items():
+        corridor = _SeenTwice(make(conditions))
+        try:
+            for index, noise in enumerate(noises):
+                tick(f"hardship: {name}, noise {noise:g}")
+                first = _SEED + index * episodes
+                out.append({"name": name, "noise": noise, **_errors(loop, corridor, noise, first, episodes)})
+        finally:
+            corridor.close()
+    return out
+
+
+class _SeenTwice:
+    """A corridor that keeps a second look at each state of an episode, in `again`."""
+
+    def __init__(self, corridor: Corridor) -> None:
+        self._corridor = corridor
+        self.again: list[Vector] = []
+
+    def reset(self, *, seed: int) -> tuple[Vector, dict[str, Any]]:
+        out = self._corridor.reset(seed=seed)
+        self.again = [self._corridor.observe()]
+        return out
+
+    def step(self, action: Vector) -> tuple[Vector, float, bool, bool, dict[str, Any]]:
+        out = self._corridor.step(action)
+        self.again.append(self._corridor.observe())
+        return out
+
+    def close(self) -> None:
+        self._corridor.close()
+
+
+def _errors(loop: LinearLoop, corridor: _SeenTwice, noise: float, first: int, episodes: int) -> dict[str, float]:
+    z, again, u = [], [], []
+    for seed in range(first, first + episodes):
+        episode = live(loop, corridor, seed, noise)
+        z.append(loop.latent(episode.x))
+        again.append(loop.latent(np.array(corridor.again)))
+        u.append(episode.u)
+    return {
+        "steps": sum(len(each) for each in u),
+        "model": horizon_errors(loop.predict, z, u, 1)[0],
+        "law": law_error(loop.predict, loop.gain, z, u),
+        "linear_floor": linear_floor(z, u),
+        "noise_floor": noise_floor(z, again),
+    }

@@ -1,0 +1,109 @@
+"""The world a policy was made for, as its manifest names it, and episodes of the policy in it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from ctrl_rl_core.tasks.task import load_navigation_task, task_digest
+from numpy.typing import NDArray
+
+from koopman_lqr_controller.errors import KoopmanError
+from koopman_lqr_controller.policies.closed_loop_model import LinearLoop
+from koopman_lqr_controller.policies.edmd_policy import KoopmanPolicy
+from koopman_lqr_controller.policies.latent_policy import LatentPolicy, LidarWiring
+from koopman_lqr_controller.training.environments.corridor import Conditions, Corridor, Vector
+from koopman_lqr_controller.training.environments.problems import AnyEnvironment, problem_of
+
+Array = NDArray[np.float64]
+_CORRIDOR = "curved_corridor"
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """What was seen and done.
+
+    Attributes:
+        x: observations (T + 1, *shape).
+        u: the model's controls (T, m).
+        rewards: (T,); none where nobody pays.
+        info: the environment's last word.
+    """
+
+    x: NDArray[Any]
+    u: Array
+    rewards: Array
+    info: Mapping[str, Any]
+
+
+class LiftedCorridor(Corridor):
+    """The corridor as a two-stage policy sees it: observations are Psi, actions span the policy's own limits.
+
+    Raises:
+        KoopmanError: the task is no longer as it was when the policy was made.
+    """
+
+    def __init__(self, policy: KoopmanPolicy, conditions: Conditions | None = None) -> None:
+        known = task_digest(load_navigation_task(_CORRIDOR))
+        if policy.manifest.get("task_digest", known) != known:
+            raise KoopmanError(f"task {_CORRIDOR} is another one than when the policy was made: train it again")
+        self._policy = policy
+        super().__init__(learning=False, conditions=conditions)
+        self.wiring = LidarWiring(self.wiring.observation, policy.u_low, policy.u_high)
+
+    def observe(self) -> Vector:
+        """Return Psi of the state as it is, see `Corridor.observe`."""
+        return self._policy.observables.observe(*self.scan(), *self.speeds()).astype(np.float32)
+
+
+def make_world(policy: KoopmanPolicy | Any) -> AnyEnvironment:
+    """Return the environment that a policy is of.
+
+    Raises:
+        KoopmanError: its manifest names none that there is.
+        ModuleNotFoundError: a simulator is not installed.
+    """
+    task = str(policy.manifest.get("task"))
+    if isinstance(policy, KoopmanPolicy):
+        if task != _CORRIDOR:
+            raise KoopmanError(f"there is no environment for the task {task}")
+        return LiftedCorridor(policy)
+    return problem_of(policy.manifest).make(False)
+
+
+def make_corridor(policy: KoopmanPolicy | LatentPolicy, conditions: Conditions) -> Corridor:
+    """Return the corridor of a policy's task, with a robot of such conditions.
+
+    Raises:
+        KoopmanError: the task has no corridor.
+        ModuleNotFoundError: a simulator is not installed.
+    """
+    if isinstance(policy, KoopmanPolicy):
+        return LiftedCorridor(policy, conditions)
+    return Corridor(False, conditions, problem_of(policy.manifest).task)
+
+
+def live(loop: LinearLoop, environment: AnyEnvironment, seed: int, noise: float = 0.0) -> Trajectory:
+    """Return one episode's trajectory.
+
+    Args:
+        loop: what acts.
+        environment: where.
+        seed: of the episode and of the noise.
+        noise: standard deviation of what is added to the action, which spans -1 to 1: it excites the model.
+    """
+    random = np.random.default_rng(seed)
+    x, info = environment.reset(seed=seed)
+    seen, done, paid, over = [x], [], [], False
+    half = 0.5 * (loop.high - loop.low)
+    while not over:
+        u = loop.control(loop.latent(x))
+        u = np.clip(u + noise * half * random.standard_normal(u.shape), loop.low, loop.high)
+        x, reward, terminated, truncated, info = environment.step(loop.action(u).astype(np.float32))
+        seen.append(x)
+        done.append(u)
+        paid.append(float(reward))
+        over = terminated or truncated
+    return Trajectory(np.array(seen), np.array(done), np.array(paid), info)

@@ -1,0 +1,105 @@
+"""The true system behind a policy: its linearisation, without and with the policy in the loop (thesis Fig. 4.6)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from koopman_lqr_controller.control.linear_analysis import Poles, jacobian, linearise, poles
+from koopman_lqr_controller.policies.edmd_policy import DrivingPolicy
+from koopman_lqr_controller.policies.latent_policy import LatentPolicy
+from koopman_lqr_controller.training.analysis.straight_corridor import StraightCorridor
+from koopman_lqr_controller.training.environments.control_suite import ControlSuite
+
+Array = NDArray[np.float64]
+Step = Callable[[Array], Array]
+
+_SETTLING = 400
+"""Steps in which a closed loop must come to rest."""
+_AT_REST = 1e-4
+"""A state that changes by less in a step is at rest; encoders are of single precision."""
+_CLOSED_SIZE = 2e-3
+"""Differences of the closed loop: large against the encoder's rounding, small against what is nonlinear."""
+_RESTLESS = "With the policy the real system does not come to rest within the steps that were tried."
+_PICTURES = "With the policy there are none: it sees pictures, and small differences of a state change no pixel."
+
+
+@dataclass(frozen=True)
+class TrueSystem:
+    """A linearisation.
+
+    Attributes:
+        about: what it is of.
+        open_poles: without the policy (n,).
+        closed_poles: with it, around where it comes to rest (n,); None where there are none.
+        rest: that state (n,); None where there is none.
+        why: there are none with it, in a sentence; empty where there are.
+    """
+
+    about: str
+    open_poles: Poles
+    closed_poles: Poles | None
+    rest: Array | None
+    why: str = ""
+
+
+def suite_system(environment: ControlSuite, goal: Array, policy: LatentPolicy) -> TrueSystem:
+    """Return the linearisation of a task of the control suite at its goal, and with a policy that sees states.
+
+    Args:
+        environment: the task.
+        goal: positions and velocities (n,); an equilibrium.
+        policy: that acts.
+    """
+
+    def held(state: Array, action: Array) -> Array:
+        environment.place(state)
+        environment.step(action.astype(np.float32))
+        return environment.state
+
+    def closed(state: Array) -> Array:
+        action = policy.controller.action(environment.place(state))
+        environment.step(action.astype(np.float32))
+        return environment.state
+
+    controls = np.zeros(len(policy.controller.R))
+    about, found = "the simulated system at its goal", linearise(held, goal, controls, 1e-6)
+    if len(policy.controller.encoder.shape) > 1:
+        return TrueSystem(about, poles(found.A), None, None, _PICTURES)
+    return _with_loop(about, poles(found.A), closed, goal)
+
+
+def corridor_system(policy: DrivingPolicy, width: float, dt: float, speed: float) -> TrueSystem:
+    """Return the linearisation of a unicycle with a lidar in the middle of a straight corridor.
+
+    Args:
+        policy: that drives.
+        width: of the corridor [m].
+        dt: for which a command is held [s].
+        speed: of the linearisation without the policy [m/s].
+    """
+    corridor = StraightCorridor(width, dt)
+
+    def closed(state: Array) -> Array:
+        scan = corridor.scan(state)
+        return corridor.step(state, policy.decide(scan, corridor.geometry, state[2], state[3]).command)
+
+    middle = np.array([0.0, 0.0, speed, 0.0])
+    found = linearise(corridor.step, middle, middle[2:])
+    return _with_loop(f"a unicycle in the middle of a straight corridor of {width:g} m", poles(found.A), closed, middle)
+
+
+def _with_loop(about: str, open_poles: Poles, closed: Step, begin: Array) -> TrueSystem:
+    state = begin
+    for _ in range(_SETTLING):
+        after = closed(state)
+        moved, state = float(np.abs(after - state).max()), after
+        if moved < _AT_REST:
+            break
+    else:
+        return TrueSystem(about, open_poles, None, None, _RESTLESS)
+    found = jacobian(lambda states: np.array([closed(each) for each in states]), state, _CLOSED_SIZE)
+    return TrueSystem(about, open_poles, poles(found), state)

@@ -1,0 +1,1 @@
+"""Consolidation: a learnt controller becomes the LQR of its own model."""

@@ -1,0 +1,247 @@
+"""Coordinates in which a learnt policy is the LQR of a model that predicts (beyond the thesis).
+
+What learning leaves acts well, but its A and B serve the gain more than the prediction, and no linear model of its
+latents predicts much better. So a small network phi takes its features psi(x) on to fewer, new coordinates z, and is
+trained together with A, B, a drift, Q and R, by recorded steps alone, that
+
+- the infinite-horizon LQR of A, B, Q, R does what the learnt policy did (inverse LQR, through the Riccati equation);
+- the model predicts the next few z under the actions that were done, and what the law will ask for of the next one.
+
+Both errors of prediction are over that of "nothing changes", so that small latents are no way out; the second is the
+same in all coordinates, so that one that is easy to predict cannot make up for those that the law looks at. Both are so
+for quiet and for noisy episodes apart: beside what noise moves, errors would pass unnoticed where little moves, as on a
+robot that drives.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from koopman_lqr_controller.control.latent_controller import LatentController
+from koopman_lqr_controller.data.roll_outs import Episode
+from koopman_lqr_controller.errors import KoopmanError
+from koopman_lqr_controller.identification.regulators import reference_inside
+from koopman_lqr_controller.models.edmd import LinearModel
+from koopman_lqr_controller.models.encoder import Dense, Encoder
+from koopman_lqr_controller.training.networks.differentiable_lqr import LatentLqr, doubled_gain
+from koopman_lqr_controller.training.networks.networks import dense, deploy_layers
+
+Array = NDArray[np.float64]
+
+_BOUND = 1.1
+"""Of what the law asks for: beyond it all actions are the same, up to a leak that leads back."""
+_LEAK = 0.01
+_LEAST = 1e-6
+"""Added to mean squares that are divided by."""
+_LARGEST_GRADIENT = 1.0
+"""Of what the gain depends on: near models that cannot be stabilised it has no bounds."""
+
+
+@dataclass(frozen=True)
+class DistillationSettings:
+    """How is trained.
+
+    Attributes:
+        hidden: units of phi's hidden layer.
+        updates: how many.
+        batch: stretches of an episode in one.
+        steps: that are predicted in each.
+        learning_rate: largest one; it rises at first and then falls to nothing.
+        model_weight: of the error of z.
+        law_weight: of the error of what the law asks for.
+        groups: of episodes by their noise, as many steps in each, that count the same for both.
+    """
+
+    hidden: int = 256
+    updates: int = 3000
+    batch: int = 256
+    steps: int = 3
+    learning_rate: float = 3e-3
+    model_weight: float = 0.3
+    law_weight: float = 1.0
+    groups: int = 3
+
+    def with_prediction(self, share: float) -> DistillationSettings:
+        """Return the same with less weight on what is predicted."""
+        return replace(self, model_weight=share * self.model_weight, law_weight=share * self.law_weight)
+
+
+@dataclass(frozen=True)
+class Distilled:
+    """A regulator in coordinates of its own, as a policy over the features of the learnt encoder.
+
+    Attributes:
+        encoder: psi, the learnt one.
+        coordinates: phi.
+        controller: of the infinite horizon, with phi after psi as its encoder.
+    """
+
+    encoder: Encoder
+    coordinates: Encoder
+    controller: LatentController
+
+    def project(self, z: Array, /) -> Array:
+        """Return phi of features."""
+        return self.coordinates(z)
+
+    def control(self, z: Array, /) -> Array:
+        """Return u."""
+        return self.controller.control(z)
+
+    def saturate(self, u: Array, /) -> Array:
+        """Return the action that stands for u."""
+        return self.controller.saturate(u)
+
+
+def distil(
+    learnt: LatentController,
+    episodes: Sequence[Episode],
+    latent: int,
+    goal: bool,
+    settings: DistillationSettings | None = None,
+    seed: int = 0,
+) -> Distilled:
+    """Return the regulator that does what a learnt controller does.
+
+    Args:
+        learnt: the controller.
+        episodes: what it or others did, with its features; it says what it would have done.
+        latent: how many coordinates.
+        goal: whether its z_ref is a goal; else the middle of what is met takes its place.
+        settings: how; the defaults where left out.
+        seed: of weights and batches.
+
+    Raises:
+        KoopmanError: no episode is as long as a stretch, or no regulator was found.
+    """
+    settings = settings or DistillationSettings()
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        training = _Training(_Data.of(learnt, episodes, settings.steps, settings.groups), latent, settings)
+        for _ in range(settings.updates):
+            training.update()
+    return training.deploy(learnt, episodes, goal)
+
+
+@dataclass(frozen=True)
+class _Data:
+    """Stretches of episodes: features (N, steps + 1, n), actions done and wanted (N, steps + 1, m), one more of these.
+
+    Attributes:
+        psi: features.
+        done: actions, all but the last one.
+        wanted: what the learnt policy would have done.
+        groups: one column for each level of noise that they are counted by, 1 in one of them (N, groups).
+    """
+
+    psi: Tensor
+    done: Tensor
+    wanted: Tensor
+    groups: Tensor
+
+    @classmethod
+    def of(cls, learnt: LatentController, episodes: Sequence[Episode], steps: int, groups: int) -> _Data:
+        stretches = [
+            (episode.features[first : first + steps + 1], episode.actions[first : first + steps], episode.noise)
+            for episode in episodes
+            for first in range(len(episode.actions) - steps + 1)
+        ]
+        if not stretches:
+            raise KoopmanError(f"no episode has {steps} steps: nothing to learn to predict from")
+        psi, done, noise = (np.stack(part) for part in zip(*stretches, strict=True))
+        wanted = learnt.saturate(learnt.control(psi))
+        level = np.digitize(noise, np.quantile(noise, np.linspace(0.0, 1.0, groups + 1)[1:-1]))
+        belongs = level[:, None] == np.unique(level)
+        return cls(*(torch.from_numpy(part.astype(np.float32)) for part in (psi, done, wanted, belongs)))
+
+
+class _Training:
+    """Under way."""
+
+    def __init__(self, data: _Data, latent: int, settings: DistillationSettings) -> None:
+        self._data, self._settings = data, settings
+        features, controls = data.psi.shape[-1], data.done.shape[-1]
+        flat = data.psi.reshape(-1, features)
+        self._middle, self._unit = flat.mean(dim=0), flat.std() + _LEAST
+        self._scale = data.wanted.reshape(-1, controls).var(dim=0).sum() + _LEAST
+        self._phi = nn.Sequential(*dense(features, settings.hidden, 1), nn.Linear(settings.hidden, latent))
+        self._lqr = LatentLqr(latent, controls, 0)
+        self._drift, self._offset = nn.Parameter(torch.zeros(latent)), nn.Parameter(torch.zeros(controls))
+        self._linear = [*self._lqr.parameters(), self._drift, self._offset]
+        parameters = [*self._phi.parameters(), *self._linear]
+        self._optimizer = torch.optim.Adam(parameters, lr=settings.learning_rate, fused=True)
+        self._schedule = torch.optim.lr_scheduler.OneCycleLR(
+            self._optimizer, settings.learning_rate, total_steps=settings.updates
+        )
+
+    def update(self) -> None:
+        """Learn from one batch."""
+        data, settings = self._data, self._settings
+        rows = torch.randint(len(data.psi), (settings.batch,))
+        z = self._phi((data.psi[rows] - self._middle) / self._unit)
+        K = self._gain()
+        u = self._offset - z @ K.T
+        bounded = u.clamp(-_BOUND, _BOUND)
+        bounded = bounded + _LEAK * (u - bounded)
+        loss = (bounded - data.wanted[rows]).square().sum(dim=-1).mean() / self._scale
+        loss = loss + self._prediction_loss(z, u, K, data.done[rows], data.groups[rows])
+        self._optimizer.zero_grad()
+        torch.autograd.backward(loss)
+        nn.utils.clip_grad_norm_(self._linear, _LARGEST_GRADIENT)
+        self._optimizer.step()
+        self._schedule.step()
+
+    def _prediction_loss(self, z: Tensor, u: Tensor, K: Tensor, done: Tensor, groups: Tensor) -> Tensor:
+        """Return the weighted errors of z after each step and of u after one, over those of "nothing changes"."""
+        ahead, loss, steps = z[:, 0], torch.zeros(()), done.shape[1]
+        for step in range(steps):
+            ahead = self._lqr.predict(ahead, done[:, step]) + self._drift
+            missed = _over(ahead - z[:, step + 1], z[:, step + 1] - z[:, 0], groups)
+            loss = loss + self._settings.model_weight * missed / steps
+            if step == 0:
+                asked = self._offset - ahead @ K.T
+                loss = loss + self._settings.law_weight * _over(asked - u[:, 1], u[:, 1] - u[:, 0], groups)
+        return loss
+
+    def _gain(self) -> Tensor:
+        lqr = self._lqr
+        return doubled_gain(lqr.A, lqr.B, lqr.log_Q.exp(), lqr.log_R.exp())
+
+    def deploy(self, learnt: LatentController, episodes: Sequence[Episode], goal: bool) -> Distilled:
+        """Return what was found, without torch.
+
+        Raises:
+            KoopmanError: it is not finite, or has no regulator.
+        """
+        first, *others = deploy_layers(self._phi)
+        assert isinstance(first, Dense)
+        weight = first.weight / float(self._unit)
+        first = Dense(weight, first.bias - weight @ self._middle.numpy(), first.rectified)
+        size = weight.shape[1]
+        phi = Encoder((first, *others), (size,), np.zeros(size, np.float32), np.ones(size, np.float32))
+
+        lqr = self._lqr
+        tensors = (lqr.A, lqr.B, lqr.log_Q.exp(), lqr.log_R.exp(), self._drift, self._offset, self._gain())
+        A, B, Q, R, drift, offset, K = (tensor.detach().numpy().astype(np.float64) for tensor in tensors)
+        z = phi(np.concatenate([episode.features for episode in episodes]))
+        z_ref = phi(learnt.z_ref) if goal else z.mean(axis=0)
+        z_ref, a_ref = reference_inside(z_ref, offset - K @ z_ref, K, np.cov(z.T).reshape(len(Q), len(Q)))
+        encoder = learnt.encoder.followed_by(phi.layers)
+        drift = drift + A @ z_ref + B @ a_ref - z_ref  # of deviations from the reference
+        return Distilled(
+            learnt.encoder,
+            phi,
+            LatentController(encoder, LinearModel(A, B), Q, R, z_ref, a_ref=a_ref, drift=drift),
+        )
+
+
+def _over(missed: Tensor, moved: Tensor, groups: Tensor) -> Tensor:
+    """Return a sum of squares over another, the mean of those of all groups."""
+    above, below = (groups.T @ part.square().sum(dim=1) for part in (missed, moved))
+    return (above / (below + _LEAST)).mean()

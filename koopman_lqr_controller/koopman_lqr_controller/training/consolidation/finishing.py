@@ -1,0 +1,62 @@
+"""What follows learning: the consolidated policy beside the learnt one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from koopman_lqr_controller.data.roll_outs import Environment, Episode
+from koopman_lqr_controller.errors import KoopmanError
+from koopman_lqr_controller.policies.latent_policy import LatentPolicy
+from koopman_lqr_controller.policies.policy_file import digest, load_policy
+from koopman_lqr_controller.training.consolidation.consolidation import Plan, consolidate
+from koopman_lqr_controller.training.environments.problems import Problem
+
+
+def consolidate_policy(
+    file: Path,
+    problem: Problem,
+    environment: Environment,
+    plan: Plan | None = None,
+    command: str = "",
+    seed: int = 0,
+    tick: Callable[[str], None] = lambda _: None,
+    reported: Sequence[Episode] | None = None,
+) -> tuple[LatentPolicy, dict[str, Any]]:
+    """Return the consolidated form of a learnt policy, and its figures.
+
+    Args:
+        file: of the learnt policy.
+        problem: that it was learnt in.
+        environment: of the problem, to evaluate in.
+        plan: how.
+        command: that is noted in the policy; the learnt one's where it is left out.
+        seed: of all episodes.
+        tick: see `consolidate`.
+        reported: see `consolidate`.
+
+    Raises:
+        KoopmanError: the file holds no learnt policy, or there is no regulator.
+    """
+    learnt = load_latent(file)
+    found = consolidate(learnt.controller, environment, plan, problem.goal is not None, seed, tick, reported)
+    manifest = {
+        **{name: value for name, value in learnt.manifest.items() if name not in ("returns", "outcomes")},
+        "consolidated_from": digest(file),
+        "command": command or learnt.manifest.get("command", ""),
+        **found.figures,
+    }
+    return LatentPolicy(found.controller, learnt.dt, learnt.wiring, manifest, found.region), found.figures
+
+
+def load_latent(file: Path) -> LatentPolicy:
+    """Return a learnt policy.
+
+    Raises:
+        KoopmanError: the file cannot be read, or its policy is of another kind.
+    """
+    policy = load_policy(file)
+    if not isinstance(policy, LatentPolicy):
+        raise KoopmanError(f"{file}: is a policy of fixed observables; this needs one that `learn` made")
+    return policy

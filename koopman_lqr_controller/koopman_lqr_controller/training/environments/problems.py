@@ -1,0 +1,191 @@
+"""What can be learnt: environments, the numbers that suit them, and what the thesis reached. Imports no torch."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from ctrl_rl_core.tasks.task import load_navigation_task, task_digest
+
+from koopman_lqr_controller.errors import KoopmanError
+from koopman_lqr_controller.training.settings import Settings
+
+AnyEnvironment = Any
+"""A gymnasium.Env: its package is imported when one is made."""
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A task to learn.
+
+    Attributes:
+        name: of it.
+        about: in a line.
+        make: makes an environment, to learn in (True) or to evaluate in (False).
+        settings: that suit it.
+        repeat: steps of the simulated system for one action.
+        chunk: actions between two evaluations, whole episodes where these have one length.
+        chunks: how many, unless asked otherwise.
+        evaluations: episodes of an evaluation.
+        chunk_episodes: that end a chunk before its actions do; 0 for any number.
+        episodes: largest number to learn from, those that end with a chunk included; 0 for any.
+        patience: chunks without a new best after which learning ends; 0 for any.
+        goal: observation of the goal; None for z_ref = 0.
+        middle: of the observation, becomes 0 in the encoder.
+        unit: becomes 1 above it.
+        thesis: return that the thesis reached; None where it names none.
+        task: with a corridor, its name or file; empty for tasks of other kinds.
+        version: of the environment's own code, what it shows and pays; a new one for each change of it.
+    """
+
+    name: str
+    about: str
+    make: Callable[[bool], AnyEnvironment]
+    settings: Settings
+    repeat: int
+    chunk: int
+    chunks: int
+    evaluations: int = 5
+    chunk_episodes: int = 0
+    episodes: int = 0
+    patience: int = 0
+    goal: tuple[float, ...] | None = None
+    middle: float = 0.0
+    unit: float = 1.0
+    thesis: float | None = None
+    task: str = ""
+    version: int = 1
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of what defines the task, however long it is learnt (hex)."""
+        task = task_digest(load_navigation_task(self.task)) if self.task else None
+        parts = [Path(self.name).stem, self.version, self.repeat, self.goal, self.middle, self.unit, task]
+        return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
+
+    def with_settings(self, **changes: Any) -> Problem:
+        """Return the same task with other numbers.
+
+        Raises:
+            KoopmanError: there is no such number, or it is out of range.
+        """
+        try:
+            settings = replace(self.settings, **changes)
+        except TypeError:
+            unknown = set(changes) - set(self.settings.as_json())
+            known = ", ".join(self.settings.as_json())
+            raise KoopmanError(f"no setting {', '.join(sorted(unknown))}: there are {known}") from None
+        if bool(settings.crop) != bool(self.settings.crop):
+            must = "positive, this task shows pictures" if self.settings.crop else "0, this task shows none"
+            raise KoopmanError(f"crop is {settings.crop}: must be {must}")
+        return replace(self, settings=settings)
+
+
+def find_problem(name: str) -> Problem:
+    """Return a problem by name, or that of driving through the corridor of a task's .yaml file.
+
+    Raises:
+        KoopmanError: there is none of that name, or the file's task has no corridor.
+        TaskError: the file is no task.
+    """
+    if name in PROBLEMS:
+        return PROBLEMS[name]
+    if not name.endswith(".yaml"):
+        raise KoopmanError(f"no task '{name}': there are {', '.join(PROBLEMS)}, or a .yaml file with a corridor")
+    if load_navigation_task(name).corridor is None:
+        raise KoopmanError(f"{name}: has no corridor to learn to drive through")
+    about = "the corridor of a task file"
+    return replace(PROBLEMS["curved_corridor"], name=name, about=about, make=_corridor(name), task=name)
+
+
+def problem_of(manifest: Mapping[str, Any]) -> Problem:
+    """Return the problem that a policy's manifest names.
+
+    Raises:
+        KoopmanError: there is none, or it is no longer as it was when the policy was made.
+        TaskError: the task's file is no task.
+    """
+    name = str(manifest.get("task"))
+    problem = find_problem(name)
+    if manifest.get("task_digest", problem.digest) != problem.digest:
+        raise KoopmanError(f"task {name} is another one than when the policy was made: learn it again")
+    return problem
+
+
+def _suite(domain: str, task: str, repeat: int, pixels: int = 0) -> Callable[[bool], AnyEnvironment]:
+    def make(_: bool) -> AnyEnvironment:
+        from koopman_lqr_controller.training.environments.control_suite import ControlSuite
+
+        return ControlSuite(domain, task, repeat, pixels)
+
+    return make
+
+
+def _corridor(task: str) -> Callable[[bool], AnyEnvironment]:
+    def make(learning: bool) -> AnyEnvironment:
+        from koopman_lqr_controller.training.environments.corridor import Corridor
+
+        return Corridor(learning, task=task)
+
+    return make
+
+
+_ALL = (
+    Problem(
+        name="cartpole_swingup",
+        about="DeepMind control suite: swing a pole up and hold it, from position and velocity",
+        make=_suite("cartpole", "swingup", 8),
+        settings=Settings(bfloat16="all"),
+        repeat=8,
+        chunk=500,
+        chunks=48,
+        patience=16,
+        goal=(0.0, 1.0, 0.0, 0.0, 0.0),
+        thesis=846.88,
+    ),
+    Problem(
+        name="cartpole_swingup_pixels",
+        about="the same from three grey pictures",
+        make=_suite("cartpole", "swingup", 8, 72),
+        settings=Settings(depth=4, crop=64, batch=128, learning_rate=1e-3, bfloat16="all"),
+        repeat=8,
+        chunk=1000,
+        chunks=40,
+        patience=15,
+        middle=127.5,
+        unit=127.5,
+        thesis=873.0,
+    ),
+    Problem(
+        name="cheetah_run",
+        about="DeepMind control suite: a planar cheetah runs",
+        make=_suite("cheetah", "run", 4),
+        settings=Settings(learning_rate=3e-4, discount=0.98, critic_rate=0.02, bfloat16="all"),
+        repeat=4,
+        chunk=2500,
+        chunks=35,
+        patience=15,
+        evaluations=6,
+        thesis=464.0,
+    ),
+    Problem(
+        name="curved_corridor",
+        about="a simulated TurtleBot3 drives along a narrow curved path, from lidar and odometry",
+        make=_corridor("curved_corridor"),
+        task="curved_corridor",
+        settings=Settings(latent=32, hidden=128, batch=128, first_steps=200, discount=0.97, updates=2),
+        repeat=1,
+        chunk=1400,
+        chunks=20,
+        evaluations=3,
+        chunk_episodes=2,
+        episodes=40,
+        version=3,
+    ),
+)
+PROBLEMS = {problem.name: problem for problem in _ALL}
+"""By name. The corridor is learnt from 40 episodes, as many as in the thesis, of at most 700 steps."""

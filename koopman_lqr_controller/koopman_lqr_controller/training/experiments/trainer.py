@@ -1,0 +1,296 @@
+"""What a run goes through, whatever learns: chunks of interaction, evaluations, and the best policy kept."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from ctrl_rl_core.io.schema import Schema
+from ctrl_rl_training.experiments.resumable import Point
+from ctrl_rl_training.io.array_file import load_arrays, save_arrays
+from ctrl_rl_training.io.learner_state import Arrays
+from pydantic import ConfigDict, Field
+
+from koopman_lqr_controller.control.latent_controller import LatentController
+from koopman_lqr_controller.data.roll_outs import Episode, evaluate, interaction, mean_return, outcomes, projected
+from koopman_lqr_controller.models.prediction import horizon_errors, squared_error
+from koopman_lqr_controller.policies.latent_policy import LatentPolicy
+from koopman_lqr_controller.policies.policy_file import digest, save_policy
+from koopman_lqr_controller.safety.latent_distribution import Region, region_of
+from koopman_lqr_controller.training.agents.network_policy import NetworkPolicy
+from koopman_lqr_controller.training.consolidation.consolidation import REPORT_SEED, Plan
+from koopman_lqr_controller.training.consolidation.finishing import consolidate_policy, load_latent
+from koopman_lqr_controller.training.environments.problems import AnyEnvironment, Problem
+from koopman_lqr_controller.training.replay import Replay
+
+POLICY_FILE = "policy.safetensors"
+"""The best policy so far, in the folder of a run."""
+CONSOLIDATED_FILE = "consolidated.safetensors"
+"""What is deployed, in the folder of a run."""
+_EVALUATION_SEED = 1_000_000
+_MOST_FOR_REGION = 10_000
+"""Steps that are enough to say what learning saw."""
+
+
+class _Best(Schema):
+    """The best policy so far, as a checkpoint says it."""
+
+    model_config = ConfigDict(extra="allow", allow_inf_nan=True)
+
+    returned: float = Field(alias="return")
+    actions: int
+    kind: str | None = None
+
+
+class _Point(Schema):
+    """What learning goes on from of a chunk, see `Course.iterate`."""
+
+    model_config = ConfigDict(extra="allow", allow_inf_nan=True)
+
+    actions: int
+    episodes: int
+    best_actions: int
+
+
+@dataclass(frozen=True)
+class LearningOptions:
+    """How runs go.
+
+    Attributes:
+        folder: where each has a folder of its own.
+        iterations: chunks, at most.
+        samples: actions of a chunk.
+        evaluations: episodes after each chunk, for each candidate.
+        final_evaluations: fresh episodes at the end.
+    """
+
+    folder: Path
+    iterations: int
+    samples: int
+    evaluations: int = 5
+    final_evaluations: int = 20
+
+
+class Learner(Protocol):
+    """What learns from interaction."""
+
+    method: str
+
+    @property
+    def replay(self) -> Replay | None:
+        """What it has met; None where a library keeps that for itself."""
+
+    def learn(self, chunk: int, done: int, actions: int, episodes: int) -> tuple[int, int]:
+        """Act and learn.
+
+        Args:
+            chunk: its number: with the seed it decides all that is random.
+            done: actions before it.
+            actions: to do.
+            episodes: to end with; 0 for any number.
+
+        Returns:
+            Actions done and episodes begun.
+        """
+
+    def candidates(self) -> Mapping[str, LatentController | NetworkPolicy]:
+        """Return what may be deployed now, by name; the first is what curves show."""
+
+    def arrays(self) -> Arrays:
+        """Return what it goes on from."""
+
+    def restore(self, arrays: Arrays, /) -> None:
+        """Take what `arrays` gave."""
+
+
+class Course:
+    """A learner as `resumable` wants it.
+
+    Args:
+        learner: learns.
+        problem: that is learnt.
+        tested: environment to evaluate in.
+        options: how.
+        folder: of the run.
+        manifest: what policies say of themselves.
+        plan: of consolidation, None for none.
+        tell: told how many chunks are done, and what is done now, when that is no chunk.
+    """
+
+    def __init__(
+        self,
+        learner: Learner,
+        problem: Problem,
+        tested: AnyEnvironment,
+        options: LearningOptions,
+        folder: Path,
+        manifest: Mapping[str, Any],
+        plan: Plan | None,
+        tell: Callable[[int, str], None] = lambda *_: None,
+    ) -> None:
+        self._learner, self._problem, self._tested = learner, problem, tested
+        self._options, self._folder, self._plan, self._tell = options, folder, plan, tell
+        self._manifest = {**manifest, "method": learner.method}
+        self._best: dict[str, Any] = {"return": -float("inf"), "actions": 0}
+        self._curve: Sequence[Point] = ()
+
+    def iterate(self, curve: Sequence[Point], /) -> Point:
+        """Learn for one chunk, evaluate the candidates, and keep the best of them all.
+
+        Returns:
+            `actions` and `episodes` so far, `steps` of the system, `returns` and `model_errors` of the candidates (see
+            `model_errors`), `best` return so far and its `best_actions`, and what it took to find out: `evaluated`.
+        """
+        before = curve[-1] if curve else {"actions": 0, "episodes": 0}
+        problem = self._problem
+        left = problem.episodes - before["episodes"] if problem.episodes else 0
+        most = min(filter(None, (left, problem.chunk_episodes)), default=0)
+        actions, episodes = self._learner.learn(len(curve), before["actions"], self._options.samples, most)
+        done = before["actions"] + actions
+        returns, errors, evaluated = self._evaluate(done)
+        return {
+            "actions": done,
+            "episodes": before["episodes"] + episodes,
+            "steps": done * problem.repeat,
+            "returns": returns,
+            "model_errors": errors,
+            "best": self._best["return"],
+            "best_actions": self._best["actions"],
+            "evaluated": interaction(evaluated),
+        }
+
+    def _evaluate(self, actions: int) -> tuple[dict[str, float], dict[str, float], list[Episode]]:
+        """Return returns and model errors of the candidates, and the episodes that this took."""
+        returns: dict[str, float] = {}
+        errors: dict[str, float] = {}
+        everything: list[Episode] = []
+        for name, controller in self._learner.candidates().items():
+            episodes = evaluate(controller, self._tested, self._options.evaluations, _EVALUATION_SEED, keep=True)
+            everything += episodes
+            returns[name] = mean_return(episodes)
+            if isinstance(controller, LatentController):
+                errors[name] = model_errors(controller, episodes)["model_error"]
+            if returns[name] > self._best["return"]:
+                self._best = {
+                    "return": returns[name],
+                    "actions": actions,
+                    "which": name,
+                    "kind": type(controller).__name__,
+                }
+                self._write(controller, {**self._manifest, **self._best})
+        return returns, errors, everything
+
+    def _write(
+        self,
+        controller: LatentController | NetworkPolicy,
+        manifest: Mapping[str, Any],
+        region: Region | None = None,
+    ) -> None:
+        file = self._folder / POLICY_FILE
+        if isinstance(controller, NetworkPolicy):
+            replace(controller, manifest=manifest).save(file)
+        else:
+            wiring = getattr(self._tested, "wiring", None)
+            save_policy(LatentPolicy(controller, self._tested.dt, wiring, manifest, region), file, overwrite=True)
+
+    def _read(self) -> tuple[LatentController | NetworkPolicy, Mapping[str, Any]]:
+        """Return the best policy so far and its manifest."""
+        file = self._folder / POLICY_FILE
+        if self._best["kind"] == NetworkPolicy.__name__:
+            network = NetworkPolicy.load(file)
+            return network, network.manifest
+        policy = load_latent(file)
+        return policy.controller, policy.manifest
+
+    def save(self, path: Path, progress: Mapping[str, Any], /) -> None:
+        """Write a checkpoint."""
+        self._curve = progress["curve"]
+        save_arrays(path, self._learner.arrays(), {**progress, "best": self._best})
+
+    def load(self, path: Path, /) -> dict[str, Any]:
+        """Go on from a checkpoint and return its progress."""
+        arrays, progress = load_arrays(path)
+        self._learner.restore(arrays)
+        best, self._curve = progress.pop("best"), progress["curve"]
+        self._best = _Best.model_validate(best).model_dump(by_alias=True, exclude_unset=True)
+        for point in self._curve:
+            _Point.model_validate(point)
+        return progress
+
+    def finish(self, folder: Path, /) -> dict[str, Any]:
+        """Evaluate the best policy on fresh episodes, and consolidate it where that is wanted.
+
+        Returns:
+            `best` (return, actions, which candidate), `interaction` (episodes and actions that were learnt from, and
+            those that the best was chosen by), of fresh episodes `returns`, `outcomes` and, where there is a model,
+            what `model_errors` says, `consolidated` (the figures of `Consolidated`, or None) and `digests` of the
+            policies.
+        """
+        file, files, consolidated = folder / POLICY_FILE, [POLICY_FILE], None
+        controller, manifest = self._read()
+        self._tick("fresh episodes")
+        fresh = evaluate(controller, self._tested, self._options.final_evaluations, REPORT_SEED, keep=True)
+        last: dict[str, Any] = {"returns": [episode.total for episode in fresh], "outcomes": outcomes(fresh)}
+        self._write(controller, {**manifest, **last}, self._region(controller))
+        if isinstance(controller, LatentController):
+            last |= model_errors(controller, fresh)
+            if self._plan is not None and controller.horizon is not None:
+                found, consolidated = consolidate_policy(
+                    file,
+                    self._problem,
+                    self._tested,
+                    self._plan,
+                    tick=lambda what: self._tick(f"consolidating, {what}"),
+                    reported=fresh,
+                )
+                save_policy(found, folder / CONSOLIDATED_FILE, overwrite=True)
+                files.append(CONSOLIDATED_FILE)
+        tested = [point["evaluated"] for point in self._curve]
+        learning = {name: self._curve[-1][name] for name in ("episodes", "actions")}
+        choosing = {name: sum(each[name] for each in tested) for name in ("episodes", "actions")}
+        return {
+            "best": self._best,
+            "interaction": {"learning": learning, "choosing": choosing},
+            **last,
+            "consolidated": consolidated,
+            "digests": {name: digest(folder / name) for name in files},
+        }
+
+    def _tick(self, what: str) -> None:
+        self._tell(len(self._curve), what)
+
+    def _region(self, controller: LatentController | NetworkPolicy) -> Region | None:
+        """Return what learning saw, as a policy sees it now; None of pictures, and where nothing is latent."""
+        replay = self._learner.replay
+        if replay is None or self._problem.settings.crop or not isinstance(controller, LatentController):
+            return None
+        steps = replay.draw(_MOST_FOR_REGION, np.random.default_rng(0))
+        z, z_next = controller.latent(steps.x), controller.latent(steps.x_next)
+        predicted = controller.predict(z, steps.u.astype(np.float64))
+        return region_of(z, np.linalg.norm(z_next - predicted, axis=1))
+
+
+def model_errors(controller: LatentController, episodes: Sequence[Episode]) -> dict[str, float]:
+    """Return the one-step errors of a model on episodes without noise.
+
+    Returns:
+        `model_error`, the mean square over all latent components, and `error_over_persistence`, see `horizon_errors`.
+    """
+    z, actions = projected(controller.project, episodes)
+    return {
+        "model_error": squared_error(controller.predict, z, actions),
+        "error_over_persistence": horizon_errors(controller.predict, z, actions, 1)[0],
+    }
+
+
+def over(curve: Sequence[Point], problem: Problem, patience: int) -> bool:
+    """Return whether a task's episodes are used up, or so many chunks brought no new best; 0 for any number."""
+    if not curve:
+        return False
+    since_best = sum(point["actions"] > curve[-1]["best_actions"] for point in curve)
+    return bool(
+        (problem.episodes and curve[-1]["episodes"] >= problem.episodes) or (patience and since_best >= patience)
+    )

@@ -1,0 +1,1 @@
+"""Torch networks, losses and the differentiable LQR (thesis 4.2)."""

@@ -1,0 +1,90 @@
+"""What an encoder is trained with besides the task: contrasts (thesis Eq. 4.4), or an autoencoder's losses (4.3.5)."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from koopman_lqr_controller.training.networks.contrastive import info_nce
+from koopman_lqr_controller.training.networks.differentiable_lqr import LatentLqr
+from koopman_lqr_controller.training.networks.networks import Decoder, TorchEncoder
+from koopman_lqr_controller.training.settings import Settings
+
+
+class Seen(NamedTuple):
+    """A batch, as encoders see it.
+
+    Attributes:
+        query: observations, augmented where the loss contrasts or they are images (N, ...).
+        key: the same observations, augmented in another way.
+        u: actions (N, m).
+        x_next: observations that followed.
+        key_encoder: the momentum encoder.
+        model: A and B, where there is a model.
+    """
+
+    query: Tensor
+    key: Tensor
+    u: Tensor
+    x_next: Tensor
+    key_encoder: TorchEncoder
+    model: LatentLqr | None
+
+
+class Contrast(nn.Module):
+    """InfoNCE (Eq. 4.4) against the momentum encoder's keys.
+
+    Attributes:
+        augments: whether it wants its observations with noise, where they are vectors.
+        W: of the bilinear similarity (n, n).
+    """
+
+    augments = True
+
+    def __init__(self, latent: int) -> None:
+        super().__init__()
+        self.W = nn.Parameter(torch.rand(latent, latent))
+
+    def forward(self, z: Tensor, seen: Seen) -> Tensor:
+        """Return the loss of z, the encoder's of `seen.query`."""
+        with torch.no_grad():
+            keys = seen.key_encoder(seen.key)
+        return info_nce(z, keys, self.W)
+
+
+class Reconstruction(nn.Module):
+    """An autoencoder's: the mean squared error of what a decoder makes of z.
+
+    Args:
+        seen: shape of what an encoder looks at.
+        settings: sizes.
+        predicts: whether the model's next z has to give the next observation as well.
+
+    Attributes:
+        augments: see `Contrast`.
+        decoder: from z back to the observation, normalised as the encoder does.
+    """
+
+    augments = False
+
+    def __init__(self, seen: tuple[int, ...], settings: Settings, predicts: bool) -> None:
+        super().__init__()
+        self.decoder = Decoder(seen, settings.latent, settings.hidden, settings.depth)
+        self._predicts = predicts
+
+    def forward(self, z: Tensor, seen: Seen) -> Tensor:
+        """Return the loss of z, the encoder's of `seen.query`; no prediction is good because all z are alike."""
+        loss = nn.functional.mse_loss(self.decoder(z), seen.key_encoder.normalise(seen.query))
+        if self._predicts and seen.model is not None:
+            predicted = self.decoder(seen.model.predict(z, seen.u))
+            loss = loss + nn.functional.mse_loss(predicted, seen.key_encoder.normalise(seen.x_next))
+        return loss
+
+
+def make_encoder_loss(encoder: TorchEncoder, settings: Settings) -> Contrast | Reconstruction:
+    """Return the untrained loss that the settings ask for."""
+    if settings.encoder_loss == "contrastive":
+        return Contrast(settings.latent)
+    return Reconstruction(encoder.seen, settings, settings.encoder_loss == "reconstruction_prediction")

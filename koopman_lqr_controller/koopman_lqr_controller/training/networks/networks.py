@@ -1,0 +1,252 @@
+"""The networks around the linear controller: encoders of vectors and of images, and SAC's two critics."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from koopman_lqr_controller.errors import KoopmanError
+from koopman_lqr_controller.models import encoder as deployed
+from koopman_lqr_controller.training.networks.contrastive import centre_crop
+
+_KERNEL = 3
+
+
+class TorchEncoder(nn.Module):
+    """psi: normalise, hidden layers with ReLU, a linear layer, LayerNorm.
+
+    Attributes:
+        shape: of an observation.
+        crop: rows and columns of an image that are looked at, its middle; None for all, and for vectors.
+        layers: in their order.
+    """
+
+    middle: Tensor
+    unit: Tensor
+
+    def __init__(
+        self,
+        shape: tuple[int, ...],
+        latent: int,
+        hidden: int,
+        depth: int,
+        middle: Tensor,
+        unit: Tensor,
+        crop: int | None = None,
+        halved: bool = False,
+    ) -> None:
+        """Make one with random weights.
+
+        Args:
+            shape: (n,) of a vector or (channels, height, width) of an image.
+            latent: dimension of z.
+            hidden: units of each hidden layer; of filters see `_filters`.
+            depth: hidden layers, or convolutions of an image.
+            middle: what becomes 0; broadcasts to `shape`.
+            unit: what becomes 1 above it.
+            crop: see above.
+            halved: whether all but the last layer is computed in bfloat16 while it trains.
+        """
+        super().__init__()
+        if len(shape) == 3:
+            _check_sizes(shape, crop, depth)
+        self.shape, self.crop, self._halves = shape, crop, halved
+        self.register_buffer("middle", middle)
+        self.register_buffer("unit", unit)
+        body = _convolutions(shape, depth) if len(shape) == 3 else dense(shape[0], hidden, depth)
+        with torch.no_grad():
+            width = int(nn.Sequential(*body)(torch.zeros(1, *self.seen)).shape[1])
+        self.layers = nn.Sequential(*body, nn.Linear(width, latent), nn.LayerNorm(latent))
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Return z (N, latent) of observations (N, *shape), or of images that are cropped already."""
+        return self.latent(self.features(x))
+
+    def features(self, x: Tensor) -> Tensor:
+        """Return what the last linear layer gets of observations (N, *shape), or of images that are cropped already."""
+        x = self.normalise(x)
+        if x.dim() == 4:  # colours last: quicker
+            x = x.contiguous(memory_format=torch.channels_last)
+        with self._halved():
+            y: Tensor = self.layers[:-2](x)
+        return y
+
+    def latent(self, features: Tensor) -> Tensor:
+        """Return z (N, latent) of features."""
+        with self._halved():
+            y = self.layers[-2](features)
+        z: Tensor = self.layers[-1](y.float())
+        return z
+
+    def _halved(self) -> torch.autocast:
+        return torch.autocast(self.middle.device.type, torch.bfloat16, enabled=self.training and self._halves)
+
+    @property
+    def seen(self) -> tuple[int, ...]:
+        """Shape of what is looked at."""
+        return self.shape if self.crop is None else (self.shape[0], self.crop, self.crop)
+
+    def normalise(self, x: Tensor) -> Tensor:
+        """Return what the first layer gets (N, *seen)."""
+        if self.crop is not None:
+            x = centre_crop(x, self.crop)
+        return (x - self.middle) / self.unit
+
+    def deploy(self) -> deployed.Encoder:
+        """Return the same encoder without torch."""
+        layers: list[deployed.Layer] = [] if self.crop is None else [deployed.CentreCrop(self.crop)]
+        layers += deploy_layers(self.layers)
+        return deployed.Encoder(tuple(layers), self.shape, _array(self.middle), _array(self.unit))
+
+
+def _check_sizes(shape: tuple[int, ...], crop: int | None, depth: int) -> None:
+    """Refuse pictures of which nothing is left to look at.
+
+    Raises:
+        KoopmanError: names the setting.
+    """
+    if crop is not None and crop > min(shape[1:]):
+        raise KoopmanError(f"crop is {crop}: pictures are {shape[1]} x {shape[2]}")
+    left = min(shape[1:]) if crop is None else crop
+    for index in range(depth):
+        left = _convolved(left, index)
+    if left < 1:
+        raise KoopmanError(f"depth is {depth}: so many convolutions leave nothing of {crop or shape[1]} rows")
+
+
+def deploy_layers(layers: nn.Sequential) -> list[deployed.Layer]:
+    """Return the same layers without torch."""
+    out: list[deployed.Layer] = []
+    modules = list(layers)
+    for index, module in enumerate(modules):
+        if isinstance(module, nn.Linear):
+            rectified = index + 1 < len(modules) and isinstance(modules[index + 1], nn.ReLU)
+            out.append(deployed.Dense(_array(module.weight), _array(module.bias), rectified))
+        elif isinstance(module, nn.Conv2d):
+            assert module.bias is not None
+            out.append(deployed.Convolution(_array(module.weight), _array(module.bias), int(module.stride[0])))
+        elif isinstance(module, nn.LayerNorm):
+            out.append(deployed.LayerNorm(_array(module.weight), _array(module.bias)))
+        elif isinstance(module, nn.Flatten):
+            out.append(deployed.Flatten())
+    return out
+
+
+class Decoder(nn.Module):
+    """From z back to what an encoder looks at, normalised: its layers, turned around.
+
+    Attributes:
+        layers: in their order.
+    """
+
+    def __init__(self, seen: tuple[int, ...], latent: int, hidden: int, depth: int) -> None:
+        super().__init__()
+        if len(seen) == 1:
+            self.layers = nn.Sequential(*dense(latent, hidden, depth), nn.Linear(hidden, seen[0]))
+        else:
+            self.layers = nn.Sequential(*_transposed_convolutions(seen, latent, depth))
+
+    def forward(self, z: Tensor) -> Tensor:
+        """Return (N, *seen) of latent states (N, latent)."""
+        x: Tensor = self.layers(z)
+        return x
+
+
+def dense(inputs: int, hidden: int, depth: int) -> list[nn.Module]:
+    """Return hidden layers with ReLU."""
+    out: list[nn.Module] = []
+    for _ in range(depth):
+        out += [nn.Linear(inputs, hidden), nn.ReLU()]
+        inputs = hidden
+    return out
+
+
+def _convolutions(shape: tuple[int, ...], depth: int) -> list[nn.Module]:
+    """Return convolutions, the first three with stride 2: a sixth of the work of one, at the sizes used here."""
+    channels, out = shape[0], list[nn.Module]()
+    for index in range(depth):
+        out += [nn.Conv2d(channels, _filters(index), _KERNEL, stride=_stride(index)), nn.ReLU()]
+        channels = _filters(index)
+    return [*out, nn.Flatten()]
+
+
+def _filters(index: int) -> int:
+    return 16 if index == 0 else 32
+
+
+def _stride(index: int) -> int:
+    return 2 if index < 3 else 1
+
+
+def _convolved(length: int, index: int) -> int:
+    """Return the rows that a convolution leaves of so many."""
+    return (length - _KERNEL) // _stride(index) + 1
+
+
+def _transposed_convolutions(seen: tuple[int, ...], latent: int, depth: int) -> list[nn.Module]:
+    """Return what undoes `_convolutions`, rows and columns to the pixel."""
+    channels, *size = seen
+    sizes = [size]
+    for index in range(depth):
+        sizes.append([_convolved(length, index) for length in sizes[-1]])
+    rows, columns = sizes[-1]
+    last = _filters(depth - 1)
+    out = [nn.Linear(latent, last * rows * columns), nn.ReLU(), nn.Unflatten(1, (last, rows, columns))]
+    for index in reversed(range(depth)):
+        stride = _stride(index)
+        lost = [
+            before - ((after - 1) * stride + _KERNEL)
+            for before, after in zip(sizes[index], sizes[index + 1], strict=True)
+        ]
+        outputs = channels if index == 0 else _filters(index - 1)
+        out.append(nn.ConvTranspose2d(_filters(index), outputs, _KERNEL, stride, output_padding=(lost[0], lost[1])))
+        if index:
+            out.append(nn.ReLU())
+    return out
+
+
+class TwinCritic(nn.Module):
+    """Q_1 and Q_2 of Eq. 4.10, computed together.
+
+    Args:
+        latent: dimension of z.
+        controls: how many.
+        hidden: units of each of the two hidden layers.
+        normalised: whether these have a LayerNorm, without parameters, before their ReLU.
+        halved: whether these are computed in bfloat16.
+    """
+
+    def __init__(self, latent: int, controls: int, hidden: int, normalised: bool = False, halved: bool = False) -> None:
+        super().__init__()
+        self._normalised, self._kind = normalised, torch.bfloat16 if halved else torch.float32
+        sizes = (latent + controls, hidden, hidden, 1)
+        self.weights, self.biases = nn.ParameterList(), nn.ParameterList()
+        for inputs, outputs in pairwise(sizes):
+            reach = inputs**-0.5
+            self.weights.append(nn.Parameter((2.0 * torch.rand(2, inputs, outputs) - 1.0) * reach))
+            self.biases.append(nn.Parameter((2.0 * torch.rand(2, 1, outputs) - 1.0) * reach))
+
+    def forward(self, z: Tensor, u: Tensor) -> Tensor:
+        """Return both values (2, N) of latent states (N, n) and actions (N, m)."""
+        x = torch.cat((z, u), dim=1).expand(2, -1, -1).to(self._kind)
+        *hidden, (weight, bias) = zip(self.weights, self.biases, strict=True)
+        for W, b in hidden:
+            x = torch.baddbmm(b.to(self._kind), x, W.to(self._kind))
+            if self._normalised:
+                x = nn.functional.layer_norm(x, x.shape[-1:])
+            x = torch.relu(x)
+        return torch.baddbmm(bias, x.float(), weight).squeeze(-1)
+
+
+def _array(tensor: Tensor) -> NDArray[np.float32]:
+    return tensor.detach().cpu().numpy().astype(np.float32).copy()
+
+
+def follow(slow: nn.Module, fast: nn.Module, rate: float) -> None:
+    """Move one module's parameters towards another's."""
+    with torch.no_grad():
+        torch._foreach_lerp_(list(slow.parameters()), list(fast.parameters()), rate)

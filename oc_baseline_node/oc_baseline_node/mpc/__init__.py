@@ -1,0 +1,1 @@
+"""Trajectory optimisation and receding-horizon control (thesis Eq. 3.16)."""

@@ -1,0 +1,217 @@
+"""Solving a problem: whole trajectories, and a controller with a receding horizon (thesis Eq. 3.16)."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import Any
+
+import numpy as np
+from ctrl_rl_core.geometry.shapes import signed_distance
+from numpy.typing import ArrayLike, NDArray
+
+from oc_baseline_node.mpc.initial_guess import Guesses, moved_on, resting_control
+from oc_baseline_node.mpc.transcription import Program, SolverName, cost_of, transcribe
+from oc_baseline_node.problems.problem import Problem
+
+Array = NDArray[np.float64]
+_BETWEEN = (0.25, 0.5, 0.75)
+"""Parts of a step at which the clearance is looked at."""
+TOLERANCE = 1e-4
+"""By how much a solved trajectory may miss a constraint [m, rad, ...]."""
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """What a solver made of a start.
+
+    Attributes:
+        states: x_0 .. x_H (H+1, n); not to be used where not `solved`.
+        controls: u_0 .. u_{H-1} (H, m).
+        time_step: [s].
+        solved: whether it keeps every constraint.
+        reason: the solver's last word (CasADi's return_status), or why no solver was asked.
+        cost: Eq. 3.16, NaN where not solved.
+        iterations: of all solvers asked.
+        cpu_seconds: they took, without setting up their programs.
+    """
+
+    states: Array
+    controls: Array
+    time_step: float
+    solved: bool
+    reason: str
+    cost: float
+    iterations: int
+    cpu_seconds: float
+
+
+_EASIER = ("", " (with the least control alone)", " (with a state cost that does not grow)")
+
+
+class Mpc:
+    """Solves one problem from any start; the programs are set up once.
+
+    Where that fails and obstacles are in the way it goes by steps: first with the least control alone, then with a
+    state cost that does not grow, then the problem itself. Over hundreds of steps the growth of the state cost leaves
+    a solver nothing to hold on to at the beginning.
+
+    Args:
+        problem: to solve.
+        solvers: asked in this order, with each guess, until one succeeds; fatrop is the faster, ipopt the more robust.
+        max_iterations: of each.
+    """
+
+    def __init__(
+        self, problem: Problem, solvers: tuple[SolverName, ...] = ("fatrop", "ipopt"), max_iterations: int = 300
+    ) -> None:
+        self.problem = problem
+        self._solvers = solvers
+        self._max_iterations = max_iterations
+        level = replace(problem, gamma=1.0)
+        self._problems = (problem, replace(level, state_weight=0.0, trap_weight=0.0), level)
+        self._programs: dict[tuple[int, SolverName], Program] = {}
+        self._guesses = Guesses(problem)
+
+    def solve(self, start: ArrayLike, guess: tuple[Array, Array] | None = None, check_start: bool = True) -> Trajectory:
+        """Return the trajectory from `start` (n,).
+
+        Args:
+            start: x_0.
+            guess: states (H+1, n) and controls (H, m) to begin with, e.g. of a trajectory nearby (a warm start).
+            check_start: whether a start that breaks the constraints is refused without asking a solver.
+        """
+        start = np.asarray(start, dtype=float)
+        refusal = self.problem.refusal(start) if check_start else ""
+        if refusal:
+            return _unsolved(self.problem, start, refusal)
+        guesses = self._guesses(start) if guess is None else [guess]
+        tries: list[Trajectory] = []
+        for name, each in product(self._solvers, guesses):
+            tries.append(self._attempt(0, name, start, *each))
+            if tries[-1].solved:
+                break
+        else:
+            if len(guesses) > 1:  # the straight line runs through an obstacle
+                tries.extend(self._by_steps(start, guesses[0]))
+        # The last of the steps that was solved; without any the reason is that of the problem itself.
+        best = next((each for each in reversed(tries) if each.solved), tries[-1])
+        iterations, seconds = sum(each.iterations for each in tries), sum(each.cpu_seconds for each in tries)
+        return replace(best, iterations=iterations, cpu_seconds=seconds)
+
+    def _by_steps(self, start: Array, guess: tuple[Array, Array]) -> list[Trajectory]:
+        """Return trajectories of easier problems up to the problem itself, each begun with the one before.
+
+        The last that is solved keeps every constraint, though its objective may be an easier one, as its reason says.
+        """
+        name, found = self._solvers[0], []
+        for rung in range(1, len(self._problems) + 1):
+            trajectory = self._attempt(rung % len(self._problems), name, start, *guess)
+            if not trajectory.solved:
+                break
+            found.append(trajectory)
+            guess = (trajectory.states, trajectory.controls)
+        return found
+
+    def _attempt(self, rung: int, name: SolverName, start: Array, states: Array, controls: Array) -> Trajectory:
+        """Return what one solver makes of one of the problems."""
+        program = self._program(rung, name)
+        begin = time.process_time()
+        variables = program.layout.pack(states, controls, self.problem.time_step)
+        answer = program.solver(x0=variables, p=start, **program.bounds)
+        stats = program.solver.stats()
+        seconds, iterations = time.process_time() - begin, int(stats["iter_count"])
+        reason = _reason(name, stats) + _EASIER[rung]
+        if not stats["success"]:
+            return _unsolved(self.problem, start, reason, iterations, seconds)
+        states, controls, time_step = program.layout.unpack(np.asarray(answer["x"]).ravel())
+        broken = self._broken(start, states, controls, time_step)
+        if broken:
+            return _unsolved(self.problem, start, broken, iterations, seconds)
+        cost = cost_of(self.problem, states, controls, time_step)
+        return Trajectory(states, controls, time_step, True, reason, cost, iterations, seconds)
+
+    def _program(self, rung: int, name: SolverName) -> Program:
+        if (rung, name) not in self._programs:
+            self._programs[rung, name] = transcribe(self._problems[rung], name, self._max_iterations)
+        return self._programs[rung, name]
+
+    def _broken(self, start: Array, states: Array, controls: Array, time_step: float) -> str:
+        """Say which constraint a trajectory misses by more than the tolerance, checked against the real boxes."""
+        problem = self.problem
+        low, high = problem.state_bounds
+        u_low, u_high = problem.system.control_bounds
+        steps = problem.system.step(states[:-1], controls, dt=time_step)
+        checks = {
+            "start": np.abs(states[0] - start).max(),
+            "dynamics": np.abs(states[1:] - steps).max(),
+            "clearance": -problem.margin(states[1:]).min(),
+            "clearance between samples": problem.clearance - _nearest_between(problem, states, controls, time_step),
+            "state bounds": max((low - states[1:]).max(), (states[1:] - high).max()),
+            "control bounds": max((u_low - controls).max(), (controls - u_high).max()),
+            "terminal set": problem.terminal_violation(states[-1]),
+        }
+        for name, violation in checks.items():
+            if not violation <= TOLERANCE:
+                return f"solution misses {name} by {violation:.2g}"
+        return ""
+
+
+def _nearest_between(problem: Problem, states: Array, controls: Array, time_step: float) -> float:
+    """Return how near a trajectory comes to an obstacle between its samples [m], but for the step from the start.
+
+    The start may lie at d_min, from where a step leads nearer to a corner before it leads away.
+    """
+    if not problem.obstacles:
+        return np.inf
+    between = [problem.system.step(states[1:-1], controls[1:], dt=part * time_step) for part in _BETWEEN]
+    return float(signed_distance(problem.obstacles, np.array(between)[..., problem.positions]).min())
+
+
+class RecedingHorizon:
+    """A controller: solves anew from each state, begins with what it planned before, applies the first control.
+
+    Where no solver finds a trajectory it carries on with the plan that it has.
+
+    Attributes:
+        plan: the last solved trajectory, None before the first.
+        reason: the last solver's word; differs from success where `plan` is an older one.
+    """
+
+    def __init__(self, mpc: Mpc) -> None:
+        self._mpc = mpc
+        self._rest = resting_control(mpc.problem.system)
+        self._age = 0
+        self.plan: Trajectory | None = None
+        self.reason = ""
+        self.solved = False
+
+    def control(self, state: ArrayLike) -> Array:
+        """Return u (m,) for a state (n,); call it once each time step."""
+        self._age += 1
+        guess = None if self.plan is None else moved_on(self.plan.states, self.plan.controls, self._age)
+        trajectory = self._mpc.solve(state, guess, check_start=False)
+        if not trajectory.solved and guess is not None:
+            trajectory = self._mpc.solve(state, check_start=False)
+        self.solved, self.reason = trajectory.solved, trajectory.reason
+        if trajectory.solved:
+            self.plan, self._age = trajectory, 0
+        if self.plan is None or self._age >= len(self.plan.controls):
+            return self._rest.copy()
+        return self.plan.controls[self._age].copy()
+
+
+def _reason(name: SolverName, stats: dict[str, Any]) -> str:
+    """Return the solver's own words; fatrop has numbers only, so CasADi's general word is added."""
+    status = str(stats["return_status"])
+    if name == "fatrop":
+        status = str(stats.get("unified_return_status", status)).removeprefix("SOLVER_RET_")
+    return f"{name}: {status}"
+
+
+def _unsolved(problem: Problem, start: Array, reason: str, iterations: int = 0, seconds: float = 0.0) -> Trajectory:
+    states = np.full((problem.horizon + 1, len(problem.system.states)), np.nan)
+    states[0] = start if start.shape == states[0].shape else np.nan
+    controls = np.full((problem.horizon, len(problem.system.controls)), np.nan)
+    return Trajectory(states, controls, problem.time_step, False, reason, float("nan"), iterations, seconds)

@@ -1,0 +1,92 @@
+"""Obstacles as smooth constraints: superellipses that hold a box, or a disc, grown by the robot's clearance d_min.
+
+A box grown by d_min is a rectangle with rounded corners. The superellipse around it has the same proportions and is
+scaled until it touches the corners: it covers the rounded box wholly, so a position that keeps out of it keeps d_min
+from the real box. The p-norm grows like the distance, which a solver likes better than its p-th power.
+
+Around a long box it would reach far beyond the ends, and close a door there. So a long box gets three: one that ends
+sooner, and a short one at each end.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import cos, pi, sin
+from typing import Any
+
+import numpy as np
+from ctrl_rl_core.geometry.shapes import Box, Shape
+
+EXPONENT = 6
+"""Of the superellipse around a box: the higher, the closer to the box and the slower to solve."""
+_OVERSHOOT = 0.1
+"""How far a superellipse may reach beyond what it covers [m], before a box is covered by three."""
+_ROUNDED = 1e-9
+"""Rounds the norm's tip off, so that its derivative is finite in the middle of an obstacle."""
+
+
+@dataclass(frozen=True)
+class Superellipse:
+    """The set |a / semi_axes[0]|^p + |b / semi_axes[1]|^p < 1, with (a, b) along its own axes.
+
+    Attributes:
+        centre: (2,) [m].
+        semi_axes: (2,) [m].
+        exponent: p, an even number.
+        angle: of its own axes, counter-clockwise [rad].
+    """
+
+    centre: tuple[float, float]
+    semi_axes: tuple[float, float]
+    exponent: int
+    angle: float = 0.0
+
+    def outside(self, x: Any, y: Any) -> Any:
+        """Return how far outside (x, y) lies, about in metres: negative inside. Smooth, for arrays and for CasADi."""
+        c, s = cos(self.angle), sin(self.angle)
+        dx, dy = x - self.centre[0], y - self.centre[1]
+        a = (c * dx + s * dy) / self.semi_axes[0]
+        b = (c * dy - s * dx) / self.semi_axes[1]
+        norm = (a**self.exponent + b**self.exponent + _ROUNDED) ** (1.0 / self.exponent)
+        return min(self.semi_axes) * (norm - 1.0)
+
+
+def covers(shape: Shape, clearance: float, exponent: int = EXPONENT) -> tuple[Superellipse, ...]:
+    """Return superellipses that together hold all points nearer to `shape` than `clearance` [m], and little more."""
+    whole = cover(shape, clearance, exponent)
+    if not isinstance(shape, Box):
+        return (whole,)
+    long = 0 if shape.size[0] >= shape.size[1] else 1
+    if whole.semi_axes[long] - 0.5 * shape.size[long] - clearance <= _OVERSHOOT:
+        return (whole,)
+    # The middle's overshoot ends within the end pieces.
+    end = max(shape.size[1 - long], whole.semi_axes[long] - 0.5 * shape.size[long] - clearance)
+    if shape.size[long] <= 2.0 * end:
+        return tuple(cover(_piece(shape, long, side * 0.25, 0.5), clearance, exponent) for side in (-1.0, 1.0))
+    share = end / shape.size[long]
+    pieces = [_piece(shape, long, side * 0.5 * (1.0 - share), share) for side in (-1.0, 1.0)]
+    return tuple(cover(piece, clearance, exponent) for piece in (_piece(shape, long, 0.0, 1.0 - 2.0 * share), *pieces))
+
+
+def _piece(box: Box, axis: int, middle: float, share: float) -> Box:
+    """Return a piece of a box along one of its own axes; `middle` and `share` are parts of its length."""
+    length = box.size[axis]
+    c, s = cos(box.angle), sin(box.angle)
+    dx, dy = ((c, s), (-s, c))[axis]
+    size = (share * length, box.size[1]) if axis == 0 else (box.size[0], share * length)
+    centre = (box.centre[0] + middle * length * dx, box.centre[1] + middle * length * dy)
+    return Box(centre, size, box.angle)
+
+
+def cover(shape: Shape, clearance: float, exponent: int = EXPONENT) -> Superellipse:
+    """Return a superellipse that holds all points nearer to `shape` than `clearance` [m]; for a disc exactly those."""
+    if not isinstance(shape, Box):
+        radius = shape.radius + clearance
+        return Superellipse(shape.centre, (radius, radius), 2)
+    half = 0.5 * np.asarray(shape.size)
+    corner = np.linspace(0.0, 0.5 * pi, 91)
+    rounded = half + clearance * np.column_stack((np.cos(corner), np.sin(corner)))
+    scale = float(np.max(np.sum((rounded / (half + clearance)) ** exponent, axis=1) ** (1.0 / exponent)))
+    # Between two of the corner's points the norm is at most this much larger.
+    semi_axes = max(scale, 1.0) * (1.0 + 1e-4) * (half + clearance)
+    return Superellipse(shape.centre, (float(semi_axes[0]), float(semi_axes[1])), exponent, shape.angle)

@@ -1,0 +1,190 @@
+"""A problem as a nonlinear program: multiple shooting, stage by stage, the order that fatrop needs and ipopt takes.
+
+Variables x_0, u_0, x_1, ..., u_{H-1}, x_H; controls that are held are no variables, a free time step is one more state.
+Constraints of a stage: the next state, then (at k = 0) the start, the obstacles, (at k = H) the terminal disc.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import casadi
+import numpy as np
+from numpy.typing import NDArray
+
+from oc_baseline_node.mpc.obstacles import covers
+from oc_baseline_node.problems.problem import TIME_STEP_RANGE, Problem
+
+Array = NDArray[np.float64]
+SolverName = Literal["ipopt", "fatrop"]
+_LEAST_CLEARANCE = 0.05
+"""Of which a sagitta is reckoned [m]: around a corner that may be touched, nothing bounds it."""
+_COST_RANGE = 1e3
+"""The largest weight of a squared distance [1/m^2] after scaling: gamma^H alone is 6e5."""
+
+
+class Layout:
+    """Where states, controls and the time step of a problem stand in the vector of variables."""
+
+    def __init__(self, problem: Problem) -> None:
+        low, high = problem.system.control_bounds
+        self.problem = problem
+        self.n = len(problem.system.states)
+        self.free_controls = np.flatnonzero(low < high)
+        self.held = low.copy()
+        self.free_time = problem.form == "free_time"
+        self.width = self.n + self.free_time + len(self.free_controls)
+        self.size = problem.horizon * self.width + self.n + self.free_time
+
+    def pack(self, states: Array, controls: Array, time_step: float) -> Array:
+        """Return the variables (size,) of states (H+1, n), controls (H, m) and a time step [s]."""
+        H, n = self.problem.horizon, self.n
+        rows = np.zeros((H + 1, self.width))
+        rows[:, :n] = states
+        if self.free_time:
+            rows[:, n] = time_step
+        rows[:H, n + self.free_time :] = controls[:, self.free_controls]
+        return rows.ravel()[: self.size]
+
+    def unpack(self, variables: Array) -> tuple[Array, Array, float]:
+        """Return states (H+1, n), controls (H, m) and the time step [s]."""
+        H, n = self.problem.horizon, self.n
+        padded = np.zeros((H + 1) * self.width)
+        padded[: self.size] = variables
+        rows = padded.reshape(H + 1, self.width)
+        controls = np.tile(self.held, (H, 1))
+        controls[:, self.free_controls] = rows[:H, n + self.free_time :]
+        time_step = float(rows[0, n]) if self.free_time else self.problem.time_step
+        return rows[:, :n].copy(), controls, time_step
+
+
+@dataclass(frozen=True)
+class Program:
+    """A nonlinear program with its solver.
+
+    Attributes:
+        layout: of its variables.
+        solver: the CasADi function; its parameter is the start x_0.
+        bounds: lbx, ubx, lbg, ubg.
+    """
+
+    layout: Layout
+    solver: Any
+    bounds: dict[str, Array]
+
+
+def transcribe(problem: Problem, solver: SolverName, max_iterations: int) -> Program:
+    """Return the problem's program with its solver (which compiles nothing, but takes about a second to set up)."""
+    layout = Layout(problem)
+    H, n = problem.horizon, layout.n
+    start = casadi.SX.sym("x0", n)
+    X = [casadi.SX.sym(f"x_{k}", n + layout.free_time) for k in range(H + 1)]
+    U = [casadi.SX.sym(f"u_{k}", len(layout.free_controls)) for k in range(H)]
+    ellipses = [ellipse for shape in problem.obstacles for ellipse in covers(shape, problem.clearance)]
+    heaviest = problem.state_weight * problem.gamma**H
+    scale = _COST_RANGE / max(heaviest, _COST_RANGE)
+    g: list[Any] = []
+    low: list[float] = []
+    high: list[float] = []
+
+    def constrain(expression: Any, least: float, most: float) -> None:
+        count = expression.numel()
+        g.append(expression)
+        low.extend([least] * count)
+        high.extend([most] * count)
+
+    cost = 0.0
+    for k in range(H + 1):
+        p = X[k][problem.positions]
+        if k < H:
+            u = _controls(layout, U[k])
+            step = X[k][n] if layout.free_time else problem.time_step
+            x_next = problem.system.step(X[k][:n], u, dt=step, math=casadi)
+            if layout.free_time:
+                x_next = casadi.vertcat(x_next, X[k][n])
+            constrain(X[k + 1] - x_next, 0.0, 0.0)
+            cost += scale * stage_cost(problem, p, u, k) * (step / problem.time_step)
+        if k == 0:
+            constrain(X[0][:n] - start, 0.0, 0.0)
+        else:
+            sag = 0.0 if k == H or not ellipses else sagitta(problem, X[k][:n], u, step)
+            for ellipse in ellipses:
+                constrain(ellipse.outside(p[0], p[1]) - sag, 0.0, math.inf)
+    if problem.terminal.disc is not None:
+        disc = problem.terminal.disc
+        offset = X[H][problem.positions] - casadi.DM(disc.centre)
+        constrain(casadi.sumsqr(offset), 0.0, disc.radius**2)
+    variables = [piece for pair in zip(X, [*U, casadi.SX(0, 1)], strict=True) for piece in pair]
+    nlp = {"x": casadi.vertcat(*variables), "f": cost, "g": casadi.vertcat(*g), "p": start}
+    options = _options(solver, max_iterations, [least == most for least, most in zip(low, high, strict=True)])
+    bounds = {"lbg": np.array(low), "ubg": np.array(high), **_variable_bounds(layout)}
+    return Program(layout, casadi.nlpsol("mpc", solver, nlp, options), bounds)
+
+
+def sagitta(problem: Problem, x: Any, u: Any, step: Any) -> Any:
+    """Return by how much a step from x may cut the corner of an obstacle [m], for CasADi.
+
+    Between two positions at d_min from a corner the way is a chord of the circle around it, which is nearer in its
+    middle by (v dt)^2 / (8 d_min).
+    """
+    rates = problem.system.dynamics(x, u, math=casadi)
+    speed_squared = sum(rates[index] ** 2 for index in problem.positions)
+    return speed_squared * step**2 / (8.0 * max(problem.clearance, _LEAST_CLEARANCE))
+
+
+def stage_cost(problem: Problem, p: Any, u: Any, k: int) -> Any:
+    """Return c(x_k, u_k) of Eq. 3.16 with the trap's term; for arrays and for CasADi."""
+    growth = problem.gamma ** (k + 1)
+    goal = (p[0] - problem.goal[0]) ** 2 + (p[1] - problem.goal[1]) ** 2
+    cost = growth * problem.state_weight * goal
+    if problem.trap is not None and problem.trap_weight > 0.0:
+        trap = (p[0] - problem.trap[0]) ** 2 + (p[1] - problem.trap[1]) ** 2
+        cost -= growth * problem.trap_weight * trap
+    return cost + problem.control_weight * sum(u[i] ** 2 for i in range(len(problem.system.controls)))
+
+
+def cost_of(problem: Problem, states: Array, controls: Array, time_step: float) -> float:
+    """Return the cost of Eq. 3.16 of states (H+1, n) and controls (H, m)."""
+    p = states[:-1, problem.positions]
+    stages = [stage_cost(problem, p[k], u, k) for k, u in enumerate(controls)]
+    return float(sum(stages)) * time_step / problem.time_step
+
+
+def _controls(layout: Layout, free: Any) -> Any:
+    """Return the whole u of a stage: variables where free, numbers where held."""
+    u = casadi.SX(layout.held)
+    for index, control in enumerate(layout.free_controls.tolist()):
+        u[control] = free[index]
+    return u
+
+
+def _variable_bounds(layout: Layout) -> dict[str, Array]:
+    """Return lbx and ubx; the start is bound by a constraint alone."""
+    problem, H = layout.problem, layout.problem.horizon
+    out = {}
+    for name, row in (("lbx", 0), ("ubx", 1)):
+        states = np.tile(problem.state_bounds[row], (H + 1, 1))
+        for state, interval in problem.terminal.intervals.items():
+            index = problem.system.state_names.index(state)
+            bound = (max, min)[row](states[H, index], interval[row])
+            states[H, index] = bound
+        states[0] = (-np.inf, np.inf)[row]
+        controls = np.tile(problem.system.control_bounds[row], (H, 1))
+        out[name] = layout.pack(states, controls, TIME_STEP_RANGE[row] * problem.time_step)
+    return out
+
+
+def _options(solver: SolverName, max_iterations: int, equality: list[bool]) -> dict[str, Any]:
+    if solver == "fatrop":
+        return {
+            "structure_detection": "auto",
+            "equality": equality,
+            "fatrop": {"print_level": 0, "max_iter": max_iterations, "tol": 1e-6},
+            "print_time": False,
+        }
+    return {
+        "ipopt": {"print_level": 0, "sb": "yes", "max_iter": max_iterations, "tol": 1e-6},
+        "print_time": False,
+    }

@@ -1,0 +1,81 @@
+"""Pictures: the value heat map (thesis Fig. 3.11) and trajectories among obstacles."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from ctrl_rl_core.plots import draw_map, save_figure
+from ctrl_rl_core.tasks.regions import position_indices
+from ctrl_rl_core.tasks.task import NavigationTask
+from ctrl_rl_core.values.grid_axis import Axis
+from ctrl_rl_core.values.plane import plane_of
+from ctrl_rl_core.values.value_function import ValueFunction
+from matplotlib import pyplot as plt
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from oc_baseline_node.errors import OcError
+
+Array = NDArray[np.float64]
+_CELLS = 300
+_COLLISION = "#c6d3e3"
+
+
+def heat_map(
+    value: ValueFunction, task: NavigationTask, path: Path, at: Mapping[str, float] | None = None, cells: int = _CELLS
+) -> Array:
+    """Draw V_oc over the plane of positions (Fig. 3.11) and return what is drawn (cells, cells), rows along y or z.
+
+    Colours span the values of the free space; where the body collides the map is pale.
+
+    Args:
+        value: over the states of the task's system.
+        task: whose arena, goal and obstacles are drawn.
+        path: of the picture, PNG.
+        at: the other state components [their unit]; 0 where left out.
+        cells: a side.
+
+    Raises:
+        OcError: the value belongs to another kind of state.
+        ValueFunctionError: `at` names what the state lacks.
+        OSError: the picture cannot be written.
+    """
+    plane, chosen = plane_of(value), dict(at or {})
+    if value.state_names != task.system.build().state_names:
+        raise OcError(f"the value's states {', '.join(value.state_names)} are not those of task '{task.name}'")
+    first, second = plane.first, plane.second
+    states = plane.states(_centres(first, cells), _centres(second, cells), chosen)
+    values = value.value(states)
+    free = np.where(values > task.rewards.collision + 1e-6, values, np.nan)
+    figure, axes = plt.subplots(figsize=(6.4, 5.4), layout="constrained")
+    axes.set_facecolor(_COLLISION)
+    extent = (first.lower, first.upper, second.lower, second.upper)
+    shown = axes.imshow(free, origin="lower", extent=extent, cmap="YlOrRd", interpolation="nearest")
+    figure.colorbar(shown, label="$V^{oc}$ [reward]")
+    axes.set_title(f"{task.name}: " + ", ".join(f"{name} = {chosen.get(name, 0.0):.3g}" for name in plane.others))
+    _finish(figure, axes, task, path)
+    return values
+
+
+def trajectories(task: NavigationTask, states: Sequence[Array], path: Path) -> None:
+    """Draw trajectories (each (H+1, n)) among the task's obstacles."""
+    place = position_indices(task.system.build().state_names)
+    figure, axes = plt.subplots(figsize=(5.6, 5.4), layout="constrained")
+    for trajectory in states:
+        x, y = trajectory[:, place].T
+        axes.plot(x, y, ".-", markersize=3, linewidth=1)
+        axes.plot(x[0], y[0], "ko", markersize=4)
+    _finish(figure, axes, task, path)
+
+
+def _finish(figure: Figure, axes: Axes, task: NavigationTask, path: Path) -> None:
+    draw_map(axes, task)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    save_figure(figure, path)
+
+
+def _centres(axis: Axis, cells: int) -> Array:
+    return axis.lower + (np.arange(cells) + 0.5) * (axis.upper - axis.lower) / cells

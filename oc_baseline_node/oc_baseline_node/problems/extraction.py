@@ -1,0 +1,196 @@
+"""From an RL task to an optimal control problem: the RL info, the candidate models, two criteria (thesis 3.3.2).
+
+extraction = extract(load_navigation_task("car_navigation"))
+print(extraction.report())
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from ctrl_rl_core.systems.models import SYSTEM_MODELS
+from ctrl_rl_core.tasks.task import NavigationTask
+
+from oc_baseline_node.errors import OcError
+from oc_baseline_node.problems.problem import Form, Problem, formulate
+
+ROBOT_TYPES: Mapping[str, str] = {"turtlebot3_burger": "car", "turtlebot2": "car", "planar_quadrotor": "quadrotor"}
+"""Robot type by body."""
+CANDIDATES: Mapping[str, tuple[str, ...]] = {
+    "car": ("dubins_car", "extended_dubins_car", "bicycle"),
+    "quadrotor": ("planar_quadrotor", "quadrotor_rotation", "point_mass"),
+}
+"""Table 3.1: models by robot type."""
+
+
+@dataclass(frozen=True)
+class RlInfo:
+    """The four components of a task that an optimal control problem is made from.
+
+    Attributes:
+        robot_type: "car" or "quadrotor".
+        state: components of the full RL state s, beams last.
+        reward: what each set pays, and the state components that tell whether a state lies in it.
+        constraints: of the environment, in words.
+    """
+
+    robot_type: str
+    state: tuple[str, ...]
+    reward: Mapping[str, tuple[float, tuple[str, ...]]]
+    constraints: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A model of Table 3.1 and why it is refused; no reasons: it meets both criteria."""
+
+    model: str
+    reasons: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Extraction:
+    """What follows from a task.
+
+    Attributes:
+        info: the RL info.
+        candidates: the models of the robot's type.
+        chosen: the task's own model, which meets both criteria.
+        problem: the optimal control problem.
+    """
+
+    info: RlInfo
+    candidates: tuple[Candidate, ...]
+    chosen: str
+    problem: Problem
+
+    def report(self) -> str:
+        """Return all of it for people."""
+        lines = [f"robot type    {self.info.robot_type}", f"RL state s    {_run_together(self.info.state)}"]
+        for index, (name, (pays, parts)) in enumerate(self.info.reward.items()):
+            lines.append(f"{'reward' if index == 0 else '':13} {pays:+g} {name} ({', '.join(parts) or 'elsewhere'})")
+        lines += _labelled("constraints", self.info.constraints)
+        lines += _labelled("candidates", [_verdict(c, c.model == self.chosen) for c in self.candidates])
+        return "\n".join([*lines, *_labelled("problem", problem_lines(self.problem))])
+
+
+def extract(task: NavigationTask, form: Form = "free_speed", clearance: float | None = None) -> Extraction:
+    """Return the RL info of a task, the assessed candidate models and the problem that is formed.
+
+    Args:
+        task: to read.
+        form: of the problem, see `oc_baseline_node.problems.problem.FORMS`.
+        clearance: d_min [m], see `formulate`.
+
+    Raises:
+        OcError: no candidate meets the criteria, or the task's own model does not, or see `formulate`.
+    """
+    info = rl_info(task)
+    candidates = tuple(assess(name, info) for name in CANDIDATES[info.robot_type])
+    fit = [candidate.model for candidate in candidates if not candidate.reasons]
+    if not fit:
+        refused = "; ".join(f"{candidate.model}: {candidate.reasons[0]}" for candidate in candidates)
+        raise OcError(f"task '{task.name}': no model of a {info.robot_type} meets the criteria: {refused}")
+    if task.system.model not in fit:
+        raise OcError(f"task '{task.name}': system.model '{task.system.model}' is not one of the models that meet the "
+                      f"criteria: {', '.join(fit)}")  # fmt: skip
+    return Extraction(info, candidates, task.system.model, formulate(task, form, clearance))
+
+
+def rl_info(task: NavigationTask) -> RlInfo:
+    """Return the RL info of a task."""
+    robot_type = ROBOT_TYPES[task.robot.body]
+    places = ("x", task.plane[1])
+    pays = task.rewards
+    reward: dict[str, tuple[float, tuple[str, ...]]] = {
+        "intermediate": (pays.intermediate, ()),
+        "goal": (pays.goal, _components(() if task.corridor is not None else task.goal.intervals, places)),
+        "collision": (pays.collision, places),
+    }
+    if task.trap is not None:
+        reward["trap"] = (pays.trap or 0.0, _components(task.trap.intervals, places))
+    if task.robot.tilt_limit is not None:
+        reward["tilt"] = (pays.collision if pays.tilt is None else pays.tilt, ("psi",))
+    constraints = (
+        f"at most {task.episode.steps} steps of {task.episode.time_step:g} s",
+        _map(task),
+        f"{len(task.obstacles)} obstacles",
+        "commands " + ", ".join(f"{name} {low:g} .. {high:g}" for name, (low, high) in task.robot.commands.items()),
+    )
+    beams = tuple(f"d_{index + 1}" for index in range(task.lidar.beams))
+    return RlInfo(robot_type, (*task.observed_states, *beams), reward, constraints)
+
+
+def assess(model: str, info: RlInfo) -> Candidate:
+    """Return whether a model meets the criteria: its state is part of the RL state, the reward is of its state."""
+    own = tuple(state.name for state in SYSTEM_MODELS[model].states)
+    reasons = []
+    lacking = [name for name in own if name not in info.state]
+    if lacking:
+        reasons.append(f"criterion 1: its {', '.join(lacking)} {_is(lacking)} not in the RL state")
+    for name, (_, parts) in info.reward.items():
+        unknown = [part for part in parts if part not in own]
+        if unknown:
+            reasons.append(f"criterion 2: the reward's '{name}' needs {', '.join(unknown)}, which it lacks")
+    return Candidate(model, tuple(reasons))
+
+
+def problem_lines(problem: Problem) -> list[str]:
+    """Return a problem in words and numbers, line by line."""
+    system, H = problem.system, problem.horizon
+    place = ", ".join(system.state_names[index] for index in problem.positions)
+    trap = "" if problem.trap is None else f" - {problem.trap_weight:g} |p_k - p_trap|^2"
+    cost = f"{problem.gamma:g}^(k+1) ({problem.state_weight:g} |p_k - p*|^2{trap}) + {problem.control_weight:g} |u_k|^2"
+    low, high = problem.state_bounds
+    bounds = [
+        f"{name} {least:g} .. {most:g}"
+        for name, least, most in zip(system.state_names, low, high, strict=True)
+        if np.isfinite(least) or np.isfinite(most)
+    ]
+    controls = [
+        f"{name} {a:g} .. {b:g}" for name, a, b in zip(system.control_names, *system.control_bounds, strict=True)
+    ]
+    centre = "" if problem.trap is None else f", p_trap = ({problem.trap[0]:g}, {problem.trap[1]:g})"
+    step = "free" if problem.form == "free_time" else f"{problem.time_step:g} s"
+    return [
+        f"form '{problem.form}', model {system.name}, x = ({', '.join(system.state_names)})",
+        f"minimise the sum over k = 0 .. {H - 1} of {cost}",
+        f"p = ({place}), p* = ({problem.goal[0]:g}, {problem.goal[1]:g}){centre}",
+        f"x_{{k+1}} = f(x_k, u_k), a step of {step}",
+        f"|p_k - obstacle| >= {problem.clearance:g} m",
+        "bounds " + ", ".join([*bounds, *controls]),
+        f"x_{H} in the goal",
+    ]
+
+
+def _map(task: NavigationTask) -> str:
+    if task.corridor is not None:
+        return f"a corridor {task.corridor.path.length:.3g} m long and {task.corridor.width:g} m wide"
+    return "map " + ", ".join(f"{name} {low:g} .. {high:g} m" for name, (low, high) in task.plane_bounds.items())
+
+
+def _components(intervals: Iterable[str], places: tuple[str, str]) -> tuple[str, ...]:
+    return (*places, *(name for name in intervals if name not in places))
+
+
+def _verdict(candidate: Candidate, chosen: bool) -> str:
+    states = f"{candidate.model} ({', '.join(state.name for state in SYSTEM_MODELS[candidate.model].states)})"
+    if candidate.reasons:
+        return f"{states}: refused, {'; '.join(candidate.reasons)}"
+    return f"{states}: meets both criteria{', chosen' if chosen else ''}"
+
+
+def _labelled(label: str, texts: list[str] | tuple[str, ...]) -> list[str]:
+    return [f"{label if index == 0 else '':13} {text}" for index, text in enumerate(texts)]
+
+
+def _run_together(names: tuple[str, ...]) -> str:
+    beams = [name for name in names if name.startswith("d_")]
+    rest = [name for name in names if name not in beams]
+    return ", ".join([*rest, f"{beams[0]} .. {beams[-1]}"] if beams else rest)
+
+
+def _is(names: list[str]) -> str:
+    return "is" if len(names) == 1 else "are"

@@ -1,0 +1,231 @@
+"""The optimal control problem of a task: objective and constraints (thesis Eq. 3.11, 3.12, 3.16)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+from ctrl_rl_core.geometry.shapes import Disc, Shape, signed_distance
+from ctrl_rl_core.geometry.units import Interval
+from ctrl_rl_core.systems.system import System, make_system
+from ctrl_rl_core.tasks.regions import Region, position_indices
+from ctrl_rl_core.tasks.task import NavigationTask, task_digest
+from ctrl_rl_core.tasks.task_schema import OptimalControlSpec
+from numpy.typing import ArrayLike, NDArray
+
+from oc_baseline_node.errors import OcError
+from oc_baseline_node.problems.corridor import in_plane, path_car
+
+Array = NDArray[np.float64]
+Form = Literal["free_speed", "free_time", "letter"]
+FORMS: tuple[Form, ...] = get_args(Form)
+"""What makes Eq. 3.16 feasible from most starts: every control free within its bounds (`free_speed`, the default), or
+the constant speed kept and the time step free, one for the whole trajectory (`free_time`); `letter` frees neither."""
+TIME_STEP_RANGE = (0.2, 4.0)
+"""Of a free time step, in multiples of the task's."""
+_ROOM = 0.02
+"""Kept from what ends an episode, a touching body or the tilt limit, where the task's constants leave none [m, rad]."""
+_INSIDE = 1e-3
+"""How far inside the goal's bounds a trajectory must end, so that a solver's tolerance leaves none outside [m, rad]."""
+
+
+@dataclass(frozen=True)
+class Problem:
+    """min over u of sum_k gamma^(k+1) (Q |p_k - p*|^2 - W |p_k - p_trap|^2) + R |u_k|^2, k = 0 .. H - 1.
+
+    Subject to the system, x_0 given, x_H in the terminal set, p_k at least d_min from obstacles, states and controls
+    within bounds. The W term is the trap form of section 3.3.3. In a corridor x and p are coordinates of its path.
+
+    Attributes:
+        task: the task it belongs to.
+        system: f, with the bounds of u that the problem uses; the task's own, or in a corridor `path_car`.
+        form: see `FORMS`.
+        horizon: H, steps.
+        time_step: [s].
+        gamma: growth of the state cost per step; not the discount of Eq. 3.13.
+        discount: of a step of the task's policy, in Eq. 3.13.
+        state_weight: Q.
+        control_weight: R.
+        trap_weight: W.
+        goal: p* (2,) [m].
+        trap: the trap's middle (2,) [m], None for no trap.
+        terminal: the set that x_H lies in: the goal, within the task's terminal set.
+        obstacles: what a position keeps d_min from.
+        clearance: d_min [m].
+        state_bounds: least and largest x (2, n); infinite where free.
+    """
+
+    task: NavigationTask
+    system: System
+    form: Form
+    horizon: int
+    time_step: float
+    gamma: float
+    discount: float
+    state_weight: float
+    control_weight: float
+    trap_weight: float
+    goal: tuple[float, float]
+    trap: tuple[float, float] | None
+    terminal: Region
+    obstacles: tuple[Shape, ...]
+    clearance: float
+    state_bounds: Array
+
+    @property
+    def positions(self) -> list[int]:
+        """Where in x the two coordinates of the plane stand: x and y, x and z, or s and lateral."""
+        return [0, 1] if self.task.corridor is not None else position_indices(self.system.state_names)
+
+    def task_states(self, states: ArrayLike) -> Array:
+        """Return states (..., n) of `system` as states (..., n) of the task's own system."""
+        if self.task.corridor is None:
+            return np.asarray(states, dtype=float)
+        return in_plane(self.task.corridor.path, states)
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the task."""
+        return task_digest(self.task)
+
+    def margin(self, states: ArrayLike) -> Array:
+        """Return how far (...) states (..., n) are from breaking d_min or the map's edge [m]; negative: broken."""
+        states = np.asarray(states, dtype=float)
+        points = states[..., self.positions]
+        low, high = self.state_bounds[:, self.positions]
+        inside = np.minimum(points - low, high - points).min(axis=-1)
+        return np.minimum(inside, signed_distance(self.obstacles, points) - self.clearance)
+
+    def refusal(self, state: ArrayLike) -> str:
+        """Say why no trajectory can begin in `state` (n,); empty where nothing is known against it."""
+        state = np.asarray(state, dtype=float)
+        names = self.system.state_names
+        if state.shape != (len(names),) or not np.isfinite(state).all():
+            return f"start is not {len(names)} finite numbers ({', '.join(names)})"
+        low, high = self.state_bounds
+        for name, value, least, most in zip(names, state, low, high, strict=True):
+            if not least - 1e-9 <= value <= most + 1e-9:
+                return f"start: {name} = {value:.3g} is out of bounds, {least:.4g} .. {most:.4g}"
+        margin = float(self.margin(state))
+        if margin < -1e-9:
+            gap = self.clearance + margin
+            where = f"{gap:.3g} m from an obstacle" if gap >= 0.0 else f"{-gap:.3g} m inside an obstacle"
+            return f"start: {where}, d_min is {self.clearance:g} m"
+        return ""
+
+    def terminal_violation(self, state: ArrayLike) -> float:
+        """Return by how much a state (n,) misses the terminal set [m, rad, ...]; zero or less inside."""
+        state = np.asarray(state, dtype=float)
+        names = self.system.state_names
+        out = -np.inf
+        for name, interval in self.terminal.intervals.items():
+            value = state[names.index(name)]
+            out = max(out, interval.low - value, value - interval.high)
+        if self.terminal.disc is not None:
+            out = max(out, float(self.terminal.disc.signed_distance(state[self.positions])))
+        return out
+
+
+def formulate(task: NavigationTask, form: Form = "free_speed", clearance: float | None = None) -> Problem:
+    """Return a task's problem.
+
+    Args:
+        task: with a part `optimal_control`; obstacles only in an arena.
+        form: see `FORMS`.
+        clearance: d_min [m]; where left out the task's, but more than the body's radius: nearer, the body collides.
+
+    Raises:
+        OcError: the task lacks what the problem needs, or its terminal set is empty within the bounds.
+    """
+    oc = task.optimal_control
+    if oc is None:
+        raise OcError(f"task '{task.name}' has no part 'optimal_control': add its constants to the task file")
+    if form not in FORMS:
+        raise OcError(f"no form '{form}': there are {', '.join(FORMS)}")
+    d_min = max(oc.clearance, task.robot.radius + _ROOM) if clearance is None else clearance
+    system = _system(task, oc, form)
+    if task.corridor is not None:
+        if task.obstacles:
+            raise OcError(f"task '{task.name}': an optimal control problem in a corridor takes no obstacles")
+        system = path_car(system, task.corridor.path)
+    return Problem(
+        task=task,
+        system=system,
+        form=form,
+        horizon=oc.horizon,
+        time_step=oc.time_step,
+        gamma=oc.gamma,
+        discount=oc.discount,
+        state_weight=oc.state_weight,
+        control_weight=oc.control_weight,
+        trap_weight=oc.trap_weight if task.trap is not None else 0.0,
+        goal=_goal(task),
+        trap=None if task.trap is None else task.trap.region.position,
+        terminal=_terminal(task, oc),
+        obstacles=task.build_world().obstacles,
+        clearance=d_min,
+        state_bounds=_state_bounds(task, oc, system, d_min),
+    )
+
+
+def _goal(task: NavigationTask) -> tuple[float, float]:
+    region = task.goal.region
+    return region.position if task.corridor is None else (region.intervals["s"].centre, 0.0)
+
+
+def _system(task: NavigationTask, oc: OptimalControlSpec, form: Form) -> System:
+    """Return the model with the controls' bounds that the form wants: the task's own hold the speed of a car."""
+    own = task.system.build()
+    if form != "free_speed":
+        return own
+    unknown = set(oc.controls) - set(own.control_names)
+    if unknown:
+        raise OcError(f"task '{task.name}': optimal_control.controls names '{min(unknown)}', which the system lacks")
+    return make_system(own.name, parameters=own.parameters, control_bounds=oc.controls)
+
+
+def _terminal(task: NavigationTask, oc: OptimalControlSpec) -> Region:
+    """Return the goal ("final state in G", Eq. 3.16) as far as the task's terminal set allows, a hair smaller."""
+    goal, wanted = task.goal.region, (oc.terminal_set or task.goal).region
+    intervals = {}
+    for name in {**goal.intervals, **wanted.intervals}:
+        both = [region.intervals[name] for region in (goal, wanted) if name in region.intervals]
+        low, high = max(each.low for each in both) + _INSIDE, min(each.high for each in both) - _INSIDE
+        if low > high:
+            raise OcError(f"task '{task.name}': goal and optimal_control.terminal_set do not meet in '{name}'")
+        intervals[name] = Interval(low, high)
+    discs = [region.disc for region in (goal, wanted) if region.disc is not None]
+    if len(set(discs)) > 1:
+        raise OcError(f"task '{task.name}': optimal_control.terminal_set has another disc than the goal; give one disc")
+    return Region(intervals, Disc(discs[0].centre, discs[0].radius - _INSIDE) if discs else None)
+
+
+def _state_bounds(task: NavigationTask, oc: OptimalControlSpec, system: System, clearance: float) -> Array:
+    """Return (2, n): the task's bounds, less what ends an episode: positions within d_min of a wall, too much tilt."""
+    bounds = np.array([[-np.inf] * len(system.states), [np.inf] * len(system.states)])
+    for name, interval in oc.bounds.items():
+        if name not in system.state_names:
+            raise OcError(f"task '{task.name}': optimal_control.bounds names '{name}', which the system lacks")
+        bounds[:, system.state_names.index(name)] = interval
+    for name, wall in _walls(task).items():
+        index = system.state_names.index(name)
+        low, high = bounds[:, index]
+        bounds[:, index] = max(low, wall.low + clearance), min(high, wall.high - clearance)
+    if task.robot.tilt_limit is not None and "psi" in system.state_names:
+        index, limit = system.state_names.index("psi"), task.robot.tilt_limit - _ROOM
+        bounds[:, index] = np.clip(bounds[:, index], -limit, limit)
+    if not (bounds[0] < bounds[1]).all():
+        raise OcError(
+            f"task '{task.name}': no state is {clearance:g} m from the walls and within optimal_control.bounds"
+        )
+    return bounds
+
+
+def _walls(task: NavigationTask) -> dict[str, Interval]:
+    """Return where the walls stand, by the position that they bound [m]; a corridor is open at its end."""
+    if task.corridor is not None:
+        half = 0.5 * task.corridor.width
+        return {"s": Interval(0.0, np.inf), "lateral": Interval(-half, half)}
+    assert task.arena is not None
+    return dict(zip(task.plane, task.arena.bounds, strict=True))

@@ -1,0 +1,42 @@
+"""Random starts, drawn uniformly from the optimal control state space (thesis 3.3.2)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oc_baseline_node.errors import OcError
+from oc_baseline_node.problems.problem import Problem
+
+Array = NDArray[np.float64]
+_TRIES = 10_000
+
+
+def state_space(problem: Problem) -> Array:
+    """Return least and largest start (2, n): the problem's bounds, the model's own where the problem has none."""
+    own = np.array([[s.lower for s in problem.system.states], [s.upper for s in problem.system.states]])
+    space = np.where(np.isfinite(problem.state_bounds), problem.state_bounds, own)
+    if not np.isfinite(space).all():
+        name = problem.system.state_names[int(np.argmin(np.isfinite(space).all(axis=0)))]
+        raise OcError(f"task '{problem.task.name}': '{name}' has no bounds to draw starts from: add them to "
+                      "optimal_control.bounds")  # fmt: skip
+    return space
+
+
+def draw_episode_start(problem: Problem, random: np.random.Generator) -> Array:
+    """Return one state (n,) from where the task's episodes start, in the problem's coordinates."""
+    return problem.task.start.region.sample(problem.system.state_names, random)
+
+
+def draw_start(problem: Problem, random: np.random.Generator) -> Array:
+    """Return one state (n,) drawn uniformly from the state space less the obstacles grown by d_min.
+
+    Raises:
+        OcError: there is hardly any free space.
+    """
+    low, high = state_space(problem)
+    for _ in range(_TRIES):
+        state = random.uniform(low, high)
+        if not problem.refusal(state):
+            return state
+    raise OcError(f"task '{problem.task.name}': no free start in {_TRIES} tries: obstacles fill the map")

@@ -1,0 +1,195 @@
+"""`ros2 run oc_baseline_node analyse`: what separates model from simulator, and how well gradients are estimated.
+
+analyse mismatch      Table 3.5: distance of model and simulator after 1, 5 and 10 steps
+analyse mpc           Fig. 3.17: MPC with a receding horizon in the simulator, beside the learnt policy
+analyse gradient      Table 3.7: cosine similarity of estimated and true policy gradient
+
+What comes from learning (advantages, noise, entropy, other baselines) is `train --compare ...`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from ctrl_rl_core.command import check_least, folder_to_write, run_command
+from ctrl_rl_core.io.results import Result, ResultsError, write_results
+from ctrl_rl_core.tasks.task import NavigationTask, load_navigation_task
+from tqdm import tqdm
+
+from oc_baseline_node.errors import OcError
+
+_RESULTS = Path("docs/results")
+_IMAGES = Path("docs/images")
+THESIS_MISMATCH = {"car_navigation": (0.095, 0.391, 0.518), "quad_navigation": (0.542, 0.836, 1.144)}
+"""Table 3.5 [m], after `mismatch.STEPS`."""
+THESIS_COSINE = {
+    "PPO": (0.238, 0.422, 0.674, 0.855, 0.914),
+    "PPO, OC baseline": (0.331, 0.615, 0.858, 0.961, 0.982),
+}
+"""Table 3.7, at `gradients.SIZES`."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one of the analyses."""
+    parser = argparse.ArgumentParser(
+        prog="analyse", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    commands = parser.add_subparsers(title="analyses", required=True, metavar="ANALYSIS")
+    command = commands.add_parser("mismatch", help="Table 3.5")
+    command.add_argument("--roll-outs", type=int, default=50, help="of each row (default %(default)s, thesis: 10)")
+    command.add_argument(
+        "--heavier",
+        type=float,
+        nargs="*",
+        default=[10.0],
+        metavar="PER_CENT",
+        help="simulate the quadrotor also with so much more mass and inertia than its model has (default 10)",
+    )
+    command.set_defaults(work=_mismatch, least={"roll_outs": 1})
+    command = commands.add_parser("mpc", help="Fig. 3.17")
+    command.add_argument("--task", default="quad_navigation", help="(default %(default)s)")
+    command.add_argument("--episodes", type=int, default=5, help="of MPC (default %(default)s)")
+    command.add_argument("--learnt", type=Path, help="JSON file of `train --results` with a learnt path to draw")
+    command.set_defaults(work=_mpc, least={"episodes": 1})
+    command = commands.add_parser("gradient", help="Table 3.7")
+    command.add_argument("--task", default="quad_trap", help="(default %(default)s)")
+    command.add_argument("--value", type=Path, help="file of V_oc (default: what comes with the package)")
+    command.add_argument("--samples", type=int, help="for the true gradient (default: the thesis's 102400)")
+    command.set_defaults(work=_gradient, least={"samples": 1})
+    for command in commands.choices.values():
+        command.add_argument("--seed", type=int, default=0, help="(default %(default)s)")
+        command.add_argument(
+            "--results", type=folder_to_write, default=_RESULTS, help="folder of JSON files (default %(default)s)"
+        )
+        command.add_argument(
+            "--images", type=folder_to_write, default=_IMAGES, help="folder of pictures (default %(default)s)"
+        )
+    options = parser.parse_args(arguments)
+    return run_command("analyse", lambda: _analyse(options))
+
+
+def _analyse(options: argparse.Namespace) -> int:
+    check_least(options, seed=0, **options.least)
+    work: Callable[[argparse.Namespace], int] = options.work
+    return work(options)
+
+
+def _mismatch(options: argparse.Namespace) -> int:
+    from oc_baseline_node.training.analysis.mismatch import STEPS, heavier, transition_errors
+
+    pairs: dict[str, tuple[NavigationTask, NavigationTask]] = {}
+    for name in THESIS_MISMATCH:
+        task = load_navigation_task(name)
+        pairs[name] = task, task
+        for per_cent in options.heavier if task.robot.body == "planar_quadrotor" else ():
+            if not -100.0 < per_cent < math.inf:
+                raise OcError(f"--heavier is {per_cent:g} per cent: nothing can be that heavy")
+            pairs[f"{name}, mass and inertia {per_cent:+g} %"] = task, heavier(task, per_cent)
+    rows = []
+    for label, (task, plant) in pairs.items():
+        errors = transition_errors(task, options.roll_outs, options.seed, plant)
+        for index, steps in enumerate(STEPS):
+            known = errors[~np.isnan(errors[:, index]), index]
+            if not len(known):
+                raise OcError(f"{label}: no episode lasts {steps} steps: ask for more --roll-outs")
+            thesis = THESIS_MISMATCH[task.name][index]
+            rows.append(Result(label, f"error after {steps} steps", "m", known.tolist(), thesis))
+            ours = f"{known.mean():.4f} ± {known.std():.4f} m over {len(known)} roll-outs"
+            print(f"{label:<41} after {steps:>2} steps  {ours}   thesis {thesis:.3f} m")
+    return _write(options, "oc_mismatch", rows)
+
+
+def _mpc(options: argparse.Namespace) -> int:
+    from oc_baseline_node.training.analysis.mismatch import drive_by_mpc
+    from oc_baseline_node.training.analysis.plots import draw_drives
+
+    task = load_navigation_task(options.task)
+    learnt = [] if options.learnt is None else _learnt_paths(options.learnt, task)
+    with tqdm(desc="MPC", unit="step", mininterval=5.0) as bar:
+        drives = drive_by_mpc(task, options.episodes, options.seed, bar.update)
+    rows = [
+        Result("MPC in the simulator", name, "1", [float(drive.outcome == outcome) for drive in drives])
+        for name, outcome in (("success", "GOAL"), ("collision rate", "COLLISION"), ("time-out rate", "TIMEOUT"))
+    ]
+    rows.append(Result("MPC in the simulator", "return", "1", [drive.total for drive in drives]))
+    rows.append(Result("MPC in the simulator", "steps with a solution", "1", [drive.solved for drive in drives]))
+    for row in rows:
+        print(f"{row.method}: {row.metric} {np.mean(row.values):.3g}")
+    paths = {
+        "MPC": [{"outcome": drive.outcome, "states": drive.states.round(4).tolist()} for drive in drives[:3]],
+        "learnt": learnt[:3],
+    }
+    picture = options.images / f"{task.name}_mpc.png"
+    draw_drives(paths, task, picture)
+    print(f"picture    {picture}")
+    return _write(options, f"oc_mpc_{task.name}", rows, {"task": task.name, "paths": paths})
+
+
+def _learnt_paths(file: Path, task: NavigationTask) -> Sequence[Mapping[str, Any]]:
+    from ctrl_rl_training.experiments.results import read_figures
+
+    from oc_baseline_node.training.plots import Learnt  # matplotlib is not for robots
+
+    figures = read_figures(file, Learnt)
+    if figures["task"] != task.name or "oc_ppo" not in figures["paths"]:
+        raise ResultsError(f"{file}: holds no paths of oc_ppo in task '{task.name}': give what its `train` wrote")
+    paths: Sequence[Mapping[str, Any]] = figures["paths"]["oc_ppo"]
+    if any(len(path["states"][0]) != len(task.system.build().state_names) for path in paths):
+        raise ResultsError(f"{file}: its paths are not of the states of task '{task.name}'")
+    return paths
+
+
+def _gradient(options: argparse.Namespace) -> int:
+    from oc_baseline_node.training.analysis import gradients
+    from oc_baseline_node.training.analysis.early_policy import find_early_policy
+    from oc_baseline_node.training.experiments.runs import OcRun
+
+    run = OcRun(load_navigation_task(options.task), "oc_ppo", options.seed, options.value)
+    wanted = gradients.TRUTH if options.samples is None else options.samples
+    with tqdm(desc="early policy", unit="roll-out", mininterval=5.0) as bar:
+        model, ended = find_early_policy(run, bar.update)
+    print(f"policy     after {model.num_timesteps} samples: {ended}")
+    assert model.env is not None
+    policy = model.policy
+    pool = gradients.POOL
+    with tqdm(total=wanted + max(gradients.SIZES) + pool, desc="samples", unit="sample", mininterval=5.0) as bar:
+        known = gradients.collect_samples(policy, model.env, wanted, run.discount, bar.update)
+        fitted = gradients.collect_samples(policy, model.env, max(gradients.SIZES), run.discount, bar.update)
+        fresh = gradients.collect_samples(policy, model.env, pool, run.discount, bar.update)
+    model.env.close()
+    truth = gradients.policy_gradient(policy, known, None, np.arange(len(known.returns)))
+    value = gradients.fit_value(fitted, options.seed)(fresh.observations)
+    of_oc = run.baseline()(fresh.observations)
+    baselines = {
+        "PPO": value,
+        "PPO, OC baseline": of_oc,
+        "PPO, OC baseline less its mean error": of_oc + np.float32(np.mean(fresh.returns - of_oc)),
+        "no baseline": None,
+    }
+    found = gradients.similarities(policy, truth, fresh, baselines, np.random.default_rng(options.seed))
+    rows = []
+    for name, sizes in found.items():
+        for index, (size, values) in enumerate(sizes.items()):
+            thesis = THESIS_COSINE[name][index] if name in THESIS_COSINE else None
+            rows.append(Result(name, f"cosine similarity, {size} samples", "1", values, thesis))
+            beside = "" if thesis is None else f"   thesis {thesis:.3f}"
+            print(f"{name:<38} {size:>6} samples  {np.mean(values):.3f} ± {np.std(values):.3f}{beside}")
+    return _write(options, "oc_gradient", rows)
+
+
+def _write(
+    options: argparse.Namespace, name: str, rows: Sequence[Result], figures: dict[str, object] | None = None
+) -> int:
+    file = options.results / f"{name}.json"
+    write_results(file, name, [options.seed], rows, figures)
+    print(f"results    {file}")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

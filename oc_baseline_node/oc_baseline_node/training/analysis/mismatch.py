@@ -1,0 +1,142 @@
+"""What separates the model from the simulator, and what it costs MPC (thesis Table 3.5, Fig. 3.17)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from ctrl_rl_core.systems.system import System
+from ctrl_rl_core.tasks.task import NavigationTask
+from numpy.typing import NDArray
+from sim_bridge.environments import NavigationEnv
+
+from oc_baseline_node.mpc.mpc import Mpc, RecedingHorizon
+from oc_baseline_node.problems.problem import formulate
+
+Array = NDArray[np.float64]
+STEPS = (1, 5, 10)
+"""Control steps after which Table 3.5 compares."""
+
+
+class Drive(NamedTuple):
+    """An episode of a controller in the simulator.
+
+    Attributes:
+        outcome: how it ended.
+        states: (steps + 1, n).
+        total: undiscounted return.
+        solved: part of the steps in which the solver found a trajectory.
+    """
+
+    outcome: str
+    states: Array
+    total: float
+    solved: float
+
+
+def heavier(task: NavigationTask, per_cent: float) -> NavigationTask:
+    """Return the task of a quadrotor of more mass and inertia, e.g. with a battery or a sensor that its model lacks.
+
+    Raises:
+        ValueError: the task's system has neither, or nothing would be left of them.
+    """
+    factor = 1.0 + per_cent / 100.0
+    return task.model_copy(update={"system": task.system.scaled({"m": factor, "I_yy": factor})})
+
+
+def transition_errors(
+    task: NavigationTask, roll_outs: int = 10, seed: int = 0, plant: NavigationTask | None = None
+) -> Array:
+    """Return the distance (roll_outs, len(STEPS)) [m] of the positions of model and simulator, see Table 3.5.
+
+    Both begin in the same random start of the task and get the same random commands, a new one each control step; so
+    does every other plant. NaN where the episode has ended before.
+
+    Args:
+        task: whose model predicts.
+        roll_outs: how many.
+        seed: of starts and commands.
+        plant: the task as it is simulated; the same one unless given.
+    """
+    problem = formulate(task)
+    environment = NavigationEnv(plant or task)
+    errors = np.full((roll_outs, len(STEPS)), np.nan)
+    try:
+        for roll_out in range(roll_outs):
+            random = np.random.default_rng((seed, roll_out))
+            _, info = environment.reset(seed=seed + roll_out)
+            x = info["state"]
+            for step in range(1, max(STEPS) + 1):
+                action = random.uniform(-1.0, 1.0, 2).astype(np.float32)
+                x = predict(problem.system, x, command(task, action), task.episode.time_step)
+                _, _, terminated, _, info = environment.step(action)
+                if terminated:  # what a wreck does tells nothing of the model
+                    break
+                if step in STEPS:
+                    apart = (x - info["state"])[problem.positions]
+                    errors[roll_out, STEPS.index(step)] = np.hypot(*apart)
+    finally:
+        environment.close()
+    return errors
+
+
+def predict(system: System, x: Array, u: Array, duration: float, parts: int = 10) -> Array:
+    """Return the model's state (n,) after `duration` [s] of a constant control (m,)."""
+    for _ in range(parts):
+        x = system.step(x, u, dt=duration / parts)
+    return x
+
+
+def command(task: NavigationTask, action: Sequence[float] | NDArray[np.float32]) -> Array:
+    """Return the command (m,) of an action in [-1, 1] (m,)."""
+    low, high = np.array(list(task.robot.commands.values())).T
+    return low + 0.5 * (np.asarray(action, dtype=float) + 1.0) * (high - low)
+
+
+def action_of(task: NavigationTask, control: Array) -> NDArray[np.float32]:
+    """Return the action in [-1, 1] (m,) that comes nearest to a control (m,)."""
+    low, high = np.array(list(task.robot.commands.values())).T
+    return np.clip(2.0 * (control - low) / (high - low) - 1.0, -1.0, 1.0).astype(np.float32)
+
+
+def _with_time_step(task: NavigationTask, time_step: float) -> NavigationTask:
+    """Return the task with other, equally long episodes: MPC acts at the time step it plans with."""
+    episode = task.episode
+    steps = round(episode.steps * episode.time_step / time_step)
+    changed = episode.model_copy(update={"time_step": time_step, "steps": steps})
+    return task.model_copy(update={"episode": changed})
+
+
+def drive_by_mpc(
+    task: NavigationTask, episodes: int = 10, seed: int = 0, progress: Callable[[], object] = lambda: None
+) -> list[Drive]:
+    """Run MPC with a receding horizon in the simulator, as Fig. 3.17 does: it plans with the model alone.
+
+    Args:
+        task: its arena, rewards and problem.
+        episodes: how many, from the seeds `seed`, `seed` + 1 and so on.
+        seed: of the first.
+        progress: called after each step.
+    """
+    problem = formulate(task)
+    mpc = Mpc(problem)
+    environment = NavigationEnv(_with_time_step(task, problem.time_step))
+    drives = []
+    try:
+        for episode in range(episodes):
+            controller = RecedingHorizon(mpc)
+            _, info = environment.reset(seed=seed + episode)
+            states, total, solved, over = [info["state"]], 0.0, 0, False
+            while not over:
+                u = controller.control(states[-1])
+                solved += controller.solved
+                _, paid, terminated, truncated, info = environment.step(action_of(task, u))
+                states.append(info["state"])
+                total += paid
+                over = terminated or truncated
+                progress()
+            drives.append(Drive(info["outcome"], np.array(states), total, solved / (len(states) - 1)))
+    finally:
+        environment.close()
+    return drives

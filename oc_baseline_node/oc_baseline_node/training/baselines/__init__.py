@@ -1,0 +1,1 @@
+"""Policy gradients with baselines and control variates (thesis Eq. 3.14)."""

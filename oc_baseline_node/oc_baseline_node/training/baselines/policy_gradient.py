@@ -1,0 +1,122 @@
+"""Policy gradients of Stable-Baselines3 with any baseline (thesis Eq. 3.14): where A = G^lambda - b(s) is made.
+
+    PPO(BaselinePolicy, env, policy_kwargs={"baseline": b}, vf_coef=0.0)            b is also what G^lambda ends on
+    PPO("MlpPolicy", env, rollout_buffer_class=BaselineBuffer,
+        rollout_buffer_kwargs={"baseline": b})                                      G^lambda ends on the learnt V
+    PPO(CorrectedPolicy, env, policy_kwargs={"baseline": b})                        the learnt V begins as b
+
+The n-step returns in G^lambda need a value where they are cut, after n steps, at the end of a roll-out, at a time-out
+that pays nothing. The first form takes b for it, as the published code does: at lambda < 1 advantages then are sums of
+r + gamma b(s') - b(s), so that b guides. The second takes the on-policy value: b then moves advantages of whole states
+only, which leaves the gradient's mean as it was. The third is led by b at first and by what was learnt in the end.
+Both algorithms standardise advantages.
+"""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from sb3_contrib import TRPO
+from stable_baselines3.common.buffers import RolloutBuffer
+from stable_baselines3.common.policies import ActorCriticPolicy
+
+from oc_baseline_node.training.baselines.baselines import Baseline
+
+PERCENTILES = (5, 50, 95)
+"""Of the advantages of a roll-out, noted for thesis Fig. 3.12."""
+
+
+class BaselineBuffer(RolloutBuffer):
+    """Roll-outs whose advantages are G^lambda - b(s) (Eq. 3.14).
+
+    Args:
+        baseline: b; None leaves what the policy says, the learnt V or a `BaselinePolicy`'s own.
+
+    Attributes:
+        ranges: `PERCENTILES` of the advantages of each roll-out since they were last taken, before standardising.
+    """
+
+    def __init__(self, *arguments: Any, baseline: Baseline | None = None, **others: Any) -> None:
+        self.baseline = baseline
+        self.ranges: list[list[float]] = []
+        super().__init__(*arguments, **others)
+
+    def compute_returns_and_advantage(self, last_values: torch.Tensor, dones: NDArray[Any]) -> None:
+        """Compute G^lambda (`returns`) as Stable-Baselines3 does, then the advantages."""
+        super().compute_returns_and_advantage(last_values, dones)
+        if self.baseline is not None:
+            flat = self.observations.reshape(-1, *self.obs_shape)
+            self.advantages = self.returns - self.baseline(flat).reshape(self.returns.shape)
+        self.ranges.append([float(x) for x in np.percentile(self.advantages, PERCENTILES)])
+
+    def take_ranges(self) -> list[list[float]]:
+        """Return `ranges` and begin anew."""
+        ranges, self.ranges = self.ranges, []
+        return ranges
+
+
+class BaselinePolicy(ActorCriticPolicy):
+    """A policy whose value is a given function, never learnt: both baseline and end of G^lambda.
+
+    Args:
+        baseline: that function.
+    """
+
+    def __init__(self, *arguments: Any, baseline: Baseline, **others: Any) -> None:
+        self.baseline = baseline
+        super().__init__(*arguments, **others)
+
+    def forward(
+        self, obs: torch.Tensor, deterministic: bool = False
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Return actions (N, m), the value (N, 1) and log-probabilities (N,)."""
+        actions, learnt, log_probabilities = super().forward(obs, deterministic)
+        return actions, self._value(obs, learnt), log_probabilities
+
+    def predict_values(self, obs: Any) -> torch.Tensor:
+        """Return the value (N, 1)."""
+        return self._value(obs, super().predict_values(obs))
+
+    def _value(self, observations: Any, learnt: torch.Tensor) -> torch.Tensor:  # noqa: ARG002 - for those who correct
+        """Return the value (N, 1) where the network says `learnt` (N, 1)."""
+        return torch.from_numpy(self.baseline(observations.numpy()))[:, None]
+
+
+class CorrectedPolicy(BaselinePolicy):
+    """A policy whose value is a given function and a learnt correction, 0 at first: V(s) = b(s) + V_theta(s).
+
+    So b leads the early policy, as the reward r + gamma b(s') - b(s) would (potential-based shaping: Ng, Harada and
+    Russell 1999; a value that begins as b does the same: Wiewiora 2003), and V becomes the value of the policy.
+
+    Args:
+        baseline: b.
+    """
+
+    def __init__(self, *arguments: Any, **others: Any) -> None:
+        super().__init__(*arguments, **others)
+        torch.nn.init.zeros_(self.value_net.weight)
+        torch.nn.init.zeros_(self.value_net.bias)
+
+    def evaluate_actions(
+        self, obs: Any, actions: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor | None]:
+        """Return the value (N, 1), log-probabilities of actions (N,) and entropy (N,)."""
+        learnt, log_probabilities, entropy = super().evaluate_actions(obs, actions)
+        return self._value(obs, learnt), log_probabilities, entropy
+
+    def _value(self, observations: Any, learnt: torch.Tensor) -> torch.Tensor:
+        return super()._value(observations, learnt) + learnt
+
+
+class FrozenValueTrpo(TRPO):
+    """TRPO that learns no value: for a `BaselinePolicy`, with `n_critic_updates=0`."""
+
+    def train(self) -> None:
+        """Learn from the roll-out, without the library's warning that there is no mean loss of the value to log."""
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RuntimeWarning)
+            super().train()

@@ -1,0 +1,1 @@
+"""The runs and comparisons of thesis 3.3.3."""

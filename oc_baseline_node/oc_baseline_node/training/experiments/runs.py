@@ -1,0 +1,152 @@
+"""What is learnt in thesis 3.3.3: a task's sparse reward with one of several policy gradients, from several seeds.
+
+train_one(OcRun(load_navigation_task("car_navigation"), "oc_ppo", 0), Options(Path("runs/oc_training")))
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ctrl_rl_core.tasks.task import NavigationTask
+from ctrl_rl_core.values.value_function import check_function
+from ctrl_rl_training.sb3.algorithms import make_algorithm
+from ctrl_rl_training.sb3.environment import Environment, make_environment
+from stable_baselines3.common.base_class import BaseAlgorithm
+
+from oc_baseline_node.errors import OcError
+from oc_baseline_node.training.baselines.baselines import OcBaseline
+from oc_baseline_node.training.baselines.policy_gradient import (
+    BaselineBuffer,
+    BaselinePolicy,
+    CorrectedPolicy,
+    FrozenValueTrpo,
+)
+from oc_baseline_node.training.baselines.q_prop import QPropPpo
+from oc_baseline_node.training.baselines.stein import SteinPpo
+from oc_baseline_node.training.experiments.environment import PaidTimeOut
+from oc_baseline_node.training.experiments.methods import METHODS, Method
+from oc_baseline_node.values.mlp_value import MlpValue
+from oc_baseline_node.values.value_file import find_value, load_network
+
+
+@dataclass(frozen=True)
+class OcRun:
+    """One run: a method, a task and a seed (a `ctrl_rl_training.sb3.training.Run`).
+
+    Attributes:
+        task: what is learnt.
+        method_name: one of `METHODS`.
+        seed: of everything random.
+        value: file of V_oc; the network that comes with the package unless given.
+    """
+
+    task: NavigationTask
+    method_name: str
+    seed: int
+    value: Path | None = None
+
+    @property
+    def name(self) -> str:
+        """Its name, which is that of its folder too."""
+        return f"{self.task.name}-{self.method_name}-s{self.seed}"
+
+    @property
+    def method(self) -> Method:
+        """The method.
+
+        Raises:
+            OcError: there is no such method.
+        """
+        try:
+            return METHODS[self.method_name]
+        except KeyError:
+            raise OcError(f"no method '{self.method_name}': there are {', '.join(METHODS)}") from None
+
+    @property
+    def description(self) -> dict[str, Any]:
+        """What the results say about it."""
+        value = self.network.digest if self.method.needs_value else None
+        return {
+            "task": self.task.name,
+            "method": self.method_name,
+            "seed": self.seed,
+            "discount": self.discount,
+            "value_digest": value,
+        }
+
+    @property
+    def network(self) -> MlpValue:
+        """V_oc of the task.
+
+        Raises:
+            OcError: the file is missing, or V_oc is of another version of the task.
+            ValueFunctionError: V_oc is of another task or of other states.
+        """
+        file = find_value(self.value or self.task.name)
+        value = load_network(file)
+        if not check_function(value, self.task, value.kind):
+            raise OcError(f"{file}: is of another version of '{self.task.name}': make it with 'oc data' and 'oc fit'")
+        return value
+
+    @property
+    def discount(self) -> float:
+        """Discount of a step: that of V_oc, with which all methods are compared; without one the task's.
+
+        Raises:
+            OcError: see `network`; or a method without V_oc has none from the task either.
+        """
+        if self.method.needs_value or self.value is not None:
+            return float(self.network.manifest["discount"])
+        if self.task.optimal_control is None:
+            raise OcError(f"task '{self.task.name}' has no 'optimal_control.discount' to learn with: add it")
+        return self.task.optimal_control.discount
+
+    def baseline(self) -> OcBaseline:
+        """Return b(s) = V_oc(x). Errors as for `network`."""
+        return OcBaseline(self.network, self.task, self.method.noise)
+
+    def environment(self, rate: int | None = None) -> Environment:
+        """Return the task's environment, which pays what the task says."""
+        return make_environment(self.task, rate, PaidTimeOut)
+
+    def model(self, samples: int) -> BaseAlgorithm:
+        """Return the untrained algorithm with its own environments, for so many samples. Errors as for `network`."""
+        method = self.method
+        changes: dict[str, Any] = {
+            "gamma": self.discount,
+            "gae_lambda": method.gae_lambda,
+            "rollout_buffer_class": BaselineBuffer,
+        }
+        if method.entropy > 0.0:
+            changes["ent_coef"] = method.entropy
+        if method.baseline == "stein":
+            changes["kind"] = SteinPpo
+        elif method.baseline == "q_prop":
+            changes |= {"kind": QPropPpo, "replay_size": samples}
+        elif method.baseline == "oc" and method.end == "oc":
+            changes |= {"policy": BaselinePolicy, "policy_kwargs": {"baseline": self.baseline()}}
+            if method.algorithm == "trpo":
+                changes |= {"kind": FrozenValueTrpo, "n_critic_updates": 0}
+            else:
+                changes["vf_coef"] = 0.0
+        elif method.baseline == "corrected":
+            changes |= {"policy": CorrectedPolicy, "policy_kwargs": {"baseline": self.baseline()}}
+        elif method.baseline == "oc":
+            changes["rollout_buffer_kwargs"] = {"baseline": self.baseline()}
+        return make_algorithm(method.algorithm, self.environment, self.seed, samples, **changes)
+
+    def notes(self, model: BaseAlgorithm) -> dict[str, Any]:
+        """Return the `advantages` of each roll-out since the last call, see `BaselineBuffer.ranges`."""
+        buffer: Any = model.rollout_buffer  # type: ignore[attr-defined]
+        return {"advantages": buffer.take_ranges()}
+
+
+def oc_runs(
+    task: NavigationTask, methods: Sequence[str] = tuple(METHODS), seeds: int = 5, value: Path | None = None
+) -> list[OcRun]:
+    """Return all runs of a task, those that matter most first."""
+    ordered = sorted(methods, key=list(METHODS).index)
+    return [OcRun(task, method, seed, value) for method in ordered for seed in range(seeds)]

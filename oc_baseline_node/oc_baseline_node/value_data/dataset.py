@@ -1,0 +1,263 @@
+"""Value data: a folder of chunks, each some solved trajectories, and their values (thesis Eq. 3.13).
+
+Reading them needs no solver; `oc_baseline_node.value_data.chunk_solver` makes them.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from ctrl_rl_core.io.atomic_write import is_temporary, write_whole
+from ctrl_rl_core.io.checked_arrays import encode_arrays, read_arrays
+from ctrl_rl_core.io.checked_json import read_json, with_digest
+from ctrl_rl_core.io.file_checks import FileError, refused_as
+from ctrl_rl_core.io.schema import Name, Number, Schema, Sha256
+from numpy.typing import NDArray
+from pydantic import Field
+
+from oc_baseline_node.errors import OcError
+from oc_baseline_node.problems.problem import Problem
+from oc_baseline_node.values.returns import returns, rewards, step_discount
+
+Array = NDArray[np.float64]
+FORMAT = "oc-value-data-1"
+LOCK = ".lock"
+"""File of a folder of value data that keeps a second call out."""
+_LARGEST_CHUNK = 2_000_000_000
+"""Bytes of the arrays of a chunk."""
+_KINDS = dict.fromkeys(("states", "controls", "time_steps", "cpu_seconds", "unsolved", "wasted_seconds"), "f") | {
+    "reasons": "U",
+    "doomed": "b",
+}
+
+
+class _Description(Schema):
+    """What a folder of value data says about itself."""
+
+    format: Literal["oc-value-data-1"]
+    task: Name
+    task_digest: Sha256
+    form: Name
+    clearance: Number
+    trajectories: Annotated[int, Field(ge=1, le=10_000_000)]
+    chunk: Annotated[int, Field(ge=1, le=10_000_000)]
+    seed: Annotated[int, Field(ge=0, le=2**63)]
+
+
+@dataclass(frozen=True)
+class DataSettings:
+    """What value data depend on.
+
+    Attributes:
+        trajectories: how many solved ones.
+        chunk: of them to a file.
+        seed: of the starts, zero or more.
+
+    Raises:
+        OcError: there would be nothing to make.
+    """
+
+    trajectories: int
+    chunk: int = 10
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.trajectories < 1 or self.chunk < 1 or self.seed < 0:
+            raise OcError(
+                f"{self.trajectories} trajectories, {self.chunk} to a file, seed {self.seed}: the first two must be at "
+                "least 1, the seed 0"
+            )
+
+    @property
+    def chunks(self) -> int:
+        """How many files."""
+        return -(-self.trajectories // self.chunk)
+
+    def size(self, index: int) -> int:
+        """How many trajectories chunk `index` holds."""
+        return min(self.chunk, self.trajectories - index * self.chunk)
+
+
+@dataclass(frozen=True)
+class ValueData:
+    """Solved trajectories and the starts from which there was none.
+
+    Attributes:
+        states: (N, H+1, n).
+        controls: (N, H, m).
+        time_steps: (N,) [s].
+        cpu_seconds: of each solved trajectory (N,).
+        unsolved: starts without a trajectory (K, n).
+        reasons: the solver's, for each of them.
+        doomed: whether such a start cannot even keep clear of obstacles and bounds for a second, goal or not (K,).
+        wasted_seconds: CPU seconds spent on them (K,).
+    """
+
+    states: Array
+    controls: Array
+    time_steps: Array
+    cpu_seconds: Array
+    unsolved: Array
+    reasons: tuple[str, ...]
+    doomed: NDArray[np.bool_]
+    wasted_seconds: Array
+
+    @property
+    def success_rate(self) -> float:
+        """Part of the random starts from which a trajectory was found."""
+        return len(self.states) / (len(self.states) + len(self.unsolved))
+
+    @property
+    def success_rate_of_viable(self) -> float:
+        """The same without the starts that are doomed."""
+        return len(self.states) / (len(self.states) + int(np.sum(~self.doomed)))
+
+    def samples(
+        self, problem: Problem, discount: float | None = None, whole_horizon: bool = False
+    ) -> tuple[Array, Array, NDArray[np.bool_]]:
+        """Return x_m as states of the task (N, H+1, n), V(x_m) by Eq. 3.13 and whether an episode meets it (N, H+1).
+
+        After its first goal, trap or collision an episode is over: what a trajectory does then is no state of it.
+
+        Args:
+            problem: whose task pays the rewards.
+            discount: of a step of the task's policy; the task's own unless given.
+            whole_horizon: whether the sum goes on after arrival, to the horizon's end, as the thesis may be read; every
+                state counts then.
+        """
+        states = problem.task_states(self.states)
+        paid, ended = rewards(problem.task, states)
+        ended &= not whole_horizon
+        over = np.logical_or.accumulate(ended, axis=1)
+        met = np.column_stack((np.ones(len(over), dtype=bool), ~over[:, :-1]))
+        per_step = step_discount(problem.task, problem.discount if discount is None else discount, self.time_steps)
+        return states, returns(paid, ended, per_step), met
+
+
+def description(problem: Problem, settings: DataSettings) -> dict[str, Any]:
+    """Return what a folder of value data says about itself: other settings need another folder."""
+    return {
+        "format": FORMAT,
+        "task": problem.task.name,
+        "task_digest": problem.digest,
+        "form": problem.form,
+        "clearance": problem.clearance,
+        "trajectories": settings.trajectories,
+        "chunk": settings.chunk,
+        "seed": settings.seed,
+    }
+
+
+def chunk_file(folder: Path, index: int) -> Path:
+    """Return the file of a chunk."""
+    return folder / f"chunk-{index:04d}.npz"
+
+
+def write_chunk(folder: Path, index: int, data: ValueData) -> None:
+    """Write a chunk, whole or not at all.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    arrays: dict[str, Any] = {name: getattr(data, name) for name in ValueData.__annotations__}
+    arrays["reasons"] = np.array(data.reasons, dtype=np.str_)
+    write_whole(chunk_file(folder, index), encode_arrays(arrays))
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder for value data, if it is not there.
+
+    Raises:
+        OcError: it holds something else; what a killed call leaves behind does not count.
+        OSError: it cannot be made.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    other = [file for file in folder.iterdir() if file.name != LOCK and not is_temporary(file)]
+    if other and not (folder / "settings.json").exists():
+        raise OcError(f"{folder} holds something else than value data, {other[0].name}: give another folder")
+
+
+def open_folder(folder: Path, problem: Problem, settings: DataSettings) -> list[int]:
+    """Begin or take up value data in a folder of `make_folder` and return the chunks that it still lacks.
+
+    Only whoever has the folder's lock may: what a killed call left half-written is removed.
+
+    Raises:
+        OcError: the folder holds data of other settings.
+        OSError: it cannot be written to.
+    """
+    file = folder / "settings.json"
+    if file.exists():
+        _check_same(folder, problem, settings)
+    for left in filter(is_temporary, folder.iterdir()):
+        left.unlink()
+    if not file.exists():
+        write_whole(file, json.dumps(with_digest(description(problem, settings)), indent=1) + "\n")
+    return _lacking(folder, settings)
+
+
+def _check_same(folder: Path, problem: Problem, settings: DataSettings) -> None:
+    there = read_description(folder)
+    for name, wanted in description(problem, settings).items():
+        if there.get(name) != wanted:
+            raise OcError(f"{folder} holds data with {name} = {there.get(name)}, not {wanted}: give another folder")
+
+
+def _lacking(folder: Path, settings: DataSettings) -> list[int]:
+    return [index for index in range(settings.chunks) if not chunk_file(folder, index).exists()]
+
+
+def read_description(folder: Path) -> dict[str, Any]:
+    """Return what a folder of value data says about itself.
+
+    Raises:
+        OcError: there is none, or it is wrong.
+    """
+    file = folder / "settings.json"
+    if not file.is_file():
+        raise OcError(f"{folder} holds no value data: make them with 'oc data'")
+    with refused_as(OcError, file, "make the data again in another folder"):
+        return _Description.model_validate(read_json(file)).model_dump()
+
+
+def load_data(folder: Path, problem: Problem) -> ValueData:
+    """Read a whole folder of value data.
+
+    Raises:
+        OcError: it belongs to another problem, chunks are missing, or one cannot be read.
+    """
+    there = read_description(folder)
+    settings = DataSettings(*(int(there[name]) for name in ("trajectories", "chunk", "seed")))
+    _check_same(folder, problem, settings)
+    lacking = _lacking(folder, settings)
+    if lacking:
+        raise OcError(f"{folder} lacks {len(lacking)} of {settings.chunks} chunks: run the same 'oc data' again")
+    return join([_read_chunk(chunk_file(folder, index)) for index in range(settings.chunks)])
+
+
+def join(parts: list[ValueData]) -> ValueData:
+    """Return several chunks as one."""
+    names = [name for name in ValueData.__annotations__ if name != "reasons"]
+    arrays: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+    return ValueData(reasons=tuple(reason for part in parts for reason in part.reasons), **arrays)
+
+
+def _read_chunk(file: Path) -> ValueData:
+    with refused_as(OcError, file, "delete it and run 'oc data' again"):
+        arrays: dict[str, Any] = read_arrays(file, tuple(ValueData.__annotations__), _LARGEST_CHUNK)
+        sizes = {name: array.shape for name, array in arrays.items()}
+        solved, unsolved = sizes["states"][:1], sizes["unsolved"][:1]
+        fits = (
+            [len(sizes[name]) for name in ("states", "controls", "unsolved")] == [3, 3, 2]
+            and sizes["controls"][:2] == (solved[0], sizes["states"][1] - 1)
+            and sizes["unsolved"][1] == sizes["states"][2]
+            and sizes["time_steps"] == sizes["cpu_seconds"] == solved
+            and sizes["reasons"] == sizes["doomed"] == sizes["wasted_seconds"] == unsolved
+        )
+        if not fits or any(arrays[name].dtype.kind != kind for name, kind in _KINDS.items()):
+            raise FileError("its arrays do not fit each other")
+    return ValueData(**{**arrays, "reasons": tuple(arrays["reasons"].tolist())})

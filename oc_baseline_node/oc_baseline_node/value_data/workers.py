@@ -1,0 +1,88 @@
+"""Making value data with several processes, with a progress bar; what is done stays done when it is stopped."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+
+from ctrl_rl_core.processes.exclusive_lock import alone
+from ctrl_rl_core.processes.workers import in_processes
+from ctrl_rl_core.tasks.task import NavigationTask
+from tqdm import tqdm
+
+from oc_baseline_node.problems.problem import Form, Problem, formulate
+from oc_baseline_node.value_data.chunk_solver import ChunkSolver
+from oc_baseline_node.value_data.dataset import (
+    LOCK,
+    DataSettings,
+    ValueData,
+    load_data,
+    make_folder,
+    open_folder,
+    write_chunk,
+)
+
+_solver: ChunkSolver
+"""One to a worker process: setting up the programs takes as long as a chunk does."""
+
+
+def make_data(
+    problem: Problem, settings: DataSettings, folder: Path, workers: int = 1, progress: bool = True
+) -> tuple[ValueData, float, float]:
+    """Make what a folder of value data still lacks and return all of it, with the wall and CPU seconds that it took.
+
+    Args:
+        problem: to solve, as `formulate` made it.
+        settings: how many, from which seed.
+        folder: holds one file a chunk; what lies there is not made again.
+        workers: processes; with one everything happens in this one.
+        progress: whether to show a bar.
+
+    Raises:
+        OcError: see `make_folder`, `open_folder` and `ChunkSolver.solve`.
+        LockError: another call works in the folder.
+        WorkersError: a worker was killed.
+    """
+    wall, cpu = time.monotonic(), _cpu_seconds()
+    make_folder(folder)
+    with alone(folder / LOCK):
+        lacking = open_folder(folder, problem, settings)
+        done = settings.trajectories - sum(map(settings.size, lacking))
+        quiet = None if progress else True
+        with tqdm(total=settings.trajectories, initial=done, desc="solving", unit="trajectory", disable=quiet) as bar:
+            for index in _finished(problem, settings, folder, lacking, min(workers, max(1, len(lacking)))):
+                bar.update(settings.size(index))
+        return load_data(folder, problem), time.monotonic() - wall, _cpu_seconds() - cpu
+
+
+def _finished(
+    problem: Problem, settings: DataSettings, folder: Path, lacking: list[int], workers: int
+) -> Iterator[int]:
+    """Make the chunks and yield each one's index once its file is there."""
+    if not lacking:
+        return
+    terms = (problem.task, problem.form, problem.clearance, settings)
+    if workers == 1:
+        _prepare(*terms)
+        yield from (_make(folder, index) for index in lacking)
+    else:
+        yield from in_processes(partial(_make, folder), lacking, workers, _prepare, terms)
+
+
+def _prepare(task: NavigationTask, form: Form, clearance: float, settings: DataSettings) -> None:
+    global _solver
+    _solver = ChunkSolver(formulate(task, form, clearance), settings)
+
+
+def _make(folder: Path, index: int) -> int:
+    write_chunk(folder, index, _solver.solve(index))
+    return index
+
+
+def _cpu_seconds() -> float:
+    """Return CPU seconds of this process and of those it has waited for."""
+    times = os.times()
+    return times.user + times.system + times.children_user + times.children_system

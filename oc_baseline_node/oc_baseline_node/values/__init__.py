@@ -1,0 +1,1 @@
+"""Optimal control values V_oc and their files."""

@@ -1,0 +1,110 @@
+"""Where V_oc needs no regression: in collision the episode ends, and Eq. 3.13 is what the task pays for it.
+
+A network that had to learn these steps of 1400 between neighbouring states would be wrong by hundreds everywhere else,
+where values differ by tens. NumPy only; a file of values carries its collision set.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import numpy as np
+from ctrl_rl_core.geometry.shapes import Box, Disc, Shape, signed_distance
+from ctrl_rl_core.io.schema import Number, Positive, Schema
+from ctrl_rl_core.tasks.regions import position_indices, wrap
+from ctrl_rl_core.tasks.task import NavigationTask
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from oc_baseline_node.values.returns import tilt_reward as tilt_reward_of
+
+Array = NDArray[np.float64]
+
+
+class ShapeHeader(Schema):
+    """A shape in a file: [x, y, width, height, angle] of a box or [x, y, radius] of a disc [m, rad]."""
+
+    box: Annotated[list[Number], Field(min_length=5, max_length=5)] | None = None
+    disc: Annotated[list[Number], Field(min_length=3, max_length=3)] | None = None
+
+    @model_validator(mode="after")
+    def _one(self) -> ShapeHeader:
+        if (self.box is None) == (self.disc is None):
+            raise ValueError("needs either 'box' or 'disc'")
+        if min(self.box[2:4] if self.box else self.disc[2:] if self.disc else [0.0]) <= 0.0:
+            raise ValueError("must have an extent")
+        return self
+
+    @property
+    def shape(self) -> Shape:
+        """The shape itself."""
+        if self.box is not None:
+            x, y, width, height, angle = self.box
+            return Box((x, y), (width, height), angle)
+        x, y, radius = self.disc or (0.0, 0.0, 0.0)
+        return Disc((x, y), radius)
+
+
+class CollisionHeader(Schema):
+    """A `CollisionSet` in a file."""
+
+    shapes: Annotated[list[ShapeHeader], Field(min_length=1, max_length=10_000)]
+    radius: Positive
+    reward: Number
+    tilt_limit: Positive | None
+    tilt_reward: Number
+
+
+@dataclass(frozen=True)
+class CollisionSet:
+    """States in which the body, a disc, touches a wall or an obstacle, or tilts too far.
+
+    Attributes:
+        shapes: walls and obstacles.
+        radius: of the body [m].
+        reward: paid for a collision.
+        tilt_limit: largest |psi| [rad], infinite for none.
+        tilt_reward: paid beyond it.
+    """
+
+    shapes: tuple[Shape, ...]
+    radius: float
+    reward: float
+    tilt_limit: float
+    tilt_reward: float
+
+    @classmethod
+    def of(cls, task: NavigationTask) -> CollisionSet:
+        """Return that of a task."""
+        world = task.build_world()
+        limit = np.inf if task.robot.tilt_limit is None else task.robot.tilt_limit
+        return cls(
+            (*world.walls, *world.obstacles), task.robot.radius, task.rewards.collision, limit, tilt_reward_of(task)
+        )
+
+    def rewards(self, names: tuple[str, ...], states: Array) -> Array:
+        """Return what is paid (N,) at states (N, n) with components `names`; NaN outside the set."""
+        out = np.full(len(states), np.nan)
+        out[signed_distance(self.shapes, states[:, position_indices(names)]) <= self.radius] = self.reward
+        if "psi" in names:
+            out[np.abs(wrap(states[:, names.index("psi")])) > self.tilt_limit] = self.tilt_reward
+        return out
+
+    def as_json(self) -> dict[str, Any]:
+        """Return it as plain JSON values."""
+        shapes = [
+            {"box": [*shape.centre, *shape.size, shape.angle]}
+            if isinstance(shape, Box)
+            else {"disc": [*shape.centre, shape.radius]}
+            for shape in self.shapes
+        ]
+        limit = self.tilt_limit if np.isfinite(self.tilt_limit) else None
+        return {"shapes": shapes, "radius": self.radius, "reward": self.reward, "tilt_limit": limit,
+                "tilt_reward": self.tilt_reward}  # fmt: skip
+
+    @classmethod
+    def from_file(cls, told: CollisionHeader) -> CollisionSet:
+        """Return what `as_json` wrote."""
+        limit = np.inf if told.tilt_limit is None else told.tilt_limit
+        return cls(tuple(shape.shape for shape in told.shapes), told.radius, told.reward, limit, told.tilt_reward)

@@ -1,0 +1,57 @@
+"""Values of states along trajectories (thesis Eq. 3.13), from the task's own rewards. NumPy only."""
+
+from __future__ import annotations
+
+import numpy as np
+from ctrl_rl_core.tasks.outcome import Outcome
+from ctrl_rl_core.tasks.regions import wrap
+from ctrl_rl_core.tasks.task import NavigationTask
+from ctrl_rl_core.tasks.task_sets import TaskSets
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+
+def step_discount(task: NavigationTask, discount: float, time_steps: ArrayLike) -> Array:
+    """Return the discount of MPC steps that last `time_steps` [s] (...), given that of a step of the task's policy."""
+    return np.power(discount, np.asarray(time_steps, dtype=float) / task.episode.time_step)
+
+
+def rewards(task: NavigationTask, states: ArrayLike) -> tuple[Array, NDArray[np.bool_]]:
+    """Return r(x) (Eq. 3.15, 3.17) and whether the episode ends there, both (...), for states (..., n)."""
+    states = np.asarray(states, dtype=float)
+    pays = task.rewards
+    outcomes = TaskSets(task).outcomes(states)
+    paid = np.full(outcomes.shape, pays.intermediate)
+    for outcome, reward in (
+        (Outcome.GOAL, pays.goal),
+        (Outcome.COLLISION, pays.collision),
+        (Outcome.TRAP, pays.trap or 0.0),
+    ):
+        paid[outcomes == outcome] = reward
+    limit, names = task.robot.tilt_limit, task.system.build().state_names
+    if limit is not None and "psi" in names:
+        paid[np.abs(wrap(states[..., names.index("psi")])) > limit] = tilt_reward(task)
+    return paid, outcomes != Outcome.RUNNING
+
+
+def tilt_reward(task: NavigationTask) -> float:
+    """Return what a task pays for too much tilt: that of a collision where it names nothing else."""
+    return task.rewards.collision if task.rewards.tilt is None else task.rewards.tilt
+
+
+def returns(paid: ArrayLike, ended: ArrayLike, discount: ArrayLike) -> Array:
+    """Return V(x_m) = sum over i >= m of discount^(i-m) r(x_i) (..., H+1): Eq. 3.13 with r(x_i) for its r(x_m).
+
+    The sum stops at the first state that ends an episode, as the policy's does: H_j is the step of arrival.
+
+    Args:
+        paid: r(x_0) .. r(x_H) (..., H+1).
+        ended: whether the episode ends there (..., H+1); all false for the sum over the whole horizon.
+        discount: of a step (...), or one for all.
+    """
+    paid, goes_on = np.asarray(paid, dtype=float), ~np.asarray(ended, dtype=bool)
+    out = paid.copy()
+    for m in range(paid.shape[-1] - 2, -1, -1):
+        out[..., m] += goes_on[..., m] * discount * out[..., m + 1]
+    return out

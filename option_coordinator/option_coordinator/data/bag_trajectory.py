@@ -1,0 +1,187 @@
+"""From bags of `joint_option_step` messages to option-level joint trajectories: what was recorded is learnt from.
+
+    for recording in recordings(Path("runs/mine/bag")):
+        recording.digest, recording.trajectory
+
+No ROS is needed. A trajectory reaches neither across the end of an episode or of a coordinator's life (its epoch), nor
+across a decision that is missing, nor from one policy to another; the last step of each still knows what came of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from ctrl_rl_bags.format.checks import fields_of
+from numpy.typing import NDArray
+
+from ctrl_rl_bags import bag_info, read_messages
+from option_coordinator.data.trajectory import Trajectory
+from option_coordinator.errors import OptionError
+from option_coordinator.options.decision import NONE
+from option_coordinator.options.options import Agent, Mask, Observation, slots
+
+TYPE = "ctrl_rl_msgs/msg/JointOptionStep"
+
+
+class Team(NamedTuple):
+    """Whose decisions were recorded.
+
+    Attributes:
+        names: of the robots, in the policy's order.
+        option_counts: how many options each has.
+        observation_sizes: length of what each observes.
+    """
+
+    names: tuple[str, ...]
+    option_counts: tuple[int, ...]
+    observation_sizes: tuple[int, ...]
+
+    @classmethod
+    def of(cls, agents: Sequence[Agent]) -> Team:
+        """Return the team of these robots."""
+        rows = [(agent.name, len(agent.options), agent.observation_size) for agent in agents]
+        return cls(*zip(*rows, strict=True))
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """Decisions of one policy, one after the other.
+
+    Attributes:
+        team: that they were for.
+        digest: SHA-256 of the policy's file, hex; empty for a scripted one, and where the policy failed.
+        trajectory: a part of one episode.
+    """
+
+    team: Team
+    digest: str
+    trajectory: Trajectory
+
+
+def recordings(bag: Path) -> list[Recording]:
+    """Return what a bag holds, in the order in which it happened for each coordinator's life.
+
+    Raises:
+        BagError: the bag cannot be read.
+        OptionError: it holds no decisions, or one that makes no sense.
+    """
+    topics = [name for name, topic in bag_info(bag).topics.items() if topic.type == TYPE]
+    if not topics:
+        raise OptionError(f"{bag}: holds no topic of {TYPE}: record joint_option_step too")
+    # By number, not as they came: two coordinators may have spoken at a time, for a moment.
+    lives: dict[tuple[str, int], dict[int, _Step]] = {}
+    for message in read_messages(bag, topics):
+        with fields_of(f"{bag}: a message of {message.topic}"):
+            life = lives.setdefault((message.topic, int(message.data.coordinator_epoch)), {})
+            life[int(message.data.step)] = _step(message.data, f"{bag}: {message.topic}: decision {message.data.step}")
+    found = [recording for life in lives.values() for recording in _parts([step for _, step in sorted(life.items())])]
+    if not found:
+        raise OptionError(f"{bag}: no decision is followed by the next one: nothing says what came of them")
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Step:
+    """A message, in the arrays of a trajectory's one step."""
+
+    number: int
+    team: Team
+    digest: str
+    observation: Observation
+    options: NDArray[np.int64]
+    running: Mask
+    present: Mask
+    legal: Mask
+    log_prob: float
+    reward: float
+    duration: int
+    discount: float
+    terminated: bool
+    over: bool
+
+
+def _parts(steps: Sequence[_Step]) -> Iterator[Recording]:
+    """Yield the recordings of one coordinator's life."""
+    part: list[tuple[_Step, _Step]] = []
+    for before, after in pairwise(steps):
+        if before.over or after.number != before.number + 1 or after.team != before.team:
+            continue
+        if part and (part[-1][1] is not before or part[-1][0].digest != before.digest):
+            yield _recording(part)
+            part = []
+        part.append((before, after))
+    if part:
+        yield _recording(part)
+
+
+def _recording(part: Sequence[tuple[_Step, _Step]]) -> Recording:
+    before, after = zip(*part, strict=True)
+    duration = np.array([step.duration for step in after])
+    trajectory = Trajectory(
+        observation=np.stack([step.observation for step in before]),
+        options=np.stack([step.options for step in before]),
+        choosing=np.stack([step.present & ~step.running for step in before]),
+        legal=np.stack([step.legal for step in before]),
+        log_prob=np.array([step.log_prob for step in before]),
+        reward=np.array([step.reward for step in after]),
+        duration=duration,
+        discount=np.array([step.discount for step in after]) ** duration,
+        next_observation=np.stack([step.observation for step in after]),
+        next_running=np.stack([np.where(step.running, step.options, NONE) for step in after]),
+        next_present=np.stack([step.present for step in after]),
+        next_legal=np.stack([step.legal for step in after]),
+        terminated=np.array([step.terminated for step in after]),
+        last=np.arange(len(part)) == len(part) - 1,
+    )
+    return Recording(before[0].team, before[0].digest, trajectory)
+
+
+def _step(message: Any, where: str) -> _Step:
+    """Return a message's content.
+
+    Raises:
+        OptionError: it makes no sense; begins with `where`.
+    """
+    names, counts = tuple(message.agents), tuple(int(count) for count in message.option_counts)
+    sizes = tuple(int(size) for size in message.observation_sizes)
+    options = np.asarray(message.options, dtype=np.int64)
+    running, absent = np.asarray(message.running, dtype=bool), np.asarray(message.absent, dtype=bool)
+    observation, flags = np.asarray(message.observations, dtype=np.float32), np.asarray(message.legal, dtype=bool)
+    agents = len(names)
+    if agents == 0 or {len(counts), len(sizes), len(options), len(running), len(absent)} != {agents}:
+        raise OptionError(f"{where}: its arrays are not all of {agents} robots")
+    if (len(flags), len(observation)) != (sum(counts), sum(sizes)):
+        raise OptionError(f"{where}: legal and observations are not as long as the robots' own together")
+    over = bool(message.terminated or message.truncated)
+    has_none = absent if not over else ~running
+    if np.any((options < 0) != has_none) or np.any(options >= counts) or np.any(running & absent):
+        raise OptionError(f"{where}: options {options.tolist()} are not those of who is there")
+    legal = np.zeros((agents, max(counts)), dtype=bool)
+    legal[slots(counts)] = flags
+    chooses = np.flatnonzero(~running & (options >= 0))
+    if not legal[chooses, options[chooses]].all():
+        raise OptionError(f"{where}: an option was chosen that was not legal")
+    numbers = (message.log_probability, message.reward, *observation)
+    if not np.isfinite(numbers).all() or not 0.0 < message.discount <= 1.0:
+        raise OptionError(f"{where}: not all its numbers are finite, or its discount {message.discount:g} is none")
+    return _Step(
+        number=int(message.step),
+        team=Team(names, counts, sizes),
+        digest=str(message.policy_digest),
+        observation=observation,
+        options=options,
+        running=running,
+        present=~absent,
+        legal=legal,
+        log_prob=float(message.log_probability),
+        reward=float(message.reward),
+        duration=int(message.duration),
+        discount=float(message.discount),
+        terminated=bool(message.terminated),
+        over=over,
+    )

@@ -1,0 +1,157 @@
+"""Option-level joint trajectories (thesis Definition 1): what is recorded of decisions, and what is learnt from.
+
+A step kappa holds s_kappa, o_kappa, who chose it, r_kappa and gamma^tau. Nothing in it depends on where it comes from:
+a simulation, or a bag of `joint_option_step` messages.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from option_coordinator.errors import OptionError
+from option_coordinator.options.decision import Decision
+from option_coordinator.options.options import Mask
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """T option steps of N agents with at most K options, one after the other; may hold several episodes.
+
+    Attributes:
+        observation: s_kappa of all agents (T, D).
+        options: o_kappa, those that run on included (T, N); -1 for the absent.
+        choosing: who chose, U_kappa (T, N).
+        legal: what they might choose (T, N, K).
+        log_prob: log pi-hat(o_U | o_not-U, s) when it was chosen (T,).
+        reward: discounted joint reward until the next decision, r_kappa = sum_i gamma^i r_i (T,).
+        duration: low-level steps until then, tau (T,).
+        discount: gamma^tau (T,).
+        next_observation: s_kappa+1 (T, D).
+        next_running: what runs on at the next decision, -1 for those that choose or are absent (T, N).
+        next_present: who is there then (T, N).
+        next_legal: what they may choose then (T, N, K).
+        terminated: the task ended: the next decision is worth nothing (T,).
+        last: the next step is of another episode, or there is none (T,).
+    """
+
+    observation: NDArray[np.float32]
+    options: NDArray[np.int64]
+    choosing: Mask
+    legal: Mask
+    log_prob: Array
+    reward: Array
+    duration: NDArray[np.int64]
+    discount: Array
+    next_observation: NDArray[np.float32]
+    next_running: NDArray[np.int64]
+    next_present: Mask
+    next_legal: Mask
+    terminated: Mask
+    last: Mask
+
+    def __post_init__(self) -> None:
+        lengths = {field.name: len(getattr(self, field.name)) for field in fields(self)}
+        if len(set(lengths.values())) > 1:
+            raise OptionError(f"trajectory: parts of different lengths {lengths}")
+
+    def __len__(self) -> int:
+        return len(self.reward)
+
+    @property
+    def running(self) -> NDArray[np.int64]:
+        """What ran on at each decision, -1 for those that chose or were absent (T, N)."""
+        return np.where(self.choosing, -1, self.options)
+
+    @property
+    def present(self) -> Mask:
+        """Who was there at each decision (T, N)."""
+        return self.options != -1
+
+    @classmethod
+    def joined(cls, parts: Sequence[Self]) -> Self:
+        """Return trajectories one after the other, each with an end of its own.
+
+        Raises:
+            OptionError: there is none.
+        """
+        if not parts:
+            raise OptionError("there is no trajectory to join")
+        return cls(
+            **{field.name: np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(cls)}
+        )
+
+    def episodes(self) -> list[Self]:
+        """Return each episode by itself."""
+        ends = np.flatnonzero(self.last) + 1
+        begins = np.concatenate(([0], ends[:-1])) if len(ends) else ends
+        return [
+            type(self)(**{field.name: getattr(self, field.name)[begin:end] for field in fields(self)})
+            for begin, end in zip(begins, ends, strict=True)
+        ]
+
+
+class TrajectoryWriter:
+    """Collects option steps."""
+
+    def __init__(self) -> None:
+        self._steps: list[tuple[Decision, NDArray[np.int64], float, Decision]] = []
+
+    def add(self, before: Decision, options: NDArray[np.int64], log_prob: float, after: Decision) -> None:
+        """Add what was chosen at a decision, and the next one."""
+        self._steps.append((before, options, log_prob, after))
+
+    def take(self) -> Trajectory:
+        """Return what was added since the last call; its last step ends it, whether or not the episode goes on.
+
+        Raises:
+            OptionError: nothing was.
+        """
+        steps, self._steps = self._steps, []
+        if not steps:
+            raise OptionError("no option step was recorded")
+        before, options, log_prob, after = zip(*steps, strict=True)
+        last = np.array([decision.over for decision in after])
+        last[-1] = True
+        return Trajectory(
+            observation=np.stack([decision.observation for decision in before]),
+            options=np.stack(options),
+            choosing=np.stack([decision.choosing for decision in before]),
+            legal=np.stack([decision.legal for decision in before]),
+            log_prob=np.array(log_prob, dtype=float),
+            reward=np.array([decision.reward for decision in after]),
+            duration=np.array([decision.duration for decision in after]),
+            discount=np.array([decision.discount for decision in after]),
+            next_observation=np.stack([decision.observation for decision in after]),
+            next_running=np.stack([decision.running for decision in after]),
+            next_present=np.stack([decision.present for decision in after]),
+            next_legal=np.stack([decision.legal for decision in after]),
+            terminated=np.array([decision.terminated for decision in after]),
+            last=last,
+        )
+
+
+def advantages(trajectory: Trajectory, values: Array, next_values: Array, gae_lambda: float) -> Array:
+    """Return G^lambda - V of each option step (T,): generalised advantages with gamma^tau in place of gamma (Eq. 5.4).
+
+    Args:
+        trajectory: the T steps.
+        values: V(s_kappa) (T,).
+        next_values: V(s_kappa+1) (T,); of no account where the task ended.
+        gae_lambda: lambda.
+    """
+    onward = trajectory.discount * ~trajectory.terminated
+    errors = trajectory.reward + onward * next_values - values
+    out, ahead = np.empty(len(errors)), 0.0
+    for step in range(len(errors) - 1, -1, -1):
+        if trajectory.last[step]:
+            ahead = 0.0
+        ahead = errors[step] + trajectory.discount[step] * gae_lambda * ahead
+        out[step] = ahead
+    return out

@@ -1,0 +1,1 @@
+"""Event-driven environments, timelines and roll-outs."""

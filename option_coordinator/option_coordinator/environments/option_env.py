@@ -1,0 +1,198 @@
+"""An environment that asks only when somebody is ready: option steps kappa on top of low-level steps k (thesis 5.2.3).
+
+    environment = OptionEnvironment(ToolDeliverySimulation(load_task("tool_delivery")), discount=0.99)
+    decision = environment.reset(seed=0)
+    while not decision.over:
+        decision = environment.step({name: choose(name) for name in decision.ready})
+
+Who is ready is a matter of the termination strategy (thesis 2.4.3):
+
+    "async"  eta_continue: whoever has ended its option; the others go on (the thesis's)
+    "wait"   eta_all: all, once all have ended; who is early idles ("sync-wait")
+    "cut"    eta_any: all, once anyone has ended; the others are interrupted ("sync-cut")
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Literal
+
+import numpy as np
+
+from option_coordinator.environments.robot_dropout import Outage, draw_outage
+from option_coordinator.environments.timeline import Trace
+from option_coordinator.errors import OptionError
+from option_coordinator.options.decision import NONE, Decision
+from option_coordinator.options.options import Mask, Observation, Scene, Simulation, check_option, slots
+
+Synchronisation = Literal["async", "wait", "cut"]
+
+
+class OptionEnvironment:
+    """See the module.
+
+    Args:
+        simulation: the low-level world.
+        discount: gamma of a low-level step.
+        synchronisation: who chooses when.
+        drop: chance that a robot vanishes for a while in an episode, see `outage`.
+        film: whether to keep a scene of every low-level step, to be drawn.
+
+    Attributes:
+        trace: who ran which option when, in this episode.
+        scenes: of this episode, the first before any step; none unless filmed.
+        steps: low-level steps of this episode.
+    """
+
+    def __init__(
+        self,
+        simulation: Simulation,
+        discount: float = 0.99,
+        synchronisation: Synchronisation = "async",
+        film: bool = False,
+        drop: float = 0.0,
+    ) -> None:
+        self.simulation = simulation
+        self.agents = simulation.agents
+        self.discount = discount
+        self.synchronisation = synchronisation
+        self.drop = drop
+        self.trace = Trace()
+        self.scenes: list[Scene] = []
+        self.steps = 0
+        self._film = film
+        self._index = {agent.name: i for i, agent in enumerate(self.agents)}
+        self._seen: list[Observation] = []
+        self._running = np.full(len(self.agents), NONE)
+        self._present = np.ones(len(self.agents), dtype=bool)
+        self._outage: Outage | None = None
+        self._decision: Decision | None = None
+        self._mask = slots([len(agent.options) for agent in self.agents])
+
+    def reset(self, seed: int | np.random.Generator | None = None) -> Decision:
+        """Begin an episode, in which all are ready."""
+        generator = np.random.default_rng(seed)
+        self.simulation.reset(generator)
+        self._outage = draw_outage(self.drop, len(self.agents), self.simulation.step_limit, generator)
+        self.trace = Trace()
+        self.scenes = []
+        self._take_scene()
+        self.steps = 0
+        self._running[:] = NONE
+        self._present[:] = True
+        count = len(self.agents)
+        self._seen = [self.simulation.observe(i) for i in range(count)]
+        return self._decide(np.ones(count, dtype=bool), (), terminated=False, truncated=False)
+
+    def step(self, choices: Mapping[str, int]) -> Decision:
+        """Let the ready begin their options and run until somebody must choose again.
+
+        Args:
+            choices: an option for each agent that is ready, and for no other.
+
+        Raises:
+            OptionError: the episode is over, the agents are not those that are ready, or an option is not legal.
+        """
+        for agent, option in self._checked(choices):
+            self.simulation.begin(agent, option)
+            self._running[agent] = option
+            self.trace.begin(self.agents[agent].name, self.agents[agent].options[option], self.steps)
+        rewards: list[float] = []
+        while True:
+            reward, ended, terminated = self.simulation.step()
+            rewards.append(reward)
+            self.steps += 1
+            self._take_scene()
+            for index in np.flatnonzero(ended):
+                self._end(int(index), finished=True)
+            self._vanish_or_return()
+            truncated = not terminated and self.steps >= self.simulation.step_limit
+            if terminated or truncated or self._is_time():
+                return self._pause(rewards, terminated, truncated)
+
+    def _is_time(self) -> bool:
+        """Whether somebody must choose."""
+        runs_none = self._running == NONE
+        ready = bool((runs_none & self._present).any())
+        return ready and (self.synchronisation != "wait" or bool(runs_none.all()))
+
+    def _vanish_or_return(self) -> None:
+        if self._outage is None:
+            return
+        agent, begin, end = self._outage
+        if self.steps == begin:
+            self._present[agent] = False
+            if self._running[agent] != NONE:
+                self.simulation.interrupt(agent)
+                self._end(agent, finished=False)
+        elif self.steps == end:
+            self._present[agent] = True
+
+    def _take_scene(self) -> None:
+        if self._film:
+            self.scenes.append(self.simulation.scene())
+
+    def _pause(self, rewards: list[float], terminated: bool, truncated: bool) -> Decision:
+        over = terminated or truncated
+        if self.synchronisation == "cut" or (over and self.synchronisation == "wait"):
+            # At a time-out too: a synchronous team never saw a moment at which somebody ran on, nor its value.
+            for agent in np.flatnonzero(self._running != NONE):
+                self.simulation.interrupt(int(agent))
+                self._end(int(agent), finished=False)
+        if over:
+            self.trace.close(self.steps)
+        idle = self._present & (self._running == NONE)
+        looking = self._present if self.simulation.observes_while_running else idle
+        for agent in np.flatnonzero(looking):
+            self._seen[agent] = self.simulation.observe(int(agent))
+        return self._decide(idle, tuple(rewards), terminated, truncated)
+
+    def _end(self, agent: int, finished: bool) -> None:
+        self._running[agent] = NONE
+        self.trace.end(self.agents[agent].name, self.steps, finished)
+
+    def _decide(self, idle: Mask, rewards: tuple[float, ...], terminated: bool, truncated: bool) -> Decision:
+        legal = self._mask.copy()
+        for agent in np.flatnonzero(idle):
+            legal[agent, : len(self.agents[agent].options)] = self.simulation.legal(int(agent))
+        self._decision = Decision(
+            agents=self.agents,
+            observation=np.concatenate(self._seen),
+            choosing=idle & (not (terminated or truncated)),
+            running=self._running.copy(),
+            present=self._present.copy(),
+            legal=legal,
+            reward=discounted(rewards, self.discount),
+            rewards=rewards,
+            discount=self.discount ** len(rewards),
+            terminated=terminated,
+            truncated=truncated,
+        )
+        return self._decision
+
+    def _checked(self, choices: Mapping[str, int]) -> list[tuple[int, int]]:
+        decision = self._decision
+        if decision is None or decision.over:
+            raise OptionError("there is no episode under way: call reset()")
+        if set(choices) != set(decision.ready):
+            raise OptionError(f"options are given for {sorted(choices)}, ready are {sorted(decision.ready)}")
+        out = []
+        for name, option in choices.items():
+            agent = self._index[name]
+            check_option(self.agents[agent], int(option))
+            if not decision.legal[agent, option]:
+                raise OptionError(f"{name}: option '{self.agents[agent].options[option]}' is not legal now")
+            out.append((agent, int(option)))
+        return sorted(out)
+
+    def figures(self) -> dict[str, Any]:
+        """Return what there is to say about the episode so far."""
+        return {"steps": self.steps, **self.simulation.figures()}
+
+
+def discounted(rewards: tuple[float, ...], discount: float) -> float:
+    """Return sum_i gamma^i r_i."""
+    total = 0.0
+    for reward in reversed(rewards):
+        total = reward + discount * total
+    return total

@@ -1,0 +1,118 @@
+"""Playing a joint policy in an environment: trajectories to learn from, episodes to judge by."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from option_coordinator.data.trajectory import Trajectory, TrajectoryWriter
+from option_coordinator.environments.option_env import OptionEnvironment
+from option_coordinator.options.decision import Decision
+from option_coordinator.policies.joint_policy import JointPolicy
+
+
+@dataclass
+class Episode:
+    """How an episode went.
+
+    Attributes:
+        returned: undiscounted sum of the low-level rewards.
+        steps: low-level steps, the makespan T.
+        decisions: option steps.
+        option_reward: sum of the option steps' discounted rewards r_kappa.
+        last_reward: sum of the option steps' last low-level rewards.
+        terminated: the task ended, it was not cut off.
+        figures: what the task says about it.
+    """
+
+    returned: float = 0.0
+    steps: int = 0
+    decisions: int = 0
+    option_reward: float = 0.0
+    last_reward: float = 0.0
+    terminated: bool = False
+    figures: dict[str, Any] = field(default_factory=dict)
+
+    def add(self, decision: Decision) -> None:
+        """Count what led to a decision."""
+        self.returned += sum(decision.rewards)
+        self.steps += decision.duration
+        self.decisions += 1
+        self.option_reward += decision.reward
+        self.last_reward += decision.rewards[-1]
+        self.terminated = decision.terminated
+
+
+class RollOut:
+    """Goes through an environment, episode after episode, as far as it is asked to.
+
+    Args:
+        environment: to play in.
+        generator: of everything random.
+
+    Attributes:
+        samples: low-level steps so far.
+        finished: the episodes that have ended.
+    """
+
+    def __init__(self, environment: OptionEnvironment, generator: np.random.Generator) -> None:
+        self._environment = environment
+        self._generator = generator
+        self._decision = environment.reset(generator)
+        self._episode = Episode()
+        self.samples = 0
+        self.finished: list[Episode] = []
+
+    def collect(self, policy: JointPolicy, samples: int) -> Trajectory:
+        """Return the option steps that take at least `samples` low-level steps; the last episode goes on next time."""
+        writer = TrajectoryWriter()
+        enough = self.samples + samples
+        while self.samples < enough:
+            before = self._decision
+            conditional = policy.valid(before.observation, before.choosing, before.running, before.legal)
+            options = conditional.sample(self._generator)
+            after = self._environment.step(before.named(options))
+            writer.add(before, options, float(conditional.log_prob(options)), after)
+            self._episode.add(after)
+            self.samples += after.duration
+            if after.over:
+                self._episode.figures = self._environment.figures()
+                self.finished.append(self._episode)
+                self._episode = Episode()
+                after = self._environment.reset(self._generator)
+            self._decision = after
+        return writer.take()
+
+
+def play_episodes(
+    environment: OptionEnvironment, choose: Callable[[Decision], dict[str, int]], seeds: range
+) -> Iterator[Episode]:
+    """Yield an episode for each seed, played by any chooser."""
+    for seed in seeds:
+        decision, episode = environment.reset(seed), Episode()
+        while not decision.over:
+            decision = environment.step(choose(decision))
+            episode.add(decision)
+        episode.figures = environment.figures()
+        yield episode
+
+
+class PolicyChooser:
+    """A joint policy as a chooser.
+
+    Args:
+        policy: whose options are chosen.
+        generator: of the draws; without one its most likely options are chosen.
+    """
+
+    def __init__(self, policy: JointPolicy, generator: np.random.Generator | None = None) -> None:
+        self._policy = policy
+        self._generator = generator
+
+    def __call__(self, decision: Decision) -> dict[str, int]:
+        """Return an option for each agent that is ready."""
+        given = self._policy.given(decision.observation, decision.choosing, decision.running, decision.legal)
+        return decision.named(given.mode() if self._generator is None else given.sample(self._generator))

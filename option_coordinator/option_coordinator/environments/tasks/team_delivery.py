@@ -1,0 +1,166 @@
+"""A delivery team's light world, to learn in: what runs on the robots, `Delivery` and `Steering`, without any physics.
+
+Robots are discs that go as they are told; each sees the outlines of walls, obstacles and the others as its lidar would.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from ctrl_rl_core.geometry.shapes import Disc, Shape
+from ctrl_rl_core.tasks.start_states import draw_starts
+from ctrl_rl_core.tasks.task import load_navigation_task
+from numpy.typing import NDArray
+
+from option_coordinator.navigation.delivery import Delivery
+from option_coordinator.navigation.reactive_planner import Steering
+from option_coordinator.options.options import Agent, Mask, Observation, Scene, SimulationStep
+from option_coordinator.teams.team_file import TeamFile, Work
+
+Array = NDArray[np.float64]
+
+_SPACING = 0.05
+_RADIUS = 0.1
+_START_RADIUS = 0.125
+"""Radius of the circle that a robot keeps free at its start [m]."""
+
+
+class TeamDeliverySimulation:
+    """The world of a team file. A robot that has ended its work stays at home and has no other option than that."""
+
+    observes_while_running = False
+    """As with real robots: a request tells what its robot sees."""
+
+    def __init__(self, team: TeamFile) -> None:
+        self.team = team
+        self.agents: tuple[Agent, ...] = tuple(robot.agent for robot in team.coordinated)
+        self.time_step = team.time_step
+        self.step_limit = round(team.learning.episode / team.time_step)
+        self._task = load_navigation_task(team.room_file)
+        self._system = self._task.system.build()
+        self._world = self._task.build_world()
+        self._outlines = np.concatenate([_outline(shape) for shape in (*self._world.walls, *self._world.obstacles)])
+        self._steering = Steering()
+        self._rest = np.array([option.work is Work.REST for option in team.options.values()])
+        self._longest = [option.longest for option in team.options.values()]
+        self.reset(np.random.default_rng(0))
+
+    @property
+    def room(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """What holds walls and obstacles [m]."""
+        (left, bottom), (right, top) = self._outlines.min(axis=0), self._outlines.max(axis=0)
+        return (float(left), float(right)), (float(bottom), float(top))
+
+    @property
+    def landmarks(self) -> Mapping[str, tuple[float, float]]:
+        """Stations and homes [m]."""
+        stations = {name: option.station for name, option in self.team.options.items() if option.station is not None}
+        return stations | {f"home of {name}": robot.home for name, robot in self.team.robots.items()}
+
+    def reset(self, generator: np.random.Generator) -> None:
+        """Begin an episode where the room says."""
+        self._poses = np.array(
+            draw_starts(self._task, self._system, self._world, len(self.agents), _START_RADIUS, generator)
+        )
+        self._work = [Delivery(self.team, name) for name in self.team.robots]
+        self._began = [0.0] * len(self.agents)
+        self._at_home = [False] * len(self.agents)
+        self._steps = 0
+
+    def begin(self, agent: int, option: int) -> None:
+        """Let a robot begin an option."""
+        self._began[agent] = self._now
+        self._work[agent].begin(option, self._now)
+
+    def interrupt(self, agent: int) -> None:
+        """Take its option from a robot, which stays where it is."""
+        self._work[agent].leave(self._now)
+
+    def step(self) -> SimulationStep:
+        """Let a time step pass."""
+        self._steps += 1
+        delivered = self._delivered
+        busy = [work.option is not None and not home for work, home in zip(self._work, self._at_home, strict=True)]
+        ended = tuple(self._carry_on(agent) for agent in range(len(self.agents)))
+        rewards = self.team.rewards
+        reward = sum(busy) * rewards.step + (self._delivered - delivered) * rewards.delivery
+        return SimulationStep(reward, ended, all(self._at_home))
+
+    def observe(self, agent: int) -> Observation:
+        """Return what a robot tells, see `team_file.OBSERVED`."""
+        return self._work[agent].see(self._poses[agent]).observation
+
+    def legal(self, agent: int) -> Mask:
+        """Return which options make sense."""
+        return self._rest.copy() if self._at_home[agent] else self._work[agent].see(self._poses[agent]).legal
+
+    def scene(self) -> Scene:
+        """Return what a picture needs."""
+        places = {agent.name: (float(x), float(y)) for agent, (x, y, _) in zip(self.agents, self._poses, strict=True)}
+        carry = [agent.name for agent, work in zip(self.agents, self._work, strict=True) if work.carries]
+        return Scene(places, f"{self._delivered} parcels delivered; {', '.join(carry) or 'nobody'} carries one")
+
+    def figures(self) -> dict[str, Any]:
+        """Return how long it took, and how many parcels have arrived."""
+        return {"makespan": self._now, "deliveries": self._delivered}
+
+    @property
+    def _now(self) -> float:
+        return self._steps * self.time_step
+
+    @property
+    def _delivered(self) -> int:
+        return sum(work.delivered for work in self._work)
+
+    def _carry_on(self, agent: int) -> bool:
+        """Let a robot go on with its option, and return whether that has ended."""
+        work = self._work[agent]
+        option, place = work.option, work.place
+        if option is None:
+            return False
+        if place is not None and not self._steering.there(self._poses[agent], place):
+            self._drive(agent, place)
+            too_long = self._now - self._began[agent] >= self._longest[option]
+            if too_long:
+                work.leave(self._now)
+            return too_long
+        if work.at_place(self._now) is None:
+            return False
+        self._at_home[agent] = self._at_home[agent] or work.over(option)
+        return True
+
+    def _drive(self, agent: int, place: tuple[float, float]) -> None:
+        x, y, heading = pose = self._poses[agent]
+        speed, turn = self._steering.command(pose, self._seen_by(agent), place)
+        middle = heading + 0.5 * turn * self.time_step
+        length = speed * self.time_step
+        self._poses[agent] = (x + length * np.cos(middle), y + length * np.sin(middle), heading + turn * self.time_step)
+
+    def _seen_by(self, agent: int) -> Array:
+        """Return what stands near a robot as points (n, 2) [m]."""
+        others = np.delete(self._poses[:, :2], agent, axis=0)
+        points = np.concatenate((self._outlines, (others[:, None] + _ROBOT).reshape(-1, 2)))
+        far = np.abs(points - self._poses[agent, :2]).max(axis=1)
+        return points[far < self._steering.look_ahead + _RADIUS]
+
+
+def _outline(shape: Shape) -> Array:
+    """Return points (n, 2) on the edge of a shape [m]."""
+    if isinstance(shape, Disc):
+        angles = np.linspace(0.0, 2.0 * np.pi, max(8, round(2.0 * np.pi * shape.radius / _SPACING)), endpoint=False)
+        return shape.centre + shape.radius * np.column_stack((np.cos(angles), np.sin(angles)))
+    half = 0.5 * np.asarray(shape.size)
+    edges = []
+    for side in (0, 1):
+        along = np.linspace(-half[side], half[side], max(2, round(shape.size[side] / _SPACING) + 1))
+        for end in (-half[1 - side], half[1 - side]):
+            edge = np.full((len(along), 2), end)
+            edge[:, side] = along
+            edges.append(edge)
+    c, s = np.cos(shape.angle), np.sin(shape.angle)
+    return shape.centre + np.concatenate(edges) @ np.array(((c, s), (-s, c)))
+
+
+_ROBOT = _outline(Disc((0.0, 0.0), _RADIUS))

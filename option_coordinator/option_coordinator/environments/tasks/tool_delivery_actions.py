@@ -1,0 +1,87 @@
+"""Tool Delivery without options: every agent chooses a low-level action at every step ("end2end", thesis 5.3.2)."""
+
+from __future__ import annotations
+
+import numpy as np
+from ctrl_rl_core.tasks.option_tasks import ToolDelivery
+
+from option_coordinator.environments.tasks.tool_delivery import (
+    GET_TOOL,
+    IDLE,
+    TABLE,
+    WORKSHOP,
+    ToolDeliverySimulation,
+    Turtlebot,
+)
+from option_coordinator.options.options import Agent, Observation, SimulationStep
+
+_STEPS = ((-1.0, 0.0), (1.0, 0.0), (0.0, 1.0), (0.0, -1.0))
+STAY = len(_STEPS)
+
+
+class ToolDeliveryActions(ToolDeliverySimulation):
+    """The same world, people and rewards with actions of one step.
+
+    A Turtlebot goes left, right, up or down by a step's length, or stays, which at the table is waiting for a tool; a
+    waypoint within half a step catches it. The Fetchbot works for one step on what it chooses; choosing something else
+    loses the work. What an agent needs to act so, its position or what it works on and how far that is, it observes
+    besides.
+    """
+
+    def __init__(self, task: ToolDelivery) -> None:
+        super().__init__(task)
+        moves = ("Left", "Right", "Up", "Down", "Stay")
+        *turtlebots, fetchbot = self.agents
+        self.agents = (
+            *(Agent(robot.name, moves, robot.observation_size + 2) for robot in turtlebots),
+            Agent(fetchbot.name, fetchbot.options, fetchbot.observation_size + len(fetchbot.options) + 1),
+        )
+
+    def reset(self, generator: np.random.Generator) -> None:
+        """Begin an episode."""
+        super().reset(generator)
+        self._action = [IDLE] * len(self.agents)
+
+    def begin(self, agent: int, option: int) -> None:
+        """Let an agent act; work on the same thing goes on."""
+        self._action[agent] = option
+        if agent < len(self.turtlebots):
+            self.turtlebots[agent].option = option
+        elif self.fetchbot.option != option:
+            super().begin(agent, option)
+
+    def step(self) -> SimulationStep:
+        """Let a second pass, with which every action ends."""
+        acted = tuple(action != IDLE for action in self._action)
+        self._action = [IDLE] * len(self.agents)
+        return super().step()._replace(ended=acted)
+
+    def observe(self, agent: int) -> Observation:
+        """Return what it sees with options, and where it is or what its work is and how far, scaled to [0, 1]."""
+        if agent < len(self.turtlebots):
+            robot = self.turtlebots[agent]
+            own = [robot.x / self.task.room[0], robot.y / self.task.room[1]]
+        else:
+            options = range(len(self._durations))
+            work = [float(self.fetchbot.option == option) for option in options]
+            own = [*work, self.fetchbot.worked / max(self._durations)]
+        return np.concatenate((super().observe(agent), np.array(own, dtype=np.float32)))
+
+    def _drive(self, robot: Turtlebot) -> float:
+        if robot.option == STAY:
+            robot.waited += robot.is_at_table
+        else:
+            self._move(robot)
+        robot.option = GET_TOOL  # stands for none: `_pass` may end it, no time runs out
+        return self._hand_over(robot) if (robot.x, robot.y) == robot.waypoints[WORKSHOP] else 0.0
+
+    def _move(self, robot: Turtlebot) -> None:
+        length, room = self.task.step_length, self.task.room
+        x, y = _STEPS[robot.option]
+        robot.waited = 0
+        robot.x = float(np.clip(robot.x + length * x, 0.0, room[0]))
+        robot.y = float(np.clip(robot.y + length * y, 0.0, room[1]))
+        for place in range(TABLE + 1):
+            waypoint = robot.waypoints[place]
+            if max(abs(robot.x - waypoint[0]), abs(robot.y - waypoint[1])) <= 0.5 * length + 1e-9:
+                (robot.x, robot.y), robot.place = waypoint, place

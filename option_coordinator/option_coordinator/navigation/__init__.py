@@ -1,0 +1,1 @@
+"""How a small robot carries out a delivery option."""

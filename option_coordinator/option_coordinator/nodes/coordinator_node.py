@@ -1,0 +1,309 @@
+"""The coordinator node: requests and heartbeats in, grants and joint steps out."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections import Counter, deque
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, ClassVar, TypeVar
+
+import numpy as np
+from ctrl_rl_core.ros.node import Status, SuiteNode, ok, run_node, warn
+from ctrl_rl_core.ros.parameters import Parameter, ParameterError
+from rclpy.duration import Duration
+
+from ctrl_rl_msgs.msg import AgentStatus, CoordinatorStatus, JointOptionStep, OptionGrant, OptionRequest
+from option_coordinator.errors import OptionError
+from option_coordinator.nodes.clocks import STEADY, Clocks, steady_time
+from option_coordinator.nodes.messages import (
+    EXCHANGE,
+    StepMessages,
+    grant_message,
+    request_in,
+    status_of,
+    word_message,
+    word_of,
+)
+from option_coordinator.policies.joint_policy import Options
+from option_coordinator.policies.policy_file import OptionPolicy
+from option_coordinator.policies.policy_query import Choice, Chooses, policy_chooser
+from option_coordinator.protocol.coordination import Coordinator
+from option_coordinator.protocol.instant import Instant
+from option_coordinator.protocol.member import LATE
+from option_coordinator.protocol.message_checks import LONGEST_NAME, MessageError
+from option_coordinator.protocol.protocol_types import Answers
+from option_coordinator.protocol.team_settings import Robot, Times
+from option_coordinator.scripted.policy_queries import SCRIPTED, spread_chooser, uniform_chooser
+from option_coordinator.teams.team_file import load_team
+
+_Told = TypeVar("_Told")
+_HOUSEKEEPING_S = 0.02
+_RECENT = 1000
+_LAST_WORD = Duration(seconds=0.3)
+_SAID_EVERY_S = 10.0
+_FINE = (
+    "duplicate requests",
+    "policies replaced",
+    "adopted grants",
+    "returned robots",
+    "words of other teams",
+    "messages of other teams",
+)
+"""What is counted without being a fault."""
+
+PARAMETERS = (
+    Parameter(
+        "team",
+        "",
+        "Team that comes with the package, or its .yaml file; empty for the robots of the policy.",
+        kind="path",
+    ),
+    Parameter(
+        "team_name",
+        "",
+        "Name in all messages, which tells teams of one namespace apart; empty for the team file's, or one made of the "
+        "policy's robots.",
+    ),
+    Parameter(
+        "policy",
+        "spread",
+        "A learnt one's name or file; 'spread': a legal option whose station is free; 'uniform': any legal option.",
+        live=True,
+        kind="path",
+    ),
+    Parameter("policy_digest", "", "SHA-256 that a policy file must have from now on; empty for any.", live=True),
+    Parameter(
+        "batch_window",
+        0.0,
+        "Time that a request waits for others to be decided with it [s]; 0 for those that have arrived already.",
+        0.0,
+        1.0,
+    ),
+    Parameter(
+        "lease", 0.5, "Silence that makes a robot suspect, or a coordinator take another one's place [s].", 0.05, 60.0
+    ),
+    Parameter("lost_after", 2.0, "Silence after which nobody counts on a robot [s].", 0.05, 600.0),
+    Parameter("repeat", 0.1, "Between repetitions of a grant that was not acknowledged [s].", 0.01, 10.0),
+    Parameter("stale", 2.0, "Age at which an observation is refused [s].", 0.05, 600.0),
+    Parameter(
+        "policy_limit", 0.05, "Time after which a policy has failed and safe options are granted [s].", 0.00001, 10.0
+    ),
+    Parameter("longest_option", 60.0, "Longest that an option may take where no team says so [s].", 0.01, 86400.0),
+    Parameter("safe_option", 0, "Index of the option that is safe where no team says so.", 0, 10000),
+    Parameter("step_length", 1.0, "Of a low-level step where no team says so [s].", 0.001, 3600.0),
+    Parameter("discount", 0.99, "gamma of a low-level step where no team says so.", 0.001, 1.0),
+    Parameter("seed", 0, "Of what is drawn.", minimum=0),
+)
+
+
+class OptionCoordinator(SuiteNode):
+    """Grants options to robots that ask when they are ready; nobody waits for anybody.
+
+    Subscribes to option_requests and agent_status; publishes option_grants, and a joint_option_step for each decision,
+    which a bag can be trained on. The policy may be changed while it runs: the next decision is by the new one. Several
+    coordinators hear of each other by coordinator_status: one decides, the others stand by.
+    """
+
+    PARAMETERS: ClassVar[tuple[Parameter, ...]] = PARAMETERS
+
+    def __init__(self) -> None:
+        super().__init__("option_coordinator")
+        settings = self.settings
+        times, discount = self._prepare()
+        self._policy_times: deque[float] = deque(maxlen=_RECENT)
+        self._reported: Counter[str] = Counter()
+        self._now = Clocks(self)
+        self._began = False
+        self._held_up = LATE * times.lease
+        chooses, digest = self._chooser(settings["policy"])
+        self._coordinator = Coordinator(
+            self._robots, chooses, digest, Instant(0.0, 0.0, 0.0), times, discount=discount, team=self._team_name()
+        )
+        self._step_message = StepMessages(tuple(robot.agent for robot in self._robots), discount, times.time_step)
+        self._grants = self.create_publisher(OptionGrant, "option_grants", EXCHANGE)
+        self._steps = self.create_publisher(JointOptionStep, "joint_option_step", EXCHANGE)
+        self._words = self.create_publisher(CoordinatorStatus, "coordinator_status", EXCHANGE)
+        # As bytes: a message of millions of options takes long to be made an object of, and is not for anybody.
+        self.create_subscription(OptionRequest, "option_requests", self._on_request, EXCHANGE, raw=True)
+        self.create_subscription(AgentStatus, "agent_status", self._on_status, EXCHANGE)
+        self.create_subscription(CoordinatorStatus, "coordinator_status", self._on_word, EXCHANGE)
+        self._batch_ends = False
+        self._window = self.create_timer(max(times.window, 1e-4), self._end_batch, clock=STEADY)
+        self._window.cancel()
+        self.create_timer(_HOUSEKEEPING_S, self._tick, clock=STEADY)
+        of_team = f"{len(self._robots)} robots of team '{self._coordinator.team}'"
+        self.get_logger().info(f"policy {self._policy_name(settings['policy'], digest)}, {of_team}")
+
+    def setting_changed(self, name: str) -> None:
+        """Take another policy for all decisions to come."""
+        if name == "policy":
+            chooses, digest = self._chooser(self.settings["policy"])
+            self._coordinator.replace_policy(chooses, digest)
+            self.get_logger().info(f"policy {self._policy_name(self.settings['policy'], digest)} from now on")
+
+    def status(self) -> Status:
+        """Say who decides, who runs what, and what went wrong."""
+        coordinator, counts = self._coordinator, self._coordinator.counts
+        new = counts - self._reported
+        self._reported = counts.copy()
+        states = Counter(str(entry.state) for entry in coordinator.ledger)
+        figures: dict[str, object] = {"epoch": coordinator.epoch, "policy": coordinator.digest or "scripted"}
+        figures |= {"team": coordinator.team, "clock set": self._now.task.jumps}
+        figures |= {"epochs not believed": coordinator.epochs_not_believed}
+        figures |= {f"robots {state}": count for state, count in states.items()} | dict(counts)
+        if self._policy_times:
+            p50, p99 = np.percentile(self._policy_times, (50, 99)) * 1e3
+            figures |= {"policy p50 [ms]": f"{p50:.3f}", "policy p99 [ms]": f"{p99:.3f}"}
+        faults = [f"{count} {kind}" for kind, count in new.items() if kind not in _FINE]
+        if coordinator.stands_by:
+            return ok("another coordinator decides", **figures)
+        if not coordinator.epoch:
+            unheard = ", ".join(coordinator.unheard)
+            return ok(f"listening, not heard yet: {unheard}" if unheard else "listening", **figures)
+        if len(coordinator.unheard) == len(self._robots):
+            faults.append("hears no robot")
+        return warn(", ".join(faults), **figures) if faults else ok("deciding", **figures)
+
+    def stop(self) -> None:
+        """Close the episode that is recorded; the word has arrived before the publisher goes."""
+        now = self._now()
+        self._send(self._coordinator.close(now), now)
+        self._steps.wait_for_all_acked(_LAST_WORD)
+
+    def _prepare(self) -> tuple[Times, float]:
+        """Find out who the robots are, and return what times and discount they go by."""
+        settings = self.settings
+        if settings["lost_after"] < settings["lease"]:
+            raise ParameterError("parameter 'lost_after' is less than 'lease': a robot is suspect before it is lost")
+        step, discount = settings["step_length"], settings["discount"]
+        self._shared: tuple[str, ...] = ()
+        if settings["team"]:
+            team = load_team(settings["team"])
+            self._robots, self._shared = team.coordinated, team.shared
+            step, discount = team.time_step, team.discount
+        elif settings["policy"] in SCRIPTED:
+            raise ParameterError("parameter 'team' is needed where 'policy' is no file: who are the robots?")
+        else:
+            self._robots = self._robots_of(OptionPolicy.load(settings["policy"]))
+        names = ("lease", "lost_after", "repeat", "stale", "policy_limit")
+        times = Times(window=settings["batch_window"], time_step=step, **{name: settings[name] for name in names})
+        return times, discount
+
+    def _robots_of(self, policy: OptionPolicy) -> tuple[Robot, ...]:
+        longest, safe = self.settings["longest_option"], self.settings["safe_option"]
+        return tuple(Robot(agent, (longest,) * len(agent.options), safe) for agent in policy.agents)
+
+    def _chooser(self, name: str) -> tuple[Chooses, str]:
+        """Return a policy and its digest.
+
+        Raises:
+            OptionError: there is none, it is another one than promised, or it is another team's.
+        """
+        generator = np.random.default_rng(self.settings["seed"])
+        if name in SCRIPTED:
+            if name == "uniform":
+                return self._timed(uniform_chooser(generator)), ""
+            return self._timed(spread_chooser(self._robots, generator, self._shared)), ""
+        policy = OptionPolicy.load_for(name, (robot.agent for robot in self._robots))
+        promised = self.settings["policy_digest"]
+        if promised and policy.digest != promised:
+            raise OptionError(f"{name}: its digest is {policy.digest[:12]}, 'policy_digest' wants {promised[:12]}")
+        return self._timed(policy_chooser(policy, generator)), policy.digest
+
+    def _timed(self, chooses: Chooses) -> Chooses:
+        def timed(choice: Choice) -> tuple[Options, float]:
+            begin = time.perf_counter()
+            try:
+                return chooses(choice)
+            finally:
+                self._policy_times.append(time.perf_counter() - begin)
+
+        return timed
+
+    def _on_request(self, message: bytes) -> None:
+        request = self._read(request_in, message)
+        if request is not None and self._listens():
+            now = self._now()
+            self._send(self._coordinator.on_request(request, now), now)
+            if self._coordinator.batches and not self._batch_ends:
+                self._begin_batch()
+
+    def _on_status(self, message: AgentStatus) -> None:
+        status = self._read(status_of, message)
+        if status is not None and self._listens():
+            now = self._now()
+            self._send(self._coordinator.on_status(status, now), now)
+
+    def _on_word(self, message: CoordinatorStatus) -> None:
+        word = self._read(word_of, message)
+        if word is not None and self._listens():
+            self._coordinator.on_word(word, self._now())
+
+    def _read(self, reader: Callable[[Any], _Told], message: Any) -> _Told | None:
+        """Return what a message says, None where nobody may say so: that is counted, and said now and then."""
+        try:
+            return reader(message)
+        except MessageError as error:
+            self._coordinator.counts[f"not taken: {error.kind}"] += 1
+            self.get_logger().warning(f"a message is not taken: {error}", throttle_duration_sec=_SAID_EVERY_S)
+            return None
+
+    def _begin_batch(self) -> None:
+        """See to it that the requests that wait are decided: once, however many more arrive until then."""
+        self._batch_ends = True
+        if self.settings["batch_window"] > 0.0:
+            self._window.reset()
+        else:
+            self.call_soon(self._end_batch)
+
+    def _end_batch(self) -> None:
+        self._window.cancel()
+        self._batch_ends = False
+        if self._listens():
+            now = self._now()
+            self._send(self._coordinator.end_batch(now), now)
+
+    def _tick(self) -> None:
+        if self._listens():
+            now = self._now()
+            self._send(self._coordinator.tick(now), now)
+
+    def _send(self, answers: Answers, decided: Instant) -> None:
+        """Publish answers; grants that were held up since they were decided come again, if they still hold."""
+        for grant in answers.grants:
+            if steady_time() - decided.steady > self._held_up:
+                self._coordinator.counts["grants held up"] += 1
+                break
+            self._grants.publish(grant_message(grant))
+        for step in answers.steps:
+            self._steps.publish(self._step_message(step))
+        if answers.word is not None:
+            self._words.publish(word_message(answers.word, decided.stamp))
+
+    def _listens(self) -> bool:
+        """Return whether there is a time yet; from its first moment on the coordinator listens for a lease."""
+        if not self._began and (now := self._now()).stamp > 0.0:
+            self._coordinator.listen(now)
+            self._began = True
+        return self._began
+
+    def _team_name(self) -> str:
+        """Return the given name, the team file's, or one that is the same for all policies of the same robots."""
+        given: str = self.settings["team_name"]
+        if len(given) > LONGEST_NAME:
+            raise ParameterError(f"parameter 'team_name' has {len(given)} characters: must be at most {LONGEST_NAME}")
+        if given or self.settings["team"]:
+            return given or Path(self.settings["team"]).stem
+        robots = repr([(robot.agent.name, robot.agent.options) for robot in self._robots])
+        return f"robots-{hashlib.sha256(robots.encode()).hexdigest()[:8]}"
+
+    @staticmethod
+    def _policy_name(name: str, digest: str) -> str:
+        return f"{Path(name).name} ({digest[:12]})" if digest else f"'{name}'"
+
+
+def main() -> int:
+    """Run the node."""
+    return run_node(OptionCoordinator)

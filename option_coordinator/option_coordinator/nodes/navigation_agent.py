@@ -1,0 +1,132 @@
+"""A TurtleBot that carries out the options of a delivery team: odometry and scan in, velocities out."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+from ctrl_rl_core.driving.lidar_node import LIDAR_PARAMETERS, LidarNode
+from ctrl_rl_core.driving.scan import ScanGeometry
+from ctrl_rl_core.driving.velocity_node import VelocityError
+from ctrl_rl_core.geometry.odometry import OdometryReader
+from ctrl_rl_core.ros.node import Status, ok, run_node
+from ctrl_rl_core.ros.parameters import Parameter, ParameterError
+from nav_msgs.msg import Odometry
+from numpy.typing import NDArray
+from sensor_msgs.msg import LaserScan
+
+from option_coordinator.navigation.delivery import Delivery
+from option_coordinator.navigation.reactive_planner import STAND, Steering, scan_points
+from option_coordinator.nodes.option_agent import OptionAgent
+from option_coordinator.protocol.option_client import Earned, Patience, Seen
+from option_coordinator.teams.team_file import load_team
+
+_STAND = np.array(STAND)
+
+
+class NavigationAgent(LidarNode):
+    """Drives a robot between stations, one option after the other, as a coordinator grants them.
+
+    Subscribes to scan and odom, publishes cmd_vel, all in the robot's namespace; asks for options in the team's. Drives
+    around what stands in its way; stands still without recent scan and odometry, and without an option.
+    """
+
+    PARAMETERS: ClassVar[tuple[Parameter, ...]] = (
+        *LIDAR_PARAMETERS,
+        Parameter("team", "delivery_team", "Team that comes with the package, or its .yaml file.", kind="path"),
+        Parameter("robot", "", "Its name in the team; empty for that of the namespace."),
+        Parameter("team_namespace", "/", "Namespace of the coordinator's topics.", kind="name"),
+        Parameter("sensor_timeout", 1.0, "Age of scan or odometry that stops the robot [s].", 0.05, 10.0),
+        Parameter("heartbeat", 0.1, "Between two heartbeats, and repetitions of a request [s].", 0.01, 10.0),
+        Parameter("patience", 2.0, "Without an answer, until the safe option begins [s].", 0.05, 600.0),
+    )
+    TIMEOUT = "sensor_timeout"
+
+    def __init__(self) -> None:
+        super().__init__("navigation_agent")
+        settings = self.settings
+        team = load_team(settings["team"])
+        name = settings["robot"] or self.get_namespace().strip("/")
+        if name not in team.robots:
+            raise ParameterError(f"parameter 'robot' is '{name}': team '{team.name}' has {', '.join(team.robots)}")
+        self._names = team.option_names
+        self._delivery, self._steering = Delivery(team, name), Steering()
+        self.set_limits((0.0, -self._steering.turn), (self._steering.speed, self._steering.turn))
+        self._read = OdometryReader(("x", "y", "theta"))
+        self._pose: NDArray[np.float64] | None = None
+        self._points: NDArray[np.float64] | None = None
+        beat = settings["heartbeat"]
+        patience = Patience(heartbeat=beat, repeat=beat, waiting=settings["patience"])
+        safe = self._names.index(team.safe_option)
+        self._agent = OptionAgent(self, name, self._names, self, safe, patience, settings["team_namespace"], team.name)
+
+    def observe(self) -> Seen:
+        """Return what the policy is told."""
+        return self._delivery.see(np.zeros(3) if self._pose is None else self._pose)
+
+    def begin(self, option: int) -> None:
+        """Begin an option."""
+        self.get_logger().info(f"begins '{self._names[option]}'")
+        self._delivery.begin(option, self._now())
+
+    def leave(self) -> Earned:
+        """Leave an option as it is."""
+        self._go(_STAND)
+        return self._delivery.leave(self._now())
+
+    def status(self) -> Status:
+        """Say what the robot does."""
+        level, message, sent = super().status()
+        side, delivery = self._agent.side, self._delivery
+        option = "none" if delivery.option is None else self._names[delivery.option]
+        figures = {"option": option, "state": side.state.name.lower(), "delivered": delivery.delivered}
+        figures |= {"carries": str(delivery.carries).lower(), "epoch": side.epoch, **side.counts, **sent}
+        return (level, message, figures) if self.problem else ok(f"option '{option}'", **figures)
+
+    def on_odometry(self, message: Odometry) -> None:
+        """Go on with the option from where the robot is."""
+        pose, first = self._read(message), self._pose is None
+        if not np.isfinite(pose).all():
+            self.stand("odometry with a pose that is not finite", message.header.stamp)
+            return
+        self._pose = pose
+        if first:
+            self._agent.start()
+        self._drive()
+
+    def on_scan(self, _message: LaserScan, ranges: NDArray[np.float32], scan: ScanGeometry) -> None:
+        """Keep what it shows where it was seen."""
+        if self._pose is not None:
+            bearing, forward = scan.angle_min, self.settings["lidar_x"]
+            self._points = scan_points(self._pose, ranges, bearing, scan.angle_increment, forward)
+
+    def _drive(self) -> None:
+        """Go on with the option."""
+        option, place = self._delivery.option, self._delivery.place
+        if self._pose is None or self._points is None or self.missing():
+            return
+        if option is None:
+            self._go(_STAND)
+            return
+        if place is not None and not self._steering.there(self._pose, place):
+            self._go(np.array(self._steering.command(self._pose, self._points, place)))
+            return
+        self._go(_STAND)
+        earned = self._delivery.at_place(self._now())
+        if earned is not None:
+            self._agent.ended(earned.reward, earned.steps, self._delivery.over(option))
+
+    def _go(self, command: NDArray[np.float64]) -> None:
+        """Send a command, or stand where that is not safe."""
+        try:
+            self.drive(command)
+        except VelocityError as error:
+            self.stand(str(error))
+
+    def _now(self) -> float:
+        return 1e-9 * float(self.get_clock().now().nanoseconds)
+
+
+def main() -> int:
+    """Run the node."""
+    return run_node(NavigationAgent)

@@ -1,0 +1,1 @@
+"""Options, and the decisions at which they are chosen (thesis 2.4)."""

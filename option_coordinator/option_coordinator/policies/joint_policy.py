@@ -1,0 +1,199 @@
+"""The conditional joint policy pi-hat(o_U | o_not-U, s) of thesis Eq. 5.2 and 5.3: one interface for every kind.
+
+    conditional = policy.given(observation, choosing, running, legal)
+    options = conditional.sample(generator)
+
+`choosing` are the agents that need an option (U); those that run one are conditions. An agent that neither chooses nor
+runs anything is absent: its option is summed out. With legality masks the joint policy is restricted to joint options
+whose chosen part is legal, and normalised again. NumPy alone: this is what runs beside the robots.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from functools import cached_property
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from option_coordinator.errors import OptionError
+from option_coordinator.options.decision import NONE
+from option_coordinator.options.options import Mask, slots
+
+Array = NDArray[np.floating]
+Options = NDArray[np.int64]
+ENUMERABLE = 4096
+"""Joint options up to which the entropy is found by going through all of them: milliseconds."""
+MODE_ENUMERABLE = 128
+"""The same for the most likely one, which robots wait for: tenths of one."""
+_DRAWS = 1000
+_NOT_FINITE = "the policy's probabilities are not finite: nothing can be chosen by them"
+
+
+class Conditional(ABC):
+    """pi-hat(. | o_not-U, s): a distribution over the options of those that choose.
+
+    Attributes:
+        counts: how many options each of the N agents has.
+        choosing: (N,) who chooses.
+        running: (N,) option of each that runs one, `NONE` else.
+        legal: (N, K) which options each may choose.
+    """
+
+    def __init__(self, counts: Sequence[int], choosing: Mask, running: Options, legal: Mask) -> None:
+        self.counts = tuple(counts)
+        self.choosing = choosing
+        self.running = np.where(choosing, NONE, running)
+        self.legal = legal
+
+    @abstractmethod
+    def log_prob(self, options: Options) -> Array:
+        """Return log pi-hat (...,) of options (..., N); only those of who chooses count, illegal ones give -inf."""
+
+    @abstractmethod
+    def sample(self, generator: np.random.Generator) -> Options:
+        """Return options (N,): a draw for who chooses, the running ones of the others, `NONE` for the absent."""
+
+    def mode(self) -> Options:
+        """Return the most likely options (N,); beyond `MODE_ENUMERABLE` joint options those of `_rough_mode`."""
+        if self.size > MODE_ENUMERABLE:
+            return self._rough_mode()
+        choices = self.choices()
+        return choices[most_likely(self.log_prob(choices))]
+
+    def entropy(self) -> float:
+        """Return the entropy [nat]; beyond `ENUMERABLE` joint options an estimate from 1000 draws, always the same."""
+        if self.size > ENUMERABLE:
+            generator = np.random.default_rng(0)
+            draws = np.stack([self.sample(generator) for _ in range(_DRAWS)])
+            return float(-self.log_prob(draws).mean())
+        logs = self.log_prob(self.choices())
+        return float(-np.sum(np.exp(logs) * logs))
+
+    @property
+    def size(self) -> int:
+        """How many legal joint options there are to choose from."""
+        size = 1
+        for row in self._legal_options:
+            size *= len(row)
+        return size
+
+    def choices(self) -> Options:
+        """Return them all (size, N)."""
+        out = np.tile(self.running, (self.size, 1))
+        out[:, self.choosing] = list(product(*self._legal_options))
+        return out
+
+    @cached_property
+    def _legal_options(self) -> list[Options]:
+        return [np.flatnonzero(self.legal[agent]) for agent in np.flatnonzero(self.choosing)]
+
+    @abstractmethod
+    def _rough_mode(self) -> Options:
+        """Return likely options where there are too many to go through."""
+
+
+class JointPolicy(ABC):
+    """A joint policy pi(o | s) of N agents, of which any part can be asked.
+
+    Attributes:
+        counts: how many options each agent has.
+        observation_size: length of what is observed.
+    """
+
+    counts: tuple[int, ...]
+    observation_size: int
+
+    @cached_property
+    def slots(self) -> Mask:
+        """Which options there are, (N, K), K the largest count."""
+        return slots(self.counts)
+
+    @cached_property
+    def _counts(self) -> Options:
+        return np.array(self.counts)
+
+    def given(self, observation: Array, choosing: Mask, running: Options, legal: Mask | None = None) -> Conditional:
+        """Return pi-hat for one decision.
+
+        Args:
+            observation: of all agents, one after the other (observation_size,).
+            choosing: (N,) who chooses; who runs an option does not.
+            running: (N,) option of each that runs one, `NONE` else.
+            legal: (N, K) which options each may choose, K the largest count; all unless given.
+
+        Raises:
+            OptionError: wrong sizes, an observation that is not finite, options out of range, or nothing legal.
+        """
+        choosing, running = np.asarray(choosing, dtype=bool), np.asarray(running)
+        observation = np.asarray(observation)
+        legal = self.slots if legal is None else np.asarray(legal, dtype=bool)
+        if legal.shape != self.slots.shape:
+            raise OptionError(f"legal has shape {legal.shape}, must be {self.slots.shape}")
+        legal = legal & self.slots
+        self._check(observation, choosing, running, legal)
+        return self.valid(observation, choosing, running, legal)
+
+    def valid(self, observation: Array, choosing: Mask, running: Options, legal: Mask) -> Conditional:
+        """Return pi-hat for a decision that is known to be in order, as those of `OptionEnvironment` are."""
+        return self._given(observation, choosing, running, legal)
+
+    @abstractmethod
+    def _given(self, observation: Array, choosing: Mask, running: Options, legal: Mask) -> Conditional:
+        """Return pi-hat for what was checked."""
+
+    def _check(self, observation: Array, choosing: Mask, running: Options, legal: Mask) -> None:
+        agents = len(self.counts)
+        if observation.shape != (self.observation_size,):
+            raise OptionError(f"observation has shape {observation.shape}, must be ({self.observation_size},)")
+        if not np.isfinite(observation).all():
+            raise OptionError(f"observation: {int((~np.isfinite(observation)).sum())} numbers are not finite")
+        if choosing.shape != (agents,) or running.shape != (agents,):
+            raise OptionError(
+                f"choosing and running have shapes {choosing.shape}, {running.shape}, must be ({agents},)"
+            )
+        if (~choosing & ((running < NONE) | (running >= self._counts))).any():
+            raise OptionError(f"running options {running.tolist()} are not all below {list(self.counts)}")
+        stuck = np.flatnonzero(choosing & ~legal.any(axis=1))
+        if len(stuck):
+            raise OptionError(f"agent {int(stuck[0])} has no legal option")
+
+
+def log_sum_exp(x: Array, axis: int | tuple[int, ...] | None = None) -> Array:
+    """Return log sum exp, -inf where everything is."""
+    top = np.maximum.reduce(x, axis=axis, keepdims=True, initial=-np.inf)  # the methods take twice as long
+    if np.isfinite(top).all():  # as nearly always: the rest costs more than this
+        out = np.log(np.add.reduce(np.exp(x - top), axis=axis, keepdims=True)) + top
+    else:
+        safe = np.where(np.isfinite(top), top, 0.0)
+        with np.errstate(divide="ignore"):
+            out = np.log(np.exp(x - safe).sum(axis=axis, keepdims=True)) + safe
+    return np.squeeze(out, axis=axis) if axis is not None else out.reshape(())
+
+
+def draw(log_probabilities: Array, generator: np.random.Generator) -> Options:
+    """Return a draw (...) from each row of normalised log-probabilities (..., K).
+
+    Raises:
+        OptionError: they are not numbers, as a network's whose observations or weights are too large.
+    """
+    total = np.cumsum(np.exp(log_probabilities), axis=-1)
+    if not np.isfinite(total[..., -1]).all():
+        raise OptionError(_NOT_FINITE)
+    # Scaled by the last sum: rounding must not put a draw beyond the last option.
+    level = generator.random(total.shape[:-1])[..., None] * total[..., -1:]
+    return np.asarray((total <= level).sum(axis=-1))
+
+
+def most_likely(log_probabilities: Array) -> int:
+    """Return the index, flat, of the largest.
+
+    Raises:
+        OptionError: as `draw`.
+    """
+    best = int(np.argmax(log_probabilities))  # the first that is not a number, if there is one
+    if not np.isfinite(log_probabilities.flat[best]):
+        raise OptionError(_NOT_FINITE)
+    return best

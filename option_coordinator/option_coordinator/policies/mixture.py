@@ -1,0 +1,113 @@
+"""A mixture of products, sum_r w_r(s) prod_i p_ri(o_i | s): exact conditionals for any set of running agents.
+
+Given what others run, it is a mixture again, with weights w'_r proportional to w_r prod_running p_rj(o_j):
+log-probability and draw cost O(R sum_i K_i), for hundreds of robots.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from option_coordinator.options.decision import NONE
+from option_coordinator.options.options import Mask
+from option_coordinator.policies.joint_policy import (
+    Array,
+    Conditional,
+    JointPolicy,
+    Options,
+    draw,
+    log_sum_exp,
+    most_likely,
+)
+from option_coordinator.policies.network import Tensors, features, linear
+
+_CLIMBERS = 3
+_SWEEPS = 5
+"""At most so many: robots wait for the answer."""
+
+
+class Mixture(JointPolicy):
+    """A mixture of R products.
+
+    Args:
+        tensors: trunk, `weights` (R) and `head` (R sum K).
+        counts: options of each agent.
+    """
+
+    def __init__(self, tensors: Tensors, counts: tuple[int, ...]) -> None:
+        self.counts = counts
+        self.observation_size = tensors["trunk.norm_0.weight"].shape[0]
+        self.rank = tensors["weights.bias"].shape[0]
+        self._tensors = tensors
+
+    def _given(self, observation: Array, choosing: Mask, running: Options, legal: Mask) -> Conditional:
+        x = features(self._tensors, observation)
+        flat = linear(self._tensors, "head", x)
+        if len(set(self.counts)) == 1:
+            logits = flat.reshape(self.rank, *self.slots.shape).astype(float)
+        else:
+            logits = np.full((self.rank, *self.slots.shape), -np.inf)
+            logits[:, self.slots] = flat.reshape(self.rank, -1)
+        weights = linear(self._tensors, "weights", x).astype(float)
+        return _MixtureConditional(self.counts, weights, logits, choosing, running, legal)
+
+
+class _MixtureConditional(Conditional):
+    """The mixture's weights and factors, given what runs and what is legal."""
+
+    def __init__(
+        self, counts: tuple[int, ...], weights: Array, logits: Array, choosing: Mask, running: Options, legal: Mask
+    ) -> None:
+        super().__init__(counts, choosing, running, legal)
+        runs = np.flatnonzero(~choosing & (running != NONE))
+        self._agents = np.flatnonzero(choosing)
+        if len(runs):  # each sum of exponentials left out is a tenth of a small decision
+            fixed = logits[:, runs]
+            weights = weights + (fixed[:, np.arange(len(runs)), running[runs]] - log_sum_exp(fixed, -1)).sum(axis=1)
+        allowed = logits[:, self._agents]
+        share = log_sum_exp(allowed, -1)
+        if not (legal[self._agents] | np.isneginf(allowed[0])).all():
+            of_all, allowed = share, np.where(legal[self._agents], allowed, -np.inf)
+            share = log_sum_exp(allowed, -1)
+            weights = weights + (share - of_all).sum(axis=1)
+        self._weights = weights - log_sum_exp(weights)
+        self._factors = allowed - share[..., None]
+
+    def log_prob(self, options: Options) -> Array:
+        chosen = np.asarray(options)[..., self._agents]
+        terms = self._factors[:, np.arange(len(self._agents)), chosen].sum(axis=-1)
+        return log_sum_exp(np.moveaxis(terms, 0, -1) + self._weights, -1)
+
+    def sample(self, generator: np.random.Generator) -> Options:
+        component = int(draw(self._weights, generator))
+        return self._options(draw(self._factors[component], generator))
+
+    def _options(self, chosen: Options) -> Options:
+        out = self.running.copy()
+        out[self._agents] = chosen
+        return out
+
+    def _rough_mode(self) -> Options:
+        """Return the best of the components' own modes, improved agent by agent as long as that helps, if not for ever.
+
+        Only the best few are improved: what the others begin from is far less likely.
+        """
+        starts = np.stack([self._options(np.argmax(factors, axis=-1)) for factors in self._factors])
+        order = np.argsort(-self.log_prob(starts))[:_CLIMBERS]
+        ends = np.stack([self._climb(starts[index]) for index in order])
+        return ends[most_likely(self.log_prob(ends))]
+
+    def _climb(self, options: Options) -> Options:
+        """Change one agent's option after the other to its best, given the rest."""
+        agents = np.arange(len(self._agents))
+        chosen = options[self._agents]
+        terms = self._weights + self._factors[:, agents, chosen].sum(axis=1)  # log w_r prod_i p_ri, of what is chosen
+        for _ in range(_SWEEPS):
+            before = chosen.copy()
+            for agent in agents:
+                rest = terms - self._factors[:, agent, chosen[agent]]
+                chosen[agent] = most_likely(log_sum_exp(rest[:, None] + self._factors[:, agent], 0))
+                terms = rest + self._factors[:, agent, chosen[agent]]
+            if np.array_equal(chosen, before):
+                break
+        return self._options(chosen)

@@ -1,0 +1,68 @@
+"""Partially centralised choice (thesis Eq. 5.5): each agent by its own observation, knowing what the others run.
+
+Agent i has a joint policy pi^i of its own, asked for its option alone: pi^i(o_i, o_not-U | s_i) / pi^i(o_not-U | s_i).
+Agents that choose at the same moment do not know of each other's choice.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from option_coordinator.options.options import Mask
+from option_coordinator.policies.joint_policy import Array, Conditional, JointPolicy, Options
+
+
+class Partial(JointPolicy):
+    """One joint policy for each agent.
+
+    Args:
+        policies: of the agents, each of all agents' options by its own observation.
+    """
+
+    def __init__(self, policies: Sequence[JointPolicy]) -> None:
+        self.counts = policies[0].counts
+        self.observation_size = sum(policy.observation_size for policy in policies)
+        self._policies = tuple(policies)
+        self._ends = np.cumsum([policy.observation_size for policy in policies])[:-1]
+
+    def _given(self, observation: Array, choosing: Mask, running: Options, legal: Mask) -> Conditional:
+        parts = {}
+        for agent, own in enumerate(np.split(observation, self._ends)):
+            if choosing[agent]:
+                alone = np.arange(len(self.counts)) == agent
+                parts[agent] = self._policies[agent].valid(own, alone, np.where(choosing, -1, running), legal)
+        return _PartialConditional(self.counts, choosing, running, legal, parts)
+
+
+class _PartialConditional(Conditional):
+    """The product of the choosers' own conditionals."""
+
+    def __init__(
+        self, counts: tuple[int, ...], choosing: Mask, running: Options, legal: Mask, parts: dict[int, Conditional]
+    ) -> None:
+        super().__init__(counts, choosing, running, legal)
+        self._parts = parts
+
+    def log_prob(self, options: Options) -> Array:
+        options = np.asarray(options)
+        return np.sum([part.log_prob(options) for part in self._parts.values()], axis=0) + np.zeros(options.shape[:-1])
+
+    def sample(self, generator: np.random.Generator) -> Options:
+        return self._each({agent: part.sample(generator) for agent, part in self._parts.items()})
+
+    def mode(self) -> Options:
+        return self._each({agent: part.mode() for agent, part in self._parts.items()})
+
+    def entropy(self) -> float:
+        return sum(part.entropy() for part in self._parts.values())
+
+    def _each(self, found: dict[int, Options]) -> Options:
+        out = self.running.copy()
+        for agent, options in found.items():
+            out[agent] = options[agent]
+        return out
+
+    def _rough_mode(self) -> Options:
+        return self.mode()

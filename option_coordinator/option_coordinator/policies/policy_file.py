@@ -1,0 +1,221 @@
+"""A joint policy's file: tensors in safetensors, and a manifest that says whose options it chooses. No pickles.
+
+policy = OptionPolicy.load(Path("policy.safetensors"))
+choices = policy.choose(decision, generator)
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from ctrl_rl_core.io.atomic_write import write_whole
+from ctrl_rl_core.io.checked_tensors import encode_tensors, read_tensors
+from ctrl_rl_core.io.file_checks import named, one_line, refused_as
+from ctrl_rl_core.io.schema import Anything, Name, Schema
+from pydantic import Field
+
+from option_coordinator.errors import OptionError
+from option_coordinator.options.decision import NONE, Decision
+from option_coordinator.options.options import Agent
+from option_coordinator.policies.autoregressive import Autoregressive
+from option_coordinator.policies.joint_policy import JointPolicy
+from option_coordinator.policies.joint_table import JointTable
+from option_coordinator.policies.mixture import Mixture
+from option_coordinator.policies.network import Tensors, part
+from option_coordinator.policies.partial import Partial
+from option_coordinator.policies.presence import Presence
+
+FORMAT = "option-policy-1"
+
+
+class _Agent(Schema):
+    """A robot in the header."""
+
+    name: Name
+    options: Annotated[list[Name], Field(min_length=1, max_length=1000)]
+    observation_size: Annotated[int, Field(ge=1, le=1_000_000)]
+
+
+class _Header(Schema):
+    """What a policy says of itself, see `OptionPolicy`."""
+
+    format: Literal["option-policy-1"]
+    agents: Annotated[list[_Agent], Field(min_length=1, max_length=1000)]
+    head: Literal["table", "mixture", "autoregressive"]
+    partial: bool
+    presence: bool = False
+    greedy: bool
+    manifest: Anything
+
+
+_HEADER_KEY = "option_policy"
+
+HEADS: Mapping[str, Callable[[Tensors, tuple[int, ...]], JointPolicy]] = {
+    "table": JointTable,
+    "mixture": Mixture,
+    "autoregressive": Autoregressive,
+}
+"""Kinds of joint policy by name."""
+
+
+def shipped_policies() -> dict[str, Path]:
+    """Return the policies that come with the package, by name, which is that of their team."""
+    return {file.stem: file for file in sorted((Path(__file__).parent / "pretrained").glob("*.safetensors"))}
+
+
+def policy_file(name_or_path: Path | str) -> Path:
+    """Return the file of a policy that comes with the package, by name, or the path itself.
+
+    Raises:
+        OptionError: there is no such policy.
+    """
+    shipped = shipped_policies()
+    path = shipped.get(str(name_or_path), Path(name_or_path).expanduser())
+    try:
+        there, why = path.exists(), f"there are {', '.join(shipped) or 'none'}, or give a file"
+    except (OSError, ValueError) as error:
+        there, why = False, one_line(error, 100)
+    if not there:
+        raise OptionError(f"no policy '{named(name_or_path)}': {why}")
+    return path
+
+
+def make_policy(
+    head: str, tensors: Tensors, counts: tuple[int, ...], partial: bool, presence: bool = False
+) -> JointPolicy:
+    """Return a joint policy from its tensors; those of a partial one are named "0.", "1." and so on.
+
+    Raises:
+        OptionError: there is no such kind, or a tensor is missing.
+    """
+    if head not in HEADS:
+        raise OptionError(f"no kind of joint policy '{head}': there are {', '.join(HEADS)}")
+    if partial and presence:
+        raise OptionError("a partially centralised policy is not told who is there: make it without presence")
+    try:
+        if partial:
+            return Partial([HEADS[head](part(tensors, f"{i}."), counts) for i in range(len(counts))])
+        policy = HEADS[head](tensors, counts)
+        return Presence(policy) if presence else policy
+    except KeyError as error:
+        raise OptionError(f"joint policy '{head}': tensor {error} is missing") from None
+
+
+@dataclass(frozen=True, eq=False)
+class OptionPolicy:
+    """A joint policy and all that is needed to use it.
+
+    Attributes:
+        agents: whose options it chooses, in its order.
+        head: kind of joint policy, a key of `HEADS`.
+        partial: whether each agent has one of its own (Eq. 5.5).
+        tensors: of its networks.
+        presence: it is told who is there, see `presence`.
+        greedy: it is meant to be used by its mode; else by draws.
+        manifest: anything else worth keeping: task, digest, method, figures.
+    """
+
+    agents: tuple[Agent, ...]
+    head: str
+    partial: bool
+    tensors: Tensors
+    presence: bool = False
+    greedy: bool = False
+    manifest: Mapping[str, Any] = field(default_factory=dict)
+
+    @cached_property
+    def joint(self) -> JointPolicy:
+        """The joint policy."""
+        counts = tuple(len(agent.options) for agent in self.agents)
+        policy = make_policy(self.head, self.tensors, counts, self.partial, self.presence)
+        size = sum(agent.observation_size for agent in self.agents)
+        if policy.observation_size != size:
+            raise OptionError(f"the policy observes {policy.observation_size} numbers, its agents {size}")
+        return policy
+
+    def choose(self, decision: Decision, generator: np.random.Generator) -> dict[str, int]:
+        """Return an option for each agent that is ready: a draw, or the most likely ones if it is `greedy`."""
+        conditional = self.joint.given(decision.observation, decision.choosing, decision.running, decision.legal)
+        return decision.named(conditional.mode() if self.greedy else conditional.sample(generator))
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 (hex) of its file: of that it was read from, or else of that it would be saved as."""
+        return hashlib.sha256(self._content()).hexdigest()
+
+    def save(self, path: Path) -> None:
+        """Write it; the file is there whole or not at all."""
+        write_whole(path, self._content())
+
+    def _content(self) -> bytes:
+        header = {
+            "format": FORMAT,
+            "agents": [
+                {"name": agent.name, "options": agent.options, "observation_size": agent.observation_size}
+                for agent in self.agents
+            ],
+            "head": self.head,
+            "partial": self.partial,
+            "presence": self.presence,
+            "greedy": self.greedy,
+            "manifest": dict(self.manifest),
+        }
+        return encode_tensors(self.tensors, _HEADER_KEY, header)
+
+    @classmethod
+    def load_for(cls, path: Path | str, agents: Iterable[Agent]) -> Self:
+        """Read the policy of a team.
+
+        Raises:
+            OptionError: as for `load`, or it is of another team.
+        """
+        policy = cls.load(path)
+        if policy.agents != tuple(agents):
+            others = ", ".join(agent.name for agent in policy.agents)
+            raise OptionError(f"{named(path)}: is a policy of other robots or options: {others}")
+        return policy
+
+    @classmethod
+    def load(cls, path: Path | str) -> Self:
+        """Read a policy that comes with the package, by name, or a file.
+
+        Raises:
+            OptionError: the file is missing or is no such policy; the message names it.
+        """
+        file = policy_file(path)
+        with refused_as(OptionError, file):
+            header, tensors, digest = read_tensors(file, _HEADER_KEY, with_digest=True)
+            told = _Header.model_validate(header)
+            policy = cls(
+                agents=tuple(Agent(agent.name, tuple(agent.options), agent.observation_size) for agent in told.agents),
+                head=told.head,
+                partial=told.partial,
+                tensors=tensors,
+                presence=told.presence,
+                greedy=told.greedy,
+                manifest=told.manifest,
+            )
+            policy.__dict__["digest"] = digest  # of what was read, however it was written
+            policy.check()
+        return policy
+
+    def check(self) -> None:
+        """Refuse what cannot choose.
+
+        Raises:
+            OptionError: a tensor is missing or of another size.
+        """
+        everyone = np.ones(len(self.agents), dtype=bool)
+        try:
+            # Of one agent after the other too: each way through the network must have tensors of the right sizes.
+            for choosing in (everyone, *(everyone & (np.arange(len(everyone)) == i) for i in range(len(everyone)))):
+                given = self.joint.given(np.zeros(self.joint.observation_size), choosing, np.where(choosing, NONE, 0))
+                given.log_prob(given.sample(np.random.default_rng(0)))
+        except (ValueError, IndexError, KeyError) as error:
+            raise OptionError(f"its tensors do not fit each other or its options ({error}): learn it again") from None

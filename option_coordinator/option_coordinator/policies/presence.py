@@ -1,0 +1,33 @@
+"""A joint policy that knows who is there: one that is only told what runs takes "absent" for "chooses too"."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from option_coordinator.options.decision import NONE
+from option_coordinator.options.options import Mask
+from option_coordinator.policies.joint_policy import Array, Conditional, JointPolicy, Options
+
+
+class Presence(JointPolicy):
+    """A joint policy whose network sees N numbers more: 1 for who chooses or runs an option, 0 for who is absent.
+
+    Whoever asks it has nothing more to say than `choosing` and `running`.
+
+    Args:
+        policy: of that network.
+    """
+
+    def __init__(self, policy: JointPolicy) -> None:
+        self.counts = policy.counts
+        self.observation_size = policy.observation_size - len(policy.counts)
+        self._policy = policy
+
+    def _given(self, observation: Array, choosing: Mask, running: Options, legal: Mask) -> Conditional:
+        present = choosing | (running != NONE)
+        return self._policy.valid(with_presence(observation, present), choosing, running, legal)
+
+
+def with_presence(observation: Array, present: Mask) -> Array:
+    """Return observations (..., D) and who is there (..., N) as the network sees them (..., D + N)."""
+    return np.concatenate((observation, present.astype(observation.dtype)), axis=-1)

@@ -1,0 +1,262 @@
+"""Who runs what: what a coordinator knows of each robot. Times are numbers in seconds, of any one clock.
+
+Two things are known of a robot: how far its latest request is (`phase`) and when it was heard last. One that is silent
+for a lease is suspect, for longer lost; it keeps its phase, so that it goes on where it was if it returns.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from enum import StrEnum
+
+from option_coordinator.errors import OptionError
+from option_coordinator.options.decision import NONE
+from option_coordinator.protocol.protocol_types import Status
+
+MOST_UNHEARD = 1000
+"""Requests that a robot may have sent without one of them, or a heartbeat, being heard."""
+
+
+class State(StrEnum):
+    """What a robot does, as far as is known."""
+
+    UNKNOWN = "unknown"  # never heard
+    IDLE = "idle"  # has no request open and runs nothing that is known of
+    WAITING = "waiting"  # has asked
+    GRANTED = "granted"  # has a grant that it has not acknowledged
+    RUNNING = "running"  # carries it out
+    SUSPECT = "suspect"  # silent for a lease
+    LOST = "lost"  # silent for longer: nobody counts on it
+
+
+@dataclass
+class Entry:
+    """One robot.
+
+    Attributes:
+        agent: its name.
+        incarnation: life of its process, grows with each; `NONE` before it is heard.
+        request_id: of its latest request that counts, 0 for none.
+        grant_id: of the latest grant, 0 for none; grows by one with each.
+        epoch: of the coordinator that gave it.
+        option: that was granted, `NONE` for none.
+        granted_at: when it began, as far as is known [s], on the clock that options are timed by.
+        stamp: Stamp of the grant [s].
+        cancelled: it was called off, and the robot has not asked again.
+        phase: how far the latest request is.
+        last_heard: when [s].
+        told_id: request_id of its latest heartbeat, 0 before one.
+        asked_at: when its latest request was first heard [s].
+        claims_since: since when it says without a break that it has seen a higher epoch [s], None where it does not.
+        silence: `SUSPECT` or `LOST`, None for a robot that is heard.
+    """
+
+    agent: str
+    incarnation: int = NONE
+    request_id: int = 0
+    grant_id: int = 0
+    epoch: int = 0
+    option: int = NONE
+    granted_at: float = -math.inf
+    stamp: float = 0.0
+    cancelled: bool = False
+    phase: State = State.UNKNOWN
+    last_heard: float = -math.inf
+    told_id: int = 0
+    asked_at: float = -math.inf
+    claims_since: float | None = None
+    silence: State | None = None
+
+    @property
+    def state(self) -> State:
+        """What it does, or that it is silent."""
+        return self.silence or self.phase
+
+    @property
+    def holds(self) -> bool:
+        """Whether it has an option, acknowledged or not."""
+        return self.phase is State.RUNNING or self.phase is State.GRANTED
+
+    @property
+    def runs(self) -> bool:
+        """Whether its option is a condition of what the others choose."""
+        return self.holds and self.silence is not State.LOST
+
+    def answered(self, request_id: int) -> bool:
+        """Whether a request has been granted, whatever became of that."""
+        return request_id == self.request_id and self.option != NONE
+
+    def is_past(self, incarnation: int) -> bool:
+        """Whether it is a life that is over, whose messages come too late: a lower one, unless the robot is lost.
+
+        A robot whose clock was set back would else never be heard again.
+        """
+        return incarnation < self.incarnation and self.silence is not State.LOST
+
+    def is_early(self, incarnation: int) -> bool:
+        """Whether it is a new life while the old one is heard: one wrong message must not end that.
+
+        A robot that has started again is heard once its old life has been silent for a lease.
+        """
+        return self.phase is not State.UNKNOWN and incarnation > self.incarnation and self.silence is None
+
+    def leaps(self, request_id: int) -> bool:
+        """Whether a request's number is further ahead than a robot can have counted unheard."""
+        known = max(self.request_id, self.told_id)
+        return known > 0 and request_id > known + MOST_UNHEARD
+
+    def believe_lower(self, request_id: int, now: float, patience: float) -> bool:
+        """Return whether a heartbeat's lower number is the true one, and go by it then.
+
+        A heartbeat may be overtaken by a request. But who names a lower one for longer than `patience` [s] after a
+        request was heard has never sent that: it was somebody else's, and would lock the robot out for its life.
+        """
+        if now - self.asked_at <= patience:
+            return False
+        self.request_id, self.asked_at = request_id, now
+        self._become_idle()
+        self.option = NONE
+        return True
+
+    def heard(self, incarnation: int, now: float) -> None:
+        """Note a sign of life; that of a new incarnation voids what the old one had.
+
+        Raises:
+            OptionError: the incarnation is over.
+        """
+        if self.is_past(incarnation):
+            raise OptionError(f"'{self.agent}': incarnation {incarnation} was replaced by {self.incarnation}")
+        if incarnation != self.incarnation:
+            self.incarnation, self.request_id, self.told_id = incarnation, 0, 0
+            self.claims_since = None
+            self._become_idle()
+            self.option = NONE
+        self.last_heard = max(now, self.last_heard)
+        self.silence = None
+
+    def insists(self, higher: bool, incarnation: int, now: float, patience: float) -> bool:
+        """Return whether it has said for `patience` [s] without a break that it has seen a higher epoch.
+
+        A wrong word in its name is contradicted by its next heartbeat.
+        """
+        if not higher:
+            self.claims_since = None
+        elif incarnation == self.incarnation and self.claims_since is None:
+            self.claims_since = now
+        return higher and self.claims_since is not None and now - self.claims_since >= patience
+
+    def ask(self, request_id: int, now: float) -> None:
+        """Let it wait for an answer: whatever it ran has ended.
+
+        Raises:
+            OptionError: it was never heard, or the request is older than what it has.
+        """
+        self._must_be_heard()
+        if request_id < self.request_id or self.answered(request_id):
+            raise OptionError(f"'{self.agent}': request {request_id} is not after {self.request_id}")
+        if request_id != self.request_id:
+            self.request_id, self.asked_at = request_id, now
+        self._become_idle()
+        self.option = NONE
+        self.phase = State.WAITING
+
+    def grant(self, epoch: int, option: int, now: float, stamp: float) -> None:
+        """Give it an option that begins now, with the stamp of that [s].
+
+        Raises:
+            OptionError: it is not waiting for one.
+        """
+        if self.state is not State.WAITING:
+            raise OptionError(f"'{self.agent}' is {self.state}: only who waits is granted an option")
+        self.epoch, self.option, self.granted_at, self.stamp = epoch, option, now, stamp
+        self.grant_id += 1
+        self.phase = State.GRANTED
+
+    def acknowledge(self) -> None:
+        """Note that it carries its grant out.
+
+        Raises:
+            OptionError: it has none.
+        """
+        if not self.holds:
+            raise OptionError(f"'{self.agent}' is {self.state}: there is no grant to acknowledge")
+        self.phase = State.RUNNING
+
+    def adopt(self, told: Status, since: float, stamp: float, now: float) -> None:
+        """Believe a robot that it carries out an option that another coordinator, or an earlier life, granted.
+
+        Args:
+            told: what it says.
+            since: when the option began [s].
+            stamp: When the option began, by the clock of stamps [s].
+            now: when it says so [s].
+
+        Raises:
+            OptionError: it was never heard, or it has asked again since.
+        """
+        self._must_be_heard()
+        if told.request_id < self.request_id:
+            raise OptionError(f"'{self.agent}': grant of request {told.request_id}, but it has sent {self.request_id}")
+        if told.request_id != self.request_id:
+            self.request_id, self.asked_at = told.request_id, now
+        self.epoch, self.option, self.granted_at, self.stamp = told.coordinator_epoch, told.option, since, stamp
+        self.grant_id, self.cancelled = told.grant_id, False
+        self.phase = State.RUNNING
+
+    def cancel(self) -> None:
+        """Call its option off. Until it asks again it holds it: it may carry it out still.
+
+        Raises:
+            OptionError: it has none.
+        """
+        if not self.holds:
+            raise OptionError(f"'{self.agent}' is {self.state}: there is no option to cancel")
+        self.cancelled = True
+
+    def end(self) -> None:
+        """Note that it runs nothing and wants nothing at the moment; the answer to its request stays known.
+
+        Raises:
+            OptionError: it was never heard.
+        """
+        self._must_be_heard()
+        self.phase = State.IDLE  # a cancelled grant stays so: who repeats that request hears it again
+
+    def fall_silent(self, now: float, lease: float, lost_after: float) -> bool:
+        """Return whether it is lost from now on; what it waited for is forgotten then, as it asks again if it lives."""
+        silent = now - self.last_heard
+        if self.phase is State.UNKNOWN or self.silence is State.LOST or silent < lease:
+            return False
+        self.silence = State.LOST if silent >= lost_after else State.SUSPECT
+        if self.silence is State.LOST and self.phase is State.WAITING:
+            self._become_idle()
+        return self.silence is State.LOST
+
+    def _become_idle(self) -> None:
+        self.phase, self.cancelled = State.IDLE, False
+
+    def _must_be_heard(self) -> None:
+        if self.phase is State.UNKNOWN or self.silence is not None:
+            raise OptionError(f"'{self.agent}' is {self.state}: note that it was heard first")
+
+
+class Ledger:
+    """The robots of a team.
+
+    Args:
+        agents: their names, in the policy's order.
+    """
+
+    def __init__(self, agents: Iterable[str]) -> None:
+        self._entries = {agent: Entry(agent) for agent in agents}
+
+    def __iter__(self) -> Iterator[Entry]:
+        return iter(self._entries.values())
+
+    def __contains__(self, agent: str) -> bool:
+        return agent in self._entries
+
+    def __getitem__(self, agent: str) -> Entry:
+        return self._entries[agent]

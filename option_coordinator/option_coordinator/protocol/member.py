@@ -1,0 +1,158 @@
+"""A coordinator as one of a team: whom it hears, and whether it is the one that decides. Pure: no ROS, and no clock.
+
+A coordinator that has not run for half a lease, because it was frozen or the machine was busy, is silent for a while:
+another one may have taken over, and what that says is heard first.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterable
+
+from option_coordinator.protocol.election import Election
+from option_coordinator.protocol.instant import Instant
+from option_coordinator.protocol.ledger import Entry, Ledger, State
+from option_coordinator.protocol.protocol_types import Request, Status, Word, same_team
+from option_coordinator.protocol.team_settings import Times
+
+LATE = 0.5
+_QUIET = 0.4
+_FROZEN = 8.0
+"""Leases without a tick after which it listens before it goes on, how long it listens, and when it begins anew."""
+
+
+class Member:
+    """Hears robots and other coordinators of its team, and knows whether it decides.
+
+    Args:
+        robots: Names of the team's robots, in the policy's order.
+        times: how long it waits for what.
+        now: when it begins.
+        seed: of its epochs, see `Election`.
+        team: Name of the team; words of other teams mean nothing. Empty for unnamed: all words count.
+
+    Attributes:
+        ledger: who runs what.
+        team: its name.
+        counts: how often what happened, for diagnostics.
+    """
+
+    def __init__(self, robots: Iterable[str], times: Times, now: Instant, seed: int | None, team: str) -> None:
+        self._names, self._times, self.team = tuple(robots), times, team
+        self.counts: Counter[str] = Counter()
+        self._election = Election(now.steady, times.lease, seed)
+        self._quiet_until = -math.inf
+        self._forget(now)
+
+    @property
+    def epoch(self) -> int:
+        """Of this coordinator, 0 while it listens."""
+        return self._election.epoch
+
+    @property
+    def stands_by(self) -> bool:
+        """Whether it listens because another coordinator decides."""
+        return self._election.stands_by
+
+    @property
+    def epochs_not_believed(self) -> int:
+        """Number of times that an epoch was out of reach."""
+        return self._election.seen.refused
+
+    @property
+    def unheard(self) -> list[str]:
+        """Robots that have not said anything since this coordinator began to listen."""
+        return [entry.agent for entry in self.ledger if entry.phase is State.UNKNOWN]
+
+    def listen(self, now: Instant) -> None:
+        """Begin anew: decide nothing for a lease at least, hear who runs what, then take over."""
+        self._election.listen(now.steady)
+        self._forget(now)
+
+    def on_word(self, word: Word, now: Instant) -> None:
+        """Hear that a coordinator decides in an epoch: another one, or this one itself."""
+        if not same_team(word.team, self.team):
+            self.counts["words of other teams"] += 1
+            return
+        self._wake(now)
+        if self._election.on_word(word.epoch, now.steady):
+            self._step_down(now)
+
+    def _forget(self, now: Instant) -> None:
+        """Forget who runs what, and begin to listen."""
+        self._began = self._ticked_at = now.steady
+        self.ledger = Ledger(self._names)
+
+    def _forget_robot(self, agent: str) -> None:
+        """Forget what an earlier life of a robot has asked; override it where there is such."""
+
+    def _knows_enough(self, now: Instant) -> bool:
+        """Whether every robot was heard, or could have been: what is not heard yet may run something."""
+        return not self.unheard or now.steady >= self._began + self._times.lost_after
+
+    def _wake(self, now: Instant) -> None:
+        """Notice that this coordinator has not run for a while: it is silent until it has heard what happened."""
+        gap = (now.steady - self._ticked_at) / self._times.lease
+        if gap <= LATE:
+            return
+        if now.steady >= self._quiet_until:
+            self.counts["late ticks"] += 1
+        self._quiet_until = now.steady + _QUIET * self._times.lease
+        if self.epoch and gap > _FROZEN:
+            self._election.listen(now.steady)
+            self._step_down(now)
+
+    def _decides(self, now: Instant) -> bool:
+        """Whether this coordinator decides, and is sure of it."""
+        self._wake(now)
+        return bool(self.epoch) and now.steady >= self._quiet_until
+
+    def _entry(self, told: Request | Status) -> Entry | None:
+        """Return what is known of who says something, None where it is none of this team's."""
+        if not same_team(told.team, self.team):
+            self.counts["messages of other teams"] += 1
+            return None
+        if told.agent not in self.ledger:
+            self.counts["messages of unknown robots"] += 1
+            return None
+        return self.ledger[told.agent]
+
+    def _on_claim(self, entry: Entry, incarnation: int, epoch: int, now: Instant) -> None:
+        """Note an epoch that a robot has seen.
+
+        Who decides goes by it once the robot has said so for a lease; who may have been replaced, at once.
+        """
+        sure = self.epoch and now.steady >= self._quiet_until
+        if sure and not entry.insists(epoch > self.epoch, incarnation, now.steady, self._times.lease):
+            return
+        if self._election.on_epoch(epoch, now.steady):
+            self._step_down(now)
+
+    def _step_down(self, now: Instant) -> None:
+        """Leave it to another one: what this one has granted may never have been obeyed."""
+        self.counts["stepped down"] += 1
+        self._forget(now)
+
+    def _hear(self, entry: Entry, incarnation: int, now: Instant) -> bool:
+        """Note a sign of life; return whether it counts.
+
+        Raises:
+            OptionError: it is one of a life that is over.
+        """
+        if entry.is_early(incarnation):
+            self.counts["second lives"] += 1
+            return False
+        before, lost = entry.incarnation, entry.silence is State.LOST
+        entry.heard(incarnation, now.steady)
+        if incarnation != before:
+            self._forget_robot(entry.agent)
+        elif lost:
+            self.counts["returned robots"] += 1
+        return True
+
+    def _quiet(self, now: Instant) -> bool:
+        """Note a tick; return whether nothing may be said: nobody is lost whose heartbeats wait to be read."""
+        self._wake(now)
+        self._ticked_at = now.steady
+        return now.steady < self._quiet_until

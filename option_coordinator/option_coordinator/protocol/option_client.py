@@ -1,0 +1,258 @@
+"""A robot's side of the exchange with a coordinator: ask, carry out, be called off, help itself. Pure, as coordination.
+
+Whatever the network does, a robot carries out one grant for one request, listens to the highest epoch that it has seen,
+and has its safe option where no grant comes or an option takes longer than it may.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import dataclass, replace
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from option_coordinator.options.options import Mask, Observation
+from option_coordinator.protocol.election import Epochs
+from option_coordinator.protocol.instant import Instant
+from option_coordinator.protocol.protocol_types import AgentState, Grant, GrantStatus, Request, Status, Word, same_team
+
+
+class Seen(NamedTuple):
+    """What a robot tells with a request.
+
+    Attributes:
+        observation: as the policy wants it.
+        legal: (K,) which of its options it may begin, empty for all.
+    """
+
+    observation: Observation
+    legal: Mask
+
+
+class Earned(NamedTuple):
+    """What an option brought.
+
+    Attributes:
+        reward: discounted, sum_i gamma^i r_i; the part of the team's reward that this robot adds.
+        steps: low-level steps that it took.
+    """
+
+    reward: float = 0.0
+    steps: int = 0
+
+
+class Executes(Protocol):
+    """What carries options out. Who is done says so: `RobotSide.ended`."""
+
+    def observe(self) -> Seen:
+        """Return what is seen now."""
+
+    def begin(self, option: int) -> None:
+        """Begin an option."""
+
+    def leave(self) -> Earned:
+        """Leave the option that runs as it is, and return what it brought."""
+
+
+@dataclass(frozen=True)
+class Patience:
+    """All in seconds of a steady clock.
+
+    Attributes:
+        heartbeat: between statuses; some fit into a coordinator's lease.
+        repeat: between repetitions of a request.
+        waiting: without an answer, until the safe option begins.
+    """
+
+    heartbeat: float = 0.1
+    repeat: float = 0.1
+    waiting: float = 2.0
+
+
+_WANTING = (AgentState.WAITING, AgentState.FALLBACK)
+
+
+class RobotSide:
+    """What one robot says to its coordinator, and does at its word.
+
+    Args:
+        name: of the robot, as the team knows it.
+        options: how many it has.
+        executes: carries them out.
+        incarnation: life of its process: larger with each.
+        safe_option: what it does without a grant.
+        patience: how long it waits for what.
+        team: Name of its team, empty for unnamed: it then follows the team of the last grant that it took.
+
+    Attributes:
+        state: what it does.
+        request_id: of its latest request.
+        grant: that it carries out or has carried out last, None before the first.
+        finished: its task is over, and the coordinator knows.
+        counts: how often what happened, for diagnostics.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        options: int,
+        executes: Executes,
+        incarnation: int,
+        safe_option: int = 0,
+        patience: Patience | None = None,
+        team: str = "",
+    ) -> None:
+        self.name, self.incarnation = name, incarnation
+        self._options, self._executes, self._safe = options, executes, safe_option
+        self._patience = patience or Patience()
+        self.state = AgentState.IDLE
+        self.request_id = 0
+        self.grant: Grant | None = None
+        self.finished = False
+        self.counts: Counter[str] = Counter()
+        self._team = team
+        self._epochs = Epochs(self._patience.waiting)
+        self._request: Request | None = None
+        self._earned = Earned()
+        self._asked_at = self._began_at = 0.0
+        self._request_at = self._status_at = -math.inf
+
+    @property
+    def epoch(self) -> int:
+        """Highest epoch of a coordinator that it believes, 0 for none."""
+        return self._epochs.highest
+
+    def ask(self, now: Instant, earned: Earned | None = None, terminated: bool = False) -> None:
+        """Ask for an option, or say that the task is over for this robot."""
+        self._earned = earned = earned or Earned()
+        self.state, self.finished = AgentState.WAITING, False
+        self.request_id += 1
+        self._asked_at = self._request_at = self._status_at = now.steady
+        seen = self._executes.observe()
+        self._request = Request(
+            stamp=now.stamp,
+            agent=self.name,
+            incarnation=self.incarnation,
+            request_id=self.request_id,
+            coordinator_epoch=self.epoch,
+            observation=np.asarray(seen.observation, np.float32),
+            legal=np.asarray(seen.legal, bool),
+            option_reward=earned.reward,
+            option_duration=earned.steps,
+            terminated=terminated,
+            team=self._team,
+        )
+
+    def ended(self, now: Instant, earned: Earned | None = None, terminated: bool = False) -> None:
+        """Note that the option that runs has ended by itself; a safe option for want of a grant just ends."""
+        if self.state is AgentState.RUNNING:
+            self.ask(now, earned, terminated)
+
+    def on_word(self, word: Word, now: Instant) -> None:
+        """Hear that a coordinator of its team decides: grants of lower epochs mean nothing from now on."""
+        follows = self._team or (self.grant.team if self.grant is not None else None)
+        if word.team == follows and not self._epochs.believe(word.epoch, now.steady):
+            self.counts["epochs not believed"] += 1
+
+    def on_grant(self, grant: Grant, now: Instant) -> None:
+        """Take an answer: to an older request or life, of a lower epoch or another team, it means nothing."""
+        if (grant.agent, grant.incarnation) != (self.name, self.incarnation) or not same_team(grant.team, self._team):
+            return
+        if grant.coordinator_epoch < self.epoch:
+            self.counts["lower epochs"] += 1
+            return
+        if not self._epochs.believe(grant.coordinator_epoch, now.steady):
+            self.counts["epochs not believed"] += 1
+            return
+        if grant.request_id != self.request_id:
+            return
+        wanting = self.state in _WANTING
+        if grant.status is GrantStatus.REFUSED:
+            if wanting:
+                self._refused(now, grant.coordinator_epoch)
+        elif self._over:
+            return
+        elif grant.status is GrantStatus.CANCELLED:
+            self.counts["cancelled"] += 1
+            self.ask(now, self._stop())
+        elif wanting:
+            self._accept(grant, now)
+        else:
+            self._status_at = now.steady  # the coordinator has not heard that it is carried out
+
+    def tick(self, now: Instant) -> None:
+        """Let time pass: begin the safe option where no grant comes, or where an option takes too long."""
+        if self.state is AgentState.RUNNING and self.grant and now.task - self._began_at > self.grant.deadline:
+            self.counts["deadlines"] += 1
+            self.ask(now, self._stop())
+            self._fall_back()
+        elif self._waits and now.steady - self._asked_at > self._patience.waiting:
+            self.counts["unanswered"] += 1
+            self._fall_back()
+
+    def words(self, now: Instant) -> list[Request | Status]:
+        """Return what is to be said now, in this order."""
+        out: list[Request | Status] = []
+        if self.state in _WANTING and self._request is not None and now.steady >= self._request_at:
+            self._request_at = now.steady + self._patience.repeat
+            self._request = replace(self._request, coordinator_epoch=self.epoch)
+            out.append(self._request)
+        if now.steady >= self._status_at:
+            self._status_at = now.steady + self._patience.heartbeat
+            out.append(self._status(now))
+        return out
+
+    @property
+    def _waits(self) -> bool:
+        return self.state is AgentState.WAITING and not self._over
+
+    @property
+    def _over(self) -> bool:
+        return self._request is not None and self._request.terminated
+
+    def _accept(self, grant: Grant, now: Instant) -> None:
+        if not 0 <= grant.option < self._options or grant.deadline <= 0.0:
+            self.counts["impossible grants"] += 1
+            return
+        if self.state is AgentState.FALLBACK:
+            self._executes.leave()
+        self.state, self.grant = AgentState.RUNNING, grant
+        self._began_at, self._status_at = now.task, now.steady
+        self._executes.begin(grant.option)
+
+    def _refused(self, now: Instant, epoch: int) -> None:
+        """Repeat the request at once where only the epoch was unknown; else make another one, of what is seen by then.
+
+        A request never changes: which options are legal would else depend on which copy of it was answered.
+        """
+        self.counts["refused"] += 1
+        if self._over:
+            self.state, self.finished = AgentState.IDLE, True
+        elif self._request is not None and epoch > self._request.coordinator_epoch:
+            self._request_at = now.steady
+        else:
+            state, asked_at = self.state, self._asked_at
+            self.ask(now, self._earned)
+            self.state, self._asked_at, self._request_at = state, asked_at, now.steady + self._patience.repeat
+
+    def _fall_back(self) -> None:
+        self.state = AgentState.FALLBACK
+        self._executes.begin(self._safe)
+
+    def _stop(self) -> Earned:
+        """Stop what runs; what a safe option brought that nobody granted does not count."""
+        if self.state not in (AgentState.RUNNING, AgentState.FALLBACK):
+            return Earned()
+        earned = self._executes.leave()
+        return earned if self.state is AgentState.RUNNING else Earned()
+
+    def _status(self, now: Instant) -> Status:
+        status = Status(self.name, self.incarnation, self.state, self.epoch, self.request_id, team=self._team)
+        if self.grant is None:
+            return status
+        status = replace(status, grant_id=self.grant.grant_id, option=self.grant.option)
+        if self.state is not AgentState.RUNNING:
+            return status
+        return replace(status, coordinator_epoch=self.grant.coordinator_epoch, elapsed=now.task - self._began_at)

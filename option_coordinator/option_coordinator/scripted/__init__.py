@@ -1,0 +1,1 @@
+"""Hand-written policies: baselines, optima, and coordination without a file."""

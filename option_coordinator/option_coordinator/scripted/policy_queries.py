@@ -1,0 +1,61 @@
+"""Policies that were not learnt, to coordinate without a file: any legal option, or one that nobody else runs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from option_coordinator.policies.joint_policy import Options
+from option_coordinator.policies.policy_query import Choice, Chooses
+from option_coordinator.protocol.team_settings import Robot
+
+SCRIPTED = ("spread", "uniform")
+"""Their names."""
+_Candidates = Callable[[int, Options], Options]
+
+
+def uniform_chooser(generator: np.random.Generator) -> Chooses:
+    """Return a policy that draws each robot's option from all that are legal."""
+
+    def chooses(choice: Choice) -> tuple[Options, float]:
+        return _each(choice, generator, lambda agent, _: np.flatnonzero(choice.legal[agent]))
+
+    return chooses
+
+
+def spread_chooser(robots: Sequence[Robot], generator: np.random.Generator, shared: Sequence[str] = ()) -> Chooses:
+    """Return a policy that draws from the legal options that nobody else runs by that name; else the safe one.
+
+    Args:
+        robots: in the policy's order.
+        generator: of the draws.
+        shared: names of options that many may run at a time.
+    """
+    names = [robot.agent.options for robot in robots]
+    safe = [robot.safe_option for robot in robots]
+
+    def chooses(choice: Choice) -> tuple[Options, float]:
+        def candidates(agent: int, options: Options) -> Options:
+            taken = {names[other][option] for other, option in enumerate(options) if other != agent and option >= 0}
+            taken -= set(shared)
+            legal = np.flatnonzero(choice.legal[agent])
+            free = [option for option in legal if option != safe[agent] and names[agent][option] not in taken]
+            if free:
+                return np.array(free)
+            return np.array([safe[agent]]) if safe[agent] in legal else legal
+
+        return _each(choice, generator, candidates)
+
+    return chooses
+
+
+def _each(choice: Choice, generator: np.random.Generator, candidates: _Candidates) -> tuple[Options, float]:
+    """Draw for one robot after the other, each knowing the ones before."""
+    options, log_probability = choice.running.copy(), 0.0
+    for agent in np.flatnonzero(choice.choosing):
+        some = candidates(int(agent), options)
+        options[agent] = generator.choice(some)
+        log_probability -= math.log(len(some))
+    return options, log_probability

@@ -1,0 +1,1 @@
+"""Team files, and the teams that come with the package."""

@@ -1,0 +1,276 @@
+"""A team of robots that drive between stations, as YAML: what coordinator and robots must both know.
+
+Each robot fetches parcels from shelves, brings them to desks and goes home after its last one. Its options are the
+same as everybody's: to wait, or to drive to a station and do what is done there.
+"""
+
+from __future__ import annotations
+
+import math
+from enum import StrEnum
+from functools import cached_property
+from itertools import combinations
+from pathlib import Path as FilePath
+from typing import Annotated, Literal
+
+from ctrl_rl_core.errors import CtrlRlError
+from ctrl_rl_core.geometry.units import Point, PositiveTime, TimeStep
+from ctrl_rl_core.io.checked_yaml import read_yaml
+from ctrl_rl_core.io.file_checks import FileError, named, refused_as, shown
+from ctrl_rl_core.tasks.task import NavigationTask, load_navigation_task, task_names
+from ctrl_rl_core.tasks.task_schema import Part, Reward, Samples, TaskHeader
+from pydantic import Field, PrivateAttr, Strict, model_validator
+
+from option_coordinator.errors import OptionError
+from option_coordinator.options.options import Agent
+from option_coordinator.protocol.team_settings import Robot
+
+FOLDER = FilePath(__file__).parent
+KIND = "team_delivery"
+OBSERVED = ("x", "y", "carries", "deliveries")
+"""What a robot tells of itself: position [m], whether it carries a parcel, and how many it has delivered."""
+
+
+class Work(StrEnum):
+    """What is done where an option leads to."""
+
+    WAIT = "wait"
+    FETCH = "fetch"
+    DELIVER = "deliver"
+    REST = "rest"
+
+
+class NavigationOption(Part):
+    """One option: what it is for, the longest it may take, and where it leads, but for the two that lead nowhere else.
+
+    Attributes:
+        work: done at its end; `wait` stands still, `rest` leads home.
+        longest: time it may take [s].
+        station: where it leads [m].
+        lasts: how long the work takes [s].
+    """
+
+    work: Annotated[Work, Strict(False)]
+    longest: PositiveTime
+    station: Point | None = None
+    lasts: PositiveTime = 1.0
+
+    @model_validator(mode="after")
+    def _leads_somewhere(self) -> NavigationOption:
+        if (self.station is None) == (self.work in (Work.FETCH, Work.DELIVER)):
+            raise ValueError("'fetch' and 'deliver' need a 'station', 'wait' and 'rest' have none")
+        return self
+
+
+class TeamRobot(Part):
+    """One robot: where it rests [m]."""
+
+    home: Point
+
+
+class TeamRewards(Part):
+    """What a robot adds to the team's reward."""
+
+    step: Reward
+    delivery: Reward
+
+
+class Learning(Part):
+    """How a policy of the team is learnt.
+
+    Attributes:
+        episode: its longest time [s].
+        training_samples: low-level steps that are learnt from.
+        batch_samples: those between two updates.
+    """
+
+    episode: PositiveTime
+    training_samples: Samples
+    batch_samples: Samples
+
+
+class TeamFile(TaskHeader):
+    """A team, and the task that it has.
+
+    Attributes:
+        kind: of task, among those with options.
+        time_step: of a low-level step, in which options are counted [s].
+        discount: gamma of a low-level step.
+        deliveries: that each robot makes.
+        options: of each robot, by name and in order.
+        safe_option: name of the one that a robot carries out when nothing is granted.
+        robots: by name, which is also the namespace of its topics.
+        rewards: of a low-level step, and of a delivery.
+        room: navigation task that they work in: the name of one that comes with the package or the suite, or a .yaml
+            file, whose path counts from the team file's folder.
+        learning: how a policy is learnt.
+    """
+
+    kind: Literal["team_delivery"]
+    time_step: TimeStep
+    discount: float = Field(gt=0.0, le=1.0)
+    deliveries: int = Field(gt=0, le=1000)
+    options: dict[str, NavigationOption] = Field(min_length=1, max_length=1000)
+    safe_option: str
+    robots: dict[str, TeamRobot] = Field(min_length=1, max_length=1000)
+    rewards: TeamRewards
+    room: str
+    learning: Learning
+    _folder: FilePath = PrivateAttr(default=FOLDER)
+
+    @model_validator(mode="after")
+    def _safe(self) -> TeamFile:
+        if self.safe_option not in self.options:
+            raise ValueError(f"safe_option: {shown(self.safe_option)} is none of the options")
+        lacking = [work.value for work in Work if work not in {option.work for option in self.options.values()}]
+        if lacking:
+            raise ValueError(f"options: none of them is to {', '.join(lacking)}: a team needs one for each work")
+        return self
+
+    @property
+    def room_file(self) -> str:
+        """Name or path of the room, as `ctrl_rl_core.tasks.task.load_task` takes it."""
+        return room_file(self.room, self._folder)
+
+    @property
+    def option_names(self) -> tuple[str, ...]:
+        """Of each robot, in order."""
+        return tuple(self.options)
+
+    @property
+    def shared(self) -> tuple[str, ...]:
+        """Options that any number of robots may run at a time: they lead to no station."""
+        return tuple(name for name, option in self.options.items() if option.station is None)
+
+    @property
+    def training_samples(self) -> int:
+        """Low-level steps that are learnt from."""
+        return self.learning.training_samples
+
+    @property
+    def batch_samples(self) -> int:
+        """Low-level steps between two updates."""
+        return self.learning.batch_samples
+
+    @cached_property
+    def coordinated(self) -> tuple[Robot, ...]:
+        """The robots as a coordinator wants them."""
+        durations = tuple(option.longest for option in self.options.values())
+        safe = self.option_names.index(self.safe_option)
+        return tuple(Robot(Agent(name, self.option_names, len(OBSERVED)), durations, safe) for name in self.robots)
+
+
+def team_names() -> list[str]:
+    """Return the teams that come with the package."""
+    return sorted(file.stem for file in FOLDER.glob("*_team.yaml"))
+
+
+def team_file(name_or_path: str) -> FilePath:
+    """Return the file of a team that comes with the package, by name, or the path itself.
+
+    Raises:
+        OptionError: there is no such team.
+    """
+    path = FilePath(name_or_path).expanduser()
+    if path.suffix in (".yaml", ".yml"):
+        return path
+    path = FOLDER / f"{name_or_path}.yaml"
+    if name_or_path not in team_names():
+        raise OptionError(f"no team '{named(name_or_path)}': there is {', '.join(team_names())}, or give a .yaml file")
+    return path
+
+
+def room_names() -> list[str]:
+    """Return the rooms that come with the package."""
+    return sorted(file.stem for file in FOLDER.glob("*_room.yaml"))
+
+
+def room_file(name_or_path: str, folder: FilePath | None = None) -> str:
+    """Return name or path of a room as `ctrl_rl_core.tasks.task.load_task` takes it.
+
+    Args:
+        name_or_path: the name of a room of the package or of a task of the suite, or a .yaml file.
+        folder: the folder that a relative path counts from; the working directory if None.
+
+    Raises:
+        OptionError: there is no room of that name.
+    """
+    path = FilePath(name_or_path).expanduser()
+    if path.suffix in (".yaml", ".yml"):
+        return str(path if folder is None else folder / path)
+    if name_or_path in room_names():
+        return str(FOLDER / f"{name_or_path}.yaml")
+    if name_or_path not in task_names():
+        known = ", ".join((*room_names(), *task_names()))
+        raise OptionError(f"no room '{name_or_path}': there are {known}, or give a .yaml file")
+    return name_or_path
+
+
+def load_room(team: TeamFile, name_or_path: str = "") -> NavigationTask:
+    """Read the room that a team works in.
+
+    Args:
+        team: the team.
+        name_or_path: another room than the team's own; empty for the team's own.
+
+    Raises:
+        CtrlRlError: there is no such room, or the team's homes and stations do not lie in its free space.
+    """
+    room = load_navigation_task(room_file(name_or_path) if name_or_path else team.room_file)
+    check_places(team, room)
+    return room
+
+
+def check_places(team: TeamFile, room: NavigationTask) -> None:
+    """Check that a robot can stand at every home and station, and that all can be at home at once.
+
+    Raises:
+        OptionError: it cannot; the message names the place.
+    """
+    world, radius = room.build_world(), room.robot.radius
+    homes = {f"robots.{name}.home": robot.home for name, robot in team.robots.items()}
+    stations = {f"options.{name}.station": o.station for name, o in team.options.items() if o.station is not None}
+    for key, place in (homes | stations).items():
+        words = f"{key}: ({place[0]:g}, {place[1]:g}) m"
+        bounds = room.plane_bounds.values()
+        if not all(low <= value <= high for value, (low, high) in zip(place, bounds, strict=True)):
+            raise OptionError(f"{words} lies outside room '{room.name}'")
+        clearance = float(world.signed_distance(place))
+        if clearance < radius:
+            raise OptionError(
+                f"{words} lies {max(clearance, 0.0):.3g} m from a wall or an obstacle of room '{room.name}': "
+                f"a {room.robot.body} needs {radius:g} m"
+            )
+    for (key, place), (other, there) in combinations(homes.items(), 2):
+        if math.dist(place, there) < 2.0 * radius:
+            raise OptionError(
+                f"{key} and {other} lie {math.dist(place, there):.3g} m apart: two robots need {2.0 * radius:g} m"
+            )
+
+
+def is_team(name_or_path: str) -> bool:
+    """Return whether a name or a file is that of a team."""
+    path = FilePath(name_or_path).expanduser()
+    if path.suffix not in (".yaml", ".yml"):
+        return name_or_path in team_names()
+    try:
+        content = read_yaml(path)
+    except (OSError, CtrlRlError):
+        return False
+    return isinstance(content, dict) and content.get("kind") == KIND
+
+
+def load_team(name_or_path: str) -> TeamFile:
+    """Read a team by name, or from a file, and check it against its room.
+
+    Raises:
+        OptionError: there is none, or it is wrong; the message names file and key.
+    """
+    path = team_file(name_or_path)
+    with refused_as(OptionError, path):
+        team = TeamFile.model_validate(read_yaml(path))
+        if team.name != path.stem:
+            raise FileError(f"name: is {shown(team.name)}, must be the file's name {shown(path.stem)}")
+        team._folder = path.resolve().parent
+        load_room(team)
+    return team

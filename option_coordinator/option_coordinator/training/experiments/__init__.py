@@ -1,0 +1,1 @@
+"""The runs and comparisons of thesis 5.3."""

@@ -1,0 +1,275 @@
+"""Learning from what was recorded: a run whose data are bags; may be cut off at any time.
+
+    result = train_on_bags(BagRun((Path("runs/mine/bag"),), start=Path("policy.safetensors")), BagOptions(folder))
+
+Decisions that the policy itself has made are its own experience: it goes on learning from them with MAPPO's clipped
+ratios, to the log-probabilities that stand in the bag. Decisions of anything else, a script or another policy, say
+little about it: they are imitated.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, fields
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import torch
+from ctrl_rl_training.experiments.resumable import Point, resumable
+
+from option_coordinator.data.bag_trajectory import Recording, Team, recordings
+from option_coordinator.data.trajectory import Trajectory
+from option_coordinator.environments.option_env import OptionEnvironment
+from option_coordinator.environments.tasks import make_environment
+from option_coordinator.errors import OptionError
+from option_coordinator.options.options import Agent
+from option_coordinator.policies.policy_file import OptionPolicy
+from option_coordinator.training.experiments.checkpoint import load_checkpoint, save_checkpoint
+from option_coordinator.training.experiments.evaluation import evaluate
+from option_coordinator.training.heads.heads import as_numpy
+from option_coordinator.training.learners.imitation import Imitation
+from option_coordinator.training.learners.learner import Learner
+from option_coordinator.training.learners.mappo import Mappo
+
+Way = Literal["mappo", "imitation"]
+ROUNDS: Mapping[Way, int] = {"mappo": 3, "imitation": 20}
+"""How many serve; MAPPO's ratios soon lead away from where the data are from, and nothing is gained by more."""
+_VALUE_ROUNDS = 10
+_SAME_RATIO = 1e-2
+"""How far a first ratio may be from 1 by rounding."""
+
+
+@dataclass(frozen=True)
+class BagRun:
+    """What is learnt from what.
+
+    Attributes:
+        bags: that were recorded.
+        start: policy to go on from; a new one is learnt without.
+        task_name: of a task to judge the policy in, or its file; without `start` it says what the robots can do.
+        head: kind of joint policy, of a new one.
+        seed: of everything random.
+    """
+
+    bags: tuple[Path, ...]
+    start: Path | None = None
+    task_name: str | None = None
+    head: str = "table"
+    seed: int = 0
+
+    @property
+    def name(self) -> str:
+        """Its name, which is that of its folder too: of what it learns from, and from where."""
+        told = [self.data_digest, self.policy.digest if self.policy else self.head, self.task_name, self.seed]
+        return f"bags-{hashlib.sha256(repr(told).encode()).hexdigest()[:12]}"
+
+    @cached_property
+    def policy(self) -> OptionPolicy | None:
+        """The policy to go on from."""
+        return None if self.start is None else OptionPolicy.load(self.start)
+
+    @cached_property
+    def agents(self) -> tuple[Agent, ...]:
+        """The robots.
+
+        Raises:
+            OptionError: neither a policy nor a task says what they can do.
+        """
+        if self.policy is not None:
+            return self.policy.agents
+        if self.task_name is None:
+            raise OptionError("bags do not say what options are called: give a policy with --from, or a --task")
+        return make_environment(self.task_name).agents
+
+    @cached_property
+    def recordings(self) -> list[Recording]:
+        """What the bags hold.
+
+        Raises:
+            BagError: one cannot be read.
+            OptionError: one holds no such decisions, or of another team.
+        """
+        found, team = [], Team.of(self.agents)
+        for bag in self.bags:
+            for recording in recordings(bag):
+                if recording.team != team:
+                    raise OptionError(f"{bag}: is of the team {recording.team}, not of {team}")
+                found.append(recording)
+        return found
+
+    @property
+    def own(self) -> list[Recording]:
+        """Those by the policy to go on from."""
+        return [recording for recording in self.recordings if self.policy and recording.digest == self.policy.digest]
+
+    @property
+    def way(self) -> Way:
+        """How it is learnt.
+
+        Raises:
+            OptionError: the policy does not draw: its own decisions tell it nothing.
+        """
+        if not self.own:
+            return "imitation"
+        if self.policy is not None and self.policy.greedy:
+            raise OptionError(f"{self.start}: takes its most likely options: what it never tries teaches it nothing")
+        return "mappo"
+
+    @cached_property
+    def trajectory(self) -> Trajectory:
+        """What is learnt from: the policy's own decisions, or else all."""
+        return Trajectory.joined([recording.trajectory for recording in self.own or self.recordings])
+
+    @property
+    def left_out(self) -> int:
+        """Decisions that are not learnt from."""
+        return sum(len(recording.trajectory) for recording in self.recordings) - len(self.trajectory)
+
+    @cached_property
+    def data_digest(self) -> str:
+        """SHA-256 of all that was recorded, hex."""
+        digest = hashlib.sha256()
+        for recording in self.recordings:
+            digest.update(recording.digest.encode())
+            for field in fields(recording.trajectory):
+                digest.update(np.ascontiguousarray(getattr(recording.trajectory, field.name)).tobytes())
+        return digest.hexdigest()
+
+    def learner(self) -> Learner:
+        """Return the learner, as it begins."""
+        torch.manual_seed(self.seed)
+        make = Mappo if self.way == "mappo" else Imitation
+        policy = self.policy
+        if policy is None:
+            return make(self.agents, self.head)
+        learner = make(policy.agents, policy.head, policy.partial, presence=policy.presence)
+        learner.network.load_state_dict({name: torch.from_numpy(t.copy()) for name, t in policy.tensors.items()})
+        return learner
+
+    def environment(self) -> OptionEnvironment | None:
+        """Return what the policy is judged in, if a task was named: as it was learnt, where that is known.
+
+        Raises:
+            OptionError: the task is for other robots.
+        """
+        if self.task_name is None:
+            return None
+        learnt = self.policy.manifest if self.policy is not None else {}
+        how = {name: learnt[name] for name in ("synchronisation", "level", "sight", "drop") if name in learnt}
+        environment = make_environment(self.task_name, **how)
+        if Team.of(environment.agents) != Team.of(self.agents):
+            raise OptionError(f"task '{self.task_name}' is for other robots than {self.start}")
+        return environment
+
+
+@dataclass(frozen=True)
+class BagOptions:
+    """How such a run goes.
+
+    Attributes:
+        folder: where each has a folder of its own.
+        iterations: how many; each goes ten times through the data.
+        evaluations: episodes in the task, before and after.
+    """
+
+    folder: Path
+    iterations: int = 3
+    evaluations: int = 50
+
+
+Report = Callable[[BagRun, int, float | str], None]
+
+
+def train_on_bags(run: BagRun, options: BagOptions, report: Report = lambda *_: None) -> dict[str, Any]:
+    """Learn, or go on where an earlier call was cut off; a finished run is read, never computed again.
+
+    The folder of the run then holds result.json (what is returned) and policy.safetensors (an `OptionPolicy`).
+
+    Returns:
+        `run`, `curve` (figures of each iteration) and, with a task, `before` and `after`: see `evaluate`.
+
+    Raises:
+        CtrlRlError: bags, policy and task do not fit each other, or the folder holds another run.
+    """
+    torch.set_num_threads(1)
+    learner = run.learner()
+    terms = {
+        "way": run.way,
+        "from": run.policy.digest if run.policy is not None else "",
+        "data": run.data_digest,
+        "decisions": len(run.trajectory),
+        "left_out": run.left_out,
+        "task": run.task_name or "",
+        "seed": run.seed,
+        "iterations": options.iterations,
+        "evaluations": options.evaluations,
+        "settings": asdict(learner.settings),
+    }
+
+    @contextmanager
+    def begin() -> Iterator[_Learning]:
+        yield _Learning(run, options, learner)
+
+    def tell(done: int, point: Point) -> None:
+        report(run, done, ", ".join(f"{name} {figure:.2f}" for name, figure in point["update"].items()))
+
+    return resumable(run, options.folder, options.iterations, terms, begin, tell)
+
+
+class _Learning:
+    """A learner as `resumable` wants it."""
+
+    def __init__(self, run: BagRun, options: BagOptions, learner: Learner) -> None:
+        self._run = run
+        self._options = options
+        self._learner = learner
+        self._judged_before = self._judge()
+
+    def iterate(self, curve: Sequence[Point], /) -> Point:
+        """Go through the data; before the first time, learn what its states are worth."""
+        generator = np.random.default_rng((self._run.seed, len(curve)))
+        torch.manual_seed(int(generator.integers(2**31)))
+        learner, trajectory = self._learner, self._run.trajectory
+        if isinstance(learner, Mappo) and not curve:
+            for _ in range(_VALUE_ROUNDS):
+                learner.learn_value(trajectory, generator)
+        figures = learner.learn(trajectory, generator)
+        if not curve and figures.get("ratio", 0.0) > _SAME_RATIO:
+            raise OptionError(f"{self._run.start}: what the bags say of its log-probabilities is not true of it")
+        return {"update": figures}
+
+    def save(self, path: Path, progress: Mapping[str, Any], /) -> None:
+        save_checkpoint(path, self._learner, progress)
+
+    def load(self, path: Path, /) -> dict[str, Any]:
+        return load_checkpoint(path, self._learner)
+
+    def finish(self, folder: Path, /) -> dict[str, Any]:
+        """Write the policy, and judge it if there is a task."""
+        run, learner = self._run, self._learner
+        policy = run.policy
+        OptionPolicy(
+            agents=run.agents,
+            head=run.head if policy is None else policy.head,
+            partial=policy is not None and policy.partial,
+            tensors=as_numpy(learner.network),
+            presence=policy is not None and policy.presence,
+            manifest={
+                **(policy.manifest if policy is not None else {}),
+                "learnt_from_bags": run.way,
+                "data": run.data_digest,
+                "from": policy.digest if policy is not None else "",
+            },
+        ).save(folder / "policy.safetensors")
+        return {"before": self._judged_before, "after": self._judge()} if run.task_name else {}
+
+    def _judge(self) -> dict[str, dict[str, float]]:
+        environment = self._run.environment()
+        if environment is None:
+            return {}
+        policy = self._learner.behaviour(1.0)
+        return evaluate(environment, policy, policy, self._options.evaluations, self._run.seed)

@@ -1,0 +1,116 @@
+"""What the runs of a task amount to: one table with the thesis's figures beside ours, and curves to draw.
+
+rows, figures = collect(option_runs("tool_delivery", ["async"], 10), Path("runs/options"))
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from ctrl_rl_core.io.results import Result
+from ctrl_rl_training.experiments.results import as_table, curves, finished_runs, samples_to
+
+from option_coordinator.environments.roll_out import play_episodes
+from option_coordinator.environments.tasks import make_environment
+from option_coordinator.scripted.task_policies import references
+from option_coordinator.training.experiments.evaluation import DRAWS, MODE, fresh, summary
+from option_coordinator.training.experiments.methods import METHODS
+from option_coordinator.training.experiments.runs import OptionRun
+
+METRICS: Mapping[str, Mapping[str, tuple[str, str]]] = {
+    "tool_delivery": {
+        "return": ("return", "1"),
+        "steps": ("makespan", "s"),
+        "deliveries": ("deliveries", "1"),
+        "option_reward": ("reward of an option step", "1"),
+        "last_reward": ("last reward of an option step (thesis)", "1"),
+    },
+    "water_filling": {
+        "mean_reward": ("reward of a low-level step", "1"),
+        "fills": ("fills", "1"),
+        "option_reward": ("reward of an option step", "1"),
+        "last_reward": ("last reward of an option step (thesis)", "1"),
+    },
+    "team_delivery": {
+        "return": ("return", "1"),
+        "makespan": ("makespan", "s"),
+        "deliveries": ("deliveries", "1"),
+    },
+}
+"""Metrics by what a summary calls them: name and unit; low-level steps of Tool Delivery last a second."""
+MAIN = {"tool_delivery": "return", "water_filling": "mean_reward", "team_delivery": "return"}
+"""What learning is judged by."""
+ENOUGH = {"tool_delivery": 230.0}
+"""What counts as learnt, by the main metric of the episodes of learning; else what the scripted policy reaches."""
+THESIS: Mapping[tuple[str, str, str], float] = {
+    ("tool_delivery", "async", "last_reward"): 17.1,
+    ("tool_delivery", "partial", "last_reward"): 4.4,
+    ("tool_delivery", "mac_dqn_long", "last_reward"): 14.2,
+    ("water_filling", "async", "last_reward"): -304.0,
+    ("water_filling", "partial", "last_reward"): -349.0,
+    ("water_filling", "mac_dqn_long", "last_reward"): -287.0,
+}
+"""Tables 5.2 and 5.3, whose figures are means over option steps of their last low-level reward alone."""
+_EPISODES = 50
+"""Of policies that were not learnt."""
+
+
+def collect(todo: Sequence[OptionRun], folder: Path) -> tuple[list[Result], dict[str, Any]]:
+    """Return the table and the figures' data of all runs that are finished.
+
+    Returns:
+        For each method, one value a seed, of the policy as it was learnt to be used; the main metric also of its draws
+        and of its most likely options; samples until it is `ENOUGH` in learning; and rows of what was not learnt.
+        And `curves` by method: `samples` (iterations,), `values` (seeds, iterations) of the episodes of learning by
+        the main metric.
+    """
+    task = todo[0].task
+    metrics, main = METRICS[task.kind], MAIN[task.kind]
+    found = finished_runs(todo, folder, lambda run: run.method_name)
+    flat = {name: [_flat(result, main) for _, result in runs] for name, runs in found.items()}
+    beside = reference_summaries(todo[0].task_name)
+    scripted = beside["scripted"][main]
+    enough = ENOUGH.get(task.kind, scripted)
+    rows: list[Result] = []
+    for name, runs in found.items():
+        results = [result for _, result in runs]
+        for key, (metric, unit) in metrics.items():
+            values = [float(result["final"][result["used"]][key]) for result in results]
+            rows.append(Result(name, metric, unit, values, THESIS.get((task.kind, name, key))))
+        metric, unit = metrics[main]
+        for use, words in ((DRAWS, "draws"), (MODE, "most likely options")):
+            values = [float(result["final"][use][main]) for result in results]
+            rows.append(Result(name, f"{metric}, {words}", unit, values))
+        reached = [s for result in flat[name] if (s := samples_to(result["curve"], main, enough)) is not None]
+        rows.append(Result(name, f"seeds that reach {enough:.4g} in learning", "1", [float(len(reached))]))
+        if reached:
+            rows.append(Result(name, f"samples to {enough:.4g}", "1", reached))
+    for name, found_beside in beside.items():
+        rows += [Result(name, metric, unit, [found_beside[key]]) for key, (metric, unit) in metrics.items()]
+    figures = {
+        "task": task.name,
+        "metric": metrics[main][0],
+        "scripted": scripted,
+        "curves": {name: curves(results, values=main) for name, results in flat.items()},
+    }
+    return rows, figures
+
+
+def reference_summaries(task_name: str) -> dict[str, dict[str, float]]:
+    """Return what each policy reaches that was not learnt, see `summary`."""
+    environment = make_environment(task_name)
+    choosers = references(environment).items()
+    return {name: summary(list(play_episodes(environment, chooser, fresh(_EPISODES)))) for name, chooser in choosers}
+
+
+def table(rows: Sequence[Result]) -> str:
+    """Return the rows as text."""
+    return as_table(rows, {name: method.label for name, method in METHODS.items()})
+
+
+def _flat(result: Mapping[str, Any], key: str) -> dict[str, Any]:
+    """Return a result whose curve says the main metric directly."""
+    points = [{"samples": point["samples"], key: point["learning"][key]} for point in result["curve"]]
+    return {"curve": points}

@@ -1,0 +1,242 @@
+"""One run of learning: a method on a task, from one seed; may be cut off at any time.
+
+    result = train_one(OptionRun("tool_delivery", "async", 0), RunOptions(Path("runs/options")))
+
+It goes in iterations. Each begins with fresh episodes and draws its random numbers from the seed and its own number, so
+that a run that goes on from its last checkpoint ends exactly as if it had not been cut off.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from ctrl_rl_core.tasks.task import task_digest
+from ctrl_rl_training.experiments.resumable import Point, resumable
+
+from option_coordinator.environments.option_env import OptionEnvironment
+from option_coordinator.environments.roll_out import RollOut
+from option_coordinator.environments.tasks import OptionTask, discount_of, load_option_task, make_environment
+from option_coordinator.environments.tasks.water_filling import Sight
+from option_coordinator.errors import OptionError
+from option_coordinator.policies.policy_file import OptionPolicy
+from option_coordinator.training.experiments.checkpoint import load_checkpoint, save_checkpoint
+from option_coordinator.training.experiments.evaluation import evaluate, summary
+from option_coordinator.training.experiments.methods import METHODS, Method
+from option_coordinator.training.heads.heads import as_numpy
+from option_coordinator.training.learners.learner import Learner
+from option_coordinator.training.learners.mac_dqn import MacDqn
+from option_coordinator.training.learners.mappo import Mappo
+
+
+@dataclass(frozen=True)
+class OptionRun:
+    """What is learnt: everything about it, and nothing that cannot be sent to another process.
+
+    Attributes:
+        task_name: of the task, or its file.
+        method_name: one of `METHODS`.
+        seed: of everything random.
+        sight: what Water Filling's robots see.
+        drop: chance that a robot vanishes for a while in an episode; with one, the policy is told who is there.
+    """
+
+    task_name: str
+    method_name: str
+    seed: int
+    sight: Sight = "features"
+    drop: float = 0.0
+
+    @property
+    def name(self) -> str:
+        """Its name, which is that of its folder too."""
+        seen = "" if self.sight == "features" else f"-{self.sight}"
+        dropped = f"-drop{self.drop:g}" if self.drop else ""
+        return f"{self.task.name}-{self.method_name}{seen}{dropped}-s{self.seed}"
+
+    @cached_property
+    def task(self) -> OptionTask:
+        """The task."""
+        return load_option_task(self.task_name)
+
+    @property
+    def method(self) -> Method:
+        """The method.
+
+        Raises:
+            OptionError: there is no such method.
+        """
+        try:
+            return METHODS[self.method_name]
+        except KeyError:
+            raise OptionError(f"no method '{self.method_name}': there are {', '.join(METHODS)}") from None
+
+    @property
+    def description(self) -> dict[str, Any]:
+        """What results and policy say about it."""
+        return {
+            "task": self.task.name,
+            "task_digest": task_digest(self.task),
+            "method": self.method_name,
+            "seed": self.seed,
+            "sight": self.sight,
+            "drop": self.drop,
+            "level": self.method.level,
+            "synchronisation": self.method.synchronisation,
+        }
+
+    @property
+    def budget(self) -> int:
+        """Its low-level samples, in those that the task gives to most methods."""
+        return self.method.budget.get(self.task.kind, 1)
+
+    def environment(self) -> OptionEnvironment:
+        """Return its environment.
+
+        Raises:
+            OptionError: images, options or robots that vanish are asked of what has none.
+        """
+        method = self.method
+        if self.drop and (method.partial or method.learner != "mappo"):
+            raise OptionError(f"method '{self.method_name}' has no place for robots that vanish: leave --drop away")
+        return make_environment(
+            self.task_name, method.synchronisation, level=method.level, sight=self.sight, drop=self.drop
+        )
+
+    def learner(self) -> Learner:
+        """Return the untrained learner."""
+        torch.manual_seed(self.seed)
+        agents = self.environment().agents
+        if self.method.learner == "mac_dqn":
+            return MacDqn(agents)
+        return Mappo(agents, self.method.head, self.method.partial, presence=self.drop > 0.0)
+
+    def batch(self, learner: Learner) -> int:
+        """Return the low-level samples between two updates."""
+        return learner.settings.update_samples if isinstance(learner, MacDqn) else self.task.batch_samples
+
+    def policy(self, learner: Learner, figures: dict[str, Any]) -> OptionPolicy:
+        """Return what was learnt, to be saved."""
+        return OptionPolicy(
+            agents=self.environment().agents,
+            head=self.method.head,
+            partial=self.method.partial,
+            tensors=as_numpy(learner.network),
+            presence=self.drop > 0.0,
+            greedy=learner.greedy,
+            manifest={**self.description, **figures},
+        )
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """How runs go.
+
+    Attributes:
+        folder: where each has a folder of its own.
+        iterations: how many.
+        samples: low-level samples of an iteration; a method with a larger budget takes as many times more.
+        evaluations: episodes after the last one, of each use of the policy.
+    """
+
+    folder: Path
+    iterations: int = 25
+    samples: int = 2000
+    evaluations: int = 50
+
+
+Report = Callable[[OptionRun, int, float | str], None]
+
+
+def option_runs(
+    task_name: str, methods: Sequence[str], seeds: int, sight: Sight = "features", drop: float = 0.0
+) -> list[OptionRun]:
+    """Return all runs of a task, those that matter most first."""
+    ordered = sorted(set(methods), key=list(METHODS).index)
+    return [OptionRun(task_name, method, seed, sight, drop) for method in ordered for seed in range(seeds)]
+
+
+def train_one(run: OptionRun, options: RunOptions, report: Report = lambda *_: None) -> dict[str, Any]:
+    """Learn, or go on where an earlier call was cut off; a finished run is read, never computed again.
+
+    The folder of the run then holds result.json (what is returned) and policy.safetensors (an `OptionPolicy`).
+
+    Args:
+        run: what is learnt.
+        options: how.
+        report: called after each iteration.
+
+    Returns:
+        description, `curve` (for each iteration: samples, what the episodes that ended in it amount to, see `summary`,
+        the largest figures of its updates, seconds), `final` (see `evaluate`) and `used`, the way of using the policy
+        that it was learnt for.
+
+    Raises:
+        CtrlRlError: the run asks for what is not there, or its folder holds another run.
+    """
+    torch.set_num_threads(1)
+    learner = run.learner()
+    terms = {
+        **run.description,
+        "iterations": options.iterations,
+        "samples": options.samples,
+        "evaluations": options.evaluations,
+        "discount": discount_of(run.task),
+        "settings": asdict(learner.settings),
+    }
+
+    @contextmanager
+    def begin() -> Iterator[_Learning]:
+        yield _Learning(run, options, learner)
+
+    def tell(done: int, point: Point) -> None:
+        returned = point["learning"].get("return")
+        report(run, done, "" if returned is None else f"return {returned:.0f}")
+
+    return resumable(run, options.folder, options.iterations, terms, begin, tell)
+
+
+class _Learning:
+    """A learner as `resumable` wants it."""
+
+    def __init__(self, run: OptionRun, options: RunOptions, learner: Learner) -> None:
+        self._run = run
+        self._options = options
+        self._learner = learner
+
+    def iterate(self, curve: Sequence[Point], /) -> Point:
+        """Learn from fresh episodes, in batches of about the same size; an iteration takes up what others overshot."""
+        run, learner, done = self._run, self._learner, len(curve)
+        taken = int(curve[-1]["samples"]) if curve else 0
+        samples = max(1, (done + 1) * self._options.samples * run.budget - taken)
+        generator = np.random.default_rng((run.seed, done))
+        torch.manual_seed(int(generator.integers(2**31)))
+        roll_out = RollOut(run.environment(), generator)
+        figures: dict[str, float] = {}
+        for left in range(max(1, round(samples / run.batch(learner))), 0, -1):
+            progress = (done + roll_out.samples / samples) / self._options.iterations
+            wanted = max(1, (samples - roll_out.samples) // left)
+            found = learner.learn(roll_out.collect(learner.behaviour(progress), wanted), generator)
+            figures = {name: max(figure, figures.get(name, figure)) for name, figure in found.items()}
+        return {"samples": taken + roll_out.samples, "learning": summary(roll_out.finished), "update": figures}
+
+    def save(self, path: Path, progress: Mapping[str, Any], /) -> None:
+        save_checkpoint(path, self._learner, progress)
+
+    def load(self, path: Path, /) -> dict[str, Any]:
+        return load_checkpoint(path, self._learner)
+
+    def finish(self, folder: Path, /) -> dict[str, Any]:
+        """Play what is saved, and write it."""
+        run, learner = self._run, self._learner
+        best = run.policy(learner, {}).joint
+        final = evaluate(run.environment(), learner.behaviour(1.0), best, self._options.evaluations, run.seed)
+        told = {"final": final, "used": "mode" if learner.greedy else "draws"}
+        run.policy(learner, told).save(folder / "policy.safetensors")
+        return told

@@ -1,0 +1,1 @@
+"""Joint policies and values in torch."""

@@ -1,0 +1,1 @@
+"""Learners of joint options: MAPPO, Mac-DQN, imitation."""

@@ -1,0 +1,52 @@
+"""Exploration of Q-learning: the best options, now and then any legal ones."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from option_coordinator.options.options import Mask
+from option_coordinator.policies.joint_policy import Array, Conditional, JointPolicy, Options
+
+
+class EpsilonGreedy(JointPolicy):
+    """The most likely options, or with probability epsilon any legal ones.
+
+    Args:
+        policy: whose mode it takes.
+        epsilon: how often it does not.
+    """
+
+    def __init__(self, policy: JointPolicy, epsilon: float) -> None:
+        self.counts, self.observation_size = policy.counts, policy.observation_size
+        self.epsilon = epsilon
+        self._policy = policy
+
+    def _given(self, observation: Array, choosing: Mask, running: Options, legal: Mask) -> Conditional:
+        return _EpsilonGreedyConditional(self._policy.valid(observation, choosing, running, legal), self.epsilon)
+
+
+class _EpsilonGreedyConditional(Conditional):
+    """See `EpsilonGreedy`."""
+
+    def __init__(self, best: Conditional, epsilon: float) -> None:
+        super().__init__(best.counts, best.choosing, best.running, best.legal)
+        self._best = best.mode()
+        self._epsilon = epsilon
+
+    def log_prob(self, options: Options) -> Array:
+        options = np.asarray(options)
+        agents = np.flatnonzero(self.choosing)
+        legal = self.legal[agents, options[..., agents]].all(axis=-1)
+        same = (options == self._best)[..., agents].all(axis=-1)
+        with np.errstate(divide="ignore"):
+            return np.log(legal * self._epsilon / self.size + same * (1.0 - self._epsilon))
+
+    def sample(self, generator: np.random.Generator) -> Options:
+        out = self._best.copy()
+        if generator.random() < self._epsilon:
+            for agent in np.flatnonzero(self.choosing):
+                out[agent] = generator.choice(np.flatnonzero(self.legal[agent]))
+        return out
+
+    def _rough_mode(self) -> Options:
+        return self._best

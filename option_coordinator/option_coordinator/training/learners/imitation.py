@@ -1,0 +1,70 @@
+"""Learning to choose as was chosen, by whatever it was: behaviour cloning of recorded options."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from option_coordinator.data.trajectory import Trajectory
+from option_coordinator.options.options import Agent
+from option_coordinator.training.learners.gradient_learner import GradientLearner
+from option_coordinator.training.learners.learner import as_choice
+
+
+@dataclass(frozen=True)
+class ImitationSettings:
+    """How it is learnt.
+
+    Attributes:
+        learning_rate: of Adam.
+        epochs: of a call of `learn`.
+        minibatch: option steps that are learnt from at once, about.
+    """
+
+    learning_rate: float = 5e-4
+    epochs: int = 10
+    minibatch: int = 256
+
+
+class Imitation(GradientLearner):
+    """Raises log pi-hat(o_U | o_not-U, s) of what was chosen, whatever it brought.
+
+    Args:
+        agents: whose options are learnt.
+        head: kind of joint policy.
+        partial: whether each agent has one of its own.
+        settings: of the algorithm.
+        presence: whether the policy is told who is there.
+    """
+
+    def __init__(
+        self,
+        agents: Sequence[Agent],
+        head: str,
+        partial: bool = False,
+        settings: ImitationSettings | None = None,
+        presence: bool = False,
+    ) -> None:
+        super().__init__(agents, head, partial, presence)
+        self.settings = settings or ImitationSettings()
+        self.optimizer = torch.optim.Adam(self.network.parameters(), self.settings.learning_rate, fused=True)
+
+    def learn(self, trajectory: Trajectory, generator: np.random.Generator) -> dict[str, float]:
+        """Learn from what was chosen.
+
+        Returns:
+            `log_prob` of it and `entropy`, means of the last minibatch [nat].
+        """
+        choice = as_choice(trajectory, self.presence)
+        figures: dict[str, float] = {}
+        for part in self.minibatches(choice, len(trajectory), generator):
+            score = self.network(part)
+            log_prob = score.log_prob.mean()
+            self.optimizer.zero_grad()
+            (-log_prob).backward()
+            self.optimizer.step()
+            figures = {"log_prob": float(log_prob.detach()), "entropy": float(score.entropy.mean().detach())}
+        return figures

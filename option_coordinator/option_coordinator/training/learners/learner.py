@@ -1,0 +1,71 @@
+"""What every learner of joint options looks like to the runs that drive it."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import torch
+from ctrl_rl_training.io.learner_state import Arrays
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from option_coordinator.data.trajectory import Trajectory
+from option_coordinator.policies.joint_policy import JointPolicy
+from option_coordinator.policies.presence import with_presence
+from option_coordinator.training.heads.head_parts import Choice
+
+
+class Learner(ABC):
+    """Learns a joint policy from option-level trajectories that it gathers itself.
+
+    Attributes:
+        network: the joint policy's.
+        greedy: the policy is to be used by its mode, not by draws.
+        settings: of the algorithm, a dataclass.
+    """
+
+    network: nn.Module
+    greedy: bool
+    settings: Any
+
+    @abstractmethod
+    def behaviour(self, progress: float) -> JointPolicy:
+        """Return what gathers the next trajectory, when this part (0 to 1) of the run is done."""
+
+    @abstractmethod
+    def learn(self, trajectory: Trajectory, generator: np.random.Generator) -> dict[str, float]:
+        """Learn from what was gathered and return figures of it."""
+
+    @abstractmethod
+    def networks(self) -> Mapping[str, nn.Module]:
+        """Return all networks by name, for checkpoints."""
+
+    @abstractmethod
+    def optimizers(self) -> Mapping[str, torch.optim.Optimizer]:
+        """Return all optimisers by name, for checkpoints."""
+
+    def memory(self) -> Arrays:
+        """Return what else it goes on from, as arrays."""
+        return {}
+
+    def recall(self, arrays: Mapping[str, NDArray[Any]]) -> None:  # noqa: B027 - most remember nothing
+        """Take up what `memory` returned."""
+
+
+def as_choice(trajectory: Trajectory, presence: bool = False) -> Choice:
+    """Return a trajectory's choices as tensors, the observation with who is there if `presence`."""
+    seen = trajectory.observation
+    return Choice(
+        observation=as_tensor(with_presence(seen, trajectory.present) if presence else seen),
+        options=torch.from_numpy(trajectory.options),
+        choosing=torch.from_numpy(trajectory.choosing),
+        legal=torch.from_numpy(trajectory.legal),
+    )
+
+
+def as_tensor(array: NDArray[np.floating]) -> Tensor:
+    """Return an array as a tensor of torch's default type."""
+    return torch.from_numpy(array).to(torch.get_default_dtype())

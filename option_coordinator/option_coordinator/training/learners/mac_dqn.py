@@ -1,0 +1,149 @@
+"""Mac-DQN (thesis 5.3.4): double Q-learning of joint options, with the same network as the other methods.
+
+The best joint option is sought among those that agree with what the others run, in acting and in the target alike. The
+published one has a recurrent network; like the policies that it is compared with, this one has none. Q is learnt on a
+running scale, as the others' V is: returns of 190 are out of reach of a few thousand steps in units of reward.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from copy import deepcopy
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from ctrl_rl_training.io.learner_state import Arrays
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from option_coordinator.data.trajectory import Trajectory
+from option_coordinator.options.options import Agent
+from option_coordinator.policies.joint_policy import JointPolicy
+from option_coordinator.policies.policy_file import make_policy
+from option_coordinator.training.heads.heads import as_numpy
+from option_coordinator.training.heads.scale import Scale
+from option_coordinator.training.heads.table_head import TableHead
+from option_coordinator.training.learners.epsilon_greedy import EpsilonGreedy
+from option_coordinator.training.learners.learner import Learner, as_choice, as_tensor
+from option_coordinator.training.learners.replay import Replay
+
+
+@dataclass(frozen=True)
+class MacDqnSettings:
+    """The published ones as far as they fit a network without memory.
+
+    It learns from option steps, not from episodes: as many as 16 and 1000 published episodes have, about. The discount
+    is the other methods', not 1; and the exploration is a part of the run, as runs have other lengths.
+
+    Attributes:
+        learning_rate: of Adam.
+        batch: option steps of an update.
+        replay: option steps that are kept.
+        update_samples: low-level samples between two updates.
+        target_samples: low-level samples between two copies of the network into the target.
+        exploration: part of the run over which epsilon falls from 1 to its end.
+        epsilon_end: what it ends at.
+        huber: where the loss turns linear, on the learnt scale.
+        gradient_norm: at most this long.
+    """
+
+    learning_rate: float = 6e-4
+    batch: int = 512
+    replay: int = 50_000
+    update_samples: int = 30
+    target_samples: int = 5000
+    exploration: float = 0.5
+    epsilon_end: float = 0.1
+    huber: float = 10.0
+    gradient_norm: float = 10.0
+
+
+class MacDqn(Learner):
+    """Conditional double DQN over the joint table.
+
+    Args:
+        agents: whose options are learnt.
+        settings: of the algorithm.
+    """
+
+    greedy = True
+    network: TableHead
+
+    def __init__(self, agents: Sequence[Agent], settings: MacDqnSettings | None = None) -> None:
+        self.settings = settings or MacDqnSettings()
+        counts = tuple(len(agent.options) for agent in agents)
+        self.network = TableHead(sum(agent.observation_size for agent in agents), counts)
+        self.target = deepcopy(self.network)
+        self.scale, self.target_scale = Scale(), Scale()
+        self._optimizer = torch.optim.Adam(self.network.parameters(), self.settings.learning_rate, fused=True)
+        self._best = make_policy("table", as_numpy(self.network), counts, False)
+        self._replay = Replay(self.settings.replay)
+        self._samples = self._copied = 0
+
+    def behaviour(self, progress: float) -> JointPolicy:
+        """Return the epsilon-greedy policy."""
+        done = min(1.0, progress / self.settings.exploration)
+        return EpsilonGreedy(self._best, 1.0 + done * (self.settings.epsilon_end - 1.0))
+
+    def networks(self) -> Mapping[str, nn.Module]:
+        """Return all networks by name."""
+        return {
+            "policy": self.network,
+            "target": self.target,
+            "scale": self.scale,
+            "target_scale": self.target_scale,
+        }
+
+    def optimizers(self) -> Mapping[str, torch.optim.Optimizer]:
+        """Return all optimisers by name."""
+        return {"policy_optimizer": self._optimizer}
+
+    def memory(self) -> Arrays:
+        """Return the replay and how far it is."""
+        replay = {f"replay.{name}": array for name, array in self._replay.arrays().items()}
+        return {"counts": np.array([self._samples, self._copied]), **replay}
+
+    def recall(self, arrays: Mapping[str, NDArray[np.generic]]) -> None:
+        """Take up what `memory` returned."""
+        self._samples, self._copied = (int(count) for count in arrays["counts"])
+        self._replay.recall({n.removeprefix("replay."): a for n, a in arrays.items() if n.startswith("replay.")})
+
+    def learn(self, trajectory: Trajectory, generator: np.random.Generator) -> dict[str, float]:
+        """Keep what was gathered and take one step on a batch of what is kept.
+
+        Returns:
+            `value_loss`, on the learnt scale.
+        """
+        self._replay.add(trajectory)
+        self._samples += int(trajectory.duration.sum())
+        if self._samples - self._copied >= self.settings.target_samples:
+            self._copied = self._samples
+            self.target.load_state_dict(self.network.state_dict())
+            self.target_scale.load_state_dict(self.scale.state_dict())
+        batch = self._replay.draw(self.settings.batch, generator)
+        choice = as_choice(batch)
+        with torch.no_grad():
+            onward = as_tensor(batch.discount * ~batch.terminated)
+            targets = self.scale.count(as_tensor(batch.reward) + onward * self._next_values(batch))
+        values = self.network.logits(choice.observation).gather(1, self.network.cell(choice.options)[:, None])[:, 0]
+        loss = nn.functional.huber_loss(values, targets, delta=self.settings.huber)
+        self._optimizer.zero_grad()
+        loss.backward()  # type: ignore[no-untyped-call]
+        nn.utils.clip_grad_norm_(self.network.parameters(), self.settings.gradient_norm)
+        self._optimizer.step()
+        return {"value_loss": float(loss.detach())}
+
+    def _next_values(self, batch: Trajectory) -> Tensor:
+        """Return the target's value of what the network would choose next, given what runs on [reward]."""
+        following = as_choice(batch)._replace(
+            observation=as_tensor(batch.next_observation),
+            options=torch.from_numpy(batch.next_running),
+            choosing=torch.from_numpy(batch.next_running < 0),
+            legal=torch.from_numpy(batch.next_legal),
+        )
+        allowed = self.network.allowed(following)
+        best = self.network.logits(following.observation).masked_fill(~allowed, -torch.inf).argmax(dim=1)
+        values = self.target.logits(following.observation).gather(1, best[:, None])[:, 0]
+        # Not on the scale of now: what is learnt towards stands still between two copies.
+        return self.target_scale.undo(values)

@@ -1,0 +1,152 @@
+"""Asynchronous option-based MAPPO: Algorithm 3 with the conditional policy in roll-out and update alike (Eq. 5.4)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from option_coordinator.data.trajectory import Trajectory, advantages
+from option_coordinator.options.options import Agent
+from option_coordinator.policies.presence import with_presence
+from option_coordinator.training.heads.head_parts import Choice
+from option_coordinator.training.heads.value import ValueNetwork
+from option_coordinator.training.learners.gradient_learner import GradientLearner
+from option_coordinator.training.learners.learner import as_choice, as_tensor
+
+
+@dataclass(frozen=True)
+class MappoSettings:
+    """The published ones, but for the minibatch, which was all that Water Filling gathers between updates.
+
+    Attributes:
+        learning_rate: of policy and value.
+        clip: of the ratio, epsilon.
+        entropy: coefficient of the entropy bonus.
+        gae_lambda: lambda.
+        epochs: of an update.
+        minibatch: option steps that are learnt from at once; what is gathered goes whole, or in parts of about this.
+        huber: where the value's loss turns linear, on its learnt scale.
+        gradient_norm: at most this long.
+    """
+
+    learning_rate: float = 5e-4
+    clip: float = 0.2
+    entropy: float = 0.01
+    gae_lambda: float = 0.95
+    epochs: int = 10
+    minibatch: int = 256
+    huber: float = 10.0
+    gradient_norm: float = 10.0
+
+
+class Mappo(GradientLearner):
+    """Conditional MAPPO; with `partial`, one policy for each agent (Eq. 5.5) and still one value of all.
+
+    Args:
+        agents: whose options are learnt.
+        head: kind of joint policy.
+        partial: whether each agent has one of its own.
+        settings: of the algorithm.
+        presence: whether policy and value are told who is there.
+    """
+
+    def __init__(
+        self,
+        agents: Sequence[Agent],
+        head: str,
+        partial: bool = False,
+        settings: MappoSettings | None = None,
+        presence: bool = False,
+    ) -> None:
+        super().__init__(agents, head, partial, presence)
+        self.settings = settings or MappoSettings()
+        size = sum(agent.observation_size for agent in agents) + presence * len(agents)
+        self.value = ValueNetwork(size, [len(agent.options) for agent in agents])
+        parameters = [*self.network.parameters(), *self.value.parameters()]
+        self.optimizer = torch.optim.Adam(parameters, self.settings.learning_rate, eps=1e-5, fused=True)
+
+    def networks(self) -> Mapping[str, nn.Module]:
+        """Return all networks by name."""
+        return {**super().networks(), "value": self.value}
+
+    def learn(self, trajectory: Trajectory, generator: np.random.Generator) -> dict[str, float]:
+        """Learn from what was gathered.
+
+        Returns:
+            `ratio`: how far the first ratios are from 1 at most; `entropy` of the choices; `value_loss`.
+        """
+        figures: dict[str, float] = {}
+        for part in self.minibatches(self._batch(trajectory), len(trajectory), generator):
+            found = self._step(part)
+            figures = found | ({"ratio": figures["ratio"]} if figures else {})
+        return figures
+
+    def learn_value(self, trajectory: Trajectory, generator: np.random.Generator) -> None:
+        """Learn what was gathered is worth, and leave the policy as it is."""
+        for part in self.minibatches(self._batch(trajectory), len(trajectory), generator):
+            self._descend(self._value_loss(part))
+
+    def _batch(self, trajectory: Trajectory) -> _Batch:
+        choice = as_choice(trajectory, self.presence)
+        running = torch.from_numpy(trajectory.running)
+        following = trajectory.next_observation
+        if self.presence:
+            following = with_presence(following, trajectory.next_present)
+        with torch.no_grad():
+            values = self.value.values(choice.observation, running)
+            after = self.value.values(as_tensor(following), torch.from_numpy(trajectory.next_running))
+        gains = advantages(trajectory, values.double().numpy(), after.double().numpy(), self.settings.gae_lambda)
+        return _Batch(
+            choice=choice,
+            running=running,
+            log_prob=as_tensor(trajectory.log_prob),
+            gain=as_tensor((gains - gains.mean()) / (gains.std() + 1e-5)),
+            returns=as_tensor(gains) + values,
+        )
+
+    def _step(self, batch: _Batch) -> dict[str, float]:
+        settings = self.settings
+        score = self.network(batch.choice)
+        ratio = torch.exp(score.log_prob - batch.log_prob)
+        clipped = ratio.clamp(1.0 - settings.clip, 1.0 + settings.clip)
+        entropy = score.entropy.mean()
+        loss = -torch.minimum(ratio * batch.gain, clipped * batch.gain).mean() - settings.entropy * entropy
+        value_loss = self._value_loss(batch)
+        self._descend(loss + value_loss)  # they share no parameter
+        return {
+            "ratio": float((ratio - 1.0).abs().max().detach()),
+            "entropy": float(entropy.detach()),
+            "value_loss": float(value_loss.detach()),
+        }
+
+    def _value_loss(self, batch: _Batch) -> Tensor:
+        targets = self.value.scale.count(batch.returns)
+        values = self.value(batch.choice.observation, batch.running)
+        return nn.functional.huber_loss(values, targets, delta=self.settings.huber)
+
+    def _descend(self, loss: Tensor) -> None:
+        self.optimizer.zero_grad()
+        loss.backward()  # type: ignore[no-untyped-call]
+        for network in self.networks().values():
+            nn.utils.clip_grad_norm_(network.parameters(), self.settings.gradient_norm)
+        self.optimizer.step()
+
+
+class _Batch(NamedTuple):
+    """What an update learns from, as tensors (B, ...)."""
+
+    choice: Choice
+    running: Tensor
+    log_prob: Tensor
+    gain: Tensor
+    returns: Tensor
+
+    def at(self, rows: Tensor) -> _Batch:
+        """Return some of it."""
+        choice, *rest = self
+        return _Batch(choice.at(rows), *(part[rows] for part in rest))

@@ -1,0 +1,1 @@
+"""The bridge node: a simulated world on the topics of a robot."""

@@ -1,0 +1,229 @@
+"""The bridge node: a simulated world that looks like robots on topics."""
+
+from __future__ import annotations
+
+import math
+import re
+import time
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+from builtin_interfaces.msg import Time
+from ctrl_rl_core.errors import CtrlRlError
+from ctrl_rl_core.ros.node import COMMAND, Status, SuiteNode, ok, run_node, to_stamp, warn
+from ctrl_rl_core.ros.parameters import ParameterError
+from ctrl_rl_core.tasks.outcome import Outcome
+from ctrl_rl_core.tasks.task import load_navigation_task
+from geometry_msgs.msg import Twist, TwistStamped
+from rclpy.clock import Clock, ClockType
+from std_srvs.srv import SetBool
+
+from ctrl_rl_msgs.msg import RotorThrusts
+from ctrl_rl_msgs.srv import ResetWorld, StepWorld
+from sim_bridge.ros.frames import Frames, TransformPublisher, fixed_transforms
+from sim_bridge.ros.pacing import Pacer, Schedule, SpeedMeter
+from sim_bridge.ros.parameters import PARAMETERS, simulation_options
+from sim_bridge.ros.publishers import ClockPublisher, RobotPublisher
+from sim_bridge.simulation.world import SimulatedWorld
+
+TICK = 0.005
+"""Wall time between two slices of simulation [s]."""
+LONGEST_SLICE = 0.02
+"""Wall time that a slice may take [s]; what it then has not done is let go, so that signals and services never wait."""
+FREE_SLICE = 0.01
+"""The same for a world that runs as fast as it goes [s]."""
+LONGEST_STEP = 10.0
+"""Simulation time that one StepWorld may advance [s]."""
+
+
+class Bridge(SuiteNode):
+    """Runs a task's world in PyBullet and takes the place of its robots: sensors out, commands in."""
+
+    PARAMETERS = PARAMETERS
+
+    def __init__(self) -> None:
+        super().__init__("sim_bridge")
+        settings = self.settings
+        self._namespaces = _checked_namespaces(settings["robots"])
+        task = load_navigation_task(settings["task"])
+        self._world = SimulatedWorld(
+            task,
+            seed=settings["seed"],
+            robots=len(self._namespaces),
+            width=settings["corridor_width"] or None,
+            options=simulation_options(settings),
+        )
+        self._rate: int = settings["physics_rate"]
+        self._paused: bool = settings["start_paused"]
+        self._episode, self._steps_before = 0, 0
+        self._refused = 0
+        self._pacer, self._meter = Pacer(self._rate), SpeedMeter()
+        frames = [Frames(namespace, task.plane) for namespace in self._namespaces]
+        transforms = TransformPublisher(self, [t for each in frames for t in fixed_transforms(each, task)])
+        self._robots = [RobotPublisher(self, self._world, robot, each, transforms) for robot, each in enumerate(frames)]
+        self._clock_publisher = ClockPublisher(self, settings["clock_rate"])
+        for robot, each in enumerate(frames):
+            self._subscribe(robot, each)
+        self.create_service(ResetWorld, "~/reset", self._on_reset)
+        self.create_service(SetBool, "~/pause", self._on_pause)
+        self.create_service(StepWorld, "~/step", self._on_step)
+        self._begin_episode()
+        self.create_timer(TICK, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.get_logger().info(f"task '{task.name}' with {len(frames)} robot(s), seed {settings['seed']}")
+
+    def _subscribe(self, robot: int, frames: Frames) -> None:
+        if frames.plane == "xz":
+            kind, read = RotorThrusts, _thrusts
+        elif self.settings["enable_stamped_cmd_vel"]:
+            kind, read = TwistStamped, _stamped_speeds
+        else:
+            kind, read = Twist, _speeds
+        topic = frames.topic("rotor_thrusts" if frames.plane == "xz" else "cmd_vel")
+        self.create_subscription(kind, topic, partial(self._on_command, robot, read), COMMAND)
+
+    def _on_command(self, robot: int, read: Callable[[Any], tuple[float, float]], message: Any) -> None:
+        if not self._world.command(robot, read(message)):
+            self._refused += 1
+            self.get_logger().warning("command refused: it is not finite", throttle_duration_sec=5.0)
+
+    def _tick(self) -> None:
+        now = time.monotonic()
+        if self._paused:
+            self._pacer.rest()
+        elif self.settings["speed_factor"] == 0.0:
+            self._advance(self._rate, now + FREE_SLICE)
+        else:
+            self._advance(self._pacer.due(now, self.settings["speed_factor"]), now + LONGEST_SLICE)
+        self._clock_publisher.publish(time.monotonic(), self._time)
+
+    def _advance(self, steps: int, deadline: float = math.inf) -> None:
+        """Do physics steps, at most until a steady wall time [s], and publish what falls due on the way."""
+        world = self._world
+        end = world.steps + steps
+        while world.steps < end and time.monotonic() < deadline:
+            world.step(min(end, self._scans.next, self._odometry.next) - world.steps)
+            self._publish_due()
+
+    def _publish_due(self) -> None:
+        scan, odometry = self._scans.due(self._world.steps), self._odometry.due(self._world.steps)
+        for robot in self._robots:
+            if odometry:
+                robot.publish_odometry(self._time)
+                robot.publish_episode(self._time, self._episode)
+            if scan:
+                robot.publish_scan(self._time)
+        if odometry:
+            self._say_how_it_ended()
+
+    def _say_how_it_ended(self) -> None:
+        for robot, namespace in enumerate(self._namespaces):
+            episode = self._world.episode(robot)
+            if episode.outcome is Outcome.RUNNING or robot in self._ended:
+                continue
+            self._ended.add(robot)
+            name = f" of {namespace}" if namespace else ""
+            self.get_logger().info(
+                f"episode {self._episode}{name}: {episode.outcome.words} after {self._world.elapsed:.2f} s, "
+                f"closest {episode.smallest_clearance:.3f} m"
+            )
+
+    def _begin_episode(self) -> None:
+        self._ended: set[int] = set()
+        self._scans = Schedule(self._world.lidar.spec.rate, self._rate)
+        self._odometry = Schedule(self.settings["odom_rate"], self._rate)
+        self._publish_due()
+
+    @property
+    def _time(self) -> int:
+        """Simulation time since the bridge started [ns]; resets do not set it back."""
+        return (self._steps_before + self._world.steps) * 10**9 // self._rate
+
+    def _on_reset(self, request: ResetWorld.Request, response: ResetWorld.Response) -> ResetWorld.Response:
+        steps = self._world.steps
+        try:
+            self._world.reset(request.seed)
+        except CtrlRlError as error:
+            response.success, response.message, response.episode = False, str(error), self._episode
+            return response
+        self._steps_before += steps + 1  # no two messages of a topic with one stamp
+        self._episode += 1
+        self._begin_episode()
+        response.success, response.message, response.episode = True, f"episode {self._episode}", self._episode
+        return response
+
+    def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        self._paused = request.data
+        response.success, response.message = True, "paused" if self._paused else "running"
+        return response
+
+    def _on_step(self, request: StepWorld.Request, response: StepWorld.Response) -> StepWorld.Response:
+        response.success = self._paused and 0.0 < request.duration <= LONGEST_STEP
+        if response.success:
+            self._advance(max(1, round(request.duration * self._rate)))
+            self._clock_publisher.publish(time.monotonic(), self._time)
+            response.message = "stepped"
+        elif not self._paused:
+            response.message = "the world is running: pause it first"
+        else:
+            response.message = f"duration is {request.duration:g} s: must be more than 0 and at most {LONGEST_STEP:g} s"
+        response.stamp = to_stamp(self._time)
+        return response
+
+    def status(self) -> Status:
+        """Return speed, episode, refused commands, and messages sent by topic."""
+        factor = self._meter.read(time.monotonic(), 1e-9 * self._time)
+        wanted = self.settings["speed_factor"]
+        values: dict[str, object] = {
+            "real_time_factor": round(factor, 3),
+            "speed_factor": wanted,
+            "simulation_time": round(1e-9 * self._time, 3),
+            "paused": str(self._paused).lower(),
+            "episode": self._episode,
+            "seed": self._world.seed,
+            "refused_commands": self._refused,
+        }
+        for robot in self._robots:
+            values |= {f"published.{publisher.topic}": publisher.count for publisher in robot.publishers}
+        clock = self._clock_publisher.publisher
+        values[f"published.{clock.topic}"] = clock.count
+        if self._paused:
+            return ok("paused", **values)
+        if factor < 0.9 * wanted:
+            return warn(f"slow: {factor:.2g} of {wanted:g} times real time", **values)
+        return ok("running", **values)
+
+    def diagnostics_stamp(self) -> Time:
+        """Return simulation time: the one clock of all nodes that use this simulation."""
+        return to_stamp(self._time)
+
+    def stop(self) -> None:
+        """Give the physics back."""
+        self._world.close()
+
+
+def _speeds(message: Twist) -> tuple[float, float]:
+    return message.linear.x, message.angular.z
+
+
+def _stamped_speeds(message: TwistStamped) -> tuple[float, float]:
+    return message.twist.linear.x, message.twist.angular.z
+
+
+def _thrusts(message: RotorThrusts) -> tuple[float, float]:
+    return message.t1, message.t2
+
+
+def _checked_namespaces(names: list[str]) -> list[str]:
+    names = list(names) or [""]
+    for name in names:
+        if name and not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
+            raise ParameterError(f"parameter 'robots': '{name}' is no namespace: use letters, digits and _")
+    if len(set(names)) < len(names):
+        raise ParameterError("parameter 'robots': each namespace may stand there once")
+    return names
+
+
+def main() -> int:
+    """Run the bridge."""
+    return run_node(Bridge)

@@ -1,0 +1,84 @@
+"""Parameters of the bridge, and the simulation options that they make."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from ctrl_rl_core.ros.parameters import Parameter, ParameterError
+
+from sim_bridge.simulation.lidar import LIDARS
+from sim_bridge.simulation.world import SimulationOptions
+
+PARAMETERS = (
+    Parameter("task", "curved_corridor", "Navigation task: a name of the suite, or a .yaml file.", kind="path"),
+    Parameter("robots", [""], "Namespaces of the robots; [''] for one without."),
+    Parameter("seed", 0, "Draws starts, noise and drift of the first episode.", minimum=0),
+    Parameter(
+        "speed_factor",
+        1.0,
+        "Simulation time per wall time; 0.0 for as fast as it goes.",
+        minimum=0.0,
+        maximum=1000.0,
+        live=True,
+    ),
+    Parameter("gui", False, "Show PyBullet's window."),
+    Parameter("start_paused", False, "Wait for ~/pause or ~/step."),
+    Parameter("physics_rate", 240, "Physics steps per second of simulation time [Hz].", minimum=60, maximum=2000),
+    Parameter(
+        "odom_rate", 30.0, "Odometry, ground truth and episode states per second [Hz].", minimum=1.0, maximum=240.0
+    ),
+    Parameter("clock_rate", 100.0, "Most messages on /clock per second [Hz].", minimum=1.0, maximum=100.0),
+    Parameter("lidar", "task", "The task's own, or what reads like a TurtleBot3's LDS-01 or LDS-02.", choices=LIDARS),
+    Parameter("scan_noise", -1.0, "Standard deviation of a range [m]; -1.0 for the task's.", minimum=-1.0, maximum=1.0),
+    Parameter("scan_dropout", -1.0, "Probability that a beam is lost; -1.0 for the task's.", minimum=-1.0, maximum=1.0),
+    Parameter("scan_rate", 0.0, "Scans per second [Hz]; 0.0 for the task's.", minimum=0.0, maximum=60.0),
+    Parameter("dropout_value", "nan", "What a lost beam of the task's lidar reads.", choices=("nan", "inf", "zero")),
+    Parameter(
+        "odom_drift",
+        0.0,
+        "Standard deviation of odometry's relative errors: of distance, of turn, and of turn per metre.",
+        minimum=0.0,
+        maximum=0.5,
+    ),
+    Parameter("corridor_width", 0.0, "Free width of a corridor [m]; 0.0 for the task's.", minimum=0.0),
+    Parameter("randomise_width", False, "Draw the width from the task's range at each reset."),
+    Parameter("enable_stamped_cmd_vel", True, "cmd_vel is a TwistStamped (Jazzy), else a Twist (Humble)."),
+    Parameter("command_truncation", False, "Cut commands to 0.01 m/s and 0.01 rad/s, as the TurtleBot3 firmware does."),
+    Parameter("command_delay", 0.0, "From arrival of a command to its effect [s].", minimum=0.0, maximum=2.0),
+    Parameter(
+        "cmd_vel_timeout",
+        0.5,
+        "Simulation time after which a command no longer holds: wheels stop, a quadrotor hovers [s]; 0.0 for never.",
+        minimum=0.0,
+        maximum=60.0,
+    ),
+)
+
+
+def simulation_options(settings: Mapping[str, Any]) -> SimulationOptions:
+    """Return the options that the parameters ask for.
+
+    Raises:
+        ParameterError: two of them contradict each other.
+    """
+    if settings["randomise_width"] and settings["corridor_width"] > 0.0:
+        raise ParameterError("parameters 'corridor_width' and 'randomise_width' contradict each other: set one of them")
+    return SimulationOptions(
+        rate=settings["physics_rate"],
+        gui=settings["gui"],
+        scan_noise=_given(settings["scan_noise"]),
+        scan_dropout=_given(settings["scan_dropout"]),
+        scan_rate=settings["scan_rate"] or None,
+        lost_beam=settings["dropout_value"],
+        lidar=settings["lidar"],
+        odom_drift=settings["odom_drift"],
+        command_truncation=settings["command_truncation"],
+        command_delay=settings["command_delay"],
+        command_timeout=settings["cmd_vel_timeout"],
+        randomise_width=settings["randomise_width"],
+    )
+
+
+def _given(value: float) -> float | None:
+    return None if value < 0.0 else value

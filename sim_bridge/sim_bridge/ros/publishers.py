@@ -1,0 +1,134 @@
+"""States of a world as ROS messages, with a count of what went out on each topic."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from ctrl_rl_core.ros.node import ODOM_PUBLISHER, RESULT, SCAN_PUBLISHER, float32_array, to_stamp
+from nav_msgs.msg import Odometry
+from numpy.typing import NDArray
+from rclpy.node import Node
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import LaserScan
+
+from ctrl_rl_msgs.msg import EpisodeStatus
+from sim_bridge.ros.frames import Frames, TransformPublisher
+from sim_bridge.simulation.world import SimulatedWorld
+
+Array = NDArray[np.float64]
+WORLD_FRAME = "map"
+_LATE_JOINER_S = 1.0
+
+
+class CountedPublisher:
+    """A publisher that knows how many messages it sent.
+
+    Attributes:
+        topic: its resolved name.
+        count: messages sent.
+    """
+
+    def __init__(self, node: Node, kind: type, topic: str, qos: Any) -> None:
+        self._publisher = node.create_publisher(kind, topic, qos)
+        self.topic: str = self._publisher.topic_name
+        self.count = 0
+
+    def publish(self, message: Any) -> None:
+        """Send one message."""
+        self._publisher.publish(message)
+        self.count += 1
+
+
+class RobotPublisher:
+    """Scan, odometry, ground truth and episode status of one robot of a world.
+
+    Attributes:
+        publishers: one for each topic.
+    """
+
+    def __init__(
+        self, node: Node, world: SimulatedWorld, robot: int, frames: Frames, transforms: TransformPublisher
+    ) -> None:
+        self._world, self._robot, self._frames, self._transforms = world, robot, frames, transforms
+        self._scan = CountedPublisher(node, LaserScan, frames.topic("scan"), SCAN_PUBLISHER)
+        self._odom = CountedPublisher(node, Odometry, frames.topic("odom"), ODOM_PUBLISHER)
+        self._truth = CountedPublisher(node, Odometry, frames.topic("ground_truth"), ODOM_PUBLISHER)
+        self._episode = CountedPublisher(node, EpisodeStatus, frames.topic("episode"), RESULT)
+        self.publishers = (self._scan, self._odom, self._truth, self._episode)
+        # A message is serialised while it is published, so each is made once and filled again and again.
+        self._scan_message = LaserScan(scan_time=1.0 / world.lidar.spec.rate)
+        self._scan_message.header.frame_id = frames.scan
+        self._odom_message = _empty_odometry(frames.odom, frames.base)
+        self._truth_message = _empty_odometry(WORLD_FRAME, frames.base)
+        self._episode_message = EpisodeStatus()
+        self._episode_message.header.frame_id = WORLD_FRAME
+
+    def publish_scan(self, time: int) -> None:
+        """Send the ranges at simulation time `time` [ns]."""
+        message, scan = self._scan_message, self._world.laser_scan(self._robot)
+        message.header.stamp = to_stamp(time)
+        message.ranges = float32_array(scan.ranges)
+        message.angle_min, message.angle_increment = scan.angle_min, scan.angle_increment
+        message.angle_max = scan.angle_min + scan.angle_increment * (len(scan.ranges) - 1)
+        message.range_min, message.range_max = scan.range_min, scan.range_max
+        self._scan.publish(message)
+
+    def publish_odometry(self, time: int) -> None:
+        """Send odometry, its transform and the ground truth at simulation time `time` [ns]."""
+        reading = self._world.odometry(self._robot)
+        _fill(self._odom_message, time, self._frames, reading.pose, reading.velocity)
+        self._odom.publish(self._odom_message)
+        self._transforms.publish(self._odom_message)
+        pose, velocity = self._world.pose(self._robot), self._world.velocity(self._robot)
+        _fill(self._truth_message, time, self._frames, pose, velocity)
+        attitude = self._truth_message.pose.pose.orientation
+        attitude.x, attitude.y, attitude.z, attitude.w = self._world.quaternion(self._robot)
+        self._truth.publish(self._truth_message)
+
+    def publish_episode(self, time: int, number: int) -> None:
+        """Send how episode `number` stands at simulation time `time` [ns]."""
+        episode, message = self._world.episode(self._robot), self._episode_message
+        message.header.stamp = to_stamp(time)
+        message.episode, message.seed = number, self._world.seed
+        message.elapsed = self._world.elapsed
+        message.clearance, message.smallest_clearance = episode.clearance, episode.smallest_clearance
+        message.progress = episode.progress
+        message.outcome.value = int(episode.outcome)
+        self._episode.publish(message)
+
+
+class ClockPublisher:
+    """/clock: at most so many times per second of wall and of simulation time; once a second for late joiners."""
+
+    def __init__(self, node: Node, rate: float) -> None:
+        self.publisher = CountedPublisher(node, Clock, "/clock", 1)
+        self._period = 1.0 / rate
+        self._wall, self._time = -math.inf, -1
+
+    def publish(self, now: float, time: int) -> None:
+        """Send simulation time `time` [ns] if it is due at steady wall time `now` [s]."""
+        waited, moved = now - self._wall, 1e-9 * (time - self._time)
+        if (waited >= self._period and (moved >= self._period or self._time < 0)) or waited >= _LATE_JOINER_S:
+            self._wall, self._time = now, time
+            self.publisher.publish(Clock(clock=to_stamp(time)))
+
+
+def _empty_odometry(parent: str, child: str) -> Odometry:
+    message = Odometry(child_frame_id=child)
+    message.header.frame_id = parent
+    return message
+
+
+def _fill(message: Odometry, time: int, frames: Frames, pose: Array, velocity: Array) -> None:
+    """Write pose and body velocity of the plane, x-y or x-z, into a message."""
+    message.header.stamp = to_stamp(time)
+    first, second, angle = pose.tolist()
+    along, aside, turn = velocity.tolist()
+    position, attitude, twist = message.pose.pose.position, message.pose.pose.orientation, message.twist.twist
+    position.x, twist.linear.x, attitude.w = first, along, math.cos(0.5 * angle)
+    if frames.plane == "xy":
+        position.y, twist.linear.y, twist.angular.z, attitude.z = second, aside, turn, math.sin(0.5 * angle)
+    else:
+        position.z, twist.linear.z, twist.angular.y, attitude.y = second, aside, turn, math.sin(0.5 * angle)

@@ -1,0 +1,1 @@
+"""Simulated worlds without ROS: robots, lidar, odometry, episodes."""

@@ -1,0 +1,281 @@
+"""Bodies that carry out commands in a physics world, behind one small seam.
+
+A body takes two commands, which it limits to what it can do, and says where it is in the task's plane.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from ctrl_rl_core.systems.system import System
+from ctrl_rl_core.tasks.task import NavigationTask
+from numpy.typing import NDArray
+
+from sim_bridge.engines.physics import Physics
+from sim_bridge.engines.quiet_pybullet import pybullet
+from sim_bridge.errors import SimulationError
+from sim_bridge.simulation.lidar import SensorFrame
+
+Array = NDArray[np.float64]
+
+
+class Body(Protocol):
+    """What a world needs of a robot.
+
+    Attributes:
+        id: PyBullet's number.
+        mask: of rays that overlook it.
+        radius: of a circle around its origin that holds all of it [m].
+        bounds: least and largest commands (2, 2): [v, omega] [m/s, rad/s] or [t1, t2] [N].
+        idle: the command of a robot that nobody commands (2,).
+    """
+
+    id: int
+    mask: int
+    radius: float
+    bounds: Array
+    idle: Array
+
+    def act(self, command: Array) -> None:
+        """Carry out a command (2,) within `bounds` for the next physics step."""
+
+    def pose(self) -> Array:
+        """Return x, y, theta or x, z, psi (3,) [m, m, rad]."""
+
+    def velocity(self) -> Array:
+        """Return the rates of `pose` (3,) [m/s, m/s, rad/s]."""
+
+    def quaternion(self) -> tuple[float, float, float, float]:
+        """Return its attitude (x, y, z, w)."""
+
+    def sensor(self) -> SensorFrame:
+        """Return where its lidar is."""
+
+    def top_speed(self, horizon: float) -> float:
+        """Return a bound on the speed of any of its points within the next `horizon` seconds [m/s]."""
+
+
+@dataclass(frozen=True)
+class Drive:
+    """What distinguishes one differential drive from another.
+
+    Attributes:
+        urdf: its file in `urdf/`; wheels turn about `wheel_left_joint` and `wheel_right_joint`.
+        wheel_radius: [m].
+        wheel_separation: [m].
+        torque: largest of one wheel [N m].
+        lag: time constant of the wheel speed [s].
+        bounds: least and largest v and omega, None for the task's command bounds.
+        base_height: of base_link above base_footprint [m].
+        lidar: position in base_footprint [m].
+    """
+
+    urdf: str
+    wheel_radius: float
+    wheel_separation: float
+    torque: float
+    lag: float
+    bounds: tuple[tuple[float, float], tuple[float, float]] | None
+    base_height: float
+    lidar: tuple[float, float, float]
+
+
+DRIVES: Mapping[str, Drive] = {
+    "turtlebot3_burger": Drive(
+        urdf="turtlebot3_burger.urdf",
+        wheel_radius=0.033,
+        wheel_separation=0.160,
+        torque=0.5,
+        lag=0.05,
+        bounds=((-0.22, 0.22), (-2.84, 2.84)),
+        base_height=0.010,
+        lidar=(-0.032, 0.0, 0.182),
+    ),
+    "turtlebot2": Drive(
+        urdf="turtlebot2.urdf",
+        wheel_radius=0.035,
+        wheel_separation=0.230,
+        torque=0.35,
+        lag=0.05,
+        bounds=None,
+        base_height=0.0102,
+        lidar=(0.0, 0.0, 0.300),
+    ),
+}
+
+
+class DifferentialDrive:
+    """Two wheels on velocity motors with a first-order lag and limited torque, standing on a floor; see `Body`."""
+
+    def __init__(self, physics: Physics, drive: Drive, bounds: Array, radius: float, pose: Array) -> None:
+        self._client, self._drive = physics.client, drive
+        self.id, self.mask = physics.load(drive.urdf, (pose[0], pose[1], 0.0), yaw=pose[2])
+        joints = physics.joints(self.id)
+        self._wheels = [joints["wheel_left_joint"], joints["wheel_right_joint"]]
+        self.bounds = bounds if drive.bounds is None else np.array(drive.bounds)
+        self.idle = np.zeros(2)
+        self.radius = radius
+        self._share = -math.expm1(-1.0 / (physics.rate * drive.lag))
+        self._speeds = (0.0, 0.0)
+        self._turn_motors()
+
+    def act(self, command: Array) -> None:  # noqa: D102 - see Body
+        v, turn = float(command[0]), 0.5 * self._drive.wheel_separation * float(command[1])
+        left, right = self._speeds
+        wanted = ((v - turn) / self._drive.wheel_radius, (v + turn) / self._drive.wheel_radius)
+        if wanted == self._speeds:
+            return
+        left += self._share * (wanted[0] - left)
+        right += self._share * (wanted[1] - right)
+        settled = abs(left - wanted[0]) + abs(right - wanted[1]) < 1e-6
+        self._speeds = wanted if settled else (left, right)
+        self._turn_motors()
+
+    def _turn_motors(self) -> None:
+        pybullet.setJointMotorControlArray(
+            self.id,
+            self._wheels,
+            pybullet.VELOCITY_CONTROL,
+            targetVelocities=self._speeds,
+            forces=[self._drive.torque] * 2,
+            physicsClientId=self._client,
+        )
+
+    def pose(self) -> Array:  # noqa: D102
+        (x, y, _), q = pybullet.getBasePositionAndOrientation(self.id, physicsClientId=self._client)
+        return np.array((x, y, math.atan2(2 * (q[3] * q[2] + q[0] * q[1]), 1 - 2 * (q[1] * q[1] + q[2] * q[2]))))
+
+    def velocity(self) -> Array:  # noqa: D102
+        linear, angular = pybullet.getBaseVelocity(self.id, physicsClientId=self._client)
+        return np.array((linear[0], linear[1], angular[2]))
+
+    def quaternion(self) -> tuple[float, float, float, float]:  # noqa: D102
+        attitude: tuple[float, float, float, float]
+        _, attitude = pybullet.getBasePositionAndOrientation(self.id, physicsClientId=self._client)
+        return attitude
+
+    def sensor(self) -> SensorFrame:  # noqa: D102
+        x, y, theta = self.pose()
+        c, s = math.cos(theta), math.sin(theta)
+        along, aside, height = self._drive.lidar
+        origin = np.array((x + c * along - s * aside, y + s * along + c * aside, height))
+        return SensorFrame(origin, np.array(((c, s, 0.0), (-s, c, 0.0))))
+
+    def top_speed(self, horizon: float) -> float:  # noqa: ARG002, D102 - its wheels bound it
+        v, omega = np.abs(self.bounds).max(axis=1)
+        return float(1.2 * (v + omega * self.radius))
+
+
+class PlanarQuadrotor:
+    """Two rotor pairs in the x-z plane, thesis Eq. 3.10; see `Body`.
+
+    PyBullet's step alone is first order. Here its joint speeds are those of half a step ago (leapfrog, second
+    order): the first push lasts half a step, and where the command changes, old and new push for half a step each.
+    """
+
+    def __init__(self, physics: Physics, system: System, radius: float, pose: Array, velocity: Array) -> None:
+        self._client, self._rate = physics.client, physics.rate
+        self._rates = system.equations(math, system.parameters)
+        mass, inertia = system.parameters["m"], system.parameters["I_yy"]
+        self._weight = np.array((mass, mass, inertia))
+        self.id, self.mask = physics.load("planar_quadrotor.urdf", (0.0, 0.0, 0.0), rooted=True)
+        joints = physics.joints(self.id)
+        self._joints = [joints["x"], joints["z"], joints["psi"]]
+        self.bounds = system.control_bounds.T
+        self.idle = np.clip(np.full(2, 0.5 * mass * system.parameters["g"]), self.bounds[:, 0], self.bounds[:, 1])
+        self.radius = radius
+        self._command: Array | None = None
+        self._acceleration = np.zeros(3)
+        self._free_joints(pose, velocity)
+
+    def _free_joints(self, pose: Array, velocity: Array) -> None:
+        pybullet.changeDynamics(
+            self.id,
+            self._joints[2],
+            mass=self._weight[0],
+            localInertiaDiagonal=(self._weight[2],) * 3,
+            physicsClientId=self._client,
+        )
+        for joint, place, rate in zip(self._joints, pose, velocity, strict=True):
+            pybullet.resetJointState(self.id, joint, place, rate, physicsClientId=self._client)
+        pybullet.setJointMotorControlArray(
+            self.id, self._joints, pybullet.VELOCITY_CONTROL, forces=[0.0] * 3, physicsClientId=self._client
+        )
+
+    def act(self, command: Array) -> None:  # noqa: D102
+        x, z, psi = self.pose().tolist()
+        v_x, v_z, omega = self.velocity().tolist()
+        state = (x, v_x, z, v_z, psi, omega)
+        now = self._accelerations(state, command)
+        before = now if command is self._command else self._accelerations(state, self._command)
+        self._command, self._acceleration = command, now
+        force = 0.5 * (before + now) * self._weight
+        pybullet.setJointMotorControlArray(
+            self.id, self._joints, pybullet.TORQUE_CONTROL, forces=force.tolist(), physicsClientId=self._client
+        )
+
+    def _accelerations(self, state: tuple[float, ...], command: Array | None) -> Array:
+        if command is None:
+            return np.zeros(3)
+        rates = self._rates(state, command.tolist(), (0.0,) * 6)
+        return np.array((rates[1], rates[3], rates[5]))
+
+    def pose(self) -> Array:  # noqa: D102
+        return np.array([joint[0] for joint in self._states()])
+
+    def velocity(self) -> Array:  # noqa: D102
+        return np.array([joint[1] for joint in self._states()]) + 0.5 / self._rate * self._acceleration
+
+    def _states(self) -> tuple[tuple[float, float], ...]:
+        states: tuple[tuple[float, float], ...]
+        states = pybullet.getJointStates(self.id, self._joints, physicsClientId=self._client)
+        return states
+
+    def quaternion(self) -> tuple[float, float, float, float]:  # noqa: D102
+        psi = float(self.pose()[2])
+        return 0.0, math.sin(0.5 * psi), 0.0, math.cos(0.5 * psi)
+
+    def sensor(self) -> SensorFrame:  # noqa: D102
+        x, z, psi = self.pose()
+        c, s = math.cos(psi), math.sin(psi)
+        return SensorFrame(np.array((x, 0.0, z)), np.array(((c, 0.0, -s), (s, 0.0, c))))
+
+    def top_speed(self, horizon: float) -> float:  # noqa: D102
+        v_x, v_z, omega = self.velocity()
+        strongest, unequal = self.bounds[:, 1], (self.bounds[0, 1], self.bounds[1, 0])
+        push = self._rates((0.0,) * 6, strongest, (0.0,) * 6)[3]
+        turn = self._rates((0.0,) * 6, unequal, (0.0,) * 6)[5]
+        return float(
+            math.hypot(v_x, v_z) + (abs(push) + 9.81) * horizon + self.radius * (abs(omega) + abs(turn) * horizon)
+        )
+
+
+def make_body(physics: Physics, task: NavigationTask, system: System, state: Array) -> Body:
+    """Put the task's robot into the world at a start state (n,), ordered as its system names it.
+
+    Raises:
+        SimulationError: the body cannot have such a state.
+    """
+    names = system.state_names
+    named = dict(zip(names, state.tolist(), strict=True))
+    if task.robot.body == "planar_quadrotor":
+        _need(task, system, {"x", "v_x", "z", "v_z", "psi", "omega"})
+        pose = np.array([named[name] for name in ("x", "z", "psi")])
+        velocity = np.array([named[name] for name in ("v_x", "v_z", "omega")])
+        return PlanarQuadrotor(physics, system, task.robot.radius, pose, velocity)
+    _need(task, system, {"x", "y", "theta"})
+    bounds = np.array([task.robot.commands[name] for name in ("v", "omega")])
+    pose = np.array([named[name] for name in ("x", "y", "theta")])
+    return DifferentialDrive(physics, DRIVES[task.robot.body], bounds, task.robot.radius, pose)
+
+
+def _need(task: NavigationTask, system: System, needed: set[str]) -> None:
+    if not needed <= set(system.state_names):
+        raise SimulationError(
+            f"task '{task.name}': body '{task.robot.body}' needs a system with {', '.join(sorted(needed))}: "
+            f"'{system.name}' has {', '.join(system.state_names)}"
+        )

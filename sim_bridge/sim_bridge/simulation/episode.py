@@ -1,0 +1,101 @@
+"""Ground truth about one robot's episode: how it stands, how near it came, how far it got."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from ctrl_rl_core.geometry.shapes import Path
+from ctrl_rl_core.systems.system import System
+from ctrl_rl_core.tasks.outcome import Outcome
+from ctrl_rl_core.tasks.task import NavigationTask
+from ctrl_rl_core.tasks.task_schema import RewardSpec
+from ctrl_rl_core.tasks.task_sets import PATH_NAMES, PathCoordinates
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass
+class Episode:
+    """One robot's episode.
+
+    Attributes:
+        outcome: latched by the first terminal event.
+        tilted: whether the collision is a tilt beyond the task's limit.
+        clearance: distance to the nearest wall, obstacle or robot when it was last measured [m].
+        smallest_clearance: the least of it [m].
+        progress: part of the path from start to goal that is done; NaN without a path.
+    """
+
+    outcome: Outcome = Outcome.RUNNING
+    tilted: bool = False
+    clearance: float = math.inf
+    smallest_clearance: float = math.inf
+    progress: float = math.nan
+
+    def saw_clearance(self, clearance: float) -> None:
+        """Take a measured clearance [m]; touching is a collision."""
+        self.clearance = clearance
+        self.smallest_clearance = min(self.smallest_clearance, clearance)
+        if clearance <= 0.0:
+            self.end(Outcome.COLLISION)
+
+    def end(self, outcome: Outcome, tilted: bool = False) -> None:
+        """Latch an outcome; later ones change nothing."""
+        if self.outcome is Outcome.RUNNING:
+            self.outcome, self.tilted = outcome, tilted
+
+    def reward(self, rewards: RewardSpec) -> float:
+        """Return what the task pays for the episode as it stands (thesis Eq. 3.9, 3.15, 3.17)."""
+        match self.outcome:
+            case Outcome.GOAL:
+                return rewards.goal
+            case Outcome.COLLISION:
+                return rewards.tilt if self.tilted and rewards.tilt is not None else rewards.collision
+            case Outcome.TRAP:
+                return rewards.trap or 0.0
+            case Outcome.TIMEOUT:
+                return rewards.timeout
+        return rewards.intermediate
+
+
+class Judge:
+    """Decides by a task's sets how a robot's episode stands."""
+
+    def __init__(self, task: NavigationTask, system: System, path: Path | None) -> None:
+        self._names = system.state_names if path is None else PATH_NAMES
+        self._goal = task.goal.region
+        self._trap = None if task.trap is None else task.trap.region
+        self._tilt_limit = math.inf if task.robot.tilt_limit is None else task.robot.tilt_limit
+        self._time_limit = task.episode.steps * task.episode.time_step
+        self._path = None if path is None else PathCoordinates(path)
+        self._goal_s = task.goal.intervals["s"].low if path is not None and "s" in task.goal.intervals else math.inf
+
+    def start_s(self, pose: Array) -> float:
+        """Return where on the path a pose x, y, theta (3,) is [m]; NaN without a path."""
+        return math.nan if self._path is None else float(self._path(pose)[0])
+
+    def judge(self, episode: Episode, state: Array, pose: Array, elapsed: float, start_s: float) -> None:
+        """Bring an episode up to date.
+
+        Args:
+            episode: changed in place.
+            state: as the system names it (n,).
+            pose: x, y, theta or x, z, psi (3,).
+            elapsed: simulation time since the start [s].
+            start_s: where on the path the robot started [m].
+        """
+        if self._path is not None:
+            state = self._path(pose)
+            way = self._goal_s - start_s
+            episode.progress = min(max((state[0] - start_s) / way, 0.0), 1.0) if 0.0 < way < math.inf else math.nan
+        if abs(pose[2]) > self._tilt_limit:
+            episode.end(Outcome.COLLISION, tilted=True)
+        elif self._goal.contains(self._names, state):
+            episode.end(Outcome.GOAL)
+        elif self._trap is not None and self._trap.contains(self._names, state):
+            episode.end(Outcome.TRAP)
+        elif elapsed >= self._time_limit - 1e-9:
+            episode.end(Outcome.TIMEOUT)

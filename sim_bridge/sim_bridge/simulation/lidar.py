@@ -1,0 +1,125 @@
+"""A planar lidar: ray casts, noise and drop-out; ranges as REP-117 wants them, or as a TurtleBot3's drivers write them.
+
+By REP-117, +inf: nothing within reach. -inf: something nearer than can be measured. NaN: the beam was lost.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from ctrl_rl_core.tasks.task_schema import LidarSpec
+from numpy.typing import NDArray
+
+from sim_bridge.engines.physics import Physics
+
+LOST_BEAM = {"nan": np.nan, "inf": np.inf, "zero": 0.0}
+"""What a driver may write for a lost beam; the LDS-01 of the burger writes 0."""
+LIDARS = ("task", "lds01", "lds02")
+"""The task's own by REP-117; an LDS-01: zero for whatever is not measured; an LDS-02: NaN for it, a count of beams that
+varies with the motor's speed, and a claim to measure from 0 to 100 m."""
+
+_LDS02_BEAMS = (267.0, 274.0)
+_LDS02_REACH = (0.16, 8.0)
+_LDS02_CLAIM = (0.0, 100.0)
+
+
+@dataclass(frozen=True)
+class SensorFrame:
+    """Where a lidar is, and the plane it turns in.
+
+    Attributes:
+        origin: (3,) [m].
+        axes: (2, 3) unit vectors: bearing 0, and bearing 90 deg.
+    """
+
+    origin: NDArray[np.float64]
+    axes: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Scan:
+    """One turn of a lidar, as sensor_msgs/LaserScan says it.
+
+    Attributes:
+        ranges: (beams,) [m].
+        angle_min: bearing of the first beam [rad].
+        angle_increment: from beam to beam [rad].
+        range_min: least distance that the driver claims to measure [m].
+        range_max: largest distance that it claims [m].
+    """
+
+    ranges: NDArray[np.float32]
+    angle_min: float
+    angle_increment: float
+    range_min: float
+    range_max: float
+
+
+class Lidar:
+    """The beams of a task's lidar, or of a real one in its place.
+
+    Attributes:
+        spec: the task's.
+        kind: one of `LIDARS`.
+        noise: standard deviation of a range [m].
+        dropout: probability that a beam is lost.
+        bearings: of the task's beams (n,) [rad].
+    """
+
+    def __init__(
+        self,
+        spec: LidarSpec,
+        noise: float | None = None,
+        dropout: float | None = None,
+        lost_beam: str = "nan",
+        kind: str = "task",
+    ) -> None:
+        self.spec, self.kind = spec, kind
+        self.noise = spec.noise if noise is None else noise
+        self.dropout = spec.dropout if dropout is None else dropout
+        bearings = spec.angle_min + spec.angle_increment * np.arange(spec.beams)
+        self.bearings = np.asarray(bearings, dtype=np.float64)
+        self._lost = LOST_BEAM[lost_beam]
+
+    def scan(
+        self, physics: Physics, frame: SensorFrame, mask: int, random: np.random.Generator, buried: bool = False
+    ) -> Scan:
+        """Return one turn.
+
+        Args:
+            physics: the world to look at.
+            frame: where the sensor is.
+            mask: overlooks the robot that carries it.
+            random: noise, drop-out, and the count of beams where it varies.
+            buried: the sensor is inside a shape, where rays meet no surface: all beams are too close.
+        """
+        bearings, increment, (least, largest) = self._beams(random)
+        if buried:
+            ranges = np.zeros(len(bearings))
+        else:
+            reach = largest * np.stack((np.cos(bearings), np.sin(bearings)), axis=1)
+            free = physics.cast(frame.origin, frame.origin + reach @ frame.axes, mask)
+            ranges = np.where(free < 1.0, free * largest, np.inf)
+        # Drawn whether used or not: two noise levels with the same seed then differ by scale alone.
+        error, lot = random.standard_normal(len(bearings)), random.random(len(bearings))
+        ranges += self.noise * error
+        ranges[ranges > largest] = np.inf
+        ranges[ranges < least] = -np.inf
+        lost, claim = self._lost, (least, largest)
+        if self.kind != "task":
+            lost = np.nan if self.kind == "lds02" else 0.0
+            ranges[np.isinf(ranges)] = lost
+        if self.kind == "lds02":
+            claim = _LDS02_CLAIM
+        ranges[lot < self.dropout] = lost
+        return Scan(ranges.astype(np.float32), float(bearings[0]), increment, *claim)
+
+    def _beams(self, random: np.random.Generator) -> tuple[NDArray[np.float64], float, tuple[float, float]]:
+        """Return the bearings of this turn, their increment, and between what it measures."""
+        if self.kind != "lds02":
+            return self.bearings, self.spec.angle_increment, (self.spec.range.low, self.spec.range.high)
+        count = random.uniform(*_LDS02_BEAMS)  # the increment follows the motor's speed, the count the increment
+        increment = 2.0 * np.pi / count
+        bearings = np.asarray(increment * np.arange(int(np.ceil(count))), dtype=np.float64)
+        return bearings, increment, _LDS02_REACH

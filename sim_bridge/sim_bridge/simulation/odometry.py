@@ -1,0 +1,49 @@
+"""Odometry that drifts as that of wheels does: what was driven and turned is measured with small constant errors."""
+
+from __future__ import annotations
+
+import numpy as np
+from ctrl_rl_core.tasks.regions import wrap
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+class Odometry:
+    """Adds up the robot's own motion from its start pose; without drift it is the true pose in the frame `map`.
+
+    Each episode draws three errors of standard deviation `drift`: of the distance per metre, of the turn per radian,
+    and a turn per metre [rad/m] (wheels of unequal size).
+    """
+
+    def __init__(self, drift: float, random: np.random.Generator, pose: Array) -> None:
+        self._distance, self._turn, self._bend = drift * random.standard_normal(3)
+        self._true = pose.copy()
+        self._drifting = drift > 0.0
+        self.pose = pose.copy()
+
+    def update(self, true_pose: Array) -> Array:
+        """Return the pose (3,): two coordinates of the plane [m] and the angle, counter-clockwise [rad].
+
+        Args:
+            true_pose: (3,) the same in truth, less than half a turn after the last one.
+        """
+        if not self._drifting:
+            self.pose = true_pose.copy()
+            return self.pose
+        step = true_pose - self._true
+        step[2] = wrap(step[2])
+        middle = self._true[2] + 0.5 * step[2]
+        c, s = np.cos(middle), np.sin(middle)
+        forward, sideways = (1.0 + self._distance) * np.array((c * step[0] + s * step[1], c * step[1] - s * step[0]))
+        turn = (1.0 + self._turn) * step[2] + self._bend * abs(forward)
+        middle = self.pose[2] + 0.5 * turn
+        c, s = np.cos(middle), np.sin(middle)
+        self.pose = np.add(self.pose, (c * forward - s * sideways, s * forward + c * sideways, turn))
+        self._true = true_pose.copy()
+        return self.pose
+
+    def speeds(self, forward: float, turn: float) -> tuple[float, float]:
+        """Return a forward speed [m/s] and a turn rate [rad/s] as they are measured."""
+        forward *= 1.0 + self._distance
+        return forward, (1.0 + self._turn) * turn + self._bend * abs(forward)

@@ -1,0 +1,350 @@
+"""A simulated world without ROS: a task, its robots, and time that advances in whole physics steps.
+
+    world = SimulatedWorld(load_navigation_task("curved_corridor"), seed=1)
+    world.command(0, (0.2, 0.0))
+    world.step(48)
+    world.scan(0), world.odometry(0), world.episode(0).outcome
+
+Robots are numbered from 0; (n,) is the task system's number of states.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+from ctrl_rl_core.geometry.shapes import World
+from ctrl_rl_core.systems.system import System
+from ctrl_rl_core.tasks.regions import wrap
+from ctrl_rl_core.tasks.start_states import draw_starts
+from ctrl_rl_core.tasks.task import NavigationTask
+from numpy.typing import ArrayLike, NDArray
+
+from sim_bridge.engines.physics import Physics
+from sim_bridge.simulation.bodies import Body, make_body
+from sim_bridge.simulation.commands import CommandChannel
+from sim_bridge.simulation.episode import Episode, Judge
+from sim_bridge.simulation.lidar import Lidar, Scan
+from sim_bridge.simulation.odometry import Odometry
+
+Array = NDArray[np.float64]
+
+GRAVITY = 9.81
+TOUCH = 5e-4
+"""Bodies nearer than this touch [m]: PyBullet's contacts hold them apart by less."""
+_JUDGED_PER_SECOND = 30
+
+
+class _Purpose(IntEnum):
+    """Streams of random numbers; one for each robot and purpose, so that none depends on how often another is used."""
+
+    START = 0
+    WIDTH = 1
+    SCAN = 2
+    ODOMETRY = 3
+
+
+@dataclass(frozen=True)
+class SimulationOptions:
+    """How a world is simulated.
+
+    Attributes:
+        rate: physics steps per second [Hz].
+        gui: show PyBullet's window.
+        scan_noise: standard deviation of a range [m], None for the task's.
+        scan_dropout: probability that a beam is lost, None for the task's.
+        scan_rate: scans per second [Hz], None for the task's.
+        lost_beam: what a lost beam of the task's lidar reads: "nan", "inf" or "zero".
+        lidar: one of `sim_bridge.simulation.lidar.LIDARS`.
+        odom_drift: standard deviation of odometry's relative errors, see `Odometry`.
+        command_truncation: cut commands of a drive to hundredths, as the TurtleBot3 firmware does.
+        command_delay: from arrival of a command to its effect [s].
+        command_timeout: after which a robot goes idle [s]; 0 for never.
+        randomise_width: draw the corridor's width from the task's range at each reset that names none.
+    """
+
+    rate: int = 240
+    gui: bool = False
+    scan_noise: float | None = None
+    scan_dropout: float | None = None
+    scan_rate: float | None = None
+    lost_beam: str = "nan"
+    lidar: str = "task"
+    odom_drift: float = 0.0
+    command_truncation: bool = False
+    command_delay: float = 0.0
+    command_timeout: float = 0.0
+    randomise_width: bool = False
+
+
+@dataclass(frozen=True)
+class OdometryReading:
+    """Measured motion.
+
+    Attributes:
+        pose: x, y, theta or x, z, psi (3,) [m, m, rad], in a frame that was `map` at the start.
+        velocity: along the body's first and second axis in the plane, and its turn rate (3,) [m/s, m/s, rad/s].
+    """
+
+    pose: Array
+    velocity: Array
+
+
+@dataclass
+class _Robot:
+    body: Body
+    channel: CommandChannel
+    odometry: Odometry
+    scan_random: np.random.Generator
+    start_s: float
+    episode: Episode
+    measured_at: int = -1  # physics step of the last measured clearance
+    judged_at: int = -1
+
+
+class SimulatedWorld:
+    """A task's world with any number of equal robots.
+
+    The same seed, options and commands give the same numbers, bit by bit, on the same machine.
+
+    Attributes:
+        task: what is simulated.
+        plane: "xy" or "xz".
+        system: the task's model; it names and orders states.
+        options: how it is simulated.
+        geometry: walls and obstacles of this episode.
+        seed: of this episode.
+        lidar: what each robot carries.
+        steps: physics steps since the reset.
+    """
+
+    def __init__(
+        self,
+        task: NavigationTask,
+        seed: int = 0,
+        robots: int = 1,
+        width: float | None = None,
+        options: SimulationOptions | None = None,
+    ) -> None:
+        """Build a world and its first episode.
+
+        Args:
+            task: what to simulate.
+            seed: of the first episode.
+            robots: how many.
+            width: free width of a corridor in every episode [m], None for the task's.
+            options: how to simulate it.
+
+        Raises:
+            SimulationError: the robots find no room, or PyBullet gives no client.
+            TaskError: the width does not suit the task.
+        """
+        self.options = options or SimulationOptions()
+        self.task = task
+        self.system: System = task.system.build()
+        noise, dropout, turns = self.options.scan_noise, self.options.scan_dropout, self.options.scan_rate
+        spec = task.lidar if turns is None else task.lidar.model_copy(update={"rate": turns})
+        self.lidar = Lidar(spec, noise, dropout, self.options.lost_beam, self.options.lidar)
+        self._count, self._width = robots, width
+        self.plane = task.plane
+        self._sense = 1.0 if self.plane == "xy" else -1.0  # psi turns clockwise in the x-z plane
+        self._judge_every = max(1, self.options.rate // _JUDGED_PER_SECOND)
+        self._robots: list[_Robot] = []
+        self._physics = Physics(self.options.rate, self.options.gui)
+        try:
+            self.reset(seed)
+        except Exception:
+            self.close()
+            raise
+
+    def reset(self, seed: int) -> None:
+        """Build everything anew for an episode; on an error the old one goes on.
+
+        Raises:
+            SimulationError, TaskError: as for a new world.
+        """
+        geometry = self.task.build_world(self._draw_width(seed))
+        random = np.random.default_rng((seed, 0, _Purpose.START))
+        starts = draw_starts(self.task, self.system, geometry, self._count, self.task.robot.radius, random)
+        self._physics.clear(GRAVITY if self.plane == "xy" else 0.0)
+        if self.plane == "xy":
+            self._physics.add_floor()
+        self._physics.add_fixed((*geometry.walls, *geometry.obstacles), self.plane)
+        self.geometry: World = geometry
+        self.seed = seed
+        self.steps = 0
+        self._judge = Judge(self.task, self.system, geometry.path)
+        self._robots = [self._make_robot(index, start) for index, start in enumerate(starts)]
+        self._check()
+
+    def _draw_width(self, seed: int) -> float | None:
+        corridor = self.task.corridor
+        if corridor is None or self._width is not None or not self.options.randomise_width:
+            return self._width
+        return float(np.random.default_rng((seed, 0, _Purpose.WIDTH)).uniform(*corridor.width_range))
+
+    def _make_robot(self, index: int, start: Array) -> _Robot:
+        body = make_body(self._physics, self.task, self.system, start)
+        options, rate = self.options, self.options.rate
+        channel = CommandChannel(
+            body.bounds,
+            body.idle,
+            truncation=options.command_truncation and self.plane == "xy",
+            delay=round(options.command_delay * rate),
+            timeout=math.ceil(options.command_timeout * rate),
+        )
+        pose = body.pose()
+        return _Robot(
+            body=body,
+            channel=channel,
+            odometry=Odometry(
+                options.odom_drift,
+                np.random.default_rng((self.seed, index, _Purpose.ODOMETRY)),
+                self._counter_clockwise(pose),
+            ),
+            scan_random=np.random.default_rng((self.seed, index, _Purpose.SCAN)),
+            start_s=self._judge.start_s(pose),
+            episode=Episode(),
+        )
+
+    def __len__(self) -> int:
+        """Return how many robots there are."""
+        return self._count
+
+    @property
+    def elapsed(self) -> float:
+        """Simulation time since the reset [s]."""
+        return self.steps / self.options.rate
+
+    @property
+    def command_bounds(self) -> Array:
+        """Least and largest commands that a body carries out (2, 2)."""
+        return self._robots[0].body.bounds
+
+    @property
+    def refused_commands(self) -> int:
+        """How many commands of this episode were not finite numbers."""
+        return sum(robot.channel.refused for robot in self._robots)
+
+    def command(self, robot: int, command: ArrayLike) -> bool:
+        """Give a robot a command (2,): v, omega [m/s, rad/s] or t1, t2 [N]; return False where it is not finite."""
+        return self._robots[robot].channel.send(command, self.steps)
+
+    def step(self, count: int = 1) -> None:
+        """Advance by `count` physics steps."""
+        for _ in range(count):
+            for robot in self._robots:
+                robot.body.act(robot.channel.at(self.steps))
+            self._physics.step()
+            self.steps += 1
+            if self.steps >= self._next_check:
+                self._check()
+
+    def pose(self, robot: int = 0) -> Array:
+        """Return the true x, y, theta or x, z, psi (3,) [m, m, rad]."""
+        return self._robots[robot].body.pose()
+
+    def quaternion(self, robot: int = 0) -> tuple[float, float, float, float]:
+        """Return the true attitude (x, y, z, w)."""
+        return self._robots[robot].body.quaternion()
+
+    def velocity(self, robot: int = 0) -> Array:
+        """Return the true velocity along the body's axes in the plane and its turn rate (3,) [m/s, m/s, rad/s]."""
+        body = self._robots[robot].body
+        return self._in_body_axes(body.pose()[2], body.velocity())
+
+    def state(self, robot: int = 0) -> Array:
+        """Return the true state (n,) as the task's system names it, angles in [-pi, pi)."""
+        body = self._robots[robot].body
+        return self._named(body.pose(), body.velocity())
+
+    def measured_state(self, robot: int = 0) -> Array:
+        """Return the state (n,) as odometry has it."""
+        reading = self.odometry(robot)
+        forward, sideways, turn = reading.velocity
+        angle = self._sense * reading.pose[2]
+        c, s = math.cos(angle), math.sin(angle)
+        return self._named(reading.pose, np.array((c * forward - s * sideways, s * forward + c * sideways, turn)))
+
+    def odometry(self, robot: int = 0) -> OdometryReading:
+        """Return the measured pose and velocity."""
+        entry = self._robots[robot]
+        pose = self._counter_clockwise(entry.odometry.update(self._counter_clockwise(entry.body.pose())))
+        forward, sideways, turn = self.velocity(robot)
+        forward, turn = entry.odometry.speeds(forward, turn)
+        return OdometryReading(pose, np.array((forward, sideways, turn)))
+
+    def scan(self, robot: int = 0) -> NDArray[np.float32]:
+        """Return ranges (beams,) [m], see `laser_scan`."""
+        return self.laser_scan(robot).ranges
+
+    def laser_scan(self, robot: int = 0) -> Scan:
+        """Return one turn of the lidar; each call draws new noise."""
+        entry = self._robots[robot]
+        frame = entry.body.sensor()
+        buried = False
+        if self.clearance(robot) <= 0.0:
+            place = frame.origin[[0, 1] if self.plane == "xy" else [0, 2]]
+            buried = bool(self.geometry.signed_distance(place) < 0.0)
+        return self.lidar.scan(self._physics, frame, entry.body.mask, entry.scan_random, buried)
+
+    def clearance(self, robot: int = 0) -> float:
+        """Return the distance of the body to the nearest wall, obstacle or robot [m]; 0 or less where it touches."""
+        entry = self._robots[robot]
+        if entry.measured_at != self.steps:
+            others = [*self._physics.fixed, *(other.body.id for other in self._robots if other is not entry)]
+            known = entry.episode.clearance
+            distance = self._physics.distance(entry.body.id, others, 1.0 if math.isinf(known) else known + 0.1)
+            entry.episode.saw_clearance(distance if distance > TOUCH else min(distance, 0.0))
+            entry.measured_at = self.steps
+        return entry.episode.clearance
+
+    def episode(self, robot: int = 0) -> Episode:
+        """Return how the robot's episode stands now."""
+        self._bring_up_to_date(robot)
+        return self._robots[robot].episode
+
+    def close(self) -> None:
+        """Give the physics client back; a second call does nothing."""
+        self._physics.close()
+
+    def _check(self) -> None:
+        """Judge all robots and set when to look again: at 30 Hz, or sooner where one could touch something before."""
+        for robot in range(self._count):
+            self._bring_up_to_date(robot)
+        horizon = self._judge_every / self.options.rate
+        speeds = [entry.body.top_speed(horizon) for entry in self._robots]
+        closing = max(speeds) * (2.0 if self._count > 1 else 1.0)
+        free = min(entry.episode.clearance for entry in self._robots)
+        steps = self._judge_every
+        if free < closing * horizon:
+            steps = max(1, int(free / closing * self.options.rate))
+        self._next_check = self.steps + steps
+
+    def _bring_up_to_date(self, robot: int) -> None:
+        entry = self._robots[robot]
+        if entry.judged_at == self.steps:
+            return
+        entry.judged_at = self.steps
+        self.clearance(robot)
+        self._judge.judge(entry.episode, self.state(robot), entry.body.pose(), self.elapsed, entry.start_s)
+
+    def _named(self, pose: Array, velocity: Array) -> Array:
+        angle = float(wrap(pose[2]))
+        if self.plane == "xy":
+            values = {"x": pose[0], "y": pose[1], "theta": angle, "omega": velocity[2]}
+            values["v"] = velocity[0] * math.cos(angle) + velocity[1] * math.sin(angle)
+        else:
+            values = {"x": pose[0], "z": pose[1], "psi": angle}
+            values |= {"v_x": velocity[0], "v_z": velocity[1], "omega": velocity[2]}
+        return np.array([values[name] for name in self.system.state_names])
+
+    def _in_body_axes(self, angle: float, velocity: Array) -> Array:
+        c, s = math.cos(angle), self._sense * math.sin(angle)
+        return np.array((c * velocity[0] + s * velocity[1], c * velocity[1] - s * velocity[0], velocity[2]))
+
+    def _counter_clockwise(self, pose: Array) -> Array:
+        """Return a pose (3,) with its angle counter-clockwise in the plane; its own inverse."""
+        return pose * (1.0, 1.0, self._sense)

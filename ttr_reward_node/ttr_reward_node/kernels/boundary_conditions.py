@@ -1,0 +1,239 @@
+"""What becomes of steps near target and obstacles, between the nodes; found once, before the sweeps; compiled."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from ttr_reward_node.kernels.stencil import Grid
+
+FREE, NEAR, FIXED = 0, 1, 2
+"""Flags of nodes: far from everything; within reach of target or obstacle; in one of them."""
+
+PLAIN, BLOCKED, PAST = 0.0, -1.0, -2.0
+"""Outcomes of a step: interpolate where it ends; it hits an obstacle; it passes by the target, so skip its nodes."""
+
+_OPTIONS = {"error_model": "numpy"}
+
+
+class Surroundings(NamedTuple):
+    """Target and obstacles for compiled code, axes in the layout's order.
+
+    Attributes:
+        box: intervals of the target (n, 2) [cells], infinite where it is free.
+        disc: centre (2) from the first node, radius [m], spacings (2) [m]; disc_axes: its axes, -1 for none.
+        clearance: at the nodes (count, count) [m]; clearance_axes: its axes, twice the same for one, -1 for none.
+    """
+
+    box: NDArray[np.float64]
+    disc: NDArray[np.float64]
+    disc_axes: NDArray[np.int64]
+    clearance: NDArray[np.float32]
+    clearance_axes: NDArray[np.int64]
+
+
+@njit(**_OPTIONS)
+def find_outcomes(
+    flags: NDArray[np.uint8],
+    grid: Grid,
+    durations: NDArray[np.float64],
+    moves: NDArray[np.float32],
+    controls: int,
+    rate: float,
+    surroundings: Surroundings,
+    outcomes: NDArray[np.float32],
+) -> None:
+    """Fill outcomes (near nodes in order, pairs): the discount exp(-rate t) of hitting the target, or one of the codes.
+
+    A step that ends in a cell which the target's edge cuts is followed by a second one to find the hit: interpolating
+    there would lengthen every path by a part of a cell.
+    """
+    n = grid.counts.size
+    slabs, pairs = durations.shape
+    inner_size = flags.size // slabs
+    start, end = np.zeros(n), np.zeros(n)
+    near = 0
+    for node in range(flags.size):
+        if flags[node] != NEAR:
+            continue
+        for k in range(n):
+            start[k] = node // grid.strides[k] % grid.counts[k]
+        slab = node // inner_size
+        for p in range(pairs):
+            t = _fate(start, slab, p, grid, durations, moves, surroundings)
+            if 0.0 <= t <= 1.0:
+                outcomes[near, p] = np.exp(-rate * t * durations[slab, p])
+                continue
+            outcomes[near, p] = BLOCKED if t < 0.0 else PLAIN
+            if t < 0.0 or durations[slab, p] == 0.0:
+                continue
+            for k in range(n):
+                end[k] = start[k] + moves[slab, p, 1, k]
+            if _beside_target(end, grid, surroundings):
+                then = _best_hit(end, grid, durations, moves, controls, rate, surroundings)
+                outcomes[near, p] = then * np.exp(-rate * durations[slab, p]) if then > 0.0 else PAST
+        near += 1
+
+
+@njit(**_OPTIONS)
+def _best_hit(
+    start: NDArray[np.float64],
+    grid: Grid,
+    durations: NDArray[np.float64],
+    moves: NDArray[np.float32],
+    controls: int,
+    rate: float,
+    surroundings: Surroundings,
+) -> float:
+    """Discount of hitting the target within a step from between nodes; 0 if none does, whatever the disturbance."""
+    slab, stride = 0, 1
+    for k in range(grid.n_outer - 1, -1, -1):
+        i = int(np.round(start[k]))
+        i = i % grid.counts[k] if grid.periodic[k] else min(max(i, 0), grid.counts[k] - 1)
+        slab += i * stride
+        stride *= grid.counts[k]
+    worst = 1.0
+    for first in range(0, durations.shape[1], controls):
+        best = 0.0
+        for p in range(first, first + controls):
+            t = _fate(start, slab, p, grid, durations, moves, surroundings)
+            if 0.0 <= t <= 1.0:
+                best = max(best, np.exp(-rate * t * durations[slab, p]))
+        worst = min(worst, best)
+    return worst
+
+
+@njit(**_OPTIONS)
+def _fate(
+    start: NDArray[np.float64],
+    slab: int,
+    p: int,
+    grid: Grid,
+    durations: NDArray[np.float64],
+    moves: NDArray[np.float32],
+    surroundings: Surroundings,
+) -> float:
+    """Fraction of the step after which the target is hit; 2 if it is missed, -1 if an obstacle is in the way."""
+    if durations[slab, p] == 0.0:
+        return 2.0
+    for half in range(2):
+        t = _entry(start, moves, slab, p, half, grid, surroundings)
+        if _blocked(start, moves, slab, p, half, min(t, 1.0), surroundings):
+            return -1.0
+        if t <= 1.0:
+            return 0.5 * (half + t)
+    return 2.0
+
+
+@njit(**_OPTIONS)
+def _blocked(
+    start: NDArray[np.float64],
+    moves: NDArray[np.float32],
+    slab: int,
+    p: int,
+    half: int,
+    end: float,
+    surroundings: Surroundings,
+) -> bool:
+    """Whether an obstacle is in the way on a half of the step, taken as straight, up to the fraction `end` of it.
+
+    The clearance is looked at every half cell or closer: obstacles are a cell thick or more (see `problem`).
+    """
+    i, j = surroundings.clearance_axes[0], surroundings.clearance_axes[1]
+    if i < 0:
+        return False
+    from_i, from_j = start[i], start[j]
+    by_i, by_j = moves[slab, p, half, i], moves[slab, p, half, j]
+    if half == 1:
+        from_i, from_j = from_i + moves[slab, p, 0, i], from_j + moves[slab, p, 0, j]
+        by_i, by_j = by_i - moves[slab, p, 0, i], by_j - moves[slab, p, 0, j]
+    count = max(1, int(np.ceil(2.0 * end * max(abs(by_i), abs(by_j)) - 1e-3)))
+    for k in range(1, count + 1):
+        part = end * k / count
+        if clearance_at(surroundings.clearance, from_i + part * by_i, 0.0 if i == j else from_j + part * by_j) <= 0.0:
+            return True
+    return False
+
+
+@njit(**_OPTIONS)
+def _entry(
+    start: NDArray[np.float64],
+    moves: NDArray[np.float32],
+    slab: int,
+    p: int,
+    half: int,
+    grid: Grid,
+    surroundings: Surroundings,
+) -> float:
+    """Fraction of a half of the step, taken as straight, at which it enters the target; 2 if it does not."""
+    box = surroundings.box
+    enter, leave = 0.0, 1.0
+    for k in range(grid.counts.size):
+        low, high = box[k, 0], box[k, 1]
+        if high - low == np.inf:
+            continue
+        before = moves[slab, p, 0, k] if half == 1 else np.float32(0.0)
+        a = start[k] + before
+        if grid.periodic[k]:
+            a -= np.round((a - 0.5 * (low + high)) / grid.counts[k]) * grid.counts[k]
+        b = moves[slab, p, half, k] - before
+        if b == 0.0:
+            if a < low - 1e-6 or a > high + 1e-6:
+                return 2.0
+        else:
+            t0, t1 = (low - a) / b, (high - a) / b
+            enter, leave = max(enter, min(t0, t1)), min(leave, max(t0, t1))
+    i, j = surroundings.disc_axes[0], surroundings.disc_axes[1]
+    if i >= 0:
+        disc = surroundings.disc
+        x, y, radius, dx, dy = disc[0], disc[1], disc[2], disc[3], disc[4]
+        before_i, before_j = np.float32(0.0), np.float32(0.0)
+        if half == 1:
+            before_i, before_j = moves[slab, p, 0, i], moves[slab, p, 0, j]
+        ax, ay = (start[i] + before_i) * dx - x, (start[j] + before_j) * dy - y
+        bx, by = (moves[slab, p, half, i] - before_i) * dx, (moves[slab, p, half, j] - before_j) * dy
+        aa, ab, bb = ax * ax + ay * ay - radius * radius, ax * bx + ay * by, bx * bx + by * by
+        square = ab * ab - aa * bb
+        if square < 0.0 or (bb == 0.0 and aa > 0.0):
+            return 2.0
+        if bb > 0.0:
+            root = np.sqrt(square)
+            enter, leave = max(enter, (-ab - root) / bb), min(leave, (-ab + root) / bb)
+    return enter if enter <= leave else 2.0
+
+
+@njit(**_OPTIONS)
+def _beside_target(end: NDArray[np.float64], grid: Grid, surroundings: Surroundings) -> bool:
+    """Whether a point outside the target lies less than a cell from it along every axis."""
+    box = surroundings.box
+    for k in range(grid.counts.size):
+        low, high = box[k, 0], box[k, 1]
+        if high - low < np.inf:
+            at = end[k]
+            if grid.periodic[k]:
+                at -= np.round((at - 0.5 * (low + high)) / grid.counts[k]) * grid.counts[k]
+            if at <= low - 1.0 or at >= high + 1.0:
+                return False
+    i, j = surroundings.disc_axes[0], surroundings.disc_axes[1]
+    if i >= 0:
+        disc = surroundings.disc
+        x, y, radius, dx, dy = disc[0], disc[1], disc[2], disc[3], disc[4]
+        return np.hypot(end[i] * dx - x, end[j] * dy - y) < radius + np.hypot(dx, dy)
+    return True
+
+
+@njit(**_OPTIONS)
+def clearance_at(clearance: NDArray[np.float32], first: float, second: float) -> float:
+    """Bilinear interpolation of the clearance [m] at a position [cells]; outside, that of the edge."""
+    a = min(max(first, 0.0), clearance.shape[0] - 1.0)
+    b = min(max(second, 0.0), clearance.shape[1] - 1.0)
+    i, j = int(a), int(b)
+    i1, j1 = min(i + 1, clearance.shape[0] - 1), min(j + 1, clearance.shape[1] - 1)
+    a -= i
+    b -= j
+    lower = clearance[i, j] * (1.0 - b) + clearance[i, j1] * b
+    upper = clearance[i1, j] * (1.0 - b) + clearance[i1, j1] * b
+    return lower * (1.0 - a) + upper * a

@@ -1,0 +1,52 @@
+"""Entry points of the kernels, whose machine code is kept on disk between processes.
+
+Numba keeps code as long as the file of the function itself is unchanged; at the functions that it calls it does not
+look. But it compares what a function closes over. So each entry point closes over a checksum of all kernels, and is
+compiled again when one of them has changed.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from ttr_reward_node.jit_cache import cached
+from ttr_reward_node.kernels import boundary_conditions, lax_friedrichs_sweep, sweep
+
+KERNEL_FILES = ("stencil.py", "row_interpolation.py", "boundary_conditions.py", "sweep.py", "lax_friedrichs_sweep.py")
+
+
+class Kernels(NamedTuple):
+    """`boundary_conditions.find_outcomes`, `sweep.sweep` and `lax_friedrichs_sweep.sweep`."""
+
+    find_outcomes: Callable[..., Any]
+    sweep: Callable[..., Any]
+    lax_friedrichs: Callable[..., Any]
+
+
+@cache
+def kernels() -> Kernels:
+    """Return the entry points; each is compiled, or read from disk, at its first call."""
+    checksum = 0
+    for name in KERNEL_FILES:
+        checksum = zlib.crc32((Path(__file__).parent / name).read_bytes(), checksum)
+    return _make(checksum)
+
+
+def _make(checksum: int) -> Kernels:
+    def find_outcomes(*arguments: Any) -> Any:
+        assert checksum >= 0
+        return boundary_conditions.find_outcomes(*arguments)
+
+    def semi_lagrangian(*arguments: Any) -> Any:
+        assert checksum >= 0
+        return sweep.sweep(*arguments)
+
+    def lax_friedrichs(*arguments: Any) -> Any:
+        assert checksum >= 0
+        return lax_friedrichs_sweep.sweep(*arguments)
+
+    return Kernels(*(cached(entry, error_model="numpy") for entry in (find_outcomes, semi_lagrangian, lax_friedrichs)))

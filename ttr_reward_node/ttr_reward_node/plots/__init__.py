@@ -1,0 +1,1 @@
+"""Plots of values and of checks of solutions."""

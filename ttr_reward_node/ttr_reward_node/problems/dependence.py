@@ -1,0 +1,219 @@
+"""Which states, controls and disturbances each derivative of a system depends on, and how.
+
+The equations of a system are arithmetic and functions like sin and cos, so they are run once on numbers that remember
+where they came from. That is exact, whereas changing the states one at a time at random finds only what shows at the
+states, controls and disturbances that were tried.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from ctrl_rl_core.systems.models import Quantity
+from ctrl_rl_core.systems.system import System
+
+from ttr_reward_node.errors import TimeToReachError
+
+AFFINE = 1
+"""Degree of a derivative that is linear in the controls, or disturbances, or does not depend on them."""
+_BENT = 2
+
+
+@dataclass(frozen=True)
+class Dependence:
+    """What one derivative depends on.
+
+    Attributes:
+        states, controls, disturbances: indices of the components that it depends on.
+        control_degree, disturbance_degree: 0 where it depends on none of them, 1 where it is affine in them, else 2.
+        coupled: whether a control and a disturbance are multiplied by each other, or meet in a function.
+    """
+
+    states: frozenset[int] = frozenset()
+    controls: frozenset[int] = frozenset()
+    disturbances: frozenset[int] = frozenset()
+    control_degree: int = 0
+    disturbance_degree: int = 0
+    coupled: bool = False
+
+
+def dependences(system: System, *, hold: bool = True) -> tuple[Dependence, ...]:
+    """Return what each derivative of a system depends on; more than it does where terms cancel.
+
+    Equations that ask for the value of a number (`if x[0] > 1`) cannot be followed: all of them then depend on
+    everything.
+
+    Args:
+        system: the system, with its bounds and parameters.
+        hold: whether controls and disturbances whose bounds coincide are constants. If not, controls are free, and
+            disturbances are absent.
+    """
+    n = len(system.states)
+    x = [_Traced(Dependence(states=frozenset({i}))) for i in range(n)]
+    free_u = [not hold or control.lower < control.upper for control in system.controls]
+    free_d = [hold and disturbance.lower < disturbance.upper for disturbance in system.disturbances]
+    u = [
+        _Traced(Dependence(controls=frozenset({i}), control_degree=1)) if free else _held(control)
+        for i, (control, free) in enumerate(zip(system.controls, free_u, strict=True))
+    ]
+    d = [
+        _Traced(Dependence(disturbances=frozenset({i}), disturbance_degree=1)) if free else _held(disturbance)
+        for i, (disturbance, free) in enumerate(zip(system.disturbances, free_d, strict=True))
+    ]
+    try:
+        rates = system.equations(_Functions(), system.parameters)(x, u, d)
+        found = [rate.dependence if isinstance(rate, _Traced) else Dependence() for rate in rates]
+    except (TypeError, ValueError, AttributeError):  # what Python raises for a number that has no value
+        controls, disturbances = _true(free_u), _true(free_d)
+        everything = Dependence(
+            frozenset(range(n)),
+            controls,
+            disturbances,
+            _BENT if controls else 0,
+            _BENT if disturbances else 0,
+            bool(controls and disturbances),
+        )
+        found = [everything] * n
+    return tuple(found)
+
+
+def check_game(system: System) -> None:
+    """Refuse a system whose disturbance is not at its worst at its bounds.
+
+    The solvers try the corners of the disturbance's box. The worst disturbance is one of them where each derivative is
+    affine in the disturbance and its effect does not depend on the control.
+
+    Raises:
+        TimeToReachError: names the state whose derivative is not like that.
+    """
+    for state, rate in zip(system.states, dependences(system), strict=True):
+        wrong = "control and disturbance together" if rate.coupled else "more than linearly"
+        if rate.coupled or rate.disturbance_degree > AFFINE:
+            raise TimeToReachError(
+                f"{system.name}: the disturbance acts on the derivative of '{state.name}' {wrong}; its worst value may "
+                "lie between its bounds, which alone are tried: make it linear, with an effect that no control changes"
+            )
+
+
+def check_affine_controls(system: System) -> None:
+    """Refuse a system whose best control may lie inside its bounds.
+
+    Raises:
+        TimeToReachError: names the state whose derivative is not affine in the controls.
+    """
+    for state, rate in zip(system.states, dependences(system), strict=True):
+        if rate.control_degree > AFFINE:
+            raise TimeToReachError(
+                f"{system.name}: the derivative of '{state.name}' is not affine in the controls, of which "
+                "Lax-Friedrichs tries the bounds alone: use semi_lagrangian, with more samples (control_counts)"
+            )
+
+
+def _held(quantity: Quantity) -> float:
+    return quantity.lower if quantity.lower == quantity.upper else 0.0
+
+
+def _true(flags: list[bool]) -> frozenset[int]:
+    return frozenset(i for i, flag in enumerate(flags) if flag)
+
+
+class _Traced:
+    """A number without a value that remembers what it depends on."""
+
+    __array_ufunc__ = None  # NumPy's numbers leave arithmetic with it to it
+    __slots__ = ("dependence",)
+
+    def __init__(self, dependence: Dependence) -> None:
+        self.dependence = dependence
+
+    def __add__(self, other: Any) -> _Traced:
+        return _join(self, other, max)
+
+    def __mul__(self, other: Any) -> _Traced | float:
+        if not isinstance(other, _Traced) and other == 0:
+            return 0.0
+        return _join(self, other, lambda one, two: min(one + two, _BENT), multiply=True)
+
+    def __truediv__(self, other: Any) -> _Traced:
+        return self * (_apply(other) if isinstance(other, _Traced) else 1.0)  # type: ignore[return-value]
+
+    def __rtruediv__(self, other: Any) -> _Traced | float:
+        return 0.0 if other == 0 else _apply(self)
+
+    def __pow__(self, other: Any) -> _Traced:
+        return _apply(self, other)
+
+    def __neg__(self) -> _Traced:
+        return self
+
+    def __abs__(self) -> _Traced:
+        return _apply(self)
+
+    def __bool__(self) -> bool:
+        raise TypeError("a traced number has no value")
+
+    def __eq__(self, other: object) -> Any:
+        return _apply(self, other)
+
+    __hash__ = None  # type: ignore[assignment]
+    __ne__ = __eq__
+    __radd__ = __sub__ = __rsub__ = __add__
+    __rmul__ = __mul__
+    __rpow__ = __mod__ = __rmod__ = __floordiv__ = __rfloordiv__ = __pow__
+    __lt__ = __le__ = __gt__ = __ge__ = __pow__
+    __pos__ = __neg__
+
+
+class _Functions:
+    """A namespace like `math`: its constants, and functions that bend whatever they are given."""
+
+    def __getattr__(self, name: str) -> Any:
+        constant = getattr(math, name, None)
+        return constant if isinstance(constant, float) else _function(getattr(math, name, None))
+
+
+def _function(real: Callable[..., Any] | None) -> Callable[..., Any]:
+    def apply(*arguments: Any) -> Any:
+        if real is not None and not any(isinstance(argument, _Traced) for argument in arguments):
+            return real(*arguments)
+        return _apply(*arguments)
+
+    return apply
+
+
+def _apply(*arguments: Any) -> _Traced:
+    """Return what a function that need not be linear makes of numbers, some of them traced."""
+    known = _Traced(Dependence())
+    for argument in arguments:
+        known = _join(known, argument, max)
+    found = known.dependence
+    return _Traced(
+        Dependence(
+            found.states,
+            found.controls,
+            found.disturbances,
+            _BENT if found.controls else 0,
+            _BENT if found.disturbances else 0,
+            bool(found.controls and found.disturbances),
+        )
+    )
+
+
+def _join(one: _Traced, other: Any, degree: Callable[[int, int], int], *, multiply: bool = False) -> _Traced:
+    a, b = one.dependence, other.dependence if isinstance(other, _Traced) else Dependence()
+    if not isinstance(other, _Traced):
+        float(other)  # TypeError for what is no number
+    meet = bool((a.controls and b.disturbances) or (a.disturbances and b.controls))
+    return _Traced(
+        Dependence(
+            a.states | b.states,
+            a.controls | b.controls,
+            a.disturbances | b.disturbances,
+            degree(a.control_degree, b.control_degree),
+            degree(a.disturbance_degree, b.disturbance_degree),
+            a.coupled or b.coupled or (multiply and meet),
+        )
+    )

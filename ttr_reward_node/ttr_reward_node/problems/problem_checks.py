@@ -1,0 +1,81 @@
+"""What a time-to-reach problem may not be: checked where it is made, in Python or from a task."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from ctrl_rl_core.systems.system import System
+from ctrl_rl_core.tasks.regions import Region, position_indices
+from ctrl_rl_core.values.grid_axis import Axis
+from numpy.typing import NDArray
+
+from ttr_reward_node.errors import TimeToReachError
+
+
+def check_system(system: System) -> None:
+    """Refuse bounds that are not finite or not in order.
+
+    Raises:
+        TimeToReachError: names the control or disturbance.
+    """
+    for quantity in (*system.controls, *system.disturbances):
+        if not (math.isfinite(quantity.lower) and math.isfinite(quantity.upper) and quantity.lower <= quantity.upper):
+            raise TimeToReachError(
+                f"{system.name}: '{quantity.name}' is in [{quantity.lower:g}, {quantity.upper:g}]: give finite bounds, "
+                "lower <= upper"
+            )
+
+
+def check_target(target: Region, axes: Sequence[Axis]) -> None:
+    """Refuse a target that is no set, or that lies outside the grid.
+
+    Raises:
+        TimeToReachError: names the interval.
+    """
+    by_name = {axis.name: axis for axis in axes}
+    for name, (low, high) in target.intervals.items():
+        if name not in by_name:
+            raise TimeToReachError(f"the target bounds '{name}'; the states are {', '.join(by_name)}")
+        if not (math.isfinite(low) and math.isfinite(high) and low <= high):
+            raise TimeToReachError(f"the target has '{name}' in [{low:g}, {high:g}]: give finite lower <= upper")
+        _check_on_grid(by_name[name], low, high)
+    if target.disc is not None:
+        plane = position_indices(list(by_name))
+        if len(plane) < 2:
+            raise TimeToReachError("the target is a disc, but the system has no plane of two positions")
+        radius = target.disc.radius
+        if not (math.isfinite(radius) and radius > 0.0 and all(map(math.isfinite, target.disc.centre))):
+            raise TimeToReachError(f"the target is a disc of radius {radius:g} m: give finite numbers, above 0")
+        for k, centre in zip(plane, target.disc.centre, strict=True):
+            _check_on_grid(axes[k], centre - radius, centre + radius)
+
+
+def _check_on_grid(axis: Axis, low: float, high: float) -> None:
+    if not axis.periodic and (high < axis.lower or low > axis.upper):
+        raise TimeToReachError(
+            f"nothing reaches the goal: it has '{axis.name}' in [{low:g}, {high:g}] {axis.unit}, outside the grid's "
+            f"[{axis.lower:g}, {axis.upper:g}]"
+        )
+
+
+def check_clearance(spanned: Sequence[int], values: NDArray[Any], axes: Sequence[Axis]) -> None:
+    """Refuse a clearance that does not fit the grid or is no distance.
+
+    Args:
+        spanned: indices of the axes that it spans.
+        values: distances at their nodes [m].
+        axes: of the grid.
+
+    Raises:
+        TimeToReachError: says what is wrong.
+    """
+    if not 1 <= len(spanned) <= 2 or list(spanned) != sorted(set(spanned)):
+        raise TimeToReachError(f"the clearance spans axes {spanned}; give one or two, ascending")
+    counts = tuple(axes[k].count for k in spanned)
+    if values.shape != counts:
+        raise TimeToReachError(f"the clearance has shape {values.shape}; its axes have {counts}")
+    if not np.isfinite(values).all():
+        raise TimeToReachError("the clearance is NaN or infinite somewhere: give distances, a large one for none")

@@ -1,0 +1,55 @@
+"""The reward of one state of a robot (thesis Eq. 3.9), from where it is alone: for the node, and for recorded bags."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from ctrl_rl_core.tasks.outcome import Outcome
+from ctrl_rl_core.tasks.task import NavigationTask
+from ctrl_rl_core.tasks.task_sets import TaskSets
+from ctrl_rl_core.values.value_function import ValueFunction, check_function
+from numpy.typing import NDArray
+
+from ttr_reward_node.rewards.rewards import KIND, check_useful, end_reward, longest_time, time_to_reach_reward
+
+
+class Label(NamedTuple):
+    """The set that a state lies in, and what it pays; NaN for an intermediate state outside the value function."""
+
+    outcome: Outcome
+    reward: float
+
+
+class Labeller:
+    """Labels states of one task.
+
+    Args:
+        task: what is paid, and the sets G and C.
+        function: the task's time to reach.
+        width: of the task's corridor [m], None for its own.
+
+    Attributes:
+        up_to_date: whether the function was made for this very version of the task.
+
+    Raises:
+        TaskError: the width does not suit the task.
+        ValueFunctionError: the function does not belong to the task.
+        TimeToReachError: the function knows of no way to the goal.
+    """
+
+    def __init__(self, task: NavigationTask, function: ValueFunction, width: float | None = None) -> None:
+        self.up_to_date = check_function(function, task, KIND)
+        check_useful(function)
+        self._sets = TaskSets(task, width)
+        self._rewards = task.rewards
+        self._longest = longest_time(function)
+
+    def __call__(self, state: NDArray[np.float64], phi: float) -> Label:
+        """Return the label of a state (n,) whose time to reach is phi [s], +inf or NaN."""
+        outcome = Outcome(int(self._sets.outcomes(state)))
+        if outcome is not Outcome.RUNNING:
+            return Label(outcome, float(end_reward(outcome, self._rewards)))
+        # A learner may need a number where nothing is known; whoever reads a topic shall see that nothing is.
+        return Label(outcome, math.nan if math.isnan(phi) else float(time_to_reach_reward(phi, self._longest)))

@@ -1,0 +1,119 @@
+"""Adds the time-to-reach reward to a recorded bag, so that it can be learned from offline."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from ctrl_rl_bags.format.checks import BagError, DamagedError, fields_of
+from ctrl_rl_bags.format.copy import copy_bag
+from ctrl_rl_bags.format.metadata import Topic
+from ctrl_rl_bags.format.reader import bag_info, open_bag
+from ctrl_rl_bags.format.sources import WireMessage
+from ctrl_rl_bags.format.type_definitions import BagTypes
+from ctrl_rl_bags.recording.message_types import message_definition
+from ctrl_rl_bags.recording.qos import to_bag
+from ctrl_rl_core.geometry.odometry import OdometryReader
+from ctrl_rl_core.ros.node import RESULT
+from ctrl_rl_core.values.value_function import ValueFunction
+from rosbags.typesys import get_types_from_msg
+
+from ttr_reward_node.errors import TimeToReachError
+from ttr_reward_node.rewards.labels import Labeller
+
+REWARD, VALUE = "ctrl_rl_msgs/msg/TaskReward", "ctrl_rl_msgs/msg/StateValue"
+_ODOMETRY = "nav_msgs/msg/Odometry"
+
+
+def relabel(
+    bag: Path,
+    output: Path,
+    function: ValueFunction,
+    label: Labeller,
+    *,
+    robot: str = "",
+    frame: str = "map",
+    replace: bool = False,
+    progress: bool = False,
+) -> int:
+    """Write a bag again with the topics `reward` and `time_to_reach`, one message of each per odometry message.
+
+    The topics have the type hash and the quality of service of those that the reward node publishes.
+
+    Args:
+        bag: with odometry in the frame of the value function.
+        output: the new bag; it must not exist.
+        function: the time to reach.
+        label: what a state pays.
+        robot: namespace of the topics.
+        frame: of the function's positions, in which values and rewards are given, as the node does.
+        replace: leave out the rewards and values that the bag has already.
+        progress: show a bar on a terminal.
+
+    Returns:
+        How many odometry messages were labelled.
+
+    Raises:
+        TimeToReachError: the bag has no odometry, or has rewards that are not to be replaced.
+        BagError: the bag cannot be read, or the output exists.
+    """
+    prefix = f"/{robot.strip('/')}" if robot else ""
+    odom = f"{prefix}/odom"
+    topics = bag_info(bag).topics
+    if odom not in topics or topics[odom].type != _ODOMETRY:
+        raise TimeToReachError(f"{bag}: no topic {odom} of type {_ODOMETRY}; it has {', '.join(sorted(topics))}")
+    kinds = {f"{prefix}/reward": REWARD, f"{prefix}/time_to_reach": VALUE}
+    there = topics.keys() & kinds
+    if there and not replace:
+        raise TimeToReachError(f"{bag} has a topic {min(there)} already: to make it anew add --replace")
+    with open_bag(bag) as opened:
+        types = opened.types([odom])
+        store = types.store
+        answer = _Answer(types, f"{bag}: a message of {odom}", odom, prefix, frame, function, label)
+        added = [
+            Topic(name, kind, message_definition(kind), store.hash_rihs01(kind), (to_bag(RESULT),))
+            for name, kind in kinds.items()
+        ]
+        digests = {"digest.time_to_reach": function.digest}
+        title = "relabelling" if progress else ""
+        return copy_bag(bag, output, added, answer, left_out=there, custom_data=digests, progress=title) // len(added)
+
+
+class _Answer:
+    """Answers each odometry message of a bag with a reward and a value, serialized."""
+
+    def __init__(
+        self, known: BagTypes, what: str, odom: str, prefix: str, frame: str, function: ValueFunction, label: Labeller
+    ) -> None:
+        store = known.store
+        self._known, self._what = known, what
+        self._store, self._odom, self._prefix, self._frame = store, odom, prefix, frame
+        self._function, self._label = function, label
+        self._read = OdometryReader(function.state_names)
+        for kind in (REWARD, VALUE):
+            store.register({name: fields for name, fields in get_types_from_msg(message_definition(kind), kind).items()
+                            if name not in store.fielddefs})  # fmt: skip
+
+    def __call__(self, message: WireMessage) -> Iterator[tuple[str, bytes]]:
+        if message.topic != self._odom:
+            return
+        try:
+            odometry: Any = self._known.decode(message.data, _ODOMETRY)
+        except DamagedError as error:
+            raise BagError(f"{self._what} cannot be decoded: {error}") from None
+        with fields_of(self._what):
+            state = self._read(odometry)
+            header = dataclasses.replace(odometry.header, frame_id=self._frame)
+        value, gradient = self._function.value_and_gradient_at(state)
+        outcome, reward = self._label(state, value)
+        types = self._store.types
+        out = types["ctrl_rl_msgs/msg/TaskOutcome"](value=int(outcome))
+        yield self._serialized("reward", types[REWARD](header, out, reward, value), REWARD)
+        in_domain = not np.isnan(value)
+        yield self._serialized("time_to_reach", types[VALUE](header, state, value, gradient, in_domain), VALUE)
+
+    def _serialized(self, topic: str, message: Any, kind: str) -> tuple[str, bytes]:
+        return f"{self._prefix}/{topic}", bytes(self._store.serialize_cdr(message, kind))

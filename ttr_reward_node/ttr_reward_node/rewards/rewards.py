@@ -1,0 +1,195 @@
+"""Rewards of thesis Table 3.3: time-to-reach (Eq. 3.9), sparse, and distance with four weights of the angle.
+
+    reward = make_reward("ttr", load_navigation_task("car_ttr"), ValueGrid.load("car_ttr.safetensors"))
+    reward(states, outcomes)                 # (N, n), (N,) -> (N,)
+
+An intermediate state pays -phi(x), 0 or -d(x); how an episode ends pays what the task file says, the same for each.
+
+Two rules complete Eq. 3.9. A state that is not in the domain of the value function (a quadrotor that flies faster
+than the grid goes) is looked up at the nearest state that is. And a state from which the goal cannot be reached
+(phi = +inf), or for which there is no value (NaN), counts as the furthest from which it can: to pay more for it, as for
+a whole episode, makes robots stop short of a goal that has such states beside it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from ctrl_rl_core.tasks.outcome import Outcome
+from ctrl_rl_core.tasks.regions import ANGLES, Region, position_indices, wrap
+from ctrl_rl_core.tasks.task import NavigationTask
+from ctrl_rl_core.tasks.task_schema import RewardSpec
+from ctrl_rl_core.values.value_function import ValueFunction, check_function
+from numpy.typing import ArrayLike, NDArray
+
+from ttr_reward_node.errors import TimeToReachError
+
+Array = NDArray[np.float64]
+
+KIND = "time_to_reach"
+"""Of the value functions that rewards are made of."""
+DISTANCE_WEIGHTS = {"distance_0": 0.0, "distance_0.1": 0.1, "distance_1": 1.0, "distance_10": 10.0}
+"""lambda, the weight of the squared angle [m^2/rad^2], by the reward's name."""
+REWARDS = ("sparse", *DISTANCE_WEIGHTS, "ttr")
+
+
+def time_to_reach_reward(phi: ArrayLike, longest: float) -> Array:
+    """Return -phi (Eq. 3.9, s in I).
+
+    Args:
+        phi: times to reach (N,) [s], +inf where the goal cannot be reached, NaN where it is not known.
+        longest: where phi is cut, and what +inf and NaN count as [s].
+
+    Returns:
+        (N,) from -longest to 0.
+    """
+    times = np.asarray(phi, dtype=float)
+    return -np.clip(np.where(np.isnan(times), longest, times), 0.0, longest)
+
+
+def distance_reward(states: ArrayLike, names: Sequence[str], goal: Region, weight: float) -> Array:
+    """Return -d (Table 3.3): minus the Euclidean distance to the middle of the goal, its angle weighted.
+
+    Args:
+        states: (N, n) in SI units.
+        names: of the state's components.
+        goal: a disc, or intervals of two positions; and, where `weight` is not 0, an interval of one angle.
+        weight: lambda [m^2/rad^2].
+
+    Raises:
+        TimeToReachError: the goal has no such middle.
+    """
+    states = np.asarray(states, dtype=float)
+    positions, angles = _middle(names, goal, weight)
+    squared = np.zeros(states.shape[:-1])
+    for name, centre in positions.items():
+        squared += (states[..., names.index(name)] - centre) ** 2
+    for name, centre in angles.items():
+        squared += weight * wrap(states[..., names.index(name)] - centre) ** 2
+    return -np.sqrt(squared)
+
+
+def _middle(names: Sequence[str], goal: Region, weight: float) -> tuple[dict[str, float], dict[str, float]]:
+    """Return the middle of a goal: two positions by name and, where `weight` is not 0, an angle by name.
+
+    Raises:
+        TimeToReachError: it has no middle.
+    """
+    angles = {name: goal.intervals[name].centre for name in goal.intervals if name in ANGLES} if weight else {}
+    positions = {name: goal.intervals[name].centre for name in goal.intervals if name in ("x", "y", "z")}
+    if goal.disc is not None:
+        positions = dict(zip((names[k] for k in position_indices(names)), goal.disc.centre, strict=True))
+    if len(positions) != 2:
+        raise TimeToReachError("a distance reward needs a goal with a disc, or with intervals of two positions")
+    if weight and len(angles) != 1:
+        raise TimeToReachError("a distance reward that weighs the angle needs a goal with an interval of one angle")
+    return positions, angles
+
+
+def end_reward(outcomes: ArrayLike, rewards: RewardSpec, tilted: ArrayLike = False) -> Array:
+    """Return what an episode's end pays (N,): Eq. 3.9, s in G or C; 0 where it goes on.
+
+    Args:
+        outcomes: of the episodes (N,), see `Outcome`.
+        rewards: what the task pays.
+        tilted: whether a collision was a tilt beyond the task's limit (N,).
+    """
+    outcomes, tilted = np.broadcast_arrays(np.asarray(outcomes), np.asarray(tilted, dtype=bool))
+    collision = np.where(tilted, rewards.collision if rewards.tilt is None else rewards.tilt, rewards.collision)
+    trap = 0.0 if rewards.trap is None else rewards.trap
+    ends = [outcomes == outcome for outcome in (Outcome.GOAL, Outcome.COLLISION, Outcome.TRAP, Outcome.TIMEOUT)]
+    return np.select(ends, [np.full(outcomes.shape, rewards.goal), collision, trap, rewards.timeout], 0.0)
+
+
+@dataclass(frozen=True)
+class Reward:
+    """One of the rewards of a task, see `make_reward`.
+
+    Attributes:
+        name: one of `REWARDS`.
+        task: what it is paid for.
+        value: of the time to reach; None for the others.
+        domain: least and largest states (2, n) that the value is asked for, infinite where there is no bound.
+        longest: the largest time to reach that there is [s].
+    """
+
+    name: str
+    task: NavigationTask
+    value: ValueFunction | None
+    domain: Array
+    longest: float
+
+    def intermediate(self, states: ArrayLike) -> Array:
+        """Return what the states (N, n) pay while an episode goes on (N,)."""
+        states = np.asarray(states, dtype=float)
+        if self.value is not None:
+            return time_to_reach_reward(self.value.value(np.clip(states, *self.domain)), self.longest)
+        if self.name == "sparse":
+            return np.zeros(states.shape[:-1])
+        names = self.task.system.build().state_names
+        return distance_reward(states, names, self.task.goal.region, DISTANCE_WEIGHTS[self.name])
+
+    def __call__(self, states: ArrayLike, outcomes: ArrayLike, tilted: ArrayLike = False) -> Array:
+        """Return the rewards (N,) of states (N, n) with the outcomes (N,) of their episodes."""
+        running = np.asarray(outcomes) == Outcome.RUNNING
+        return np.where(running, self.intermediate(states), end_reward(outcomes, self.task.rewards, tilted))
+
+
+def make_reward(name: str, task: NavigationTask, value: ValueFunction | None = None) -> Reward:
+    """Return a reward of Table 3.3.
+
+    Args:
+        name: one of `REWARDS`.
+        task: it is paid for.
+        value: the task's time to reach; needed for "ttr" alone.
+
+    Raises:
+        TimeToReachError: there is no such reward; "ttr" without a value, or with one that says nothing; a distance to
+            a goal that has no middle.
+        ValueFunctionError: the value does not belong to the task.
+    """
+    if name not in REWARDS:
+        raise TimeToReachError(f"no reward '{name}': there are {', '.join(REWARDS)}")
+    if name == "ttr" and value is None:
+        raise TimeToReachError("the reward 'ttr' needs the task's time to reach: solve the task first")
+    if name in DISTANCE_WEIGHTS:
+        _middle(task.system.build().state_names, task.goal.region, DISTANCE_WEIGHTS[name])
+    used = value if name == "ttr" else None
+    if used is not None and not check_function(used, task, KIND):
+        raise TimeToReachError(f"the time to reach is of another version of task '{task.name}': solve it again")
+    if used is not None:
+        check_useful(used)
+    return Reward(name, task, used, _domain(used, task.system.build().state_names), longest_time(used))
+
+
+def check_useful(value: ValueFunction) -> None:
+    """Refuse a time to reach that knows of no way to the goal: its reward would be the same everywhere.
+
+    Raises:
+        TimeToReachError: it is finite nowhere but in the goal.
+    """
+    if longest_time(value) == 0.0:
+        raise TimeToReachError(
+            f"by the time to reach of task '{value.task}' nothing outside the goal reaches it, so its reward would be "
+            "0 everywhere: mend the task and solve it again"
+        )
+
+
+def longest_time(value: ValueFunction | None) -> float:
+    """Return the largest finite time of the grids that a value consists of [s]."""
+    grids = () if value is None else value.grids
+    return max((float(grid.values.max(initial=0.0, where=np.isfinite(grid.values))) for grid in grids), default=0.0)
+
+
+def _domain(value: ValueFunction | None, names: Sequence[str]) -> Array:
+    """Return the bounds (2, n) of the grids that a value consists of; a periodic axis has none."""
+    domain = np.tile([[-np.inf], [np.inf]], (1, len(names)))
+    for grid in () if value is None else value.grids:
+        for axis in grid.axes:
+            if not axis.periodic:
+                index = names.index(axis.name)
+                domain[0, index] = max(domain[0, index], axis.lower)
+                domain[1, index] = min(domain[1, index], axis.upper)
+    return domain

@@ -1,0 +1,245 @@
+"""Time-to-reach of a large system from small ones (thesis section 3.2.2; Mo Chen et al. 2016).
+
+    value = solve_decomposed("quad_ttr", PLANAR_QUADROTOR_4D)
+    value.value(states), value.free                 # same questions as to a ValueGrid; who may do what he likes
+
+A subsystem keeps some states. Another state that its dynamics need but that it does not keep becomes one more control,
+within that state's grid axis; and each subsystem chooses controls that others share as if it were alone. Each has thus
+more freedom than the whole, and its target and obstacles are the shadows of the whole's. So every sub-value, and their
+maximum, is a lower bound of the true time to reach; `gap` measures by how much.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from ctrl_rl_core.geometry.shapes import Disc
+from ctrl_rl_core.geometry.units import Interval
+from ctrl_rl_core.systems.models import Dynamics, Equations, Quantity
+from ctrl_rl_core.systems.system import System
+from ctrl_rl_core.tasks.regions import Region, position_indices
+from ctrl_rl_core.tasks.task import NavigationTask
+from numpy.typing import NDArray
+
+from ttr_reward_node.errors import TimeToReachError
+from ttr_reward_node.problems.dependence import dependences
+from ttr_reward_node.problems.problem import Clearance, Problem, problem_from_task
+from ttr_reward_node.solvers.solution import Progress, Solution
+from ttr_reward_node.solvers.solver import solve
+from ttr_reward_node.values.decomposed_value import DecomposedValue
+
+
+@dataclass(frozen=True)
+class Decomposition:
+    """Names of the states that each subsystem keeps; subsystems may share states."""
+
+    name: str
+    subsystems: tuple[tuple[str, ...], ...]
+
+
+PLANAR_QUADROTOR_4D = Decomposition("4d+4d", (("x", "v_x", "psi", "omega"), ("z", "v_z", "psi", "omega")))
+"""The thesis's: both halves have pitch and pitch rate."""
+
+PLANAR_QUADROTOR_FIVE = Decomposition("five", (("x",), ("z",), ("omega",), ("v_x", "psi"), ("v_z", "psi")))
+"""That of the published code."""
+
+DECOMPOSITIONS = {
+    "planar_quadrotor": {d.name: d for d in (PLANAR_QUADROTOR_4D, PLANAR_QUADROTOR_FIVE)},
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Subsystem:
+    """A part of a problem.
+
+    Attributes:
+        problem: of the kept states.
+        free: what it chooses for itself though in the whole something else decides: states that it needs but does not
+            keep, and controls that it shares with another subsystem.
+    """
+
+    problem: Problem
+    free: tuple[str, ...]
+
+
+def find_decomposition(system: System, name: str) -> Decomposition:
+    """Return a decomposition of a system by its name.
+
+    Raises:
+        TimeToReachError: the system has none of that name.
+    """
+    known = DECOMPOSITIONS.get(system.name, {})
+    if name not in known:
+        there = f"there are {', '.join(known)}" if known else "there is none: leave the decomposition out"
+        raise TimeToReachError(f"{system.name} has no decomposition '{name}'; {there}")
+    return known[name]
+
+
+def split(problem: Problem, decomposition: Decomposition) -> tuple[Subsystem, ...]:
+    """Split a problem.
+
+    Raises:
+        TimeToReachError: an unknown state, one that no subsystem keeps, or a disturbance.
+    """
+    names = problem.system.state_names
+    kept = [name for states in decomposition.subsystems for name in states]
+    if set(kept) != set(names):
+        wrong = set(kept) ^ set(names)
+        raise TimeToReachError(f"decomposition '{decomposition.name}': '{min(wrong)}' is unknown or in no subsystem")
+    if (problem.system.disturbance_bounds[0] < problem.system.disturbance_bounds[1]).any():
+        raise TimeToReachError("a decomposition's maximum is no bound under a disturbance: solve the system as a whole")
+    needs = _needs(problem)
+    controls = problem.system.control_names
+    wanted = [{name for state in states for name in needs[names.index(state)]} for states in decomposition.subsystems]
+    subsystems = []
+    for i, states in enumerate(decomposition.subsystems):
+        ordered = tuple(name for name in names if name in states)
+        borrowed = tuple(name for name in names if name in wanted[i] and name not in states)
+        used = tuple(name for name in controls if name in wanted[i])
+        shared = tuple(name for name in used if any(name in other for j, other in enumerate(wanted) if j != i))
+        subsystems.append(Subsystem(_part(problem, ordered, borrowed, used), borrowed + shared))
+    return tuple(subsystems)
+
+
+def solve_decomposed(
+    problem: Problem | NavigationTask | str | Path,
+    decomposition: Decomposition,
+    method: str = "semi_lagrangian",
+    *,
+    counts: Sequence[int] | Mapping[str, int] | None = None,
+    progress: Progress | None = None,
+) -> DecomposedValue:
+    """Solve each subsystem; the maximum of the solutions is a lower bound of the time to reach.
+
+    Args:
+        problem: a problem, or a task.
+        decomposition: the subsystems.
+        method: see `solve`.
+        counts: of a task's nodes, see `problem_from_task`.
+        progress: see `solve`.
+
+    Raises:
+        TimeToReachError: see `split` and `solve`.
+    """
+    return join(decomposition, *solve_parts(problem, decomposition, method, counts=counts, progress=progress))
+
+
+def solve_parts(
+    problem: Problem | NavigationTask | str | Path,
+    decomposition: Decomposition,
+    method: str = "semi_lagrangian",
+    *,
+    counts: Sequence[int] | Mapping[str, int] | None = None,
+    progress: Progress | None = None,
+) -> tuple[Problem, tuple[Subsystem, ...], tuple[Solution, ...]]:
+    """Do the same, and return the problem, its subsystems and their solutions."""
+    if not isinstance(problem, Problem):
+        problem = problem_from_task(problem, counts=counts)
+    subsystems = split(problem, decomposition)
+    return problem, subsystems, tuple(solve(part.problem, method, progress=progress) for part in subsystems)
+
+
+def join(
+    decomposition: Decomposition, problem: Problem, subsystems: Sequence[Subsystem], solutions: Sequence[Solution]
+) -> DecomposedValue:
+    """Return the maximum of the subsystems' solutions as one value function."""
+    return DecomposedValue(
+        grids=tuple(solution.grid for solution in solutions),
+        axes=problem.axes,
+        name=decomposition.name,
+        free=tuple(part.free for part in subsystems),
+    )
+
+
+def _needs(problem: Problem) -> list[set[str]]:
+    """Return for each state which states and controls its derivative depends on; controls that are held count."""
+    system = problem.system
+    return [
+        {system.state_names[k] for k in rate.states} | {system.control_names[k] for k in rate.controls}
+        for rate in dependences(system, hold=False)
+    ]
+
+
+def _part(problem: Problem, states: tuple[str, ...], borrowed: tuple[str, ...], used: tuple[str, ...]) -> Problem:
+    """Return the problem of the kept states, with borrowed states as controls."""
+    whole, names = problem.system, problem.system.state_names
+    kept = [names.index(name) for name in states]
+    lent = [Quantity(axis.name, axis.unit, axis.lower, axis.upper) for axis in problem.axes if axis.name in borrowed]
+    own = [control for control in whole.controls if control.name in used]
+    sources: list[tuple[int, int]] = []
+    for name in names:
+        if name in states:
+            sources.append((0, states.index(name)))
+        else:
+            sources.append((1, borrowed.index(name)) if name in borrowed else (2, 0))
+    sources.extend((1, len(lent) + used.index(name)) if name in used else (2, 0) for name in whole.control_names)
+    system = System(
+        name=f"{whole.name}[{','.join(states)}]",
+        states=tuple(whole.states[k] for k in kept),
+        controls=tuple(lent + own),
+        disturbances=tuple(whole.disturbances[k] for k in kept),
+        parameters=whole.parameters,
+        equations=_sub_equations(whole.equations, tuple(sources), tuple(kept), len(names)),
+    )
+    return replace(
+        problem,
+        system=system,
+        axes=tuple(problem.axes[k] for k in kept),
+        target=_shadow(problem.target, names, states),
+        clearance=_widest(problem.clearance, kept),
+    )
+
+
+@lru_cache(maxsize=32)
+def _sub_equations(
+    whole: Equations, sources: tuple[tuple[int, int], ...], kept: tuple[int, ...], states: int
+) -> Equations:
+    """Return the whole's equations for some states; `sources`: where each state and control of the whole comes from."""
+
+    def equations(math: Any, parameters: Mapping[str, float]) -> Dynamics:
+        f: Callable[..., Any] = whole(math, parameters)
+
+        def part(x: Any, u: Any, d: Any) -> tuple[Any, ...]:
+            from_ = (x, u)
+            full = [0.0 if kind == 2 else from_[kind][index] for kind, index in sources]
+            still = [0.0] * states
+            for place, k in enumerate(kept):
+                still[k] = d[place]
+            rates = f(full[:states], full[states:], still)
+            return tuple(rates[k] for k in kept)
+
+        return part
+
+    return equations
+
+
+def _shadow(target: Region, names: Sequence[str], states: Sequence[str]) -> Region:
+    """Return the target as the kept states see it: what some values of the others complete to a state in the target."""
+    intervals = {name: interval for name, interval in target.intervals.items() if name in states}
+    disc: Disc | None = target.disc
+    if disc is not None:
+        plane = [names[k] for k in position_indices(names)]
+        if not set(plane) <= set(states):
+            for name, middle in zip(plane, disc.centre, strict=True):
+                if name in states:
+                    low, high = intervals.get(name, Interval(-np.inf, np.inf))
+                    intervals[name] = Interval(max(low, middle - disc.radius), min(high, middle + disc.radius))
+            disc = None
+    return Region(intervals, disc)
+
+
+def _widest(clearance: Clearance | None, kept: Sequence[int]) -> Clearance | None:
+    """Return the clearance as the kept states see it: the most that the others can have."""
+    if clearance is None:
+        return None
+    axes = tuple(k for k in clearance.axes if k in kept)
+    if not axes:
+        return None
+    dropped = tuple(i for i, k in enumerate(clearance.axes) if k not in kept)
+    values: NDArray[np.float32] = clearance.values.max(axis=dropped) if dropped else clearance.values
+    return Clearance(tuple(list(kept).index(k) for k in axes), values)

@@ -1,0 +1,89 @@
+"""Lax-Friedrichs fast sweeping, the thesis's method (section 3.2.2): simple, robust, more diffusive than ours.
+
+Target and obstacles are what nodes lie in them: unlike in `semi_lagrangian`, both are snapped to the grid.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ttr_reward_node.kernels.compiled import kernels
+from ttr_reward_node.problems.dependence import check_affine_controls
+from ttr_reward_node.problems.problem import Problem
+from ttr_reward_node.solvers.memory import require
+from ttr_reward_node.solvers.semi_lagrangian import flat, make_grid
+from ttr_reward_node.solvers.solution import Progress, Sweeps
+from ttr_reward_node.solvers.steps import Layout, all_rates, make_layout, pairs, slab_states
+
+_TOLERANCE = 1e-3  # of the time to cross a cell
+_CROSSINGS = 0.25  # 1 / lambda, in crossings of the grid
+_BLOCK = 1 << 16  # rates that are computed at once
+_UNREACHABLE = 30.0  # lambda phi beyond which nothing has arrived
+
+
+def memory_needed(problem: Problem) -> float:
+    """Return the bytes that `solve` will take at most, with those of the value grid."""
+    layout = make_layout(problem)
+    n = len(layout.counts)
+    # The rates, and states and viscosity.
+    table = layout.slabs * n * (len(pairs(problem, 2)[0]) * 4.0 + 32.0)
+    return table + problem.points * 22.0 + 2e8  # the last for compiling
+
+
+def solve(
+    problem: Problem,
+    *,
+    tolerance: float | None = None,
+    max_sweeps: int = 5000,
+    progress: Progress | None = None,
+) -> Sweeps:
+    """Solve; see `solver.solve`."""
+    check_affine_controls(problem.system)
+    require(memory_needed(problem), problem.points)
+    layout = make_layout(problem)
+    # f is affine in control and disturbance: their vertices give the Hamiltonian exactly.
+    u, d, controls = pairs(problem, 2)
+    rates, viscosity = _tabulate(problem, layout, u, d)
+    # A dummy axis has any spacing.
+    spacings = np.array([problem.axes[k].spacing for k in layout.order] + [1.0])[: len(layout.counts)]
+    top = viscosity.max(axis=0)
+    unit = float(np.max(spacings[top > 0] / top[top > 0], initial=0.0)) or 1.0
+    tolerance = _TOLERANCE * unit if tolerance is None else tolerance
+    rate = 1.0 / (_CROSSINGS * unit * max(layout.counts))
+    target = problem.in_target() & ~problem.blocked()
+    v = np.where(flat(target, layout), 0.0, 1.0)
+    fixed = flat(target | problem.blocked(), layout)
+    n = len(layout.order)
+    grid = make_grid(layout)
+    residual, number = math.inf, 0
+    while number < max_sweeps and residual > tolerance:
+        bits = number % (1 << n)
+        change = kernels().lax_friedrichs(v, fixed, grid, spacings, rates, controls, viscosity, rate, bits)
+        residual, number = change / rate, number + 1
+        if progress is not None:
+            progress(number, residual)
+    # In place: there is no memory for more.
+    with np.errstate(divide="ignore"):
+        np.log1p(np.negative(v, out=v), out=v)
+    v *= -1.0 / rate
+    v[v > _UNREACHABLE / rate] = math.inf
+    shaped = v.reshape([problem.counts[k] for k in layout.order]).transpose(np.argsort(layout.order))
+    return Sweeps(np.ascontiguousarray(shaped, dtype=np.float32), number, residual, residual <= tolerance)
+
+
+def _tabulate(
+    problem: Problem, layout: Layout, u: NDArray[np.float64], d: NDArray[np.float64]
+) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
+    """Return f (slabs, pairs, n) and its largest size under any pair (slabs, n); 0 along a dummy axis."""
+    states, n = slab_states(problem, layout), len(layout.order)
+    rates = np.zeros((len(states), len(u), len(layout.counts)), np.float32)
+    viscosity = np.zeros((len(states), len(layout.counts)))
+    size = max(1, _BLOCK // len(u))
+    for begin in range(0, len(states), size):
+        block = slice(begin, begin + size)
+        rates[block, :, :n] = all_rates(problem.system, states[block], u, d)[..., layout.order]
+        viscosity[block] = np.abs(rates[block]).max(axis=1)
+    return rates, viscosity

@@ -1,0 +1,26 @@
+"""How much memory a solution needs, and whether it is there."""
+
+from __future__ import annotations
+
+from ctrl_rl_core.io.memory import available
+
+from ttr_reward_node.errors import TimeToReachError
+
+
+def require(needed: float, points: int) -> None:
+    """Refuse a problem that does not fit.
+
+    Raises:
+        TimeToReachError: says how much is needed and how much there is.
+    """
+    there = available()
+    if needed > there:
+        raise TimeToReachError(
+            f"{points:,} grid points need {gigabytes(needed)} of memory, {gigabytes(there)} are free: "
+            "take fewer points on some axes (counts), or split the system (decomposition)"
+        )
+
+
+def gigabytes(bytes_: float) -> str:
+    """Return a size for people."""
+    return f"{bytes_ / 1e9:.2f} GB"

@@ -1,0 +1,135 @@
+"""Solve a time-to-reach problem.
+
+solution = solve(problem_from_task("car_ttr"))
+grid = solve_task("car_ttr")
+phi = grid.value(states)
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from ctrl_rl_core.tasks.task import NavigationTask
+from ctrl_rl_core.values.value_function import ValueFunction
+from ctrl_rl_core.values.value_grid import ValueGrid
+
+from ttr_reward_node.errors import TimeToReachError
+from ttr_reward_node.problems.problem import Problem, problem_from_task
+from ttr_reward_node.rewards.rewards import longest_time
+from ttr_reward_node.solvers import lax_friedrichs, semi_lagrangian
+from ttr_reward_node.solvers.solution import Progress, Solution
+
+METHODS = {"semi_lagrangian": semi_lagrangian, "lax_friedrichs": lax_friedrichs}
+
+
+def memory_needed(problem: Problem, method: str = "semi_lagrangian") -> float:
+    """Return the bytes that `solve` will take at most.
+
+    Raises:
+        TimeToReachError: an unknown method.
+    """
+    return _method(method).memory_needed(problem)
+
+
+def solve(
+    problem: Problem,
+    method: str = "semi_lagrangian",
+    *,
+    tolerance: float | None = None,
+    max_sweeps: int | None = None,
+    progress: Progress | None = None,
+) -> Solution:
+    """Compute phi of thesis Eq. 2.18 on the grid.
+
+    Args:
+        problem: what to solve.
+        method: "semi_lagrangian", or "lax_friedrichs" as the thesis does (section 3.2), which is less exact.
+        tolerance: largest change of phi in a sweep at which it stops [s]; unless given a tenth of the time to
+            cross a cell, and a thousandth for Lax-Friedrichs, which creeps.
+        max_sweeps: after how many sweeps it gives up; the result then says that it has not converged, and is +inf where
+            the semi-Lagrangian method has not yet found a time of the right size.
+        progress: called after each sweep with its number and the largest change [s].
+
+    Raises:
+        TimeToReachError: an unknown method, a tolerance or number of sweeps that is not positive, or the problem does
+            not fit into memory; nothing has been computed then.
+    """
+    if tolerance is not None and not (math.isfinite(tolerance) and tolerance > 0.0):
+        raise TimeToReachError(f"tolerance {tolerance:g} s: it must be above 0")
+    if max_sweeps is not None and max_sweeps < 1:
+        raise TimeToReachError(f"{max_sweeps} sweeps at most: allow 1 or more")
+    solver = _method(method)
+    memory = solver.memory_needed(problem)
+    options: dict[str, Any] = {} if max_sweeps is None else {"max_sweeps": max_sweeps}
+    begin = time.process_time()
+    sweeps = solver.solve(problem, tolerance=tolerance, progress=progress, **options)
+    seconds = time.process_time() - begin
+    reachable = float(np.isfinite(sweeps.phi).mean())
+    # A file cannot hold an infinite residual: nodes were still changing sides, by as much as the largest time there is.
+    finite = sweeps.phi[np.isfinite(sweeps.phi)]
+    residual = sweeps.residual if np.isfinite(sweeps.residual) else float(finite.max(initial=0.0))
+    grid = ValueGrid(
+        values=sweeps.phi,
+        axes=problem.axes,
+        kind="time_to_reach",
+        task=problem.name,
+        task_digest=problem.content_digest,
+        solver=method,
+        residual=residual,
+        notes={
+            **_surroundings(problem),
+            "sweeps": str(sweeps.number),
+            "converged": "yes" if sweeps.converged else "no",
+            "system": problem.system.name,
+            "reachable": f"{reachable:.4f}",
+            "disturbances": str({d.name: (d.lower, d.upper) for d in problem.system.disturbances if d.lower < d.upper}),
+        },
+    )
+    return Solution(grid, sweeps.number, sweeps.residual, sweeps.converged, seconds, reachable, memory)
+
+
+def check_reached(problem: Problem, value: ValueFunction) -> None:
+    """Refuse a solution of a problem whose goal nothing reaches from outside, and say why.
+
+    Raises:
+        TimeToReachError: names the likely cause.
+    """
+    if any(np.isfinite(grid.values).any() for grid in value.grids) and longest_time(value) > 0.0:
+        return
+    inside = problem.in_target()
+    if inside.all():
+        why = "it covers the whole grid"
+    elif inside.any() and problem.blocked()[inside].all():
+        why = f"walls or obstacles cover it, widened by {problem.inflation:g} m"
+    elif inside.any():
+        why = "no control leads into it, against the disturbance and round the obstacles"
+    else:
+        why = "it is too small for the grid, or no control leads into it"
+    raise TimeToReachError(f"nothing outside the goal reaches it: {why}; no file is written")
+
+
+def solve_task(task: NavigationTask | str | Path, method: str = "semi_lagrangian", **options: Any) -> ValueGrid:
+    """Compute the value grid of a navigation task; options as for `problem_from_task`.
+
+    Raises:
+        TimeToReachError: as `problem_from_task` and `solve`.
+    """
+    return solve(problem_from_task(task, **options), method).grid
+
+
+def _surroundings(problem: Problem) -> dict[str, str]:
+    """Return what the file should say about walls and obstacles, in metres."""
+    notes = {"obstacles": "no" if problem.clearance is None else "yes", "inflation": repr(float(problem.inflation))}
+    if problem.corridor_width is not None:
+        notes["corridor_width"] = repr(float(problem.corridor_width))
+    return notes
+
+
+def _method(name: str) -> Any:
+    if name not in METHODS:
+        raise TimeToReachError(f"unknown method '{name}'; choose one of {', '.join(METHODS)}")
+    return METHODS[name]

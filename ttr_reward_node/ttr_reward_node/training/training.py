@@ -1,0 +1,101 @@
+"""What is learnt in thesis 3.2.3: each algorithm with each reward of Table 3.3 on a task, from several seeds.
+
+train_one(RewardRun("car_ttr", "ppo", "ttr", 0, Path("car_ttr.safetensors")), Options(Path("runs/ttr_training")))
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from ctrl_rl_core.tasks.task import NavigationTask, load_navigation_task
+from ctrl_rl_training.sb3.algorithm_names import ALGORITHMS
+from ctrl_rl_training.sb3.algorithms import make_algorithm
+from ctrl_rl_training.sb3.environment import Environment
+from stable_baselines3.common.base_class import BaseAlgorithm
+
+from ttr_reward_node.rewards.rewards import REWARDS, Reward, make_reward
+from ttr_reward_node.training.environment import make_rewarded
+from ttr_reward_node.values.value_file import load_value
+
+_FIRST = ("ttr", "sparse", "distance_10")
+"""What is learnt first if time should run out."""
+
+
+@dataclass(frozen=True)
+class RewardRun:
+    """One run: a cell of the table and a seed (a `ctrl_rl_training.sb3.training.Run`).
+
+    Attributes:
+        task_name: of the task, or its file.
+        algorithm: one of `ALGORITHMS`.
+        reward: one of `REWARDS`.
+        seed: of everything random.
+        grid: file of the task's time to reach; needed for the reward "ttr" alone.
+    """
+
+    task_name: str
+    algorithm: str
+    reward: str
+    seed: int
+    grid: Path | None = None
+
+    @property
+    def name(self) -> str:
+        """Its name, which is that of its folder too."""
+        return f"{self.task.name}-{self.algorithm}-{self.reward}-s{self.seed}"
+
+    @property
+    def task(self) -> NavigationTask:
+        """The task."""
+        return load_navigation_task(self.task_name)
+
+    @property
+    def description(self) -> dict[str, Any]:
+        """What the results say about it."""
+        value = _reward(self).value
+        return {
+            "task": self.task.name,
+            "algorithm": self.algorithm,
+            "reward": self.reward,
+            "seed": self.seed,
+            "grid_digest": None if value is None else value.digest,
+        }
+
+    def environment(self, rate: int | None = None) -> Environment:
+        """Return the task's environment that pays the reward."""
+        return make_rewarded(_reward(self), rate)
+
+    def model(self, samples: int) -> BaseAlgorithm:
+        """Return the untrained algorithm with its own environments, for so many samples."""
+        return make_algorithm(self.algorithm, self.environment, self.seed, samples)
+
+    def notes(self, _: BaseAlgorithm) -> dict[str, Any]:
+        """Return nothing: the curve says enough."""
+        return {}
+
+
+def reward_runs(
+    task_name: str,
+    algorithms: Sequence[str] = ALGORITHMS,
+    rewards: Sequence[str] = REWARDS,
+    seeds: int = 5,
+    grid: Path | None = None,
+) -> list[RewardRun]:
+    """Return all runs of a task, those that matter most first."""
+    ordered = sorted(rewards, key=lambda reward: _FIRST.index(reward) if reward in _FIRST else len(_FIRST))
+    return [
+        RewardRun(task_name, algorithm, reward, seed, grid if reward == "ttr" else None)
+        for reward in ordered
+        for seed in range(seeds)
+        for algorithm in algorithms
+    ]
+
+
+@lru_cache(maxsize=4)
+def _reward(run: RewardRun) -> Reward:
+    value = load_value(run.grid) if run.grid is not None else None
+    return make_reward(run.reward, run.task, value)

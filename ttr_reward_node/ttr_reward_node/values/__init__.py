@@ -1,0 +1,1 @@
+"""Time-to-reach functions: one grid, or several joined, and their files."""

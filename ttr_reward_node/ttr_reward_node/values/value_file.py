@@ -1,0 +1,22 @@
+"""Read a time-to-reach function from its file: one grid, or several joined."""
+
+from __future__ import annotations
+
+from os import PathLike
+
+from ctrl_rl_core.io.checked_tensors import kind_of
+from ctrl_rl_core.io.file_checks import refused_as
+from ctrl_rl_core.values.grid_axis import GridError
+from ctrl_rl_core.values.value_grid import ValueGrid
+
+from ttr_reward_node.values.decomposed_value import HEADER_KEY, DecomposedValue
+
+
+def load_value(path: str | PathLike[str]) -> ValueGrid | DecomposedValue:
+    """Read and check a file that `ValueGrid.save` or `DecomposedValue.save` wrote.
+
+    Raises:
+        GridError: names the file and what is wrong with it.
+    """
+    with refused_as(GridError, path):
+        return DecomposedValue.load(path) if HEADER_KEY in kind_of(path) else ValueGrid.load(path)

@@ -1,0 +1,1 @@
+"""Checks of solutions: driving by them, exact references, convergence, cost."""

@@ -1,0 +1,178 @@
+"""Check a time to reach by driving: the greedy policy should arrive, and take as long as promised.
+
+result, _ = check_value(load_value("car_ttr.safetensors"), load_navigation_task("car_ttr"))
+result["reached"], result["ratio_median"]
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from ctrl_rl_core.geometry.shapes import World
+from ctrl_rl_core.tasks.regions import position_indices
+from ctrl_rl_core.tasks.task import NavigationTask, load_navigation_task
+from ctrl_rl_core.values.value_function import ValueFunction, check_function
+from numpy.typing import NDArray
+
+from ttr_reward_node.errors import TimeToReachError
+from ttr_reward_node.problems.problem import Problem, problem_from_task
+from ttr_reward_node.rewards.rewards import KIND
+from ttr_reward_node.solvers.solution import Progress
+from ttr_reward_node.solvers.solver import solve
+from ttr_reward_node.verification.roll_out import RollOuts, roll_out
+
+_FEW = 0.02
+"""Roll-outs that may collide without a word about the cause."""
+_MOST_DRAWS = 1000
+"""Random states drawn for each that is wanted, before it gives up."""
+
+
+def check_task(
+    task: NavigationTask | str | Path,
+    *,
+    obstacles: bool = True,
+    margin: float | None = None,
+    states: int = 1000,
+    seed: int = 0,
+    method: str = "semi_lagrangian",
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Solve a task, drive from random states by its value function, and compare the executed with the predicted time.
+
+    Args:
+        task: a task with a grid, of a system whose controls need no finer look than a cell (a car).
+        obstacles: with the task's walls and obstacles, or without any.
+        margin: by how much the solver widens them [m]; half a cell unless given. Shortest paths graze corners, and a
+            path between nodes is known to a part of a cell: without a margin a quarter of the roll-outs touch a corner.
+            Collisions are with the true obstacles.
+        states: how many starts.
+        seed: of the random starts.
+        method: see `solve`.
+        progress: see `solve`.
+
+    Returns:
+        Figures for JSON: fractions of 1, times in s; `ratio_...` is executed over predicted time of those that arrived.
+    """
+    if not isinstance(task, NavigationTask):
+        task = load_navigation_task(task)
+    problem = problem_from_task(task)
+    if margin is None:
+        plane = () if problem.clearance is None else problem.clearance.axes
+        margin = 0.5 * max((problem.axes[k].spacing for k in plane), default=0.0)
+    problem = problem_from_task(task, inflation=margin) if obstacles else replace(problem, clearance=None)
+    solution = solve(problem, method, progress=progress)
+    world = task.build_world() if obstacles else None
+    starts = random_starts(solution.grid, problem, states, seed, world=world)
+    outcome = roll_out(solution.grid, problem, starts, world=world)
+    return {
+        "task": task.name,
+        "method": method,
+        "counts": list(problem.counts),
+        "obstacles": obstacles,
+        "margin_m": margin if obstacles else 0.0,
+        "starts": len(starts),
+        "solve_cpu_s": solution.cpu_seconds,
+        **summary(outcome),
+    }
+
+
+def check_value(
+    value: ValueFunction, task: NavigationTask, *, width: float | None = None, states: int = 1000, seed: int = 0
+) -> tuple[dict[str, float], Problem]:
+    """Drive from random states by a value function of a task, in the task's world, and return figures and problem.
+
+    Figures are those of `check_task`.
+
+    Args:
+        value: to be checked.
+        task: that it was made for.
+        width: of the task's corridor [m], None for its own.
+        states: how many starts.
+        seed: of the random starts.
+
+    Raises:
+        ValueFunctionError: the function does not belong to the task.
+        TaskError: the width does not suit the task.
+        TimeToReachError: the function has no state to start from.
+    """
+    check_function(value, task, KIND)
+    problem = problem_from_task(
+        task,
+        counts={axis.name: axis.count for grid in value.grids for axis in grid.axes},
+        inflation=float(value.grids[0].notes.get("inflation", 0.0)),
+        width=width,
+    )
+    # A system without positions has no walls either.
+    world = None if problem.clearance is None else task.build_world(width)
+    starts = random_starts(value, problem, states, seed, world=world)
+    return summary(roll_out(value, problem, starts, world=world)), problem
+
+
+def random_starts(
+    value: ValueFunction, problem: Problem, count: int, seed: int = 0, *, world: World | None = None
+) -> NDArray[np.float64]:
+    """Draw random states (count, n), outside the target and the world's obstacles, from which it can be reached.
+
+    Raises:
+        TimeToReachError: there are hardly any.
+    """
+    plane = position_indices(problem.system.state_names)
+    random = np.random.default_rng(seed)
+    lower, upper = np.array([(axis.lower, axis.upper) for axis in problem.axes]).T
+    starts, drawn = np.empty((0, len(lower))), 0
+    while len(starts) < count:
+        if drawn >= _MOST_DRAWS * count:
+            raise TimeToReachError(f"from {len(starts)} of {drawn} random states there is a way: ask for fewer")
+        some = random.uniform(lower, upper, (count, len(lower)))
+        drawn += count
+        times = value.value(some)
+        kept = np.isfinite(times) & (times > 0.0)
+        if world is not None:
+            kept &= world.signed_distance(some[:, plane]) > 0.0
+        starts = np.concatenate((starts, some[kept]))
+    return starts[:count]
+
+
+def as_line(figures: Mapping[str, float]) -> str:
+    """Return the figures of roll-outs for people."""
+    return (
+        f"reached {100 * figures['reached']:5.1f} %  collided {100 * figures['collided']:4.1f} %  executed/predicted "
+        f"median {figures['ratio_median']:.4f}, 95 % {figures['ratio_p95']:.4f}"
+    )
+
+
+def advice(figures: Mapping[str, float], problem: Problem, radius: float) -> str:
+    """Return why roll-outs collide and what to do about it; empty where they hardly do, or with a margin.
+
+    Args:
+        figures: of the roll-outs.
+        problem: whose clearance was used, with its inflation.
+        radius: of the robot [m].
+    """
+    if problem.clearance is None:
+        return ""
+    margin = 0.5 * max(problem.axes[k].spacing for k in problem.clearance.axes)
+    if figures["collided"] <= _FEW or problem.inflation >= margin:
+        return ""
+    return (
+        f"cause      obstacles were widened by {problem.inflation:g} m, so the shortest paths graze them\n"
+        f"mend       solve again with --robot-size ({radius:g} m), or with --inflation {margin:.2g} or more"
+    )
+
+
+def summary(outcome: RollOuts) -> dict[str, float]:
+    """Return the figures of roll-outs: how they ended, and quantiles of the executed over the predicted time."""
+    ratio = outcome.ratio
+    low, median, high = np.quantile(ratio, (0.05, 0.5, 0.95)) if len(ratio) else (np.nan,) * 3
+    return {
+        "reached": float(outcome.reached.mean()),
+        "collided": float(outcome.collided.mean()),
+        "left": float(outcome.left.mean()),
+        "ratio_p05": float(low),
+        "ratio_median": float(median),
+        "ratio_p95": float(high),
+    }

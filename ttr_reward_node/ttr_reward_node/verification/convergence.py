@@ -1,0 +1,141 @@
+"""How a solver's error shrinks as the grid is refined: against exact Dubins paths, and against the best solution.
+
+rows = convergence_table()
+print(as_table(rows))
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from ctrl_rl_core.values.value_grid import ValueGrid
+from numpy.typing import NDArray
+
+from ttr_reward_node.problems.problem import problem_from_task
+from ttr_reward_node.solvers.solver import METHODS, solve
+from ttr_reward_node.verification.dubins import Reference, reference
+
+COUNTS = ((26, 26, 18), (51, 51, 36), (76, 76, 54), (101, 101, 72), (151, 151, 108))
+"""Grids of the car, each with the same shape of cells."""
+
+Progress = Callable[[str, int, float], None]
+"""Called after each sweep with what is being solved, the sweep's number and the largest change [s]."""
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Errors of a value function at states whose exact time to reach is known.
+
+    Attributes:
+        states: how many there are.
+        median, mean, p95: of the absolute error where there is a value [s].
+        relative: mean of the relative error there.
+        bias: median of the signed error [s].
+        missed: fraction of the states that it holds to be unreachable.
+    """
+
+    states: int
+    median: float
+    mean: float
+    p95: float
+    relative: float
+    bias: float
+    missed: float
+
+
+def measure_errors(grid: ValueGrid, exact: Reference) -> Errors:
+    """Compare a value grid with exact times."""
+    return _errors(np.asarray(grid.value(exact.states)), exact.times)
+
+
+def convergence_table(
+    task: str = "car_ttr",
+    counts: Sequence[tuple[int, int, int]] = COUNTS,
+    methods: Sequence[str] = tuple(METHODS),
+    *,
+    states: int = 5000,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> list[dict[str, Any]]:
+    """Solve a Dubins car's task, without its obstacles, on finer and finer grids with each method.
+
+    Args:
+        task: of a Dubins car with a box as its goal.
+        counts: nodes of each grid, the finest last.
+        methods: to compare.
+        states: how many random states there are to compare at.
+        seed: of those.
+        progress: see `Progress`.
+
+    Returns:
+        Rows for JSON: method, counts, points, sweeps, converged, CPU seconds, errors against the exact times, and as
+        `median_to_best_s`, `mean_to_best_s` the difference to the semi-Lagrangian solution on the finest grid.
+    """
+    coarsest = replace(problem_from_task(task, counts=counts[0]), clearance=None)
+    exact = reference(coarsest, states, seed)
+    rows: list[dict[str, Any]] = []
+    values: dict[tuple[str, tuple[int, ...]], NDArray[np.float64]] = {}
+    for nodes in counts:
+        problem = replace(problem_from_task(task, counts=nodes), clearance=None)
+        for method in methods:
+            told = None
+            if progress is not None:
+                name = f"{method} {' x '.join(map(str, nodes))}"
+                told = lambda sweep, change, name=name: progress(name, sweep, change)  # noqa: E731
+            solution = solve(problem, method, progress=told)
+            value = np.asarray(solution.grid.value(exact.states))
+            errors = _errors(value, exact.times)
+            values[method, tuple(nodes)] = value
+            rows.append(
+                {
+                    "method": method,
+                    "counts": list(nodes),
+                    "points": problem.points,
+                    "sweeps": solution.sweeps,
+                    "converged": solution.converged,
+                    "cpu_s": solution.cpu_seconds,
+                    "median_s": errors.median,
+                    "mean_s": errors.mean,
+                    "p95_s": errors.p95,
+                    "mean_relative": errors.relative,
+                    "missed": errors.missed,
+                }
+            )
+    best = values.get(("semi_lagrangian", tuple(counts[-1])))
+    if best is not None:
+        for row in rows:
+            to_best = _errors(values[row["method"], tuple(row["counts"])], best)
+            row["median_to_best_s"], row["mean_to_best_s"] = to_best.median, to_best.mean
+    return rows
+
+
+def as_table(rows: Sequence[dict[str, Any]]) -> str:
+    """Return the rows for people."""
+    names = f"{'sweeps':>7} {'median':>9} {'mean':>9} {'relative':>9} {'to best':>9}"
+    lines = [f"{'method':<16} {'nodes':>15} {'CPU':>8} {names}"]
+    for row in rows:
+        nodes = "x".join(map(str, row["counts"]))
+        lines.append(
+            f"{row['method']:<16} {nodes:>15} {row['cpu_s']:>6.2f} s {row['sweeps']:>7} {row['median_s']:>7.4f} s"
+            f" {row['mean_s']:>7.4f} s {100 * row['mean_relative']:>7.2f} %"
+            f" {row.get('median_to_best_s', np.nan):>7.4f} s"
+        )
+    return "\n".join(lines)
+
+
+def _errors(value: NDArray[np.float64], times: NDArray[np.float64]) -> Errors:
+    there = np.isfinite(value) & np.isfinite(times) & (times > 0.0)
+    error = value[there] - times[there]
+    size = np.abs(error)
+    return Errors(
+        states=len(times),
+        median=float(np.median(size)),
+        mean=float(size.mean()),
+        p95=float(np.quantile(size, 0.95)),
+        relative=float((size / times[there]).mean()),
+        bias=float(np.median(error)),
+        missed=float(1.0 - np.isfinite(value).mean()),
+    )

@@ -1,0 +1,313 @@
+"""The independent reference: shortest Dubins paths (Dubins 1957; words as in Shkel, Lumelsky 2001) to a box of poses.
+
+The car drives at 1 m/s and turns at up to 1 rad/s, so lengths [m] are times [s]. The distance to a box is the least
+over the words that lead to it, each with two free numbers: first over a lattice of these, then by a compass search from
+the best few.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from ctrl_rl_core.geometry.units import Interval
+from numpy.typing import NDArray
+
+from ttr_reward_node.errors import TimeToReachError
+from ttr_reward_node.jit_cache import cached
+from ttr_reward_node.problems.problem import Problem
+from ttr_reward_node.verification.dubins_words import TURNS, end_of, positive, word
+
+Array = NDArray[np.float64]
+MOVES = np.array([[1, 0], [-1, 0], [0, 1], [0, -1], [1, 1], [-1, -1], [1, -1], [-1, 1]], dtype=np.float64)
+_GRAZE = 1e-9  # rounding: a box that is missed by less is met
+_HEADINGS, _AIMS = 9, 40  # headings on arrival, and first turns, that are tried of a word with a straight piece
+_LATTICE, _ENDS = 7, 3  # poses a side of the box that a word of three turns may end at, and how many are refined
+_TURNS = 24  # first and second turns that are tried of a word of three
+_STARTS = 2  # that are refined, for each word
+_THREE_TURNS = 6.0  # how far three turns lead at most
+
+
+@dataclass(frozen=True, eq=False)
+class Reference:
+    """States (N, 3) and their exact times to reach (N,) [s]."""
+
+    states: Array
+    times: Array
+
+
+def reference(problem: Problem, count: int = 5000, seed: int = 0) -> Reference:
+    """Draw random states outside the target from which the shortest path stays on the grid, with their exact times.
+
+    Args:
+        problem: a Dubins car at 1 m/s and up to 1 rad/s, a box as the target; obstacles do not count.
+        count: how many states.
+        seed: of the random states.
+
+    Raises:
+        TimeToReachError: another system or target.
+    """
+    names, target = problem.system.state_names, problem.target.intervals
+    bounds = problem.system.control_bounds.T.tolist()
+    if names != ("x", "y", "theta") or bounds != [[1.0, 1.0], [-1.0, 1.0]] or set(target) != set(names):
+        raise TimeToReachError("exact times are known for the Dubins car of 1 m/s and 1 rad/s to a box of poses")
+    sides: list[Interval] = [target[name] for name in names]
+    box = np.array([(side.low, side.high) for side in sides])
+    lower, upper = np.array([(axis.lower, axis.upper) for axis in problem.axes]).T
+    low, high = float(max(lower[:2])), float(min(upper[:2]))
+    random = np.random.default_rng(seed)
+    states, times = np.empty((0, 3)), np.empty(0)
+    while len(times) < count:
+        some = random.uniform(lower, upper, (count, 3))
+        lengths, paths = to_box(some, box)
+        kept = stays_in(some, paths, low, high) & (lengths > 0.0)
+        states, times = np.concatenate((states, some[kept])), np.concatenate((times, lengths[kept]))
+    return Reference(states[:count], times[:count])
+
+
+@cached
+def _reach(x: float, y: float, direction: float, box: Array) -> float:
+    """Return how far it is from a point in a direction to the box's positions; inf where the ray misses them."""
+    near, far = 0.0, math.inf
+    for k in range(2):
+        start, slope = (x, math.cos(direction)) if k == 0 else (y, math.sin(direction))
+        if abs(slope) < 1e-12:
+            if not box[k, 0] - _GRAZE <= start <= box[k, 1] + _GRAZE:
+                return math.inf
+        else:
+            one, two = (box[k, 0] - start) / slope, (box[k, 1] - start) / slope
+            near, far = max(near, min(one, two)), min(far, max(one, two))
+    return near if near <= far + _GRAZE else math.inf
+
+
+@cached
+def _base(kind: int, pose: Array, end: float, direction: float) -> tuple[float, float]:
+    """Return where the two turns of a word with a straight piece lead without that piece, from pose to heading end."""
+    x, y, a = pose
+    one, two = TURNS[kind, 0], TURNS[kind, 2]
+    x += one * (math.sin(direction) - math.sin(a)) + two * (math.sin(end) - math.sin(direction))
+    y -= one * (math.cos(direction) - math.cos(a)) + two * (math.cos(end) - math.cos(direction))
+    return x, y
+
+
+@cached
+def _straight_word(kind: int, pose: Array, end: float, t: float, box: Array) -> tuple[float, float]:
+    """Return the segments p and q of a word with a straight piece that arrives with heading `end` after a turn by t.
+
+    p is inf where the straight piece misses the box.
+    """
+    a = pose[2]
+    direction = a + TURNS[kind, 0] * t
+    q = positive(TURNS[kind, 2] * (end - direction))
+    x, y = _base(kind, pose, end, direction)
+    return _reach(x, y, direction, box), q
+
+
+@cached
+def _aim(kind: int, pose: Array, end: float, box: Array, i: int) -> float:
+    """Return the i-th of the first turns worth trying: at corners, middle and sides of the box, then evenly spread."""
+    a, turn = pose[2], TURNS[kind, 0]
+    if i == 0:
+        return 0.0
+    if i == 1:  # as far as the last turn needs to be none
+        return positive(turn * (end - a))
+    if i < 12:
+        target, other = divmod(i - 2, 2)
+        if target == 4:
+            cx, cy = 0.5 * (box[0, 0] + box[0, 1]), 0.5 * (box[1, 0] + box[1, 1])
+        else:
+            cx, cy = box[0, target % 2], box[1, target // 2]
+        # Without what of the turns' displacement depends on the straight piece's direction.
+        opposite = TURNS[kind, 2] != turn
+        x = pose[0] - turn * math.sin(a) + TURNS[kind, 2] * math.sin(end)
+        y = pose[1] + turn * math.cos(a) - TURNS[kind, 2] * math.cos(end)
+        rho, beta = math.hypot(cx - x, cy - y), math.atan2(cy - y, cx - x)
+        if opposite and rho < 2.0:
+            return 0.0
+        lean = math.asin(2.0 * turn / rho) if opposite else 0.0
+        return positive(turn * ((beta + lean if other == 0 else beta + math.pi - lean) - a))
+    if i < 16:  # along the axes
+        return positive(turn * ((i - 12) * 0.5 * math.pi - a))
+    return 2.0 * math.pi * (i - 16) / (_AIMS - 16)
+
+
+@cached
+def _arrive(kind: int, pose: Array, t: float, p: float, box: Array) -> float:
+    """Return the last segment q of a word of three turns until it is in the box; inf where it misses it."""
+    x, y, a = end_of(kind, t, p, 0.0, pose[0], pose[1], pose[2], t + p)
+    turn = TURNS[kind, 2]
+    cx, cy = x - turn * math.sin(a), y + turn * math.cos(a)
+    best = math.inf
+    for i in range(11):
+        if i == 0:
+            q = 0.0
+        elif i < 3:
+            q = positive(turn * (box[2, i - 1] - a))
+        else:  # x = cx + turn sin, y = cy - turn cos
+            k, side, other = (i - 3) // 4, ((i - 3) // 2) % 2, (i - 3) % 2
+            value = turn * (box[0, side] - cx) if k == 0 else -turn * (box[1, side] - cy)
+            if abs(value) > 1.0:
+                continue
+            heading = math.asin(value) if k == 0 else math.acos(value)
+            if other == 1:
+                heading = math.pi - heading if k == 0 else -heading
+            q = positive(turn * (heading - a))
+        if q < best and _inside(
+            cx + turn * math.sin(a + turn * q), cy - turn * math.cos(a + turn * q), a + turn * q, box
+        ):
+            best = q
+    return best
+
+
+@cached
+def _inside(x: float, y: float, a: float, box: Array) -> bool:
+    """Tell whether a pose lies in the box, to rounding."""
+    turned = (a - box[2, 0] + _GRAZE) % (2.0 * math.pi)
+    at = box[0, 0] - _GRAZE <= x <= box[0, 1] + _GRAZE and box[1, 0] - _GRAZE <= y <= box[1, 1] + _GRAZE
+    return at and turned <= box[2, 1] - box[2, 0] + 2.0 * _GRAZE
+
+
+@cached
+def _path(kind: int, pose: Array, one: float, two: float, box: Array) -> tuple[float, float, float]:
+    """Return the segments of a word by its two free numbers; inf where it does not lead to the box.
+
+    They are, with a straight piece, the heading on arrival and the first turn; of three turns the first two.
+    """
+    if kind < 4:
+        if not box[2, 0] <= one <= box[2, 1]:
+            return two, math.inf, 0.0
+        p, q = _straight_word(kind, pose, one, two, box)
+        return two, p, q
+    return one, two, _arrive(kind, pose, one, two, box)
+
+
+@cached
+def _refine(kind: int, pose: Array, one: float, two: float, box: Array) -> tuple[float, float, float]:
+    """Improve a word by its two free numbers, one at a time and both together, and return its segments."""
+    t, p, q = _path(kind, pose, one, two, box)
+    step = 0.1
+    while step > 1e-7:
+        better = False
+        for k in range(8):
+            u = one + step * MOVES[k, 0]
+            v = two + step * MOVES[k, 1]
+            u = min(max(u, box[2, 0]), box[2, 1]) if kind < 4 else max(u, 0.0)
+            v = max(v, 0.0)
+            a, b, c = _path(kind, pose, u, v, box)
+            if a + b + c < t + p + q - 1e-12:
+                one, two, t, p, q, better = u, v, a, b, c, True
+        if not better:
+            step /= 2.0
+    return t, p, q
+
+
+@cached
+def _segments(kind: int, pose: Array, end: Array) -> tuple[float, float, float]:
+    """Return the segments of a word from one pose to another."""
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    dx, dy = end[0] - pose[0], end[1] - pose[1]
+    segments: tuple[float, float, float] = word(kind, c * dx + s * dy, -s * dx + c * dy, end[2] - pose[2])
+    return segments
+
+
+@cached
+def _between(kind: int, pose: Array, box: Array) -> tuple[float, float, float]:
+    """Return the segments of a word of three turns to the best of the box's poses: its corners are narrow ends."""
+    size = box[:, 1] - box[:, 0]
+    found = np.full(_LATTICE**3, math.inf)
+    end, other = np.empty(3), np.empty(3)
+    for i in range(len(found)):
+        for k, digit in enumerate((i % _LATTICE, i // _LATTICE % _LATTICE, i // _LATTICE**2)):
+            end[k] = box[k, 0] + size[k] * digit / (_LATTICE - 1)
+        t, p, q = _segments(kind, pose, end)
+        found[i] = t + p + q
+    best, segments = math.inf, (math.inf, 0.0, 0.0)
+    for i in np.argsort(found)[:_ENDS]:
+        if found[i] == math.inf:
+            break
+        for k, digit in enumerate((i % _LATTICE, i // _LATTICE % _LATTICE, i // _LATTICE**2)):
+            end[k] = box[k, 0] + size[k] * digit / (_LATTICE - 1)
+        length, step = found[i], 1.0 / (_LATTICE - 1)
+        while step > 1e-6:
+            better = False
+            for k in range(6):
+                other[:] = end
+                side = k // 2
+                other[side] += (step if k % 2 else -step) * size[side]
+                other[side] = min(max(other[side], box[side, 0]), box[side, 1])
+                t, p, q = _segments(kind, pose, other)
+                if t + p + q < length - 1e-12:
+                    length, better = t + p + q, True
+                    end[:] = other
+            if not better:
+                step /= 2.0
+        if length < best:
+            best, segments = length, _segments(kind, pose, end)
+    return segments
+
+
+@cached
+def to_box(states: Array, box: Array) -> tuple[Array, Array]:
+    """Find the shortest paths from states (N, 3) to box (3, 2).
+
+    Returns lengths (N,) and the paths (N, 4): word, and its three segments.
+
+    A word's end is not searched among the poses of the box: the length jumps there by a whole turn where a turn becomes
+    none. With the first turn and the heading on arrival given (or, of three turns, the first two) the rest follows.
+    """
+    lengths, paths = np.empty(len(states)), np.zeros((len(states), 4))
+    best, firsts, seconds = np.empty(_STARTS), np.empty(_STARTS), np.empty(_STARTS)
+    for n in range(len(states)):
+        pose = states[n]
+        x, y, a = pose
+        if _inside(x, y, a, box):
+            lengths[n] = 0.0
+            continue
+        lengths[n] = math.inf
+        away = math.hypot(max(box[0, 0] - x, 0.0, x - box[0, 1]), max(box[1, 0] - y, 0.0, y - box[1, 1]))
+        # The heading that it has already, where it may arrive with it.
+        own = box[2, 0] + min((a - box[2, 0]) % (2.0 * math.pi), box[2, 1] - box[2, 0])
+        for kind in range(6):
+            if kind >= 4 and away > _THREE_TURNS:
+                continue
+            best[:] = math.inf
+            outer, inner = (_HEADINGS + 1, _AIMS) if kind < 4 else (_TURNS, _TURNS)
+            for i in range(outer):
+                if kind < 4:
+                    one = own if i == _HEADINGS else box[2, 0] + (box[2, 1] - box[2, 0]) * i / (_HEADINGS - 1)
+                else:
+                    one = 2.0 * math.pi * i / _TURNS
+                for j in range(inner):
+                    two = _aim(kind, pose, one, box, j) if kind < 4 else 2.0 * math.pi * j / _TURNS
+                    t, p, q = _path(kind, pose, one, two, box)
+                    worst = np.argmax(best)
+                    if t + p + q < best[worst]:
+                        best[worst], firsts[worst], seconds[worst] = t + p + q, one, two
+            if kind >= 4:
+                t, p, q = _between(kind, pose, box)
+                if t + p + q < lengths[n]:
+                    lengths[n] = t + p + q
+                    paths[n, 0], paths[n, 1], paths[n, 2], paths[n, 3] = kind, t, p, q
+            for k in range(_STARTS):
+                if best[k] < math.inf:
+                    t, p, q = _refine(kind, pose, firsts[k], seconds[k], box)
+                    if t + p + q < lengths[n]:
+                        lengths[n] = t + p + q
+                        paths[n, 0], paths[n, 1], paths[n, 2], paths[n, 3] = kind, t, p, q
+    return lengths, paths
+
+
+@cached
+def stays_in(states: Array, paths: Array, low: float, high: float) -> NDArray[np.bool_]:
+    """Tell whether the path (N, 4) of `to_box` from each state keeps x and y in [low, high], (N,)."""
+    out = np.ones(len(states), np.bool_)
+    for n in range(len(states)):
+        x, y, a = states[n]
+        kind, t, p, q = int(paths[n, 0]), paths[n, 1], paths[n, 2], paths[n, 3]
+        for i in range(int((t + p + q) / 0.01) + 1):
+            px, py, _ = end_of(kind, t, p, q, x, y, a, i * 0.01)
+            if not (low <= px <= high and low <= py <= high):
+                out[n] = False
+                break
+    return out

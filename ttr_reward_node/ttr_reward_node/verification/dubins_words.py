@@ -1,0 +1,92 @@
+"""Shortest paths of a car between two poses (Dubins 1957; words as in Shkel, Lumelsky 2001), at 1 m/s and 1 rad/s."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ttr_reward_node.jit_cache import cached
+
+LSL, RSR, LSR, RSL, RLR, LRL = range(6)
+TURNS = np.array([[1, 0, 1], [-1, 0, -1], [1, 0, -1], [-1, 0, 1], [-1, 1, -1], [1, -1, 1]])
+
+
+@cached
+def positive(angle: float) -> float:
+    """Return an angle in [0, 2 pi); a whole turn to rounding is none."""
+    angle = angle % (2 * math.pi)
+    return 0.0 if angle > 2 * math.pi - 1e-12 else angle
+
+
+@cached
+def word(kind: int, x: float, y: float, angle: float) -> tuple[float, float, float]:
+    """Return segments (t, p, q) of one word from the origin to (x, y, angle); inf where it does not exist."""
+    none = (math.inf, math.inf, math.inf)
+    d = math.hypot(x, y)
+    direction = math.atan2(y, x)
+    a, b = -direction, angle - direction
+    sa, ca, sb, cb, cab = math.sin(a), math.cos(a), math.sin(b), math.cos(b), math.cos(a - b)
+    if kind == 0 or kind == 1:
+        s = 1.0 if kind == 0 else -1.0
+        square = 2 + d * d - 2 * cab + 2 * s * d * (sa - sb)
+        if square < 0:
+            if square < -1e-12:
+                return none
+            square = 0.0
+        turn = math.atan2(s * (cb - ca), d + s * (sa - sb))
+        return positive(s * (turn - a)), math.sqrt(square), positive(s * (b - turn))
+    if kind == 2 or kind == 3:
+        s = 1.0 if kind == 2 else -1.0
+        square = -2 + d * d + 2 * cab + 2 * s * d * (sa + sb)
+        if square < 0:
+            return none
+        p = math.sqrt(square)
+        turn = math.atan2(-s * (ca + cb), d + s * (sa + sb)) - math.atan2(-s * 2.0, p)
+        return positive(s * (turn - a)), p, positive(s * (turn - b))
+    s = 1.0 if kind == 4 else -1.0
+    cosine = (6 - d * d + 2 * cab + 2 * s * d * (sa - sb)) / 8
+    if abs(cosine) > 1:
+        return none
+    p = positive(2 * math.pi - math.acos(cosine))
+    t = (
+        positive(s * a - math.atan2(s * (ca - cb), d - s * (sa - sb)) * s * s + p / 2)
+        if kind == 4
+        else positive(-a - math.atan2(ca - cb, d + sa - sb) + p / 2)
+    )
+    q = positive(a - b - t + p) if kind == 4 else positive(b - a - t + p)
+    return t, p, q
+
+
+@cached
+def end_of(
+    kind: int, t: float, p: float, q: float, x: float, y: float, angle: float, s: float
+) -> tuple[float, float, float]:
+    """Return the pose after s metres of the word with these segments."""
+    lengths = (t, p, q)
+    for i in range(3):
+        step = min(s, lengths[i])
+        turn = TURNS[kind, i]
+        if turn == 0:
+            x += step * math.cos(angle)
+            y += step * math.sin(angle)
+        else:
+            x += turn * (math.sin(angle + turn * step) - math.sin(angle))
+            y -= turn * (math.cos(angle + turn * step) - math.cos(angle))
+            angle += turn * step
+        s -= step
+    return x, y, angle
+
+
+@cached
+def distance(x0: float, y0: float, a0: float, x1: float, y1: float, a1: float) -> tuple[float, int]:
+    """Return the length of the shortest path between two poses, and its word."""
+    c, s = math.cos(a0), math.sin(a0)
+    dx, dy = x1 - x0, y1 - y0
+    x, y = c * dx + s * dy, -s * dx + c * dy
+    best, kind = math.inf, -1
+    for k in range(6):
+        t, p, q = word(k, x, y, a1 - a0)
+        if t + p + q < best:
+            best, kind = t + p + q, k
+    return best, kind

@@ -1,0 +1,125 @@
+"""Drive by a value function and see whether it keeps what it promises: executed against predicted time.
+
+    outcome = roll_out(solution.grid, problem, states, world=task.build_world())
+    outcome.reached.mean(), np.median(outcome.ratio)
+
+The control is greedy: of a few samples, the one that leads to the least time to reach a short while ahead (the
+minimiser of thesis Eq. 3.4, by the values themselves rather than by their gradient, which is not defined where they
+jump).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from ctrl_rl_core.geometry.shapes import World
+from ctrl_rl_core.tasks.regions import position_indices
+from ctrl_rl_core.values.value_function import ValueFunction
+from numpy.typing import ArrayLike, NDArray
+
+from ttr_reward_node.errors import TimeToReachError
+from ttr_reward_node.problems.problem import Problem
+from ttr_reward_node.solvers.steps import crossing_time
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class RollOuts:
+    """What became of each of N starts.
+
+    Attributes:
+        predicted: the value at the start (N,) [s].
+        executed: time until the target (N,) [s], NaN where it was not reached.
+        reached, collided, left: how it ended (N,); none of them: out of time. `left` is leaving the grid.
+        last: the last state (N, n).
+    """
+
+    predicted: Array
+    executed: Array
+    reached: NDArray[np.bool_]
+    collided: NDArray[np.bool_]
+    left: NDArray[np.bool_]
+    last: Array
+
+    @property
+    def ratio(self) -> Array:
+        """Executed over predicted time of those that reached the target."""
+        return self.executed[self.reached] / self.predicted[self.reached]
+
+
+def best_control(
+    value: ValueFunction, problem: Problem, states: Array, controls: Array, look_ahead: float
+) -> NDArray[np.int64]:
+    """Index of the greedy control (N,) at states (N, n), among controls (k, m)."""
+    chosen = np.zeros(len(states), dtype=np.int64)
+    open_ = np.arange(len(states))
+    # Where every control leads into the unreachable, look less far.
+    for reach in (look_ahead, 0.5 * look_ahead, 0.1 * look_ahead):
+        ends = problem.system.step(states[open_, None], controls, dt=reach)
+        times = value.value(ends)
+        times = np.where(np.isnan(times), np.inf, times)
+        best = np.argmin(times, axis=1)
+        chosen[open_] = best
+        open_ = open_[np.isinf(times[np.arange(len(best)), best])]
+        if not len(open_):
+            break
+    return chosen
+
+
+def roll_out(
+    value: ValueFunction,
+    problem: Problem,
+    states: ArrayLike,
+    *,
+    world: World | None = None,
+    time_step: float | None = None,
+    look_ahead: float | None = None,
+    patience: float = 2.0,
+) -> RollOuts:
+    """Simulate from states (N, n) without disturbance until each has reached the target, failed, or run out of time.
+
+    Args:
+        value: predicts and steers.
+        problem: whose system, target and domain are simulated.
+        states: where to start.
+        world: collisions are with its true walls and obstacles, not with the grid's; none where left out.
+        time_step: how long a control is held [s]; a fifth of the time to cross a cell unless given.
+        look_ahead: how far ahead it looks [s]; one and a half times that time unless given.
+        patience: gives up after this many times the predicted time, and the time to cross ten cells.
+
+    Raises:
+        TimeToReachError: a state at which there is no finite prediction.
+    """
+    x = problem.system.wrap(np.atleast_2d(np.asarray(states, dtype=np.float64)))
+    predicted = value.value(x)
+    if not np.isfinite(predicted).all():
+        bad = x[~np.isfinite(predicted)][0]
+        raise TimeToReachError(f"at {bad.tolist()} there is no time to reach: start where it is finite")
+    unit = crossing_time(problem)
+    time_step = 0.2 * unit if time_step is None else time_step
+    look_ahead = 1.5 * unit if look_ahead is None else look_ahead
+    controls = problem.system.control_samples(problem.control_counts)
+    lower, upper = np.array([(-np.inf, np.inf) if a.periodic else (a.lower, a.upper) for a in problem.axes]).T
+    count = len(x)
+    executed, last = np.full(count, np.nan), x.copy()
+    reached, collided, left = (np.zeros(count, dtype=bool) for _ in range(3))
+    running = np.arange(count)
+    names, plane = problem.system.state_names, position_indices(problem.system.state_names)
+    time = 0.0
+    while len(running):
+        now = last[running]
+        inside = problem.target.contains(names, now)
+        hit = np.zeros(len(running), dtype=bool) if world is None else world.signed_distance(now[:, plane]) <= 0.0
+        out = ((now < lower) | (now > upper)).any(axis=1) & ~hit
+        reached[running] = inside & ~hit & ~out
+        collided[running], left[running] = hit, out
+        executed[running[inside & ~hit & ~out]] = time
+        late = time > patience * predicted[running] + 10.0 * unit
+        running = running[~(inside | hit | out | late)]
+        x = last[running]
+        u = controls[best_control(value, problem, x, controls, look_ahead)]
+        last[running] = problem.system.wrap(problem.system.step(x, u, dt=time_step))
+        time += time_step
+    return RollOuts(predicted, executed, reached, collided, left, last)
