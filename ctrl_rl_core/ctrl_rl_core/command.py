@@ -1,16 +1,30 @@
-"""How every command of the suite ends: with its work done, one clear line of error, or quietly interrupted.
+"""Commands: options from a dataclass, and an end with the work done, one clear line of error, or an interruption.
 
-And how it refuses numbers that are too small, `check_least(options, seeds=1, workers=0)`, and, before any work, places
-where nothing can be written, `type=file_to_write`.
+A command calls `parse_options` with a dataclass whose docstrings are its help, then `run_command`.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
+import re
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+import tyro
+from tyro._errors import (
+    BadValue,
+    InstantiationFailure,
+    InvalidChoice,
+    MissingArgs,
+    MissingSubcommand,
+    ParseErrorEvent,
+    UnrecognizedArgs,
+    on_parse_error,
+)
+from tyro.constructors import PrimitiveConstructorSpec
 
 from ctrl_rl_core.errors import CtrlRlError
 
@@ -18,8 +32,88 @@ EXIT_INTERRUPTED = 130
 """As a shell reports SIGINT."""
 
 
+EXIT_USAGE = 2
+"""A command line is refused."""
+_Options = TypeVar("_Options")
+
+
 class CommandError(CtrlRlError):
     """An option has a value that does not serve."""
+
+
+def parse_options(
+    program: str, kind: type[_Options], arguments: Sequence[str] | None = None, epilog: str = ""
+) -> _Options:
+    """Return the options of a command; `--help` prints them and exits with 0.
+
+    Args:
+        program: Name of the command in messages.
+        kind: Dataclass of the options. Its docstring describes the command, its fields' docstrings the options.
+        arguments: Words of the command line; those of the process unless given.
+        epilog: Text below the description in `--help`.
+
+    Raises:
+        SystemExit: with 2 after one line that says what is wrong, or with 0 after `--help`.
+    """
+    description = "\n\n".join(filter(None, ((kind.__doc__ or "").strip(), epilog)))
+    try:
+        with on_parse_error(_refuse):
+            return tyro.cli(
+                kind, prog=program, description=description, args=arguments, config=(tyro.conf.FlagCreatePairsOff,)
+            )
+    except CommandError as error:
+        print(f"{program}: {error}; see {program} --help", file=sys.stderr)
+        raise SystemExit(EXIT_USAGE) from None
+
+
+def _refuse(event: ParseErrorEvent) -> None:
+    """Say in one line why a command line is refused; tyro itself prints a box of several."""
+    match event:
+        case MissingArgs(missing_arguments=missing, unrecognized_tokens=[]):
+            raise CommandError(f"missing {', '.join(each.arg.display_name() for each in missing)}")
+        case MissingArgs(unrecognized_tokens=tokens) | UnrecognizedArgs(tokens=tokens):
+            raise CommandError(f"unknown option {tokens[0]}")
+        case InvalidChoice(argument=argument, value=value, choices=choices):
+            raise CommandError(f"{argument.display_name()} {value}: choose from {', '.join(choices)}")
+        case MissingSubcommand(subcommand_spec=spec, found_token=found):
+            names = ", ".join(spec.parser_from_name)
+            raise CommandError(f"unknown command {found}: choose from {names}" if found else f"give one of: {names}")
+        case BadValue(argument=argument):
+            raise CommandError(f"{argument.display_name()} needs a value")
+        case InstantiationFailure(message=message, argument=argument):
+            raise CommandError(f"{argument.display_name()} {message}" if argument else message)
+
+
+def checked(parse: Callable[[str], Any], metavar: str) -> PrimitiveConstructorSpec[Any]:
+    """Return how an option is read from one word, for use in `Annotated`.
+
+    Args:
+        parse: Returns the value of a word, or raises ValueError that says what is wrong with it.
+        metavar: Stands for the word in `--help`.
+    """
+    return PrimitiveConstructorSpec(
+        nargs=1,
+        metavar=metavar,
+        instance_from_str=lambda words: parse(words[0]),
+        is_instance=lambda value: value is not None,
+        str_from_instance=lambda value: [str(value)],
+    )
+
+
+def at_least(least: int) -> Any:
+    """Return the type of an option that is a whole number of at least `least`."""
+
+    def parse(text: str) -> int:
+        value = int(text) if re.fullmatch(r"[+-]?\d{1,18}", text) else None
+        if value is None or value < least:
+            raise ValueError(f"must be a whole number of at least {least}, not {text}")
+        return value
+
+    return Annotated[int, checked(parse, "INT")]
+
+
+class PathError(argparse.ArgumentTypeError, ValueError):
+    """A place where nothing can be written."""
 
 
 def check_least(options: argparse.Namespace, **least: int) -> None:
@@ -38,11 +132,11 @@ def file_to_write(text: str) -> Path:
     """Return an option's file that will be written.
 
     Raises:
-        ArgumentTypeError: it is a folder, or its folder cannot be there or be written to.
+        PathError: it is a folder, or its folder cannot be there or be written to.
     """
     path = Path(text)
     if path.is_dir():
-        raise argparse.ArgumentTypeError(f"{path} is a folder: name a file in it")
+        raise PathError(f"{path} is a folder: name a file in it")
     folder_to_write(str(path.parent))
     return path
 
@@ -51,15 +145,23 @@ def folder_to_write(text: str) -> Path:
     """Return an option's folder that files will be written to; it need not be there yet.
 
     Raises:
-        ArgumentTypeError: it cannot be there or be written to.
+        PathError: it cannot be there or be written to.
     """
     path = Path(text)
     nearest = next(each for each in (path, *path.parents) if each.exists())
     if not nearest.is_dir():
-        raise argparse.ArgumentTypeError(f"{nearest} is a file: name a folder")
+        raise PathError(f"{nearest} is a file: name a folder")
     if not os.access(nearest, os.W_OK | os.X_OK):
-        raise argparse.ArgumentTypeError(f"{nearest} may not be written to")
+        raise PathError(f"{nearest} may not be written to")
     return path
+
+
+FileToWrite = Annotated[Path, checked(file_to_write, "FILE")]
+"""An option that names a file to write."""
+OptionalFileToWrite = Annotated[Path | None, checked(file_to_write, "FILE")]
+"""The same, where the option may be left out."""
+FolderToWrite = Annotated[Path, checked(folder_to_write, "FOLDER")]
+"""An option that names a folder to write to."""
 
 
 def run_command(program: str, work: Callable[[], int], failure: int = 1) -> int:

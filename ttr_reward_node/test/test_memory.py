@@ -81,7 +81,7 @@ def test_second_process_compiles_nothing(tmp_path: Path):
 def test_only_the_entry_points_keep_machine_code():
     """A cache of an inner function would not see that the functions which it calls have changed."""
     for name in KERNEL_FILES:
-        for function in vars(import_module(f"ttr_reward_node.{Path(name).stem}")).values():
+        for function in vars(import_module(f"ttr_reward_node.kernels.{Path(name).stem}")).values():
             if isinstance(function, Dispatcher):
                 assert isinstance(function._cache, NullCache)
 
