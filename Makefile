@@ -5,7 +5,7 @@ SHELL := /bin/bash
 RUN := set -eo pipefail; source scripts/workspace.bash;
 LINKED := ctrl_rl_core ctrl_rl_bags sim_bridge ctrl_rl_training ttr_reward_node oc_baseline_node koopman_lqr_controller option_coordinator ctrl_rl_bringup
 
-.PHONY: help setup build demo demo-options trials train ttr oc options koopman test test-all lint bench attack results lock clean
+.PHONY: help setup build demo demo-options trials train ttr oc options koopman test test-all lint bench attack behaviour results lock clean
 
 help: ## say what there is
 	@grep -E '^[a-z-]+:.*##' Makefile | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 18
@@ -89,6 +89,9 @@ bench: build ## the benchmarks, into docs/results/bench.json
 
 attack: build ## fuzz readers and messages, break processes (ARGS="--seconds 60 --seed 1 --report FILE"; default: ten minutes)
 	@$(RUN) python test/attack $(ARGS)
+
+behaviour: build ## digests of what short seeded runs leave, to show that nothing changed (ARGS="--output FILE --against FILE")
+	@$(RUN) python test/behaviour $(ARGS)
 
 results: build ## the page of results from the JSON files
 	@$(RUN) ros2 run ctrl_rl_bringup results docs/results docs/results.md
