@@ -9,6 +9,8 @@ setup(
     version="0.1.0",
     description="Launch files, parameter files and the demo that starts everything.",
     license="Apache-2.0",
+    maintainer="Seed 5ee16a79 maintainers",
+    maintainer_email="maintainers@users.noreply.h-seed-5ee16a79.example",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
     package_data={NAME: ["py.typed"]},
     data_files=[

@@ -7,6 +7,8 @@ setup(
     version="0.1.0",
     description="What every package shares: system models, tasks, value grids, files, the base of the nodes.",
     license="Apache-2.0",
+    maintainer="Seed 5ee16a79 maintainers",
+    maintainer_email="maintainers@users.noreply.h-seed-5ee16a79.example",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
     package_data={NAME: ["py.typed", "tasks/task_files/*.yaml"]},
     data_files=[

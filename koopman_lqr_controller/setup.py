@@ -7,6 +7,8 @@ setup(
     version="0.1.0",
     description="Koopman control from lidar: a learned linear model and its LQR (thesis 2.3 and 4).",
     license="Apache-2.0",
+    maintainer="Seed 5ee16a79 maintainers",
+    maintainer_email="maintainers@users.noreply.h-seed-5ee16a79.example",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
     package_data={NAME: ["py.typed", "policies/pretrained/*"]},
     data_files=[

@@ -7,6 +7,8 @@ setup(
     version="0.1.0",
     description="PyBullet worlds that stand in for the robots: the bridge node and Gymnasium environments.",
     license="Apache-2.0",
+    maintainer="Seed 5ee16a79 maintainers",
+    maintainer_email="maintainers@users.noreply.h-seed-5ee16a79.example",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
     package_data={NAME: ["py.typed", "urdf/*"]},
     data_files=[
