@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from ctrl_rl_core.driving.drive_safety import DriveSafety
-from ctrl_rl_core.driving.lidar_node import LIDAR_PARAMETERS
+from ctrl_rl_core.driving.lidar_velocity_node import LIDAR_PARAMETERS
 from ctrl_rl_core.driving.obstacle_stop import ObstacleStop
 from ctrl_rl_core.driving.scan import ScanGeometry
 from ctrl_rl_core.driving.scan_health import ScanHealth
@@ -27,7 +27,7 @@ from ctrl_rl_core.tasks.task import load_navigation_task
 from koopman_lqr_controller.policies.edmd_policy import DrivingPolicy
 from koopman_lqr_controller.policies.policy_file import find_policy, load_policy
 from koopman_lqr_controller.safety.guards import Guard
-from sim_bridge.simulation.lidar import Scan
+from sim_bridge.simulation.lidar import LidarScan
 from sim_bridge.simulation.world import SimulatedWorld, SimulationOptions
 
 TASK = load_navigation_task("curved_corridor")
@@ -41,7 +41,7 @@ REAL = SimulationOptions(
 )
 LDS01 = SimulationOptions(lidar="lds01", command_truncation=True, command_delay=0.1, randomise_width=True)
 
-Break = Callable[[Scan, int, list[Scan]], Scan]
+Break = Callable[[LidarScan, int, list[LidarScan]], LidarScan]
 
 
 @dataclass(frozen=True)
@@ -71,23 +71,23 @@ class Tally:
     farthest: list[float] = field(default_factory=list)
 
 
-def changed(scan: Scan, ranges: np.ndarray) -> Scan:
+def changed(scan: LidarScan, ranges: np.ndarray) -> LidarScan:
     """Return a scan with other ranges."""
     out = ranges.astype(np.float32)
-    return Scan(out, scan.angle_min, scan.angle_increment, scan.range_min, scan.range_max)
+    return LidarScan(out, scan.angle_min, scan.angle_increment, scan.range_min, scan.range_max)
 
 
-def half(scan: Scan, _step: int, _seen: list[Scan]) -> Scan:
+def half(scan: LidarScan, _step: int, _seen: list[LidarScan]) -> LidarScan:
     """Cover the left half."""
     return changed(scan, np.where(np.arange(len(scan.ranges)) < len(scan.ranges) // 2, 0.0, scan.ranges))
 
 
-def two_lidars(scan: Scan, step: int, _seen: list[Scan]) -> Scan:
+def two_lidars(scan: LidarScan, step: int, _seen: list[LidarScan]) -> LidarScan:
     """Let a second lidar, which looks to the left and farther, send every other scan."""
     if step % 2:
         return scan
     turned = np.roll(scan.ranges, len(scan.ranges) // 4)
-    return Scan(turned, scan.angle_min, scan.angle_increment, 0.15, 12.0)
+    return LidarScan(turned, scan.angle_min, scan.angle_increment, 0.15, 12.0)
 
 
 def across(part: float) -> Callable[[np.ndarray, np.random.Generator], Shape]:
@@ -146,7 +146,7 @@ def episode(policy: DrivingPolicy, scene: Scene, seed: int, bare: bool, largest_
         guard = Guard(policy.region, largest_distance, 1.0, 1.0)
         if not bare:
             guard.set_retries(3.0, 5)
-        seen: list[Scan] = []
+        seen: list[LidarScan] = []
         predicted: np.ndarray | None = None
         why, farthest = "", 0.0
         for step in range(LONGEST):
@@ -204,7 +204,7 @@ def decide(
     policy: DrivingPolicy,
     guard: Guard,
     safety: DriveSafety | None,
-    scan: Scan,
+    scan: LidarScan,
     motion: tuple[float, float],
     predicted: np.ndarray | None,
     step: int,
@@ -215,15 +215,15 @@ def decide(
     try:
         if safety is not None:
             frame = f"{scan.range_max:g}"
-            safety.see(0.2 * step, step, frame, scan.ranges, geometry, motion)
-            if safety.unfit:
-                return stand, safety.unfit, None, 0.0
+            safety.update(0.2 * step, step, frame, scan.ranges, geometry, motion)
+            if safety.fault:
+                return stand, safety.fault, None, 0.0
         decision = policy.decide(scan.ranges, geometry, *motion)
         error = math.nan if predicted is None else float(np.linalg.norm(decision.z - predicted))
         why = guard.see(0.2 * step, decision.z, error)
         command = stand if why else guard.pace * decision.command
         if safety is not None and not why:
-            command, why = safety.allow(command, motion[0], 0.0)
+            command, why = safety.limit(command, motion[0], 0.0)
         return command, why, policy.predict(decision.z, command), guard.outside
     except CtrlRlError as error:
         return stand, str(error), None, 0.0

@@ -3,7 +3,7 @@
 The public names of the modules `bag_writer`, `bag_reader`, `bag_recovery` and `alignment`.
 """
 
-from ctrl_rl_bags.alignment.alignment import Aligned, Extractor, Scan, Track, align, sample
+from ctrl_rl_bags.alignment.alignment import AlignedSamples, Extractor, Scan, TimeSeries, align, resample
 from ctrl_rl_bags.format.checks import BagError
 from ctrl_rl_bags.format.metadata import Qos, Topic
 from ctrl_rl_bags.format.reader import (
@@ -20,7 +20,7 @@ from ctrl_rl_bags.format.recovery import Recovery, recover
 from ctrl_rl_bags.format.writer import BagWriter
 
 __all__ = [
-    "Aligned",
+    "AlignedSamples",
     "BagError",
     "BagInfo",
     "BagMessage",
@@ -30,14 +30,14 @@ __all__ = [
     "RawMessage",
     "Recovery",
     "Scan",
+    "TimeSeries",
     "Topic",
     "TopicInfo",
-    "Track",
     "align",
     "bag_info",
     "open_bag",
     "read_messages",
     "read_raw",
     "recover",
-    "sample",
+    "resample",
 ]

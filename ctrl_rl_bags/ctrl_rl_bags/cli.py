@@ -117,9 +117,9 @@ def _recover(options: argparse.Namespace) -> int:
 
 def _play(options: argparse.Namespace) -> int:
     # Only playing needs an installed ROS.
-    from ctrl_rl_bags.recording.player import Playback, play
+    from ctrl_rl_bags.recording.player import PlaybackOptions, play
 
-    how = Playback(
+    how = PlaybackOptions(
         rate=options.rate,
         topics=options.topics,
         remap=dict(options.remap),

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from bag_messages import OFFICE, cdr, odometry, scan, topic, twist, write_texts
-from ctrl_rl_bags.alignment.alignment import TWIST, Track, align, sample
+from ctrl_rl_bags.alignment.alignment import TWIST, TimeSeries, align, resample
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -96,11 +96,11 @@ class TestAlign:
         st.lists(st.integers(-100, 1100), min_size=1, max_size=20),
     )
     def test_sample_against_a_search_by_hand(self, known, asked):
-        track = Track(np.array(known, dtype=np.int64), np.array(known, dtype=np.float64)[:, None])
+        track = TimeSeries(np.array(known, dtype=np.int64), np.array(known, dtype=np.float64)[:, None])
         times = np.array(asked, dtype=np.int64)
-        held, age = sample(track, times)
-        near, near_age = sample(track, times, "nearest")
-        line, line_age = sample(track, times, "linear")
+        held, age = resample(track, times)
+        near, near_age = resample(track, times, "nearest")
+        line, line_age = resample(track, times, "linear")
         for i, t in enumerate(asked):
             before = [k for k in known if k <= t]
             assert (held[i, 0] == before[-1]) if before else np.isnan(held[i, 0])

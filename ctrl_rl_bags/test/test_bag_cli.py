@@ -10,7 +10,7 @@ import pytest
 import rclpy
 from ctrl_rl_bags.cli import main
 from ctrl_rl_bags.recording.message_types import message_definition
-from ctrl_rl_bags.recording.qos import offer, request, to_bag
+from ctrl_rl_bags.recording.qos import publisher_qos, subscription_qos, to_bag_qos
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -26,7 +26,7 @@ DOMAIN = 1 + os.getpid() % 100
 
 
 def string_topic(name, qos):
-    return Topic(name, "std_msgs/msg/String", message_definition("std_msgs/msg/String"), qos=(to_bag(qos),))
+    return Topic(name, "std_msgs/msg/String", message_definition("std_msgs/msg/String"), qos=(to_bag_qos(qos),))
 
 
 def text(value):
@@ -222,20 +222,20 @@ def test_a_wrong_remap_is_wrong_usage(bag, capsys):
 
 class TestQos:
     def test_request_matches_every_offer(self):
-        both = request([LATCHED, LATCHED], 7)
+        both = subscription_qos([LATCHED, LATCHED], 7)
         assert (both.reliability, both.durability, both.depth) == (
             ReliabilityPolicy.RELIABLE,
             DurabilityPolicy.TRANSIENT_LOCAL,
             7,
         )
-        mixed = request([LATCHED, BEST_EFFORT], 7)
+        mixed = subscription_qos([LATCHED, BEST_EFFORT], 7)
         assert (mixed.reliability, mixed.durability) == (ReliabilityPolicy.BEST_EFFORT, DurabilityPolicy.VOLATILE)
 
     def test_offer_matches_every_request_that_was_matched(self):
-        mixed = offer([to_bag(LATCHED), to_bag(BEST_EFFORT)], 7)
+        mixed = publisher_qos([to_bag_qos(LATCHED), to_bag_qos(BEST_EFFORT)], 7)
         assert (mixed.reliability, mixed.durability) == (ReliabilityPolicy.RELIABLE, DurabilityPolicy.TRANSIENT_LOCAL)
-        assert offer([to_bag(BEST_EFFORT)], 7).reliability == ReliabilityPolicy.BEST_EFFORT
-        assert offer([], 7).reliability == ReliabilityPolicy.RELIABLE
+        assert publisher_qos([to_bag_qos(BEST_EFFORT)], 7).reliability == ReliabilityPolicy.BEST_EFFORT
+        assert publisher_qos([], 7).reliability == ReliabilityPolicy.RELIABLE
 
 
 @pytest.mark.fault

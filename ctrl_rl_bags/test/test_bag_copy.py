@@ -3,8 +3,8 @@
 from pathlib import Path
 
 import pytest
-from ctrl_rl_bags.format.copy import bag_topics, copy_bag, read_wire
-from ctrl_rl_bags.recording.qos import to_bag
+from ctrl_rl_bags.format.copy import bag_topics, copy_bag, read_serialized
+from ctrl_rl_bags.recording.qos import to_bag_qos
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rosbags.typesys import Stores, get_typestore
 
@@ -12,7 +12,7 @@ from ctrl_rl_bags import BagError, BagWriter, Topic, bag_info
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 STRING = STORE.generate_msgdef("std_msgs/msg/String", ros_version=2)[0]
-QOS = (to_bag(QoSProfile(depth=3, durability=DurabilityPolicy.TRANSIENT_LOCAL)),)
+QOS = (to_bag_qos(QoSProfile(depth=3, durability=DurabilityPolicy.TRANSIENT_LOCAL)),)
 COUNT = 50
 
 
@@ -39,7 +39,7 @@ def test_everything_is_there_again_and_what_was_added(bag: Path, tmp_path: Path)
     added = [Topic("/b", "std_msgs/msg/String", STRING)]
     assert len(bag_info(bag).files) > 1
     assert copy_bag(bag, output, added, add, custom_data={"digest.grid": "def"}) == COUNT // 2
-    before, after = list(read_wire(bag)), list(read_wire(output))
+    before, after = list(read_serialized(bag)), list(read_serialized(output))
     assert [message for message in after if message.topic == "/a"] == before
     assert [(m.log_time, m.data) for m in after if m.topic == "/b"] == [
         (m.log_time, text("after " + str(m.sequence))) for m in before if m.sequence % 2
@@ -66,7 +66,7 @@ def test_neither_a_topic_nor_a_bag_is_overwritten(bag: Path, tmp_path: Path) -> 
         copy_bag(bag, tmp_path / "new", [Topic("/a", "std_msgs/msg/String", STRING)], lambda _message: ())
     with pytest.raises(BagError, match="exists"):
         copy_bag(bag, bag, [], lambda _message: ())
-    assert len(list(read_wire(bag))) == COUNT
+    assert len(list(read_serialized(bag))) == COUNT
 
 
 def test_a_real_sqlite3_bag_becomes_an_mcap_one(real_drive: Path, tmp_path: Path) -> None:

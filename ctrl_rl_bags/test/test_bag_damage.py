@@ -14,7 +14,7 @@ import pytest
 import yaml
 import zstandard
 from bag_messages import LATCHED, STORE, cdr, odometry, text, topic, write_texts
-from ctrl_rl_bags.format.copy import copy_bag, read_wire
+from ctrl_rl_bags.format.copy import copy_bag, read_serialized
 from ctrl_rl_bags.format.mcap_records import Limits
 from ctrl_rl_bags.format.mcap_writer import MAGIC
 from ctrl_rl_bags.format.type_definitions import BagTypes, Definition
@@ -48,7 +48,7 @@ def sound(tmp_path_factory):
         for i in range(6):
             bag.write("/odom", cdr(odometry(i, i, 0.0, 0.0)), i, i, i)
             bag.write("/talk", text(str(i)), i, i, i)
-    return Sound(folder, list(read_wire(folder)), contents(bag_info(folder)))
+    return Sound(folder, list(read_serialized(folder)), contents(bag_info(folder)))
 
 
 def contents(info):
@@ -74,7 +74,7 @@ def test_a_flipped_bit_is_refused_or_changes_nothing(sound, tmp_path_factory, wh
     path.write_bytes(data)
     for read, expected in (
         (lambda: contents(bag_info(folder)), sound.info),
-        (lambda: list(read_wire(folder)), sound.messages),
+        (lambda: list(read_serialized(folder)), sound.messages),
     ):
         found, refusal = outcome(read)
         assert "\n" not in refusal
@@ -293,7 +293,7 @@ def test_two_types_on_a_topic_are_told_apart(tmp_path):
             writer.add_message(writer.register_channel("/talk", "cdr", schema), i, text(str(i)), i)
         writer.finish()
     with pytest.raises(BagError, match=r"two types, std_msgs/msg/String and std_msgs/msg/Empty; mend it with"):
-        list(read_wire(tmp_path / "bag.mcap"))
+        list(read_serialized(tmp_path / "bag.mcap"))
     found = recover(tmp_path / "bag.mcap")
     assert found.messages == {"/talk": 1, "/talk/as/std_msgs/Empty": 1}
     assert bag_info(found.folder).topics["/talk/as/std_msgs/Empty"].type == "std_msgs/msg/Empty"
@@ -304,7 +304,7 @@ def test_one_file_can_be_recovered(tmp_path):
     file = folder / "bag_0.mcap"
     file.write_bytes(file.read_bytes()[:-50])
     assert recover(file, tmp_path / "out").messages == {"/talk": 40}
-    assert len(list(read_wire(tmp_path / "out"))) == 40
+    assert len(list(read_serialized(tmp_path / "out"))) == 40
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import yaml
 from bag_messages import LATCHED, OFFICE, STORE, cdr, scan, text, topic, write_texts
-from ctrl_rl_bags.format.copy import read_wire
+from ctrl_rl_bags.format.copy import read_serialized
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
@@ -174,7 +174,7 @@ class TestReader:
             message = store.types["std_msgs/msg/String"]("hello")
             bag.write(connection, 1, store.serialize_ros1(message, "std_msgs/msg/String"))
         (tmp_path / "old.mcap").write_bytes((tmp_path / "old.bag").read_bytes())
-        for use in (bag_info, lambda bag: list(read_messages(bag)), lambda bag: list(read_wire(bag))):
+        for use in (bag_info, lambda bag: list(read_messages(bag)), lambda bag: list(read_serialized(bag))):
             for name in ("old.bag", "old.mcap"):
                 with pytest.raises(
                     BagError, match="is a ROS 1 bag: convert it first with rosbags-convert --src"

@@ -9,7 +9,7 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 
-from ctrl_rl_core.io.atomic_write import write_whole
+from ctrl_rl_core.io.atomic_write import atomic_write
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt
@@ -17,7 +17,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Patch, Polygon, Rectangle
 
-from ctrl_rl_core.geometry.shapes import Box, Path, Shape
+from ctrl_rl_core.geometry.shapes import ArcPath, Box, Shape
 from ctrl_rl_core.geometry.units import Interval
 from ctrl_rl_core.tasks.task import NavigationTask
 
@@ -55,7 +55,7 @@ def save_figure(figure: Figure, path: FilePath, dpi: int = 110) -> None:
     picture = BytesIO()
     figure.savefig(picture, format="png", dpi=dpi)
     plt.close(figure)
-    write_whole(path, picture.getvalue())
+    atomic_write(path, picture.getvalue())
 
 
 def _solid(shape: Shape) -> Patch:
@@ -66,7 +66,7 @@ def _solid(shape: Shape) -> Patch:
     return Circle(shape.centre, shape.radius, color="0.3", linewidth=0)
 
 
-def _goal(task: NavigationTask, path: Path | None, width: float | None) -> list[Patch]:
+def _goal(task: NavigationTask, path: ArcPath | None, width: float | None) -> list[Patch]:
     goal = task.goal.region
     if path is not None and width is not None:
         return [_stretch(path, goal.intervals["s"], width)] if "s" in goal.intervals else []
@@ -78,7 +78,7 @@ def _goal(task: NavigationTask, path: Path | None, width: float | None) -> list[
     )
 
 
-def _stretch(path: Path, along: Interval, width: float) -> Polygon:
+def _stretch(path: ArcPath, along: Interval, width: float) -> Polygon:
     """Return the part of a corridor between two arc lengths."""
     x, y, heading = path.pose(np.linspace(along.low, along.high, 30)).T
     sides = [np.column_stack((x - e * np.sin(heading), y + e * np.cos(heading))) for e in (0.5 * width, -0.5 * width)]

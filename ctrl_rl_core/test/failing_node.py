@@ -59,10 +59,10 @@ class FailingNode(SuiteNode):
         self.get_logger().info("text {text!r}, names {names!r}, file {file!r}".format(**self.settings))
         self.get_logger().info("runs")
 
-    def callback_failed(self, error):
+    def on_callback_error(self, error):
         self._heard.publish(String(data=f"stands: {error}"))
 
-    def setting_changed(self, name):
+    def on_parameter_changed(self, name):
         if name == "value" and self.settings["value"] < 0.0:
             raise ZeroDivisionError("an unexpected end")
 

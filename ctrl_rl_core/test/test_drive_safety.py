@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from ctrl_rl_core.driving.drive_safety import DriveSafety
 from ctrl_rl_core.driving.obstacle_stop import ObstacleStop
-from ctrl_rl_core.driving.scan import DIRECTIONS, MOST_BEAMS, ScanError, ScanGeometry, view
+from ctrl_rl_core.driving.scan import DIRECTIONS, MOST_BEAMS, ScanError, ScanGeometry, view_scan
 from ctrl_rl_core.driving.scan_health import MIXED, ScanHealth
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -33,14 +33,14 @@ def new(**changes: float) -> DriveSafety:
 
 
 def see(safety: DriveSafety, ranges: np.ndarray, step: int = 0, scan: ScanGeometry = LDS01, frame: str = "a") -> str:
-    safety.see(0.2 * step, 200_000_000 * step, frame, ranges.astype(np.float32), scan, DRIVING)
-    return safety.unfit
+    safety.update(0.2 * step, 200_000_000 * step, frame, ranges.astype(np.float32), scan, DRIVING)
+    return safety.fault
 
 
 def refused(safety: DriveSafety, command: np.ndarray = AHEAD) -> str:
     """Return why a command is refused as a whole."""
     with pytest.raises(ScanError) as error:
-        safety.allow(command, 0.2, 0.0)
+        safety.limit(command, 0.2, 0.0)
     return str(error.value)
 
 
@@ -52,7 +52,7 @@ def test_a_scan_without_echoes_is_no_free_space(nothing: float) -> None:
     assert "have an echo" in refused(safety)
     open_field = new(min_echo_share=0.0, largest_gap=6.3)
     assert see(open_field, np.full(360, nothing)) == ""
-    assert open_field.allow(AHEAD, 0.2, 0.0)[1] == "", "who asks for it drives in the open"
+    assert open_field.limit(AHEAD, 0.2, 0.0)[1] == "", "who asks for it drives in the open"
 
 
 @pytest.mark.fault
@@ -67,11 +67,11 @@ def test_a_covered_half_stops_what_drives_towards_it_and_nothing_else(first: int
     behind = first == 90
     back = np.array((-0.1, 0.0))
     if behind:
-        assert safety.allow(AHEAD, 0.2, 0.0)[0].tolist() == AHEAD.tolist()
+        assert safety.limit(AHEAD, 0.2, 0.0)[0].tolist() == AHEAD.tolist()
         assert "behind" in refused(safety, back)
     else:
         assert "no echoes within 120 deg ahead" in refused(safety)
-    assert safety.allow(np.array((0.0, 0.5)), 0.2, 0.0)[0].tolist() == [0.0, 0.5], "it may turn on the spot"
+    assert safety.limit(np.array((0.0, 0.5)), 0.2, 0.0)[0].tolist() == [0.0, 0.5], "it may turn on the spot"
 
 
 def test_single_lost_beams_and_the_open_end_of_a_corridor_are_no_fault() -> None:
@@ -79,12 +79,12 @@ def test_single_lost_beams_and_the_open_end_of_a_corridor_are_no_fault() -> None
     ranges[np.random.default_rng(0).random(360) < 0.3] = 0.0
     safety = new()
     assert see(safety, ranges) == ""
-    assert safety.allow(AHEAD, 0.2, 0.0)[1] == ""
+    assert safety.limit(AHEAD, 0.2, 0.0)[1] == ""
     half_angle = math.atan(0.4 / 0.3)
     ranges = corridor()
     ranges[np.abs((BEARINGS + math.pi) % TURN - math.pi) < half_angle] = 0.0
     assert see(safety, ranges, 1) == ""
-    assert safety.allow(AHEAD, 0.2, 0.0)[1] == ""
+    assert safety.limit(AHEAD, 0.2, 0.0)[1] == ""
 
 
 @pytest.mark.fault
@@ -92,8 +92,8 @@ def test_a_frozen_lidar_stops_a_robot_that_moves_and_only_that() -> None:
     safety, ranges = new(), corridor().astype(np.float32)
 
     def frozen(step: int, motion: tuple[float, float], stamp: int) -> str:
-        safety.see(0.2 * step, stamp, "a", ranges, LDS01, motion)
-        return safety.unfit
+        safety.update(0.2 * step, stamp, "a", ranges, LDS01, motion)
+        return safety.fault
 
     assert [frozen(step, (0.0, 0.0), step) for step in range(5)] == [""] * 5, "one that stands sees the same"
     assert [frozen(step, (0.2, 0.0), 4) for step in range(5, 9)] == [""] * 4, "the same message again is no scan"
@@ -143,12 +143,12 @@ def test_a_geometry_that_no_lidar_has_is_refused(scan: ScanGeometry) -> None:
 
 
 def test_points_lie_where_the_beams_met_something() -> None:
-    seen = view(corridor(), LDS01, reach=1.0, forward=-0.032)
+    seen = view_scan(corridor(), LDS01, reach=1.0, forward=-0.032)
     assert len(seen.points) > 100
     assert np.abs(np.abs(seen.points[:, 1]) - 0.35).max() < 0.03
-    wall = view(corridor(front=0.5), LDS01, reach=1.0, forward=-0.032).points
+    wall = view_scan(corridor(front=0.5), LDS01, reach=1.0, forward=-0.032).points
     assert wall[:, 0].max() == pytest.approx(0.468, abs=0.03)
-    close = view(np.full(360, -np.inf, np.float32), LDS01, reach=1.0)
+    close = view_scan(np.full(360, -np.inf, np.float32), LDS01, reach=1.0)
     assert np.hypot(*close.points.T) == pytest.approx(0.12), "too close is an obstacle, not a miss"
 
 
@@ -165,7 +165,9 @@ def test_each_direction_is_seen_by_the_beam_that_is_nearest_to_it(
     increment = (-1.0 if clockwise else 1.0) * opening / beams
     bearings = angle_min + increment * np.arange(beams)
     lit = np.arange(beams) % 2 == 0
-    seen = view(np.where(lit, 1.0, 0.0).astype(np.float32), ScanGeometry(beams, angle_min, increment, 0.1, 3.5), 2.0)
+    seen = view_scan(
+        np.where(lit, 1.0, 0.0).astype(np.float32), ScanGeometry(beams, angle_min, increment, 0.1, 3.5), 2.0
+    )
     directions = np.arange(DIRECTIONS) * TURN / DIRECTIONS
     apart = np.abs((directions[:, None] - bearings + math.pi) % TURN - math.pi)
     nearest = apart.min(axis=1)
@@ -191,7 +193,7 @@ def test_what_is_allowed_leaves_room_to_brake_and_is_no_faster(
     random = np.random.default_rng(seed)
     bearing, distance = random.uniform(0.0, TURN, count), random.uniform(0.1, 0.8, count)
     points = np.column_stack((distance * np.cos(bearing), distance * np.sin(bearing)))
-    command, problem = ROBOT.allow(np.array((v, omega)), points, motion, 0.1)
+    command, problem = ROBOT.limit(np.array((v, omega)), points, motion, 0.1)
     assert abs(command[0]) <= abs(v)
     assert command[0] * v >= 0.0
     assert command[1] == omega
@@ -216,7 +218,7 @@ def test_before_an_obstacle_it_slows_then_stands_and_may_turn_away_or_back_off()
     allowed = []
     for index, front in enumerate((1.0, 0.22, 0.19, 0.16)):
         see(safety, corridor(index, front), index)
-        allowed.append(safety.allow(np.array((0.2, 0.3)), 0.0, 0.0))
+        allowed.append(safety.limit(np.array((0.2, 0.3)), 0.0, 0.0))
     speeds = [float(command[0]) for command, _ in allowed]
     assert speeds[0] == 0.2
     assert speeds == sorted(speeds, reverse=True)
@@ -225,9 +227,9 @@ def test_before_an_obstacle_it_slows_then_stands_and_may_turn_away_or_back_off()
     assert "obstacle" in problem
     assert "ahead" in problem
     assert command.tolist() == [0.0, 0.3], "it may turn"
-    assert safety.allow(np.array((-0.1, 0.0)), 0.0, 0.0)[1] == "", "and back off"
+    assert safety.limit(np.array((-0.1, 0.0)), 0.0, 0.0)[1] == "", "and back off"
     near = new()
     see(near, corridor(9, 0.24), 0)
-    assert near.allow(np.array((0.1, 0.0)), 0.0, 0.0)[1] == ""
-    assert near.allow(np.array((0.1, 0.0)), 0.22, 0.0)[1] != "", "who comes quicker needs more room"
-    assert near.allow(np.array((0.1, 0.0)), 0.0, 3.0)[1] != "", "so does an old scan"
+    assert near.limit(np.array((0.1, 0.0)), 0.0, 0.0)[1] == ""
+    assert near.limit(np.array((0.1, 0.0)), 0.22, 0.0)[1] != "", "who comes quicker needs more room"
+    assert near.limit(np.array((0.1, 0.0)), 0.0, 3.0)[1] != "", "so does an old scan"

@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from ctrl_rl_core.geometry.shapes import Arc, Box, Disc, Path, frame_walls, signed_distance
+from ctrl_rl_core.geometry.shapes import Arc, ArcPath, Box, Disc, frame_walls, signed_distance
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 WIDTH = 0.7
-PATH = Path((Arc(1.0, 0.0), Arc(1.5, 1.0), Arc(0.4, 0.0), Arc(2.0, -1 / 0.9), Arc(1.0, 0.0)), (0.3, -0.2), 0.4)
+PATH = ArcPath((Arc(1.0, 0.0), Arc(1.5, 1.0), Arc(0.4, 0.0), Arc(2.0, -1 / 0.9), Arc(1.0, 0.0)), (0.3, -0.2), 0.4)
 coordinates = st.floats(-3.0, 3.0)
 
 
@@ -49,8 +49,8 @@ def test_a_path_is_continuous_in_place_and_direction() -> None:
 
 
 def test_a_quarter_circle_ends_where_it_must() -> None:
-    assert Path((Arc(np.pi, 0.5),)).pose(np.pi) == pytest.approx([2.0, 2.0, np.pi / 2])
-    assert Path((Arc(1.0, 0.0),)).pose([-1.0, 2.0]) == pytest.approx(np.array([[-1.0, 0.0, 0.0], [2.0, 0.0, 0.0]]))
+    assert ArcPath((Arc(np.pi, 0.5),)).pose(np.pi) == pytest.approx([2.0, 2.0, np.pi / 2])
+    assert ArcPath((Arc(1.0, 0.0),)).pose([-1.0, 2.0]) == pytest.approx(np.array([[-1.0, 0.0, 0.0], [2.0, 0.0, 0.0]]))
 
 
 @settings(deadline=None)
@@ -82,7 +82,7 @@ def test_walls_have_no_gap_that_a_beam_could_pass() -> None:
 
 def test_a_turn_tighter_than_half_the_width_is_refused() -> None:
     with pytest.raises(ValueError, match="too tight"):
-        Path((Arc(1.0, 1 / 0.3),)).walls(WIDTH)
+        ArcPath((Arc(1.0, 1 / 0.3),)).walls(WIDTH)
 
 
 @given(st.integers(0, 2**32))

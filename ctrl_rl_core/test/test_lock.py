@@ -4,13 +4,13 @@ import subprocess
 import sys
 
 import pytest
-from ctrl_rl_core.processes.exclusive_lock import LockError, alone
+from ctrl_rl_core.processes.exclusive_lock import LockError, exclusive_lock
 
 HOLD = """
 import sys
 from pathlib import Path
-from ctrl_rl_core.processes.exclusive_lock import alone
-with alone(Path(sys.argv[1])):
+from ctrl_rl_core.processes.exclusive_lock import exclusive_lock
+with exclusive_lock(Path(sys.argv[1])):
     print("held", flush=True)
     sys.stdin.read()
 """
@@ -18,11 +18,11 @@ with alone(Path(sys.argv[1])):
 
 def test_one_at_a_time(tmp_path):
     lock = tmp_path / ".lock"
-    with alone(lock), pytest.raises(LockError, match="another call is at work there"), alone(lock):
+    with exclusive_lock(lock), pytest.raises(LockError, match="another call is at work there"), exclusive_lock(lock):
         pass
-    with alone(lock):
+    with exclusive_lock(lock):
         pass
-    with alone(lock), alone(tmp_path / ".other"):
+    with exclusive_lock(lock), exclusive_lock(tmp_path / ".other"):
         pass
 
 
@@ -31,8 +31,8 @@ def test_a_killed_holder_lets_others_in(tmp_path):
     command = [sys.executable, "-c", HOLD, str(lock)]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as holder:
         assert holder.stdout.readline() == b"held\n"
-        with pytest.raises(LockError), alone(lock):
+        with pytest.raises(LockError), exclusive_lock(lock):
             pass
         holder.kill()
-    with alone(lock):
+    with exclusive_lock(lock):
         pass

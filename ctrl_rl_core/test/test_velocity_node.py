@@ -37,15 +37,15 @@ class Echo(VelocityNode):
         self.create_subscription(Odometry, "odom", self.on_odometry, SENSOR)
 
     def on_odometry(self, message):
-        self.heard("odometry")
-        self.robot_frame(message.child_frame_id)
+        self.note_input("odometry")
+        self.use_frame(message.child_frame_id)
         twist = message.twist.twist
         if twist.linear.y:
             raise ZeroDivisionError("a callback's own mistake")
         try:
             self.drive(np.array((twist.linear.x, twist.angular.z)), message.header.stamp)
         except VelocityError as error:
-            self.stand(str(error), message.header.stamp)
+            self.halt(str(error), message.header.stamp)
 
 
 sys.exit(run_node(Echo))

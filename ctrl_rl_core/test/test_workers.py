@@ -7,7 +7,7 @@ import sys
 import time
 
 import pytest
-from ctrl_rl_core.processes.workers import WorkersError, in_processes
+from ctrl_rl_core.processes.workers import WorkersError, map_in_processes
 
 _prepared = []
 
@@ -35,19 +35,19 @@ def note_and_wait(file):
 
 def test_every_item_is_answered_once():
     ticks = []
-    answers = in_processes(add, range(7), 2, prepare, (100,), lambda: ticks.append(1))
+    answers = map_in_processes(add, range(7), 2, prepare, (100,), lambda: ticks.append(1))
     assert sorted(answers) == [100, 101, 102, 103, 104, 105, 106]
     assert ticks
 
 
 def test_what_a_worker_raises_is_raised_here():
     with pytest.raises(ValueError, match="not 3"):
-        list(in_processes(refuse, [3], 1))
+        list(map_in_processes(refuse, [3], 1))
 
 
 def test_a_killed_worker_is_told_in_words():
     with pytest.raises(WorkersError, match="run the same command again"):
-        list(in_processes(die, [1], 1))
+        list(map_in_processes(die, [1], 1))
 
 
 PARENT = """
@@ -55,9 +55,9 @@ import sys
 from pathlib import Path
 sys.path.insert(0, sys.argv[1])
 from test_workers import note_and_wait
-from ctrl_rl_core.processes.workers import in_processes
+from ctrl_rl_core.processes.workers import map_in_processes
 if __name__ == "__main__":
-    list(in_processes(note_and_wait, [Path(sys.argv[2])], 1))
+    list(map_in_processes(note_and_wait, [Path(sys.argv[2])], 1))
 """
 
 

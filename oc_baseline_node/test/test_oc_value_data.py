@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ctrl_rl_core.processes.exclusive_lock import LockError, alone
+from ctrl_rl_core.processes.exclusive_lock import LockError, exclusive_lock
 from ctrl_rl_core.tasks.task import load_navigation_task
 from hypothesis import given
 from hypothesis import strategies as st
@@ -147,7 +147,7 @@ def test_a_quadrotors_doomed_starts_are_told_from_the_rest(tmp_path: Path) -> No
 
 
 def test_one_call_at_a_time_works_in_a_folder(car: Problem, tmp_path: Path) -> None:
-    with alone(tmp_path / LOCK), pytest.raises(LockError, match="another call is at work there"):
+    with exclusive_lock(tmp_path / LOCK), pytest.raises(LockError, match="another call is at work there"):
         make_data(car, DataSettings(1, chunk=1), tmp_path, progress=False)
     assert [file.name for file in tmp_path.iterdir()] == [LOCK]
 

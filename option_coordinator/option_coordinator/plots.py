@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.io.atomic_write import write_whole
+from ctrl_rl_core.io.atomic_write import atomic_write
 from ctrl_rl_core.plots import save_figure
 from matplotlib import colormaps
 from matplotlib import pyplot as plt
@@ -69,7 +69,7 @@ def draw_replay(environment: OptionEnvironment, title: str, path: Path) -> None:
     content = BytesIO()
     first, *others = _with_few_colours(frames)
     first.save(content, "GIF", save_all=True, append_images=others, duration=_FRAME_MILLISECONDS, loop=0)
-    write_whole(path, content.getvalue())
+    atomic_write(path, content.getvalue())
 
 
 def _with_few_colours(frames: Sequence[Image.Image]) -> list[Image.Image]:

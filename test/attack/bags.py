@@ -65,7 +65,7 @@ _USE = """
 import json, sys
 from pathlib import Path
 import numpy as np
-from ctrl_rl_bags.format.copy import copy_bag, read_wire
+from ctrl_rl_bags.format.copy import copy_bag, read_serialized
 from ctrl_rl_bags import BagError, read_messages
 from ctrl_rl_core.errors import CtrlRlError
 
@@ -75,20 +75,20 @@ try:
         for message in read_messages(bag):
             pass
     elif what == "read":
-        for message in read_wire(bag):
+        for message in read_serialized(bag):
             print(json.dumps([message.topic, message.data.hex()]))
     elif what == "copy":
         copy_bag(bag, output, [], lambda message: ())
     elif what == "play":
         from ctrl_rl_bags import bag_info
         from ctrl_rl_bags.recording.message_types import UnknownTypeError, message_class
-        from ctrl_rl_bags.recording.qos import offer
+        from ctrl_rl_bags.recording.qos import publisher_qos
         for name, topic in bag_info(bag).topics.items():
             try:
                 message_class(topic.type)
             except UnknownTypeError:
                 pass
-            offer(topic.qos, 10)
+            publisher_qos(topic.qos, 10)
     elif what == "relabel":
         from ttr_reward_node.rewards.relabel import relabel
         class Flat:  # what is attacked is the bag; a solved function would say the same slowly

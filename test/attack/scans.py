@@ -80,10 +80,10 @@ def in_process(random: np.random.Generator, _folder: Path) -> None:
         ranges = content(random, scan["beams"])
         stamp = int(random.integers(2**62))
         frame = str(random.choice(("a", "a", "a", "b")))
-        safety.see(now, stamp, frame, ranges, ScanGeometry(**scan), tuple(random.normal(0.0, 0.3, 2)))
+        safety.update(now, stamp, frame, ranges, ScanGeometry(**scan), tuple(random.normal(0.0, 0.3, 2)))
         command = random.uniform(-1.0, 1.0, 2) * LIMITS
         try:
-            allowed, _ = safety.allow(
+            allowed, _ = safety.limit(
                 command, float(random.normal(0.0, 0.3)), float(random.choice((0.0, 0.5, math.inf)))
             )
         except ScanError:

@@ -12,7 +12,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from ctrl_rl_core.io.atomic_write import write_whole
+from ctrl_rl_core.io.atomic_write import atomic_write
 from ctrl_rl_core.io.results import read_benchmarks
 from tqdm import tqdm
 
@@ -43,7 +43,7 @@ def write(file: Path, name: str, fresh: list[dict[str, Any]]) -> None:
     kept = [row for row in there if row["benchmark"] in NAMES and row["benchmark"] != name]
     file.parent.mkdir(parents=True, exist_ok=True)
     content = sorted(kept + fresh, key=lambda row: NAMES.index(row["benchmark"]))
-    write_whole(file, json.dumps(content, indent=1) + "\n")
+    atomic_write(file, json.dumps(content, indent=1) + "\n")
 
 
 def table(rows: list[dict[str, Any]]) -> str:

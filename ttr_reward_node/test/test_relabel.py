@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from ament_index_python.packages import get_package_share_directory
-from ctrl_rl_bags.format.copy import read_wire
+from ctrl_rl_bags.format.copy import read_serialized
 from ctrl_rl_bags.recording.message_types import message_definition
-from ctrl_rl_bags.recording.qos import to_bag
+from ctrl_rl_bags.recording.qos import to_bag_qos
 from ctrl_rl_core.ros.node import RESULT
 from ctrl_rl_core.tasks.task import load_navigation_task
 from nav_msgs.msg import Odometry
@@ -48,8 +48,8 @@ def test_every_odometry_message_gets_a_reward_and_nothing_else_changes(bag: Path
     output = tmp_path / "labelled"
     count = relabel(bag, output, function, Labeller(load_navigation_task("car_ttr"), function), robot="robot")
     assert count == 100
-    kept = [message for message in read_wire(output) if message.topic in ("/robot/odom", "/said")]
-    assert kept == list(read_wire(bag))
+    kept = [message for message in read_serialized(output) if message.topic in ("/robot/odom", "/said")]
+    assert kept == list(read_serialized(bag))
     rewards = [message.data for message in read_messages(output, ["/robot/reward"])]
     states = np.column_stack((np.full(100, -0.2), -4.5 + 0.05 * np.arange(100), np.zeros(100)))
     phi = function.value(states)
@@ -68,7 +68,7 @@ def test_every_odometry_message_gets_a_reward_and_nothing_else_changes(bag: Path
         installed = Path(get_package_share_directory("ctrl_rl_msgs")) / "msg" / f"{kind}.json"
         hashes = {it["type_name"]: it["hash_string"] for it in json.loads(installed.read_text())["type_hashes"]}
         assert info.topics[topic].type_hash == hashes[f"ctrl_rl_msgs/msg/{kind}"]
-        assert info.topics[topic].qos == (to_bag(RESULT),)
+        assert info.topics[topic].qos == (to_bag_qos(RESULT),)
 
 
 def test_says_what_is_missing(bag: Path, tmp_path: Path) -> None:
@@ -89,7 +89,7 @@ def test_rewards_that_are_there_are_replaced_only_when_told(bag: Path, tmp_path:
     assert not second.exists()
     assert relabel(first, second, new, Labeller(task, new), robot="robot", replace=True) == 100
     relabel(bag, fresh, new, Labeller(task, new), robot="robot")
-    assert list(read_wire(second)) == list(read_wire(fresh))
+    assert list(read_serialized(second)) == list(read_serialized(fresh))
     assert bag_info(second).custom_data["digest.time_to_reach"] == new.digest
 
 

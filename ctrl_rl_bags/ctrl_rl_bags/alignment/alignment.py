@@ -89,7 +89,7 @@ EXTRACTORS: Mapping[str, Extractor] = {
 
 
 @dataclass(frozen=True)
-class Track:
+class TimeSeries:
     """One topic of one bag, in the order of its log time.
 
     Attributes:
@@ -104,7 +104,7 @@ class Track:
 
 
 @dataclass(frozen=True)
-class Aligned:
+class AlignedSamples:
     """One sequence without a gap.
 
     Attributes:
@@ -126,15 +126,15 @@ class Aligned:
         """Times since the first (n,) [s]."""
         return np.asarray((self.times - self.times[:1]) * 1e-9, dtype=np.float64)
 
-    def rows(self, index: slice | NDArray[Any]) -> Aligned:
+    def rows(self, index: slice | NDArray[Any]) -> AlignedSamples:
         """Return some of the rows."""
-        return Aligned(
+        return AlignedSamples(
             self.times[index],
             {topic: values[index] for topic, values in self.values.items()},
             {topic: ages[index] for topic, ages in self.ages.items()},
         )
 
-    def split(self, max_step: float = np.inf, max_age: float = np.inf) -> list[Aligned]:
+    def split(self, max_step: float = np.inf, max_age: float = np.inf) -> list[AlignedSamples]:
         """Leave out rows with a sample older than `max_age` [s], and cut there and at steps above `max_step` [s]."""
         keep = np.ones(len(self), dtype=np.bool_)
         for ages in self.ages.values():
@@ -154,7 +154,7 @@ def align(
     clock: Clock = "header",
     max_step: float = np.inf,
     max_age: float = np.inf,
-) -> list[Aligned]:
+) -> list[AlignedSamples]:
     """Sample several topics of one or more bags at common times.
 
     Args:
@@ -176,20 +176,20 @@ def align(
     if isinstance(bags, (str, Path)):
         bags = [bags]
     methods = methods or {}
-    out: list[Aligned] = []
+    out: list[AlignedSamples] = []
     for bag in bags:
         for tracks in _runs(bag, topics, reference, clock):
             times = _sample_times(tracks, reference)
             values: dict[str, NDArray[Any]] = {}
             ages: dict[str, NDArray[np.float64]] = {}
             for topic, track in tracks.items():
-                values[topic], ages[topic] = sample(track, times, methods.get(topic, "previous"))
-            out += Aligned(times, values, ages).split(max_step, max_age)
+                values[topic], ages[topic] = resample(track, times, methods.get(topic, "previous"))
+            out += AlignedSamples(times, values, ages).split(max_step, max_age)
     return out
 
 
-def sample(
-    track: Track, times: NDArray[np.int64], method: Method = "previous"
+def resample(
+    track: TimeSeries, times: NDArray[np.int64], method: Method = "previous"
 ) -> tuple[NDArray[Any], NDArray[np.float64]]:
     """Return a track's values and their ages [s] at given times (m,) [ns]; the track's times must rise.
 
@@ -221,7 +221,7 @@ def sample(
     return values, age
 
 
-def _interpolate(track: Track, times: NDArray[np.int64]) -> NDArray[np.float64]:
+def _interpolate(track: TimeSeries, times: NDArray[np.int64]) -> NDArray[np.float64]:
     # Relative to the first sample: 1e18 ns do not fit into a float's 53 bits.
     x = (times - track.times[0]).astype(np.float64)
     known = (track.times - track.times[0]).astype(np.float64)
@@ -241,7 +241,7 @@ def _absent(like: NDArray[Any], count: int) -> NDArray[Any]:
     return np.full((count, *like.shape[1:]), fill, dtype=like.dtype)
 
 
-def _sample_times(tracks: Mapping[str, Track], reference: str | float) -> NDArray[np.int64]:
+def _sample_times(tracks: Mapping[str, TimeSeries], reference: str | float) -> NDArray[np.int64]:
     if isinstance(reference, str):
         return tracks[reference].times
     filled = [track.times for track in tracks.values() if len(track.times)]
@@ -264,7 +264,7 @@ class _Read:
 
 def _runs(
     bag: Path | str, topics: Sequence[str] | Mapping[str, Extractor], reference: str | float, clock: Clock
-) -> list[dict[str, Track]]:
+) -> list[dict[str, TimeSeries]]:
     """Read the topics of a bag and return their tracks on one clock, apart for each run of that clock."""
     if isinstance(reference, str):
         if reference not in topics:
@@ -280,7 +280,7 @@ def _runs(
     cuts = _resets(base.stamps)
     clock_runs = np.split(np.arange(len(base.log)), cuts)
     one_clock = abs(float(np.median(base.log - base.stamps))) < _SAME_CLOCK_NS
-    runs: list[dict[str, Track]] = [{} for _ in clock_runs]
+    runs: list[dict[str, TimeSeries]] = [{} for _ in clock_runs]
     for topic, track in read.items():
         own = np.searchsorted(track.log, base.log[cuts]) if track.stamps is None else _resets(track.stamps)
         if len(own) != len(cuts):
@@ -338,9 +338,9 @@ def _array(rows: list[Any], extractor: Extractor) -> NDArray[Any]:
     return out
 
 
-def _rising(times: NDArray[np.int64], values: NDArray[Any], angles: tuple[int, ...]) -> Track:
+def _rising(times: NDArray[np.int64], values: NDArray[Any], angles: tuple[int, ...]) -> TimeSeries:
     order = np.argsort(times, kind="stable")
-    return Track(times[order], values[order], angles)
+    return TimeSeries(times[order], values[order], angles)
 
 
 def _resets(stamps: NDArray[np.int64]) -> NDArray[np.intp]:

@@ -13,11 +13,11 @@ from tqdm import tqdm
 from ctrl_rl_bags.format.checks import BagError
 from ctrl_rl_bags.format.metadata import Topic
 from ctrl_rl_bags.format.reader import bag_info, open_bag
-from ctrl_rl_bags.format.sources import WireMessage
+from ctrl_rl_bags.format.sources import SerializedMessage
 from ctrl_rl_bags.format.writer import BagWriter
 
 
-def read_wire(bag: Path | str) -> Iterator[WireMessage]:
+def read_serialized(bag: Path | str) -> Iterator[SerializedMessage]:
     """Yield every message of a bag, file by file in the order of their log time.
 
     An sqlite3 bag knows neither publication times nor counts: there they are the log time and 0.
@@ -50,7 +50,7 @@ def copy_bag(
     bag: Path | str,
     output: Path | str,
     added: Sequence[Topic],
-    add: Callable[[WireMessage], Iterable[tuple[str, bytes]]],
+    add: Callable[[SerializedMessage], Iterable[tuple[str, bytes]]],
     *,
     left_out: Collection[str] = (),
     custom_data: Mapping[str, str] | None = None,
@@ -84,7 +84,7 @@ def copy_bag(
                 writer.add_topic(topic)
             for key, value in (*info.custom_data.items(), *(custom_data or {}).items()):
                 writer.set_custom_data(key, value)
-            messages = tqdm(read_wire(bag), progress, info.message_count, disable=None if progress else True)
+            messages = tqdm(read_serialized(bag), progress, info.message_count, disable=None if progress else True)
             for message in messages:
                 if message.topic in left_out:
                     continue

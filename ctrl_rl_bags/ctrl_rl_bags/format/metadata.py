@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import yaml
-from ctrl_rl_core.io.atomic_write import write_whole
+from ctrl_rl_core.io.atomic_write import atomic_write
 from pydantic import BaseModel, Field, ValidationError
 
 from ctrl_rl_bags.format.checks import BagError, DamagedError, printable, read_yaml, reason
@@ -158,7 +158,7 @@ def write_metadata(folder: Path, information: Mapping[str, Any]) -> None:
         OSError: the disk refuses.
     """
     content = {"rosbag2_bagfile_information": information}
-    write_whole(folder / METADATA_FILE, yaml.safe_dump(content, sort_keys=False, allow_unicode=True))
+    atomic_write(folder / METADATA_FILE, yaml.safe_dump(content, sort_keys=False, allow_unicode=True))
 
 
 def read_metadata(folder: Path) -> BagMetadata:

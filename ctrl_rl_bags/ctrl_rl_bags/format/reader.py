@@ -19,7 +19,7 @@ import zstandard
 from ctrl_rl_bags.format.checks import BagError, DamagedError, open_regular, printable, reason
 from ctrl_rl_bags.format.mcap_records import DEFAULT_LIMITS, Limits, decompress_some
 from ctrl_rl_bags.format.metadata import METADATA_FILE, BagMetadata, Qos, Topic, read_metadata
-from ctrl_rl_bags.format.sources import McapSource, Source, WireMessage, open_source, parsed_qos
+from ctrl_rl_bags.format.sources import McapSource, SerializedMessage, Source, open_source, parsed_qos
 from ctrl_rl_bags.format.type_definitions import BagTypes, Definition
 
 _ROS1_MAGIC = b"#ROSBAG V"
@@ -91,7 +91,7 @@ class Bag:
         try:
             self._metadata = read_metadata(path) if path.is_dir() else None
         except BagError as error:
-            raise BagError(f"{error}{mend_hint(path)}") from None
+            raise BagError(f"{error}{recover_hint(path)}") from None
         self._storage = self._metadata.storage_identifier if self._metadata else _storage_of(path)
         names = self._metadata.relative_file_paths if self._metadata else [path.name]
         folder = path if path.is_dir() else path.parent
@@ -108,7 +108,7 @@ class Bag:
 
     def messages(
         self, topics: Iterable[str] = (), start: int | None = None, stop: int | None = None
-    ) -> Iterator[WireMessage]:
+    ) -> Iterator[SerializedMessage]:
         """Yield messages as they were on the wire, file by file in the order of their log time.
 
         Args:
@@ -126,7 +126,7 @@ class Bag:
         wanted = wanted or set(self.topics)
         if mixed := sorted(wanted & set(self._mixed)):
             both = f"{printable(mixed[0])} has messages of two types, {self._mixed[mixed[0]]}"
-            raise BagError(f"{self.path}: {both}{mend_hint(self.path)}")
+            raise BagError(f"{self.path}: {both}{recover_hint(self.path)}")
         for file, span in zip(self._files, self._spans, strict=True):
             if span is None or (start is not None and span[1] < start) or (stop is not None and span[0] >= stop):
                 continue
@@ -168,7 +168,7 @@ class Bag:
             finally:
                 source.close()
         except (DamagedError, OSError) as error:
-            raise BagError(f"{file} cannot be read: {reason(error)}{mend_hint(self.path)}") from None
+            raise BagError(f"{file} cannot be read: {reason(error)}{recover_hint(self.path)}") from None
 
     def _read_info(self, names: tuple[str, ...]) -> BagInfo:
         counts: dict[str, int] = {}
@@ -194,7 +194,7 @@ class Bag:
         if self._metadata and self._metadata.custom_data is not None:
             if custom and custom != self._metadata.custom_data:
                 raise BagError(
-                    f"{self.path}: {METADATA_FILE} has other custom data than its files{mend_hint(self.path)}"
+                    f"{self.path}: {METADATA_FILE} has other custom data than its files{recover_hint(self.path)}"
                 )
             custom = self._metadata.custom_data
         return BagInfo(
@@ -245,7 +245,7 @@ def open_bag(bag: Path | str, limits: Limits = DEFAULT_LIMITS) -> Iterator[Bag]:
         raise BagError(f"{path}: there is no such bag")
     if path.is_dir() and not (path / METADATA_FILE).exists():
         if any(path.glob("*.mcap")):
-            raise BagError(f"{path} was cut off{mend_hint(path)}")
+            raise BagError(f"{path} was cut off{recover_hint(path)}")
         raise BagError(f"{path} is no bag: it has no {METADATA_FILE}")
     with ExitStack() as stack:
         yield Bag(path, limits, stack)
@@ -300,7 +300,7 @@ def bag_info(bag: Path | str, limits: Limits = DEFAULT_LIMITS) -> BagInfo:
         return opened.info
 
 
-def mend_hint(bag: Path | str) -> str:
+def recover_hint(bag: Path | str) -> str:
     """Return what an error says of `bag recover`: nothing where it cannot help."""
     path = Path(bag)
     mendable = any(path.glob("*.mcap")) if path.is_dir() else path.suffix == ".mcap"
@@ -362,7 +362,7 @@ def _compare(metadata: BagMetadata, info: BagInfo, mixed: Mapping[str, str]) -> 
         fault = "other times than its files"
     else:
         return
-    raise BagError(f"{info.folder}: {METADATA_FILE} says {printable(fault)}{mend_hint(info.folder)}")
+    raise BagError(f"{info.folder}: {METADATA_FILE} says {printable(fault)}{recover_hint(info.folder)}")
 
 
 def _uncompressed(file: Path, output: Path) -> Path:

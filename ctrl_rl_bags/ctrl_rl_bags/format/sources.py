@@ -20,7 +20,7 @@ from ctrl_rl_bags.format.metadata import Qos, Topic
 _SQLITE_MAGIC = b"SQLite format 3\0"
 
 
-class WireMessage(NamedTuple):
+class SerializedMessage(NamedTuple):
     """One message with all that the bag knows: times [ns since the epoch], the publisher's count, CDR bytes."""
 
     topic: str
@@ -46,7 +46,7 @@ class Source(Protocol):
     end: int
     custom_data: dict[str, str]
 
-    def messages(self, topics: Collection[str], start: int | None, stop: int | None) -> Iterator[WireMessage]:
+    def messages(self, topics: Collection[str], start: int | None, stop: int | None) -> Iterator[SerializedMessage]:
         """Yield the messages of some topics, log times from `start` to before `stop`, in their order."""
         ...
 
@@ -91,7 +91,7 @@ class McapSource:
             counts[topic.name, topic.type] = known, count + reader.counts.get(number, 0)
         self.topics = list(counts.values())
 
-    def messages(self, topics: Collection[str], start: int | None, stop: int | None) -> Iterator[WireMessage]:
+    def messages(self, topics: Collection[str], start: int | None, stop: int | None) -> Iterator[SerializedMessage]:
         """See `Source.messages`."""
         chosen = {number: (topic.name, topic.type) for number, topic in self._topics.items() if topic.name in topics}
         for number in chosen:
@@ -99,7 +99,7 @@ class McapSource:
             if encoding != "cdr":
                 raise DamagedError(f"{chosen[number][0]} is encoded as {encoding[:40]!r}, not as cdr")
         for channel, sequence, log_time, publish_time, data in self._reader.messages(chosen, start, stop):
-            yield WireMessage(*chosen[channel], log_time, publish_time, sequence, data)
+            yield SerializedMessage(*chosen[channel], log_time, publish_time, sequence, data)
 
     def check(self) -> None:
         """See `Source.check`."""
@@ -136,7 +136,7 @@ class Sqlite3Source:
         except Exception as error:
             raise DamagedError(reason(error)) from None
 
-    def messages(self, topics: Collection[str], start: int | None, stop: int | None) -> Iterator[WireMessage]:
+    def messages(self, topics: Collection[str], start: int | None, stop: int | None) -> Iterator[SerializedMessage]:
         """See `Source.messages`."""
         chosen = [connection for connection in self._reader.connections if connection.topic in topics]
         if not chosen:
@@ -149,7 +149,7 @@ class Sqlite3Source:
                     raise DamagedError(
                         f"a message of {len(data):,} bytes, where at most {self._limits.chunk_bytes:,} are read"
                     )
-                yield WireMessage(connection.topic, connection.msgtype, time, time, 0, data)
+                yield SerializedMessage(connection.topic, connection.msgtype, time, time, 0, data)
         except DamagedError:
             raise
         except Exception as error:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import rclpy
-from ctrl_rl_core.processes.signals import answered_by
+from ctrl_rl_core.processes.signals import handle_signals
 from rclpy._rclpy_pybind11 import RCLError
 from rclpy.duration import Duration
 from rclpy.exceptions import InvalidTopicNameException
@@ -24,7 +24,7 @@ from ctrl_rl_bags.format.checks import BagError, printable, reason
 from ctrl_rl_bags.format.mcap_records import DEFAULT_LIMITS, Limits
 from ctrl_rl_bags.format.reader import BagInfo, RawMessage, bag_info, read_raw
 from ctrl_rl_bags.recording.message_types import UnknownTypeError, message_class
-from ctrl_rl_bags.recording.qos import is_latched, offer
+from ctrl_rl_bags.recording.qos import is_latched, publisher_qos
 
 _DEPTH = 1000
 _LATCHED_DEPTH = 100
@@ -35,7 +35,7 @@ _ACKNOWLEDGE_S = 2.0
 
 
 @dataclass(frozen=True)
-class Playback:
+class PlaybackOptions:
     """How to play a bag.
 
     Attributes:
@@ -59,7 +59,7 @@ class Playback:
     limits: Limits = DEFAULT_LIMITS
 
 
-def play(bag: Path | str, how: Playback, warn: Callable[[str], None], *, progress: bool = False) -> int:
+def play(bag: Path | str, how: PlaybackOptions, warn: Callable[[str], None], *, progress: bool = False) -> int:
     """Play a bag until its end, SIGINT or SIGTERM, and return the number of messages published.
 
     Args:
@@ -74,7 +74,7 @@ def play(bag: Path | str, how: Playback, warn: Callable[[str], None], *, progres
     info = bag_info(bag, how.limits)
     _check(info, how)
     stop = threading.Event()
-    with answered_by(lambda *_: stop.set()):
+    with handle_signals(lambda *_: stop.set()):
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         node = Node("bag_player", start_parameter_services=False)
         try:
@@ -86,7 +86,7 @@ def play(bag: Path | str, how: Playback, warn: Callable[[str], None], *, progres
 
 class _Player:
     def __init__(
-        self, node: Node, info: BagInfo, how: Playback, stop: threading.Event, warn: Callable[[str], None]
+        self, node: Node, info: BagInfo, how: PlaybackOptions, stop: threading.Event, warn: Callable[[str], None]
     ) -> None:
         self._info = info
         self._how = how
@@ -168,7 +168,7 @@ class _Player:
             publisher.wait_for_all_acked(Duration(nanoseconds=int(left * 1e9)))
 
 
-def _publishers(node: Node, info: BagInfo, how: Playback, warn: Callable[[str], None]) -> dict[str, Publisher]:
+def _publishers(node: Node, info: BagInfo, how: PlaybackOptions, warn: Callable[[str], None]) -> dict[str, Publisher]:
     out: dict[str, Publisher] = {}
     for name in how.topics or info.topics:
         topic = info.topics[name]
@@ -179,7 +179,7 @@ def _publishers(node: Node, info: BagInfo, how: Playback, warn: Callable[[str], 
         except UnknownTypeError as error:
             warn(f"{printable(name)} is not played: {error}")
             continue
-        qos = offer(topic.qos, _LATCHED_DEPTH if is_latched(topic.qos) else _DEPTH)
+        qos = publisher_qos(topic.qos, _LATCHED_DEPTH if is_latched(topic.qos) else _DEPTH)
         try:
             out[name] = node.create_publisher(kind, how.remap.get(name, name), qos)
         except (InvalidTopicNameException, RCLError) as error:
@@ -189,7 +189,7 @@ def _publishers(node: Node, info: BagInfo, how: Playback, warn: Callable[[str], 
     return out
 
 
-def _check(info: BagInfo, how: Playback) -> None:
+def _check(info: BagInfo, how: PlaybackOptions) -> None:
     if not how.rate > 0.0:
         raise BagError(f"--rate must be positive, not {how.rate}")
     if not 0.0 <= how.start_offset <= (info.end - info.start) * 1e-9:

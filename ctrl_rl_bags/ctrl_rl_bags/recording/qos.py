@@ -14,7 +14,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from ctrl_rl_bags.format.metadata import Qos
 
 
-def to_bag(profile: QoSProfile) -> Qos:
+def to_bag_qos(profile: QoSProfile) -> Qos:
     """Return an offered profile as a bag keeps it."""
     return {
         "history": profile.history.name.lower(),
@@ -29,14 +29,14 @@ def to_bag(profile: QoSProfile) -> Qos:
     }
 
 
-def request(offered: Sequence[QoSProfile], depth: int) -> QoSProfile:
+def subscription_qos(offered: Sequence[QoSProfile], depth: int) -> QoSProfile:
     """Return the strongest request that all offers satisfy: reliable, or latched, only if all of them are."""
     reliable = all(profile.reliability == ReliabilityPolicy.RELIABLE for profile in offered)
     latched = all(profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for profile in offered)
     return _profile(reliable, latched, depth)
 
 
-def offer(recorded: Sequence[Qos], depth: int) -> QoSProfile:
+def publisher_qos(recorded: Sequence[Qos], depth: int) -> QoSProfile:
     """Return the offer that satisfies whom any of the recorded ones satisfied; reliable if none was recorded."""
     reliable = not recorded or any(profile["reliability"] != "best_effort" for profile in recorded)
     return _profile(reliable, is_latched(recorded), depth)

@@ -24,7 +24,7 @@ from rclpy.subscription import Subscription
 
 from ctrl_rl_bags.format.metadata import Topic, name_of_other_type
 from ctrl_rl_bags.recording.message_types import UnknownTypeError, message_class, message_definition
-from ctrl_rl_bags.recording.qos import request, to_bag
+from ctrl_rl_bags.recording.qos import subscription_qos, to_bag_qos
 from ctrl_rl_bags.recording.write_queue import BagQueue
 
 _TAKE_AT_ONCE = 200
@@ -111,10 +111,10 @@ class TopicRecorder:
             self._added.add(bag_name)
             type_hash = str(offers[0].topic_type_hash)
             known_hash = type_hash if type_hash.startswith("RIHS") else ""
-            qos_in_bag = tuple(to_bag(profile) for profile in profiles)
+            qos_in_bag = tuple(to_bag_qos(profile) for profile in profiles)
             self._queue.add_topic(Topic(bag_name, type_name, definition, known_hash, qos_in_bag))
         self.skipped.pop(name, None)
-        qos = request(profiles, self._queue_depth)
+        qos = subscription_qos(profiles, self._queue_depth)
         subscription = self._subscribe(name, kind, qos)
         self._recorded[name] = _Recorded(type_name, kind, bag_name, subscription, qos, len(publishers))
         self._say_others(name, type_name, publishers)
@@ -138,7 +138,7 @@ class TopicRecorder:
             return
         recorded.publishers = count
         self._say_others(name, recorded.type_name, publishers)
-        qos = request([publisher.qos_profile for publisher in offers], self._queue_depth)
+        qos = subscription_qos([publisher.qos_profile for publisher in offers], self._queue_depth)
         # Only ever towards weaker requests: a stronger one would bring latched messages a second time.
         if not offers or not _weaker(qos, recorded.qos):
             return

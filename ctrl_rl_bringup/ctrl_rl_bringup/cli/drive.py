@@ -10,7 +10,7 @@ from typing import Any
 
 from ctrl_rl_core.command import check_least, file_to_write, run_command
 from ctrl_rl_core.errors import CtrlRlError
-from ctrl_rl_core.io.atomic_write import write_whole
+from ctrl_rl_core.io.atomic_write import atomic_write
 from ctrl_rl_core.io.results import Result, as_markdown, read_benchmarks, read_results, write_results
 from koopman_lqr_controller.policies.policy_file import DEFAULT_POLICY
 
@@ -82,7 +82,7 @@ def results() -> int:
 
     def work() -> int:
         page = as_markdown(read_results(options.folder), read_benchmarks(options.folder / "bench.json"))
-        write_whole(options.page, page)
+        atomic_write(options.page, page)
         return 0
 
     return run_here("results", work)

@@ -8,7 +8,7 @@ from datetime import datetime
 from pathlib import Path
 
 from ctrl_rl_core.command import CommandError
-from ctrl_rl_core.io.atomic_write import write_whole
+from ctrl_rl_core.io.atomic_write import atomic_write
 from ctrl_rl_core.tasks.task import load_navigation_task
 from option_coordinator.teams.team_file import Work, load_team
 
@@ -82,7 +82,7 @@ def _report(options: TeamOptions) -> int:
     idle = [name for name, option in team.options.items() if option.work is Work.WAIT]
     run = read_team(options.drive.bag, idle)
     file, picture = options.folder / "report.json", options.folder / "timeline.png"
-    write_whole(file, json.dumps(run.as_dict(), indent=1) + "\n")
+    atomic_write(file, json.dumps(run.as_dict(), indent=1) + "\n")
     draw_team(run, load_navigation_task(options.task), team, picture)
     print(run.text())
     print(f"bag                 {options.drive.bag}")

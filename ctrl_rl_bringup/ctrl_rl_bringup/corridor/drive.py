@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from ctrl_rl_core.io.atomic_write import write_whole
+from ctrl_rl_core.io.atomic_write import atomic_write
 from ctrl_rl_core.tasks.task import task_file
 from koopman_lqr_controller.policies.policy_file import find_policy
 
@@ -54,7 +54,7 @@ def drive(options: DriveOptions) -> Drive:
 def write_artifacts(result: Drive, folder: Path) -> Artifacts:
     """Write report and picture of a drive into a folder."""
     out = Artifacts(folder / "report.json", folder / "path.png")
-    write_whole(out.report, json.dumps(result.as_dict(), indent=2) + "\n")
+    atomic_write(out.report, json.dumps(result.as_dict(), indent=2) + "\n")
     draw_drive(result, out.picture)
     return out
 

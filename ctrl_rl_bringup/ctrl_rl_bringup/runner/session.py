@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 import rclpy
-from ctrl_rl_core.processes.signals import STOP_SIGNALS, answered_by
+from ctrl_rl_core.processes.signals import STOP_SIGNALS, handle_signals
 from rclpy.signals import SignalHandlerOptions
 
 
@@ -20,7 +20,7 @@ def ros() -> Iterator[None]:
             signal.signal(number, signal.SIG_IGN)
         raise KeyboardInterrupt
 
-    with answered_by(interrupt):
+    with handle_signals(interrupt):
         # rclpy's own handlers would close the context under whoever is waiting in it.
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         try:
@@ -33,7 +33,7 @@ def ros() -> Iterator[None]:
 def uninterrupted() -> Iterator[None]:
     """Let a signal interrupt after this block, not within it, where it would be lost or leave something half done."""
     caught: list[int] = []
-    with answered_by(lambda number, _frame: caught.append(number)):
+    with handle_signals(lambda number, _frame: caught.append(number)):
         yield
     if caught:
         signal.raise_signal(caught[0])

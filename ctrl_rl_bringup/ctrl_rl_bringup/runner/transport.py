@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from ctrl_rl_bags.format.copy import read_wire
+from ctrl_rl_bags.format.copy import read_serialized
 from numpy.typing import NDArray
 
 _CDR_HEADER = 4
@@ -30,7 +30,7 @@ class Sent(NamedTuple):
 def read_sent(bag: Path) -> dict[str, list[Sent]]:
     """Return the messages of a bag, by topic."""
     out: dict[str, list[Sent]] = defaultdict(list)
-    for message in read_wire(bag):
+    for message in read_serialized(bag):
         out[message.topic].append(Sent(message.sequence, message.publish_time, _stamp(message.data)))
     return out
 

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrl_rl_core.driving.obstacle_stop import ObstacleStop
-from ctrl_rl_core.driving.scan import ScanError, ScanGeometry, View, view
-from ctrl_rl_core.driving.scan_health import ScanHealth, sender_of
+from ctrl_rl_core.driving.scan import ScanError, ScanGeometry, ScanView, view_scan
+from ctrl_rl_core.driving.scan_health import ScanHealth, lidar_identity
 
 Array = NDArray[np.float64]
 
@@ -28,8 +28,8 @@ class DriveSafety:
     """
 
     def __init__(self, health: ScanHealth, obstacles: ObstacleStop, forward: float, reach: float) -> None:
-        self.view: View | None = None
-        self.unfit = "no scan yet"
+        self.view: ScanView | None = None
+        self.fault = "no scan yet"
         self._health, self._obstacles = health, obstacles
         self._forward, self.reach = forward, reach
 
@@ -37,7 +37,7 @@ class DriveSafety:
         """Check otherwise from the next scan on."""
         self._health, self._obstacles, self.reach = health, obstacles, reach
 
-    def see(
+    def update(
         self,
         now: float,
         stamp: int,
@@ -57,14 +57,14 @@ class DriveSafety:
             motion: speed [m/s] and turn rate [rad/s] by odometry.
         """
         try:
-            self.view = view(ranges, scan, self.reach, self._forward)
+            self.view = view_scan(ranges, scan, self.reach, self._forward)
         except ScanError as error:
-            self.view, self.unfit = None, str(error)
+            self.view, self.fault = None, str(error)
             return
-        sender = sender_of(frame, scan)
-        self.unfit = self._health.see(now, self.view, ranges.tobytes(), stamp, sender, motion)
+        identity = lidar_identity(frame, scan)
+        self.fault = self._health.update(now, self.view, ranges.tobytes(), stamp, identity, motion)
 
-    def allow(self, command: Array, v: float, age: float) -> tuple[Array, str]:
+    def limit(self, command: Array, v: float, age: float) -> tuple[Array, str]:
         """Return what is safe of a command (2,), and why that is not all of it, empty where it is.
 
         Args:
@@ -77,9 +77,9 @@ class DriveSafety:
         """
         if not command.any():
             return command, ""
-        if self.unfit or self.view is None:
-            raise ScanError(self.unfit)
-        problem = self._health.unseen(self.view, float(command[0]))
+        if self.fault or self.view is None:
+            raise ScanError(self.fault)
+        problem = self._health.blind(self.view, float(command[0]))
         if problem:
             raise ScanError(problem)
-        return self._obstacles.allow(command, self.view.points, v, age)
+        return self._obstacles.limit(command, self.view.points, v, age)

@@ -48,7 +48,7 @@ class ObstacleStop:
         room = speed * (self.delay + age) + 0.5 * speed * speed / self.deceleration
         return room if room < _FARTHEST else _FARTHEST  # of NaN, too
 
-    def allow(self, command: Array, points: Array, v: float, age: float) -> tuple[Array, str]:
+    def limit(self, command: Array, points: Array, v: float, age: float) -> tuple[Array, str]:
         """Return what is safe of a command (2,), and why that is not all of it, empty where it is.
 
         Args:

@@ -60,7 +60,7 @@ class ScanGeometry:
             raise ScanError(f"scan with angle_increment {self.angle_increment} and angle_min {self.angle_min}")
 
 
-class View(NamedTuple):
+class ScanView(NamedTuple):
     """One scan, as far as standing or driving goes.
 
     Attributes:
@@ -76,7 +76,7 @@ class View(NamedTuple):
     field: NDArray[np.bool_]
 
 
-def view(ranges: NDArray[np.float32], scan: ScanGeometry, reach: float, forward: float = 0.0) -> View:
+def view_scan(ranges: NDArray[np.float32], scan: ScanGeometry, reach: float, forward: float = 0.0) -> ScanView:
     """Return what a scan shows.
 
     Args:
@@ -102,7 +102,7 @@ def view(ranges: NDArray[np.float32], scan: ScanGeometry, reach: float, forward:
     points = np.empty((len(near), 2))
     points[:, 0], points[:, 1] = forward + distances * np.cos(bearings), distances * np.sin(bearings)
     field, nearest = _nearest_beams(scan)
-    return View(float(np.count_nonzero(echo)) / scan.beams, points, field & echo[nearest], field)
+    return ScanView(float(np.count_nonzero(echo)) / scan.beams, points, field & echo[nearest], field)
 
 
 def _nearest_beams(scan: ScanGeometry) -> tuple[NDArray[np.bool_], NDArray[np.intp]]:

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrl_rl_core.driving.scan import DIRECTIONS, ScanGeometry, View
+from ctrl_rl_core.driving.scan import DIRECTIONS, ScanGeometry, ScanView
 
 MIXED = 2.0
 """How long a robot stands after scans of two kinds came in turn [s]: a lidar may be exchanged, once."""
@@ -25,7 +25,7 @@ _AHEAD = math.radians(100.0)
 """A gap whose middle is farther than this from the direction of travel does not matter [rad]."""
 
 
-class Sender(NamedTuple):
+class LidarIdentity(NamedTuple):
     """What tells scans of two lidars apart."""
 
     frame: str
@@ -34,7 +34,7 @@ class Sender(NamedTuple):
     angle_min: float
     counter_clockwise: bool
 
-    def same(self, other: Sender) -> bool:
+    def matches(self, other: LidarIdentity) -> bool:
         """Return whether two scans may come from one lidar: its count of beams and its first bearing may vary a bit."""
         return self[:3] == other[:3] and self[4] == other[4] and abs(self.angle_min - other.angle_min) <= 0.2
 
@@ -55,17 +55,17 @@ class ScanHealth:
     _last: bytes = field(default=b"", repr=False)
     _stamp: int = field(default=0, repr=False)
     _repeated: int = field(default=0, repr=False)
-    _sender: Sender | None = field(default=None, repr=False)
+    _identity: LidarIdentity | None = field(default=None, repr=False)
     _mixed_at: float = field(default=-math.inf, repr=False)
     _kinds: str = field(default="", repr=False)
 
-    def see(
+    def update(
         self,
         now: float,
-        view: View,
+        view: ScanView,
         content: bytes,
         stamp: int,
-        sender: Sender,
+        identity: LidarIdentity,
         motion: tuple[float, float],
     ) -> str:
         """Take a scan and return why the robot must stand, empty where it need not.
@@ -75,10 +75,10 @@ class ScanHealth:
             view: the scan.
             content: its ranges as they came.
             stamp: its time stamp [ns].
-            sender: what kind of lidar it is of.
+            identity: what kind of lidar it is of.
             motion: speed [m/s] and turn rate [rad/s] by odometry.
         """
-        frozen, mixed = self._frozen(content, stamp, motion), self._mixed(now, sender)
+        frozen, mixed = self._frozen(content, stamp, motion), self._mixed(now, identity)
         if view.share < self.min_echo_share:
             return (
                 f"only {100 * view.share:.0f} % of the scan's beams have an echo: "
@@ -88,7 +88,7 @@ class ScanHealth:
             return f"the scan is the same again and again while the robot moves: lidar frozen ({self._repeated} times)"
         return mixed
 
-    def unseen(self, view: View, v: float) -> str:
+    def blind(self, view: ScanView, v: float) -> str:
         """Return why the robot must not go where a speed v [m/s] leads, empty where it may."""
         if v == 0.0 or self.largest_gap >= 2.0 * math.pi:
             return ""
@@ -114,11 +114,11 @@ class ScanHealth:
         self._last, self._stamp = content, stamp
         return 0 < self.frozen_scans <= self._repeated
 
-    def _mixed(self, now: float, sender: Sender) -> str:
-        last, self._sender = self._sender, sender
-        if last is not None and not sender.same(last):
+    def _mixed(self, now: float, identity: LidarIdentity) -> str:
+        last, self._identity = self._identity, identity
+        if last is not None and not identity.matches(last):
             self._mixed_at = now
-            names = sorted({last.frame, sender.frame})
+            names = sorted({last.frame, identity.frame})
             self._kinds = f"frames {' and '.join(names)}" if len(names) > 1 else "another range or first bearing"
         if 0.0 <= now - self._mixed_at < MIXED:
             return f"scans of two lidars on one topic: {self._kinds}"
@@ -142,6 +142,6 @@ def _emptiest(seen: NDArray[np.bool_], width: int) -> int:
     return int((total[width:] - total[:-width]).min())
 
 
-def sender_of(frame: str, scan: ScanGeometry) -> Sender:
+def lidar_identity(frame: str, scan: ScanGeometry) -> LidarIdentity:
     """Return what tells a scan's lidar from another."""
-    return Sender(frame, scan.range_min, scan.range_max, scan.angle_min, scan.angle_increment > 0.0)
+    return LidarIdentity(frame, scan.range_min, scan.range_max, scan.angle_min, scan.angle_increment > 0.0)

@@ -7,8 +7,8 @@ class Driver(VelocityNode):
         self.create_subscription(Odometry, "odom", self._on_odometry, SENSOR)
 
     def _on_odometry(self, message: Odometry) -> None:
-        self.heard("odometry")
-        self.robot_frame(message.child_frame_id)
+        self.note_input("odometry")
+        self.use_frame(message.child_frame_id)
         self.drive(np.array((0.1, 0.0)))
 """
 
@@ -27,7 +27,7 @@ from rclpy.duration import Duration
 from rclpy.time import Time
 from std_msgs.msg import Header
 
-from ctrl_rl_core.driving.wall_watch import WALL_TIMEOUT, WallWatch
+from ctrl_rl_core.driving.wall_clock_timeout import WALL_TIMEOUT, WallClockTimeout
 from ctrl_rl_core.errors import CtrlRlError
 from ctrl_rl_core.ros.node import COMMAND, Status, SuiteNode, ok, warn
 from ctrl_rl_core.ros.parameters import Parameter
@@ -89,7 +89,7 @@ class VelocityNode(SuiteNode):
         self._ages = self.get_clock() if simulated else Clock(clock_type=ClockType.STEADY_TIME)
         self._heard: dict[str, Time | None] = dict.fromkeys(needs)
         self._begun = self._ages.now()
-        self._wall = WallWatch(self, self._watch_wall) if simulated else None
+        self._wall = WallClockTimeout(self, self._watch_wall) if simulated else None
         self._rivals: tuple[str, ...] = ()
         self.counts = {"commands": 0, "stopped": 0, "stale": 0}
         self.moving = False
@@ -108,7 +108,7 @@ class VelocityNode(SuiteNode):
             raise VelocityError(f"commands from {least} to {largest}: must be two finite numbers each, the least first")
         self.low, self.high = least, largest
 
-    def robot_frame(self, name: str) -> None:
+    def use_frame(self, name: str) -> None:
         """Send commands in this frame, unless the parameter base_frame names another."""
         if name and not self.settings["base_frame"]:
             self._header.frame_id = name
@@ -118,11 +118,11 @@ class VelocityNode(SuiteNode):
         """The frame of the commands."""
         return str(self._header.frame_id)
 
-    def heard(self, what: str) -> None:
+    def note_input(self, what: str) -> None:
         """Note that an input has just come, and is fit for use."""
         self._heard[what] = self._ages.now()
         if self._wall is not None:
-            self._wall.heard(what)
+            self._wall.note_input(what)
 
     def age(self, what: str) -> float:
         """Return how long ago an input came [s], infinite where it never did, or wall time says that it stays away."""
@@ -131,11 +131,11 @@ class VelocityNode(SuiteNode):
             return math.inf
         return self._elapsed(at)
 
-    def missing(self) -> str:
+    def stale_input(self) -> str:
         """Return "no recent ..." of the first input that is too old, empty where none is."""
         return next((f"no recent {what}" for what in self._heard if self.age(what) > self.timeout), "")
 
-    def limited(self, command: NDArray[np.float64]) -> NDArray[np.float64]:
+    def clip(self, command: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return a command (2,), cut off at the limits.
 
         Raises:
@@ -159,16 +159,16 @@ class VelocityNode(SuiteNode):
             VelocityError: it is not finite, or not safe; nothing was sent, and the robot must stand.
         """
         if self.faults.failing:
-            self.stand(f"callback failed: {self.faults.last}", stamp)
+            self.halt(f"callback failed: {self.faults.last}", stamp)
             return _STAND
-        command, problem = self.safe(self.limited(command))
+        command, problem = self.make_safe(self.clip(command))
         if not self.settings["dry_run"]:
             self.counts["commands"] += 1
             self._send(command, stamp)
         self._say(problem)
         return command
 
-    def safe(self, command: NDArray[np.float64]) -> tuple[NDArray[np.float64], str]:
+    def make_safe(self, command: NDArray[np.float64]) -> tuple[NDArray[np.float64], str]:
         """Return what is safe of a command (2,) within the limits, and why that is not all; override it.
 
         Raises:
@@ -176,7 +176,7 @@ class VelocityNode(SuiteNode):
         """
         return command, ""
 
-    def stand(self, problem: str, stamp: Stamp | None = None) -> None:
+    def halt(self, problem: str, stamp: Stamp | None = None) -> None:
         """Send zero velocity, and say why where it is news.
 
         Args:
@@ -187,14 +187,14 @@ class VelocityNode(SuiteNode):
             self._send(_STAND, stamp)
         self._say(problem)
 
-    def callback_failed(self, _error: Exception) -> None:
+    def on_callback_error(self, _error: Exception) -> None:
         """Let the robot stand until each callback that failed has done its work again."""
-        self.stand(f"callback failed: {self.faults.last}")
+        self.halt(f"callback failed: {self.faults.last}")
 
-    def stale(self, problem: str) -> None:
+    def on_stale_input(self, problem: str) -> None:
         """Act on an input that stays away; the robot stands already. Override it to say so elsewhere."""
 
-    def setting_changed(self, name: str) -> None:
+    def on_parameter_changed(self, name: str) -> None:
         """Let the robot stand when a dry run begins: it must not go on with the last command."""
         if name == "dry_run" and self.settings["dry_run"] and self.moving:
             self._send(_STAND, None)
@@ -223,11 +223,11 @@ class VelocityNode(SuiteNode):
         """Stop the robot when an input stays away."""
         if self._elapsed(self._begun) <= self.timeout:
             return  # what starts has a moment to be heard
-        problem = self.missing()
+        problem = self.stale_input()
         if problem:
             self.counts["stale"] += 1
-            self.stand(problem)
-            self.stale(problem)
+            self.halt(problem)
+            self.on_stale_input(problem)
 
     def _say(self, problem: str) -> None:
         """Take a reason to stand, empty for none; figures in it may change without being news."""
@@ -239,10 +239,10 @@ class VelocityNode(SuiteNode):
 
     def _watch_wall(self) -> None:
         """Stop a moving robot when an input stays away while the simulated clock stands still."""
-        problem = self.missing() if self.moving else ""
+        problem = self.stale_input() if self.moving else ""
         if problem:
             self.counts["stale"] += 1
-            self.stand(f"{problem} in {self.settings[WALL_TIMEOUT.name]:g} s of wall time: is the simulation paused?")
+            self.halt(f"{problem} in {self.settings[WALL_TIMEOUT.name]:g} s of wall time: is the simulation paused?")
 
     def _look_for_rivals(self) -> tuple[str, ...]:
         """Return who else publishes on this node's cmd_vel; say so where it is news."""

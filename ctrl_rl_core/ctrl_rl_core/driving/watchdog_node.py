@@ -67,7 +67,7 @@ class WatchdogNode(SuiteNode):
         self.create_timer(period, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._send_zero()
 
-    def callback_failed(self, _error: Exception) -> None:
+    def on_callback_error(self, _error: Exception) -> None:
         """Stop the robot: what was to be passed on, or to be noticed, may be lost."""
         self._send_zero()
 

@@ -124,7 +124,7 @@ class Arc:
 
 
 @dataclass(frozen=True)
-class Path:
+class ArcPath:
     """A smooth plane path of arcs, from `start` in direction `heading`.
 
     Attributes:
@@ -215,7 +215,7 @@ class World:
 
     walls: tuple[Box, ...]
     obstacles: tuple[Shape, ...]
-    path: Path | None
+    path: ArcPath | None
     width: float | None
 
     def signed_distance(self, points: ArrayLike) -> Array:

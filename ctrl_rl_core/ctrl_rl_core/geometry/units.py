@@ -12,7 +12,7 @@ from typing import Annotated, Any, NamedTuple
 
 from pydantic import BeforeValidator
 
-from ctrl_rl_core.io.file_checks import shown
+from ctrl_rl_core.io.file_checks import short_repr
 
 _FACTORS: dict[str, dict[str, float]] = {
     "m": {"m": 1.0, "cm": 1e-2, "mm": 1e-3},
@@ -89,7 +89,7 @@ def parse_interval(text: object, unit: str) -> Interval:
         return Interval(value, value)
     out = Interval(_number(low, text, factor, unit), _number(high, text, factor, unit))
     if out.low > out.high:
-        raise ValueError(f"{shown(text)} runs backwards: write the lower bound first")
+        raise ValueError(f"{short_repr(text)} runs backwards: write the lower bound first")
     return out
 
 
@@ -102,11 +102,12 @@ def parse_vector(text: object, unit: str, size: int) -> tuple[float, ...]:
     body, factor = _split(text, unit)
     if not (body.startswith("(") and body.endswith(")")):
         raise ValueError(
-            f"{shown(text)} must be {size} numbers in parentheses and a unit, e.g. ({', '.join(['1.0'] * size)}) {unit}"
+            f"{short_repr(text)} must be {size} numbers in parentheses and a unit, "
+            f"e.g. ({', '.join(['1.0'] * size)}) {unit}"
         )
     parts = body[1:-1].split(",")
     if len(parts) != size:
-        raise ValueError(f"{shown(text)} has {len(parts)} numbers, must have {size}")
+        raise ValueError(f"{short_repr(text)} has {len(parts)} numbers, must have {size}")
     return tuple(_number(part, text, factor, unit) for part in parts)
 
 
@@ -116,12 +117,14 @@ def _split(text: object, unit: str) -> tuple[str, float]:
     said = str(text).strip() if plain and not (isinstance(text, int) and abs(text) > 1e30) else ""
     match = _QUANTITY.fullmatch(said) if len(said) <= _LONGEST else None
     if match is None:
-        raise ValueError(f"{shown(text)} is not a quantity: write e.g. '{f'1.0 {unit}' if unit != '1' else '1.0'}'")
+        raise ValueError(
+            f"{short_repr(text)} is not a quantity: write e.g. '{f'1.0 {unit}' if unit != '1' else '1.0'}'"
+        )
     body, given = match.groups()
     if given not in _FACTORS[unit]:
         known = ", ".join(name for name in _FACTORS[unit] if name) or "no unit"
-        has = f"unit {shown(given)}" if given else "no unit"
-        raise ValueError(f"{shown(text)} has {has}: must be in {known}")
+        has = f"unit {short_repr(given)}" if given else "no unit"
+        raise ValueError(f"{short_repr(text)} has {has}: must be in {known}")
     return body, _FACTORS[unit][given]
 
 
@@ -129,10 +132,10 @@ def _number(part: str, whole: object, factor: float, unit: str) -> float:
     try:
         value = float(part)
     except ValueError:
-        raise ValueError(f"{shown(whole)}: {shown(part.strip())} is not a number") from None
+        raise ValueError(f"{short_repr(whole)}: {short_repr(part.strip())} is not a number") from None
     largest = _LARGEST.get(unit, 1e9)
     if not abs(value * factor) <= largest:
-        raise ValueError(f"{shown(whole)} is too large: at most {largest:g} {unit} makes sense")
+        raise ValueError(f"{short_repr(whole)} is too large: at most {largest:g} {unit} makes sense")
     # 70 cm is 0.7 m, not 0.7000000000000001 m: equal quantities give equal digests.
     return value if factor == 1.0 else float(f"{value * factor:.15g}")
 
@@ -141,9 +144,9 @@ def _scalar(unit: str, positive: bool = False, largest: float = math.inf) -> Cal
     def parse(value: Any) -> float:
         out = parse_scalar(value, unit)
         if out > largest:
-            raise ValueError(f"{shown(value)} is too large: at most {largest:g} {unit} makes sense")
+            raise ValueError(f"{short_repr(value)} is too large: at most {largest:g} {unit} makes sense")
         if positive and out < _LEAST:
-            raise ValueError(f"{shown(value)} must be at least {_LEAST:g} {unit}")
+            raise ValueError(f"{short_repr(value)} must be at least {_LEAST:g} {unit}")
         return out
 
     return parse

@@ -7,7 +7,7 @@ import re
 from pathlib import Path
 
 
-def write_whole(path: Path, content: bytes | str) -> None:
+def atomic_write(path: Path, content: bytes | str) -> None:
     """Write a file through a temporary one beside it; text as UTF-8. A reader or a crash never meets half of it.
 
     Raises:
@@ -28,5 +28,5 @@ def write_whole(path: Path, content: bytes | str) -> None:
 
 
 def is_temporary(path: Path) -> bool:
-    """Whether a file is one that `write_whole` writes through, or was killed over."""
+    """Whether a file is one that `atomic_write` writes through, or was killed over."""
     return re.fullmatch(r"\..+\.\d+\.tmp", path.name) is not None

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import NDArray
 
-from ctrl_rl_core.io.checked_json import DIGEST, tell_missing
-from ctrl_rl_core.io.file_checks import FileError, read_bytes, shown
+from ctrl_rl_core.io.checked_json import DIGEST, warn_missing_digest
+from ctrl_rl_core.io.file_checks import FileError, read_bytes, short_repr
 
 Arrays = dict[str, NDArray[Any]]
 _DAMAGE = (zipfile.BadZipFile, zlib.error, ValueError, EOFError, NotImplementedError, RuntimeError, KeyError, TypeError)
@@ -52,9 +52,9 @@ def read_arrays(path: str | os.PathLike[str], names: Sequence[str], largest: int
     found = arrays.pop(DIGEST, None)
     lacking = [name for name in names if name not in arrays]
     if lacking:
-        raise FileError(f"lacks {shown(lacking[0])}")
+        raise FileError(f"lacks {short_repr(lacking[0])}")
     if found is None:
-        tell_missing(path)
+        warn_missing_digest(path)
     elif str(found) != digest(arrays):
         raise FileError("does not match its digest: it is damaged; copy or make it again")
     return arrays
@@ -74,7 +74,7 @@ def _unpack(archive: zipfile.ZipFile, names: set[str], largest: int) -> Arrays:
     entries = archive.infolist()
     unknown = [entry.filename for entry in entries if entry.filename.removesuffix(".npy") not in names]
     if unknown or len({entry.filename for entry in entries}) < len(entries):
-        raise FileError(f"holds {shown(unknown[0]) if unknown else 'an array twice'}")
+        raise FileError(f"holds {short_repr(unknown[0]) if unknown else 'an array twice'}")
     size = sum(entry.file_size for entry in entries)
     if size > largest:
         raise FileError(f"is too large: {size:,} bytes unpacked, at most {largest:,} are read")

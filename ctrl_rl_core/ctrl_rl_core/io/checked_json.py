@@ -11,7 +11,7 @@ from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
-from ctrl_rl_core.io.file_checks import FileError, as_text, named, one_line, read_bytes, shown
+from ctrl_rl_core.io.file_checks import FileError, as_text, one_line, read_bytes, short_path, short_repr
 
 LARGEST = 64_000_000
 """Bytes of a file."""
@@ -55,7 +55,7 @@ def read_json(path: str | os.PathLike[str], largest: float = LARGEST) -> Any:
         return content
     found = content.pop(DIGEST, None)
     if found is None:
-        tell_missing(path)
+        warn_missing_digest(path)
     elif found != digest(content):
         raise FileError("does not match its digest: it is damaged, or was changed by hand")
     return content
@@ -72,9 +72,9 @@ def digest(content: Mapping[str, Any]) -> str:
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
-def tell_missing(path: str | os.PathLike[str]) -> None:
+def warn_missing_digest(path: str | os.PathLike[str]) -> None:
     """Say, once a file, that it has no digest."""
-    name = named(path)
+    name = short_path(path)
     if name not in _told:
         _told.add(name)
         message = "%s: has no digest of all of it, as an earlier version wrote it: damage may go unnoticed"
@@ -98,7 +98,7 @@ def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     if len(out) < len(pairs):
         counts = Counter(key for key, _ in pairs)
         twice = counts.most_common(1)[0][0]
-        raise FileError(f"has the key {shown(twice)} twice")
+        raise FileError(f"has the key {short_repr(twice)} twice")
     return out
 
 

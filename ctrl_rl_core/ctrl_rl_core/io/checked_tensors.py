@@ -20,8 +20,8 @@ from safetensors.numpy import save
 
 from ctrl_rl_core.io import checked_json
 from ctrl_rl_core.io.checked_json import DIGEST
-from ctrl_rl_core.io.file_checks import FileError, as_text, open_file, shown
-from ctrl_rl_core.io.file_kinds import KINDS, described
+from ctrl_rl_core.io.file_checks import FileError, as_text, open_file, short_repr
+from ctrl_rl_core.io.file_kinds import KINDS, describe_kind
 from ctrl_rl_core.io.memory import available
 from ctrl_rl_core.io.schema import Count, Schema
 
@@ -121,30 +121,31 @@ def read_tensors(
         if key not in metadata:
             known = next((found for found in metadata if found in KINDS), None)
             if known is not None:
-                raise FileError(f"is {described(known)}; wanted is {described(key)}")
-            found = shown(next(iter(metadata), "without a header"))
-            raise FileError(f"is a safetensors file of another kind, {found}, not {shown(key)}")
+                raise FileError(f"is {describe_kind(known)}; wanted is {describe_kind(key)}")
+            found = short_repr(next(iter(metadata), "without a header"))
+            raise FileError(f"is a safetensors file of another kind, {found}, not {short_repr(key)}")
         header = checked_json.parse_json(metadata[key])
         if not isinstance(header, dict):
             raise FileError("has a header that is no JSON object")
         others = [name for name, entry in entries.items() if entry.dtype not in types]
         if others:
             raise FileError(
-                f"tensor {shown(others[0])} is of type {shown(entries[others[0]].dtype)}: must be {' or '.join(types)}"
+                f"tensor {short_repr(others[0])} is of type {short_repr(entries[others[0]].dtype)}: "
+                f"must be {' or '.join(types)}"
             )
         data = np.fromfile(file, np.uint8, size - len(head))
         if len(data) != size - len(head):
             raise FileError("is shorter than it was a moment ago")
     found = header.pop(DIGEST, None)
     if found is None:
-        checked_json.tell_missing(path)
+        checked_json.warn_missing_digest(path)
     else:
         _check_digest(head, data, found)
     digest = _sha256(head, data) if with_digest else ""
     tensors = {name: _tensor(data, entry) for name, entry in entries.items()}
     wrong = [n for n, it in tensors.items() if finite and it.dtype.kind == "f" and not np.isfinite(it).all()]
     if wrong:
-        raise FileError(f"not all numbers of {shown(wrong[0])} are finite")
+        raise FileError(f"not all numbers of {short_repr(wrong[0])} are finite")
     return TensorFile(header, tensors, digest)
 
 
@@ -178,10 +179,10 @@ def _parse_head(head: bytes, size: int) -> tuple[dict[str, str], dict[str, _Entr
     for name, entry in sorted(entries.items(), key=lambda item: item[1].data_offsets):
         kind = TYPES.get(entry.dtype)
         if kind is None:
-            raise FileError(f"tensor {shown(name)} is of type {shown(entry.dtype)}, which is not read")
+            raise FileError(f"tensor {short_repr(name)} is of type {short_repr(entry.dtype)}, which is not read")
         begin, stop = entry.data_offsets
         if begin != end or stop - begin != math.prod(entry.shape) * np.dtype(kind).itemsize:
-            raise FileError(f"tensor {shown(name)} does not lie where its shape says")
+            raise FileError(f"tensor {short_repr(name)} does not lie where its shape says")
         end = stop
     if end != size - 8 - length:
         raise FileError("is not a whole safetensors file: copy or make it again")

@@ -8,7 +8,7 @@ from typing import Any
 
 import yaml
 
-from ctrl_rl_core.io.file_checks import FileError, as_text, read_bytes, shown
+from ctrl_rl_core.io.file_checks import FileError, as_text, read_bytes, short_repr
 
 LARGEST = 500_000
 """Bytes of a file that people write."""
@@ -71,6 +71,8 @@ class _Loader(yaml.SafeLoader):
             if not isinstance(key, Hashable):
                 raise FileError(f"has a key that is a list or a mapping in line {line}")
             if key in seen:
-                raise FileError(f"is not valid YAML: key {shown(key)} stands twice, the second time in line {line}")
+                raise FileError(
+                    f"is not valid YAML: key {short_repr(key)} stands twice, the second time in line {line}"
+                )
             seen.add(key)
         return super().construct_mapping(node, deep=deep)

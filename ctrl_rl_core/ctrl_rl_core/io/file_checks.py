@@ -1,6 +1,6 @@
 """The door that every file of others comes through: regular files of a bounded size, and errors of one line.
 
-    with refused_as(TaskError, path):
+    with raise_as(TaskError, path):
         content = parse_yaml(read_bytes(path, 1_000_000))
 
 Whatever is wrong in there is a `TaskError` that names the file.
@@ -27,7 +27,7 @@ _LONGEST_NAME = 200
 
 
 class FileError(CtrlRlError):
-    """A file cannot be taken; the message does not name it, see `refused_as`."""
+    """A file cannot be taken; the message does not name it, see `raise_as`."""
 
 
 def one_line(text: object, longest: int = LONGEST_ERROR) -> str:
@@ -39,7 +39,7 @@ def one_line(text: object, longest: int = LONGEST_ERROR) -> str:
     return said
 
 
-def shown(value: object) -> str:
+def short_repr(value: object) -> str:
     """Return a wrong value as an error shows it."""
     if isinstance(value, int) and not isinstance(value, bool) and abs(value) >= 10**LONGEST_VALUE:
         return "a number of more than 60 digits"
@@ -50,14 +50,14 @@ def shown(value: object) -> str:
     return one_line(repr(value), LONGEST_VALUE)
 
 
-def named(path: str | os.PathLike[str]) -> str:
+def short_path(path: str | os.PathLike[str]) -> str:
     """Return a path as an error shows it: of a long one the end."""
     said = os.fspath(path)
     return one_line(said if len(said) <= _LONGEST_NAME else f"...{said[-_LONGEST_NAME:]}", 2 * _LONGEST_NAME)
 
 
 @contextmanager
-def refused_as(kind: type[CtrlRlError], path: str | os.PathLike[str], advice: str = "") -> Iterator[None]:
+def raise_as(kind: type[CtrlRlError], path: str | os.PathLike[str], advice: str = "") -> Iterator[None]:
     """Turn whatever is wrong with a file into an error of the package's own, of one line that begins with its name.
 
     Args:
@@ -70,16 +70,16 @@ def refused_as(kind: type[CtrlRlError], path: str | os.PathLike[str], advice: st
     except ValidationError as error:
         fault = first_error(error)
     except OSError as error:
-        raise kind(f"{named(path)}: cannot be read: {one_line(error.strerror or error)}") from None
+        raise kind(f"{short_path(path)}: cannot be read: {one_line(error.strerror or error)}") from None
     except MemoryError:
-        raise kind(f"{named(path)}: does not fit into the memory") from None
+        raise kind(f"{short_path(path)}: does not fit into the memory") from None
     except CtrlRlError as error:
-        if str(error).startswith(f"{named(path)}: "):  # from a reader within
+        if str(error).startswith(f"{short_path(path)}: "):  # from a reader within
             raise kind(str(error)) from None
         fault = one_line(error)
     else:
         return
-    raise kind(f"{named(path)}: {fault}{f': {advice}' if advice else ''}") from None
+    raise kind(f"{short_path(path)}: {fault}{f': {advice}' if advice else ''}") from None
 
 
 @contextmanager
@@ -144,7 +144,7 @@ def first_error(error: ValidationError, hidden: tuple[str, ...] = ()) -> str:
     given = first["input"]
     text = {"extra_forbidden": "no such key", "missing": "is missing"}.get(first["type"], first["msg"])
     if text is first["msg"] and not text.startswith("Value error, ") and isinstance(given, str | int | float | None):
-        text = f"is {shown(given)}: {text}"
+        text = f"is {short_repr(given)}: {text}"
     text = text.removeprefix("Value error, ")
     more = f" (and {len(errors) - 1} more)" if len(errors) > 1 else ""
     said = f"{one_line(key, 100)}: {text}" if key else text

@@ -14,6 +14,6 @@ KINDS = {
 }
 
 
-def described(key: str) -> str:
+def describe_kind(key: str) -> str:
     """Return what a file with this key in its header is, and what takes it; for unknown keys the key itself."""
     return KINDS.get(key, f"'{key}'")

@@ -15,8 +15,8 @@ from pydantic import ConfigDict, Field, TypeAdapter
 
 from ctrl_rl_core.errors import CtrlRlError
 from ctrl_rl_core.io import checked_json
-from ctrl_rl_core.io.atomic_write import write_whole
-from ctrl_rl_core.io.file_checks import refused_as
+from ctrl_rl_core.io.atomic_write import atomic_write
+from ctrl_rl_core.io.file_checks import raise_as
 from ctrl_rl_core.io.schema import Anything, Name, Schema
 
 
@@ -118,7 +118,7 @@ def write_results(
     if figures is not None:
         content["figures"] = dict(figures)
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(path, _dump(checked_json.with_digest(content)))
+    atomic_write(path, _dump(checked_json.with_digest(content)))
 
 
 def read_results(folder: Path) -> list[Experiment]:
@@ -129,7 +129,7 @@ def read_results(folder: Path) -> list[Experiment]:
     """
     out = []
     for file in sorted(folder.glob("*.json")):
-        with refused_as(ResultsError, file):
+        with raise_as(ResultsError, file):
             content = checked_json.read_json(file)
             if isinstance(content, dict) and "rows" in content:
                 out.append(Experiment.model_validate(content))
@@ -144,7 +144,7 @@ def read_benchmarks(file: Path) -> list[Benchmark]:
     """
     if not file.exists():
         return []
-    with refused_as(ResultsError, file):
+    with raise_as(ResultsError, file):
         return _BENCHMARKS.validate_python(checked_json.read_json(file))
 
 

@@ -15,7 +15,7 @@ class LockError(CtrlRlError):
 
 
 @contextmanager
-def alone(lock: Path) -> Iterator[None]:
+def exclusive_lock(lock: Path) -> Iterator[None]:
     """Keep others that ask for the same lock out meanwhile; it ends with the process, however that ends.
 
     Args:

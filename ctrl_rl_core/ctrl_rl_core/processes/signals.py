@@ -14,7 +14,7 @@ Handler = Callable[[int, FrameType | None], object] | signal.Handlers
 
 
 @contextmanager
-def answered_by(handler: Handler, numbers: Sequence[int] = STOP_SIGNALS) -> Iterator[None]:
+def handle_signals(handler: Handler, numbers: Sequence[int] = STOP_SIGNALS) -> Iterator[None]:
     """Let `handler` answer these signals within the block. It works in the main thread alone."""
     before = {number: signal.signal(number, handler) for number in numbers}
     try:

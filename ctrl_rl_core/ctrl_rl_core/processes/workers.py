@@ -14,7 +14,7 @@ from multiprocessing.connection import wait as wait_for_any
 from typing import Any, TypeVar
 
 from ctrl_rl_core.errors import CtrlRlError
-from ctrl_rl_core.processes.signals import answered_by
+from ctrl_rl_core.processes.signals import handle_signals
 
 Item = TypeVar("Item")
 Answer = TypeVar("Answer")
@@ -28,7 +28,7 @@ class WorkersError(CtrlRlError):
     """A worker process was killed."""
 
 
-def in_processes(
+def map_in_processes(
     work: Callable[[Item], Answer],
     items: Sequence[Item],
     workers: int,
@@ -78,7 +78,7 @@ def _deaf_to_interrupts() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    with answered_by(signal.SIG_IGN, (signal.SIGINT,)):
+    with handle_signals(signal.SIG_IGN, (signal.SIGINT,)):
         yield
 
 

@@ -104,7 +104,7 @@ class Faults:
         try:
             self._react(error)
         except Exception as further:
-            self._record("callback_failed", further)
+            self._record("on_callback_error", further)
 
     def _record(self, name: str, error: Exception) -> None:
         now = time.monotonic()

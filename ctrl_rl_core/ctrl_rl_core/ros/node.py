@@ -54,7 +54,7 @@ class SuiteNode(Node):
     """A node with checked settings, diagnostics at 1 Hz of wall time, and a last word before it stops.
 
     No callback ends it: what one raises is counted, said in the log and in diagnostics, and handed to
-    `callback_failed`. Log level debug shows the traceback.
+    `on_callback_error`. Log level debug shows the traceback.
 
     Attributes:
         PARAMETERS: the table of the node's parameters.
@@ -75,7 +75,7 @@ class SuiteNode(Node):
     SHARED_MEMORY: ClassVar[bool] = True
 
     def __init__(self, name: str, **kwargs: Any) -> None:
-        self.faults = Faults(self.callback_failed, self.get_logger, self.FATAL)  # before the first callback
+        self.faults = Faults(self.on_callback_error, self.get_logger, self.FATAL)  # before the first callback
         self._refused_requests = 0
         self.executor_name = ""
         super().__init__(name, start_parameter_services=False, **kwargs)
@@ -98,7 +98,7 @@ class SuiteNode(Node):
         """Return ROS time now: wall time, or the simulation's with use_sim_time; override it where /clock is made."""
         return self.get_clock().now().to_msg()
 
-    def setting_changed(self, name: str) -> None:
+    def on_parameter_changed(self, name: str) -> None:
         """Act on a live parameter that now has another value; override it where it matters.
 
         Raises:
@@ -108,7 +108,7 @@ class SuiteNode(Node):
     def stop(self) -> None:
         """Say the last word (zero velocity, a finished file) while publishers still work; called once, override it."""
 
-    def callback_failed(self, error: Exception) -> None:
+    def on_callback_error(self, error: Exception) -> None:
         """React to a callback that raised, which is counted and said already; override it in a node that drives.
 
         There the robot stands, and goes on standing while `faults.failing` names an input.
@@ -181,13 +181,13 @@ class SuiteNode(Node):
         for name, value in values.items():
             self.settings[name] = value
             try:
-                self.setting_changed(name)
+                self.on_parameter_changed(name)
             except Exception as error:
                 if not isinstance(error, CtrlRlError):
-                    self.faults.note(f"setting_changed ({name})", error)
+                    self.faults.note(f"on_parameter_changed ({name})", error)
                 self.settings |= before
                 for other in taken:  # all or nothing: ROS keeps the old values of all of them
-                    self.setting_changed(other)
+                    self.on_parameter_changed(other)
                 return SetParametersResult(successful=False, reason=one_line(error))
             taken.append(name)
         return SetParametersResult(successful=True)

@@ -12,7 +12,7 @@ from std_msgs.msg import Header
 
 from ctrl_rl_core.ros.node import float32_array
 from ctrl_rl_core.values.plane import plane_of
-from ctrl_rl_core.values.value_function import ValueFunction, parts
+from ctrl_rl_core.values.value_function import ValueFunction, batches
 from ctrl_rl_core.values.value_grid import ValueGrid
 from ctrl_rl_msgs.msg import GridAxis
 from ctrl_rl_msgs.msg import ValueGrid as ValueGridMsg
@@ -97,7 +97,7 @@ def answer(function: ValueFunction, request: QueryValues.Request, response: Quer
         response.message = f"{len(states)} numbers are no whole states of {n}: {', '.join(function.state_names)}"
         return
     states = states.reshape(-1, n)
-    for part in parts(len(states)):
+    for part in batches(len(states)):
         values, gradients = function.value_and_gradient(states[part])
         response.values.frombytes(values.tobytes())
         response.gradients.frombytes(gradients.tobytes())

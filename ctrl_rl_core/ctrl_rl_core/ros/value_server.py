@@ -95,7 +95,7 @@ class ValueServer(SuiteNode):
             return warn("the robot is outside the grid", **figures)
         return ok("serving", **figures)
 
-    def setting_changed(self, name: str) -> None:
+    def on_parameter_changed(self, name: str) -> None:
         """Load another file, or cut the slice elsewhere."""
         if name == "grid":
             self._load(self.settings["grid"])

@@ -19,7 +19,7 @@ from ctrl_rl_core.errors import CtrlRlError
 from ctrl_rl_core.geometry.shapes import World
 from ctrl_rl_core.geometry.units import Interval
 from ctrl_rl_core.io.checked_yaml import read_yaml
-from ctrl_rl_core.io.file_checks import FileError, first_error, named, refused_as, shown
+from ctrl_rl_core.io.file_checks import FileError, first_error, raise_as, short_path, short_repr
 from ctrl_rl_core.systems.models import SYSTEM_MODELS
 from ctrl_rl_core.tasks.option_tasks import ToolDelivery, WaterFilling
 from ctrl_rl_core.tasks.task_schema import (
@@ -138,7 +138,9 @@ def task_file(name_or_path: str | FilePath) -> FilePath:
         return path.expanduser()
     path = FOLDER / f"{name_or_path}.yaml"
     if str(name_or_path) not in task_names():
-        raise TaskError(f"no task '{named(name_or_path)}': there are {', '.join(task_names())}, or give a .yaml file")
+        raise TaskError(
+            f"no task '{short_path(name_or_path)}': there are {', '.join(task_names())}, or give a .yaml file"
+        )
     return path
 
 
@@ -149,14 +151,14 @@ def load_task(name_or_path: str | FilePath) -> Task:
         TaskError: no such task, or the file is wrong; the message names file and key.
     """
     path = task_file(name_or_path)
-    with refused_as(TaskError, path):
+    with raise_as(TaskError, path):
         content = read_yaml(path)
         try:
             task = _READER.validate_python(content)
         except ValidationError as error:
             raise FileError(first_error(error, _KINDS)) from None
         if task.name != path.stem:
-            raise FileError(f"name: is {shown(task.name)}, must be the file's name {shown(path.stem)}")
+            raise FileError(f"name: is {short_repr(task.name)}, must be the file's name {short_repr(path.stem)}")
     return task
 
 

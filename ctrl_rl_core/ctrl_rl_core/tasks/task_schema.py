@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import BeforeValidator, Field, Strict, model_validator
 
-from ctrl_rl_core.geometry.shapes import Arc, Box, Disc, Path, Shape, frame_walls
+from ctrl_rl_core.geometry.shapes import Arc, ArcPath, Box, Disc, Shape, frame_walls
 from ctrl_rl_core.geometry.units import (
     Angle,
     AngleInterval,
@@ -22,7 +22,7 @@ from ctrl_rl_core.geometry.units import (
     parse_interval,
     parse_scalar,
 )
-from ctrl_rl_core.io.file_checks import shown
+from ctrl_rl_core.io.file_checks import short_repr
 from ctrl_rl_core.io.schema import Schema
 from ctrl_rl_core.systems.models import SYSTEM_MODELS
 from ctrl_rl_core.systems.system import System, SystemModelError, make_system
@@ -82,7 +82,7 @@ def _intervals(units: Mapping[str, str]) -> BeforeValidator:
             try:
                 out[name] = parse_interval(text, unit)
             except ValueError as error:
-                raise ValueError(f"{shown(name)}: {error}") from None
+                raise ValueError(f"{short_repr(name)}: {error}") from None
         return out
 
     return BeforeValidator(parse)
@@ -104,7 +104,7 @@ class SystemSpec(Part):
     @model_validator(mode="after")
     def _known(self) -> SystemSpec:
         if self.model not in SYSTEM_MODELS:
-            raise ValueError(f"model: no system model {shown(self.model)}: there are {', '.join(SYSTEM_MODELS)}")
+            raise ValueError(f"model: no system model {short_repr(self.model)}: there are {', '.join(SYSTEM_MODELS)}")
         self.build()
         return self
 
@@ -139,7 +139,7 @@ class SystemSpec(Part):
 
 def _unit_of(name: str, units: Mapping[str, str]) -> str:
     if name not in units:
-        raise ValueError(f"{shown(name)}: no such name; there are {', '.join(units) or 'none'}")
+        raise ValueError(f"{short_repr(name)}: no such name; there are {', '.join(units) or 'none'}")
     return units[name]
 
 
@@ -237,9 +237,9 @@ class CorridorSpec(Part):
         return self
 
     @property
-    def path(self) -> Path:
+    def path(self) -> ArcPath:
         """The middle line."""
-        return Path(tuple(piece.arc() for piece in self.pieces))
+        return ArcPath(tuple(piece.arc() for piece in self.pieces))
 
     def walls(self, width: float) -> tuple[Box, ...]:
         """Return the walls at a free width [m], with the one behind the start."""

@@ -10,7 +10,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ctrl_rl_core.geometry.shapes import Path
+from ctrl_rl_core.geometry.shapes import ArcPath
 from ctrl_rl_core.tasks.outcome import Outcome
 from ctrl_rl_core.tasks.regions import Region, position_indices, wrap
 from ctrl_rl_core.tasks.task import NavigationTask
@@ -24,7 +24,7 @@ class PathCoordinates:
 
     _STEP = 0.01
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: ArcPath) -> None:
         self._s = np.linspace(0.0, path.length, max(2, math.ceil(path.length / self._STEP) + 1))
         self._poses = path.pose(self._s)
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from ctrl_rl_core.io import checked_tensors
-from ctrl_rl_core.io.atomic_write import write_whole
+from ctrl_rl_core.io.atomic_write import atomic_write
 from ctrl_rl_core.io.file_checks import FileError
 from ctrl_rl_core.io.schema import Name, Number, Schema, Sha256
 from ctrl_rl_core.values.grid_axis import Axis, GridError
@@ -78,7 +78,7 @@ def write(path: Path, content: bytes, *, overwrite: bool) -> None:
     if path.exists() and not overwrite:
         raise GridError(f"{path}: exists already; give another name or ask to overwrite it")
     try:
-        write_whole(path, content)
+        atomic_write(path, content)
     except OSError as error:
         raise GridError(f"{path}: cannot be written: {error.strerror or error}") from error
 
@@ -87,7 +87,7 @@ def read(path: Path) -> tuple[NDArray[Any], tuple[Axis, ...], dict[str, Any]]:
     """Values, axes and the rest of the description of a file.
 
     Raises:
-        FileError, ValidationError, OSError: it is not a whole grid, see `file_door.refused_as`.
+        FileError, ValidationError, OSError: it is not a whole grid, see `file_checks.raise_as`.
     """
     header, tensors, _ = checked_tensors.read_tensors(path, HEADER_KEY, largest=None, finite=False)
     told = _GridHeader.model_validate(header)

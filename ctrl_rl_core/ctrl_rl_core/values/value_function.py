@@ -57,7 +57,7 @@ class ValueFunction(Protocol):
         """Value and gradient (n,) at one state (n,), quickly."""
 
 
-def parts(count: int) -> Iterator[slice]:
+def batches(count: int) -> Iterator[slice]:
     """Yield the slices of a batch of `count` states, `ROWS` in each and the rest in the last."""
     for begin in range(0, count, ROWS):
         yield slice(begin, min(begin + ROWS, count))

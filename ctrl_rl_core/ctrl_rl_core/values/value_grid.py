@@ -20,7 +20,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ctrl_rl_core.io.file_checks import refused_as
+from ctrl_rl_core.io.file_checks import raise_as
 from ctrl_rl_core.values import grid_file
 from ctrl_rl_core.values.grid_axis import Axis, GridError
 from ctrl_rl_core.values.interpolation import axis_table, gradient_at, gradients_at, value_at, values_at
@@ -154,7 +154,7 @@ class ValueGrid:
         Raises:
             GridError: names the file and what is wrong with it.
         """
-        with refused_as(GridError, path):
+        with raise_as(GridError, path):
             values, axes, text = grid_file.read(Path(path))
             return cls(values=values, axes=axes, **text)
 

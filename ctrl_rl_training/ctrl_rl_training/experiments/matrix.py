@@ -14,8 +14,8 @@ from pathlib import Path
 from queue import Empty
 from typing import Any, Protocol, TypeVar
 
-from ctrl_rl_core.processes.exclusive_lock import alone
-from ctrl_rl_core.processes.workers import CONTEXT, in_processes
+from ctrl_rl_core.processes.exclusive_lock import exclusive_lock
+from ctrl_rl_core.processes.workers import CONTEXT, map_in_processes
 from tqdm import tqdm
 
 from ctrl_rl_training.experiments.run_folder import Named, result_file
@@ -69,7 +69,7 @@ def train_all(
     known = {run.name: train(run, options, lambda *_: None) for run in finished}
     todo = [run for run in runs if run.name not in known]
     options.folder.mkdir(parents=True, exist_ok=True)
-    with alone(options.folder / f".{title}.lock"):
+    with exclusive_lock(options.folder / f".{title}.lock"):
         if todo:
             _run(todo, options, min(len(todo), workers or os.cpu_count() or 1), title, train)
         known |= {run.name: train(run, options, lambda *_: None) for run in todo}
@@ -80,7 +80,7 @@ def _run(todo: Sequence[AnyRun], options: How, workers: int, title: str, train: 
     reports: Any = CONTEXT.Queue()
     with tqdm(total=len(todo) * options.iterations, desc=title, unit="iteration", mininterval=5.0) as bar:
         work, show = partial(_train, options=options, train=train), partial(_show, bar, reports, {})
-        for _ in in_processes(work, todo, workers, _begin_worker, (reports,), show):
+        for _ in map_in_processes(work, todo, workers, _begin_worker, (reports,), show):
             show()
 
 

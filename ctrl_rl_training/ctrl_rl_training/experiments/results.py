@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 from ctrl_rl_core.io.checked_json import read_json
-from ctrl_rl_core.io.file_checks import FileError, refused_as
+from ctrl_rl_core.io.file_checks import FileError, raise_as
 from ctrl_rl_core.io.results import Result, ResultsError
 
 from ctrl_rl_training.experiments.figure_data import Figures
@@ -81,7 +81,7 @@ def read_figures(file: Path, kind: type[Figures]) -> dict[str, Any]:
         ResultsError: there is no such file, or it holds something else.
     """
     other = "is not a file that `train --results` wrote"
-    with refused_as(ResultsError, file):
+    with raise_as(ResultsError, file):
         content = read_json(file)
         figures = content.get("figures") if isinstance(content, dict) else None
         if not isinstance(figures, dict):

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from ctrl_rl_core.errors import CtrlRlError
-from ctrl_rl_core.io.atomic_write import write_whole
+from ctrl_rl_core.io.atomic_write import atomic_write
 from ctrl_rl_core.io.checked_json import with_digest
-from ctrl_rl_core.io.file_checks import refused_as
+from ctrl_rl_core.io.file_checks import raise_as
 from pydantic import ValidationError
 
 from ctrl_rl_training.errors import TrainingError
@@ -109,13 +109,13 @@ def resumable(
         result = {"run": dict(terms), "curve": curve, **learning.finish(finished.parent)}
         finishing = time.process_time() - cpu
         result["cpu_seconds"] = round(sum(point.get("cpu_seconds", 0.0) for point in curve) + finishing, 2)
-    write_whole(finished, json.dumps(with_digest(result)) + "\n")
+    atomic_write(finished, json.dumps(with_digest(result)) + "\n")
     checkpoint.unlink(missing_ok=True)
     return result
 
 
 def _load(learning: Learning, checkpoint: Path) -> Progress:
-    with refused_as(TrainingError, checkpoint, "cannot go on from it, delete it to begin anew"):
+    with raise_as(TrainingError, checkpoint, "cannot go on from it, delete it to begin anew"):
         try:
             return Progress.model_validate(learning.load(checkpoint))
         except (ValidationError, OSError):

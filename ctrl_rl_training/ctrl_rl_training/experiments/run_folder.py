@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated, Any, Protocol
 
 from ctrl_rl_core.io.checked_json import read_json
-from ctrl_rl_core.io.file_checks import named, one_line, refused_as
+from ctrl_rl_core.io.file_checks import one_line, raise_as, short_path
 from ctrl_rl_core.io.schema import Anything, Schema
 from pydantic import ConfigDict, Field, field_validator
 
@@ -64,7 +64,7 @@ def read_result(file: Path) -> dict[str, Any]:
     Raises:
         TrainingError: the file is damaged.
     """
-    with refused_as(TrainingError, file, "is not what a finished run leaves: delete it to have it learnt again"):
+    with raise_as(TrainingError, file, "is not what a finished run leaves: delete it to have it learnt again"):
         result: dict[str, Any] = read_json(file)
         Finished.model_validate(result)
     return result
@@ -79,6 +79,6 @@ def check_same(file: Path, before: Mapping[str, Any], now: Mapping[str, Any]) ->
     for name, value in now.items():
         if before.get(name) != value:
             raise TrainingError(
-                f"{named(file)}: was made with {name} {one_line(before.get(name), 100)}, now it is "
+                f"{short_path(file)}: was made with {name} {one_line(before.get(name), 100)}, now it is "
                 f"{one_line(value, 100)}: use another folder, or delete it"
             )

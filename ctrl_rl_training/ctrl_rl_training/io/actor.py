@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from ctrl_rl_core.io.atomic_write import write_whole
+from ctrl_rl_core.io.atomic_write import atomic_write
 from ctrl_rl_core.io.checked_tensors import encode_tensors, read_tensors
-from ctrl_rl_core.io.file_checks import FileError, refused_as
+from ctrl_rl_core.io.file_checks import FileError, raise_as
 from ctrl_rl_core.io.schema import Anything, Schema
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
@@ -95,7 +95,7 @@ class Actor:
             "manifest": dict(self.manifest),
         }
         plain = {name: np.ascontiguousarray(tensor, dtype=np.float32) for name, tensor in tensors.items()}
-        write_whole(path, encode_tensors(plain, _HEADER_KEY, manifest))
+        atomic_write(path, encode_tensors(plain, _HEADER_KEY, manifest))
 
     @classmethod
     def load(cls, path: Path | str) -> Self:
@@ -104,7 +104,7 @@ class Actor:
         Raises:
             TrainingError: the file is missing or is not such a policy; the message names it.
         """
-        with refused_as(TrainingError, path, "learn it again"):
+        with raise_as(TrainingError, path, "learn it again"):
             header, tensors, _ = read_tensors(path, _HEADER_KEY, types=("F32",))
             told = _Header.model_validate(header)
             layers = range(told.layers)

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from ctrl_rl_core.io.atomic_write import write_whole
+from ctrl_rl_core.io.atomic_write import atomic_write
 from ctrl_rl_core.io.checked_tensors import TYPES, encode_tensors, read_tensors
 from numpy.typing import NDArray
 
@@ -15,14 +15,14 @@ _HEADER_KEY = "checkpoint"
 
 def save_arrays(path: Path, arrays: Mapping[str, NDArray[Any]], header: Mapping[str, Any]) -> None:
     """Write arrays, and a header that is JSON."""
-    write_whole(path, encode_tensors(arrays, _HEADER_KEY, header))
+    atomic_write(path, encode_tensors(arrays, _HEADER_KEY, header))
 
 
 def load_arrays(path: Path) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
     """Return arrays and header.
 
     Raises:
-        FileError, ValidationError, OSError: `save_arrays` did not write it, or not so; see `file_door.refused_as`.
+        FileError, ValidationError, OSError: `save_arrays` did not write it, or not so; see `file_checks.raise_as`.
     """
     header, arrays, _ = read_tensors(path, _HEADER_KEY, largest=None, types=tuple(TYPES))
     return arrays, header

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
-from ctrl_rl_core.io.atomic_write import write_whole
+from ctrl_rl_core.io.atomic_write import atomic_write
 from ctrl_rl_core.io.checked_tensors import encode_tensors, read_tensors
-from ctrl_rl_core.io.file_checks import FileError, refused_as
+from ctrl_rl_core.io.file_checks import FileError, raise_as
 from ctrl_rl_core.tasks.regions import ANGLES, position_indices
 from ctrl_rl_core.tasks.task import NavigationTask
 from numpy.typing import NDArray
@@ -66,7 +66,7 @@ class Visits:
 
     def save(self, path: Path) -> None:
         """Write the counts; the file is there whole or not at all."""
-        write_whole(path, encode_tensors(self.counts(), _HEADER_KEY, {"format": FORMAT}))
+        atomic_write(path, encode_tensors(self.counts(), _HEADER_KEY, {"format": FORMAT}))
 
 
 def load_visits(path: Path) -> dict[str, Counts]:
@@ -75,7 +75,7 @@ def load_visits(path: Path) -> dict[str, Counts]:
     Raises:
         TrainingError: it is no such file.
     """
-    with refused_as(TrainingError, path):
+    with raise_as(TrainingError, path):
         header, counts, _ = read_tensors(path, _HEADER_KEY, largest=None, types=("U32",))
         shapes = {name: counts[name].shape[1:] for name in sorted(counts)}
         if header not in ({}, {"format": FORMAT}) or shapes != {"places": (PLACES, PLACES), "turns": (TURNS,)}:

@@ -10,7 +10,7 @@ from typing import Any
 
 from ctrl_rl_core.command import check_least, folder_to_write, run_command
 from ctrl_rl_core.errors import CtrlRlError
-from ctrl_rl_core.io.atomic_write import write_whole
+from ctrl_rl_core.io.atomic_write import atomic_write
 
 from koopman_lqr_controller.cli.drive_options import add_topics, read_drives
 from koopman_lqr_controller.errors import KoopmanError
@@ -73,8 +73,8 @@ def _analyse(options: argparse.Namespace) -> int:
             world.close()
     folder = options.output or Path(f"{file.stem}-analysis")
     folder.mkdir(parents=True, exist_ok=True)
-    write_whole(folder / _DATA, json.dumps({"file": file.name, "digest": digest(file), **found}) + "\n")
-    write_whole(folder / _PAGE, page(found, file.name, draw_all(found, folder)))
+    atomic_write(folder / _DATA, json.dumps({"file": file.name, "digest": digest(file), **found}) + "\n")
+    atomic_write(folder / _PAGE, page(found, file.name, draw_all(found, folder)))
     for row in found.get("limits", {}).get("rows", ()):
         over_best = row["model"] / max(row["linear_floor"], 1e-12)
         print(

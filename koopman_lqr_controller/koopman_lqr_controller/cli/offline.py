@@ -10,7 +10,7 @@ from typing import Any
 
 from ctrl_rl_core.command import check_least, file_to_write, run_command
 from ctrl_rl_core.geometry.units import Interval
-from ctrl_rl_core.io.atomic_write import write_whole
+from ctrl_rl_core.io.atomic_write import atomic_write
 from tqdm import tqdm
 
 from koopman_lqr_controller.cli.drive_options import add_drives, add_output, read_drives
@@ -97,7 +97,7 @@ def _evaluate(options: argparse.Namespace) -> int:
     if told:
         print(told)
     if options.json is not None:
-        write_whole(options.json, json.dumps(figures) + "\n")
+        atomic_write(options.json, json.dumps(figures) + "\n")
     return 0
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from ctrl_rl_bags.alignment.alignment import EXTRACTORS
 from numpy.typing import NDArray
 
-from ctrl_rl_bags import Aligned, Extractor, align, bag_info
+from ctrl_rl_bags import AlignedSamples, Extractor, align, bag_info
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.models.edmd import Snapshots
 from koopman_lqr_controller.policies.closed_loop_model import See
@@ -132,7 +132,7 @@ def _extractors(topics: Mapping[str, Extractor | None], info: Mapping[str, str])
     return out
 
 
-def _pieces(sequence: Aligned, see: See, yaw: float, topics: Sequence[str], stamped: bool) -> list[Drive]:
+def _pieces(sequence: AlignedSamples, see: See, yaw: float, topics: Sequence[str], stamped: bool) -> list[Drive]:
     scan, odom, command, episode = topics
     odometry, commands = sequence.values[odom], sequence.values[command]
     seen = [_seen(see, s, yaw, o) for s, o in zip(sequence.values[scan], odometry, strict=True)]

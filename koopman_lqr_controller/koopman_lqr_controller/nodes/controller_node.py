@@ -102,7 +102,7 @@ class Controller(LidarDriver):
         self.create_subscription(EpisodeStatus, "episode", self._on_episode, RESULT)
         self._load(self.settings["policy"])
 
-    def setting_changed(self, name: str) -> None:
+    def on_parameter_changed(self, name: str) -> None:
         """Drive with another policy from the next scan on, or watch it otherwise."""
         if name == "policy":
             self._load(self.settings["policy"])
@@ -114,7 +114,7 @@ class Controller(LidarDriver):
             self._arrival.max_distance = self.settings["max_distance"]
             self._arrival.begin()
         else:
-            super().setting_changed(name)
+            super().on_parameter_changed(name)
 
     def status(self) -> Status:
         """Say whether commands flow, which policy gives them, and how far from its training the robot is."""
@@ -176,7 +176,7 @@ class Controller(LidarDriver):
         self._arrival.episode(message.episode, message.outcome.value)
         over = self._arrival.reason()
         if over and self.moving:
-            self.stand(over)
+            self.halt(over)
 
     def _load(self, name: str) -> None:
         """Read, try out and take over a policy.

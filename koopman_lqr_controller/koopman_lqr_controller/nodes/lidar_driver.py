@@ -8,7 +8,7 @@ from collections import deque
 from typing import ClassVar, NamedTuple
 
 import numpy as np
-from ctrl_rl_core.driving.lidar_node import LIDAR_PARAMETERS, LidarNode
+from ctrl_rl_core.driving.lidar_velocity_node import LIDAR_PARAMETERS, LidarVelocityNode
 from ctrl_rl_core.driving.scan import ScanGeometry
 from ctrl_rl_core.driving.velocity_node import VelocityError
 from ctrl_rl_core.errors import CtrlRlError
@@ -36,7 +36,7 @@ class Sensed(NamedTuple):
     header: Header
 
 
-class LidarDriver(LidarNode):
+class LidarDriver(LidarVelocityNode):
     """Publishes one cmd_vel for each scan, zero velocity where the scan, the odometry or the decision is unfit."""
 
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = DRIVER_PARAMETERS
@@ -70,7 +70,7 @@ class LidarDriver(LidarNode):
             figures = {**figures, "decision p50 [ms]": f"{p50:.3f}", "decision p99 [ms]": f"{p99:.3f}"}
         return level, message, figures
 
-    def stale(self, problem: str) -> None:
+    def on_stale_input(self, problem: str) -> None:
         """Say that there was nothing to answer."""
         header = Header(stamp=self.get_clock().now().to_msg(), frame_id=self.frame)
         self.answered(header, _STAND, problem)
@@ -79,13 +79,13 @@ class LidarDriver(LidarNode):
         """Answer it."""
         begin = time.perf_counter()
         try:
-            problem = self.unfit()
+            problem = self.input_fault()
             if problem:
                 raise VelocityError(problem)
             sensed = Sensed(ranges, scan, *self.motion, message.header)
             command = self.drive(self.decide(sensed), message.header.stamp)
         except CtrlRlError as error:
-            self.stand(str(error), message.header.stamp)
+            self.halt(str(error), message.header.stamp)
             self.answered(message.header, _STAND, str(error))
             return
         self._latencies.append(time.perf_counter() - begin)

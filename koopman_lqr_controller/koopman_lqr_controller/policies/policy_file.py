@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.io.atomic_write import write_whole
+from ctrl_rl_core.io.atomic_write import atomic_write
 from ctrl_rl_core.io.checked_tensors import LARGEST, Tensors, encode_tensors, read_tensors
-from ctrl_rl_core.io.file_checks import FileError, named, read_bytes, refused_as, shown
+from ctrl_rl_core.io.file_checks import FileError, raise_as, read_bytes, short_path, short_repr
 from numpy.typing import NDArray
 
 from koopman_lqr_controller.errors import KoopmanError
@@ -51,17 +51,17 @@ def find_policy(name_or_path: str) -> Path:
     try:
         there = path.exists()
     except (OSError, ValueError) as error:
-        raise KoopmanError(f"no policy '{named(name_or_path)}': {error}") from None
+        raise KoopmanError(f"no policy '{short_path(name_or_path)}': {error}") from None
     if not there:
         raise KoopmanError(
-            f"no policy '{named(name_or_path)}': there are {', '.join(shipped) or 'none'}, or give a file"
+            f"no policy '{short_path(name_or_path)}': there are {', '.join(shipped) or 'none'}, or give a file"
         )
     return path
 
 
 def digest(path: Path) -> str:
     """Return the SHA-256 of a policy file (hex)."""
-    with refused_as(KoopmanError, path):
+    with raise_as(KoopmanError, path):
         return hashlib.sha256(read_bytes(path, LARGEST)).hexdigest()
 
 
@@ -72,7 +72,7 @@ def refuse_existing(path: Path, overwrite: bool) -> None:
         KoopmanError: it is there.
     """
     if path.exists() and not overwrite:
-        raise KoopmanError(f"{named(path)} exists: give another name, or ask to --overwrite it")
+        raise KoopmanError(f"{short_path(path)} exists: give another name, or ask to --overwrite it")
 
 
 def save_policy(policy: KoopmanPolicy | LatentPolicy, path: Path, overwrite: bool = False) -> None:
@@ -89,7 +89,7 @@ def save_policy(policy: KoopmanPolicy | LatentPolicy, path: Path, overwrite: boo
     content = encode_tensors(tensors, _HEADER_KEY, header)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(path, content)
+        atomic_write(path, content)
     except OSError as error:
         raise KoopmanError(f"cannot write {path}: {error.strerror}") from None
 
@@ -100,7 +100,7 @@ def load_policy(path: Path) -> KoopmanPolicy | LatentPolicy:
     Raises:
         KoopmanError: no such file, or it is not a whole and consistent policy.
     """
-    with refused_as(KoopmanError, path):
+    with raise_as(KoopmanError, path):
         header, tensors, _ = read_tensors(path, _HEADER_KEY)
         large = [name for name in ("A", "P") if max(tensors.get(name, np.empty(0)).shape, default=0) > _LARGEST_LATENT]
         if large:
@@ -112,8 +112,8 @@ def load_policy(path: Path) -> KoopmanPolicy | LatentPolicy:
             if found == LATENT_FORMAT:
                 return build_latent(LatentHeader.model_validate(header), tensors)
         except KeyError as error:
-            raise FileError(f"lacks the tensor {shown(error.args[0])}: train it again") from None
-        raise FileError(f"format is {shown(found)}, must be '{FORMAT}' or '{LATENT_FORMAT}': train it again")
+            raise FileError(f"lacks the tensor {short_repr(error.args[0])}: train it again") from None
+        raise FileError(f"format is {short_repr(found)}, must be '{FORMAT}' or '{LATENT_FORMAT}': train it again")
 
 
 def _describe_edmd(policy: KoopmanPolicy) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:

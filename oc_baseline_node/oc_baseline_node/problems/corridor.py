@@ -14,7 +14,7 @@ from math import inf, pi
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.geometry.shapes import Path
+from ctrl_rl_core.geometry.shapes import ArcPath
 from ctrl_rl_core.systems.models import Dynamics, Quantity
 from ctrl_rl_core.systems.system import System
 from numpy.typing import ArrayLike, NDArray
@@ -29,7 +29,7 @@ _LARGEST_HEADING = pi / 3
 """Of a start [rad]: a burger that stands across a narrow corridor is not met."""
 
 
-def path_car(car: System, path: Path) -> System:
+def path_car(car: System, path: ArcPath) -> System:
     """Return the Dubins car in the coordinates of a path, with the controls of `car`.
 
     Raises:
@@ -57,7 +57,7 @@ def path_car(car: System, path: Path) -> System:
     return System("dubins_car along a path", states, car.controls, disturbances, {}, equations)
 
 
-def curvature(path: Path, s: Any, math: Any = np) -> Any:
+def curvature(path: ArcPath, s: Any, math: Any = np) -> Any:
     """Return the path's curvature [rad/m] at s [m], smooth; for arrays and for CasADi."""
     out, begin = 0.0 * s, 0.0
     for arc in path.arcs:
@@ -68,7 +68,7 @@ def curvature(path: Path, s: Any, math: Any = np) -> Any:
     return out
 
 
-def in_plane(path: Path, states: ArrayLike) -> NDArray[np.float64]:
+def in_plane(path: ArcPath, states: ArrayLike) -> NDArray[np.float64]:
     """Return x, y, theta (..., 3) of states s, lateral, heading (..., 3)."""
     s, lateral, heading = np.moveaxis(np.asarray(states, dtype=float), -1, 0)
     x, y, direction = np.moveaxis(path.pose(s), -1, 0)

@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from ctrl_rl_core.io.atomic_write import is_temporary, write_whole
+from ctrl_rl_core.io.atomic_write import atomic_write, is_temporary
 from ctrl_rl_core.io.checked_arrays import encode_arrays, read_arrays
 from ctrl_rl_core.io.checked_json import read_json, with_digest
-from ctrl_rl_core.io.file_checks import FileError, refused_as
+from ctrl_rl_core.io.file_checks import FileError, raise_as
 from ctrl_rl_core.io.schema import Name, Number, Schema, Sha256
 from numpy.typing import NDArray
 from pydantic import Field
@@ -165,7 +165,7 @@ def write_chunk(folder: Path, index: int, data: ValueData) -> None:
     """
     arrays: dict[str, Any] = {name: getattr(data, name) for name in ValueData.__annotations__}
     arrays["reasons"] = np.array(data.reasons, dtype=np.str_)
-    write_whole(chunk_file(folder, index), encode_arrays(arrays))
+    atomic_write(chunk_file(folder, index), encode_arrays(arrays))
 
 
 def make_folder(folder: Path) -> None:
@@ -196,7 +196,7 @@ def open_folder(folder: Path, problem: Problem, settings: DataSettings) -> list[
     for left in filter(is_temporary, folder.iterdir()):
         left.unlink()
     if not file.exists():
-        write_whole(file, json.dumps(with_digest(description(problem, settings)), indent=1) + "\n")
+        atomic_write(file, json.dumps(with_digest(description(problem, settings)), indent=1) + "\n")
     return _lacking(folder, settings)
 
 
@@ -220,7 +220,7 @@ def read_description(folder: Path) -> dict[str, Any]:
     file = folder / "settings.json"
     if not file.is_file():
         raise OcError(f"{folder} holds no value data: make them with 'oc data'")
-    with refused_as(OcError, file, "make the data again in another folder"):
+    with raise_as(OcError, file, "make the data again in another folder"):
         return _Description.model_validate(read_json(file)).model_dump()
 
 
@@ -247,7 +247,7 @@ def join(parts: list[ValueData]) -> ValueData:
 
 
 def _read_chunk(file: Path) -> ValueData:
-    with refused_as(OcError, file, "delete it and run 'oc data' again"):
+    with raise_as(OcError, file, "delete it and run 'oc data' again"):
         arrays: dict[str, Any] = read_arrays(file, tuple(ValueData.__annotations__), _LARGEST_CHUNK)
         sizes = {name: array.shape for name, array in arrays.items()}
         solved, unsolved = sizes["states"][:1], sizes["unsolved"][:1]

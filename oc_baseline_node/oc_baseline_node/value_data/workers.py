@@ -8,8 +8,8 @@ from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 
-from ctrl_rl_core.processes.exclusive_lock import alone
-from ctrl_rl_core.processes.workers import in_processes
+from ctrl_rl_core.processes.exclusive_lock import exclusive_lock
+from ctrl_rl_core.processes.workers import map_in_processes
 from ctrl_rl_core.tasks.task import NavigationTask
 from tqdm import tqdm
 
@@ -48,7 +48,7 @@ def make_data(
     """
     wall, cpu = time.monotonic(), _cpu_seconds()
     make_folder(folder)
-    with alone(folder / LOCK):
+    with exclusive_lock(folder / LOCK):
         lacking = open_folder(folder, problem, settings)
         done = settings.trajectories - sum(map(settings.size, lacking))
         quiet = None if progress else True
@@ -69,7 +69,7 @@ def _finished(
         _prepare(*terms)
         yield from (_make(folder, index) for index in lacking)
     else:
-        yield from in_processes(partial(_make, folder), lacking, workers, _prepare, terms)
+        yield from map_in_processes(partial(_make, folder), lacking, workers, _prepare, terms)
 
 
 def _prepare(task: NavigationTask, form: Form, clearance: float, settings: DataSettings) -> None:

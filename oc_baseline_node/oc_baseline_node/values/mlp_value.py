@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 from ctrl_rl_core.io.checked_tensors import encode_tensors
-from ctrl_rl_core.values.value_function import parts
+from ctrl_rl_core.values.value_function import batches
 from ctrl_rl_core.values.value_grid import Axis, ValueGrid
 from numpy.typing import ArrayLike, NDArray
 
@@ -122,7 +122,7 @@ class MlpValue:
         """Return the values at all nodes of the axes, some at a time: of six components there are millions."""
         out = np.empty([axis.count for axis in self.axes], dtype=np.float32)
         flat, nodes = out.reshape(-1), [axis.nodes for axis in self.axes]
-        for part in parts(flat.size):
+        for part in batches(flat.size):
             indices = np.unravel_index(np.arange(part.start, part.stop), out.shape)
             states = [of_axis[index] for of_axis, index in zip(nodes, indices, strict=True)]
             flat[part] = self.value(np.column_stack(states))
@@ -136,7 +136,7 @@ class MlpValue:
         """
         rows, shape = self._rows(states)
         out = np.empty(len(rows))
-        for part in parts(len(rows)):
+        for part in batches(len(rows)):
             out[part] = self._forward(rows[part])[0]
             self._replace(rows[part], out[part])
         return out.reshape(shape)

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from ctrl_rl_core.io.atomic_write import write_whole
+from ctrl_rl_core.io.atomic_write import atomic_write
 from ctrl_rl_core.io.checked_tensors import Tensors, kind_of, read_tensors
-from ctrl_rl_core.io.file_checks import FileError, named, refused_as
+from ctrl_rl_core.io.file_checks import FileError, raise_as, short_path
 from ctrl_rl_core.io.schema import Name, Number, Positive, Schema, Sha256
 from ctrl_rl_core.values.grid_file import AxisHeader
 from ctrl_rl_core.values.value_function import ValueFunction
@@ -73,7 +73,7 @@ def save_value(value: MlpValue, path: Path, overwrite: bool = False) -> None:
     if path.exists() and not overwrite:
         raise OcError(f"{path} exists: give another name, or ask to overwrite it")
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(path, value.encoded)
+    atomic_write(path, value.encoded)
 
 
 def shipped_values() -> dict[str, Path]:
@@ -92,7 +92,8 @@ def find_value(name_or_path: str | Path) -> Path:
     path = shipped.get(str(name_or_path), Path(name_or_path).expanduser())
     if not path.is_file():
         raise OcError(
-            f"no value '{named(name_or_path)}': there are {', '.join(shipped) or 'none'}, or give a file of 'oc fit'"
+            f"no value '{short_path(name_or_path)}': there are {', '.join(shipped) or 'none'}, "
+            "or give a file of 'oc fit'"
         )
     return path
 
@@ -103,7 +104,7 @@ def load_value(path: Path) -> ValueFunction:
     Raises:
         CtrlRlError: no such file, or it is neither; the message names it.
     """
-    with refused_as(OcError, path, "fit it again"):
+    with raise_as(OcError, path, "fit it again"):
         if HEADER_KEY not in kind_of(path):
             return ValueGrid.load(path)
         header, tensors, _ = read_tensors(path, HEADER_KEY)
@@ -118,7 +119,7 @@ def load_network(path: Path) -> MlpValue:
     """
     value = load_value(path)
     if not isinstance(value, MlpValue):
-        raise OcError(f"{named(path)} holds a value grid: give the network's file")
+        raise OcError(f"{short_path(path)} holds a value grid: give the network's file")
     return value
 
 

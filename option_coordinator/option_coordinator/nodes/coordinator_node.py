@@ -136,7 +136,7 @@ class OptionCoordinator(SuiteNode):
         of_team = f"{len(self._robots)} robots of team '{self._coordinator.team}'"
         self.get_logger().info(f"policy {self._policy_name(settings['policy'], digest)}, {of_team}")
 
-    def setting_changed(self, name: str) -> None:
+    def on_parameter_changed(self, name: str) -> None:
         """Take another policy for all decisions to come."""
         if name == "policy":
             chooses, digest = self._chooser(self.settings["policy"])

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import ClassVar
 
 import numpy as np
-from ctrl_rl_core.driving.lidar_node import LIDAR_PARAMETERS, LidarNode
+from ctrl_rl_core.driving.lidar_velocity_node import LIDAR_PARAMETERS, LidarVelocityNode
 from ctrl_rl_core.driving.scan import ScanGeometry
 from ctrl_rl_core.driving.velocity_node import VelocityError
 from ctrl_rl_core.geometry.odometry import OdometryReader
@@ -24,7 +24,7 @@ from option_coordinator.teams.team_file import load_team
 _STAND = np.array(STAND)
 
 
-class NavigationAgent(LidarNode):
+class NavigationAgent(LidarVelocityNode):
     """Drives a robot between stations, one option after the other, as a coordinator grants them.
 
     Subscribes to scan and odom, publishes cmd_vel, all in the robot's namespace; asks for options in the team's. Drives
@@ -87,7 +87,7 @@ class NavigationAgent(LidarNode):
         """Go on with the option from where the robot is."""
         pose, first = self._read(message), self._pose is None
         if not np.isfinite(pose).all():
-            self.stand("odometry with a pose that is not finite", message.header.stamp)
+            self.halt("odometry with a pose that is not finite", message.header.stamp)
             return
         self._pose = pose
         if first:
@@ -103,7 +103,7 @@ class NavigationAgent(LidarNode):
     def _drive(self) -> None:
         """Go on with the option."""
         option, place = self._delivery.option, self._delivery.place
-        if self._pose is None or self._points is None or self.missing():
+        if self._pose is None or self._points is None or self.stale_input():
             return
         if option is None:
             self._go(_STAND)
@@ -121,7 +121,7 @@ class NavigationAgent(LidarNode):
         try:
             self.drive(command)
         except VelocityError as error:
-            self.stand(str(error))
+            self.halt(str(error))
 
     def _now(self) -> float:
         return 1e-9 * float(self.get_clock().now().nanoseconds)

@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from ctrl_rl_core.io.atomic_write import write_whole
+from ctrl_rl_core.io.atomic_write import atomic_write
 from ctrl_rl_core.io.checked_tensors import encode_tensors, read_tensors
-from ctrl_rl_core.io.file_checks import named, one_line, refused_as
+from ctrl_rl_core.io.file_checks import one_line, raise_as, short_path
 from ctrl_rl_core.io.schema import Anything, Name, Schema
 from pydantic import Field
 
@@ -82,7 +82,7 @@ def policy_file(name_or_path: Path | str) -> Path:
     except (OSError, ValueError) as error:
         there, why = False, one_line(error, 100)
     if not there:
-        raise OptionError(f"no policy '{named(name_or_path)}': {why}")
+        raise OptionError(f"no policy '{short_path(name_or_path)}': {why}")
     return path
 
 
@@ -151,7 +151,7 @@ class OptionPolicy:
 
     def save(self, path: Path) -> None:
         """Write it; the file is there whole or not at all."""
-        write_whole(path, self._content())
+        atomic_write(path, self._content())
 
     def _content(self) -> bytes:
         header = {
@@ -178,7 +178,7 @@ class OptionPolicy:
         policy = cls.load(path)
         if policy.agents != tuple(agents):
             others = ", ".join(agent.name for agent in policy.agents)
-            raise OptionError(f"{named(path)}: is a policy of other robots or options: {others}")
+            raise OptionError(f"{short_path(path)}: is a policy of other robots or options: {others}")
         return policy
 
     @classmethod
@@ -189,7 +189,7 @@ class OptionPolicy:
             OptionError: the file is missing or is no such policy; the message names it.
         """
         file = policy_file(path)
-        with refused_as(OptionError, file):
+        with raise_as(OptionError, file):
             header, tensors, digest = read_tensors(file, _HEADER_KEY, with_digest=True)
             told = _Header.model_validate(header)
             policy = cls(

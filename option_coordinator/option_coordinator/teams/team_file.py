@@ -16,7 +16,7 @@ from typing import Annotated, Literal
 from ctrl_rl_core.errors import CtrlRlError
 from ctrl_rl_core.geometry.units import Point, PositiveTime, TimeStep
 from ctrl_rl_core.io.checked_yaml import read_yaml
-from ctrl_rl_core.io.file_checks import FileError, named, refused_as, shown
+from ctrl_rl_core.io.file_checks import FileError, raise_as, short_path, short_repr
 from ctrl_rl_core.tasks.task import NavigationTask, load_navigation_task, task_names
 from ctrl_rl_core.tasks.task_schema import Part, Reward, Samples, TaskHeader
 from pydantic import Field, PrivateAttr, Strict, model_validator
@@ -121,7 +121,7 @@ class TeamFile(TaskHeader):
     @model_validator(mode="after")
     def _safe(self) -> TeamFile:
         if self.safe_option not in self.options:
-            raise ValueError(f"safe_option: {shown(self.safe_option)} is none of the options")
+            raise ValueError(f"safe_option: {short_repr(self.safe_option)} is none of the options")
         lacking = [work.value for work in Work if work not in {option.work for option in self.options.values()}]
         if lacking:
             raise ValueError(f"options: none of them is to {', '.join(lacking)}: a team needs one for each work")
@@ -176,7 +176,9 @@ def team_file(name_or_path: str) -> FilePath:
         return path
     path = FOLDER / f"{name_or_path}.yaml"
     if name_or_path not in team_names():
-        raise OptionError(f"no team '{named(name_or_path)}': there is {', '.join(team_names())}, or give a .yaml file")
+        raise OptionError(
+            f"no team '{short_path(name_or_path)}': there is {', '.join(team_names())}, or give a .yaml file"
+        )
     return path
 
 
@@ -267,10 +269,10 @@ def load_team(name_or_path: str) -> TeamFile:
         OptionError: there is none, or it is wrong; the message names file and key.
     """
     path = team_file(name_or_path)
-    with refused_as(OptionError, path):
+    with raise_as(OptionError, path):
         team = TeamFile.model_validate(read_yaml(path))
         if team.name != path.stem:
-            raise FileError(f"name: is {shown(team.name)}, must be the file's name {shown(path.stem)}")
+            raise FileError(f"name: is {short_repr(team.name)}, must be the file's name {short_repr(path.stem)}")
         team._folder = path.resolve().parent
         load_room(team)
     return team

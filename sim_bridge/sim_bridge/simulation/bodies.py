@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from sim_bridge.engines.physics import Physics
 from sim_bridge.engines.quiet_pybullet import pybullet
 from sim_bridge.errors import SimulationError
-from sim_bridge.simulation.lidar import SensorFrame
+from sim_bridge.simulation.lidar import SensorPose
 
 Array = NDArray[np.float64]
 
@@ -52,7 +52,7 @@ class Body(Protocol):
     def quaternion(self) -> tuple[float, float, float, float]:
         """Return its attitude (x, y, z, w)."""
 
-    def sensor(self) -> SensorFrame:
+    def sensor(self) -> SensorPose:
         """Return where its lidar is."""
 
     def top_speed(self, horizon: float) -> float:
@@ -60,7 +60,7 @@ class Body(Protocol):
 
 
 @dataclass(frozen=True)
-class Drive:
+class DriveParameters:
     """What distinguishes one differential drive from another.
 
     Attributes:
@@ -84,8 +84,8 @@ class Drive:
     lidar: tuple[float, float, float]
 
 
-DRIVES: Mapping[str, Drive] = {
-    "turtlebot3_burger": Drive(
+DRIVES: Mapping[str, DriveParameters] = {
+    "turtlebot3_burger": DriveParameters(
         urdf="turtlebot3_burger.urdf",
         wheel_radius=0.033,
         wheel_separation=0.160,
@@ -95,7 +95,7 @@ DRIVES: Mapping[str, Drive] = {
         base_height=0.010,
         lidar=(-0.032, 0.0, 0.182),
     ),
-    "turtlebot2": Drive(
+    "turtlebot2": DriveParameters(
         urdf="turtlebot2.urdf",
         wheel_radius=0.035,
         wheel_separation=0.230,
@@ -111,7 +111,7 @@ DRIVES: Mapping[str, Drive] = {
 class DifferentialDrive:
     """Two wheels on velocity motors with a first-order lag and limited torque, standing on a floor; see `Body`."""
 
-    def __init__(self, physics: Physics, drive: Drive, bounds: Array, radius: float, pose: Array) -> None:
+    def __init__(self, physics: Physics, drive: DriveParameters, bounds: Array, radius: float, pose: Array) -> None:
         self._client, self._drive = physics.client, drive
         self.id, self.mask = physics.load(drive.urdf, (pose[0], pose[1], 0.0), yaw=pose[2])
         joints = physics.joints(self.id)
@@ -158,12 +158,12 @@ class DifferentialDrive:
         _, attitude = pybullet.getBasePositionAndOrientation(self.id, physicsClientId=self._client)
         return attitude
 
-    def sensor(self) -> SensorFrame:  # noqa: D102
+    def sensor(self) -> SensorPose:  # noqa: D102
         x, y, theta = self.pose()
         c, s = math.cos(theta), math.sin(theta)
         along, aside, height = self._drive.lidar
         origin = np.array((x + c * along - s * aside, y + s * along + c * aside, height))
-        return SensorFrame(origin, np.array(((c, s, 0.0), (-s, c, 0.0))))
+        return SensorPose(origin, np.array(((c, s, 0.0), (-s, c, 0.0))))
 
     def top_speed(self, horizon: float) -> float:  # noqa: ARG002, D102 - its wheels bound it
         v, omega = np.abs(self.bounds).max(axis=1)
@@ -239,10 +239,10 @@ class PlanarQuadrotor:
         psi = float(self.pose()[2])
         return 0.0, math.sin(0.5 * psi), 0.0, math.cos(0.5 * psi)
 
-    def sensor(self) -> SensorFrame:  # noqa: D102
+    def sensor(self) -> SensorPose:  # noqa: D102
         x, z, psi = self.pose()
         c, s = math.cos(psi), math.sin(psi)
-        return SensorFrame(np.array((x, 0.0, z)), np.array(((c, 0.0, -s), (s, 0.0, c))))
+        return SensorPose(np.array((x, 0.0, z)), np.array(((c, 0.0, -s), (s, 0.0, c))))
 
     def top_speed(self, horizon: float) -> float:  # noqa: D102
         v_x, v_z, omega = self.velocity()

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from ctrl_rl_core.geometry.shapes import Path
+from ctrl_rl_core.geometry.shapes import ArcPath
 from ctrl_rl_core.systems.system import System
 from ctrl_rl_core.tasks.outcome import Outcome
 from ctrl_rl_core.tasks.task import NavigationTask
@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass
-class Episode:
+class EpisodeState:
     """One robot's episode.
 
     Attributes:
@@ -35,7 +35,7 @@ class Episode:
     smallest_clearance: float = math.inf
     progress: float = math.nan
 
-    def saw_clearance(self, clearance: float) -> None:
+    def record_clearance(self, clearance: float) -> None:
         """Take a measured clearance [m]; touching is a collision."""
         self.clearance = clearance
         self.smallest_clearance = min(self.smallest_clearance, clearance)
@@ -61,10 +61,10 @@ class Episode:
         return rewards.intermediate
 
 
-class Judge:
+class TerminationChecker:
     """Decides by a task's sets how a robot's episode stands."""
 
-    def __init__(self, task: NavigationTask, system: System, path: Path | None) -> None:
+    def __init__(self, task: NavigationTask, system: System, path: ArcPath | None) -> None:
         self._names = system.state_names if path is None else PATH_NAMES
         self._goal = task.goal.region
         self._trap = None if task.trap is None else task.trap.region
@@ -77,7 +77,7 @@ class Judge:
         """Return where on the path a pose x, y, theta (3,) is [m]; NaN without a path."""
         return math.nan if self._path is None else float(self._path(pose)[0])
 
-    def judge(self, episode: Episode, state: Array, pose: Array, elapsed: float, start_s: float) -> None:
+    def check(self, episode: EpisodeState, state: Array, pose: Array, elapsed: float, start_s: float) -> None:
         """Bring an episode up to date.
 
         Args:

@@ -25,7 +25,7 @@ _LDS02_CLAIM = (0.0, 100.0)
 
 
 @dataclass(frozen=True)
-class SensorFrame:
+class SensorPose:
     """Where a lidar is, and the plane it turns in.
 
     Attributes:
@@ -38,7 +38,7 @@ class SensorFrame:
 
 
 @dataclass(frozen=True)
-class Scan:
+class LidarScan:
     """One turn of a lidar, as sensor_msgs/LaserScan says it.
 
     Attributes:
@@ -83,8 +83,8 @@ class Lidar:
         self._lost = LOST_BEAM[lost_beam]
 
     def scan(
-        self, physics: Physics, frame: SensorFrame, mask: int, random: np.random.Generator, buried: bool = False
-    ) -> Scan:
+        self, physics: Physics, frame: SensorPose, mask: int, random: np.random.Generator, buried: bool = False
+    ) -> LidarScan:
         """Return one turn.
 
         Args:
@@ -113,7 +113,7 @@ class Lidar:
         if self.kind == "lds02":
             claim = _LDS02_CLAIM
         ranges[lot < self.dropout] = lost
-        return Scan(ranges.astype(np.float32), float(bearings[0]), increment, *claim)
+        return LidarScan(ranges.astype(np.float32), float(bearings[0]), increment, *claim)
 
     def _beams(self, random: np.random.Generator) -> tuple[NDArray[np.float64], float, tuple[float, float]]:
         """Return the bearings of this turn, their increment, and between what it measures."""

@@ -25,8 +25,8 @@ from numpy.typing import ArrayLike, NDArray
 from sim_bridge.engines.physics import Physics
 from sim_bridge.simulation.bodies import Body, make_body
 from sim_bridge.simulation.commands import CommandChannel
-from sim_bridge.simulation.episode import Episode, Judge
-from sim_bridge.simulation.lidar import Lidar, Scan
+from sim_bridge.simulation.episode import EpisodeState, TerminationChecker
+from sim_bridge.simulation.lidar import Lidar, LidarScan
 from sim_bridge.simulation.odometry import Odometry
 
 Array = NDArray[np.float64]
@@ -99,7 +99,7 @@ class _Robot:
     odometry: Odometry
     scan_random: np.random.Generator
     start_s: float
-    episode: Episode
+    episode: EpisodeState
     measured_at: int = -1  # physics step of the last measured clearance
     judged_at: int = -1
 
@@ -175,7 +175,7 @@ class SimulatedWorld:
         self.geometry: World = geometry
         self.seed = seed
         self.steps = 0
-        self._judge = Judge(self.task, self.system, geometry.path)
+        self._termination = TerminationChecker(self.task, self.system, geometry.path)
         self._robots = [self._make_robot(index, start) for index, start in enumerate(starts)]
         self._check()
 
@@ -205,8 +205,8 @@ class SimulatedWorld:
                 self._counter_clockwise(pose),
             ),
             scan_random=np.random.default_rng((self.seed, index, _Purpose.SCAN)),
-            start_s=self._judge.start_s(pose),
-            episode=Episode(),
+            start_s=self._termination.start_s(pose),
+            episode=EpisodeState(),
         )
 
     def __len__(self) -> int:
@@ -280,7 +280,7 @@ class SimulatedWorld:
         """Return ranges (beams,) [m], see `laser_scan`."""
         return self.laser_scan(robot).ranges
 
-    def laser_scan(self, robot: int = 0) -> Scan:
+    def laser_scan(self, robot: int = 0) -> LidarScan:
         """Return one turn of the lidar; each call draws new noise."""
         entry = self._robots[robot]
         frame = entry.body.sensor()
@@ -297,11 +297,11 @@ class SimulatedWorld:
             others = [*self._physics.fixed, *(other.body.id for other in self._robots if other is not entry)]
             known = entry.episode.clearance
             distance = self._physics.distance(entry.body.id, others, 1.0 if math.isinf(known) else known + 0.1)
-            entry.episode.saw_clearance(distance if distance > TOUCH else min(distance, 0.0))
+            entry.episode.record_clearance(distance if distance > TOUCH else min(distance, 0.0))
             entry.measured_at = self.steps
         return entry.episode.clearance
 
-    def episode(self, robot: int = 0) -> Episode:
+    def episode(self, robot: int = 0) -> EpisodeState:
         """Return how the robot's episode stands now."""
         self._bring_up_to_date(robot)
         return self._robots[robot].episode
@@ -329,7 +329,7 @@ class SimulatedWorld:
             return
         entry.judged_at = self.steps
         self.clearance(robot)
-        self._judge.judge(entry.episode, self.state(robot), entry.body.pose(), self.elapsed, entry.start_s)
+        self._termination.check(entry.episode, self.state(robot), entry.body.pose(), self.elapsed, entry.start_s)
 
     def _named(self, pose: Array, velocity: Array) -> Array:
         angle = float(wrap(pose[2]))

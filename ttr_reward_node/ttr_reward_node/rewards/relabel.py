@@ -12,10 +12,10 @@ from ctrl_rl_bags.format.checks import BagError, DamagedError, fields_of
 from ctrl_rl_bags.format.copy import copy_bag
 from ctrl_rl_bags.format.metadata import Topic
 from ctrl_rl_bags.format.reader import bag_info, open_bag
-from ctrl_rl_bags.format.sources import WireMessage
+from ctrl_rl_bags.format.sources import SerializedMessage
 from ctrl_rl_bags.format.type_definitions import BagTypes
 from ctrl_rl_bags.recording.message_types import message_definition
-from ctrl_rl_bags.recording.qos import to_bag
+from ctrl_rl_bags.recording.qos import to_bag_qos
 from ctrl_rl_core.geometry.odometry import OdometryReader
 from ctrl_rl_core.ros.node import RESULT
 from ctrl_rl_core.values.value_function import ValueFunction
@@ -74,7 +74,7 @@ def relabel(
         store = types.store
         answer = _Answer(types, f"{bag}: a message of {odom}", odom, prefix, frame, function, label)
         added = [
-            Topic(name, kind, message_definition(kind), store.hash_rihs01(kind), (to_bag(RESULT),))
+            Topic(name, kind, message_definition(kind), store.hash_rihs01(kind), (to_bag_qos(RESULT),))
             for name, kind in kinds.items()
         ]
         digests = {"digest.time_to_reach": function.digest}
@@ -97,7 +97,7 @@ class _Answer:
             store.register({name: fields for name, fields in get_types_from_msg(message_definition(kind), kind).items()
                             if name not in store.fielddefs})  # fmt: skip
 
-    def __call__(self, message: WireMessage) -> Iterator[tuple[str, bytes]]:
+    def __call__(self, message: SerializedMessage) -> Iterator[tuple[str, bytes]]:
         if message.topic != self._odom:
             return
         try:

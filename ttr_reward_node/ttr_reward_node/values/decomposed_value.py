@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from ctrl_rl_core.io.checked_tensors import encode_tensors, read_tensors
-from ctrl_rl_core.io.file_checks import FileError, refused_as, shown
+from ctrl_rl_core.io.file_checks import FileError, raise_as, short_repr
 from ctrl_rl_core.io.schema import Name, Schema
 from ctrl_rl_core.values.grid_axis import Axis, GridError
 from ctrl_rl_core.values.grid_file import AxisHeader, GridText, write
@@ -147,7 +147,7 @@ class DecomposedValue:
         Raises:
             GridError: names the file and what is wrong with it.
         """
-        with refused_as(GridError, path):
+        with raise_as(GridError, path):
             header, tensors, _ = read_tensors(path, HEADER_KEY, largest=None, finite=False)
             told = _Header.model_validate(header)
             axes = tuple(each.axis for each in told.axes)
@@ -157,7 +157,7 @@ class DecomposedValue:
                 raise FileError(f"must hold {len(wanted)} grids, over axes of different names")
             unknown = [name for part in told.grids for name in part.axes if name not in by_name]
             if unknown:
-                raise FileError(f"a subsystem has axis {shown(unknown[0])}; the whole has {', '.join(by_name)}")
+                raise FileError(f"a subsystem has axis {short_repr(unknown[0])}; the whole has {', '.join(by_name)}")
             grids = [
                 part.grid(tensors[name], [by_name[axis] for axis in part.axes])
                 for name, part in zip(wanted, told.grids, strict=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from os import PathLike
 
 from ctrl_rl_core.io.checked_tensors import kind_of
-from ctrl_rl_core.io.file_checks import refused_as
+from ctrl_rl_core.io.file_checks import raise_as
 from ctrl_rl_core.values.grid_axis import GridError
 from ctrl_rl_core.values.value_grid import ValueGrid
 
@@ -18,5 +18,5 @@ def load_value(path: str | PathLike[str]) -> ValueGrid | DecomposedValue:
     Raises:
         GridError: names the file and what is wrong with it.
     """
-    with refused_as(GridError, path):
+    with raise_as(GridError, path):
         return DecomposedValue.load(path) if HEADER_KEY in kind_of(path) else ValueGrid.load(path)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.io.file_checks import FileError, refused_as, shown
+from ctrl_rl_core.io.file_checks import FileError, raise_as, short_repr
 from ctrl_rl_core.io.schema import Anything, Schema
 from ctrl_rl_training.io.array_file import load_arrays, save_arrays
 from numpy.typing import NDArray
@@ -61,10 +61,10 @@ class NetworkPolicy:
         Raises:
             KoopmanError: the file is missing or is something else; the message names it.
         """
-        with refused_as(KoopmanError, path):
+        with raise_as(KoopmanError, path):
             tensors, header = load_arrays(path)
             told = _Header.model_validate(header)
             try:
                 return cls(Encoder.build(told.network.model_dump(), tensors), told.manifest)
             except KeyError as error:
-                raise FileError(f"lacks the tensor {shown(error.args[0])}") from None
+                raise FileError(f"lacks the tensor {short_repr(error.args[0])}") from None

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from ctrl_rl_core.io.file_checks import shown
+from ctrl_rl_core.io.file_checks import short_repr
 from ctrl_rl_core.io.schema import Name
 from ctrl_rl_core.plots import save_figure
 from ctrl_rl_training.experiments.figure_data import Figures, ValueCurve
@@ -32,7 +32,7 @@ class Comparison(Figures):
     def _known(self) -> Comparison:
         unknown = [method for method in self.curves if method not in METHODS]
         if unknown:
-            raise ValueError(f"curves: no method {shown(unknown[0])}: there are {', '.join(METHODS)}")
+            raise ValueError(f"curves: no method {short_repr(unknown[0])}: there are {', '.join(METHODS)}")
         if self.kind == "gaps" and self.reference is None:
             raise ValueError("reference: a gap needs one")
         return self

@@ -19,7 +19,7 @@ WALL_TIMEOUT = Parameter(
 )
 
 
-class WallWatch:
+class WallClockTimeout:
     """Looks at the ages of inputs on a steady clock.
 
     It waits longer than the node's own time-out, since a simulation may run slower than real time. In a paused one it
@@ -37,7 +37,7 @@ class WallWatch:
         self._heard: dict[str, float] = {}
         node.create_timer(0.25 * self._limit, look, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
-    def heard(self, what: str) -> None:
+    def note_input(self, what: str) -> None:
         """Note that an input has just come."""
         self._heard[what] = time.monotonic()
 

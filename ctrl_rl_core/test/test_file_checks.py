@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from ctrl_rl_core.errors import CtrlRlError
 from ctrl_rl_core.io import checked_arrays, checked_json, checked_tensors, checked_yaml
-from ctrl_rl_core.io.file_checks import LONGEST_ERROR, FileError, one_line, open_file, read_bytes, refused_as, shown
+from ctrl_rl_core.io.file_checks import LONGEST_ERROR, FileError, one_line, open_file, raise_as, read_bytes, short_repr
 from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
@@ -46,7 +46,7 @@ def sparse(folder: Path) -> Path:
 )
 def test_what_is_no_file_of_a_sensible_size_is_not_read(tmp_path: Path, make, words: str) -> None:
     path = make(tmp_path)
-    with pytest.raises(OwnError, match=words) as error, refused_as(OwnError, path):
+    with pytest.raises(OwnError, match=words) as error, raise_as(OwnError, path):
         read_bytes(path, 1000)
     assert "\n" not in str(error.value)
 
@@ -63,7 +63,7 @@ def test_every_text_becomes_one_line_that_can_be_printed(text: str) -> None:
     assert line.isprintable()
     assert line.splitlines() in ([], [line])
     assert len(line.encode()) <= 10 * LONGEST_ERROR
-    assert len(shown(text)) <= 600
+    assert len(short_repr(text)) <= 600
 
 
 @pytest.mark.parametrize(

@@ -1,14 +1,14 @@
 """Files that are there whole or not at all."""
 
 import pytest
-from ctrl_rl_core.io.atomic_write import is_temporary, write_whole
+from ctrl_rl_core.io.atomic_write import atomic_write, is_temporary
 
 
 def test_text_and_bytes_replace_what_was_there(tmp_path):
     file = tmp_path / "file"
-    write_whole(file, "längs")
+    atomic_write(file, "längs")
     assert file.read_bytes() == "längs".encode()
-    write_whole(file, b"\x00\x01")
+    atomic_write(file, b"\x00\x01")
     assert file.read_bytes() == b"\x00\x01"
     assert list(tmp_path.iterdir()) == [file]
 
@@ -17,11 +17,11 @@ def test_what_cannot_be_written_leaves_nothing_behind(tmp_path):
     folder = tmp_path / "folder"
     (folder / "kept").mkdir(parents=True)
     with pytest.raises(OSError, match="folder") as refused:
-        write_whole(folder, "over a folder")
+        atomic_write(folder, "over a folder")
     assert refused.value.filename == str(folder)
     missing = tmp_path / "none" / "file"
     with pytest.raises(FileNotFoundError) as refused:
-        write_whole(missing, "in no folder")
+        atomic_write(missing, "in no folder")
     assert refused.value.filename == str(missing), "not the temporary one, which nobody knows"
     assert list(tmp_path.iterdir()) == [folder]
     assert (folder / "kept").is_dir()
@@ -30,6 +30,6 @@ def test_what_cannot_be_written_leaves_nothing_behind(tmp_path):
 def test_temporary_files_are_told_from_others(tmp_path, monkeypatch):
     seen = []
     monkeypatch.setattr("os.fsync", lambda _: seen.extend(tmp_path.iterdir()))
-    write_whole(tmp_path / "file.json", "text")
+    atomic_write(tmp_path / "file.json", "text")
     assert [is_temporary(file) for file in seen] == [True]
     assert not any(is_temporary(tmp_path / name) for name in ("file.json", ".hidden", ".a.tmp", "a.12.tmp"))

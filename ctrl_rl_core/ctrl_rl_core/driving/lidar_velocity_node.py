@@ -82,7 +82,7 @@ _LOOK_AROUND_S = 1.0
 """Between two looks at who publishes scans: a question to the graph takes a fraction of a millisecond."""
 
 
-class LidarNode(VelocityNode):
+class LidarVelocityNode(VelocityNode):
     """Subscribes to scan and odom; sends only commands that are safe by the last scan.
 
     A class that derives from it takes `on_odometry` and `on_scan`, and calls `drive` in one of them.
@@ -93,7 +93,7 @@ class LidarNode(VelocityNode):
     def __init__(self, name: str) -> None:
         super().__init__(name, needs=("scan", "odometry"))
         self.motion = (0.0, 0.0)
-        self._odometry_unfit = ""
+        self._odometry_fault = ""
         self._received = 0
         self._crowd = ""
         self._safety = DriveSafety(*self._checks(), forward=self.settings["lidar_x"], reach=self._reach())
@@ -114,30 +114,30 @@ class LidarNode(VelocityNode):
             scan: its geometry in the robot's frame.
         """
 
-    def unfit(self) -> str:
+    def input_fault(self) -> str:
         """Return why scan and odometry allow no command at all, empty where they do."""
-        return self.missing() or self._odometry_unfit or self._crowd or self._safety.unfit
+        return self.stale_input() or self._odometry_fault or self._crowd or self._safety.fault
 
-    def safe(self, command: NDArray[np.float64]) -> tuple[NDArray[np.float64], str]:
+    def make_safe(self, command: NDArray[np.float64]) -> tuple[NDArray[np.float64], str]:
         """Return what is safe of a command (2,) by the last scan, and why that is not all.
 
         Raises:
             VelocityError: there is no recent scan that says anything of where the command leads.
         """
-        problem = self.unfit() if command.any() else ""
+        problem = self.input_fault() if command.any() else ""
         if problem:
             raise VelocityError(problem)
         try:
-            return self._safety.allow(command, self.motion[0], self.age("scan"))
+            return self._safety.limit(command, self.motion[0], self.age("scan"))
         except ScanError as error:
             raise VelocityError(str(error)) from None
 
-    def setting_changed(self, name: str) -> None:
+    def on_parameter_changed(self, name: str) -> None:
         """Check otherwise from the next scan on."""
         if name in _CHECKED:
             self._safety.set_checks(*self._checks(), reach=self._reach())
         else:
-            super().setting_changed(name)
+            super().on_parameter_changed(name)
 
     def status(self) -> Status:
         """Say whether commands flow, and how much the last scan shows."""
@@ -170,24 +170,24 @@ class LidarNode(VelocityNode):
     def _on_odometry(self, message: Odometry) -> None:
         twist = message.twist.twist
         motion = (twist.linear.x, twist.angular.z)
-        self.robot_frame(message.child_frame_id)
-        self.heard("odometry")
+        self.use_frame(message.child_frame_id)
+        self.note_input("odometry")
         if not (math.isfinite(motion[0]) and math.isfinite(motion[1])):
-            self._odometry_unfit = f"odometry with speed {motion[0]} and turn rate {motion[1]}"
-            self.stand(self._odometry_unfit, message.header.stamp)
+            self._odometry_fault = f"odometry with speed {motion[0]} and turn rate {motion[1]}"
+            self.halt(self._odometry_fault, message.header.stamp)
             return
-        self.motion, self._odometry_unfit = motion, ""
+        self.motion, self._odometry_fault = motion, ""
         self.on_odometry(message)
 
     def _on_scan(self, message: LaserScan) -> None:
         self._received += 1
-        self.heard("scan")
+        self.note_input("scan")
         ranges = np.frombuffer(message.ranges, np.float32)
         bearing = message.angle_min + self.settings["lidar_yaw"]
         scan = ScanGeometry(len(ranges), bearing, message.angle_increment, message.range_min, message.range_max)
         stamp = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
         now = self._steady.now().nanoseconds * 1e-9
-        self._safety.see(now, stamp, message.header.frame_id, ranges, scan, self.motion)
+        self._safety.update(now, stamp, message.header.frame_id, ranges, scan, self.motion)
         self.on_scan(message, ranges, scan)
 
     def _look_around(self) -> None:
