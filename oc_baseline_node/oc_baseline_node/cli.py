@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from oc_baseline_node.errors import OcError
 from oc_baseline_node.problems.extraction import extract
-from oc_baseline_node.problems.problem import FORMS, Form, Problem, formulate
+from oc_baseline_node.problems.problem import FORMS, Form, OptimalControlProblem, formulate
 from oc_baseline_node.problems.start_states import draw_episode_start, draw_start
 from oc_baseline_node.value_data.dataset import DataSettings, ValueData, load_data, read_description
 from oc_baseline_node.value_data.results import value_rows
@@ -131,9 +131,9 @@ def _solve(options: argparse.Namespace) -> int:
     least = float(problem.margin(trajectory.states).min())
     print(f"clearance     at least {problem.clearance + least:.3f} m from the real obstacles and walls")
     if options.output is not None:
-        from oc_baseline_node.plots import trajectories
+        from oc_baseline_node.plots import draw_trajectories
 
-        trajectories(problem.task, [problem.task_states(trajectory.states)], options.output)
+        draw_trajectories(problem.task, [problem.task_states(trajectory.states)], options.output)
         print(f"picture       {options.output}")
     return 0
 
@@ -153,7 +153,7 @@ def _data(options: argparse.Namespace) -> int:
     return 0
 
 
-def _start_set(problem: Problem, seed: int) -> str:
+def _start_set(problem: OptimalControlProblem, seed: int) -> str:
     """Say from how many starts of an episode there is a trajectory: the data are drawn from the whole map."""
     from oc_baseline_node.mpc.mpc import Mpc
 
@@ -218,10 +218,10 @@ def _fit(options: argparse.Namespace) -> int:
 
 
 def _map(options: argparse.Namespace) -> int:
-    from oc_baseline_node.plots import heat_map
+    from oc_baseline_node.plots import draw_heat_map
 
     value = load_value(find_value(options.value))
-    values = heat_map(value, _task_of(value, options.task), options.output, dict(map(_setting, options.at)))
+    values = draw_heat_map(value, _task_of(value, options.task), options.output, dict(map(_setting, options.at)))
     free = values[np.isfinite(values)]
     print(f"values        {free.min():.4g} .. {free.max():.4g}")
     print(f"picture       {options.output}")
@@ -232,7 +232,7 @@ def _task_of(value: ValueFunction, given: str | None) -> NavigationTask:
     return load_navigation_task(given or value.task)
 
 
-def _named(problem: Problem, state: NDArray[np.float64]) -> str:
+def _named(problem: OptimalControlProblem, state: NDArray[np.float64]) -> str:
     names = problem.system.state_names
     return ", ".join(f"{name} = {x:.3g}" for name, x in zip(names, state, strict=False))
 

@@ -24,7 +24,7 @@ _CELLS = 300
 _COLLISION = "#c6d3e3"
 
 
-def heat_map(
+def draw_heat_map(
     value: ValueFunction, task: NavigationTask, path: Path, at: Mapping[str, float] | None = None, cells: int = _CELLS
 ) -> Array:
     """Draw V_oc over the plane of positions (Fig. 3.11) and return what is drawn (cells, cells), rows along y or z.
@@ -60,7 +60,7 @@ def heat_map(
     return values
 
 
-def trajectories(task: NavigationTask, states: Sequence[Array], path: Path) -> None:
+def draw_trajectories(task: NavigationTask, states: Sequence[Array], path: Path) -> None:
     """Draw trajectories (each (H+1, n)) among the task's obstacles."""
     place = position_indices(task.system.build().state_names)
     figure, axes = plt.subplots(figsize=(5.6, 5.4), layout="constrained")

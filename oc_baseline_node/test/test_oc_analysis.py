@@ -16,12 +16,12 @@ from oc_baseline_node.training.analysis.cli import main
 from oc_baseline_node.training.analysis.mismatch import (
     action_of,
     command,
-    drive_by_mpc,
-    heavier,
     predict,
+    run_mpc_episodes,
     transition_errors,
+    with_extra_mass,
 )
-from oc_baseline_node.training.analysis.plots import draw_drives
+from oc_baseline_node.training.analysis.plots import draw_paths
 from oc_baseline_node.training.experiments.runs import OcRun
 
 MPC = Path(__file__).parents[2] / "docs" / "results" / "oc_mpc_quad_navigation.json"
@@ -48,7 +48,7 @@ def test_model_and_simulator_part_as_steps_go_by():
 
 def test_a_heavier_quadrotor_parts_from_its_model_as_the_equations_say():
     quad = load_navigation_task("quad_navigation")
-    exact, plant = transition_errors(quad, 4), heavier(quad, 25.0)
+    exact, plant = transition_errors(quad, 4), with_extra_mass(quad, 25.0)
     errors = transition_errors(quad, 4, plant=plant)
     lasted = np.isfinite(exact) & np.isfinite(errors)
     assert lasted[:, 0].all()
@@ -60,7 +60,7 @@ def test_a_heavier_quadrotor_parts_from_its_model_as_the_equations_say():
 
 
 def test_mpc_drives_in_the_simulator():
-    (drive,) = drive_by_mpc(CAR, 1, seed=1)
+    (drive,) = run_mpc_episodes(CAR, 1, seed=1)
     assert drive.outcome in ("GOAL", "COLLISION", "TIMEOUT")
     assert drive.total == {"GOAL": 1000.0, "COLLISION": -400.0, "TIMEOUT": 0.0}[drive.outcome]
     assert len(drive.states) > 5
@@ -99,7 +99,7 @@ def test_what_cannot_be_analysed_is_said_in_one_line(arguments, words, tmp_path,
 def test_drives_through_a_corridor_are_drawn(tmp_path):
     corridor = load_navigation_task("curved_corridor")
     paths = {"MPC": [{"outcome": "GOAL", "states": [[0.0, 0.0, 0.0], [0.3, 0.1, 0.0]]}], "learnt": []}
-    draw_drives(paths, corridor, tmp_path / "new" / "drives.png")
+    draw_paths(paths, corridor, tmp_path / "new" / "drives.png")
     assert (tmp_path / "new" / "drives.png").read_bytes().startswith(b"\x89PNG")
 
 

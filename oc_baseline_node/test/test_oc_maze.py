@@ -8,8 +8,8 @@ import yaml
 from ctrl_rl_core.geometry.shapes import signed_distance
 from ctrl_rl_core.tasks.task import load_navigation_task, task_file
 from oc_baseline_node.cli import main
-from oc_baseline_node.mpc.mpc import Mpc, Trajectory
-from oc_baseline_node.problems.problem import Problem, formulate
+from oc_baseline_node.mpc.mpc import Mpc, MpcSolution
+from oc_baseline_node.problems.problem import OptimalControlProblem, formulate
 from oc_baseline_node.problems.start_states import draw_episode_start, draw_start
 
 
@@ -29,7 +29,7 @@ def write_maze(folder: Path, walls: list[dict[str, dict[str, str]]], horizon: in
     return str(file)
 
 
-def nearest(problem: Problem, trajectory: Trajectory) -> float:
+def nearest(problem: OptimalControlProblem, trajectory: MpcSolution) -> float:
     """How near it comes to an obstacle [m], looked at ten times a step but for the first."""
     x, u = trajectory.states[1:-1], trajectory.controls[1:]
     dense = [problem.system.step(x, u, dt=part * trajectory.time_step) for part in np.linspace(0.0, 1.0, 11)]

@@ -10,10 +10,10 @@ from ctrl_rl_core.tasks.outcome import Outcome
 from ctrl_rl_core.tasks.regions import Region
 from ctrl_rl_core.tasks.task import NavigationTask, load_navigation_task
 from ctrl_rl_core.tasks.task_sets import TaskSets
-from oc_baseline_node.mpc.initial_guess import moved_on, resting_control
-from oc_baseline_node.mpc.mpc import Mpc, RecedingHorizon, Trajectory
+from oc_baseline_node.mpc.initial_guess import equilibrium_control, shift_trajectory
+from oc_baseline_node.mpc.mpc import Mpc, MpcSolution, RecedingHorizon
 from oc_baseline_node.mpc.transcription import Layout, stage_cost
-from oc_baseline_node.problems.problem import Problem, formulate
+from oc_baseline_node.problems.problem import OptimalControlProblem, formulate
 from oc_baseline_node.problems.start_states import draw_start
 from scipy.linalg import solve_discrete_are
 
@@ -30,7 +30,7 @@ def mpcs() -> dict[str, Mpc]:
     return {name: Mpc(formulate(load_navigation_task(name))) for name in TASKS}
 
 
-def linear_problem(horizon: int, gamma: float) -> Problem:
+def linear_problem(horizon: int, gamma: float) -> OptimalControlProblem:
     """Return a point mass among no obstacles: linear dynamics, quadratic cost, nothing that binds."""
     base = formulate(load_navigation_task("car_navigation"))
     bounds = dict.fromkeys(("v_x", "v_y", "v_z"), (-1000.0, 1000.0))
@@ -73,7 +73,7 @@ def test_a_long_horizon_has_the_gain_of_the_riccati_equation() -> None:
     assert trajectory.cost == pytest.approx(float(error @ P @ error), rel=1e-4)
 
 
-def check(problem: Problem, trajectory: Trajectory, start: np.ndarray) -> None:
+def check(problem: OptimalControlProblem, trajectory: MpcSolution, start: np.ndarray) -> None:
     """Check a trajectory by other means than the solver's."""
     states, controls = trajectory.states, trajectory.controls
     x = np.asarray(start, dtype=float)
@@ -118,7 +118,7 @@ def test_ipopt_and_fatrop_find_the_same_trajectory() -> None:
 def test_a_warm_start_takes_fewer_iterations(mpcs: dict[str, Mpc]) -> None:
     mpc = mpcs["car_navigation"]
     cold = mpc.solve(AT_REST["car_navigation"])
-    warm = mpc.solve(cold.states[1], moved_on(cold.states, cold.controls, 1))
+    warm = mpc.solve(cold.states[1], shift_trajectory(cold.states, cold.controls, 1))
     again = mpc.solve(cold.states[1])
     assert warm.solved
     assert warm.iterations < again.iterations
@@ -191,7 +191,7 @@ def test_without_a_trajectory_the_controller_follows_its_plan_and_says_so(mpcs: 
 
 def test_the_resting_control_hovers(mpcs: dict[str, Mpc]) -> None:
     system = mpcs["quad_trap"].problem.system
-    u = resting_control(system)
+    u = equilibrium_control(system)
     assert u == pytest.approx([1.25 * 9.81 / 2] * 2)
     assert system.dynamics(np.zeros(6), u) == pytest.approx(np.zeros(6))
 

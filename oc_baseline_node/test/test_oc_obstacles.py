@@ -6,7 +6,7 @@ import pytest
 from ctrl_rl_core.geometry.shapes import Box, Disc
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from oc_baseline_node.mpc.obstacles import cover, covers
+from oc_baseline_node.mpc.obstacles import covering_superellipse, covering_superellipses
 
 lengths = st.floats(0.05, 5.0)
 
@@ -33,7 +33,7 @@ def test_every_point_within_the_clearance_of_a_box_is_inside(
     corner = np.asarray(box.centre) + corner @ np.array([[c, s], [-s, c]])
     assert np.allclose(box.signed_distance(corner), clearance, atol=1e-9)
     for some in (points, corner):
-        assert (cover(box, clearance, exponent).outside(*some.T) <= 1e-9).all()
+        assert (covering_superellipse(box, clearance, exponent).outside(*some.T) <= 1e-9).all()
 
 
 @settings(max_examples=60, deadline=None)
@@ -43,7 +43,7 @@ def test_a_long_box_is_covered_and_its_ends_stay_open(
 ) -> None:
     size = (min(ratio * thickness, 12.0), thickness)
     box = Box((1.0, -2.0), size[::-1] if upright else size, angle)
-    ellipses = covers(box, clearance)
+    ellipses = covering_superellipses(box, clearance)
     random = np.random.default_rng(0)
     local = random.uniform(-1.0, 1.0, (4000, 2)) * (0.5 * np.array(box.size) + clearance)
     turn = np.linspace(0.0, 2.0 * np.pi, 400)
@@ -59,13 +59,13 @@ def test_a_long_box_is_covered_and_its_ends_stay_open(
 
 
 def test_the_boxes_of_the_shipped_tasks_have_one_cover_each() -> None:
-    assert len(covers(Box((0.0, 0.0), (0.7, 0.7)), 0.277)) == 1
-    assert len(covers(Box((0.0, 0.0), (3.0, 1.5)), 0.44)) == 1
-    assert len(covers(Box((0.0, 0.0), (8.0, 0.3)), 0.277)) == 3
+    assert len(covering_superellipses(Box((0.0, 0.0), (0.7, 0.7)), 0.277)) == 1
+    assert len(covering_superellipses(Box((0.0, 0.0), (3.0, 1.5)), 0.44)) == 1
+    assert len(covering_superellipses(Box((0.0, 0.0), (8.0, 0.3)), 0.277)) == 3
 
 
 def test_a_disc_is_covered_exactly() -> None:
-    ellipse = cover(Disc((1.0, 2.0), 0.5), 0.25)
+    ellipse = covering_superellipse(Disc((1.0, 2.0), 0.5), 0.25)
     points = np.random.default_rng(0).uniform(-2.0, 4.0, (1000, 2))
     distance = np.linalg.norm(points - (1.0, 2.0), axis=1) - 0.75
     assert ellipse.outside(*points.T) == pytest.approx(distance, abs=1e-8)
@@ -74,13 +74,13 @@ def test_a_disc_is_covered_exactly() -> None:
 def test_a_cover_wastes_little_of_the_room() -> None:
     """The cubes of car_navigation: a superellipse leaves a robot centimetres more than it needs, a disc decimetres."""
     box, clearance = Box((0.0, 0.0), (0.7, 0.7)), 0.277
-    ellipse = cover(box, clearance)
+    ellipse = covering_superellipse(box, clearance)
     assert ellipse.semi_axes[0] < 0.5 * 0.7 + clearance + 0.01
     assert np.hypot(0.35, 0.35) + clearance > ellipse.semi_axes[0] + 0.1
 
 
 def test_casadi_and_numpy_agree_and_the_middle_has_a_finite_gradient() -> None:
-    ellipse = cover(Box((0.5, -0.5), (1.0, 2.0), 0.3), 0.2)
+    ellipse = covering_superellipse(Box((0.5, -0.5), (1.0, 2.0), 0.3), 0.2)
     x, y = casadi.SX.sym("x"), casadi.SX.sym("y")
     value = ellipse.outside(x, y)
     f = casadi.Function("f", [x, y], [value, casadi.gradient(value, casadi.vertcat(x, y))])

@@ -14,7 +14,7 @@ from ctrl_rl_core.tasks.task import load_navigation_task
 from hypothesis import given
 from hypothesis import strategies as st
 from oc_baseline_node.errors import OcError
-from oc_baseline_node.problems.problem import Problem, formulate
+from oc_baseline_node.problems.problem import OptimalControlProblem, formulate
 from oc_baseline_node.problems.start_states import draw_start, state_space
 from oc_baseline_node.value_data.dataset import LOCK, DataSettings, ValueData, chunk_file, load_data
 from oc_baseline_node.value_data.workers import make_data
@@ -32,7 +32,7 @@ make_data(formulate(load_navigation_task("car_navigation")), DataSettings(16, ch
 
 
 @pytest.fixture(scope="module")
-def car() -> Problem:
+def car() -> OptimalControlProblem:
     return formulate(load_navigation_task("car_navigation"))
 
 
@@ -53,7 +53,7 @@ def test_values_are_the_discounted_sums_of_rewards(paid: list[float], discount: 
         assert values[m] == pytest.approx(direct, abs=1e-6)
 
 
-def test_a_state_is_worth_the_goal_discounted_by_the_steps_to_it(car: Problem) -> None:
+def test_a_state_is_worth_the_goal_discounted_by_the_steps_to_it(car: OptimalControlProblem) -> None:
     y = np.linspace(0.0, 3.5, 8)
     states = np.column_stack((np.full(8, 3.5), y, np.zeros(8)))  # 0.5 m a step; the goal begins at y = 2.5
     data = ValueData(states[None], np.zeros((1, 7, 2)), np.array([0.05]), *(np.zeros(0) for _ in range(2)), (),
@@ -100,7 +100,7 @@ def test_starts_are_free_and_spread_over_the_state_space(name: str) -> None:
     assert np.abs(share.std(axis=0) - np.sqrt(1 / 12)).max() < 0.05
 
 
-def test_data_depend_on_the_seed_alone_and_not_on_the_processes(car: Problem, tmp_path: Path) -> None:
+def test_data_depend_on_the_seed_alone_and_not_on_the_processes(car: OptimalControlProblem, tmp_path: Path) -> None:
     settings = DataSettings(6, chunk=2)
     alone, wall, cpu = make_data(car, settings, tmp_path / "alone", progress=False)
     assert alone.states.shape == (6, 141, 3)
@@ -112,7 +112,7 @@ def test_data_depend_on_the_seed_alone_and_not_on_the_processes(car: Problem, tm
     assert not same(alone, other)
 
 
-def test_after_a_kill_the_rest_is_made_and_all_is_the_same(car: Problem, tmp_path: Path) -> None:
+def test_after_a_kill_the_rest_is_made_and_all_is_the_same(car: OptimalControlProblem, tmp_path: Path) -> None:
     process = subprocess.Popen(
         [sys.executable, "-c", MAKE, str(tmp_path / "killed")], stderr=subprocess.DEVNULL, env=os.environ
     )
@@ -146,13 +146,13 @@ def test_a_quadrotors_doomed_starts_are_told_from_the_rest(tmp_path: Path) -> No
     assert values.max() <= 1000.0
 
 
-def test_one_call_at_a_time_works_in_a_folder(car: Problem, tmp_path: Path) -> None:
+def test_one_call_at_a_time_works_in_a_folder(car: OptimalControlProblem, tmp_path: Path) -> None:
     with exclusive_lock(tmp_path / LOCK), pytest.raises(LockError, match="another call is at work there"):
         make_data(car, DataSettings(1, chunk=1), tmp_path, progress=False)
     assert [file.name for file in tmp_path.iterdir()] == [LOCK]
 
 
-def test_what_a_killed_call_left_behind_does_not_count(car: Problem, tmp_path: Path) -> None:
+def test_what_a_killed_call_left_behind_does_not_count(car: OptimalControlProblem, tmp_path: Path) -> None:
     left = [tmp_path / name for name in (".settings.json.77.tmp", ".chunk-0000.npz.78.tmp", LOCK)]
     for file in left:
         file.write_text("half")
@@ -161,7 +161,7 @@ def test_what_a_killed_call_left_behind_does_not_count(car: Problem, tmp_path: P
     assert {file.name for file in tmp_path.iterdir()} == {LOCK, "settings.json", "chunk-0000.npz"}
 
 
-def test_a_folder_of_something_else_is_left_as_it_is(car: Problem, tmp_path: Path) -> None:
+def test_a_folder_of_something_else_is_left_as_it_is(car: OptimalControlProblem, tmp_path: Path) -> None:
     mine = {tmp_path / name for name in (".profile", ".profile.12.tmp")}
     for file in mine:
         file.write_text("mine")
@@ -170,7 +170,7 @@ def test_a_folder_of_something_else_is_left_as_it_is(car: Problem, tmp_path: Pat
     assert set(tmp_path.iterdir()) == mine
 
 
-def test_a_folder_of_other_data_is_left_alone(car: Problem, tmp_path: Path) -> None:
+def test_a_folder_of_other_data_is_left_alone(car: OptimalControlProblem, tmp_path: Path) -> None:
     make_data(car, DataSettings(1, chunk=1), tmp_path, progress=False)
     with pytest.raises(OcError, match="seed = 0, not 1"):
         make_data(car, DataSettings(1, chunk=1, seed=1), tmp_path, progress=False)

@@ -14,8 +14,8 @@ from ctrl_rl_core.tasks.task import load_navigation_task, task_digest
 from ctrl_rl_core.values.value_function import ValueFunction, ValueFunctionError
 from ctrl_rl_core.values.value_grid import Axis, ValueGrid
 from oc_baseline_node.errors import OcError
-from oc_baseline_node.plots import heat_map, trajectories
-from oc_baseline_node.problems.problem import Problem, formulate
+from oc_baseline_node.plots import draw_heat_map, draw_trajectories
+from oc_baseline_node.problems.problem import OptimalControlProblem, formulate
 from oc_baseline_node.value_data.dataset import DataSettings, ValueData
 from oc_baseline_node.value_data.value_fit import FitSettings, fit
 from oc_baseline_node.value_data.workers import make_data
@@ -23,7 +23,7 @@ from oc_baseline_node.values.collision_set import CollisionHeader, CollisionSet
 from oc_baseline_node.values.mlp_value import MlpValue, features
 from oc_baseline_node.values.value_file import find_value, load_network, load_value, save_value
 
-Made = tuple[Problem, ValueData, MlpValue]
+Made = tuple[OptimalControlProblem, ValueData, MlpValue]
 STATE = np.array([-3.0, -3.5, 0.7])
 
 
@@ -216,17 +216,17 @@ def test_layers_that_do_not_fit_are_refused() -> None:
 
 def test_pictures_are_drawn(made: Made, tmp_path: Path) -> None:
     problem, data, value = made
-    values = heat_map(value, problem.task, tmp_path / "map.png", {"theta": 0.5}, cells=60)
+    values = draw_heat_map(value, problem.task, tmp_path / "map.png", {"theta": 0.5}, cells=60)
     assert values.shape == (60, 60)
     assert values[30, 30] == -400.0, "a cube stands in the middle"
     assert values[50, 50] > values[5, 5]
-    trajectories(problem.task, list(data.states[:2]), tmp_path / "path.png")
+    draw_trajectories(problem.task, list(data.states[:2]), tmp_path / "path.png")
     for name in ("map.png", "path.png"):
         assert (tmp_path / name).read_bytes().startswith(b"\x89PNG")
     with pytest.raises(ValueFunctionError, match="'phi' cannot be fixed"):
-        heat_map(value, problem.task, tmp_path / "other.png", {"phi": 0.5})
+        draw_heat_map(value, problem.task, tmp_path / "other.png", {"phi": 0.5})
     with pytest.raises(OcError, match="are not those of task"):
-        heat_map(value, load_navigation_task("quad_trap"), tmp_path / "other.png")
+        draw_heat_map(value, load_navigation_task("quad_trap"), tmp_path / "other.png")
 
 
 def test_what_serves_values_imports_nothing_heavy() -> None:

@@ -14,7 +14,7 @@ from ctrl_rl_core.systems.system import System
 from ctrl_rl_core.tasks.regions import Region
 from ctrl_rl_core.values.grid_axis import Axis
 from scipy.ndimage import map_coordinates
-from ttr_reward_node.problems.problem import Clearance, Problem
+from ttr_reward_node.problems.problem import Clearance, TimeToReachProblem
 from ttr_reward_node.solvers.solver import solve
 
 NODES = 31
@@ -22,7 +22,7 @@ SIDE = 2.0
 NAMES = ("x", "y")
 
 
-def random_problem(random: np.random.Generator) -> Problem:
+def random_problem(random: np.random.Generator) -> TimeToReachProblem:
     """Return a system in which the disturbance multiplies functions of the state, and a box as its target."""
     drift = random.uniform(-0.3, 0.3, (2, 2)) * random.integers(0, 2, (2, 2))
     speed = random.uniform(0.7, 1.2, 2)
@@ -46,10 +46,10 @@ def random_problem(random: np.random.Generator) -> Problem:
     centre, half = random.uniform(-1.0, 1.0, 2), random.uniform(0.2, 0.5, 2)
     box = {n: Interval(c - h, c + h) for n, c, h in zip(NAMES, centre.tolist(), half.tolist(), strict=True)}
     axes = tuple(Axis(name, "m", -SIDE, SIDE, NODES) for name in NAMES)
-    return Problem(system, axes, Region(box))
+    return TimeToReachProblem(system, axes, Region(box))
 
 
-def plain_times(problem: Problem) -> np.ndarray:
+def plain_times(problem: TimeToReachProblem) -> np.ndarray:
     """Return times to reach by value iteration over short steps, which takes no axis for independent of another."""
     nodes = np.stack(np.meshgrid(*(axis.nodes for axis in problem.axes), indexing="ij"), axis=-1)
     spacing = problem.axes[0].spacing

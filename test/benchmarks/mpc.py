@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 from _common import Row, row
 from ctrl_rl_core.tasks.task import load_navigation_task
-from oc_baseline_node.mpc.initial_guess import moved_on
-from oc_baseline_node.mpc.mpc import Mpc, Trajectory
+from oc_baseline_node.mpc.initial_guess import shift_trajectory
+from oc_baseline_node.mpc.mpc import Mpc, MpcSolution
 from oc_baseline_node.problems.problem import formulate
 from oc_baseline_node.problems.start_states import draw_start
 
@@ -45,22 +45,22 @@ def rows() -> list[Row]:
     return out
 
 
-def _next(mpc: Mpc, trajectory: Trajectory) -> Trajectory:
-    return mpc.solve(trajectory.states[1], moved_on(trajectory.states, trajectory.controls, 1))
+def _next(mpc: Mpc, trajectory: MpcSolution) -> MpcSolution:
+    return mpc.solve(trajectory.states[1], shift_trajectory(trajectory.states, trajectory.controls, 1))
 
 
-def _time(name: str, ours: list[Trajectory], other: str, theirs: list[Trajectory]) -> Row:
+def _time(name: str, ours: list[MpcSolution], other: str, theirs: list[MpcSolution]) -> Row:
     mine, peer = (float(np.mean([t.cpu_seconds for t in some])) for some in (ours, theirs))
     against = f"{other}, {peer:.3f} CPU s; solved {_solved(ours):.0%}, {other} {_solved(theirs):.0%}"
     return row(name, mine, "CPU s", against, peer / mine)
 
 
-def _rate(name: str, ours: list[Trajectory], other: str, theirs: list[Trajectory]) -> Row:
+def _rate(name: str, ours: list[MpcSolution], other: str, theirs: list[MpcSolution]) -> Row:
     mine, peer = _solved(ours), _solved(theirs)
     return row(name, mine, "of starts", f"{other}, {peer:.2f}", mine / peer)
 
 
-def _solved(some: list[Trajectory]) -> float:
+def _solved(some: list[MpcSolution]) -> float:
     return float(np.mean([t.solved for t in some]))
 
 

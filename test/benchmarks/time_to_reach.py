@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from _common import Row, row
 from ctrl_rl_core.values.value_grid import ValueGrid
-from ttr_reward_node.problems.problem import Problem, problem_from_task
+from ttr_reward_node.problems.problem import TimeToReachProblem, problem_from_task
 from ttr_reward_node.solvers.decomposition import PLANAR_QUADROTOR_4D, solve_parts
 from ttr_reward_node.solvers.solver import solve
 from ttr_reward_node.verification.convergence import Errors, measure_errors
@@ -55,7 +55,7 @@ def rows() -> list[Row]:
     ]
 
 
-def _against_peer(car: Problem, exact: Reference, seconds: float, errors: Errors) -> list[Row]:
+def _against_peer(car: TimeToReachProblem, exact: Reference, seconds: float, errors: Errors) -> list[Row]:
     name = "time to reach, car, 101 x 101 x 72"
     if importlib.util.find_spec("hj_reachability") is None:
         print(INSTALL)
@@ -94,7 +94,7 @@ def _against_peer(car: Problem, exact: Reference, seconds: float, errors: Errors
     return out
 
 
-def _peer(car: Problem, exact: Reference) -> list[tuple[str, float, Errors]]:
+def _peer(car: TimeToReachProblem, exact: Reference) -> list[tuple[str, float, Errors]]:
     """Return label, CPU seconds and errors of each of the peer's schemes."""
     domain = np.array([(axis.lower, axis.upper) for axis in car.axes])
     box = np.array([tuple(car.target.intervals[axis.name]) for axis in car.axes])

@@ -6,7 +6,7 @@ from ctrl_rl_core.systems.models import Quantity
 from ctrl_rl_core.systems.system import System
 from ctrl_rl_core.tasks.regions import Region
 from ctrl_rl_core.values.grid_axis import Axis
-from ttr_reward_node.problems.problem import Clearance, Problem
+from ttr_reward_node.problems.problem import Clearance, TimeToReachProblem
 
 
 def _line(math, p):
@@ -41,14 +41,14 @@ def line(disturbance=0.0, count=61, centre=0.0, half=0.25):
     """x' = u + d: phi = (|x - centre| - half) / (1 - disturbance)."""
     axes = (Axis("x", "m", -3.0, 3.0, count),)
     target = Region({"x": Interval(centre - half, centre + half)})
-    return Problem(make(_line, ("x",), 1, disturbance), axes, target)
+    return TimeToReachProblem(make(_line, ("x",), 1, disturbance), axes, target)
 
 
 def double_integrator(disturbance=0.0, count=81):
     """x'' = u + d to |x| <= 1/2, at whatever speed."""
     axes = (Axis("x", "m", -3.0, 3.0, count), Axis("v", "m/s", -3.0, 3.0, count))
     target = Region({"x": Interval(-0.5, 0.5)})
-    return Problem(make(_double_integrator, ("x", "v"), 1, disturbance), axes, target)
+    return TimeToReachProblem(make(_double_integrator, ("x", "v"), 1, disturbance), axes, target)
 
 
 def plane(clearance=None, count=41):
@@ -59,4 +59,4 @@ def plane(clearance=None, count=41):
     if clearance is not None:
         x, y = np.meshgrid(axes[0].nodes, axes[1].nodes, indexing="ij")
         obstacles = Clearance((0, 1), clearance(x, y).astype(np.float32))
-    return Problem(make(_plane, ("x", "y"), 2, 0.0), axes, target, obstacles)
+    return TimeToReachProblem(make(_plane, ("x", "y"), 2, 0.0), axes, target, obstacles)

@@ -13,7 +13,7 @@ from ctrl_rl_core.systems.system import System
 from ctrl_rl_core.tasks.regions import Region
 from ctrl_rl_core.values.grid_axis import Axis
 from matplotlib.path import Path
-from ttr_reward_node.problems.problem import Problem
+from ttr_reward_node.problems.problem import TimeToReachProblem
 from ttr_reward_node.solvers.solver import solve
 
 SPEED = RADIUS = 5.0
@@ -41,7 +41,7 @@ def air3d(counts):
     )
     x, y, psi = counts
     axes = (Axis("x", "m", -6.0, 22.0, x), Axis("y", "m", -12.0, 12.0, y), Axis("psi", "rad", -np.pi, np.pi, psi, True))
-    return Problem(system, axes, Region({}, Disc((0.0, 0.0), RADIUS)))
+    return TimeToReachProblem(system, axes, Region({}, Disc((0.0, 0.0), RADIUS)))
 
 
 def before(x, y, heading, turn, time):

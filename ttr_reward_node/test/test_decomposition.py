@@ -10,7 +10,7 @@ from ctrl_rl_core.values.grid_axis import GridError
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from ttr_reward_node.errors import TimeToReachError
-from ttr_reward_node.plots.decomposition_error import draw_gap
+from ttr_reward_node.plots.decomposition_error import draw_decomposition_errors
 from ttr_reward_node.problems.problem import problem_from_task
 from ttr_reward_node.solvers.decomposition import (
     DECOMPOSITIONS,
@@ -25,7 +25,7 @@ from ttr_reward_node.solvers.steps import crossing_time
 from ttr_reward_node.values.decomposed_value import DecomposedValue
 from ttr_reward_node.verification import dubins
 from ttr_reward_node.verification.cost import make_problem
-from ttr_reward_node.verification.decomposition_error import as_table, measure_gap
+from ttr_reward_node.verification.decomposition_error import as_table, measure_decomposition_errors
 
 COARSE = {"x": 11, "v_x": 7, "z": 11, "v_z": 7, "psi": 11, "omega": 5}
 CAR = Decomposition("car", (("x", "theta"), ("y", "theta")))
@@ -80,14 +80,16 @@ def test_independent_parts_lose_nothing():
     """Each axis of the point mass has its own control: the maximum is the solution."""
     whole = make_problem("3D point mass", 2e4)
     parts = Decomposition("axes", (("x",), ("y",), ("z",)))
-    (gap,) = measure_gap(whole, [parts])
+    (gap,) = measure_decomposition_errors(whole, [parts])
     assert np.median(np.abs(gap.differences)) < 0.01
     assert np.abs(gap.differences).max() < 1.1 * crossing_time(whole)
 
 
 def test_gap_of_the_quadrotor(quadrotor, tmp_path):
     told = []
-    gaps = measure_gap(quadrotor, DECOMPOSITIONS["planar_quadrotor"].values(), progress=lambda *args: told.append(args))
+    gaps = measure_decomposition_errors(
+        quadrotor, DECOMPOSITIONS["planar_quadrotor"].values(), progress=lambda *args: told.append(args)
+    )
     four, five = (gap.summary() for gap in gaps)
     assert four["converged"]
     assert four["reachable_bound"] >= four["reachable_whole"] > 0.02
@@ -96,7 +98,7 @@ def test_gap_of_the_quadrotor(quadrotor, tmp_path):
     assert 0.0 < four["mean_s"] < five["mean_s"]
     assert {name for name, _, _ in told} == {"whole", "4d+4d", "five"}
     assert "4d+4d" in as_table(gaps)
-    draw_gap(gaps, load_navigation_task("quad_ttr"), tmp_path / "gap.png")
+    draw_decomposition_errors(gaps, load_navigation_task("quad_ttr"), tmp_path / "gap.png")
     assert (tmp_path / "gap.png").read_bytes().startswith(b"\x89PNG")
 
 

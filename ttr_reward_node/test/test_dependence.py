@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from ttr_reward_node.errors import TimeToReachError
 from ttr_reward_node.problems.dependence import AFFINE, dependences
-from ttr_reward_node.problems.problem import Problem
+from ttr_reward_node.problems.problem import TimeToReachProblem
 from ttr_reward_node.solvers.solver import solve
 from ttr_reward_node.solvers.steps import make_layout
 
@@ -133,7 +133,7 @@ def test_equations_that_ask_for_a_value_depend_on_everything():
 
 def problem(equations, bound=0.5):
     axes = tuple(Axis(name, "m", -1.0, 1.0, 5) for name in NAMES)
-    return Problem(make(equations, bound=bound), axes, Region({"x": Interval(-0.2, 0.2)}))
+    return TimeToReachProblem(make(equations, bound=bound), axes, Region({"x": Interval(-0.2, 0.2)}))
 
 
 def test_a_disturbance_that_multiplies_a_state_is_seen():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from ttr_reward_node.jit_cache import cached
+from ttr_reward_node.jit_cache import cached_njit
 from ttr_reward_node.verification.dubins import to_box
 from ttr_reward_node.verification.dubins_words import distance, end_of
 
@@ -12,7 +12,7 @@ BOX = np.array([[3.7, 4.3], [3.7, 4.3], [0.45, 1.05]])
 TOLERANCE = 1e-4
 
 
-@cached
+@cached_njit
 def nearest(states, box, lattice):
     """Lengths (N,) from states (N, 3) to the best of lattice^3 poses of the box."""
     out, size = np.full(len(states), np.inf), box[:, 1] - box[:, 0]

@@ -11,13 +11,13 @@ from ctrl_rl_core.io.memory import available
 from numba.core.caching import NullCache
 from numba.core.dispatcher import Dispatcher
 from ttr_reward_node.errors import TimeToReachError
-from ttr_reward_node.jit_cache import cached
-from ttr_reward_node.kernels.compiled import KERNEL_FILES
+from ttr_reward_node.jit_cache import cached_njit
+from ttr_reward_node.kernels.entry_points import KERNEL_FILES
 from ttr_reward_node.problems.problem import problem_from_task
 from ttr_reward_node.solvers.solver import METHODS, memory_needed, solve
 
 _SOLVE = """
-from ttr_reward_node.kernels.compiled import kernels
+from ttr_reward_node.kernels.entry_points import kernels
 from ttr_reward_node.problems.problem import problem_from_task
 from ttr_reward_node.solvers.solver import solve
 solve(problem_from_task("car_ttr", counts=(21, 21, 18)))
@@ -93,4 +93,4 @@ def test_without_a_place_for_machine_code_it_is_made_anew(monkeypatch):
         raise RuntimeError("cannot cache function: no locator available")
 
     monkeypatch.setattr(Dispatcher, "enable_caching", refuse)
-    assert cached(lambda x: x + 1.0)(1.0) == 2.0
+    assert cached_njit(lambda x: x + 1.0)(1.0) == 2.0

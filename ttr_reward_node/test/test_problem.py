@@ -16,7 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from ttr_reward_node.cli.values import solve_value
 from ttr_reward_node.errors import TimeToReachError
-from ttr_reward_node.problems.problem import Clearance, Problem
+from ttr_reward_node.problems.problem import Clearance, TimeToReachProblem
 from ttr_reward_node.values.value_file import load_value
 
 
@@ -131,7 +131,7 @@ def test_controls_within_bounds_that_are_none_are_refused():
 
 
 def test_the_digest_tells_obstacles_apart():
-    problem: Problem = plane()
+    problem: TimeToReachProblem = plane()
     assert problem.digest == ""
     free = problem.content_digest
     walls = [plane(lambda x, _y, at=at: np.abs(x - at) - 0.15).content_digest for at in (0.5, 0.6)]

@@ -15,8 +15,8 @@ from nav_msgs.msg import Odometry
 from rclpy.serialization import serialize_message
 from std_msgs.msg import String
 from ttr_reward_node.errors import TimeToReachError
-from ttr_reward_node.rewards.labels import Labeller
 from ttr_reward_node.rewards.relabel import relabel
+from ttr_reward_node.rewards.reward_evaluator import RewardEvaluator
 from ttr_reward_node.solvers.solver import solve_task
 
 from ctrl_rl_bags import BagError, BagWriter, Topic, bag_info, read_messages
@@ -46,7 +46,7 @@ def bag(tmp_path: Path) -> Path:
 def test_every_odometry_message_gets_a_reward_and_nothing_else_changes(bag: Path, tmp_path: Path) -> None:
     function = solve_task("car_ttr", counts=(41, 41, 24))
     output = tmp_path / "labelled"
-    count = relabel(bag, output, function, Labeller(load_navigation_task("car_ttr"), function), robot="robot")
+    count = relabel(bag, output, function, RewardEvaluator(load_navigation_task("car_ttr"), function), robot="robot")
     assert count == 100
     kept = [message for message in read_serialized(output) if message.topic in ("/robot/odom", "/said")]
     assert kept == list(read_serialized(bag))
@@ -73,7 +73,7 @@ def test_every_odometry_message_gets_a_reward_and_nothing_else_changes(bag: Path
 
 def test_says_what_is_missing(bag: Path, tmp_path: Path) -> None:
     function = solve_task("car_ttr", counts=(21, 21, 12))
-    label = Labeller(load_navigation_task("car_ttr"), function)
+    label = RewardEvaluator(load_navigation_task("car_ttr"), function)
     with pytest.raises(TimeToReachError, match="no topic /odom of type nav_msgs/msg/Odometry; it has /robot/odom"):
         relabel(bag, tmp_path / "labelled", function, label)
     assert not (tmp_path / "labelled").exists()
@@ -83,19 +83,19 @@ def test_rewards_that_are_there_are_replaced_only_when_told(bag: Path, tmp_path:
     task = load_navigation_task("car_ttr")
     old, new = (solve_task("car_ttr", counts=counts) for counts in ((21, 21, 12), (41, 41, 24)))
     first, second, fresh = (tmp_path / name for name in ("first", "second", "fresh"))
-    relabel(bag, first, old, Labeller(task, old), robot="robot")
+    relabel(bag, first, old, RewardEvaluator(task, old), robot="robot")
     with pytest.raises(TimeToReachError, match="has a topic /robot/reward already: to make it anew add --replace"):
-        relabel(first, second, new, Labeller(task, new), robot="robot")
+        relabel(first, second, new, RewardEvaluator(task, new), robot="robot")
     assert not second.exists()
-    assert relabel(first, second, new, Labeller(task, new), robot="robot", replace=True) == 100
-    relabel(bag, fresh, new, Labeller(task, new), robot="robot")
+    assert relabel(first, second, new, RewardEvaluator(task, new), robot="robot", replace=True) == 100
+    relabel(bag, fresh, new, RewardEvaluator(task, new), robot="robot")
     assert list(read_serialized(second)) == list(read_serialized(fresh))
     assert bag_info(second).custom_data["digest.time_to_reach"] == new.digest
 
 
 def test_labels_are_in_the_frame_of_the_function(bag: Path, tmp_path: Path) -> None:
     function = solve_task("car_ttr", counts=(21, 21, 12))
-    label = Labeller(load_navigation_task("car_ttr"), function)
+    label = RewardEvaluator(load_navigation_task("car_ttr"), function)
     relabel(bag, tmp_path / "labelled", function, label, robot="robot", frame="hall")
     found = read_messages(tmp_path / "labelled", ["/robot/reward", "/robot/time_to_reach"])
     assert {message.data.header.frame_id for message in found} == {"hall"}
@@ -115,5 +115,7 @@ def test_odometry_that_is_none_is_refused(tmp_path: Path, definition: str, data:
         writer.write("/odom", data, 1)
     function = solve_task("car_ttr", counts=(21, 21, 12))
     with pytest.raises(BagError, match=words):
-        relabel(tmp_path / "bag", tmp_path / "new", function, Labeller(load_navigation_task("car_ttr"), function))
+        relabel(
+            tmp_path / "bag", tmp_path / "new", function, RewardEvaluator(load_navigation_task("car_ttr"), function)
+        )
     assert not (tmp_path / "new").exists()

@@ -17,7 +17,7 @@ from ctrl_rl_core.values.value_grid import ValueGrid
 from hypothesis import given
 from hypothesis import strategies as st
 from ttr_reward_node.errors import TimeToReachError
-from ttr_reward_node.rewards.labels import Labeller
+from ttr_reward_node.rewards.reward_evaluator import RewardEvaluator
 from ttr_reward_node.rewards.rewards import (
     DISTANCE_WEIGHTS,
     REWARDS,
@@ -152,4 +152,4 @@ def test_a_value_that_knows_no_way_is_refused(values):
     with pytest.raises(TimeToReachError, match="nothing outside the goal reaches it"):
         make_reward("ttr", CAR, car_value(values))
     with pytest.raises(TimeToReachError, match="nothing outside the goal reaches it"):
-        Labeller(CAR, car_value(values))
+        RewardEvaluator(CAR, car_value(values))

@@ -15,7 +15,7 @@ from numba import njit
 from numba.core.caching import IndexDataCacheFile
 
 
-def cached(function: Callable[..., Any], **options: Any) -> Callable[..., Any]:
+def cached_njit(function: Callable[..., Any], **options: Any) -> Callable[..., Any]:
     """Compile a function at its first call, or read its code from disk; options as for `numba.njit`."""
     try:
         compiled: Any = njit(cache=True, **options)(function)

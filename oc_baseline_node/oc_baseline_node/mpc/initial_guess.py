@@ -7,24 +7,24 @@ from ctrl_rl_core.systems.system import System
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
-from oc_baseline_node.mpc.shortest_path import Ways
-from oc_baseline_node.problems.problem import Problem
+from oc_baseline_node.mpc.shortest_path import ShortestPathPlanner
+from oc_baseline_node.problems.problem import OptimalControlProblem
 
 Array = NDArray[np.float64]
 _SMOOTH = 9
 """Points of a way over which its direction is averaged: it leads over a lattice."""
 
 
-class Guesses:
+class InitialGuesses:
     """What solvers begin with, for one problem.
 
     Args:
         problem: to be solved.
     """
 
-    def __init__(self, problem: Problem) -> None:
+    def __init__(self, problem: OptimalControlProblem) -> None:
         self._problem = problem
-        self._ways = Ways(problem) if problem.obstacles else None
+        self._planner = ShortestPathPlanner(problem) if problem.obstacles else None
 
     def __call__(self, start: Array) -> list[tuple[Array, Array]]:
         """Return states (H+1, n) and controls (H, m) to begin with from `start` (n,), the likeliest first.
@@ -34,28 +34,31 @@ class Guesses:
         count = self._problem.horizon + 1
         position = start[self._problem.positions]
         straight = position + np.linspace(0.0, 1.0, count)[:, None] * (np.array(self._problem.goal) - position)
-        if self._ways is not None and not self._ways.straight(position):
-            round_ = self._ways.way(position, count)
-            return [following(self._problem, start, round_), sliding(self._problem, start, straight)]
-        return [sliding(self._problem, start, straight)]
+        if self._planner is not None and not self._planner.is_straight(position):
+            round_ = self._planner.path(position, count)
+            return [
+                path_following_guess(self._problem, start, round_),
+                straight_line_guess(self._problem, start, straight),
+            ]
+        return [straight_line_guess(self._problem, start, straight)]
 
 
-def sliding(problem: Problem, start: Array, line: Array) -> tuple[Array, Array]:
+def straight_line_guess(problem: OptimalControlProblem, start: Array, line: Array) -> tuple[Array, Array]:
     """Return states (H+1, n) that slide along `line` (H+1, 2), rates dying out, and resting controls (H, m)."""
     names, H = problem.system.state_names, problem.horizon
     states = np.tile(start, (H + 1, 1))
     states[:, problem.positions] = line
     dying = [index for index, name in enumerate(names) if name in ("v", "v_x", "v_z", "omega", "psi")]
     states[:, dying] *= 1.0 - np.linspace(0.0, 1.0, H + 1)[:, None]
-    return states, np.tile(resting_control(problem.system), (H, 1))
+    return states, np.tile(equilibrium_control(problem.system), (H, 1))
 
 
-def following(problem: Problem, start: Array, line: Array) -> tuple[Array, Array]:
+def path_following_guess(problem: OptimalControlProblem, start: Array, line: Array) -> tuple[Array, Array]:
     """Return states (H+1, n) of a car that drives along `line` (H+1, 2), and its controls (H, m) within their bounds.
 
     The line of what has no heading, or flies, slides: see `sliding`.
     """
-    states, controls = sliding(problem, start, line)
+    states, controls = straight_line_guess(problem, start, line)
     names, wanted = problem.system.state_names, problem.system.control_names
     if "theta" not in names or wanted != ("v", "omega"):
         return states, controls
@@ -66,18 +69,18 @@ def following(problem: Problem, start: Array, line: Array) -> tuple[Array, Array
     return states, np.clip(rates, *problem.system.control_bounds)
 
 
-def braking(problem: Problem, start: Array) -> tuple[Array, Array]:
+def braking_guess(problem: OptimalControlProblem, start: Array) -> tuple[Array, Array]:
     """Return states (H+1, n) that stay where `start` (n,) is while its rates die out, and resting controls (H, m)."""
-    return sliding(problem, start, np.tile(start[problem.positions], (problem.horizon + 1, 1)))
+    return straight_line_guess(problem, start, np.tile(start[problem.positions], (problem.horizon + 1, 1)))
 
 
-def moved_on(states: Array, controls: Array, steps: int) -> tuple[Array, Array]:
+def shift_trajectory(states: Array, controls: Array, steps: int) -> tuple[Array, Array]:
     """Return a trajectory (H+1, n), (H, m) from `steps` on, its last state and control repeated to the same length."""
     index = np.minimum(np.arange(len(states)) + steps, len(states) - 1)
     return states[index], controls[np.minimum(index[:-1], len(controls) - 1)]
 
 
-def resting_control(system: System) -> Array:
+def equilibrium_control(system: System) -> Array:
     """Return the control (m,) within bounds that comes nearest to rest at the origin: zero, or hover in flight."""
     n, m = len(system.states), len(system.controls)
     drift = system.dynamics(np.zeros(n), np.zeros(m))

@@ -11,19 +11,19 @@ import numpy as np
 from ctrl_rl_core.geometry.shapes import signed_distance
 from numpy.typing import ArrayLike, NDArray
 
-from oc_baseline_node.mpc.initial_guess import Guesses, moved_on, resting_control
-from oc_baseline_node.mpc.transcription import Program, SolverName, cost_of, transcribe
-from oc_baseline_node.problems.problem import Problem
+from oc_baseline_node.mpc.initial_guess import InitialGuesses, equilibrium_control, shift_trajectory
+from oc_baseline_node.mpc.transcription import NonlinearProgram, SolverName, trajectory_cost, transcribe
+from oc_baseline_node.problems.problem import OptimalControlProblem
 
 Array = NDArray[np.float64]
-_BETWEEN = (0.25, 0.5, 0.75)
+_CHECKED_FRACTIONS = (0.25, 0.5, 0.75)
 """Parts of a step at which the clearance is looked at."""
 TOLERANCE = 1e-4
 """By how much a solved trajectory may miss a constraint [m, rad, ...]."""
 
 
 @dataclass(frozen=True)
-class Trajectory:
+class MpcSolution:
     """What a solver made of a start.
 
     Attributes:
@@ -47,7 +47,7 @@ class Trajectory:
     cpu_seconds: float
 
 
-_EASIER = ("", " (with the least control alone)", " (with a state cost that does not grow)")
+_SIMPLIFICATIONS = ("", " (with the least control alone)", " (with a state cost that does not grow)")
 
 
 class Mpc:
@@ -64,17 +64,22 @@ class Mpc:
     """
 
     def __init__(
-        self, problem: Problem, solvers: tuple[SolverName, ...] = ("fatrop", "ipopt"), max_iterations: int = 300
+        self,
+        problem: OptimalControlProblem,
+        solvers: tuple[SolverName, ...] = ("fatrop", "ipopt"),
+        max_iterations: int = 300,
     ) -> None:
         self.problem = problem
         self._solvers = solvers
         self._max_iterations = max_iterations
         level = replace(problem, gamma=1.0)
         self._problems = (problem, replace(level, state_weight=0.0, trap_weight=0.0), level)
-        self._programs: dict[tuple[int, SolverName], Program] = {}
-        self._guesses = Guesses(problem)
+        self._programs: dict[tuple[int, SolverName], NonlinearProgram] = {}
+        self._guesses = InitialGuesses(problem)
 
-    def solve(self, start: ArrayLike, guess: tuple[Array, Array] | None = None, check_start: bool = True) -> Trajectory:
+    def solve(
+        self, start: ArrayLike, guess: tuple[Array, Array] | None = None, check_start: bool = True
+    ) -> MpcSolution:
         """Return the trajectory from `start` (n,).
 
         Args:
@@ -87,20 +92,20 @@ class Mpc:
         if refusal:
             return _unsolved(self.problem, start, refusal)
         guesses = self._guesses(start) if guess is None else [guess]
-        tries: list[Trajectory] = []
+        tries: list[MpcSolution] = []
         for name, each in product(self._solvers, guesses):
             tries.append(self._attempt(0, name, start, *each))
             if tries[-1].solved:
                 break
         else:
             if len(guesses) > 1:  # the straight line runs through an obstacle
-                tries.extend(self._by_steps(start, guesses[0]))
+                tries.extend(self._solve_by_continuation(start, guesses[0]))
         # The last of the steps that was solved; without any the reason is that of the problem itself.
         best = next((each for each in reversed(tries) if each.solved), tries[-1])
         iterations, seconds = sum(each.iterations for each in tries), sum(each.cpu_seconds for each in tries)
         return replace(best, iterations=iterations, cpu_seconds=seconds)
 
-    def _by_steps(self, start: Array, guess: tuple[Array, Array]) -> list[Trajectory]:
+    def _solve_by_continuation(self, start: Array, guess: tuple[Array, Array]) -> list[MpcSolution]:
         """Return trajectories of easier problems up to the problem itself, each begun with the one before.
 
         The last that is solved keeps every constraint, though its objective may be an easier one, as its reason says.
@@ -114,7 +119,7 @@ class Mpc:
             guess = (trajectory.states, trajectory.controls)
         return found
 
-    def _attempt(self, rung: int, name: SolverName, start: Array, states: Array, controls: Array) -> Trajectory:
+    def _attempt(self, rung: int, name: SolverName, start: Array, states: Array, controls: Array) -> MpcSolution:
         """Return what one solver makes of one of the problems."""
         program = self._program(rung, name)
         begin = time.process_time()
@@ -122,22 +127,22 @@ class Mpc:
         answer = program.solver(x0=variables, p=start, **program.bounds)
         stats = program.solver.stats()
         seconds, iterations = time.process_time() - begin, int(stats["iter_count"])
-        reason = _reason(name, stats) + _EASIER[rung]
+        reason = _reason(name, stats) + _SIMPLIFICATIONS[rung]
         if not stats["success"]:
             return _unsolved(self.problem, start, reason, iterations, seconds)
         states, controls, time_step = program.layout.unpack(np.asarray(answer["x"]).ravel())
-        broken = self._broken(start, states, controls, time_step)
+        broken = self._violated_constraint(start, states, controls, time_step)
         if broken:
             return _unsolved(self.problem, start, broken, iterations, seconds)
-        cost = cost_of(self.problem, states, controls, time_step)
-        return Trajectory(states, controls, time_step, True, reason, cost, iterations, seconds)
+        cost = trajectory_cost(self.problem, states, controls, time_step)
+        return MpcSolution(states, controls, time_step, True, reason, cost, iterations, seconds)
 
-    def _program(self, rung: int, name: SolverName) -> Program:
+    def _program(self, rung: int, name: SolverName) -> NonlinearProgram:
         if (rung, name) not in self._programs:
             self._programs[rung, name] = transcribe(self._problems[rung], name, self._max_iterations)
         return self._programs[rung, name]
 
-    def _broken(self, start: Array, states: Array, controls: Array, time_step: float) -> str:
+    def _violated_constraint(self, start: Array, states: Array, controls: Array, time_step: float) -> str:
         """Say which constraint a trajectory misses by more than the tolerance, checked against the real boxes."""
         problem = self.problem
         low, high = problem.state_bounds
@@ -147,7 +152,8 @@ class Mpc:
             "start": np.abs(states[0] - start).max(),
             "dynamics": np.abs(states[1:] - steps).max(),
             "clearance": -problem.margin(states[1:]).min(),
-            "clearance between samples": problem.clearance - _nearest_between(problem, states, controls, time_step),
+            "clearance between samples": problem.clearance
+            - _clearance_between_samples(problem, states, controls, time_step),
             "state bounds": max((low - states[1:]).max(), (states[1:] - high).max()),
             "control bounds": max((u_low - controls).max(), (controls - u_high).max()),
             "terminal set": problem.terminal_violation(states[-1]),
@@ -158,14 +164,16 @@ class Mpc:
         return ""
 
 
-def _nearest_between(problem: Problem, states: Array, controls: Array, time_step: float) -> float:
+def _clearance_between_samples(
+    problem: OptimalControlProblem, states: Array, controls: Array, time_step: float
+) -> float:
     """Return how near a trajectory comes to an obstacle between its samples [m], but for the step from the start.
 
     The start may lie at d_min, from where a step leads nearer to a corner before it leads away.
     """
     if not problem.obstacles:
         return np.inf
-    between = [problem.system.step(states[1:-1], controls[1:], dt=part * time_step) for part in _BETWEEN]
+    between = [problem.system.step(states[1:-1], controls[1:], dt=part * time_step) for part in _CHECKED_FRACTIONS]
     return float(signed_distance(problem.obstacles, np.array(between)[..., problem.positions]).min())
 
 
@@ -181,16 +189,16 @@ class RecedingHorizon:
 
     def __init__(self, mpc: Mpc) -> None:
         self._mpc = mpc
-        self._rest = resting_control(mpc.problem.system)
+        self._rest = equilibrium_control(mpc.problem.system)
         self._age = 0
-        self.plan: Trajectory | None = None
+        self.plan: MpcSolution | None = None
         self.reason = ""
         self.solved = False
 
     def control(self, state: ArrayLike) -> Array:
         """Return u (m,) for a state (n,); call it once each time step."""
         self._age += 1
-        guess = None if self.plan is None else moved_on(self.plan.states, self.plan.controls, self._age)
+        guess = None if self.plan is None else shift_trajectory(self.plan.states, self.plan.controls, self._age)
         trajectory = self._mpc.solve(state, guess, check_start=False)
         if not trajectory.solved and guess is not None:
             trajectory = self._mpc.solve(state, check_start=False)
@@ -210,8 +218,10 @@ def _reason(name: SolverName, stats: dict[str, Any]) -> str:
     return f"{name}: {status}"
 
 
-def _unsolved(problem: Problem, start: Array, reason: str, iterations: int = 0, seconds: float = 0.0) -> Trajectory:
+def _unsolved(
+    problem: OptimalControlProblem, start: Array, reason: str, iterations: int = 0, seconds: float = 0.0
+) -> MpcSolution:
     states = np.full((problem.horizon + 1, len(problem.system.states)), np.nan)
     states[0] = start if start.shape == states[0].shape else np.nan
     controls = np.full((problem.horizon, len(problem.system.controls)), np.nan)
-    return Trajectory(states, controls, problem.time_step, False, reason, float("nan"), iterations, seconds)
+    return MpcSolution(states, controls, problem.time_step, False, reason, float("nan"), iterations, seconds)

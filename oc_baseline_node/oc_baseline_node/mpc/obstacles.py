@@ -51,9 +51,9 @@ class Superellipse:
         return min(self.semi_axes) * (norm - 1.0)
 
 
-def covers(shape: Shape, clearance: float, exponent: int = EXPONENT) -> tuple[Superellipse, ...]:
+def covering_superellipses(shape: Shape, clearance: float, exponent: int = EXPONENT) -> tuple[Superellipse, ...]:
     """Return superellipses that together hold all points nearer to `shape` than `clearance` [m], and little more."""
-    whole = cover(shape, clearance, exponent)
+    whole = covering_superellipse(shape, clearance, exponent)
     if not isinstance(shape, Box):
         return (whole,)
     long = 0 if shape.size[0] >= shape.size[1] else 1
@@ -62,10 +62,15 @@ def covers(shape: Shape, clearance: float, exponent: int = EXPONENT) -> tuple[Su
     # The middle's overshoot ends within the end pieces.
     end = max(shape.size[1 - long], whole.semi_axes[long] - 0.5 * shape.size[long] - clearance)
     if shape.size[long] <= 2.0 * end:
-        return tuple(cover(_piece(shape, long, side * 0.25, 0.5), clearance, exponent) for side in (-1.0, 1.0))
+        return tuple(
+            covering_superellipse(_piece(shape, long, side * 0.25, 0.5), clearance, exponent) for side in (-1.0, 1.0)
+        )
     share = end / shape.size[long]
     pieces = [_piece(shape, long, side * 0.5 * (1.0 - share), share) for side in (-1.0, 1.0)]
-    return tuple(cover(piece, clearance, exponent) for piece in (_piece(shape, long, 0.0, 1.0 - 2.0 * share), *pieces))
+    return tuple(
+        covering_superellipse(piece, clearance, exponent)
+        for piece in (_piece(shape, long, 0.0, 1.0 - 2.0 * share), *pieces)
+    )
 
 
 def _piece(box: Box, axis: int, middle: float, share: float) -> Box:
@@ -78,7 +83,7 @@ def _piece(box: Box, axis: int, middle: float, share: float) -> Box:
     return Box(centre, size, box.angle)
 
 
-def cover(shape: Shape, clearance: float, exponent: int = EXPONENT) -> Superellipse:
+def covering_superellipse(shape: Shape, clearance: float, exponent: int = EXPONENT) -> Superellipse:
     """Return a superellipse that holds all points nearer to `shape` than `clearance` [m]; for a disc exactly those."""
     if not isinstance(shape, Box):
         radius = shape.radius + clearance

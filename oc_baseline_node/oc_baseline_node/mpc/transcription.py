@@ -14,13 +14,13 @@ import casadi
 import numpy as np
 from numpy.typing import NDArray
 
-from oc_baseline_node.mpc.obstacles import covers
-from oc_baseline_node.problems.problem import TIME_STEP_RANGE, Problem
+from oc_baseline_node.mpc.obstacles import covering_superellipses
+from oc_baseline_node.problems.problem import TIME_STEP_RANGE, OptimalControlProblem
 
 Array = NDArray[np.float64]
 SolverName = Literal["ipopt", "fatrop"]
 _LEAST_CLEARANCE = 0.05
-"""Of which a sagitta is reckoned [m]: around a corner that may be touched, nothing bounds it."""
+"""Smallest d_min in the corner-cutting allowance [m]: a corner that may be touched would make it infinite."""
 _COST_RANGE = 1e3
 """The largest weight of a squared distance [1/m^2] after scaling: gamma^H alone is 6e5."""
 
@@ -28,7 +28,7 @@ _COST_RANGE = 1e3
 class Layout:
     """Where states, controls and the time step of a problem stand in the vector of variables."""
 
-    def __init__(self, problem: Problem) -> None:
+    def __init__(self, problem: OptimalControlProblem) -> None:
         low, high = problem.system.control_bounds
         self.problem = problem
         self.n = len(problem.system.states)
@@ -61,7 +61,7 @@ class Layout:
 
 
 @dataclass(frozen=True)
-class Program:
+class NonlinearProgram:
     """A nonlinear program with its solver.
 
     Attributes:
@@ -75,14 +75,14 @@ class Program:
     bounds: dict[str, Array]
 
 
-def transcribe(problem: Problem, solver: SolverName, max_iterations: int) -> Program:
+def transcribe(problem: OptimalControlProblem, solver: SolverName, max_iterations: int) -> NonlinearProgram:
     """Return the problem's program with its solver (which compiles nothing, but takes about a second to set up)."""
     layout = Layout(problem)
     H, n = problem.horizon, layout.n
     start = casadi.SX.sym("x0", n)
     X = [casadi.SX.sym(f"x_{k}", n + layout.free_time) for k in range(H + 1)]
     U = [casadi.SX.sym(f"u_{k}", len(layout.free_controls)) for k in range(H)]
-    ellipses = [ellipse for shape in problem.obstacles for ellipse in covers(shape, problem.clearance)]
+    ellipses = [ellipse for shape in problem.obstacles for ellipse in covering_superellipses(shape, problem.clearance)]
     heaviest = problem.state_weight * problem.gamma**H
     scale = _COST_RANGE / max(heaviest, _COST_RANGE)
     g: list[Any] = []
@@ -109,7 +109,7 @@ def transcribe(problem: Problem, solver: SolverName, max_iterations: int) -> Pro
         if k == 0:
             constrain(X[0][:n] - start, 0.0, 0.0)
         else:
-            sag = 0.0 if k == H or not ellipses else sagitta(problem, X[k][:n], u, step)
+            sag = 0.0 if k == H or not ellipses else corner_cutting_allowance(problem, X[k][:n], u, step)
             for ellipse in ellipses:
                 constrain(ellipse.outside(p[0], p[1]) - sag, 0.0, math.inf)
     if problem.terminal.disc is not None:
@@ -120,10 +120,10 @@ def transcribe(problem: Problem, solver: SolverName, max_iterations: int) -> Pro
     nlp = {"x": casadi.vertcat(*variables), "f": cost, "g": casadi.vertcat(*g), "p": start}
     options = _options(solver, max_iterations, [least == most for least, most in zip(low, high, strict=True)])
     bounds = {"lbg": np.array(low), "ubg": np.array(high), **_variable_bounds(layout)}
-    return Program(layout, casadi.nlpsol("mpc", solver, nlp, options), bounds)
+    return NonlinearProgram(layout, casadi.nlpsol("mpc", solver, nlp, options), bounds)
 
 
-def sagitta(problem: Problem, x: Any, u: Any, step: Any) -> Any:
+def corner_cutting_allowance(problem: OptimalControlProblem, x: Any, u: Any, step: Any) -> Any:
     """Return by how much a step from x may cut the corner of an obstacle [m], for CasADi.
 
     Between two positions at d_min from a corner the way is a chord of the circle around it, which is nearer in its
@@ -134,7 +134,7 @@ def sagitta(problem: Problem, x: Any, u: Any, step: Any) -> Any:
     return speed_squared * step**2 / (8.0 * max(problem.clearance, _LEAST_CLEARANCE))
 
 
-def stage_cost(problem: Problem, p: Any, u: Any, k: int) -> Any:
+def stage_cost(problem: OptimalControlProblem, p: Any, u: Any, k: int) -> Any:
     """Return c(x_k, u_k) of Eq. 3.16 with the trap's term; for arrays and for CasADi."""
     growth = problem.gamma ** (k + 1)
     goal = (p[0] - problem.goal[0]) ** 2 + (p[1] - problem.goal[1]) ** 2
@@ -145,7 +145,7 @@ def stage_cost(problem: Problem, p: Any, u: Any, k: int) -> Any:
     return cost + problem.control_weight * sum(u[i] ** 2 for i in range(len(problem.system.controls)))
 
 
-def cost_of(problem: Problem, states: Array, controls: Array, time_step: float) -> float:
+def trajectory_cost(problem: OptimalControlProblem, states: Array, controls: Array, time_step: float) -> float:
     """Return the cost of Eq. 3.16 of states (H+1, n) and controls (H, m)."""
     p = states[:-1, problem.positions]
     stages = [stage_cost(problem, p[k], u, k) for k, u in enumerate(controls)]

@@ -14,7 +14,7 @@ from ctrl_rl_core.systems.models import SYSTEM_MODELS
 from ctrl_rl_core.tasks.task import NavigationTask
 
 from oc_baseline_node.errors import OcError
-from oc_baseline_node.problems.problem import Form, Problem, formulate
+from oc_baseline_node.problems.problem import Form, OptimalControlProblem, formulate
 
 ROBOT_TYPES: Mapping[str, str] = {"turtlebot3_burger": "car", "turtlebot2": "car", "planar_quadrotor": "quadrotor"}
 """Robot type by body."""
@@ -64,7 +64,7 @@ class Extraction:
     info: RlInfo
     candidates: tuple[Candidate, ...]
     chosen: str
-    problem: Problem
+    problem: OptimalControlProblem
 
     def report(self) -> str:
         """Return all of it for people."""
@@ -137,7 +137,7 @@ def assess(model: str, info: RlInfo) -> Candidate:
     return Candidate(model, tuple(reasons))
 
 
-def problem_lines(problem: Problem) -> list[str]:
+def problem_lines(problem: OptimalControlProblem) -> list[str]:
     """Return a problem in words and numbers, line by line."""
     system, H = problem.system, problem.horizon
     place = ", ".join(system.state_names[index] for index in problem.positions)

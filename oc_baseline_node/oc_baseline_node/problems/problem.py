@@ -31,7 +31,7 @@ _INSIDE = 1e-3
 
 
 @dataclass(frozen=True)
-class Problem:
+class OptimalControlProblem:
     """min over u of sum_k gamma^(k+1) (Q |p_k - p*|^2 - W |p_k - p_trap|^2) + R |u_k|^2, k = 0 .. H - 1.
 
     Subject to the system, x_0 given, x_H in the terminal set, p_k at least d_min from obstacles, states and controls
@@ -127,7 +127,7 @@ class Problem:
         return out
 
 
-def formulate(task: NavigationTask, form: Form = "free_speed", clearance: float | None = None) -> Problem:
+def formulate(task: NavigationTask, form: Form = "free_speed", clearance: float | None = None) -> OptimalControlProblem:
     """Return a task's problem.
 
     Args:
@@ -149,7 +149,7 @@ def formulate(task: NavigationTask, form: Form = "free_speed", clearance: float 
         if task.obstacles:
             raise OcError(f"task '{task.name}': an optimal control problem in a corridor takes no obstacles")
         system = path_car(system, task.corridor.path)
-    return Problem(
+    return OptimalControlProblem(
         task=task,
         system=system,
         form=form,

@@ -6,13 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oc_baseline_node.errors import OcError
-from oc_baseline_node.problems.problem import Problem
+from oc_baseline_node.problems.problem import OptimalControlProblem
 
 Array = NDArray[np.float64]
 _TRIES = 10_000
 
 
-def state_space(problem: Problem) -> Array:
+def state_space(problem: OptimalControlProblem) -> Array:
     """Return least and largest start (2, n): the problem's bounds, the model's own where the problem has none."""
     own = np.array([[s.lower for s in problem.system.states], [s.upper for s in problem.system.states]])
     space = np.where(np.isfinite(problem.state_bounds), problem.state_bounds, own)
@@ -23,12 +23,12 @@ def state_space(problem: Problem) -> Array:
     return space
 
 
-def draw_episode_start(problem: Problem, random: np.random.Generator) -> Array:
+def draw_episode_start(problem: OptimalControlProblem, random: np.random.Generator) -> Array:
     """Return one state (n,) from where the task's episodes start, in the problem's coordinates."""
     return problem.task.start.region.sample(problem.system.state_names, random)
 
 
-def draw_start(problem: Problem, random: np.random.Generator) -> Array:
+def draw_start(problem: OptimalControlProblem, random: np.random.Generator) -> Array:
     """Return one state (n,) drawn uniformly from the state space less the obstacles grown by d_min.
 
     Raises:

@@ -12,9 +12,9 @@ import numpy as np
 from ctrl_rl_core.tasks.regions import Region
 
 from oc_baseline_node.errors import OcError
-from oc_baseline_node.mpc.initial_guess import braking
-from oc_baseline_node.mpc.mpc import Mpc, Trajectory
-from oc_baseline_node.problems.problem import Problem
+from oc_baseline_node.mpc.initial_guess import braking_guess
+from oc_baseline_node.mpc.mpc import Mpc, MpcSolution
+from oc_baseline_node.problems.problem import OptimalControlProblem
 from oc_baseline_node.problems.start_states import draw_start
 from oc_baseline_node.value_data.dataset import DataSettings, ValueData
 
@@ -26,7 +26,7 @@ _MOST_STARTS = 20
 class ChunkSolver:
     """Makes chunks of a problem's value data; its programs are set up once."""
 
-    def __init__(self, problem: Problem, settings: DataSettings) -> None:
+    def __init__(self, problem: OptimalControlProblem, settings: DataSettings) -> None:
         self._problem = problem
         self._settings = settings
         self._mpc = Mpc(problem)
@@ -45,8 +45,8 @@ class ChunkSolver:
         """
         random = np.random.default_rng([self._settings.seed, index])
         wanted = self._settings.size(index)
-        solved: list[Trajectory] = []
-        unsolved: list[Trajectory] = []
+        solved: list[MpcSolution] = []
+        unsolved: list[MpcSolution] = []
         doomed: list[bool] = []
         while len(solved) < wanted:
             trajectory = self._mpc.solve(draw_start(self._problem, random))
@@ -55,7 +55,7 @@ class ChunkSolver:
                 continue
             unsolved.append(trajectory)
             start = trajectory.states[0]
-            doomed.append(not self._keeps_clear.solve(start, braking(self._clear, start)).solved)
+            doomed.append(not self._keeps_clear.solve(start, braking_guess(self._clear, start)).solved)
             if len(unsolved) >= _MOST_STARTS * wanted:
                 raise OcError(f"only {len(solved)} of {len(solved) + len(unsolved)} random starts have a trajectory; "
                               f"the solver's last word was '{trajectory.reason}'")  # fmt: skip

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from oc_baseline_node.errors import OcError
-from oc_baseline_node.problems.problem import Problem
+from oc_baseline_node.problems.problem import OptimalControlProblem
 from oc_baseline_node.values.returns import returns, rewards, step_discount
 
 Array = NDArray[np.float64]
@@ -117,7 +117,7 @@ class ValueData:
         return len(self.states) / (len(self.states) + int(np.sum(~self.doomed)))
 
     def samples(
-        self, problem: Problem, discount: float | None = None, whole_horizon: bool = False
+        self, problem: OptimalControlProblem, discount: float | None = None, whole_horizon: bool = False
     ) -> tuple[Array, Array, NDArray[np.bool_]]:
         """Return x_m as states of the task (N, H+1, n), V(x_m) by Eq. 3.13 and whether an episode meets it (N, H+1).
 
@@ -138,7 +138,7 @@ class ValueData:
         return states, returns(paid, ended, per_step), met
 
 
-def description(problem: Problem, settings: DataSettings) -> dict[str, Any]:
+def description(problem: OptimalControlProblem, settings: DataSettings) -> dict[str, Any]:
     """Return what a folder of value data says about itself: other settings need another folder."""
     return {
         "format": FORMAT,
@@ -181,7 +181,7 @@ def make_folder(folder: Path) -> None:
         raise OcError(f"{folder} holds something else than value data, {other[0].name}: give another folder")
 
 
-def open_folder(folder: Path, problem: Problem, settings: DataSettings) -> list[int]:
+def open_folder(folder: Path, problem: OptimalControlProblem, settings: DataSettings) -> list[int]:
     """Begin or take up value data in a folder of `make_folder` and return the chunks that it still lacks.
 
     Only whoever has the folder's lock may: what a killed call left half-written is removed.
@@ -200,7 +200,7 @@ def open_folder(folder: Path, problem: Problem, settings: DataSettings) -> list[
     return _lacking(folder, settings)
 
 
-def _check_same(folder: Path, problem: Problem, settings: DataSettings) -> None:
+def _check_same(folder: Path, problem: OptimalControlProblem, settings: DataSettings) -> None:
     there = read_description(folder)
     for name, wanted in description(problem, settings).items():
         if there.get(name) != wanted:
@@ -224,7 +224,7 @@ def read_description(folder: Path) -> dict[str, Any]:
         return _Description.model_validate(read_json(file)).model_dump()
 
 
-def load_data(folder: Path, problem: Problem) -> ValueData:
+def load_data(folder: Path, problem: OptimalControlProblem) -> ValueData:
     """Read a whole folder of value data.
 
     Raises:

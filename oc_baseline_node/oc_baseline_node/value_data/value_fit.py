@@ -13,7 +13,7 @@ from torch import nn
 from tqdm import tqdm
 
 from oc_baseline_node.errors import OcError
-from oc_baseline_node.problems.problem import Problem
+from oc_baseline_node.problems.problem import OptimalControlProblem
 from oc_baseline_node.problems.start_states import state_space
 from oc_baseline_node.value_data.dataset import ValueData
 from oc_baseline_node.values.collision_set import CollisionSet
@@ -55,7 +55,9 @@ class FitSettings:
     seed: int = 0
 
 
-def fit(problem: Problem, data: ValueData, settings: FitSettings | None = None, progress: bool = True) -> MlpValue:
+def fit(
+    problem: OptimalControlProblem, data: ValueData, settings: FitSettings | None = None, progress: bool = True
+) -> MlpValue:
     """Return V_oc fitted to value data up to each arrival; its manifest tells the error on held-out trajectories.
 
     A tenth of a few trajectories is too few to tell the error by. Then others are held out in turn, from up to four
@@ -109,7 +111,7 @@ def fit(problem: Problem, data: ValueData, settings: FitSettings | None = None, 
 
 
 def _fit_once(
-    problem: Problem, axes: tuple[Axis, ...], x: Array, y: Array, settings: FitSettings, progress: bool
+    problem: OptimalControlProblem, axes: tuple[Axis, ...], x: Array, y: Array, settings: FitSettings, progress: bool
 ) -> MlpValue:
     """Return a network fitted to values (N,) at states (N, n)."""
     offset, scale = float(y.mean()), float(max(y.std(), 1e-9))
@@ -121,7 +123,7 @@ def _fit_once(
     return MlpValue(layers, axes, offset, scale, problem.task.name, problem.digest, CollisionSet.of(problem.task))
 
 
-def domain(problem: Problem, reached: Array) -> tuple[Axis, ...]:
+def domain(problem: OptimalControlProblem, reached: Array) -> tuple[Axis, ...]:
     """Return the axes of V_oc: what the walls enclose, whole turns, and rates as far as trajectories (..., n) reach."""
     space = state_space(problem)
     components, walls = problem.task.system.build().states, problem.task.plane_bounds

@@ -13,7 +13,7 @@ from ctrl_rl_core.processes.workers import map_in_processes
 from ctrl_rl_core.tasks.task import NavigationTask
 from tqdm import tqdm
 
-from oc_baseline_node.problems.problem import Form, Problem, formulate
+from oc_baseline_node.problems.problem import Form, OptimalControlProblem, formulate
 from oc_baseline_node.value_data.chunk_solver import ChunkSolver
 from oc_baseline_node.value_data.dataset import (
     LOCK,
@@ -30,7 +30,7 @@ _solver: ChunkSolver
 
 
 def make_data(
-    problem: Problem, settings: DataSettings, folder: Path, workers: int = 1, progress: bool = True
+    problem: OptimalControlProblem, settings: DataSettings, folder: Path, workers: int = 1, progress: bool = True
 ) -> tuple[ValueData, float, float]:
     """Make what a folder of value data still lacks and return all of it, with the wall and CPU seconds that it took.
 
@@ -59,7 +59,7 @@ def make_data(
 
 
 def _finished(
-    problem: Problem, settings: DataSettings, folder: Path, lacking: list[int], workers: int
+    problem: OptimalControlProblem, settings: DataSettings, folder: Path, lacking: list[int], workers: int
 ) -> Iterator[int]:
     """Make the chunks and yield each one's index once its file is there."""
     if not lacking:

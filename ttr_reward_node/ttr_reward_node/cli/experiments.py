@@ -125,14 +125,16 @@ def _gap(show: Callable[..., None]) -> Measured:
         problem = problem_from_task(task, counts=counts)
         for obstacles in (False, True):
             used = problem if obstacles else replace(problem, clearance=None)
-            gaps = decomposition_error.measure_gap(used, DECOMPOSITIONS["planar_quadrotor"].values(), progress=show)
+            gaps = decomposition_error.measure_decomposition_errors(
+                used, DECOMPOSITIONS["planar_quadrotor"].values(), progress=show
+            )
             print(decomposition_error.as_table(gaps))
             results += [result for one in gaps for result in _gap_results(one.summary())]
 
     def draw(picture: Path) -> None:
-        from ttr_reward_node.plots.decomposition_error import draw_gap  # matplotlib is not for robots
+        from ttr_reward_node.plots.decomposition_error import draw_decomposition_errors  # matplotlib is not for robots
 
-        draw_gap(gaps, task, picture)  # of the finest grid, with obstacles
+        draw_decomposition_errors(gaps, task, picture)  # of the finest grid, with obstacles
 
     return results, draw
 

@@ -13,9 +13,9 @@ from ctrl_rl_core.values.value_grid import ValueGrid
 from tqdm import tqdm
 
 from ttr_reward_node.errors import TimeToReachError
-from ttr_reward_node.problems.problem import Problem, problem_from_task
-from ttr_reward_node.rewards.labels import Labeller
+from ttr_reward_node.problems.problem import TimeToReachProblem, problem_from_task
 from ttr_reward_node.rewards.relabel import relabel
+from ttr_reward_node.rewards.reward_evaluator import RewardEvaluator
 from ttr_reward_node.solvers.decomposition import DECOMPOSITIONS, find_decomposition, join, split
 from ttr_reward_node.solvers.memory import gigabytes
 from ttr_reward_node.solvers.solution import Solution
@@ -104,7 +104,7 @@ def _parser(program: str, description: str) -> argparse.ArgumentParser:
     return argparse.ArgumentParser(prog=program, description=description)
 
 
-def _problem(options: argparse.Namespace) -> Problem:
+def _problem(options: argparse.Namespace) -> TimeToReachProblem:
     task = load_navigation_task(options.task)
     return problem_from_task(
         task,
@@ -136,7 +136,7 @@ def _solve(options: argparse.Namespace) -> int:
     return 0 if all(solution.converged for solution in solutions) else 1
 
 
-def _solve_one(problem: Problem, options: argparse.Namespace) -> Solution:
+def _solve_one(problem: TimeToReachProblem, options: argparse.Namespace) -> Solution:
     size = gigabytes(memory_needed(problem, options.method))
     print(f"problem    {problem.system.name}, {' x '.join(map(str, problem.counts))} nodes, at most {size}", flush=True)
     with tqdm(desc="solving", unit=" sweeps", disable=None) as bar:
@@ -178,7 +178,7 @@ def _slices(options: argparse.Namespace) -> int:
 
 def _relabel(options: argparse.Namespace) -> int:
     function = load_value(options.grid)
-    label = Labeller(load_navigation_task(options.task or function.task), function, options.width)
+    label = RewardEvaluator(load_navigation_task(options.task or function.task), function, options.width)
     if not label.up_to_date:
         print(f"relabel: {options.grid} is of another version of its task: solve it again", file=sys.stderr)
     count = relabel(

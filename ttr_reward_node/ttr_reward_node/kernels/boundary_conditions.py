@@ -13,13 +13,13 @@ from ttr_reward_node.kernels.stencil import Grid
 FREE, NEAR, FIXED = 0, 1, 2
 """Flags of nodes: far from everything; within reach of target or obstacle; in one of them."""
 
-PLAIN, BLOCKED, PAST = 0.0, -1.0, -2.0
+INTERPOLATE, BLOCKED, PASSES_TARGET = 0.0, -1.0, -2.0
 """Outcomes of a step: interpolate where it ends; it hits an obstacle; it passes by the target, so skip its nodes."""
 
 _OPTIONS = {"error_model": "numpy"}
 
 
-class Surroundings(NamedTuple):
+class BoundaryConditions(NamedTuple):
     """Target and obstacles for compiled code, axes in the layout's order.
 
     Attributes:
@@ -43,7 +43,7 @@ def find_outcomes(
     moves: NDArray[np.float32],
     controls: int,
     rate: float,
-    surroundings: Surroundings,
+    boundary: BoundaryConditions,
     outcomes: NDArray[np.float32],
 ) -> None:
     """Fill outcomes (near nodes in order, pairs): the discount exp(-rate t) of hitting the target, or one of the codes.
@@ -63,30 +63,30 @@ def find_outcomes(
             start[k] = node // grid.strides[k] % grid.counts[k]
         slab = node // inner_size
         for p in range(pairs):
-            t = _fate(start, slab, p, grid, durations, moves, surroundings)
+            t = _classify_step(start, slab, p, grid, durations, moves, boundary)
             if 0.0 <= t <= 1.0:
                 outcomes[near, p] = np.exp(-rate * t * durations[slab, p])
                 continue
-            outcomes[near, p] = BLOCKED if t < 0.0 else PLAIN
+            outcomes[near, p] = BLOCKED if t < 0.0 else INTERPOLATE
             if t < 0.0 or durations[slab, p] == 0.0:
                 continue
             for k in range(n):
                 end[k] = start[k] + moves[slab, p, 1, k]
-            if _beside_target(end, grid, surroundings):
-                then = _best_hit(end, grid, durations, moves, controls, rate, surroundings)
-                outcomes[near, p] = then * np.exp(-rate * durations[slab, p]) if then > 0.0 else PAST
+            if _within_cell_of_target(end, grid, boundary):
+                then = _best_target_hit(end, grid, durations, moves, controls, rate, boundary)
+                outcomes[near, p] = then * np.exp(-rate * durations[slab, p]) if then > 0.0 else PASSES_TARGET
         near += 1
 
 
 @njit(**_OPTIONS)
-def _best_hit(
+def _best_target_hit(
     start: NDArray[np.float64],
     grid: Grid,
     durations: NDArray[np.float64],
     moves: NDArray[np.float32],
     controls: int,
     rate: float,
-    surroundings: Surroundings,
+    boundary: BoundaryConditions,
 ) -> float:
     """Discount of hitting the target within a step from between nodes; 0 if none does, whatever the disturbance."""
     slab, stride = 0, 1
@@ -99,7 +99,7 @@ def _best_hit(
     for first in range(0, durations.shape[1], controls):
         best = 0.0
         for p in range(first, first + controls):
-            t = _fate(start, slab, p, grid, durations, moves, surroundings)
+            t = _classify_step(start, slab, p, grid, durations, moves, boundary)
             if 0.0 <= t <= 1.0:
                 best = max(best, np.exp(-rate * t * durations[slab, p]))
         worst = min(worst, best)
@@ -107,21 +107,21 @@ def _best_hit(
 
 
 @njit(**_OPTIONS)
-def _fate(
+def _classify_step(
     start: NDArray[np.float64],
     slab: int,
     p: int,
     grid: Grid,
     durations: NDArray[np.float64],
     moves: NDArray[np.float32],
-    surroundings: Surroundings,
+    boundary: BoundaryConditions,
 ) -> float:
     """Fraction of the step after which the target is hit; 2 if it is missed, -1 if an obstacle is in the way."""
     if durations[slab, p] == 0.0:
         return 2.0
     for half in range(2):
-        t = _entry(start, moves, slab, p, half, grid, surroundings)
-        if _blocked(start, moves, slab, p, half, min(t, 1.0), surroundings):
+        t = _target_entry(start, moves, slab, p, half, grid, boundary)
+        if _obstacle_ahead(start, moves, slab, p, half, min(t, 1.0), boundary):
             return -1.0
         if t <= 1.0:
             return 0.5 * (half + t)
@@ -129,20 +129,20 @@ def _fate(
 
 
 @njit(**_OPTIONS)
-def _blocked(
+def _obstacle_ahead(
     start: NDArray[np.float64],
     moves: NDArray[np.float32],
     slab: int,
     p: int,
     half: int,
     end: float,
-    surroundings: Surroundings,
+    boundary: BoundaryConditions,
 ) -> bool:
     """Whether an obstacle is in the way on a half of the step, taken as straight, up to the fraction `end` of it.
 
     The clearance is looked at every half cell or closer: obstacles are a cell thick or more (see `problem`).
     """
-    i, j = surroundings.clearance_axes[0], surroundings.clearance_axes[1]
+    i, j = boundary.clearance_axes[0], boundary.clearance_axes[1]
     if i < 0:
         return False
     from_i, from_j = start[i], start[j]
@@ -153,23 +153,23 @@ def _blocked(
     count = max(1, int(np.ceil(2.0 * end * max(abs(by_i), abs(by_j)) - 1e-3)))
     for k in range(1, count + 1):
         part = end * k / count
-        if clearance_at(surroundings.clearance, from_i + part * by_i, 0.0 if i == j else from_j + part * by_j) <= 0.0:
+        if clearance_at(boundary.clearance, from_i + part * by_i, 0.0 if i == j else from_j + part * by_j) <= 0.0:
             return True
     return False
 
 
 @njit(**_OPTIONS)
-def _entry(
+def _target_entry(
     start: NDArray[np.float64],
     moves: NDArray[np.float32],
     slab: int,
     p: int,
     half: int,
     grid: Grid,
-    surroundings: Surroundings,
+    boundary: BoundaryConditions,
 ) -> float:
     """Fraction of a half of the step, taken as straight, at which it enters the target; 2 if it does not."""
-    box = surroundings.box
+    box = boundary.box
     enter, leave = 0.0, 1.0
     for k in range(grid.counts.size):
         low, high = box[k, 0], box[k, 1]
@@ -186,9 +186,9 @@ def _entry(
         else:
             t0, t1 = (low - a) / b, (high - a) / b
             enter, leave = max(enter, min(t0, t1)), min(leave, max(t0, t1))
-    i, j = surroundings.disc_axes[0], surroundings.disc_axes[1]
+    i, j = boundary.disc_axes[0], boundary.disc_axes[1]
     if i >= 0:
-        disc = surroundings.disc
+        disc = boundary.disc
         x, y, radius, dx, dy = disc[0], disc[1], disc[2], disc[3], disc[4]
         before_i, before_j = np.float32(0.0), np.float32(0.0)
         if half == 1:
@@ -206,9 +206,9 @@ def _entry(
 
 
 @njit(**_OPTIONS)
-def _beside_target(end: NDArray[np.float64], grid: Grid, surroundings: Surroundings) -> bool:
+def _within_cell_of_target(end: NDArray[np.float64], grid: Grid, boundary: BoundaryConditions) -> bool:
     """Whether a point outside the target lies less than a cell from it along every axis."""
-    box = surroundings.box
+    box = boundary.box
     for k in range(grid.counts.size):
         low, high = box[k, 0], box[k, 1]
         if high - low < np.inf:
@@ -217,9 +217,9 @@ def _beside_target(end: NDArray[np.float64], grid: Grid, surroundings: Surroundi
                 at -= np.round((at - 0.5 * (low + high)) / grid.counts[k]) * grid.counts[k]
             if at <= low - 1.0 or at >= high + 1.0:
                 return False
-    i, j = surroundings.disc_axes[0], surroundings.disc_axes[1]
+    i, j = boundary.disc_axes[0], boundary.disc_axes[1]
     if i >= 0:
-        disc = surroundings.disc
+        disc = boundary.disc
         x, y, radius, dx, dy = disc[0], disc[1], disc[2], disc[3], disc[4]
         return np.hypot(end[i] * dx - x, end[j] * dy - y) < radius + np.hypot(dx, dy)
     return True

@@ -16,7 +16,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from ttr_reward_node.kernels.boundary_conditions import BLOCKED, FIXED, NEAR, PAST
+from ttr_reward_node.kernels.boundary_conditions import BLOCKED, FIXED, NEAR, PASSES_TARGET
 from ttr_reward_node.kernels.row_interpolation import (
     DISCOUNT,
     OWN,
@@ -34,7 +34,7 @@ Floats = NDArray[np.float32]
 _TINY = np.float32(1e-30)  # numbers below are slow, and mean unreachable
 
 
-class Memory(NamedTuple):
+class RowHistory(NamedTuple):
     """What one sweep leaves to the next, so that a row is done again only when a row it looks at has changed.
 
     `changed` and `seen` (rows,) hold when a row changed and when it was done last; `clock` (1,) counts the rows done.
@@ -45,7 +45,7 @@ class Memory(NamedTuple):
     clock: NDArray[np.int64]
 
 
-class Rule(NamedTuple):
+class SweepSettings(NamedTuple):
     """How to interpolate.
 
     Attributes:
@@ -72,14 +72,14 @@ def sweep(
     controls: int,
     outcomes: Floats,
     row_near: NDArray[np.int64],
-    memory: Memory,
-    rule: Rule,
+    memory: RowHistory,
+    rule: SweepSettings,
     bits: int,
 ) -> tuple[np.float32, int]:
     """Do every row (the nodes along the last axis) whose surroundings have changed.
 
     `values`, `flags`: all nodes, flat, in the layout's order; values are changed. `durations`, `moves`, `controls`: see
-    `steps.Steps`. `outcomes`, `row_near`: see `surroundings.find_outcomes`; row_near (rows + 1,) counts the near nodes
+    `steps.Steps`. `outcomes`, `row_near`: see `find_outcomes`; row_near (rows + 1,) counts the near nodes
     before each row. `bits`: bit k says to go down axis k, where the motion does not say which way to go.
 
     Returns:
@@ -132,7 +132,7 @@ def sweep(
             clock[0] += 1
             seen[here] = clock[0]
             near = row_near[here + 1] if down[n - 1] else row_near[here] - 1
-            change = _do_row(
+            change = _update_row(
                 values,
                 flags,
                 controls,
@@ -169,7 +169,7 @@ def _directions(grid: Grid, moves: Floats, corners: Corners, bits: int, down: ND
 
 
 @njit(**_OPTIONS)
-def _do_row(
+def _update_row(
     values: Floats,
     flags: NDArray[np.uint8],
     controls: int,
@@ -200,7 +200,7 @@ def _do_row(
         else:
             interpolate_row(values, plan, weights, p, jump, periodic, buffers, found)
     news = buffers[0]
-    _play(found, controls, news, buffers[1])
+    _min_max_row(found, controls, news, buffers[1])
     largest = np.float32(0.0)
     step = -1 if down else 1
     for turn in range(last):
@@ -231,7 +231,7 @@ def _do_row(
 
 
 @njit(**_OPTIONS)
-def _play(found: Floats, controls: int, news: Floats, best: Floats) -> None:
+def _min_max_row(found: Floats, controls: int, news: Floats, best: Floats) -> None:
     """Fill news with the least over the disturbances of the most over the controls, along a row."""
     pairs, last = found.shape
     news[:] = 1.0
@@ -267,7 +267,7 @@ def _near_value(
             outcome = outcomes[near, p]
             if outcome > 0.0:
                 best = max(best, outcome)
-            elif outcome == PAST and plan[p, SIZE] > 0:
+            elif outcome == PASSES_TARGET and plan[p, SIZE] > 0:
                 w = interpolate_node(values, plan, weights, p, j, jump, periodic, last, True)
                 best = max(best, weights[p, DISCOUNT] * w)
             elif outcome != BLOCKED:

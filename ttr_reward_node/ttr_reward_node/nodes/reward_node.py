@@ -15,7 +15,7 @@ from nav_msgs.msg import Odometry
 from numpy.typing import NDArray
 
 from ctrl_rl_msgs.msg import TaskOutcome, TaskReward
-from ttr_reward_node.rewards.labels import Labeller
+from ttr_reward_node.rewards.reward_evaluator import RewardEvaluator
 from ttr_reward_node.values.value_file import load_value
 
 
@@ -47,7 +47,7 @@ class RewardNode(ValueServer):
     def prepare(self, function: ValueFunction) -> Valued:
         """Return what publishes the reward of each state."""
         task = load_navigation_task(self.settings["task"] or function.task)
-        label = Labeller(task, function, self.settings["corridor_width"] or None)
+        label = RewardEvaluator(task, function, self.settings["corridor_width"] or None)
         if not label.up_to_date:
             self.get_logger().warning(f"the grid was made for another version of task '{task.name}': solve it again")
 

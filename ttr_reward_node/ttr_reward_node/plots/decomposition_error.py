@@ -13,12 +13,12 @@ from matplotlib import pyplot as plt
 from numpy.typing import NDArray
 
 from ttr_reward_node.errors import TimeToReachError
-from ttr_reward_node.verification.decomposition_error import Gap
+from ttr_reward_node.verification.decomposition_error import DecompositionErrors
 
 _BINS = 60
 
 
-def draw_gap(gaps: Sequence[Gap], task: NavigationTask, path: Path) -> None:
+def draw_decomposition_errors(gaps: Sequence[DecompositionErrors], task: NavigationTask, path: Path) -> None:
     """Draw the distribution of each gap, and each gap over the plane at the other components' middle.
 
     Args:
@@ -64,7 +64,7 @@ def draw_gap(gaps: Sequence[Gap], task: NavigationTask, path: Path) -> None:
     save_figure(figure, path)
 
 
-def _slice(gap: Gap, plane: Sequence[int]) -> tuple[NDArray[np.float32], str]:
+def _slice(gap: DecompositionErrors, plane: Sequence[int]) -> tuple[NDArray[np.float32], str]:
     """Return the gap over the plane (first, second), NaN where it is not defined, and what the slice is at."""
     index: list[slice | int] = []
     at = []
@@ -82,6 +82,6 @@ def _slice(gap: Gap, plane: Sequence[int]) -> tuple[NDArray[np.float32], str]:
     return out, ", ".join(at)
 
 
-def _label(gap: Gap) -> str:
+def _label(gap: DecompositionErrors) -> str:
     d = gap.differences
     return f"{gap.decomposition}: mean {d.mean():.2f} s, p95 {np.quantile(d, 0.95):.2f} s"

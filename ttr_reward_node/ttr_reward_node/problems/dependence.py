@@ -19,7 +19,7 @@ from ttr_reward_node.errors import TimeToReachError
 
 AFFINE = 1
 """Degree of a derivative that is linear in the controls, or disturbances, or does not depend on them."""
-_BENT = 2
+_NONLINEAR = 2
 
 
 @dataclass(frozen=True)
@@ -52,28 +52,30 @@ def dependences(system: System, *, hold: bool = True) -> tuple[Dependence, ...]:
             disturbances are absent.
     """
     n = len(system.states)
-    x = [_Traced(Dependence(states=frozenset({i}))) for i in range(n)]
+    x = [_TracedNumber(Dependence(states=frozenset({i}))) for i in range(n)]
     free_u = [not hold or control.lower < control.upper for control in system.controls]
     free_d = [hold and disturbance.lower < disturbance.upper for disturbance in system.disturbances]
     u = [
-        _Traced(Dependence(controls=frozenset({i}), control_degree=1)) if free else _held(control)
+        _TracedNumber(Dependence(controls=frozenset({i}), control_degree=1)) if free else _fixed_value(control)
         for i, (control, free) in enumerate(zip(system.controls, free_u, strict=True))
     ]
     d = [
-        _Traced(Dependence(disturbances=frozenset({i}), disturbance_degree=1)) if free else _held(disturbance)
+        _TracedNumber(Dependence(disturbances=frozenset({i}), disturbance_degree=1))
+        if free
+        else _fixed_value(disturbance)
         for i, (disturbance, free) in enumerate(zip(system.disturbances, free_d, strict=True))
     ]
     try:
-        rates = system.equations(_Functions(), system.parameters)(x, u, d)
-        found = [rate.dependence if isinstance(rate, _Traced) else Dependence() for rate in rates]
+        rates = system.equations(_TracedMath(), system.parameters)(x, u, d)
+        found = [rate.dependence if isinstance(rate, _TracedNumber) else Dependence() for rate in rates]
     except (TypeError, ValueError, AttributeError):  # what Python raises for a number that has no value
-        controls, disturbances = _true(free_u), _true(free_d)
+        controls, disturbances = _true_indices(free_u), _true_indices(free_d)
         everything = Dependence(
             frozenset(range(n)),
             controls,
             disturbances,
-            _BENT if controls else 0,
-            _BENT if disturbances else 0,
+            _NONLINEAR if controls else 0,
+            _NONLINEAR if disturbances else 0,
             bool(controls and disturbances),
         )
         found = [everything] * n
@@ -112,15 +114,15 @@ def check_affine_controls(system: System) -> None:
             )
 
 
-def _held(quantity: Quantity) -> float:
+def _fixed_value(quantity: Quantity) -> float:
     return quantity.lower if quantity.lower == quantity.upper else 0.0
 
 
-def _true(flags: list[bool]) -> frozenset[int]:
+def _true_indices(flags: list[bool]) -> frozenset[int]:
     return frozenset(i for i, flag in enumerate(flags) if flag)
 
 
-class _Traced:
+class _TracedNumber:
     """A number without a value that remembers what it depends on."""
 
     __array_ufunc__ = None  # NumPy's numbers leave arithmetic with it to it
@@ -129,27 +131,27 @@ class _Traced:
     def __init__(self, dependence: Dependence) -> None:
         self.dependence = dependence
 
-    def __add__(self, other: Any) -> _Traced:
+    def __add__(self, other: Any) -> _TracedNumber:
         return _join(self, other, max)
 
-    def __mul__(self, other: Any) -> _Traced | float:
-        if not isinstance(other, _Traced) and other == 0:
+    def __mul__(self, other: Any) -> _TracedNumber | float:
+        if not isinstance(other, _TracedNumber) and other == 0:
             return 0.0
-        return _join(self, other, lambda one, two: min(one + two, _BENT), multiply=True)
+        return _join(self, other, lambda one, two: min(one + two, _NONLINEAR), multiply=True)
 
-    def __truediv__(self, other: Any) -> _Traced:
-        return self * (_apply(other) if isinstance(other, _Traced) else 1.0)  # type: ignore[return-value]
+    def __truediv__(self, other: Any) -> _TracedNumber:
+        return self * (_apply(other) if isinstance(other, _TracedNumber) else 1.0)  # type: ignore[return-value]
 
-    def __rtruediv__(self, other: Any) -> _Traced | float:
+    def __rtruediv__(self, other: Any) -> _TracedNumber | float:
         return 0.0 if other == 0 else _apply(self)
 
-    def __pow__(self, other: Any) -> _Traced:
+    def __pow__(self, other: Any) -> _TracedNumber:
         return _apply(self, other)
 
-    def __neg__(self) -> _Traced:
+    def __neg__(self) -> _TracedNumber:
         return self
 
-    def __abs__(self) -> _Traced:
+    def __abs__(self) -> _TracedNumber:
         return _apply(self)
 
     def __bool__(self) -> bool:
@@ -167,7 +169,7 @@ class _Traced:
     __pos__ = __neg__
 
 
-class _Functions:
+class _TracedMath:
     """A namespace like `math`: its constants, and functions that bend whatever they are given."""
 
     def __getattr__(self, name: str) -> Any:
@@ -177,37 +179,39 @@ class _Functions:
 
 def _function(real: Callable[..., Any] | None) -> Callable[..., Any]:
     def apply(*arguments: Any) -> Any:
-        if real is not None and not any(isinstance(argument, _Traced) for argument in arguments):
+        if real is not None and not any(isinstance(argument, _TracedNumber) for argument in arguments):
             return real(*arguments)
         return _apply(*arguments)
 
     return apply
 
 
-def _apply(*arguments: Any) -> _Traced:
+def _apply(*arguments: Any) -> _TracedNumber:
     """Return what a function that need not be linear makes of numbers, some of them traced."""
-    known = _Traced(Dependence())
+    known = _TracedNumber(Dependence())
     for argument in arguments:
         known = _join(known, argument, max)
     found = known.dependence
-    return _Traced(
+    return _TracedNumber(
         Dependence(
             found.states,
             found.controls,
             found.disturbances,
-            _BENT if found.controls else 0,
-            _BENT if found.disturbances else 0,
+            _NONLINEAR if found.controls else 0,
+            _NONLINEAR if found.disturbances else 0,
             bool(found.controls and found.disturbances),
         )
     )
 
 
-def _join(one: _Traced, other: Any, degree: Callable[[int, int], int], *, multiply: bool = False) -> _Traced:
-    a, b = one.dependence, other.dependence if isinstance(other, _Traced) else Dependence()
-    if not isinstance(other, _Traced):
+def _join(
+    one: _TracedNumber, other: Any, degree: Callable[[int, int], int], *, multiply: bool = False
+) -> _TracedNumber:
+    a, b = one.dependence, other.dependence if isinstance(other, _TracedNumber) else Dependence()
+    if not isinstance(other, _TracedNumber):
         float(other)  # TypeError for what is no number
     meet = bool((a.controls and b.disturbances) or (a.disturbances and b.controls))
-    return _Traced(
+    return _TracedNumber(
         Dependence(
             a.states | b.states,
             a.controls | b.controls,

@@ -1,7 +1,7 @@
 """A time-to-reach problem (thesis Eq. 2.17-2.20): a system on a grid, a target, and what is in the way.
 
     problem = problem_from_task("car_ttr")
-    problem = Problem(system, axes, target=Region({"x": Interval(-0.1, 0.1)}))
+    problem = TimeToReachProblem(system, axes, target=Region({"x": Interval(-0.1, 0.1)}))
 
 Between the nodes the target is exact: it is kept as intervals and a disc, not as marked nodes. Obstacles are kept as
 the clearance at the nodes and interpolated between them. What leaves the grid on an axis that is not periodic has
@@ -53,7 +53,7 @@ class Clearance:
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
+class TimeToReachProblem:
     """Find phi(x), the shortest time from x to the target.
 
     Attributes:
@@ -179,7 +179,7 @@ def problem_from_task(
     width: float | None = None,
     disturbances: Mapping[str, Sequence[float]] | None = None,
     control_counts: int | tuple[int, ...] = 3,
-) -> Problem:
+) -> TimeToReachProblem:
     """Make the problem that a navigation task describes.
 
     Args:
@@ -189,7 +189,7 @@ def problem_from_task(
             need it: see `obstacles.make_clearance`.
         width: of the task's corridor [m]; None for the task's own.
         disturbances: bounds by name ("d_" and the state's name); none unless given.
-        control_counts: see `Problem`.
+        control_counts: see `TimeToReachProblem`.
 
     Raises:
         TimeToReachError: the task has no grid, or its corridor's goal is not a box along the axes; unknown states in
@@ -207,7 +207,7 @@ def problem_from_task(
         system = with_disturbances(system, disturbances)
     axes = _axes(task, system, counts)
     world = task.build_world(width)
-    return Problem(
+    return TimeToReachProblem(
         system=system,
         axes=axes,
         target=task.goal.region if task.corridor is None else _corridor_goal(task, task.corridor, width),

@@ -22,7 +22,7 @@ from ctrl_rl_core.values.value_function import ValueFunction
 from rosbags.typesys import get_types_from_msg
 
 from ttr_reward_node.errors import TimeToReachError
-from ttr_reward_node.rewards.labels import Labeller
+from ttr_reward_node.rewards.reward_evaluator import RewardEvaluator
 
 REWARD, VALUE = "ctrl_rl_msgs/msg/TaskReward", "ctrl_rl_msgs/msg/StateValue"
 _ODOMETRY = "nav_msgs/msg/Odometry"
@@ -32,7 +32,7 @@ def relabel(
     bag: Path,
     output: Path,
     function: ValueFunction,
-    label: Labeller,
+    label: RewardEvaluator,
     *,
     robot: str = "",
     frame: str = "map",
@@ -72,7 +72,7 @@ def relabel(
     with open_bag(bag) as opened:
         types = opened.types([odom])
         store = types.store
-        answer = _Answer(types, f"{bag}: a message of {odom}", odom, prefix, frame, function, label)
+        answer = _MessageRelabeller(types, f"{bag}: a message of {odom}", odom, prefix, frame, function, label)
         added = [
             Topic(name, kind, message_definition(kind), store.hash_rihs01(kind), (to_bag_qos(RESULT),))
             for name, kind in kinds.items()
@@ -82,11 +82,18 @@ def relabel(
         return copy_bag(bag, output, added, answer, left_out=there, custom_data=digests, progress=title) // len(added)
 
 
-class _Answer:
+class _MessageRelabeller:
     """Answers each odometry message of a bag with a reward and a value, serialized."""
 
     def __init__(
-        self, known: BagTypes, what: str, odom: str, prefix: str, frame: str, function: ValueFunction, label: Labeller
+        self,
+        known: BagTypes,
+        what: str,
+        odom: str,
+        prefix: str,
+        frame: str,
+        function: ValueFunction,
+        label: RewardEvaluator,
     ) -> None:
         store = known.store
         self._known, self._what = known, what

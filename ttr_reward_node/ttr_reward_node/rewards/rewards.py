@@ -160,11 +160,11 @@ def make_reward(name: str, task: NavigationTask, value: ValueFunction | None = N
     if used is not None and not check_function(used, task, KIND):
         raise TimeToReachError(f"the time to reach is of another version of task '{task.name}': solve it again")
     if used is not None:
-        check_useful(used)
+        check_informative(used)
     return Reward(name, task, used, _domain(used, task.system.build().state_names), longest_time(used))
 
 
-def check_useful(value: ValueFunction) -> None:
+def check_informative(value: ValueFunction) -> None:
     """Refuse a time to reach that knows of no way to the goal: its reward would be the same everywhere.
 
     Raises:

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from ttr_reward_node.errors import TimeToReachError
 from ttr_reward_node.problems.dependence import dependences
-from ttr_reward_node.problems.problem import Clearance, Problem, problem_from_task
+from ttr_reward_node.problems.problem import Clearance, TimeToReachProblem, problem_from_task
 from ttr_reward_node.solvers.solution import Progress, Solution
 from ttr_reward_node.solvers.solver import solve
 from ttr_reward_node.values.decomposed_value import DecomposedValue
@@ -63,7 +63,7 @@ class Subsystem:
             keep, and controls that it shares with another subsystem.
     """
 
-    problem: Problem
+    problem: TimeToReachProblem
     free: tuple[str, ...]
 
 
@@ -80,7 +80,7 @@ def find_decomposition(system: System, name: str) -> Decomposition:
     return known[name]
 
 
-def split(problem: Problem, decomposition: Decomposition) -> tuple[Subsystem, ...]:
+def split(problem: TimeToReachProblem, decomposition: Decomposition) -> tuple[Subsystem, ...]:
     """Split a problem.
 
     Raises:
@@ -93,7 +93,7 @@ def split(problem: Problem, decomposition: Decomposition) -> tuple[Subsystem, ..
         raise TimeToReachError(f"decomposition '{decomposition.name}': '{min(wrong)}' is unknown or in no subsystem")
     if (problem.system.disturbance_bounds[0] < problem.system.disturbance_bounds[1]).any():
         raise TimeToReachError("a decomposition's maximum is no bound under a disturbance: solve the system as a whole")
-    needs = _needs(problem)
+    needs = _dependence_names(problem)
     controls = problem.system.control_names
     wanted = [{name for state in states for name in needs[names.index(state)]} for states in decomposition.subsystems]
     subsystems = []
@@ -102,12 +102,12 @@ def split(problem: Problem, decomposition: Decomposition) -> tuple[Subsystem, ..
         borrowed = tuple(name for name in names if name in wanted[i] and name not in states)
         used = tuple(name for name in controls if name in wanted[i])
         shared = tuple(name for name in used if any(name in other for j, other in enumerate(wanted) if j != i))
-        subsystems.append(Subsystem(_part(problem, ordered, borrowed, used), borrowed + shared))
+        subsystems.append(Subsystem(_make_subproblem(problem, ordered, borrowed, used), borrowed + shared))
     return tuple(subsystems)
 
 
 def solve_decomposed(
-    problem: Problem | NavigationTask | str | Path,
+    problem: TimeToReachProblem | NavigationTask | str | Path,
     decomposition: Decomposition,
     method: str = "semi_lagrangian",
     *,
@@ -130,22 +130,25 @@ def solve_decomposed(
 
 
 def solve_parts(
-    problem: Problem | NavigationTask | str | Path,
+    problem: TimeToReachProblem | NavigationTask | str | Path,
     decomposition: Decomposition,
     method: str = "semi_lagrangian",
     *,
     counts: Sequence[int] | Mapping[str, int] | None = None,
     progress: Progress | None = None,
-) -> tuple[Problem, tuple[Subsystem, ...], tuple[Solution, ...]]:
+) -> tuple[TimeToReachProblem, tuple[Subsystem, ...], tuple[Solution, ...]]:
     """Do the same, and return the problem, its subsystems and their solutions."""
-    if not isinstance(problem, Problem):
+    if not isinstance(problem, TimeToReachProblem):
         problem = problem_from_task(problem, counts=counts)
     subsystems = split(problem, decomposition)
     return problem, subsystems, tuple(solve(part.problem, method, progress=progress) for part in subsystems)
 
 
 def join(
-    decomposition: Decomposition, problem: Problem, subsystems: Sequence[Subsystem], solutions: Sequence[Solution]
+    decomposition: Decomposition,
+    problem: TimeToReachProblem,
+    subsystems: Sequence[Subsystem],
+    solutions: Sequence[Solution],
 ) -> DecomposedValue:
     """Return the maximum of the subsystems' solutions as one value function."""
     return DecomposedValue(
@@ -156,7 +159,7 @@ def join(
     )
 
 
-def _needs(problem: Problem) -> list[set[str]]:
+def _dependence_names(problem: TimeToReachProblem) -> list[set[str]]:
     """Return for each state which states and controls its derivative depends on; controls that are held count."""
     system = problem.system
     return [
@@ -165,7 +168,9 @@ def _needs(problem: Problem) -> list[set[str]]:
     ]
 
 
-def _part(problem: Problem, states: tuple[str, ...], borrowed: tuple[str, ...], used: tuple[str, ...]) -> Problem:
+def _make_subproblem(
+    problem: TimeToReachProblem, states: tuple[str, ...], borrowed: tuple[str, ...], used: tuple[str, ...]
+) -> TimeToReachProblem:
     """Return the problem of the kept states, with borrowed states as controls."""
     whole, names = problem.system, problem.system.state_names
     kept = [names.index(name) for name in states]
@@ -190,8 +195,8 @@ def _part(problem: Problem, states: tuple[str, ...], borrowed: tuple[str, ...], 
         problem,
         system=system,
         axes=tuple(problem.axes[k] for k in kept),
-        target=_shadow(problem.target, names, states),
-        clearance=_widest(problem.clearance, kept),
+        target=_project_target(problem.target, names, states),
+        clearance=_project_clearance(problem.clearance, kept),
     )
 
 
@@ -218,7 +223,7 @@ def _sub_equations(
     return equations
 
 
-def _shadow(target: Region, names: Sequence[str], states: Sequence[str]) -> Region:
+def _project_target(target: Region, names: Sequence[str], states: Sequence[str]) -> Region:
     """Return the target as the kept states see it: what some values of the others complete to a state in the target."""
     intervals = {name: interval for name, interval in target.intervals.items() if name in states}
     disc: Disc | None = target.disc
@@ -233,7 +238,7 @@ def _shadow(target: Region, names: Sequence[str], states: Sequence[str]) -> Regi
     return Region(intervals, disc)
 
 
-def _widest(clearance: Clearance | None, kept: Sequence[int]) -> Clearance | None:
+def _project_clearance(clearance: Clearance | None, kept: Sequence[int]) -> Clearance | None:
     """Return the clearance as the kept states see it: the most that the others can have."""
     if clearance is None:
         return None

@@ -10,13 +10,13 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from ttr_reward_node.kernels.compiled import kernels
+from ttr_reward_node.kernels.entry_points import kernels
 from ttr_reward_node.problems.dependence import check_affine_controls
-from ttr_reward_node.problems.problem import Problem
-from ttr_reward_node.solvers.memory import require
+from ttr_reward_node.problems.problem import TimeToReachProblem
+from ttr_reward_node.solvers.memory import require_memory
 from ttr_reward_node.solvers.semi_lagrangian import flat, make_grid
-from ttr_reward_node.solvers.solution import Progress, Sweeps
-from ttr_reward_node.solvers.steps import Layout, all_rates, make_layout, pairs, slab_states
+from ttr_reward_node.solvers.solution import Progress, SweepResult
+from ttr_reward_node.solvers.steps import Layout, make_layout, pairs, rates_under_all_pairs, slab_states
 
 _TOLERANCE = 1e-3  # of the time to cross a cell
 _CROSSINGS = 0.25  # 1 / lambda, in crossings of the grid
@@ -24,7 +24,7 @@ _BLOCK = 1 << 16  # rates that are computed at once
 _UNREACHABLE = 30.0  # lambda phi beyond which nothing has arrived
 
 
-def memory_needed(problem: Problem) -> float:
+def memory_needed(problem: TimeToReachProblem) -> float:
     """Return the bytes that `solve` will take at most, with those of the value grid."""
     layout = make_layout(problem)
     n = len(layout.counts)
@@ -34,15 +34,15 @@ def memory_needed(problem: Problem) -> float:
 
 
 def solve(
-    problem: Problem,
+    problem: TimeToReachProblem,
     *,
     tolerance: float | None = None,
     max_sweeps: int = 5000,
     progress: Progress | None = None,
-) -> Sweeps:
+) -> SweepResult:
     """Solve; see `solver.solve`."""
     check_affine_controls(problem.system)
-    require(memory_needed(problem), problem.points)
+    require_memory(memory_needed(problem), problem.points)
     layout = make_layout(problem)
     # f is affine in control and disturbance: their vertices give the Hamiltonian exactly.
     u, d, controls = pairs(problem, 2)
@@ -71,11 +71,11 @@ def solve(
     v *= -1.0 / rate
     v[v > _UNREACHABLE / rate] = math.inf
     shaped = v.reshape([problem.counts[k] for k in layout.order]).transpose(np.argsort(layout.order))
-    return Sweeps(np.ascontiguousarray(shaped, dtype=np.float32), number, residual, residual <= tolerance)
+    return SweepResult(np.ascontiguousarray(shaped, dtype=np.float32), number, residual, residual <= tolerance)
 
 
 def _tabulate(
-    problem: Problem, layout: Layout, u: NDArray[np.float64], d: NDArray[np.float64]
+    problem: TimeToReachProblem, layout: Layout, u: NDArray[np.float64], d: NDArray[np.float64]
 ) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
     """Return f (slabs, pairs, n) and its largest size under any pair (slabs, n); 0 along a dummy axis."""
     states, n = slab_states(problem, layout), len(layout.order)
@@ -84,6 +84,6 @@ def _tabulate(
     size = max(1, _BLOCK // len(u))
     for begin in range(0, len(states), size):
         block = slice(begin, begin + size)
-        rates[block, :, :n] = all_rates(problem.system, states[block], u, d)[..., layout.order]
+        rates[block, :, :n] = rates_under_all_pairs(problem.system, states[block], u, d)[..., layout.order]
         viscosity[block] = np.abs(rates[block]).max(axis=1)
     return rates, viscosity

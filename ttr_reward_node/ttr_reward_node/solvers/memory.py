@@ -7,7 +7,7 @@ from ctrl_rl_core.io.memory import available
 from ttr_reward_node.errors import TimeToReachError
 
 
-def require(needed: float, points: int) -> None:
+def require_memory(needed: float, points: int) -> None:
     """Refuse a problem that does not fit.
 
     Raises:

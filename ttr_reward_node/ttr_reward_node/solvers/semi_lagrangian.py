@@ -21,13 +21,13 @@ import numpy as np
 from ctrl_rl_core.tasks.regions import position_indices
 from numpy.typing import NDArray
 
-from ttr_reward_node.kernels.boundary_conditions import FIXED, NEAR, Surroundings
-from ttr_reward_node.kernels.compiled import kernels
+from ttr_reward_node.kernels.boundary_conditions import FIXED, NEAR, BoundaryConditions
+from ttr_reward_node.kernels.entry_points import kernels
 from ttr_reward_node.kernels.stencil import Grid
-from ttr_reward_node.kernels.sweep import Memory, Rule
-from ttr_reward_node.problems.problem import Problem
-from ttr_reward_node.solvers.memory import require
-from ttr_reward_node.solvers.solution import Progress, Sweeps
+from ttr_reward_node.kernels.sweep import RowHistory, SweepSettings
+from ttr_reward_node.problems.problem import TimeToReachProblem
+from ttr_reward_node.solvers.memory import require_memory
+from ttr_reward_node.solvers.solution import Progress, SweepResult
 from ttr_reward_node.solvers.steps import Layout, Steps, make_layout, make_steps, pairs
 
 CELLS = (2.0, 3.0)
@@ -44,7 +44,7 @@ _BLOCK = 1 << 10  # slabs that are looked at at once
 _CROSSINGS = 100.0  # 1 / lambda, in crossings of the grid
 
 
-def memory_needed(problem: Problem) -> float:
+def memory_needed(problem: TimeToReachProblem) -> float:
     """Return the bytes that `solve` will take at most, with those of the value grid."""
     layout = make_layout(problem)
     n = len(layout.counts)
@@ -64,14 +64,14 @@ def memory_needed(problem: Problem) -> float:
 
 
 def solve(
-    problem: Problem,
+    problem: TimeToReachProblem,
     *,
     tolerance: float | None = None,
     max_sweeps: int = 300,
     progress: Progress | None = None,
-) -> Sweeps:
+) -> SweepResult:
     """Solve; see `solver.solve`."""
-    require(memory_needed(problem), problem.points)
+    require_memory(memory_needed(problem), problem.points)
     layout = make_layout(problem)
     steps = make_steps(problem, layout, CELLS)
     unit = steps.longest
@@ -86,13 +86,13 @@ def solve(
     row_near = np.concatenate(([0], np.cumsum(np.count_nonzero((flags == NEAR).reshape(-1, last), axis=1))))
     outcomes = np.empty((int(row_near[-1]), steps.durations.shape[1]), np.float32)
     kernels().find_outcomes(
-        flags, grid, steps.durations, steps.moves, steps.controls, rate, _surroundings(problem, layout), outcomes
+        flags, grid, steps.durations, steps.moves, steps.controls, rate, _boundary_conditions(problem, layout), outcomes
     )
     n_rows = len(row_near) - 1
-    memory = Memory(np.zeros(n_rows, np.int64), np.zeros(n_rows, np.int64), np.zeros(1, np.int64))
+    memory = RowHistory(np.zeros(n_rows, np.int64), np.zeros(n_rows, np.int64), np.zeros(1, np.int64))
     quiet = [q * unit for q in _QUIET[:2]] + [min(_QUIET[2] * unit, 0.1 * tolerance)]
-    phases = [Rule(rate, math.inf, quiet[0], False)]
-    phases += [Rule(rate, crossing, q, curved) for q, curved in zip(quiet[1:], (False, True), strict=True)]
+    phases = [SweepSettings(rate, math.inf, quiet[0], False)]
+    phases += [SweepSettings(rate, crossing, q, curved) for q, curved in zip(quiet[1:], (False, True), strict=True)]
     residual, number, in_phase = math.inf, 0, 0
     while number < max_sweeps:
         bits = in_phase % (1 << len(layout.counts))
@@ -127,7 +127,7 @@ def solve(
         np.log(values, out=values)
     values *= np.float32(-1.0 / rate)
     phi = np.abs(values).reshape([problem.counts[k] for k in layout.order]).transpose(np.argsort(layout.order))
-    return Sweeps(np.ascontiguousarray(phi), number, residual, len(phases) == 1 and residual <= tolerance)
+    return SweepResult(np.ascontiguousarray(phi), number, residual, len(phases) == 1 and residual <= tolerance)
 
 
 def make_grid(layout: Layout) -> Grid:
@@ -141,7 +141,7 @@ def flat(shaped: NDArray[Any], layout: Layout) -> NDArray[Any]:
     return np.ascontiguousarray(shaped.transpose(layout.order)).ravel()
 
 
-def _surroundings(problem: Problem, layout: Layout) -> Surroundings:
+def _boundary_conditions(problem: TimeToReachProblem, layout: Layout) -> BoundaryConditions:
     """Return target and obstacles for compiled code."""
     box = np.tile((-np.inf, np.inf), (len(layout.counts), 1))
     for k, axis in enumerate(problem.axes):
@@ -158,10 +158,10 @@ def _surroundings(problem: Problem, layout: Layout) -> Surroundings:
     if problem.clearance is not None:
         clearance = problem.clearance.values.reshape(problem.clearance.values.shape[0], -1)
         clearance_axes[:] = [layout.order.index(problem.clearance.axes[i]) for i in (0, -1)]
-    return Surroundings(box, disc, disc_axes, np.ascontiguousarray(clearance, dtype=np.float32), clearance_axes)
+    return BoundaryConditions(box, disc, disc_axes, np.ascontiguousarray(clearance, dtype=np.float32), clearance_axes)
 
 
-def _flags(problem: Problem, layout: Layout, steps: Steps) -> NDArray[np.uint8]:
+def _flags(problem: TimeToReachProblem, layout: Layout, steps: Steps) -> NDArray[np.uint8]:
     """Flag the nodes (grid shape): within a step, and a cell, of the target, or within a step of an obstacle: near."""
     order = list(layout.order)
     plane = [] if problem.clearance is None else [order.index(k) for k in problem.clearance.axes]
@@ -182,7 +182,7 @@ def _flags(problem: Problem, layout: Layout, steps: Steps) -> NDArray[np.uint8]:
     return flags
 
 
-def _near_target(problem: Problem, cells: NDArray[np.float64]) -> NDArray[np.bool_]:
+def _near_target(problem: TimeToReachProblem, cells: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Which nodes lie within that many cells (n,) of the target along every axis; broadcasts to the grid."""
     near = np.ones((1,) * len(problem.axes), dtype=bool)
     for condition in _near_conditions(problem, cells):
@@ -190,7 +190,7 @@ def _near_target(problem: Problem, cells: NDArray[np.float64]) -> NDArray[np.boo
     return near
 
 
-def _near_conditions(problem: Problem, cells: NDArray[np.float64]) -> Iterator[NDArray[np.bool_]]:
+def _near_conditions(problem: TimeToReachProblem, cells: NDArray[np.float64]) -> Iterator[NDArray[np.bool_]]:
     """Yield what `_near_target` consists of: one condition an axis, and the disc's; each broadcasts to the grid."""
     for k, axis in enumerate(problem.axes):
         if axis.name in problem.target.intervals:

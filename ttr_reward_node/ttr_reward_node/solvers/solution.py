@@ -14,7 +14,7 @@ Progress = Callable[[int, float], None]
 
 
 @dataclass(frozen=True, eq=False)
-class Sweeps:
+class SweepResult:
     """Outcome of a method: phi (grid shape) [s], +inf where unreachable; sweeps; last change [s]; whether small."""
 
     phi: NDArray[np.float32]

@@ -18,7 +18,7 @@ from ctrl_rl_core.values.value_function import ValueFunction
 from ctrl_rl_core.values.value_grid import ValueGrid
 
 from ttr_reward_node.errors import TimeToReachError
-from ttr_reward_node.problems.problem import Problem, problem_from_task
+from ttr_reward_node.problems.problem import TimeToReachProblem, problem_from_task
 from ttr_reward_node.rewards.rewards import longest_time
 from ttr_reward_node.solvers import lax_friedrichs, semi_lagrangian
 from ttr_reward_node.solvers.solution import Progress, Solution
@@ -26,7 +26,7 @@ from ttr_reward_node.solvers.solution import Progress, Solution
 METHODS = {"semi_lagrangian": semi_lagrangian, "lax_friedrichs": lax_friedrichs}
 
 
-def memory_needed(problem: Problem, method: str = "semi_lagrangian") -> float:
+def memory_needed(problem: TimeToReachProblem, method: str = "semi_lagrangian") -> float:
     """Return the bytes that `solve` will take at most.
 
     Raises:
@@ -36,7 +36,7 @@ def memory_needed(problem: Problem, method: str = "semi_lagrangian") -> float:
 
 
 def solve(
-    problem: Problem,
+    problem: TimeToReachProblem,
     method: str = "semi_lagrangian",
     *,
     tolerance: float | None = None,
@@ -81,7 +81,7 @@ def solve(
         solver=method,
         residual=residual,
         notes={
-            **_surroundings(problem),
+            **_obstacle_notes(problem),
             "sweeps": str(sweeps.number),
             "converged": "yes" if sweeps.converged else "no",
             "system": problem.system.name,
@@ -92,7 +92,7 @@ def solve(
     return Solution(grid, sweeps.number, sweeps.residual, sweeps.converged, seconds, reachable, memory)
 
 
-def check_reached(problem: Problem, value: ValueFunction) -> None:
+def check_reached(problem: TimeToReachProblem, value: ValueFunction) -> None:
     """Refuse a solution of a problem whose goal nothing reaches from outside, and say why.
 
     Raises:
@@ -121,7 +121,7 @@ def solve_task(task: NavigationTask | str | Path, method: str = "semi_lagrangian
     return solve(problem_from_task(task, **options), method).grid
 
 
-def _surroundings(problem: Problem) -> dict[str, str]:
+def _obstacle_notes(problem: TimeToReachProblem) -> dict[str, str]:
     """Return what the file should say about walls and obstacles, in metres."""
     notes = {"obstacles": "no" if problem.clearance is None else "yes", "inflation": repr(float(problem.inflation))}
     if problem.corridor_width is not None:

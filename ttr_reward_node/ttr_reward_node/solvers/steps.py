@@ -19,7 +19,7 @@ from ctrl_rl_core.systems.system import System
 from numpy.typing import NDArray
 
 from ttr_reward_node.problems.dependence import dependences
-from ttr_reward_node.problems.problem import Problem
+from ttr_reward_node.problems.problem import TimeToReachProblem
 
 _BLOCK = 1 << 16  # steps that are computed at once
 _TO_PLANE = 4  # corrections of a step's duration until it ends on the plane
@@ -69,7 +69,7 @@ class Steps:
     longest: float
 
 
-def make_layout(problem: Problem) -> Layout:
+def make_layout(problem: TimeToReachProblem) -> Layout:
     """Find out which axes f depends on."""
     depends = frozenset[int]().union(*(rate.states for rate in dependences(problem.system)))
     outer = tuple(k for k in range(len(problem.axes)) if k in depends)
@@ -81,7 +81,7 @@ def make_layout(problem: Problem) -> Layout:
     return Layout(outer, inner, np.array(counts, dtype=np.int64), np.array(periodic))
 
 
-def slab_states(problem: Problem, layout: Layout) -> NDArray[np.float64]:
+def slab_states(problem: TimeToReachProblem, layout: Layout) -> NDArray[np.float64]:
     """States (slabs, n) of the outer nodes, in the problem's order; inner components are at their axis's lower end."""
     states = np.empty((layout.slabs, len(problem.axes)))
     states[:] = [axis.lower for axis in problem.axes]
@@ -91,7 +91,9 @@ def slab_states(problem: Problem, layout: Layout) -> NDArray[np.float64]:
     return states
 
 
-def pairs(problem: Problem, counts: int | tuple[int, ...]) -> tuple[NDArray[np.float64], NDArray[np.float64], int]:
+def pairs(
+    problem: TimeToReachProblem, counts: int | tuple[int, ...]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], int]:
     """Return controls (p, m) and disturbances (p, n) of all pairs, and the number of controls, the faster index.
 
     `counts` is how many samples of each control there are; two are the vertices of the box.
@@ -103,7 +105,7 @@ def pairs(problem: Problem, counts: int | tuple[int, ...]) -> tuple[NDArray[np.f
     return u, d, len(controls)
 
 
-def all_rates(
+def rates_under_all_pairs(
     system: System, states: NDArray[np.float64], u: NDArray[np.float64], d: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Return f at every state (k, n) under every pair (p, ...), shape (k, p, n), also where f depends on no state."""
@@ -111,14 +113,14 @@ def all_rates(
     return np.broadcast_to(rates, (len(states), len(u), states.shape[-1]))
 
 
-def crossing_time(problem: Problem) -> float:
+def crossing_time(problem: TimeToReachProblem) -> float:
     """Return how long the slowest axis takes to cross a cell at its top speed [s]; 0 where nothing moves."""
     u, d, _ = pairs(problem, 2)
     spacings = np.array([axis.spacing for axis in problem.axes])
     return _longest(problem.system, slab_states(problem, make_layout(problem)), u, d, spacings)
 
 
-def make_steps(problem: Problem, layout: Layout, cells: Sequence[float]) -> Steps:
+def make_steps(problem: TimeToReachProblem, layout: Layout, cells: Sequence[float]) -> Steps:
     """Tabulate the steps; `cells` is how far they go: every control with every one of these lengths."""
     u, d, controls = pairs(problem, problem.control_counts)
     states = slab_states(problem, layout)
@@ -134,7 +136,7 @@ def make_steps(problem: Problem, layout: Layout, cells: Sequence[float]) -> Step
             h = _durations(problem, layout, x, u, d, spacings, length, length * longest)
             durations[block, :, i] = h.reshape(-1, disturbances, controls)
     # Before the moves, which take the most memory, are allocated.
-    useful = np.flatnonzero(_useful(problem, durations, cells, longest))
+    useful = np.flatnonzero(_controls_to_keep(problem, durations, cells, longest))
     if len(useful) < controls:
         durations = np.take(durations, useful, axis=-1)
         u, d = (pair.reshape(disturbances, controls, -1)[:, useful].reshape(-1, pair.shape[-1]) for pair in (u, d))
@@ -157,8 +159,8 @@ def make_steps(problem: Problem, layout: Layout, cells: Sequence[float]) -> Step
     )
 
 
-def _useful(
-    problem: Problem, durations: NDArray[np.float64], cells: Sequence[float], longest: float
+def _controls_to_keep(
+    problem: TimeToReachProblem, durations: NDArray[np.float64], cells: Sequence[float], longest: float
 ) -> NDArray[np.bool_]:
     """Which controls to keep: the vertices, and those between that do not always make for very short steps.
 
@@ -181,14 +183,14 @@ def _longest(
     top = np.zeros(len(spacings))
     size = max(1, _BLOCK // len(u))
     for begin in range(0, len(states), size):
-        rates = np.abs(all_rates(system, states[begin : begin + size], u, d))
+        rates = np.abs(rates_under_all_pairs(system, states[begin : begin + size], u, d))
         top = np.maximum(top, rates.max(axis=(0, 1)))
     top /= spacings
     return float(1.0 / top[top > 0].min()) if top.any() else 0.0
 
 
 def _durations(
-    problem: Problem,
+    problem: TimeToReachProblem,
     layout: Layout,
     x: NDArray[np.float64],
     u: NDArray[np.float64],
@@ -198,7 +200,7 @@ def _durations(
     longest: float,
 ) -> NDArray[np.float64]:
     """Durations (block, pairs) of steps that end `cells` away, or at the edge of the grid on an outer axis."""
-    rates = np.abs(all_rates(problem.system, x[:, 0], u, d)) / spacings
+    rates = np.abs(rates_under_all_pairs(problem.system, x[:, 0], u, d)) / spacings
     with np.errstate(divide="ignore"):
         h = np.minimum(cells / rates.max(axis=-1), longest)
     # How far it is to the edges; without limit on periodic and inner axes.

@@ -19,7 +19,7 @@ from ctrl_rl_core.values.value_function import ValueFunction, check_function
 from numpy.typing import NDArray
 
 from ttr_reward_node.errors import TimeToReachError
-from ttr_reward_node.problems.problem import Problem, problem_from_task
+from ttr_reward_node.problems.problem import TimeToReachProblem, problem_from_task
 from ttr_reward_node.rewards.rewards import KIND
 from ttr_reward_node.solvers.solution import Progress
 from ttr_reward_node.solvers.solver import solve
@@ -82,7 +82,7 @@ def check_task(
 
 def check_value(
     value: ValueFunction, task: NavigationTask, *, width: float | None = None, states: int = 1000, seed: int = 0
-) -> tuple[dict[str, float], Problem]:
+) -> tuple[dict[str, float], TimeToReachProblem]:
     """Drive from random states by a value function of a task, in the task's world, and return figures and problem.
 
     Figures are those of `check_task`.
@@ -113,7 +113,7 @@ def check_value(
 
 
 def random_starts(
-    value: ValueFunction, problem: Problem, count: int, seed: int = 0, *, world: World | None = None
+    value: ValueFunction, problem: TimeToReachProblem, count: int, seed: int = 0, *, world: World | None = None
 ) -> NDArray[np.float64]:
     """Draw random states (count, n), outside the target and the world's obstacles, from which it can be reached.
 
@@ -145,7 +145,7 @@ def as_line(figures: Mapping[str, float]) -> str:
     )
 
 
-def advice(figures: Mapping[str, float], problem: Problem, radius: float) -> str:
+def advice(figures: Mapping[str, float], problem: TimeToReachProblem, radius: float) -> str:
     """Return why roll-outs collide and what to do about it; empty where they hardly do, or with a margin.
 
     Args:

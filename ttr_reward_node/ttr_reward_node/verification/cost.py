@@ -18,7 +18,7 @@ from ctrl_rl_core.systems.system import make_system
 from ctrl_rl_core.tasks.regions import Region
 from ctrl_rl_core.values.grid_axis import Axis
 
-from ttr_reward_node.problems.problem import Problem
+from ttr_reward_node.problems.problem import TimeToReachProblem
 from ttr_reward_node.solvers.decomposition import PLANAR_QUADROTOR_4D, PLANAR_QUADROTOR_FIVE, Decomposition, split
 from ttr_reward_node.solvers.solver import memory_needed, solve
 
@@ -101,7 +101,7 @@ CASES = {
 
 
 @cache
-def make_problem(name: str, points: float) -> Problem:
+def make_problem(name: str, points: float) -> TimeToReachProblem:
     """Return the case's problem on a grid of about so many points; at least three nodes on each axis."""
     case = CASES[name]
     system = make_system(case.system)
@@ -117,7 +117,7 @@ def make_problem(name: str, points: float) -> Problem:
         for state in system.states
     )
     target = Region({state: Interval(*bounds) for state, bounds in case.target.items()})
-    whole = Problem(system, axes, target, control_counts=3 if len(system.controls) < 3 else 2, name=name)
+    whole = TimeToReachProblem(system, axes, target, control_counts=3 if len(system.controls) < 3 else 2, name=name)
     return whole if case.piece is None else split(whole, case.piece[0])[case.piece[1]].problem
 
 

@@ -1,7 +1,7 @@
 """What a decomposition costs: its lower bound against the solution of the whole system, on the same nodes.
 
     problem = problem_from_task("quad_ttr", counts=COARSE_QUADROTOR)
-    gaps = measure_gap(problem, DECOMPOSITIONS["planar_quadrotor"].values())
+    gaps = measure_decomposition_errors(problem, DECOMPOSITIONS["planar_quadrotor"].values())
     gaps[0].summary()
 
 The whole is solved once, on a grid as fine as six dimensions allow; each decomposition is solved on the same axes. Both
@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ttr_reward_node.problems.problem import Problem
+from ttr_reward_node.problems.problem import TimeToReachProblem
 from ttr_reward_node.solvers.decomposition import Decomposition, solve_parts
 from ttr_reward_node.solvers.solution import Solution
 from ttr_reward_node.solvers.solver import solve
@@ -31,7 +31,7 @@ Progress = Callable[[str, int, float], None]
 
 
 @dataclass(frozen=True, eq=False)
-class Gap:
+class DecompositionErrors:
     """The time to reach of the whole and its lower bound from one decomposition.
 
     Attributes:
@@ -43,7 +43,7 @@ class Gap:
         converged: whether all solutions did.
     """
 
-    problem: Problem
+    problem: TimeToReachProblem
     decomposition: str
     whole: NDArray[np.float32]
     bound: NDArray[np.float32]
@@ -90,13 +90,13 @@ class Gap:
         }
 
 
-def measure_gap(
-    problem: Problem,
+def measure_decomposition_errors(
+    problem: TimeToReachProblem,
     decompositions: Iterable[Decomposition],
     method: str = "semi_lagrangian",
     *,
     progress: Progress | None = None,
-) -> tuple[Gap, ...]:
+) -> tuple[DecompositionErrors, ...]:
     """Solve the whole and its decompositions on the same axes.
 
     Args:
@@ -109,15 +109,15 @@ def measure_gap(
         TimeToReachError: the whole does not fit into memory, or see `split`.
     """
 
-    def told(name: str) -> Callable[[int, float], None] | None:
+    def progress_of(name: str) -> Callable[[int, float], None] | None:
         return None if progress is None else lambda sweep, change: progress(name, sweep, change)
 
-    whole = solve(problem, method, progress=told("whole"))
+    whole = solve(problem, method, progress=progress_of("whole"))
     gaps = []
     for decomposition in decompositions:
-        _, _, parts = solve_parts(problem, decomposition, method, progress=told(decomposition.name))
+        _, _, parts = solve_parts(problem, decomposition, method, progress=progress_of(decomposition.name))
         gaps.append(
-            Gap(
+            DecompositionErrors(
                 problem=problem,
                 decomposition=decomposition.name,
                 whole=whole.grid.values.astype(np.float32, copy=False),
@@ -131,7 +131,7 @@ def measure_gap(
     return tuple(gaps)
 
 
-def at_nodes(problem: Problem, parts: Sequence[Solution]) -> NDArray[np.float32]:
+def at_nodes(problem: TimeToReachProblem, parts: Sequence[Solution]) -> NDArray[np.float32]:
     """Return the maximum of the parts' solutions at the nodes of the whole, whose axes they share."""
     names = problem.system.state_names
     bound = np.full(problem.counts, -np.inf, dtype=np.float32)
@@ -142,7 +142,7 @@ def at_nodes(problem: Problem, parts: Sequence[Solution]) -> NDArray[np.float32]
     return bound
 
 
-def as_table(gaps: Sequence[Gap]) -> str:
+def as_table(gaps: Sequence[DecompositionErrors]) -> str:
     """Return the summaries for people, one line each."""
     lines = [
         f"{'decomposition':<14}{'obstacles':>10}{'nodes':>11}{'mean':>9}{'median':>9}{'p95':>9}{'relative':>10}"

@@ -15,8 +15,8 @@ from ctrl_rl_core.geometry.units import Interval
 from numpy.typing import NDArray
 
 from ttr_reward_node.errors import TimeToReachError
-from ttr_reward_node.jit_cache import cached
-from ttr_reward_node.problems.problem import Problem
+from ttr_reward_node.jit_cache import cached_njit
+from ttr_reward_node.problems.problem import TimeToReachProblem
 from ttr_reward_node.verification.dubins_words import TURNS, end_of, positive, word
 
 Array = NDArray[np.float64]
@@ -37,7 +37,7 @@ class Reference:
     times: Array
 
 
-def reference(problem: Problem, count: int = 5000, seed: int = 0) -> Reference:
+def reference(problem: TimeToReachProblem, count: int = 5000, seed: int = 0) -> Reference:
     """Draw random states outside the target from which the shortest path stays on the grid, with their exact times.
 
     Args:
@@ -66,7 +66,7 @@ def reference(problem: Problem, count: int = 5000, seed: int = 0) -> Reference:
     return Reference(states[:count], times[:count])
 
 
-@cached
+@cached_njit
 def _reach(x: float, y: float, direction: float, box: Array) -> float:
     """Return how far it is from a point in a direction to the box's positions; inf where the ray misses them."""
     near, far = 0.0, math.inf
@@ -81,7 +81,7 @@ def _reach(x: float, y: float, direction: float, box: Array) -> float:
     return near if near <= far + _GRAZE else math.inf
 
 
-@cached
+@cached_njit
 def _base(kind: int, pose: Array, end: float, direction: float) -> tuple[float, float]:
     """Return where the two turns of a word with a straight piece lead without that piece, from pose to heading end."""
     x, y, a = pose
@@ -91,7 +91,7 @@ def _base(kind: int, pose: Array, end: float, direction: float) -> tuple[float, 
     return x, y
 
 
-@cached
+@cached_njit
 def _straight_word(kind: int, pose: Array, end: float, t: float, box: Array) -> tuple[float, float]:
     """Return the segments p and q of a word with a straight piece that arrives with heading `end` after a turn by t.
 
@@ -104,7 +104,7 @@ def _straight_word(kind: int, pose: Array, end: float, t: float, box: Array) -> 
     return _reach(x, y, direction, box), q
 
 
-@cached
+@cached_njit
 def _aim(kind: int, pose: Array, end: float, box: Array, i: int) -> float:
     """Return the i-th of the first turns worth trying: at corners, middle and sides of the box, then evenly spread."""
     a, turn = pose[2], TURNS[kind, 0]
@@ -132,7 +132,7 @@ def _aim(kind: int, pose: Array, end: float, box: Array, i: int) -> float:
     return 2.0 * math.pi * (i - 16) / (_AIMS - 16)
 
 
-@cached
+@cached_njit
 def _arrive(kind: int, pose: Array, t: float, p: float, box: Array) -> float:
     """Return the last segment q of a word of three turns until it is in the box; inf where it misses it."""
     x, y, a = end_of(kind, t, p, 0.0, pose[0], pose[1], pose[2], t + p)
@@ -160,7 +160,7 @@ def _arrive(kind: int, pose: Array, t: float, p: float, box: Array) -> float:
     return best
 
 
-@cached
+@cached_njit
 def _inside(x: float, y: float, a: float, box: Array) -> bool:
     """Tell whether a pose lies in the box, to rounding."""
     turned = (a - box[2, 0] + _GRAZE) % (2.0 * math.pi)
@@ -168,7 +168,7 @@ def _inside(x: float, y: float, a: float, box: Array) -> bool:
     return at and turned <= box[2, 1] - box[2, 0] + 2.0 * _GRAZE
 
 
-@cached
+@cached_njit
 def _path(kind: int, pose: Array, one: float, two: float, box: Array) -> tuple[float, float, float]:
     """Return the segments of a word by its two free numbers; inf where it does not lead to the box.
 
@@ -182,7 +182,7 @@ def _path(kind: int, pose: Array, one: float, two: float, box: Array) -> tuple[f
     return one, two, _arrive(kind, pose, one, two, box)
 
 
-@cached
+@cached_njit
 def _refine(kind: int, pose: Array, one: float, two: float, box: Array) -> tuple[float, float, float]:
     """Improve a word by its two free numbers, one at a time and both together, and return its segments."""
     t, p, q = _path(kind, pose, one, two, box)
@@ -202,7 +202,7 @@ def _refine(kind: int, pose: Array, one: float, two: float, box: Array) -> tuple
     return t, p, q
 
 
-@cached
+@cached_njit
 def _segments(kind: int, pose: Array, end: Array) -> tuple[float, float, float]:
     """Return the segments of a word from one pose to another."""
     c, s = math.cos(pose[2]), math.sin(pose[2])
@@ -211,7 +211,7 @@ def _segments(kind: int, pose: Array, end: Array) -> tuple[float, float, float]:
     return segments
 
 
-@cached
+@cached_njit
 def _between(kind: int, pose: Array, box: Array) -> tuple[float, float, float]:
     """Return the segments of a word of three turns to the best of the box's poses: its corners are narrow ends."""
     size = box[:, 1] - box[:, 0]
@@ -247,7 +247,7 @@ def _between(kind: int, pose: Array, box: Array) -> tuple[float, float, float]:
     return segments
 
 
-@cached
+@cached_njit
 def to_box(states: Array, box: Array) -> tuple[Array, Array]:
     """Find the shortest paths from states (N, 3) to box (3, 2).
 
@@ -298,7 +298,7 @@ def to_box(states: Array, box: Array) -> tuple[Array, Array]:
     return lengths, paths
 
 
-@cached
+@cached_njit
 def stays_in(states: Array, paths: Array, low: float, high: float) -> NDArray[np.bool_]:
     """Tell whether the path (N, 4) of `to_box` from each state keeps x and y in [low, high], (N,)."""
     out = np.ones(len(states), np.bool_)

@@ -6,20 +6,20 @@ import math
 
 import numpy as np
 
-from ttr_reward_node.jit_cache import cached
+from ttr_reward_node.jit_cache import cached_njit
 
 LSL, RSR, LSR, RSL, RLR, LRL = range(6)
 TURNS = np.array([[1, 0, 1], [-1, 0, -1], [1, 0, -1], [-1, 0, 1], [-1, 1, -1], [1, -1, 1]])
 
 
-@cached
+@cached_njit
 def positive(angle: float) -> float:
     """Return an angle in [0, 2 pi); a whole turn to rounding is none."""
     angle = angle % (2 * math.pi)
     return 0.0 if angle > 2 * math.pi - 1e-12 else angle
 
 
-@cached
+@cached_njit
 def word(kind: int, x: float, y: float, angle: float) -> tuple[float, float, float]:
     """Return segments (t, p, q) of one word from the origin to (x, y, angle); inf where it does not exist."""
     none = (math.inf, math.inf, math.inf)
@@ -58,7 +58,7 @@ def word(kind: int, x: float, y: float, angle: float) -> tuple[float, float, flo
     return t, p, q
 
 
-@cached
+@cached_njit
 def end_of(
     kind: int, t: float, p: float, q: float, x: float, y: float, angle: float, s: float
 ) -> tuple[float, float, float]:
@@ -78,7 +78,7 @@ def end_of(
     return x, y, angle
 
 
-@cached
+@cached_njit
 def distance(x0: float, y0: float, a0: float, x1: float, y1: float, a1: float) -> tuple[float, int]:
     """Return the length of the shortest path between two poses, and its word."""
     c, s = math.cos(a0), math.sin(a0)

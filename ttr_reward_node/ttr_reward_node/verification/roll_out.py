@@ -19,7 +19,7 @@ from ctrl_rl_core.values.value_function import ValueFunction
 from numpy.typing import ArrayLike, NDArray
 
 from ttr_reward_node.errors import TimeToReachError
-from ttr_reward_node.problems.problem import Problem
+from ttr_reward_node.problems.problem import TimeToReachProblem
 from ttr_reward_node.solvers.steps import crossing_time
 
 Array = NDArray[np.float64]
@@ -50,7 +50,7 @@ class RollOuts:
 
 
 def best_control(
-    value: ValueFunction, problem: Problem, states: Array, controls: Array, look_ahead: float
+    value: ValueFunction, problem: TimeToReachProblem, states: Array, controls: Array, look_ahead: float
 ) -> NDArray[np.int64]:
     """Index of the greedy control (N,) at states (N, n), among controls (k, m)."""
     chosen = np.zeros(len(states), dtype=np.int64)
@@ -70,7 +70,7 @@ def best_control(
 
 def roll_out(
     value: ValueFunction,
-    problem: Problem,
+    problem: TimeToReachProblem,
     states: ArrayLike,
     *,
     world: World | None = None,

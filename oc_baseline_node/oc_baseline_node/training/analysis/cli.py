@@ -80,7 +80,7 @@ def _analyse(options: argparse.Namespace) -> int:
 
 
 def _mismatch(options: argparse.Namespace) -> int:
-    from oc_baseline_node.training.analysis.mismatch import STEPS, heavier, transition_errors
+    from oc_baseline_node.training.analysis.mismatch import STEPS, transition_errors, with_extra_mass
 
     pairs: dict[str, tuple[NavigationTask, NavigationTask]] = {}
     for name in THESIS_MISMATCH:
@@ -89,7 +89,7 @@ def _mismatch(options: argparse.Namespace) -> int:
         for per_cent in options.heavier if task.robot.body == "planar_quadrotor" else ():
             if not -100.0 < per_cent < math.inf:
                 raise OcError(f"--heavier is {per_cent:g} per cent: nothing can be that heavy")
-            pairs[f"{name}, mass and inertia {per_cent:+g} %"] = task, heavier(task, per_cent)
+            pairs[f"{name}, mass and inertia {per_cent:+g} %"] = task, with_extra_mass(task, per_cent)
     rows = []
     for label, (task, plant) in pairs.items():
         errors = transition_errors(task, options.roll_outs, options.seed, plant)
@@ -105,13 +105,13 @@ def _mismatch(options: argparse.Namespace) -> int:
 
 
 def _mpc(options: argparse.Namespace) -> int:
-    from oc_baseline_node.training.analysis.mismatch import drive_by_mpc
-    from oc_baseline_node.training.analysis.plots import draw_drives
+    from oc_baseline_node.training.analysis.mismatch import run_mpc_episodes
+    from oc_baseline_node.training.analysis.plots import draw_paths
 
     task = load_navigation_task(options.task)
     learnt = [] if options.learnt is None else _learnt_paths(options.learnt, task)
     with tqdm(desc="MPC", unit="step", mininterval=5.0) as bar:
-        drives = drive_by_mpc(task, options.episodes, options.seed, bar.update)
+        drives = run_mpc_episodes(task, options.episodes, options.seed, bar.update)
     rows = [
         Result("MPC in the simulator", name, "1", [float(drive.outcome == outcome) for drive in drives])
         for name, outcome in (("success", "GOAL"), ("collision rate", "COLLISION"), ("time-out rate", "TIMEOUT"))
@@ -125,7 +125,7 @@ def _mpc(options: argparse.Namespace) -> int:
         "learnt": learnt[:3],
     }
     picture = options.images / f"{task.name}_mpc.png"
-    draw_drives(paths, task, picture)
+    draw_paths(paths, task, picture)
     print(f"picture    {picture}")
     return _write(options, f"oc_mpc_{task.name}", rows, {"task": task.name, "paths": paths})
 

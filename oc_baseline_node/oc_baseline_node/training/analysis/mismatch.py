@@ -19,7 +19,7 @@ STEPS = (1, 5, 10)
 """Control steps after which Table 3.5 compares."""
 
 
-class Drive(NamedTuple):
+class EpisodeResult(NamedTuple):
     """An episode of a controller in the simulator.
 
     Attributes:
@@ -35,7 +35,7 @@ class Drive(NamedTuple):
     solved: float
 
 
-def heavier(task: NavigationTask, per_cent: float) -> NavigationTask:
+def with_extra_mass(task: NavigationTask, per_cent: float) -> NavigationTask:
     """Return the task of a quadrotor of more mass and inertia, e.g. with a battery or a sensor that its model lacks.
 
     Raises:
@@ -108,9 +108,9 @@ def _with_time_step(task: NavigationTask, time_step: float) -> NavigationTask:
     return task.model_copy(update={"episode": changed})
 
 
-def drive_by_mpc(
+def run_mpc_episodes(
     task: NavigationTask, episodes: int = 10, seed: int = 0, progress: Callable[[], object] = lambda: None
-) -> list[Drive]:
+) -> list[EpisodeResult]:
     """Run MPC with a receding horizon in the simulator, as Fig. 3.17 does: it plans with the model alone.
 
     Args:
@@ -136,7 +136,7 @@ def drive_by_mpc(
                 total += paid
                 over = terminated or truncated
                 progress()
-            drives.append(Drive(info["outcome"], np.array(states), total, solved / (len(states) - 1)))
+            drives.append(EpisodeResult(info["outcome"], np.array(states), total, solved / (len(states) - 1)))
     finally:
         environment.close()
     return drives

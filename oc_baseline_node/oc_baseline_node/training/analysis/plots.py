@@ -15,7 +15,7 @@ from matplotlib import pyplot as plt
 _COLOURS = {"MPC": "tab:green", "learnt": "tab:blue"}
 
 
-def draw_drives(paths: Mapping[str, Sequence[Mapping[str, Any]]], task: NavigationTask, path: Path) -> None:
+def draw_paths(paths: Mapping[str, Sequence[Mapping[str, Any]]], task: NavigationTask, path: Path) -> None:
     """Draw the paths of controllers, by name, each with how it ended."""
     plane = position_indices(task.system.build().state_names)
     figure, ax = plt.subplots(figsize=(5.0, 5.0), layout="constrained")

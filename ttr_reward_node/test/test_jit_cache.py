@@ -11,8 +11,8 @@ PROGRAM = """
 import sys
 sys.path.insert(0, {folder!r})
 from twice import twice
-from ttr_reward_node.jit_cache import cached
-quick = cached(twice)
+from ttr_reward_node.jit_cache import cached_njit
+quick = cached_njit(twice)
 print(quick(21.0), sum(quick.stats.cache_hits.values()))
 """
 

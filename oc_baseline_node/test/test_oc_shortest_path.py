@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from ctrl_rl_core.tasks.regions import Region
 from ctrl_rl_core.tasks.task import load_navigation_task
-from oc_baseline_node.mpc.initial_guess import Guesses, braking
+from oc_baseline_node.mpc.initial_guess import InitialGuesses, braking_guess
 from oc_baseline_node.mpc.mpc import Mpc
-from oc_baseline_node.mpc.shortest_path import Ways
+from oc_baseline_node.mpc.shortest_path import ShortestPathPlanner
 from oc_baseline_node.problems.problem import formulate
 from oc_baseline_node.problems.start_states import draw_start
 
@@ -18,24 +18,24 @@ TASKS = ("car_navigation", "quad_navigation", "quad_trap")
 @pytest.mark.parametrize("name", TASKS)
 def test_a_way_leads_from_anywhere_to_the_goal_and_keeps_clear(name):
     problem = formulate(load_navigation_task(name))
-    ways, random, goal = Ways(problem), np.random.default_rng(1), np.array(problem.goal)
+    planner, random, goal = ShortestPathPlanner(problem), np.random.default_rng(1), np.array(problem.goal)
     states = np.zeros((141, len(problem.system.states)))
     for _ in range(100):
         position = draw_start(problem, random)[problem.positions]
-        way = ways.way(position, 141)
+        way = planner.path(position, 141)
         np.testing.assert_allclose(way[[0, -1]], [position, goal], atol=1e-9)
         states[:, problem.positions] = way
         # Between two nodes it may cut a corner by less than their distance.
         assert problem.margin(states).min() > -0.1
         length, straight = np.hypot(*np.diff(way, axis=0).T).sum(), np.hypot(*(goal - position))
         assert length >= straight - 1e-9
-        if ways.straight(position):
+        if planner.is_straight(position):
             assert length < 1.1 * straight + 0.4
 
 
 def test_a_guess_goes_round_only_where_it_must():
     problem = formulate(load_navigation_task("quad_navigation"))
-    guesses = Guesses(problem)
+    guesses = InitialGuesses(problem)
     under_the_box, beside_it = np.zeros(6), np.zeros(6)
     under_the_box[[0, 2]], beside_it[[0, 2]] = (3.75, 2.0), (1.0, 6.5)
     assert len(guesses(under_the_box)) == 2
@@ -61,5 +61,5 @@ def test_who_hovers_under_a_box_is_not_doomed():
     hovering, diving = np.zeros(6), np.zeros(6)
     hovering[[0, 2]], diving[[0, 2, 3]] = (3.6, 2.0), (3.6, 1.0, -8.0)
     mpc = Mpc(clear)
-    assert mpc.solve(hovering, braking(clear, hovering)).solved
-    assert not mpc.solve(diving, braking(clear, diving)).solved
+    assert mpc.solve(hovering, braking_guess(clear, hovering)).solved
+    assert not mpc.solve(diving, braking_guess(clear, diving)).solved

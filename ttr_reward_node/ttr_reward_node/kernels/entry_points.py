@@ -13,7 +13,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ttr_reward_node.jit_cache import cached
+from ttr_reward_node.jit_cache import cached_njit
 from ttr_reward_node.kernels import boundary_conditions, lax_friedrichs_sweep, sweep
 
 KERNEL_FILES = ("stencil.py", "row_interpolation.py", "boundary_conditions.py", "sweep.py", "lax_friedrichs_sweep.py")
@@ -49,4 +49,6 @@ def _make(checksum: int) -> Kernels:
         assert checksum >= 0
         return lax_friedrichs_sweep.sweep(*arguments)
 
-    return Kernels(*(cached(entry, error_model="numpy") for entry in (find_outcomes, semi_lagrangian, lax_friedrichs)))
+    return Kernels(
+        *(cached_njit(entry, error_model="numpy") for entry in (find_outcomes, semi_lagrangian, lax_friedrichs))
+    )

@@ -12,17 +12,17 @@ from ctrl_rl_core.tasks.task_sets import TaskSets
 from ctrl_rl_core.values.value_function import ValueFunction, check_function
 from numpy.typing import NDArray
 
-from ttr_reward_node.rewards.rewards import KIND, check_useful, end_reward, longest_time, time_to_reach_reward
+from ttr_reward_node.rewards.rewards import KIND, check_informative, end_reward, longest_time, time_to_reach_reward
 
 
-class Label(NamedTuple):
+class EvaluatedReward(NamedTuple):
     """The set that a state lies in, and what it pays; NaN for an intermediate state outside the value function."""
 
     outcome: Outcome
     reward: float
 
 
-class Labeller:
+class RewardEvaluator:
     """Labels states of one task.
 
     Args:
@@ -41,15 +41,17 @@ class Labeller:
 
     def __init__(self, task: NavigationTask, function: ValueFunction, width: float | None = None) -> None:
         self.up_to_date = check_function(function, task, KIND)
-        check_useful(function)
+        check_informative(function)
         self._sets = TaskSets(task, width)
         self._rewards = task.rewards
         self._longest = longest_time(function)
 
-    def __call__(self, state: NDArray[np.float64], phi: float) -> Label:
+    def __call__(self, state: NDArray[np.float64], phi: float) -> EvaluatedReward:
         """Return the label of a state (n,) whose time to reach is phi [s], +inf or NaN."""
         outcome = Outcome(int(self._sets.outcomes(state)))
         if outcome is not Outcome.RUNNING:
-            return Label(outcome, float(end_reward(outcome, self._rewards)))
+            return EvaluatedReward(outcome, float(end_reward(outcome, self._rewards)))
         # A learner may need a number where nothing is known; whoever reads a topic shall see that nothing is.
-        return Label(outcome, math.nan if math.isnan(phi) else float(time_to_reach_reward(phi, self._longest)))
+        return EvaluatedReward(
+            outcome, math.nan if math.isnan(phi) else float(time_to_reach_reward(phi, self._longest))
+        )
