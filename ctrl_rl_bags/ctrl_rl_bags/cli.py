@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
+from typing import Annotated
 
-from ctrl_rl_core.command import run_command
+import tyro
+from ctrl_rl_core.command import checked, checked_list, parse_options, run_command
 
 from ctrl_rl_bags.format.checks import printable
 from ctrl_rl_bags.format.mcap_records import DEFAULT_LIMITS, Limits
@@ -15,69 +17,103 @@ from ctrl_rl_bags.format.reader import bag_info
 from ctrl_rl_bags.format.recovery import recover
 
 _LONGEST_VALUE = 20_000
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command and return its exit code: 0 done, 1 failed, 2 wrong usage."""
-    options = _parser().parse_args(arguments)
-    return run_command(f"bag {options.command}", lambda: int(options.run(options)))
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="bag", description="Look into, mend and play bags.")
-    commands = parser.add_subparsers(dest="command", required=True)
-
-    limited = argparse.ArgumentParser(add_help=False)
-    limited.add_argument(
-        "--max-chunk-mb", type=_limits, default=DEFAULT_LIMITS, metavar="MB", dest="limits",
-        help=f"the largest chunk or message that is read (default: {DEFAULT_LIMITS.chunk_bytes >> 20})",
-    )  # fmt: skip
-
-    info = commands.add_parser("info", help="say what a bag holds", parents=[limited])
-    info.add_argument("folder", help="the bag")
-    info.set_defaults(run=_info)
-
-    mend = commands.add_parser(
-        "recover", help="mend a bag that was cut off; the bag itself is only read", parents=[limited]
-    )
-    mend.add_argument("folder", help="the bag, or one .mcap file of it")
-    mend.add_argument("-o", "--output", help="folder of the mended bag (default: FOLDER_recovered)")
-    mend.set_defaults(run=_recover)
-
-    play = commands.add_parser("play", help="publish a bag again", parents=[limited])
-    play.add_argument("folder", help="the bag")
-    play.add_argument("--rate", type=float, default=1.0, help="speed; 1 is that of the recording (default: 1)")
-    play.add_argument("--topics", nargs="+", default=(), metavar="TOPIC", help="play these alone")
-    play.add_argument("--remap", nargs="+", default=(), metavar="OLD:=NEW", type=_remap, help="publish under new names")
-    play.add_argument("--loop", action="store_true", help="begin again at the end, until Ctrl-C")
-    play.add_argument("--clock", action="store_true", help="publish the bag's time on /clock, at 100 Hz")
-    play.add_argument("--start-offset", type=float, default=0.0, metavar="S", help="leave out the first seconds")
-    play.add_argument(
-        "--wait-for-subscribers", type=float, default=1.0, metavar="S",
-        help="wait so long for a subscriber on every topic (default: 1)",
-    )  # fmt: skip
-    play.set_defaults(run=_play)
-    return parser
+_MB = 20
+"""Bits of a megabyte."""
 
 
 def _remap(text: str) -> tuple[str, str]:
     old, separator, new = text.partition(":=")
     if not (old and separator and new):
-        raise argparse.ArgumentTypeError(f"'{text}' must be OLD:=NEW")
+        raise ValueError(f"'{text}' must be OLD:=NEW")
     return old, new
 
 
 def _limits(text: str) -> Limits:
     try:
-        size = int(text) << 20
+        size = int(text) << _MB
     except ValueError:
         size = 0
     if not 0 < size <= 1 << 40:
-        raise argparse.ArgumentTypeError(f"'{text}' must be a whole number of MB from 1 to {1 << 20}")
+        raise ValueError(f"'{text}' must be a whole number of MB from 1 to {1 << 20}")
     return Limits(chunk_bytes=size, open_bytes=2 * size)
 
 
-def _info(options: argparse.Namespace) -> int:
+_MaxChunk = Annotated[
+    Limits,
+    checked(_limits, "MB", show=lambda limits: str(limits.chunk_bytes >> _MB)),
+    tyro.conf.arg(name="max-chunk-mb"),
+]
+_Folder = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER")]
+_Topics = Annotated[tuple[str, ...], checked_list(str, "TOPIC")]
+_Remaps = Annotated[tuple[tuple[str, str], ...], checked_list(_remap, "OLD:=NEW", show=":=".join)]
+
+
+@dataclass(frozen=True)
+class Info:
+    """Show the files, duration, topics and metadata of a bag."""
+
+    folder: _Folder
+    """Folder of the bag, or one .mcap file."""
+    limits: _MaxChunk = DEFAULT_LIMITS
+    """Largest chunk or message that is read [MB]."""
+
+
+@dataclass(frozen=True)
+class Recover:
+    """Copy what is readable of a bag that was cut off into a new one; the bag itself is only read."""
+
+    folder: _Folder
+    """Folder of the bag, or one .mcap file."""
+    output: Annotated[str | None, tyro.conf.arg(aliases=["-o"])] = None
+    """Folder of the recovered bag; FOLDER_recovered where none is given."""
+    limits: _MaxChunk = DEFAULT_LIMITS
+    """Largest chunk or message that is read [MB]."""
+
+
+@dataclass(frozen=True)
+class Play:
+    """Publish the messages of a bag, in their order and rhythm, with the recorded QoS."""
+
+    folder: _Folder
+    """Folder of the bag, or one .mcap file."""
+    rate: float = 1.0
+    """Speed as a multiple of the recording's."""
+    topics: _Topics = ()
+    """Names of the topics to play; all where none is given."""
+    remap: _Remaps = ()
+    """New names of topics."""
+    loop: bool = False
+    """Start again at the end, until Ctrl-C."""
+    clock: bool = False
+    """Publish the bag's time on /clock at 100 Hz."""
+    start_offset: float = 0.0
+    """Time to skip at the beginning of the bag [s]."""
+    wait_for_subscribers: float = 1.0
+    """Longest time to wait for a subscriber on every topic [s]."""
+    limits: _MaxChunk = DEFAULT_LIMITS
+    """Largest chunk or message that is read [MB]."""
+
+
+_Command = (
+    Annotated[Info, tyro.conf.subcommand("info")]
+    | Annotated[Recover, tyro.conf.subcommand("recover")]
+    | Annotated[Play, tyro.conf.subcommand("play")]
+)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command and return its exit code: 0 done, 1 failed, 2 wrong usage."""
+    options: Info | Recover | Play = parse_options("bag", _Command, arguments, "Inspect, recover and play bags.")
+    match options:
+        case Info():
+            return run_command("bag info", lambda: _info(options))
+        case Recover():
+            return run_command("bag recover", lambda: _recover(options))
+        case Play():
+            return run_command("bag play", lambda: _play(options))
+
+
+def _info(options: Info) -> int:
     info = bag_info(options.folder, options.limits)
     print(f"bag       {info.folder}")
     print(f"files     {printable(', '.join(info.files))}")
@@ -85,7 +121,7 @@ def _info(options: argparse.Namespace) -> int:
     print(f"duration  {(info.end - info.start) * 1e-9:.3f} s")
     print(f"messages  {info.message_count}")
     if info.unchecked:
-        print(f"checksums none of {info.unchecked}: damage there cannot be seen")
+        print(f"checksums missing in {info.unchecked}: damage there cannot be detected")
     width = max((len(printable(name)) for name in info.topics), default=0)
     for name, topic in info.topics.items():
         qos = sorted({f"{profile['reliability']}, {profile['durability']}" for profile in topic.qos})
@@ -96,7 +132,7 @@ def _info(options: argparse.Namespace) -> int:
     return 0
 
 
-def _recover(options: argparse.Namespace) -> int:
+def _recover(options: Recover) -> int:
     found = recover(options.folder, options.output, progress=True, limits=options.limits)
     width = max((len(name) for name in found.messages), default=0)
     for name, count in sorted(found.messages.items()):
@@ -105,17 +141,17 @@ def _recover(options: argparse.Namespace) -> int:
     if found.start is not None and found.end is not None:
         print(f"{total} messages, {_date(found.start)}, {(found.end - found.start) * 1e-9:.3f} s")
     if found.folder is None:
-        print(f"{options.folder} is whole: nothing to mend")
+        print(f"{options.folder} is complete: nothing to recover")
         return 0
     if found.unfinished:
         print(f"cut off: {', '.join(found.unfinished)}; {found.dropped_bytes} bytes could not be read")
     if found.too_large:
-        print(f"{found.too_large} chunks or records were larger than --max-chunk-mb allows, and are left out")
-    print(f"mended bag: {found.folder}")
+        print(f"{found.too_large} chunks or records were larger than --max-chunk-mb allows and were left out")
+    print(f"recovered bag: {found.folder}")
     return 0
 
 
-def _play(options: argparse.Namespace) -> int:
+def _play(options: Play) -> int:
     # Only playing needs an installed ROS.
     from ctrl_rl_bags.recording.player import PlaybackOptions, play
 

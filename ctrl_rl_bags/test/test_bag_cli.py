@@ -117,13 +117,13 @@ def test_plays_the_bytes_in_their_rhythm(bag, listener):
 
 def test_latched_topics_are_played_latched(bag, listener):
     listener.listen("/tick", 1000)
-    process = play(bag)
+    process = play(bag, "--rate", "0.1")
     listener.spin(lambda: len(listener.heard["/tick"]) > 20)
     listener.listen("/map", LATCHED)  # long after the map was played
     listener.spin(lambda: listener.heard["/map"])
     assert listener.texts("/map") == ["map"]
     process.send_signal(signal.SIGINT)
-    _, errors = process.communicate(timeout=5)
+    _, errors = process.communicate(timeout=60)
     assert process.returncode == 0
     assert "Traceback" not in errors
 
@@ -179,7 +179,7 @@ def test_info(bag, capsys):
 
 def test_recover(bag, capsys):
     assert main(["recover", str(bag)]) == 0
-    assert "is whole" in capsys.readouterr().out
+    assert "is complete" in capsys.readouterr().out
     (bag / "metadata.yaml").unlink()
     file = bag / "bag_0.mcap"
     file.write_bytes(file.read_bytes()[:-100])
@@ -217,7 +217,7 @@ def test_a_wrong_remap_is_wrong_usage(bag, capsys):
     with pytest.raises(SystemExit) as exit_:
         main(["play", str(bag), "--remap", "tick=tock"])
     assert exit_.value.code == 2
-    assert "must be OLD:=NEW" in capsys.readouterr().err
+    assert "--remap 'tick=tock' must be OLD:=NEW" in capsys.readouterr().err
 
 
 class TestQos:

@@ -11,7 +11,7 @@ import re
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, TypeVar, overload
 
 import tyro
 from tyro._errors import (
@@ -41,21 +41,28 @@ class CommandError(CtrlRlError):
     """An option has a value that does not serve."""
 
 
+@overload
 def parse_options(
     program: str, kind: type[_Options], arguments: Sequence[str] | None = None, epilog: str = ""
-) -> _Options:
+) -> _Options: ...
+@overload
+def parse_options(program: str, kind: Any, arguments: Sequence[str] | None = None, epilog: str = "") -> Any: ...
+def parse_options(program: str, kind: Any, arguments: Sequence[str] | None = None, epilog: str = "") -> Any:
     """Return the options of a command; `--help` prints them and exits with 0.
 
     Args:
         program: Name of the command in messages.
         kind: Dataclass of the options. Its docstring describes the command, its fields' docstrings the options.
+            For a command with subcommands, the union of their dataclasses, each annotated with
+            `tyro.conf.subcommand(name)`.
         arguments: Words of the command line; those of the process unless given.
-        epilog: Text below the description in `--help`.
+        epilog: Text below the description in `--help`; for a union the whole description.
 
     Raises:
         SystemExit: with 2 after one line that says what is wrong, or with 0 after `--help`.
     """
-    description = "\n\n".join(filter(None, ((kind.__doc__ or "").strip(), epilog)))
+    own = (kind.__doc__ or "").strip() if isinstance(kind, type) else ""
+    description = "\n\n".join(filter(None, (own, epilog)))
     try:
         with on_parse_error(_refuse):
             return tyro.cli(
@@ -84,19 +91,35 @@ def _refuse(event: ParseErrorEvent) -> None:
             raise CommandError(f"{argument.display_name()} {message}" if argument else message)
 
 
-def checked(parse: Callable[[str], Any], metavar: str) -> PrimitiveConstructorSpec[Any]:
+def checked(
+    parse: Callable[[str], Any], metavar: str, show: Callable[[Any], str] = str
+) -> PrimitiveConstructorSpec[Any]:
     """Return how an option is read from one word, for use in `Annotated`.
 
     Args:
         parse: Returns the value of a word, or raises ValueError that says what is wrong with it.
-        metavar: Stands for the word in `--help`.
+        metavar: Placeholder of the word in `--help`.
+        show: Returns the word of a default, for `--help`.
     """
     return PrimitiveConstructorSpec(
         nargs=1,
         metavar=metavar,
         instance_from_str=lambda words: parse(words[0]),
         is_instance=lambda value: value is not None,
-        str_from_instance=lambda value: [str(value)],
+        str_from_instance=lambda value: [show(value)],
+    )
+
+
+def checked_list(
+    parse: Callable[[str], Any], metavar: str, show: Callable[[Any], str] = str
+) -> PrimitiveConstructorSpec[Any]:
+    """Return how an option is read from any number of words, as a tuple; the arguments are those of `checked`."""
+    return PrimitiveConstructorSpec(
+        nargs="*",
+        metavar=f"[{metavar} ...]",
+        instance_from_str=lambda words: tuple(parse(word) for word in words),
+        is_instance=lambda value: isinstance(value, tuple),
+        str_from_instance=lambda value: [show(each) for each in value],
     )
 
 
