@@ -12,9 +12,11 @@ import pytest
 
 ROOT = Path(__file__).parent
 
-# Before any test imports rclpy. Domains up to 101 are safe on every system; one per run keeps runs apart.
+# Before any test imports rclpy. Domains up to 101 are safe on every system; one per test process keeps them apart.
 os.environ["ROS_DOMAIN_ID"] = str(1 + os.getpid() % 100)
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+# Before any test imports NumPy or torch. Test processes run side by side: more threads get into each other's way.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 _GOODBYE_S = 0.1
 """Until a test's own node has heard that the others are gone: the middleware may crash where it is to end meanwhile."""
@@ -36,7 +38,7 @@ class NodeProcess:
         """What it has said so far, the middleware's own complaints left out."""
         return self._log.read_text(errors="replace")
 
-    def wait_for(self, words: str, timeout: float = 30.0) -> None:
+    def wait_for(self, words: str, timeout: float = 120.0) -> None:
         """Return once it has said `words`."""
         deadline = time.monotonic() + timeout
         while words not in self.output:
@@ -44,7 +46,7 @@ class NodeProcess:
             assert time.monotonic() < deadline, f"never said '{words}': {self.output}"
             time.sleep(0.02)
 
-    def stop(self, number: int = signal.SIGINT, timeout: float = 20.0) -> tuple[int, float]:
+    def stop(self, number: int = signal.SIGINT, timeout: float = 120.0) -> tuple[int, float]:
         """Send a signal and return exit code and how long it took to end [s]."""
         begin = time.monotonic()
         self.process.send_signal(number)

@@ -87,7 +87,7 @@ def test_a_bad_parameter_ends_it_with_one_clear_message(run_node: Callable, tmp_
     parameter, words = BAD[name]
     package, _ = NODES[name]
     process = run_node(package, name, parameter.format(folder=tmp_path))
-    assert process.process.wait(20.0) in (1, 2)
+    assert process.process.wait(120.0) in (1, 2)
     assert words in process.output
     assert "Traceback" not in process.output
     assert len(process.output.strip().splitlines()) == 1

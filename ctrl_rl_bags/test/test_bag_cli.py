@@ -103,7 +103,7 @@ def test_plays_the_bytes_in_their_rhythm(bag, listener):
     listener.listen("/map", LATCHED)
     process = play(bag, "--wait-for-subscribers", "20")
     listener.spin(lambda: len(listener.heard["/tick"]) == 100)
-    output, errors = process.communicate(timeout=10)
+    output, errors = process.communicate(timeout=120)
     assert process.returncode == 0
     assert "101 messages played" in output
     assert errors.count("/odd is not played") == 1
@@ -123,7 +123,7 @@ def test_latched_topics_are_played_latched(bag, listener):
     listener.spin(lambda: listener.heard["/map"])
     assert listener.texts("/map") == ["map"]
     process.send_signal(signal.SIGINT)
-    _, errors = process.communicate(timeout=60)
+    _, errors = process.communicate(timeout=120)
     assert process.returncode == 0
     assert "Traceback" not in errors
 
@@ -153,7 +153,7 @@ def test_rate_remap_topics_offset_and_clock(bag, listener):
     seconds = [clock.sec + 1e-9 * clock.nanosec for clock in clocks]
     assert seconds == sorted(seconds)
     assert 1001.0 <= seconds[0] < 1002.0
-    output, errors = process.communicate(timeout=10)
+    output, errors = process.communicate(timeout=120)
     assert "51 messages played" in output  # with the map, which was latched before the start
     assert errors == ""
 
@@ -163,7 +163,7 @@ def test_loops_until_stopped(bag, listener):
     process = play(bag, "--topics", "/tick", "--rate", "20", "--loop", "--wait-for-subscribers", "20")
     listener.spin(lambda: len(listener.heard["/tick"]) > 250)
     process.send_signal(signal.SIGTERM)
-    output, _ = process.communicate(timeout=5)
+    output, _ = process.communicate(timeout=120)
     assert process.returncode == 0
     assert "messages played" in output
     assert listener.texts("/tick")[:250] == [str(i % 100) for i in range(250)]
@@ -244,7 +244,7 @@ def test_a_topic_whose_name_is_none_is_not_played(tmp_path):
         writer.add_topic(string_topic("/bad name\n", LATCHED))
         writer.write("/bad name\n", text("hi"), 1)
     process = play(tmp_path / "bag")
-    _, errors = process.communicate(timeout=60)
+    _, errors = process.communicate(timeout=120)
     assert process.returncode == 1
     first, second = errors.strip().splitlines()
     assert first.startswith("bag play: /bad name\\n is not played: Invalid topic name")

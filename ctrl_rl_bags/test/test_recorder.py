@@ -119,7 +119,7 @@ def test_asks_for_less_when_a_best_effort_publisher_joins(start, tmp_path):
 )
 def test_refusals_are_one_line(start, tmp_path, parameter, code, words):
     process = record(start, tmp_path / "bag", parameter)
-    _, errors = process.communicate(timeout=20)
+    _, errors = process.communicate(timeout=120)
     assert process.returncode == code
     assert words in errors
     assert len(errors.strip().splitlines()) == 1
@@ -128,7 +128,7 @@ def test_refusals_are_one_line(start, tmp_path, parameter, code, words):
 
 def test_stops_with_a_whole_bag_when_the_disk_fills(start, tmp_path):
     recorder = record(start, tmp_path / "bag", "min_free_mb:=1000000")
-    _, errors = recorder.communicate(timeout=20)
+    _, errors = recorder.communicate(timeout=120)
     assert recorder.returncode == 1
     assert "left on the disk" in errors
     assert "Traceback" not in errors

@@ -81,7 +81,7 @@ def failing(request, tmp_path: Path) -> Iterator[Failing]:
     yield out
     if out.process.poll() is None:
         out.process.terminate()
-        out.process.wait(10.0)
+        out.process.wait(120.0)
     out.node.destroy_node()
     rclpy.try_shutdown()
 
@@ -149,7 +149,7 @@ def test_a_parameter_of_unknown_type_is_refused_and_counted(failing: Failing) ->
 
 def test_a_fatal_error_ends_it_with_one_line(failing: Failing) -> None:
     failing.set("fatal", ParameterValue(type=ParameterType.PARAMETER_BOOL, bool_value=True))
-    assert failing.process.wait(10.0) == 1
+    assert failing.process.wait(120.0) == 1
     assert failing.output.strip().splitlines()[-1] == "failing_node.py: the work is over"
 
 
@@ -157,7 +157,7 @@ def test_a_signal_cuts_off_what_a_callback_loads(failing: Failing) -> None:
     failing.say("load")
     failing.wait(lambda: "loads" in failing.output)
     failing.process.send_signal(signal.SIGINT)
-    assert failing.process.wait(20.0) == 0
+    assert failing.process.wait(120.0) == 0
     assert "Traceback" not in failing.output
 
 
@@ -167,4 +167,4 @@ def test_the_executor_is_said(failing: Failing) -> None:
 
 def test_it_may_still_exit_by_itself(failing: Failing) -> None:
     failing.say("exit")
-    assert failing.process.wait(10.0) == 7
+    assert failing.process.wait(120.0) == 7

@@ -90,7 +90,7 @@ class Base:
     def close(self) -> None:
         if self.process.poll() is None:
             self.process.send_signal(signal.SIGINT)
-            self.process.wait(5.0)
+            self.process.wait(120.0)
         self.node.destroy_node()
         rclpy.try_shutdown()
 
@@ -136,7 +136,7 @@ def test_it_stands_without_recent_input_says_so_once_and_leaves_the_robot_standi
     assert base.answer(0.15, 0.0).twist.linear.x == 0.15, "it goes on by itself"
     before = len(base.commands)
     base.process.send_signal(signal.SIGTERM)
-    assert base.process.wait(5.0) == 0
+    assert base.process.wait(120.0) == 0
     assert base.spin(2.0, lambda: len(base.commands) > before and base.commands[-1].twist.linear.x == 0.0)
 
 

@@ -23,7 +23,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 
-PATIENCE_S = 20.0
+PATIENCE_S = 120.0
 TIMEOUT, PERIOD, REPEAT = 0.5, 0.1, 2.0
 QUICK = ("timeout:=0.3", "zero_rate:=20.0")
 

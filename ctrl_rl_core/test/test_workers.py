@@ -82,7 +82,7 @@ def _alive(process):
 
 
 def _until(done):
-    deadline = time.monotonic() + 30.0
+    deadline = time.monotonic() + 120.0
     while not done():
         assert time.monotonic() < deadline, "waited in vain"
         time.sleep(0.02)

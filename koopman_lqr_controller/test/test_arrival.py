@@ -105,7 +105,7 @@ def test_a_drive_without_the_demo_ends_at_the_goal_and_the_bridge_says_so_once(
         robot.node.destroy_publisher(own)
     bridge = run_node("sim_bridge", "bridge", "speed_factor:=2.0", "seed:=5")
     controller = run_node("koopman_lqr_controller", "controller", "use_sim_time:=true")
-    deadline = time.monotonic() + 90.0
+    deadline = time.monotonic() + 120.0
     while not ended:
         assert time.monotonic() < deadline, "it never arrives"
         robot.spin(0.1)

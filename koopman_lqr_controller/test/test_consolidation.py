@@ -134,5 +134,7 @@ def test_a_learnt_controller_is_no_proof_of_itself() -> None:
 
 
 def test_the_sizes_are_those_that_were_asked_for() -> None:
-    plan = Plan(episodes=10, noise=0.3, sizes=(5,), candidates=2, report=2, rounds=1, distillation=QUICK)
+    plan = Plan(
+        episodes=10, noise=0.3, sizes=(5,), candidates=2, report=2, rounds=1, distillation=QUICK, thorough=QUICK
+    )
     assert len(consolidate(learnt_controller(), Line(), plan).controller.Q) == 5

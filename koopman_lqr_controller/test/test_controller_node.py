@@ -58,7 +58,7 @@ def test_it_leaves_the_robot_standing(robot: Robot, run_node: Callable, number: 
     assert ask(robot, corridor(0.1), 1_000).twist.linear.x > 0.0
     code, _ = controller.stop(number)
     assert code == 0
-    assert robot.spin(5.0, lambda: robot.commands[-1].twist.linear.x == 0.0)
+    assert robot.spin(PATIENCE_S, lambda: robot.commands[-1].twist.linear.x == 0.0)
 
 
 def test_it_speaks_plain_twist_to_older_robots(run_node: Callable) -> None:
@@ -66,7 +66,7 @@ def test_it_speaks_plain_twist_to_older_robots(run_node: Callable) -> None:
     try:
         run_node("koopman_lqr_controller", "controller", "enable_stamped_cmd_vel:=false")
         robot.wait_for_controller()
-        deadline = time.monotonic() + 5.0
+        deadline = time.monotonic() + PATIENCE_S
         while not any(command.linear.x > 0.0 for command in robot.commands):
             robot.send(corridor(0.0), 1_000)
             robot.spin(0.1)
@@ -85,7 +85,7 @@ def test_it_speaks_plain_twist_to_older_robots(run_node: Callable) -> None:
 )
 def test_a_bad_parameter_ends_it_with_one_clear_message(run_node: Callable, parameter: str, words: str) -> None:
     controller = run_node("koopman_lqr_controller", "controller", parameter)
-    assert controller.process.wait(20.0) != 0
+    assert controller.process.wait(120.0) != 0
     assert words in controller.output
     assert "Traceback" not in controller.output
 
@@ -93,7 +93,7 @@ def test_a_bad_parameter_ends_it_with_one_clear_message(run_node: Callable, para
 def test_a_policy_of_another_robot_ends_it_with_one_clear_message(run_node: Callable, tmp_path: Path) -> None:
     save_policy(a_policy(17, None), tmp_path / "cheetah.safetensors")
     controller = run_node("koopman_lqr_controller", "controller", f"policy:={tmp_path / 'cheetah.safetensors'}")
-    assert controller.process.wait(20.0) != 0
+    assert controller.process.wait(120.0) != 0
     assert "of the task cheetah_run: it knows no lidar" in controller.output
     assert "Traceback" not in controller.output
 

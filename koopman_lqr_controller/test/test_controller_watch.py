@@ -20,7 +20,7 @@ def test_a_blind_robot_stands_though_the_simulated_clock_does_too(robot: Robot, 
     robot.wait_for_controller()
     clock.publish(Clock())
     assert ask(robot, corridor(0.1), 1_000).twist.linear.x > 0.0
-    deadline = time.monotonic() + 20.0
+    deadline = time.monotonic() + 120.0
     count = 1_000
     while robot.commands[-1].twist.linear.x != 0.0:
         assert time.monotonic() < deadline, "it drives on"

@@ -301,7 +301,7 @@ def test_a_coordinator_that_ends_closes_its_episode(rig):
     process = rig.processes.pop("coordinator")
     process.send_signal(signal.SIGTERM)
     rig.until(lambda: any(step.truncated for step in rig.steps), "the closing word")
-    assert process.wait(20.0) == 0
+    assert process.wait(120.0) == 0
 
 
 @pytest.mark.slow
