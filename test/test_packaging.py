@@ -4,7 +4,7 @@ import ast
 import re
 import sys
 from pathlib import Path
-from xml.etree import ElementTree
+from xml.etree import ElementTree as ET
 
 import pytest
 
@@ -97,11 +97,11 @@ def test_keys_are_known(package: str) -> None:
 
 @pytest.mark.parametrize("package", PACKAGES)
 def test_licence_and_maintainer_are_those_of_the_repository(package: str) -> None:
-    root = ElementTree.parse(ROOT / package / "package.xml").getroot()
+    root = ET.parse(ROOT / package / "package.xml").getroot()
     assert root.findtext("license") == "Apache-2.0"
     assert (ROOT / "LICENSE").read_text("utf-8").lstrip().startswith("Apache License")
     (maintainer,) = root.findall("maintainer")
-    first = ElementTree.parse(ROOT / PACKAGES[0] / "package.xml").getroot().find("maintainer")
+    first = ET.parse(ROOT / PACKAGES[0] / "package.xml").getroot().find("maintainer")
     assert first is not None
     assert (maintainer.text, maintainer.get("email")) == (first.text, first.get("email"))
     setup = ROOT / package / "setup.py"
