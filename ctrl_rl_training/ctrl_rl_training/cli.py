@@ -38,6 +38,12 @@ def add_run_options(parser: argparse.ArgumentParser, folder: Path, iterations: i
     parser.add_argument("--iterations", type=int, default=iterations, help="of 10240 samples (default %(default)s)")
     parser.add_argument("--workers", type=int, default=0, help="runs at a time (default: 0, one for each core)")
     parser.add_argument("--results", type=file_to_write, help="JSON file to write table and curves to")
+    add_ray_option(parser)
+
+
+def add_ray_option(parser: argparse.ArgumentParser) -> None:
+    """Give a command `--ray`."""
+    parser.add_argument("--ray", metavar="ADDRESS", help="Ray cluster that runs them, auto for this machine's")
 
 
 def check_run_options(options: argparse.Namespace) -> None:
@@ -75,7 +81,7 @@ def train_and_collect(
     from ctrl_rl_training.experiments.matrix import train_all
 
     task = runs[0].task
-    train_all(runs, how or _usual(options), train or _train_with_sb3(), options.workers, task.name)
+    train_all(runs, how or _usual(options), train or _train_with_sb3(), options.workers, task.name, options.ray)
     rows, figures = collect(runs, options.folder)
     print(as_text(rows))
     if options.results is not None:

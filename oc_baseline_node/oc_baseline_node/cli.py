@@ -59,6 +59,7 @@ def _parser() -> argparse.ArgumentParser:
     command.add_argument("--trajectories", type=int, help="how many solved ones (default: the task's)")
     command.add_argument("--seed", type=int, default=0, help="of the starts (default %(default)s)")
     command.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes (default %(default)s)")
+    command.add_argument("--ray", metavar="ADDRESS", help="Ray cluster that solves instead, auto for this machine's")
     command = _command(commands, "fit", _fit, "fit V_oc to value data: a 64 x 64 tanh network")
     command.add_argument("data", type=Path, help="folder that 'oc data' made")
     command.add_argument("--task", help="its task file, where the task is not one of the suite's")
@@ -145,10 +146,12 @@ def _data(options: argparse.Namespace) -> int:
     problem = formulate(*_terms(options))
     assert problem.task.optimal_control is not None  # without it there is no problem
     wanted = problem.task.optimal_control.trajectories if options.trajectories is None else options.trajectories
-    data, wall, cpu = make_data(problem, DataSettings(wanted, seed=options.seed), options.output, options.workers)
+    settings = DataSettings(wanted, seed=options.seed)
+    data, wall, cpu = make_data(problem, settings, options.output, options.workers, ray=options.ray)
     print(_report(data))
     print(_start_set(problem, options.seed))
-    print(f"this run      {wall:.1f} s with {options.workers} processes, {cpu:.1f} CPU s in all")
+    with_what = f"{options.workers} processes" if options.ray is None else f"the Ray cluster {options.ray}"
+    print(f"this run      {wall:.1f} s with {with_what}, {cpu:.1f} CPU s in all")
     print(f"data          {options.output}")
     return 0
 

@@ -132,7 +132,7 @@ def _compare_on(
     # Where `--set` makes two methods the same, they are one run.
     named = {each[seed].name: each[seed] for seed in range(options.seeds) for each in runs.values()}
     everything = list(named.values())
-    found = train_all(everything, how, learn_one, options.workers, task)
+    found = train_all(everything, how, learn_one, options.workers, task, options.ray)
     by_name: dict[str, dict[str, Any]] = {run.name: result for run, result in zip(everything, found, strict=True)}
     results = {method: [by_name[run.name] for run in each] for method, each in runs.items()}
     rows, figures = collect_comparison(name, task, results)

@@ -96,7 +96,7 @@ def _learn(options: argparse.Namespace, words: Sequence[str]) -> int:
     ]
     how = LearningOptions(options.folder, chunks, actions, problem.evaluations, options.episodes)
     title = Path(problem.name).stem
-    results = train_all(runs, how, learn_one, options.workers, title)
+    results = train_all(runs, how, learn_one, options.workers, title, options.ray)
     rows, figures = collect(problem, results)
     for row in rows:
         print(f"{row.method:<38} {row.metric:<32} {' '.join(f'{value:8.4g}' for value in row.values)}")

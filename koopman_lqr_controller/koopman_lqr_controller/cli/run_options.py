@@ -41,6 +41,7 @@ def add_learning_options(parser: argparse.ArgumentParser, seeds: int) -> None:
         default=CONSOLIDATION,
         help="episodes of each round of it, 0 for none (default %(default)s)",
     )
+    parser.add_argument("--ray", metavar="ADDRESS", help="Ray cluster that runs them, auto for this machine's")
     parser.add_argument("--device", default="cpu", choices=("cpu", "cuda"), help="of the networks (default cpu)")
 
 

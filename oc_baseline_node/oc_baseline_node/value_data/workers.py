@@ -7,8 +7,10 @@ import time
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from ctrl_rl_core.processes.exclusive_lock import exclusive_lock
+from ctrl_rl_core.processes.ray_workers import Tell, map_in_ray
 from ctrl_rl_core.processes.workers import map_in_processes
 from ctrl_rl_core.tasks.task import NavigationTask
 from tqdm import tqdm
@@ -30,7 +32,12 @@ _solver: ChunkSolver
 
 
 def make_data(
-    problem: OptimalControlProblem, settings: DataSettings, folder: Path, workers: int = 1, progress: bool = True
+    problem: OptimalControlProblem,
+    settings: DataSettings,
+    folder: Path,
+    workers: int = 1,
+    progress: bool = True,
+    ray: str | None = None,
 ) -> tuple[ValueData, float, float]:
     """Make what a folder of value data still lacks and return all of it, with the wall and CPU seconds that it took.
 
@@ -40,6 +47,7 @@ def make_data(
         folder: holds one file a chunk; what lies there is not made again.
         workers: processes; with one everything happens in this one.
         progress: whether to show a bar.
+        ray: Address of a Ray cluster that solves as many chunks at a time as it can; None for processes.
 
     Raises:
         OcError: see `make_folder`, `open_folder` and `ChunkSolver.solve`.
@@ -53,7 +61,11 @@ def make_data(
         done = settings.trajectories - sum(map(settings.size, lacking))
         quiet = None if progress else True
         with tqdm(total=settings.trajectories, initial=done, desc="solving", unit="trajectory", disable=quiet) as bar:
-            for index in _finished(problem, settings, folder, lacking, min(workers, max(1, len(lacking)))):
+            if ray is None:
+                finished = _finished(problem, settings, folder, lacking, min(workers, max(1, len(lacking))))
+            else:
+                finished = _finished_by_ray(ray, problem, settings, folder, lacking)
+            for index in finished:
                 bar.update(settings.size(index))
         return load_data(folder, problem), time.monotonic() - wall, _cpu_seconds() - cpu
 
@@ -70,6 +82,31 @@ def _finished(
         yield from (_make(folder, index) for index in lacking)
     else:
         yield from map_in_processes(partial(_make, folder), lacking, workers, _prepare, terms)
+
+
+def _finished_by_ray(
+    address: str, problem: OptimalControlProblem, settings: DataSettings, folder: Path, lacking: list[int]
+) -> Iterator[int]:
+    """Let a cluster solve the chunks, write them here and yield each one's index."""
+    if not lacking:
+        return
+    solve = partial(_solve_there, (problem.task, problem.form, problem.clearance, settings))
+    for index, data in map_in_ray(address, solve, lacking, folder, shared=True):  # it writes nothing there
+        write_chunk(folder, index, data)
+        yield index
+
+
+def _solve_there(
+    terms: tuple[NavigationTask, Form, float, DataSettings], index: int, _: Path, __: Tell
+) -> tuple[int, ValueData]:
+    if _prepared != [terms]:
+        _prepare(*terms)
+        _prepared[:] = [terms]
+    return index, _solver.solve(index)
+
+
+_prepared: list[Any] = []
+"""Terms of the solver that this worker has."""
 
 
 def _prepare(task: NavigationTask, form: Form, clearance: float, settings: DataSettings) -> None:

@@ -48,6 +48,7 @@ def train(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--evaluations", type=int, default=50, help="episodes at the end (default %(default)s)")
     parser.add_argument("--workers", type=int, default=0, help="runs at a time (default: 0, one for each core)")
     parser.add_argument("--results", type=file_to_write, help="JSON file to write table and curves to")
+    parser.add_argument("--ray", metavar="ADDRESS", help="Ray cluster that runs them, auto for this machine's")
     options = parser.parse_args(arguments)
     return run_command("train", lambda: _train(options) if options.bags is None else _train_on_bags(options))
 
@@ -99,7 +100,7 @@ def _train_on_bags(options: argparse.Namespace) -> int:
     whose = f"this policy's own, {run.left_out} others are left out" if run.way == "mappo" else "imitated"
     print(f"learning   {len(run.trajectory)} decisions, {whose}", flush=True)
     how = BagOptions(options.folder, ROUNDS[run.way], options.evaluations)
-    (result,) = train_all([run], how, train_on_bags, 1, run.name)
+    (result,) = train_all([run], how, train_on_bags, 1, run.name, options.ray)
     for when in ("before", "after"):
         if when in result:
             draws, mode = (result[when][use]["return"] for use in ("draws", "mode"))
