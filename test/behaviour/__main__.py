@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import signal
 import sys
 import tempfile
 import time
@@ -25,14 +26,15 @@ from commands import CASES  # noqa: E402
 from digests import Parts, whole  # noqa: E402
 from report import REDUCED, differences, read_report, write_report  # noqa: E402
 from stepped import STEPPED  # noqa: E402
+from team import TEAM  # noqa: E402
 
-ALL = {case.name: case for case in (*BAGS, *CASES, *STEPPED)}
+ALL = {case.name: case for case in (*BAGS, *STEPPED, *TEAM, *CASES)}
 
 
 def main() -> int:
     """Run and compare; 0 where all could be run and nothing differs, else 1."""
     parser = argparse.ArgumentParser(prog="behaviour", description=__doc__.splitlines()[0])
-    parser.add_argument("--output", type=Path, required=True, help="JSON file to write the digests to")
+    parser.add_argument("--output", type=Path, help="JSON file to write the digests to")
     parser.add_argument("--only", nargs="+", choices=ALL, metavar="NAME", help="some (default: all); see --list")
     parser.add_argument("--against", type=Path, help="earlier output to compare with")
     parser.add_argument("--list", action="store_true", help="list the names and end")
@@ -41,16 +43,18 @@ def main() -> int:
     if options.list:
         print("\n".join(ALL))
         return 0
+    if options.output is None:
+        parser.error("give --output FILE")
     try:
-        before = None if options.against is None else read_report(options.against)  # before anything is run
+        before = None if options.against is None else read_report(options.against)
     except BehaviourError as error:
         print(f"behaviour: {error}", file=sys.stderr)
         return 2
     os.environ |= ONE_THREAD
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # so that the nodes that were started end too
     with tempfile.TemporaryDirectory(prefix="behaviour-") as folder:
-        lines, failed = run_all(options.only or list(ALL), options.keep or Path(folder))
-    write_report(options.output, lines)
-    print("".join(f"\nreduced: {name}: {why}" for name, why in REDUCED.items()).lstrip("\n"))
+        lines, failed = run_all(options.only or list(ALL), options.keep or Path(folder), options.output)
+    print("\n".join(f"reduced  {what}: {why}" for what, why in REDUCED.items()))
     if before is not None:
         some = None if options.only is None else set(options.only)
         found = differences(before, lines, some)
@@ -59,8 +63,11 @@ def main() -> int:
     return 1 if failed else 0
 
 
-def run_all(wanted: list[str], folder: Path) -> tuple[dict[str, Parts], list[str]]:
-    """Run cases, and before each the cases that it needs; return the lines, and the names of what failed."""
+def run_all(wanted: list[str], folder: Path, output: Path) -> tuple[dict[str, Parts], list[str]]:
+    """Run cases, and before each the cases that it needs; return the lines, and the names of what failed.
+
+    The output is written after each case: what was done is not lost where a run is cut off.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     lines: dict[str, Parts] = {}
     done: set[str] = set()
@@ -73,14 +80,15 @@ def run_all(wanted: list[str], folder: Path) -> tuple[dict[str, Parts], list[str
             continue
         try:
             found = case.run(folder)
-        except (BehaviourError, OSError, ValueError) as error:
+        except Exception as error:  # whatever it is, the others are run
             failed.append(name)
-            print(f"{name:<34} FAILED: {error}", flush=True)
+            print(f"{name:<34} FAILED: {error or type(error).__name__}", flush=True)
             continue
         done.add(name)
         for line, parts in found.items() if name in wanted else ():
             lines[line] = parts
             print(f"{line:<34} {whole(parts)}  {len(parts):>4} parts", flush=True)
+        write_report(output, lines)
         print(f"{name:<34} took {time.monotonic() - begin:.1f} s", file=sys.stderr, flush=True)
     return lines, failed
 

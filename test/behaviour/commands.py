@@ -29,6 +29,13 @@ def _learning(name: str, command: str, after: tuple[str, ...] = ()) -> Case:
     return Case(name, f"{command} --folder {name} --results {name}.json", outputs, after)
 
 
+def _from_bags(name: str, options: str) -> Case:
+    """Return a case that learns from the bag of the coordinated team."""
+    name = f"options_{name}"
+    command = f"option_coordinator train --bags team --task delivery_team --evaluations 1 {options} --folder {name}"
+    return Case(name, command, tuple(f"{name}/{each}" for each in _RUN), ("team_coordinated",))
+
+
 CASES = (
     # Time to reach.
     Case("solve", f"ttr_reward_node solve {_TASK} --output solved.safetensors", ("solved.safetensors",)),
@@ -131,6 +138,8 @@ CASES = (
         ("koopman_learn",),
     ),
     _learning("options_tool_delivery", f"{_OPTIONS} --task tool_delivery --samples 7500 --methods all"),
+    _from_bags("imitation", "--head table"),
+    _from_bags("imitation_autoregressive", "--head autoregressive"),
     # Teams in the simulated environment.
     *(
         Case(f"team_{name}", f"option_coordinator replay {options}", after=after, printed=True)
@@ -150,7 +159,7 @@ CASES = (
 )
 
 _SIMULATED = "-p use_sim_time:=true"
-_DRIVER = "-p scan_timeout:=10.0 -r cmd_vel:=cmd_vel_raw"
+_DRIVER = "-p scan_timeout:=10.0 -p wall_timeout:=600.0 -r cmd_vel:=cmd_vel_raw"
 NODES = {
     "bridge": "sim_bridge bridge --ros-args -p start_paused:=true "
     "-r scan:=world/scan -r odom:=world/odom -r cmd_vel:=world/cmd_vel",
@@ -159,6 +168,8 @@ NODES = {
     "scripted_driver": f"koopman_lqr_controller scripted_driver --ros-args {_SIMULATED} {_DRIVER} -p seed:=3",
     "reward": f"ttr_reward_node reward --ros-args {_SIMULATED} -p grid:=corridor.safetensors",
     "baseline": f"oc_baseline_node baseline --ros-args {_SIMULATED} -p grid:=curved_corridor",
+    "coordinator": "option_coordinator coordinator --ros-args -p team:=delivery_team -p policy:=delivery_team "
+    "-p seed:=5 -p lost_after:=600.0 -p stale:=600.0 -p policy_limit:=10.0",
 }
 """Nodes as processes; waits for a scan are long, so that a busy machine changes nothing."""
 AS_REAL = (

@@ -64,7 +64,11 @@ class Bag:
         """Write a message of zeros with some fields set, logged at a time [ns]."""
         connection = self._connections[topic]
         message = build(connection.msgtype, **given)
-        self._writer.write(connection, time, STORE.serialize_cdr(message, connection.msgtype))
+        self.put_bytes(topic, time, STORE.serialize_cdr(message, connection.msgtype))
+
+    def put_bytes(self, topic: str, time: int, message: bytes) -> None:
+        """Write a message as it is on the wire, logged at a time [ns]."""
+        self._writer.write(self._connections[topic], time, message)
 
     def __enter__(self) -> Bag:
         return self

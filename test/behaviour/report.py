@@ -11,8 +11,17 @@ from pathlib import Path
 from case import BehaviourError
 from digests import Parts, whole
 
-REDUCED: dict[str, str] = {}
-"""What cannot be told to the last bit, and why; the digests are without it."""
+REDUCED = {
+    "times, commits, command lines, digests of whole files": "differ between days, machines and wordings; left out",
+    "printed lines": "numbers alone, as words may be put better",
+    "diagnostics, rosout, tf, /clock": "by wall time; the drives hear sensors, commands, latents, rewards, values",
+    "a drive in real time": "who hears odometry before a scan is chance; so messages are passed on in order",
+    "a watchdog's zeros": "by wall time; the commands that answer a scan count",
+    "a coordinator's epoch, stamps of grants": "drawn, and by wall time; left out",
+    "alignment of a bag": "has no command of its own; seen in koopman_train, koopman_evaluate and relabel",
+    "MAPPO from bags": "needs the file of the policy that was recorded; imitation from bags is run",
+}
+"""What is not told to the last bit, or not by itself, and why."""
 _LIBRARIES = ("numpy", "scipy", "torch", "numba", "casadi", "pybullet", "mujoco", "stable-baselines3")
 _SHOWN = 8
 """Parts of a line that are named."""

@@ -16,7 +16,7 @@ import rclpy
 from case import ONE_THREAD, BehaviourError, executable_path
 from rclpy.duration import Duration
 
-PATIENCE_S = 120.0
+PATIENCE_S = 60.0
 
 
 class Rig:
@@ -53,6 +53,8 @@ class Rig:
                 self._start(folder, name, command)
             self.until(lambda: all(map(self.node.count_publishers, topics)), "all topics")
             self.until(lambda: all(client.service_is_ready() for client in self._clients.values()), "all services")
+            if crowded := [topic for topic in topics if self.node.count_publishers(topic) > 1]:
+                raise BehaviourError(f"another run is at work in this ROS domain: it publishes {', '.join(crowded)}")
             self._stack = stack.pop_all()
 
     def publisher(self, kind: Any, topic: str, listeners: int, qos: Any = 1) -> Any:
@@ -70,8 +72,8 @@ class Rig:
         if not publisher.wait_for_all_acked(Duration(seconds=PATIENCE_S)):
             raise BehaviourError(f"{publisher.topic_name}: nobody takes a message")
 
-    def until(self, condition: Callable[[], bool], what: str) -> None:
-        """Hear messages until a condition holds.
+    def until(self, condition: Callable[[], bool], what: str, again: Callable[[], None] = lambda: None) -> None:
+        """Hear messages until a condition holds; do something again and again meanwhile.
 
         Raises:
             BehaviourError: It does not come to hold, or a node has ended.
@@ -81,6 +83,7 @@ class Rig:
             ended = [name for name, process in self._processes.items() if process.poll() is not None]
             if ended or time.monotonic() > end:
                 raise BehaviourError(f"waited in vain for {what}; nodes that ended: {', '.join(ended) or 'none'}")
+            again()
             rclpy.spin_once(self.node, timeout_sec=0.05)
 
     def call(self, name: str, **fields: Any) -> Any:
