@@ -1,1 +1,5 @@
-"""PyBullet worlds that stand in for the robots: the bridge node and Gymnasium environments."""
+"""Simulated robots in PyBullet worlds: Gymnasium environments, and a node in place of the robot's drivers."""
+
+import lazy_loader as lazy
+
+__getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)

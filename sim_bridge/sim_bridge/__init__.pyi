@@ -1,0 +1,9 @@
+from .environments import NavigationEnv as NavigationEnv
+from .environments import register_environments as register_environments
+from .errors import SimulationError as SimulationError
+from .simulation.episode import EpisodeState as EpisodeState
+from .simulation.lidar import LIDARS as LIDARS
+from .simulation.lidar import LidarScan as LidarScan
+from .simulation.world import OdometryReading as OdometryReading
+from .simulation.world import SimulatedWorld as SimulatedWorld
+from .simulation.world import SimulationOptions as SimulationOptions
