@@ -4,14 +4,14 @@ from pathlib import Path
 
 from ctrl_rl_bringup.runner.launching import Launch, description
 from ctrl_rl_bringup.runner.prepare import new_run, value_files
-from ctrl_rl_bringup.runner.stack import DriveOptions, controller, recorder, simulator, value_nodes, watchdog
+from ctrl_rl_bringup.runner.stack import DriveConfig, controller, recorder, simulator, value_nodes, watchdog
 from ctrl_rl_core.tasks.task import task_file
 from koopman_lqr_controller.policies.policy_file import find_policy
 from launch import LaunchDescription
 
 ARGUMENTS = {
-    "task": (DriveOptions.task, "task name or .yaml file"),
-    "policy": (DriveOptions.policy, "policy name or .safetensors file"),
+    "task": (DriveConfig.task, "task name or .yaml file"),
+    "policy": (DriveConfig.policy, "policy name or .safetensors file"),
 }
 
 
@@ -21,7 +21,7 @@ def generate_launch_description() -> LaunchDescription:
 
 
 def _prepare(folder: Path, task: str, policy: str, seed: int, speed: float, gui: bool) -> Launch:
-    options = DriveOptions(folder, task, policy, seed, speed, gui=gui)
+    options = DriveConfig(folder, task, policy, seed, speed, gui=gui)
     files = {"task": task_file(task), "policy": find_policy(policy)}
     new_run(options)
     values = value_files(options)

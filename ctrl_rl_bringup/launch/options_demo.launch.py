@@ -5,14 +5,14 @@ from pathlib import Path
 from ctrl_rl_bringup.runner.launching import Launch, description
 from ctrl_rl_bringup.runner.stack import recorder
 from ctrl_rl_bringup.team.run import new_team_run
-from ctrl_rl_bringup.team.stack import TeamOptions, agents, coordinator, team_simulator, watchdogs
+from ctrl_rl_bringup.team.stack import TeamConfig, agents, coordinator, team_simulator, watchdogs
 from launch import LaunchDescription
 
 ARGUMENTS = {
-    "team": (TeamOptions.team, "team name or .yaml file"),
-    "room": (TeamOptions.room, "navigation task or .yaml file, empty for the team's"),
+    "team": (TeamConfig.team, "team name or .yaml file"),
+    "room": (TeamConfig.room, "navigation task or .yaml file, empty for the team's"),
     "policy": (
-        TeamOptions.policy,
+        TeamConfig.policy,
         "'spread' or 'uniform', not learnt, or a learnt one's name or file; empty for the team's",
     ),
 }
@@ -24,7 +24,7 @@ def generate_launch_description() -> LaunchDescription:
 
 
 def _prepare(folder: Path, team: str, room: str, policy: str, seed: int, speed: float, gui: bool) -> Launch:
-    options = TeamOptions(folder, team, room, policy, seed, speed, gui)
+    options = TeamConfig(folder, team, room, policy, seed, speed, gui)
     robots, digests = new_team_run(options)
     return Launch(
         recorder=recorder(options.drive, digests),

@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 from ctrl_rl_bringup.runner.processes import executable_path
-from ctrl_rl_bringup.runner.stack import DriveOptions, NodeSpec, controller, recorder, simulator, value_nodes
-from ctrl_rl_bringup.team.stack import TeamOptions, agents, coordinator, team_of, team_simulator
+from ctrl_rl_bringup.runner.stack import DriveConfig, NodeSpec, controller, recorder, simulator, value_nodes
+from ctrl_rl_bringup.team.stack import TeamConfig, agents, coordinator, team_of, team_simulator
 
 FILES = sorted((Path(__file__).parents[1] / "launch").glob("*.launch.py"))
 RUNS = [file for file in FILES if "Launch(" in file.read_text()]
@@ -22,7 +22,7 @@ def name(file: Path) -> str:
 
 def specs() -> list[NodeSpec]:
     """Return one node of each kind that the launch files start."""
-    drive, team = DriveOptions(Path("run")), TeamOptions(Path("run"))
+    drive, team = DriveConfig(Path("run")), TeamConfig(Path("run"))
     values = {"time_to_reach": Path("grid"), "oc_value": Path("grid")}
     one = [recorder(drive, {}), simulator(drive), controller(drive), *value_nodes(drive, values)]
     return [*one, coordinator(team), agents(team, team_of(team))[0], team_simulator(team, team_of(team))]

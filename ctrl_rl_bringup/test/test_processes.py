@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from ctrl_rl_bringup.runner.processes import ProcessError, Processes, executable_path
-from ctrl_rl_bringup.runner.stack import DriveOptions, NodeSpec, controller, recorder, scripted_driver
+from ctrl_rl_bringup.runner.stack import DriveConfig, NodeSpec, controller, recorder, scripted_driver
 from ctrl_rl_core.tasks.task import task_file
 
 
@@ -20,7 +20,7 @@ def wait_until(said: Path, words: str) -> None:
 
 def test_a_node_gets_its_parameters_and_ends_when_told(tmp_path: Path) -> None:
     with Processes(tmp_path) as processes:
-        processes.start([controller(DriveOptions(tmp_path))])
+        processes.start([controller(DriveConfig(tmp_path))])
         wait_until(tmp_path / "controller.log", "policy curved_corridor.safetensors")
         processes.check()
         processes.stop("controller")
@@ -39,7 +39,7 @@ def test_a_node_that_ends_by_itself_is_found_with_its_last_words(tmp_path: Path)
 @pytest.mark.fault
 def test_a_full_disk_is_the_reason_that_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The recorder stops while there is space for the end of its bag; its last line is not its reason."""
-    spec = recorder(DriveOptions(tmp_path), {"task": task_file("curved_corridor")})
+    spec = recorder(DriveConfig(tmp_path), {"task": task_file("curved_corridor")})
     spec = replace(spec, parameters={**spec.parameters, "min_free_mb": 1_000_000})
 
     def run() -> None:
@@ -63,7 +63,7 @@ def test_leaves_none_behind_when_the_work_fails(tmp_path: Path) -> None:
 
     def work() -> None:
         with Processes(tmp_path) as processes:
-            processes.start([scripted_driver(0), controller(DriveOptions(tmp_path))])
+            processes.start([scripted_driver(0), controller(DriveConfig(tmp_path))])
             running.extend(processes._running.values())
             raise RuntimeError("on purpose")
 

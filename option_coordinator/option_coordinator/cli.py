@@ -17,7 +17,7 @@ from option_coordinator.environments.roll_out import play_episodes
 from option_coordinator.environments.tasks import load_option_task, make_environment
 from option_coordinator.errors import OptionError
 from option_coordinator.policies.policy_file import OptionPolicy
-from option_coordinator.scripted.task_policies import Chooser, RandomChooser, scripted_chooser
+from option_coordinator.scripted.task_policies import DecisionPolicy, RandomPolicy, scripted_policy
 
 _HOW = {"async": "whoever is ready chooses", "wait": "all wait for the last", "cut": "all are cut by the first"}
 
@@ -77,12 +77,12 @@ def _draw(options: argparse.Namespace, environment: OptionEnvironment) -> None:
             print(f"picture    {file}")
 
 
-def _prepare(options: argparse.Namespace) -> tuple[OptionEnvironment, Chooser]:
+def _prepare(options: argparse.Namespace) -> tuple[OptionEnvironment, DecisionPolicy]:
     """Return environment and policy."""
     film = options.animation is not None
     if options.policy in ("scripted", "random"):
         environment = make_environment(options.task, options.synchronisation or "async", film=film)
-        chooser = RandomChooser(options.seed) if options.policy == "random" else scripted_chooser(environment)
+        chooser = RandomPolicy(options.seed) if options.policy == "random" else scripted_policy(environment)
         return environment, chooser
     policy = OptionPolicy.load(options.policy)
     learnt = policy.manifest

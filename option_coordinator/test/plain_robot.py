@@ -32,7 +32,7 @@ class PlainRobot(Node):
         self.requests = self.create_publisher(OptionRequest, "option_requests", QOS)
         self.statuses = self.create_publisher(AgentStatus, "agent_status", QOS)
         self.create_subscription(OptionGrant, "option_grants", self.on_grant, QOS)
-        self.create_subscription(CoordinatorStatus, "coordinator_status", self.on_word, QOS)
+        self.create_subscription(CoordinatorStatus, "coordinator_status", self.on_coordinator_heartbeat, QOS)
         self.request = OptionRequest(request_id=0)
         self.ask()
         self.create_timer(0.02, self.tick)
@@ -67,7 +67,7 @@ class PlainRobot(Node):
             return True
         return False
 
-    def on_word(self, message):
+    def on_coordinator_heartbeat(self, message):
         if message.team == self.team:
             self.believes(message.coordinator_epoch)
 

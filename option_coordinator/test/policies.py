@@ -4,7 +4,7 @@ from itertools import product
 
 import numpy as np
 from option_coordinator.options.decision import NONE
-from option_coordinator.options.options import slots
+from option_coordinator.options.options import option_mask
 from option_coordinator.policies.policy_file import make_policy
 
 HIDDEN = 12
@@ -53,7 +53,7 @@ def random_decision(counts, generator, choosing=None, absent=None, all_legal=Fal
     absent = ~choosing & (generator.random(agents) < 0.3) if absent is None else np.array(absent)
     running = np.array([generator.integers(count) for count in counts])
     running[choosing | absent] = NONE
-    legal = slots(counts)
+    legal = option_mask(counts)
     if not all_legal:
         kept = legal & (generator.random(legal.shape) < 0.6)
         legal = np.where(kept.any(axis=1, keepdims=True), kept, legal)

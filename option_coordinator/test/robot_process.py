@@ -9,7 +9,7 @@ from ctrl_rl_core.ros.node import SuiteNode, ok, run_node
 from ctrl_rl_core.ros.parameters import Parameter
 from option_coordinator.nodes.clocks import STEADY, Clocks
 from option_coordinator.nodes.option_agent import OptionAgent
-from option_coordinator.protocol.option_client import Earned, Patience, Seen
+from option_coordinator.protocol.option_client import AgentObservation, ClientTimeouts, OptionResult
 
 
 class TestRobot(SuiteNode):
@@ -28,9 +28,9 @@ class TestRobot(SuiteNode):
         self.running = None
         self.ends = math.inf
         self.clocks = Clocks(self)
-        patience = Patience(heartbeat=0.05, repeat=0.05, waiting=self.settings["patience"])
+        timeouts = ClientTimeouts(heartbeat=0.05, repeat=0.05, waiting=self.settings["patience"])
         name, team = self.settings["robot"], self.settings["team"]
-        self.agent = OptionAgent(self, name, ("stay", "go", "look"), self, patience=patience, team=team)
+        self.agent = OptionAgent(self, name, ("stay", "go", "look"), self, timeouts=timeouts, team=team)
         self.create_timer(0.005, self.work, clock=STEADY)
         self.agent.start()
 
@@ -39,7 +39,7 @@ class TestRobot(SuiteNode):
 
     def observe(self):
         broken = {"": np.zeros(2), "number": np.array((0.0, math.nan)), "size": np.zeros(3)}
-        return Seen(broken[self.settings["broken"]], np.ones(3, bool))
+        return AgentObservation(broken[self.settings["broken"]], np.ones(3, bool))
 
     def begin(self, option):
         if self.running is not None:
@@ -49,7 +49,7 @@ class TestRobot(SuiteNode):
 
     def leave(self):
         self.running = None
-        return Earned(1.0, 1)
+        return OptionResult(1.0, 1)
 
     def work(self):
         if self.running is not None and self.now() >= self.ends:
@@ -57,7 +57,7 @@ class TestRobot(SuiteNode):
             self.agent.ended(1.0, 1)
 
     def status(self):
-        return ok("works", **self.agent.side.counts)
+        return ok("works", **self.agent.client.counts)
 
 
 if __name__ == "__main__":

@@ -6,17 +6,25 @@ from itertools import count
 
 import numpy as np
 from option_coordinator.options.options import Agent
+from option_coordinator.protocol.clock_reading import ClockReading
 from option_coordinator.protocol.coordination import Coordinator
-from option_coordinator.protocol.instant import Instant
-from option_coordinator.protocol.option_client import Earned, Patience, RobotSide, Seen
-from option_coordinator.protocol.protocol_types import AgentState, Answers, Grant, GrantStatus, Request, Status, Word
-from option_coordinator.protocol.team_settings import Robot, Times
+from option_coordinator.protocol.option_client import AgentObservation, ClientTimeouts, OptionClient, OptionResult
+from option_coordinator.protocol.protocol_types import (
+    AgentState,
+    Answers,
+    CoordinatorHeartbeat,
+    Grant,
+    GrantStatus,
+    Request,
+    Status,
+)
+from option_coordinator.protocol.team_settings import CoordinatorTimeouts, RobotSpec
 
-TIMES = Times(window=0.01)
+TIMES = CoordinatorTimeouts(batch_window=0.01)
 STEP = 0.02  # s, of the simulation
-PATIENCE = Patience(waiting=1.0)
+TIMEOUTS = ClientTimeouts(waiting=1.0)
 LONGEST_DELAY = 0.4
-AGENTS = [Robot(Agent(f"r{i}", tuple("abc"[: 2 + i % 2]), 2), (2.0,) * (2 + i % 2)) for i in range(4)]
+AGENTS = [RobotSpec(Agent(f"r{i}", tuple("abc"[: 2 + i % 2]), 2), (2.0,) * (2 + i % 2)) for i in range(4)]
 INCARNATIONS = count(100)
 
 
@@ -34,7 +42,7 @@ def uniform(seed):
 
 def at(seconds):
     """A moment at which all clocks agree."""
-    return Instant(seconds, seconds, seconds)
+    return ClockReading(seconds, seconds, seconds)
 
 
 class SimulatedCoordinator:
@@ -51,7 +59,7 @@ class SimulatedCoordinator:
             return self.core.on_request(message, at(now))
         if isinstance(message, Status):
             return self.core.on_status(message, at(now))
-        self.core.on_word(message, at(now))
+        self.core.on_coordinator_heartbeat(message, at(now))
         return Answers()
 
 
@@ -69,53 +77,53 @@ class SimulatedRobot:
         self.running = None
         self.accepted = set()
         size = len(self.robot.durations)
-        self.side = RobotSide(self.robot.agent.name, size, self, next(INCARNATIONS), patience=PATIENCE)
+        self.client = OptionClient(self.robot.agent.name, size, self, next(INCARNATIONS), timeouts=TIMEOUTS)
         self.ask(now)
 
     def ask(self, now):
         self.asked_at = now
-        self.side.ask(at(now))
+        self.client.ask(at(now))
 
     def observe(self):
         size = len(self.robot.durations)
         self.legal = self.random.random(size) < 0.5
         self.legal[self.random.integers(size)] = True
-        return Seen(np.zeros(2, np.float32), self.legal)
+        return AgentObservation(np.zeros(2, np.float32), self.legal)
 
     def begin(self, option):
         assert self.running is None, "two options at once"
-        assert self.legal[option] or self.side.state is AgentState.FALLBACK
-        if self.side.state is AgentState.RUNNING:
-            assert self.side.request_id not in self.accepted, "two grants of one request"
-            self.accepted.add(self.side.request_id)
+        assert self.legal[option] or self.client.state is AgentState.FALLBACK
+        if self.client.state is AgentState.RUNNING:
+            assert self.client.request_id not in self.accepted, "two grants of one request"
+            self.accepted.add(self.client.request_id)
         self.running = option
         self.lasts = np.inf if self.random.random() < 0.1 else self.random.uniform(0.05, 1.5)
 
     def leave(self):
         self.running = None
-        return Earned()
+        return OptionResult()
 
     def words(self, now):
         """What it says at this moment."""
         if not self.alive or self.frozen:
             return []
-        request_id = self.side.request_id
+        request_id = self.client.request_id
         for grant in self.inbox:
-            if isinstance(grant, Word):
-                self.side.on_word(grant, at(now))
+            if isinstance(grant, CoordinatorHeartbeat):
+                self.client.on_coordinator_heartbeat(grant, at(now))
                 continue
-            state = self.side.state
-            self.side.on_grant(grant, at(now))
-            if state is not AgentState.RUNNING and self.side.state is AgentState.RUNNING:
+            state = self.client.state
+            self.client.on_grant(grant, at(now))
+            if state is not AgentState.RUNNING and self.client.state is AgentState.RUNNING:
                 self.began, self.ends = now, now + self.lasts
         self.inbox = []
-        self.side.tick(at(now))
-        if self.side.state is AgentState.RUNNING and now >= self.ends:
+        self.client.tick(at(now))
+        if self.client.state is AgentState.RUNNING and now >= self.ends:
             self.running = None
-            self.side.ended(at(now))
-        if self.side.request_id != request_id:
+            self.client.ended(at(now))
+        if self.client.request_id != request_id:
             self.asked_at = now
-        return self.side.words(at(now))
+        return self.client.due_messages(at(now))
 
 
 class Team:
@@ -152,8 +160,8 @@ class Team:
             self.send(grant)
         for step in answers.steps:
             self.check_step(step)
-        if answers.word:
-            self.send(answers.word)
+        if answers.heartbeat:
+            self.send(answers.heartbeat)
 
     def check_grant(self, coordinator, grant):
         if grant.status is not GrantStatus.GRANTED:
@@ -180,7 +188,7 @@ class Team:
                 if robot.alive:
                     robot.inbox.append(message)
                 continue
-            if isinstance(message, Word):
+            if isinstance(message, CoordinatorHeartbeat):
                 for robot in self.robots.values():
                     if robot.alive:
                         robot.inbox.append(message)
@@ -239,16 +247,16 @@ class Team:
             if name in self.gone:
                 assert not entry.runs
                 continue
-            side = robot.side
-            runs = side.state is AgentState.RUNNING
+            client = robot.client
+            runs = client.state is AgentState.RUNNING
             assert runs or self.now - robot.asked_at < 0.3, "a request without an answer"
             if runs and self.now - robot.began > 0.3:
                 held = (entry.incarnation, entry.request_id, entry.grant_id, entry.option, entry.epoch)
-                grant = side.grant
+                grant = client.grant
                 assert grant.option == robot.running
                 assert held == (
-                    side.incarnation,
-                    side.request_id,
+                    client.incarnation,
+                    client.request_id,
                     grant.grant_id,
                     grant.option,
                     grant.coordinator_epoch,

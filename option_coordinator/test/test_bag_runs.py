@@ -7,17 +7,17 @@ import pytest
 import torch
 from ctrl_rl_core.errors import CtrlRlError
 from option_coordinator.data.bag_trajectory import recordings
-from option_coordinator.data.trajectory import Trajectory
+from option_coordinator.data.trajectory import OptionTrajectory
 from option_coordinator.environments.roll_out import RollOut
 from option_coordinator.environments.tasks import make_environment
 from option_coordinator.policies.policy_file import OptionPolicy
-from option_coordinator.scripted.task_policies import scripted_chooser
+from option_coordinator.scripted.task_policies import scripted_policy
 from option_coordinator.training.cli import train
 from option_coordinator.training.experiments.bag_runs import BagOptions, BagRun, train_on_bags
 from option_coordinator.training.experiments.runs import OptionRun
 from option_coordinator.training.heads.heads import as_numpy
 from option_coordinator.training.learners.imitation import Imitation
-from option_coordinator.training.learners.learner import as_choice
+from option_coordinator.training.learners.learner import decision_batch
 from option_coordinator.training.learners.mappo import Mappo
 from team_bag import TeamBag, play_into
 
@@ -80,7 +80,7 @@ def test_what_was_cut_off_ends_as_if_it_had_not_been(tmp_path, recorded):
 def record_script(folder, episodes=2):
     """Record the hand-written optimum."""
     environment = make_environment(TASK)
-    chooser = scripted_chooser(environment)
+    chooser = scripted_policy(environment)
     with TeamBag(folder) as bag:
         for epoch in range(episodes):
             decision, number = environment.reset(0), 0
@@ -110,7 +110,7 @@ def test_imitation_raises_the_probability_of_what_was_chosen(partial, presence):
     trajectory = RollOut(environment, generator).collect(learner.behaviour(0.0), 100)
     found = [learner.learn(trajectory, generator)["log_prob"] for _ in range(3)]
     assert found[0] < found[1] < found[2]
-    score = learner.network(as_choice(trajectory, presence))
+    score = learner.network(decision_batch(trajectory, presence))
     assert score.log_prob.mean().item() > trajectory.log_prob.mean()
 
 
@@ -118,7 +118,7 @@ def test_decisions_of_others_are_left_out_where_there_are_own(tmp_path, recorded
     bag, start = recorded
     record_script(tmp_path / "script", 1)
     run = BagRun((bag, tmp_path / "script"), start)
-    own = Trajectory.joined([recording.trajectory for recording in recordings(bag)])
+    own = OptionTrajectory.joined([recording.trajectory for recording in recordings(bag)])
     assert run.way == "mappo"
     (script,) = recordings(tmp_path / "script")
     assert (len(run.trajectory), run.left_out) == (len(own), len(script.trajectory))

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import torch
 from ctrl_rl_core.errors import CtrlRlError
-from option_coordinator.data.bag_trajectory import Team, recordings
-from option_coordinator.data.trajectory import Trajectory
+from option_coordinator.data.bag_trajectory import TeamLayout, recordings
+from option_coordinator.data.trajectory import OptionTrajectory
 from option_coordinator.environments.tasks import make_environment
 from option_coordinator.training.learners.mappo import Mappo
 from team_bag import TeamBag, play_into
@@ -22,7 +22,7 @@ def untrained(environment, presence=False):
 
 
 def assert_same(one, other):
-    for field in fields(Trajectory):
+    for field in fields(OptionTrajectory):
         a, b = getattr(one, field.name), getattr(other, field.name)
         assert a.dtype == b.dtype, field.name
         assert a == pytest.approx(b, rel=1e-12) if a.dtype == float else np.array_equal(a, b), field.name
@@ -43,7 +43,7 @@ def test_what_is_read_is_what_happened(tmp_path, task, synchronisation, drop):
         played = play_into(bag, environment, untrained(environment, drop > 0.0), "abc", 2)
     found = recordings(tmp_path / "bag")
     assert [recording.digest for recording in found] == ["abc", "abc"]
-    assert {recording.team for recording in found} == {Team.of(environment.agents)}
+    assert {recording.team for recording in found} == {TeamLayout.of(environment.agents)}
     for recording, trajectory in zip(found, played, strict=True):
         assert_same(recording.trajectory, trajectory)
     if drop:

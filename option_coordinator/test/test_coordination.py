@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from option_coordinator.errors import OptionError
-from option_coordinator.policies.policy_query import choose_or_safe
+from option_coordinator.policies.policy_query import query_with_fallback
 from option_coordinator.protocol.coordination import Coordinator
 from option_coordinator.protocol.ledger import Entry, State
-from option_coordinator.protocol.protocol_types import AgentState, GrantStatus, Request, Status, Word
+from option_coordinator.protocol.protocol_types import AgentState, CoordinatorHeartbeat, GrantStatus, Request, Status
 from team import AGENTS, TIMES, at, uniform
 
 START = 1.0 + TIMES.lost_after  # of robots that have not said anything
@@ -52,8 +52,8 @@ class OneClock:
     def on_status(self, status, now):
         return self.core.on_status(status, self._until(now))
 
-    def on_word(self, word, now):
-        return self.core.on_word(word, self._until(now))
+    def on_coordinator_heartbeat(self, word, now):
+        return self.core.on_coordinator_heartbeat(word, self._until(now))
 
     def close(self, now):
         return self.core.close(self._until(now))
@@ -159,13 +159,13 @@ def test_a_restarted_coordinator_adopts_what_runs():
     again.on_status(running(grant, 0.3), START + 0.3)
     assert again.tick(START + 0.4).grants == []
     for robot in AGENTS[1:]:
-        assert not again.tick(START + 0.6).word  # it may run something
+        assert not again.tick(START + 0.6).heartbeat  # it may run something
         again.on_status(Status(robot.agent.name, 7, AgentState.WAITING), START + 0.6)
     again.tick(START + 0.6)
     assert again.epoch > team.epoch
     assert again.ledger["r0"].option == grant.option
     assert only(again.on_request(request(), START + 0.6)).grant_id == grant.grant_id
-    team.on_word(Word(again.epoch), START + 0.6)
+    team.on_coordinator_heartbeat(CoordinatorHeartbeat(again.epoch), START + 0.6)
     assert team.stands_by
     assert team.on_request(request(request_id=2), START + 0.7).grants == []
 
@@ -211,7 +211,7 @@ def test_a_policy_that_fails_gives_safe_options(policy, fault):
 
 def test_a_slow_policy_gives_safe_options():
     team = coordinator()
-    chosen = choose_or_safe(team._choice({"r0": request()}), uniform(0), -1.0, [0, 0, 0, 0])
+    chosen = query_with_fallback(team._choice({"r0": request()}), uniform(0), -1.0, [0, 0, 0, 0])
     assert (chosen.by_policy, chosen.faults) == (False, ["policy too slow"])
 
 
@@ -249,13 +249,13 @@ def test_a_coordinator_that_hears_another_stands_by_and_knows_who_runs_what_when
     second = OneClock(AGENTS, uniform(1), "digest", START, TIMES, seed=1)
     for tenth in range(30):
         now = START + 0.1 * tenth
-        second.on_word(first.tick(now).word or Word(first.epoch), now)
+        second.on_coordinator_heartbeat(first.tick(now).heartbeat or CoordinatorHeartbeat(first.epoch), now)
         second.on_request(request(now=now, observation=np.ones(2, np.float32)), now)
         second.on_status(running(grant, 0.1 * tenth), now)
         assert (second.tick(now).grants, second.epoch, second.stands_by) == ([], 0, True)
     ended = now
-    assert not second.tick(ended + 0.4).word
-    assert second.tick(ended + 0.5).word == Word(second.epoch)
+    assert not second.tick(ended + 0.4).heartbeat
+    assert second.tick(ended + 0.5).heartbeat == CoordinatorHeartbeat(second.epoch)
     assert second.epoch > first.epoch
     answers = second.on_request(request("r1", now=ended + 0.5), ended + 0.5)
     answers = answers if answers.steps else second.tick(ended + 0.6)

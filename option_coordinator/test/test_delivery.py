@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from option_coordinator.errors import OptionError
 from option_coordinator.navigation.delivery import Delivery
-from option_coordinator.navigation.reactive_planner import STAND, Steering, scan_points
-from option_coordinator.policies.policy_query import Choice
-from option_coordinator.scripted.policy_queries import spread_chooser, uniform_chooser
+from option_coordinator.navigation.reactive_planner import STAND, ReactivePlanner, scan_points
+from option_coordinator.policies.policy_query import PolicyQuery
+from option_coordinator.scripted.policy_queries import spread_policy, uniform_policy
 from option_coordinator.teams.team_file import FOLDER, load_team, team_file
 
 TEAM = load_team("delivery_team")
@@ -45,10 +45,10 @@ def test_a_robot_fetches_delivers_and_goes_home():
 def test_an_option_is_paid_for_each_of_its_steps_discounted():
     delivery = Delivery(TEAM, "robot_1")
     delivery.begin(WAIT, 0.0)
-    earned = delivery.leave(1.0)
+    result = delivery.leave(1.0)
     gamma = TEAM.discount
-    assert earned.steps == 5
-    assert earned.reward == pytest.approx(TEAM.rewards.step * (1 - gamma**5) / (1 - gamma))
+    assert result.steps == 5
+    assert result.reward == pytest.approx(TEAM.rewards.step * (1 - gamma**5) / (1 - gamma))
 
 
 def test_what_is_left_early_brings_no_parcel():
@@ -84,7 +84,7 @@ def test_an_unknown_team_is_told_which_there_are():
 @settings(deadline=None)
 @given(st.floats(-2.0, 2.0), st.floats(-2.0, 2.0), st.floats(-math.pi, math.pi), st.integers(0, 2**32 - 1))
 def test_a_robot_stays_within_its_speeds_and_never_drives_at_what_is_near(x, y, theta, seed):
-    steering = Steering()
+    steering = ReactivePlanner()
     random = np.random.default_rng(seed)
     angles, ranges = random.uniform(-math.pi, math.pi, 40), random.uniform(0.15, 2.0, 40)
     points = np.column_stack((ranges * np.cos(angles), ranges * np.sin(angles)))
@@ -98,7 +98,7 @@ def test_a_robot_stays_within_its_speeds_and_never_drives_at_what_is_near(x, y, 
 
 
 def test_a_robot_drives_straight_where_nothing_is_and_passes_on_the_right():
-    steering, pose, nothing = Steering(), np.zeros(3), np.empty((0, 2))
+    steering, pose, nothing = ReactivePlanner(), np.zeros(3), np.empty((0, 2))
     assert steering.command(pose, nothing, (1.0, 0.0)) == (steering.speed, 0.0)
     assert steering.command(pose, nothing, (0.05, 0.0)) == STAND
     _, turn = steering.command(pose, np.array([(0.5, 0.0)]), (2.0, 0.0))
@@ -115,11 +115,11 @@ def test_points_of_a_scan_leave_out_what_was_not_seen():
 
 def choice(running, legal):
     running = np.array(running)
-    return Choice(np.zeros(12), running < 0, running, np.array(legal, bool))
+    return PolicyQuery(np.zeros(12), running < 0, running, np.array(legal, bool))
 
 
 def test_robots_spread_over_what_nobody_else_runs():
-    chooses = spread_chooser(TEAM.coordinated, np.random.default_rng(0))
+    chooses = spread_policy(TEAM.coordinated, np.random.default_rng(0))
     fetch = [1, 1, 1, 0, 0, 0]
     options, log_probability = chooses(choice([SHELF, -1, -1], [fetch, fetch, fetch]))
     assert options.tolist() == [SHELF, OTHER_SHELF, WAIT]
@@ -128,13 +128,13 @@ def test_robots_spread_over_what_nobody_else_runs():
 
 def test_many_may_go_home_at_a_time():
     assert TEAM.shared == ("wait", "home")
-    chooses = spread_chooser(TEAM.coordinated, np.random.default_rng(0), TEAM.shared)
+    chooses = spread_policy(TEAM.coordinated, np.random.default_rng(0), TEAM.shared)
     options, _ = chooses(choice([HOME, -1, -1], [[1, 0, 0, 0, 0, 1]] * 3))
     assert options.tolist() == [HOME, HOME, HOME]
 
 
 def test_any_legal_option_is_as_likely():
-    chooses = uniform_chooser(np.random.default_rng(0))
+    chooses = uniform_policy(np.random.default_rng(0))
     asked = choice([-1, -1, HOME], [[1, 1, 1, 0, 0, 0], [0, 0, 0, 1, 1, 0], [1] * 6])
     drawn = [chooses(asked) for _ in range(50)]
     assert {tuple(options) for options, _ in drawn} == {(a, b, HOME) for a in (0, 1, 2) for b in (3, 4)}

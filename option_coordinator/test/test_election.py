@@ -53,7 +53,7 @@ class Network:
             if message[2] in self.frozen:
                 held.append(message)
             elif message[2] in self.alive:
-                self.alive[message[2]].on_word(message[3], self.now)
+                self.alive[message[2]].on_coordinator_heartbeat(message[3], self.now)
         for message in held:
             heapq.heappush(self.under_way, message)
 
@@ -144,12 +144,12 @@ def test_of_many_that_begin_at_once_one_decides_after_a_lease_and_is_replaced_af
 def test_who_comes_later_stands_by_and_is_above_whom_it_replaces():
     first, second = Election(0.0, LEASE, 0), Election(0.0, LEASE, 1)
     assert first.tick(LEASE)
-    second.on_word(first.epoch, 0.9 * LEASE)
+    second.on_coordinator_heartbeat(first.epoch, 0.9 * LEASE)
     assert not second.tick(1.8 * LEASE)
     assert second.stands_by
     assert second.tick(1.9 * LEASE)
     assert second.epoch > first.epoch
-    assert first.on_word(second.epoch, 2.0 * LEASE)
+    assert first.on_coordinator_heartbeat(second.epoch, 2.0 * LEASE)
     assert (first.epoch, first.stands_by) == (0, True)
 
 
@@ -157,7 +157,7 @@ def test_nobody_stands_by_for_one_that_robots_do_not_obey():
     deaf, other = Election(0.0, LEASE, 0), Election(0.0, LEASE, 1)
     deaf.tick(LEASE)
     other.on_epoch(deaf.epoch + 1, 0.0)
-    other.on_word(deaf.epoch, LEASE)
+    other.on_coordinator_heartbeat(deaf.epoch, LEASE)
     assert not other.stands_by
     assert other.tick(LEASE)
     assert other.epoch > deaf.epoch + 1
@@ -168,6 +168,6 @@ def test_an_epoch_that_counting_cannot_reach_is_ignored(epoch):
     election = Election(0.0, LEASE, 0)
     election.tick(LEASE)
     own = election.epoch
-    assert not election.on_word(epoch, LEASE)
+    assert not election.on_coordinator_heartbeat(epoch, LEASE)
     assert not election.on_epoch(epoch, LEASE)
     assert (election.epoch, own < 1 << 62) == (own, True)

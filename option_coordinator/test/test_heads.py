@@ -9,7 +9,7 @@ from option_coordinator.options.decision import NONE
 from option_coordinator.options.options import Agent
 from option_coordinator.policies.policy_file import HEADS, make_policy
 from option_coordinator.training.heads import mixture_head
-from option_coordinator.training.heads.head_parts import Choice
+from option_coordinator.training.heads.head_parts import DecisionBatch
 from option_coordinator.training.heads.heads import as_numpy, make_head
 from policies import random_decision
 
@@ -34,7 +34,7 @@ def pair(head, partial, seed):
 def one_choice(observation, options, decision):
     choosing, _, legal = decision
     rows = (observation, options, choosing, legal)
-    return Choice(*(torch.from_numpy(np.asarray(row))[None] for row in rows))
+    return DecisionBatch(*(torch.from_numpy(np.asarray(row))[None] for row in rows))
 
 
 @pytest.mark.parametrize("partial", [False, True])
@@ -50,7 +50,9 @@ def test_torch_and_numpy_agree(head, partial, seed):
     score = network(one_choice(observation, options, decision))
     assert score.log_prob.item() == pytest.approx(float(conditional.log_prob(options)), abs=1e-9)
     choices = conditional.choices()
-    many = Choice(*(part.expand(len(choices), *part.shape[1:]) for part in one_choice(observation, options, decision)))
+    many = DecisionBatch(
+        *(part.expand(len(choices), *part.shape[1:]) for part in one_choice(observation, options, decision))
+    )
     scores = network(many._replace(options=torch.from_numpy(choices)))
     assert scores.log_prob.exp().sum().item() == pytest.approx(1.0, abs=1e-9)
     mean = (scores.log_prob.exp() * scores.entropy).sum().item()
@@ -66,7 +68,7 @@ def test_entropies_of_many_robots_are_true_on_average(monkeypatch):
     decision, observation = random_decision(COUNTS, generator, [True, True, True]), generator.normal(size=9)
     conditional = policy.given(observation, *decision)
     choices = conditional.choices()
-    many = Choice(*(p.expand(len(choices), *p.shape[1:]) for p in one_choice(observation, choices[0], decision)))
+    many = DecisionBatch(*(p.expand(len(choices), *p.shape[1:]) for p in one_choice(observation, choices[0], decision)))
     scores = network(many._replace(options=torch.from_numpy(choices)))
     assert (scores.log_prob.exp() * scores.entropy).sum().item() == pytest.approx(conditional.entropy(), abs=1e-6)
 

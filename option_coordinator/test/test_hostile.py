@@ -7,12 +7,19 @@ import hypothesis.strategies as st
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
-from option_coordinator.nodes.messages import StepMessages, grant_message, grant_of, request_of, status_of, word_of
+from option_coordinator.nodes.messages import StepMessages, grant_message, grant_of, heartbeat_of, request_of, status_of
+from option_coordinator.protocol.clock_reading import TaskTime
 from option_coordinator.protocol.election import Epochs
-from option_coordinator.protocol.instant import TaskTime
 from option_coordinator.protocol.journal import Journal
 from option_coordinator.protocol.message_checks import MessageError
-from option_coordinator.protocol.protocol_types import AgentState, Grant, GrantStatus, Request, Status, Word
+from option_coordinator.protocol.protocol_types import (
+    AgentState,
+    CoordinatorHeartbeat,
+    Grant,
+    GrantStatus,
+    Request,
+    Status,
+)
 from team import AGENTS, STEP, TIMES, SimulatedCoordinator, Team, at
 
 from ctrl_rl_msgs.msg import AgentStatus, CoordinatorStatus, OptionGrant, OptionRequest
@@ -86,7 +93,7 @@ def words(draw):
     return CoordinatorStatus(coordinator_epoch=draw(UINT64), team=draw(TEAM))
 
 
-READERS = {OptionRequest: request_of, AgentStatus: status_of, OptionGrant: grant_of, CoordinatorStatus: word_of}
+READERS = {OptionRequest: request_of, AgentStatus: status_of, OptionGrant: grant_of, CoordinatorStatus: heartbeat_of}
 
 
 def taken(message):
@@ -120,7 +127,7 @@ def test_an_impossible_elapsed_does_not_pass(elapsed):
 def test_what_a_robot_says_of_the_past_does_not_blow_up_the_joint_reward():
     team = Team(0)
     team.advance(1.0)
-    core, robot = team.coordinators[0].core, team.robots["r0"].side
+    core, robot = team.coordinators[0].core, team.robots["r0"].client
     told = {"coordinator_epoch": core.epoch, "request_id": robot.request_id, "grant_id": 99, "option": 1}
     core.on_status(Status("r0", robot.incarnation, AgentState.RUNNING, elapsed=1e6, **told), at(team.now))
     request = Request(
@@ -165,13 +172,13 @@ def strike(team, told):
             for grant in answers.grants:
                 assert len(grant_message(grant).reason) <= 500
     for robot in team.robots.values():
-        if isinstance(told, Grant | Word) and robot.alive:
+        if isinstance(told, Grant | CoordinatorHeartbeat) and robot.alive:
             robot.inbox.append(told)
 
 
 def of_robot(robots, name, **changes):
     """A status in the name of a robot that lives."""
-    return replace(robots.robots[name].side._status(at(robots.now)), **changes)
+    return replace(robots.robots[name].client._status(at(robots.now)), **changes)
 
 
 @pytest.mark.parametrize(
@@ -196,8 +203,8 @@ def test_one_wrong_word_in_a_robots_name_does_not_lock_it_out(changes):
 def test_one_request_with_a_leaping_number_does_not_lock_a_robot_out(request_id):
     team = Team(4)
     team.advance(1.5)
-    side = team.robots["r0"].side
-    told = Request(team.now, "r0", side.incarnation, request_id, 0, np.zeros(2, np.float32), np.zeros(0, bool))
+    client = team.robots["r0"].client
+    told = Request(team.now, "r0", client.incarnation, request_id, 0, np.zeros(2, np.float32), np.zeros(0, bool))
     strike(team, told)
     team.advance(2 * TIMES.lost_after)
     team.settle()
@@ -210,7 +217,7 @@ def test_words_and_messages_of_another_team_mean_nothing():
     core.team = "mine"
     before = core.epoch
     for k in range(1, 100):
-        strike(team, Word(before + (k << 32), "other"))
+        strike(team, CoordinatorHeartbeat(before + (k << 32), "other"))
         strike(team, of_robot(team, "r0", coordinator_epoch=before + (k << 32), team="other"))
         team.advance(STEP)
     assert core.epoch == before
@@ -259,14 +266,14 @@ def test_who_was_frozen_hears_what_happened_before_it_decides():
         frozen.frozen = True
         team.advance(lease * TIMES.lease)
         frozen.inbox.clear()
-        side = team.robots["r0"].side
+        client = team.robots["r0"].client
         now = at(team.now)
         request = Request(
-            now.stamp, "r0", side.incarnation, side.request_id, 0, np.zeros(2, np.float32), np.zeros(0, bool)
+            now.stamp, "r0", client.incarnation, client.request_id, 0, np.zeros(2, np.float32), np.zeros(0, bool)
         )
         assert frozen.core.on_request(request, now) == frozen.core.tick(now)
         assert not frozen.core.tick(now).grants
-        assert not frozen.core.tick(now).word
+        assert not frozen.core.tick(now).heartbeat
         frozen.frozen = False
         team.advance(2.0)
         assert frozen.core.epoch != old or not frozen.core.epoch
@@ -275,10 +282,10 @@ def test_who_was_frozen_hears_what_happened_before_it_decides():
 def test_a_request_of_a_higher_epoch_is_not_granted_in_a_lower_one():
     team = Team(8)
     team.advance(1.5)
-    core, side = team.coordinators[0].core, team.robots["r0"].side
+    core, client = team.coordinators[0].core, team.robots["r0"].client
     above = core.epoch + (1 << 32)
     seen, legal = np.zeros(2, np.float32), np.zeros(0, bool)
-    request = Request(team.now, "r0", side.incarnation, side.request_id + 1, above, seen, legal)
+    request = Request(team.now, "r0", client.incarnation, client.request_id + 1, above, seen, legal)
     assert core.on_request(request, at(team.now)).grants == []
     assert core.counts["requests of higher epochs"] == 1
 

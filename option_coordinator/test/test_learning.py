@@ -11,20 +11,20 @@ from ctrl_rl_training.experiments.matrix import train_all
 from ctrl_rl_training.experiments.run_folder import result_file
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from option_coordinator.data.trajectory import Trajectory, TrajectoryWriter, advantages
+from option_coordinator.data.trajectory import OptionTrajectory, TrajectoryWriter, advantages
 from option_coordinator.environments.option_env import OptionEnvironment
-from option_coordinator.environments.roll_out import Episode, PolicyChooser, RollOut, play_episodes
+from option_coordinator.environments.roll_out import JointDecisionPolicy, OptionEpisode, RollOut, play_episodes
 from option_coordinator.environments.tasks import load_option_task, make_environment
 from option_coordinator.options.decision import NONE
 from option_coordinator.options.options import Agent, Scene, SimulationStep
 from option_coordinator.policies.policy_file import OptionPolicy
-from option_coordinator.scripted.task_policies import scripted_chooser
+from option_coordinator.scripted.task_policies import scripted_policy
 from option_coordinator.training.experiments.evaluation import evaluate, summary
 from option_coordinator.training.experiments.methods import METHODS
 from option_coordinator.training.experiments.runs import OptionRun, RunOptions, option_runs, train_one
 from option_coordinator.training.heads.value import ValueNetwork
 from option_coordinator.training.learners.epsilon_greedy import EpsilonGreedy
-from option_coordinator.training.learners.learner import as_choice
+from option_coordinator.training.learners.learner import decision_batch
 from option_coordinator.training.learners.mac_dqn import MacDqn
 from option_coordinator.training.learners.mappo import Mappo, MappoSettings
 from option_coordinator.training.learners.replay import Replay
@@ -66,7 +66,7 @@ def test_advantages_discount_by_what_an_option_took():
 def test_with_lambda_one_advantages_are_discounted_returns_of_low_level_steps():
     """G^1 of the first option step is sum_k gamma^k r_k over the low-level steps, whatever the options took."""
     environment = make_environment("tool_delivery")
-    choose, writer, rewards = scripted_chooser(environment), TrajectoryWriter(), []
+    choose, writer, rewards = scripted_policy(environment), TrajectoryWriter(), []
     decision = environment.reset(0)
     while not decision.over:
         before = decision
@@ -102,7 +102,7 @@ def test_trajectories_of_batches_follow_each_other():
     goes_on = np.array_equal(again.observation[0], trajectory.next_observation[-1])
     assert goes_on or again.choosing[0].all()  # else a fresh episode
     assert len(trajectory.episodes()) == trajectory.last.sum()
-    joined = Trajectory.joined([trajectory, again])
+    joined = OptionTrajectory.joined([trajectory, again])
     assert len(joined) == len(trajectory) + len(again)
     first, *_ = trajectory.episodes()
     assert np.all(first.choosing[0])
@@ -112,7 +112,7 @@ def test_trajectories_of_batches_follow_each_other():
     with pytest.raises(CtrlRlError, match="lengths"):
         replace(trajectory, reward=trajectory.reward[:-1])
     with pytest.raises(CtrlRlError, match="no trajectory"):
-        Trajectory.joined([])
+        OptionTrajectory.joined([])
 
 
 def test_values_are_learnt_on_a_scale_of_their_own():
@@ -163,7 +163,7 @@ def test_mac_dqn_learns_values_as_large_as_returns_in_a_few_hundred_steps(discou
     ended = replace(trajectory, reward=wanted, terminated=np.ones(len(trajectory), dtype=bool))
     for _ in range(300):
         learner.learn(ended, generator)
-    choice = as_choice(ended)
+    choice = decision_batch(ended)
     cells = learner.network.cell(choice.options)[:, None]
     values = learner.scale.undo(learner.network.logits(choice.observation).gather(1, cells)[:, 0])
     assert values.mean().item() == pytest.approx(wanted.mean(), abs=5.0)
@@ -199,12 +199,12 @@ def test_large_batches_are_learnt_in_parts():
 
 def test_figures_of_option_steps_are_pooled():
     """Of one episode with 1 option step and one with 3; the thesis's keeps the last low-level reward of each."""
-    one = Episode(returned=4.0, steps=4, decisions=1, option_reward=4.0, last_reward=2.0)
-    other = Episode(returned=0.0, steps=4, decisions=3, option_reward=0.0, last_reward=6.0)
+    one = OptionEpisode(returned=4.0, steps=4, decisions=1, option_reward=4.0, last_reward=2.0)
+    other = OptionEpisode(returned=0.0, steps=4, decisions=3, option_reward=0.0, last_reward=6.0)
     found = summary([one, other])
     assert (found["return"], found["option_reward"], found["last_reward"]) == (2.0, 1.0, 2.0)
     environment = make_environment("tool_delivery")
-    script = summary(list(play_episodes(environment, scripted_chooser(environment), range(1))))
+    script = summary(list(play_episodes(environment, scripted_policy(environment), range(1))))
     assert script["option_reward"] == pytest.approx(13.55, abs=0.01)
 
 
@@ -214,10 +214,10 @@ def test_what_is_judged_is_what_is_saved(tmp_path, method):
     result = train_one(run, RunOptions(tmp_path, **SHORT))
     policy = OptionPolicy.load(tmp_path / run.name / "policy.safetensors")
     assert result["used"] == policy.manifest["used"] == ("mode" if policy.greedy else "draws")
-    mode = PolicyChooser(policy.joint)
+    mode = JointDecisionPolicy(policy.joint)
     assert result["final"]["mode"] == summary(list(play_episodes(run.environment(), mode, range(2_000_000, 2_000_001))))
     if not policy.greedy:
-        draws = PolicyChooser(policy.joint, np.random.default_rng((2_000_000, 1, 1)))
+        draws = JointDecisionPolicy(policy.joint, np.random.default_rng((2_000_000, 1, 1)))
         episodes = play_episodes(run.environment(), draws, range(2_000_000, 2_000_001))
         assert result["final"]["draws"] == summary(list(episodes))
     decision, generator = run.environment().reset(0), np.random.default_rng(0)

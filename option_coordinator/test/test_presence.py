@@ -7,16 +7,16 @@ from ctrl_rl_core.errors import CtrlRlError
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from option_coordinator.environments.option_env import OptionEnvironment
-from option_coordinator.environments.robot_dropout import draw_outage
+from option_coordinator.environments.robot_dropout import draw_dropout
 from option_coordinator.environments.roll_out import RollOut
 from option_coordinator.environments.tasks import make_environment
 from option_coordinator.options.decision import NONE
 from option_coordinator.options.options import Agent, Scene, SimulationStep
 from option_coordinator.policies.policy_file import HEADS, OptionPolicy, make_policy
-from option_coordinator.scripted.task_policies import RandomChooser
+from option_coordinator.scripted.task_policies import RandomPolicy
 from option_coordinator.training.experiments.runs import OptionRun
 from option_coordinator.training.heads.heads import as_numpy
-from option_coordinator.training.learners.learner import as_choice
+from option_coordinator.training.learners.learner import decision_batch
 from option_coordinator.training.learners.mappo import Mappo
 
 ALONE, TOGETHER = range(2)
@@ -60,7 +60,7 @@ class Lifting:
 
 
 def play(environment, seed):
-    chooser = RandomChooser(seed)
+    chooser = RandomPolicy(seed)
     decisions = [environment.reset(seed)]
     while not decisions[-1].over:
         decisions.append(environment.step(chooser(decisions[-1])))
@@ -73,7 +73,7 @@ def play(environment, seed):
 def test_who_is_absent_neither_chooses_nor_runs_and_nobody_waits_for_it(synchronisation, seed):
     environment = make_environment("tool_delivery", synchronisation, drop=1.0)
     decisions = play(environment, seed)
-    agent, begin, end = environment._outage
+    agent, begin, end = environment._dropout
     name = environment.agents[agent].name
     at = 0
     for decision in decisions:
@@ -93,9 +93,9 @@ def test_who_is_absent_neither_chooses_nor_runs_and_nobody_waits_for_it(synchron
 
 def test_without_a_chance_nothing_is_drawn():
     one, other = np.random.default_rng(0), np.random.default_rng(0)
-    assert draw_outage(0.0, 3, 150, one) is None
+    assert draw_dropout(0.0, 3, 150, one) is None
     assert one.random() == other.random()
-    found = [draw_outage(0.3, 3, 150, one) for _ in range(1000)]
+    found = [draw_dropout(0.3, 3, 150, one) for _ in range(1000)]
     assert sum(outage is not None for outage in found) == pytest.approx(300, abs=50)
     assert {outage.agent for outage in found if outage} == {0, 1, 2}
     assert all(1 <= outage.begin < outage.end < 150 for outage in found if outage)
@@ -120,7 +120,7 @@ def test_absent_and_choosing_look_different_to_a_policy_that_is_told(tmp_path, h
     assert not trajectory.present.all()
     goes_on = np.flatnonzero(~trajectory.last)
     assert np.array_equal(trajectory.next_present[goes_on], trajectory.present[goes_on + 1])
-    score = learner.network(as_choice(trajectory, presence=True))
+    score = learner.network(decision_batch(trajectory, presence=True))
     assert score.log_prob.detach().numpy() == pytest.approx(trajectory.log_prob, abs=1e-5)
     saved = OptionPolicy(environment.agents, head, False, as_numpy(learner.network), presence=True)
     saved.save(tmp_path / "p.safetensors")

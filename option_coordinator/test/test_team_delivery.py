@@ -9,7 +9,7 @@ from option_coordinator.environments.tasks import load_option_task, make_environ
 from option_coordinator.environments.tasks.team_delivery import TeamDeliverySimulation
 from option_coordinator.errors import OptionError
 from option_coordinator.policies.policy_file import OptionPolicy, shipped_policies
-from option_coordinator.scripted.task_policies import RandomChooser, scripted_chooser
+from option_coordinator.scripted.task_policies import RandomPolicy, scripted_policy
 from option_coordinator.teams.team_file import FOLDER, TeamFile, TeamRewards, load_team
 from option_coordinator.training.experiments.evaluation import summary
 
@@ -32,7 +32,7 @@ def until_ended(simulation):
 @pytest.mark.parametrize("scripted", [True, False])
 def test_whatever_makes_sense_brings_every_parcel(scripted):
     environment = make_environment("delivery_team")
-    chooser = scripted_chooser(environment) if scripted else RandomChooser(0)
+    chooser = scripted_policy(environment) if scripted else RandomPolicy(0)
     for episode in play_episodes(environment, chooser, range(3)):
         assert episode.terminated
         assert episode.figures["deliveries"] == PARCELS
@@ -41,7 +41,7 @@ def test_whatever_makes_sense_brings_every_parcel(scripted):
 
 def test_robots_stay_in_the_room_and_out_of_the_obstacle():
     environment = OptionEnvironment(make_simulation(TEAM), film=True)
-    list(play_episodes(environment, RandomChooser(3), [3]))
+    list(play_episodes(environment, RandomPolicy(3), [3]))
     places = np.array([list(scene.robots.values()) for scene in environment.scenes])
     (left, right), (bottom, top) = environment.simulation.room
     assert (places > (left, bottom)).all()
@@ -133,6 +133,6 @@ def test_a_shipped_policy_is_of_its_team_and_beats_the_scripted_one(name):
     environment = make_environment(name)
     random = np.random.default_rng(0)
     learnt = summary(list(play_episodes(environment, lambda decision: policy.choose(decision, random), range(5))))
-    scripted = summary(list(play_episodes(environment, scripted_chooser(environment), range(5))))
+    scripted = summary(list(play_episodes(environment, scripted_policy(environment), range(5))))
     assert learnt["return"] > scripted["return"]
     assert learnt["makespan"] < scripted["makespan"]

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from option_coordinator.environments.option_env import OptionEnvironment
 from option_coordinator.environments.tasks import load_option_task, make_environment, make_simulation
-from option_coordinator.scripted.task_policies import RandomChooser, scripted_chooser
+from option_coordinator.scripted.task_policies import RandomPolicy, scripted_policy
 
 TASK = load_option_task("tool_delivery")
 GO_TO_WS, GO_TO_TR, GET_TOOL = range(3)
@@ -36,7 +36,7 @@ def choose(t0=None, t1=None, fetch=None):
 
 def test_the_script_reaches_the_optimum():
     environment = make_environment("tool_delivery", discount=1.0)
-    decisions = play(environment, scripted_chooser(environment))
+    decisions = play(environment, scripted_policy(environment))
     assert total(decisions) == 260.0
     assert environment.figures() == {"steps": 40, "deliveries": 3, "failed_passes": 0}
     assert decisions[-1].terminated
@@ -56,7 +56,7 @@ def test_the_script_reaches_the_optimum():
 
 def test_the_first_observations_of_the_script():
     environment = make_environment("tool_delivery")
-    decisions = play(environment, scripted_chooser(environment))
+    decisions = play(environment, scripted_policy(environment))
 
     def bits(decision, name):
         return "".join(str(int(bit)) for bit in decision.observations[name])
@@ -153,7 +153,7 @@ def test_a_search_finds_one_copy_and_the_table_holds_two():
 @settings(max_examples=25, deadline=None)
 def test_what_holds_for_any_choices(synchronisation, seed):
     environment = OptionEnvironment(make_simulation(TASK), 0.99, synchronisation)
-    decisions = play(environment, RandomChooser(seed))
+    decisions = play(environment, RandomPolicy(seed))
     for before, after in pairwise(decisions):
         assert after.duration >= 1
         assert after.discount == pytest.approx(0.99**after.duration)
@@ -182,7 +182,7 @@ def test_when_a_synchronous_team_is_cut_off_nobody_runs_on(synchronisation):
     """Its value was learnt where all choose; the moment of the time-out must look like those."""
     environment = OptionEnvironment(make_simulation(TASK), 0.99, synchronisation)
     for seed in range(4):
-        *_, last = play(environment, RandomChooser(seed), seed)
+        *_, last = play(environment, RandomPolicy(seed), seed)
         if last.truncated:
             break
     assert last.truncated

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from option_coordinator.environments.option_env import OptionEnvironment
 from option_coordinator.environments.tasks import load_option_task, make_environment
 from option_coordinator.environments.tasks.water_filling import WaterFillingSimulation
-from option_coordinator.scripted.task_policies import GreedyFiller, JarCycle, RandomChooser
+from option_coordinator.scripted.task_policies import GreedyFiller, JarCycle, RandomPolicy
 
 TASK = load_option_task("water_filling")
 
@@ -82,7 +82,7 @@ def test_knowing_more_is_better():
     scores = {
         name: np.mean([mean_reward(environment, make(seed), seed) for seed in range(3)])
         for name, make in {
-            "random": RandomChooser,
+            "random": RandomPolicy,
             "cycle": lambda _: JarCycle(),
             "greedy": lambda _: GreedyFiller(environment.simulation),
         }.items()
@@ -96,7 +96,7 @@ def test_knowing_more_is_better():
 def test_what_holds_for_any_choices(options, seed):
     simulation = WaterFillingSimulation(TASK, options)
     environment = OptionEnvironment(simulation)
-    chooser = RandomChooser(seed)
+    chooser = RandomPolicy(seed)
     decision = environment.reset(seed)
     for _ in range(80):
         decision = environment.step(chooser(decision))

@@ -13,7 +13,7 @@ import numpy as np
 from _common import Row, row
 from option_coordinator.options.options import Agent
 from option_coordinator.policies.policy_file import OptionPolicy
-from option_coordinator.policies.policy_query import Choice, policy_chooser
+from option_coordinator.policies.policy_query import PolicyQuery, learned_policy_fn
 from option_coordinator.training.heads.heads import as_numpy, make_head
 
 ROBOTS = (2, 5, 10, 20, 50, 100, 150, 200, 300)
@@ -36,11 +36,11 @@ def decision_time(robots: int) -> float:
     agents = tuple(Agent(f"r{i}", tuple("abcdef"[:OPTIONS]), 4) for i in range(robots))
     policy = OptionPolicy(agents, "mixture", False, as_numpy(make_head("mixture", agents)))
     random = np.random.default_rng(0)
-    chooses = policy_chooser(policy, random)
+    chooses = learned_policy_fn(policy, random)
     times = []
     for _ in range(DECISIONS):
         choosing = random.permutation(robots) < max(1, robots // 2)
-        choice = Choice(
+        choice = PolicyQuery(
             observation=random.normal(size=4 * robots).astype(np.float32),
             choosing=choosing,
             running=np.where(choosing, -1, random.integers(OPTIONS, size=robots)),

@@ -15,9 +15,9 @@ from ctrl_rl_core.io.results import Result, as_markdown, read_benchmarks, read_r
 from koopman_lqr_controller.policies.policy_file import DEFAULT_POLICY
 
 from ctrl_rl_bringup.corridor.drive import drive, drive_seeds, follow_running, record_scripted, write_artifacts
-from ctrl_rl_bringup.corridor.report import Drive, read_drive
+from ctrl_rl_bringup.corridor.report import DriveReport, read_drive
 from ctrl_rl_bringup.runner.domain import own_domain, stay_local
-from ctrl_rl_bringup.runner.stack import DriveOptions
+from ctrl_rl_bringup.runner.stack import DriveConfig
 from ctrl_rl_msgs.msg import TaskOutcome
 
 _AS_REAL = ("lidar", "scan_rate", "scan_dropout", "scan_noise", "odom_drift", "command_delay", "command_truncation")
@@ -61,7 +61,7 @@ def report() -> int:
     """Say again what the bag of a drive says."""
     parser = argparse.ArgumentParser(prog="report", description="Report on a recorded drive, and draw it.")
     parser.add_argument("folder", type=Path, help="folder of the run, with its bag in 'bag'")
-    options = DriveOptions(parser.parse_args().folder)
+    options = DriveConfig(parser.parse_args().folder)
     return run_here("report", lambda: _report(read_drive(options.bag), options))
 
 
@@ -117,9 +117,9 @@ def _add_policy(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--policy", default=DEFAULT_POLICY, help="policy name or file (default %(default)s)")
 
 
-def _options(options: argparse.Namespace, name: str, seed: int) -> DriveOptions:
+def _options(options: argparse.Namespace, name: str, seed: int) -> DriveConfig:
     folder = options.output or Path("runs") / f"{name}-{datetime.now():%Y%m%d-%H%M%S}"
-    return DriveOptions(
+    return DriveConfig(
         folder=folder,
         task=options.task,
         policy=getattr(options, "policy", DEFAULT_POLICY),  # the scripted driver of record_drives needs none
@@ -153,12 +153,12 @@ def run_alone(program: str, work: Callable[[], int]) -> int:
     return run_here(program, alone)
 
 
-def _demo(options: DriveOptions) -> int:
+def _demo(options: DriveConfig) -> int:
     print(f"demo: {options.task}, seed {options.seed}, {options.speed:g}x real time, in {options.folder}", flush=True)
     return _report(drive(options), options)
 
 
-def _report(result: Drive, options: DriveOptions) -> int:
+def _report(result: DriveReport, options: DriveConfig) -> int:
     artifacts = write_artifacts(result, options.folder)
     print(result.text())
     print(f"bag                 {options.bag}")
@@ -193,7 +193,7 @@ def _trials(options: argparse.Namespace) -> int:
     return 0 if sum(reached) >= needed else 1
 
 
-def _conditions(run: DriveOptions) -> list[str]:
+def _conditions(run: DriveConfig) -> list[str]:
     """Return in words what a drive is like."""
     width = "random" if run.randomise_width else f"{run.width:g} m" if run.width else "nominal"
     return [f"width {width}", *(f"{name} {value}".lower() for name, value in run.simulation.items())]

@@ -16,9 +16,9 @@ from ctrl_rl_bringup.cli.drive import run_alone, run_here
 from ctrl_rl_bringup.team.plot import draw_team
 from ctrl_rl_bringup.team.report import read_team
 from ctrl_rl_bringup.team.run import follow_running_team, run_team
-from ctrl_rl_bringup.team.stack import TeamOptions
+from ctrl_rl_bringup.team.stack import TeamConfig
 
-_DEFAULT = TeamOptions(Path())
+_DEFAULT = TeamConfig(Path())
 _FASTEST = 1000.0
 
 
@@ -37,7 +37,7 @@ def demo() -> int:
     parser.add_argument("--gui", action="store_true", help="show PyBullet's window")
     given = parser.parse_args()
     folder = given.output or Path("runs") / f"options-{datetime.now():%Y%m%d-%H%M%S}"
-    options = TeamOptions(folder, given.team, given.room, given.policy, given.seed, given.speed, given.gui)
+    options = TeamConfig(folder, given.team, given.room, given.policy, given.seed, given.speed, given.gui)
     return run_alone("options_demo", lambda: _demo(options))
 
 
@@ -47,7 +47,7 @@ def report() -> int:
     parser.add_argument("folder", type=Path, help="folder of the run, with its bag in 'bag'")
     _add_team(parser)
     given = parser.parse_args()
-    options = TeamOptions(given.folder, given.team, given.room)
+    options = TeamConfig(given.folder, given.team, given.room)
     return run_here("options_report", lambda: _report(options))
 
 
@@ -64,7 +64,7 @@ def _add_team(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--room", default=_DEFAULT.room, help="navigation task or .yaml file (default: the team's)")
 
 
-def _demo(options: TeamOptions) -> int:
+def _demo(options: TeamConfig) -> int:
     if not 0.0 < options.speed <= _FASTEST:
         raise CommandError(f"--speed {options.speed:g}: must be more than 0 and at most {_FASTEST:g}")
     if options.seed < 0:
@@ -77,7 +77,7 @@ def _demo(options: TeamOptions) -> int:
     return _report(options)
 
 
-def _report(options: TeamOptions) -> int:
+def _report(options: TeamConfig) -> int:
     team = load_team(options.team)
     idle = [name for name, option in team.options.items() if option.work is Work.WAIT]
     run = read_team(options.drive.bag, idle)

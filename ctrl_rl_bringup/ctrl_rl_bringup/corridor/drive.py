@@ -13,13 +13,13 @@ from ctrl_rl_core.tasks.task import task_file
 from koopman_lqr_controller.policies.policy_file import find_policy
 
 from ctrl_rl_bringup.corridor.plot import draw_drive
-from ctrl_rl_bringup.corridor.report import Drive, read_drive
-from ctrl_rl_bringup.runner.monitor import Episode, Monitor
+from ctrl_rl_bringup.corridor.report import DriveReport, read_drive
+from ctrl_rl_bringup.runner.monitor import EpisodeProgress, Monitor
 from ctrl_rl_bringup.runner.prepare import new_run, value_files
 from ctrl_rl_bringup.runner.processes import Processes
 from ctrl_rl_bringup.runner.session import ros
 from ctrl_rl_bringup.runner.stack import (
-    DriveOptions,
+    DriveConfig,
     NodeSpec,
     controller,
     recorder,
@@ -39,7 +39,7 @@ class Artifacts:
     picture: Path
 
 
-def drive(options: DriveOptions) -> Drive:
+def drive(options: DriveConfig) -> DriveReport:
     """Drive once under the controller, with its reward, record everything, and return what the bag says."""
     policy = find_policy(options.policy)
     new_run(options)
@@ -51,7 +51,7 @@ def drive(options: DriveOptions) -> Drive:
     return read_drive(options.bag)
 
 
-def write_artifacts(result: Drive, folder: Path) -> Artifacts:
+def write_artifacts(result: DriveReport, folder: Path) -> Artifacts:
     """Write report and picture of a drive into a folder."""
     out = Artifacts(folder / "report.json", folder / "path.png")
     atomic_write(out.report, json.dumps(result.as_dict(), indent=2) + "\n")
@@ -77,7 +77,7 @@ def follow_running(topics: Sequence[str]) -> int:
             monitor.close()
 
 
-def drive_seeds(options: DriveOptions, seeds: Sequence[int]) -> list[Episode]:
+def drive_seeds(options: DriveConfig, seeds: Sequence[int]) -> list[EpisodeProgress]:
     """Drive under the controller once for each seed, in one recorded session, and return how each drive ended."""
     policy = find_policy(options.policy)
     new_run(options)
@@ -85,14 +85,14 @@ def drive_seeds(options: DriveOptions, seeds: Sequence[int]) -> list[Episode]:
         return _episodes(monitor, seeds, "seed")
 
 
-def record_scripted(options: DriveOptions, seeds: Sequence[int]) -> list[Episode]:
+def record_scripted(options: DriveConfig, seeds: Sequence[int]) -> list[EpisodeProgress]:
     """Record the scripted driver, once for each seed: drives to learn from."""
     new_run(options)
     with _running(options, [scripted_driver(options.seed), watchdog(options.speed)], {}) as monitor:
         return _episodes(monitor, seeds, "drive")
 
 
-def _episodes(monitor: Monitor, seeds: Sequence[int], title: str) -> list[Episode]:
+def _episodes(monitor: Monitor, seeds: Sequence[int], title: str) -> list[EpisodeProgress]:
     out = []
     for index, seed in enumerate(seeds):
         monitor.reset(seed)
@@ -103,7 +103,7 @@ def _episodes(monitor: Monitor, seeds: Sequence[int], title: str) -> list[Episod
 
 
 @contextmanager
-def _running(options: DriveOptions, nodes: Sequence[NodeSpec], digests: dict[str, Path]) -> Iterator[Monitor]:
+def _running(options: DriveConfig, nodes: Sequence[NodeSpec], digests: dict[str, Path]) -> Iterator[Monitor]:
     """Start simulator, recorder and nodes, and end them in an order in which the recorder misses nothing."""
     with ros(), Processes(options.folder) as processes:
         processes.start([recorder(options, {"task": task_file(options.task), **digests}), simulator(options), *nodes])

@@ -11,11 +11,11 @@ from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 
-from ctrl_rl_bringup.corridor.report import Drive
+from ctrl_rl_bringup.corridor.report import DriveReport
 from ctrl_rl_bringup.runner.monitor import OUTCOMES
 
 
-def draw_drive(drive: Drive, path: Path) -> None:
+def draw_drive(drive: DriveReport, path: Path) -> None:
     """Write the picture as a PNG; the file is there whole or not at all."""
     task = load_navigation_task(drive.task)
     rows = ["clearance", "speed", "turn"]
@@ -38,7 +38,7 @@ def draw_drive(drive: Drive, path: Path) -> None:
     save_figure(figure, path)
 
 
-def _draw_map(axes: Axes, task: NavigationTask, drive: Drive) -> None:
+def _draw_map(axes: Axes, task: NavigationTask, drive: DriveReport) -> None:
     draw_world(axes, task, drive.width)
     points = drive.truth[:, 1:3]
     if len(points) > 1:
@@ -54,7 +54,7 @@ def _draw_map(axes: Axes, task: NavigationTask, drive: Drive) -> None:
     axes.legend(loc="best", frameon=False)
 
 
-def _mark_times(axes: Axes, drive: Drive, step: float = 5.0) -> None:
+def _mark_times(axes: Axes, drive: DriveReport, step: float = 5.0) -> None:
     """Write the time beside the path every few seconds."""
     for time in np.arange(step, drive.duration, step):
         x, y = (np.interp(time, drive.truth[:, 0], drive.truth[:, column]) for column in (1, 2))
@@ -62,7 +62,7 @@ def _mark_times(axes: Axes, drive: Drive, step: float = 5.0) -> None:
         axes.annotate(f"{time:g} s", (x, y), (4, 4), textcoords="offset points", fontsize=7)
 
 
-def _draw_over_time(axes: dict[str, Axes], drive: Drive) -> None:
+def _draw_over_time(axes: dict[str, Axes], drive: DriveReport) -> None:
     axes["clearance"].plot(*drive.clearance.T, color="tab:blue")
     axes["clearance"].axhline(0.0, color="tab:red", linewidth=1)
     axes["clearance"].set_ylabel("clearance\n[m]")

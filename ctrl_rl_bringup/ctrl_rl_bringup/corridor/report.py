@@ -27,7 +27,7 @@ _DIGEST = "digest."
 
 
 @dataclass(frozen=True)
-class Drive:
+class DriveReport:
     """One drive as recorded; times are seconds of simulation since the start.
 
     Attributes:
@@ -146,7 +146,7 @@ class Drive:
         )
 
 
-def read_drive(bag: Path) -> Drive:
+def read_drive(bag: Path) -> DriveReport:
     """Read the drive of one robot, in one episode, from a bag; in any namespace, the first by name of several.
 
     Raises:
@@ -176,7 +176,7 @@ def read_drive(bag: Path) -> Drive:
 
     sent = read_sent(bag)
     latent = read_latent_model(bag)
-    return Drive(
+    return DriveReport(
         task=task,
         width=width,
         outcome=int(episode[-1, 3]),

@@ -42,7 +42,7 @@ class MonitorError(CtrlRlError):
 
 
 @dataclass(frozen=True)
-class Episode:
+class EpisodeProgress:
     """How an episode stands: number, outcome, time since the reset [s], part of the way done, least clearance [m]."""
 
     number: int
@@ -69,7 +69,7 @@ class Monitor:
         self._node = Node("monitor")
         self._topics = (*_RECORDED, *topics)
         self._check = check
-        self._episode: Episode | None = None
+        self._episode: EpisodeProgress | None = None
         self._wanted = 0
         self._heard = time.monotonic()
         self._unheard = set(topics)
@@ -113,7 +113,7 @@ class Monitor:
         self._wanted = self._call(self._reset, ResetWorld.Request(seed=seed)).episode
         self._episode = None
 
-    def follow(self, title: str, lines: int = 10) -> Episode:
+    def follow(self, title: str, lines: int = 10) -> EpisodeProgress:
         """Show the robot's progress until the episode has an outcome, and return how it ended.
 
         Args:
@@ -159,7 +159,7 @@ class Monitor:
         self._heard = time.monotonic()
         if message.episode != self._wanted:  # of the episode before the last reset, still under way
             return
-        self._episode = Episode(
+        self._episode = EpisodeProgress(
             message.episode, message.outcome.value, message.elapsed, message.progress, message.smallest_clearance
         )
 

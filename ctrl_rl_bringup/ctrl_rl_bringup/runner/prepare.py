@@ -10,10 +10,10 @@ from ctrl_rl_core.tasks.task import load_navigation_task
 from oc_baseline_node.values.value_file import find_value, shipped_values
 from ttr_reward_node.solvers.solver import solve_task
 
-from ctrl_rl_bringup.runner.stack import DriveOptions
+from ctrl_rl_bringup.runner.stack import DriveConfig
 
 
-def new_run(options: DriveOptions) -> None:
+def new_run(options: DriveConfig) -> None:
     """Check the task of a run and make its folder.
 
     Raises:
@@ -28,7 +28,7 @@ def new_run(options: DriveOptions) -> None:
         raise CtrlRlError(f"cannot make {options.folder}: {error.strerror}") from None
 
 
-def value_files(options: DriveOptions) -> dict[str, Path]:
+def value_files(options: DriveConfig) -> dict[str, Path]:
     """Return the files of the value functions that are served beside a drive, by kind; what is lacking is said.
 
     `time_to_reach` is solved now, for the robot's own size, and written beside the bag; `oc_value` comes with its

@@ -42,7 +42,7 @@ class NodeSpec:
 
 
 @dataclass(frozen=True)
-class DriveOptions:
+class DriveConfig:
     """What can be chosen about a drive.
 
     Attributes:
@@ -73,7 +73,7 @@ class DriveOptions:
         return self.folder / "bag"
 
 
-def simulator(options: DriveOptions) -> NodeSpec:
+def simulator(options: DriveConfig) -> NodeSpec:
     """Return the bridge; it starts paused, so that nothing happens before everyone listens."""
     parameters = {
         "task": options.task,
@@ -88,14 +88,14 @@ def simulator(options: DriveOptions) -> NodeSpec:
     return NodeSpec("sim_bridge", "bridge", parameters)
 
 
-def recorder(options: DriveOptions, digests: Mapping[str, Path]) -> NodeSpec:
+def recorder(options: DriveConfig, digests: Mapping[str, Path]) -> NodeSpec:
     """Return the recorder of every topic; `digests` names the files whose SHA-256 the bag is to hold."""
     files = [f"{name}={path}" for name, path in digests.items()]
     parameters = {"use_sim_time": True, "output": str(options.bag), "digest_files": files}
     return NodeSpec("ctrl_rl_core", "recorder", parameters)
 
 
-def controller(options: DriveOptions) -> NodeSpec:
+def controller(options: DriveConfig) -> NodeSpec:
     """Return the Koopman-LQR controller."""
     parameters = {"use_sim_time": True, "policy": options.policy}
     return NodeSpec("koopman_lqr_controller", "controller", parameters, (RAW,), remappings={"cmd_vel": RAW})
@@ -108,7 +108,7 @@ def watchdog(speed: float, namespace: str = "") -> NodeSpec:
     return NodeSpec("ctrl_rl_core", "watchdog", parameters, namespace=namespace)
 
 
-def value_nodes(options: DriveOptions, files: Mapping[str, Path]) -> list[NodeSpec]:
+def value_nodes(options: DriveConfig, files: Mapping[str, Path]) -> list[NodeSpec]:
     """Return the nodes that serve the value functions `files`, see `prepare.value_files`.
 
     The simulator's odometry starts in the frame of the map.

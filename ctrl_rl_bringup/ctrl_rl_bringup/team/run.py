@@ -19,7 +19,7 @@ from ctrl_rl_bringup.runner.processes import Processes
 from ctrl_rl_bringup.runner.progress import ProgressDisplay
 from ctrl_rl_bringup.runner.session import ros
 from ctrl_rl_bringup.runner.stack import RAW, recorder
-from ctrl_rl_bringup.team.stack import TeamOptions, agents, coordinator, team_of, team_simulator, watchdogs
+from ctrl_rl_bringup.team.stack import TeamConfig, agents, coordinator, team_of, team_simulator, watchdogs
 from ctrl_rl_msgs.msg import AgentStatus, JointOptionStep, OptionGrant
 
 _SILENT_S = 60.0
@@ -85,7 +85,7 @@ class TeamMonitor(Monitor):
         return ""
 
 
-def new_team_run(options: TeamOptions) -> tuple[TeamFile, dict[str, Path]]:
+def new_team_run(options: TeamConfig) -> tuple[TeamFile, dict[str, Path]]:
     """Make the folder of a run; return its team, and the files whose digests its bag is to hold.
 
     Raises:
@@ -94,14 +94,14 @@ def new_team_run(options: TeamOptions) -> tuple[TeamFile, dict[str, Path]]:
     team = team_of(options)
     load_room(team, options.room)
     digests = {"task": task_file(options.task), "team": team_file(options.team)}
-    if options.chooses not in SCRIPTED:
-        digests["policy"] = policy_file(options.chooses)
-        OptionPolicy.load_for(options.chooses, (robot.agent for robot in team.coordinated))
+    if options.policy_name not in SCRIPTED:
+        digests["policy"] = policy_file(options.policy_name)
+        OptionPolicy.load_for(options.policy_name, (robot.agent for robot in team.coordinated))
     new_run(options.drive)
     return team, digests
 
 
-def run_team(options: TeamOptions) -> None:
+def run_team(options: TeamConfig) -> None:
     """Let a team work once, and record everything."""
     team, digests = new_team_run(options)
     others = [coordinator(options), *watchdogs(options, team), *agents(options, team)]

@@ -9,14 +9,14 @@ from pathlib import Path
 from option_coordinator.policies.policy_file import shipped_policies
 from option_coordinator.teams.team_file import TeamFile, load_team, room_file
 
-from ctrl_rl_bringup.runner.stack import RAW, DriveOptions, NodeSpec, simulator, watchdog
+from ctrl_rl_bringup.runner.stack import RAW, DriveConfig, NodeSpec, simulator, watchdog
 
 _LEASE = 0.5
 _HEARTBEAT = 0.1
 
 
 @dataclass(frozen=True)
-class TeamOptions:
+class TeamConfig:
     """What can be chosen about a team's run.
 
     Attributes:
@@ -43,31 +43,31 @@ class TeamOptions:
         return room_file(self.room) if self.room else load_team(self.team).room_file
 
     @property
-    def chooses(self) -> str:
+    def policy_name(self) -> str:
         """The policy that it is."""
         return self.policy or (self.team if self.team in shipped_policies() else "spread")
 
     @property
-    def drive(self) -> DriveOptions:
+    def drive(self) -> DriveConfig:
         """The part that is as for a single robot."""
-        return DriveOptions(
-            self.folder, task=self.task, policy=self.chooses, seed=self.seed, speed=self.speed, gui=self.gui
+        return DriveConfig(
+            self.folder, task=self.task, policy=self.policy_name, seed=self.seed, speed=self.speed, gui=self.gui
         )
 
 
-def team_simulator(options: TeamOptions, team: TeamFile) -> NodeSpec:
+def team_simulator(options: TeamConfig, team: TeamFile) -> NodeSpec:
     """Return the bridge with the team's robots, each in its namespace; it starts paused."""
     spec = simulator(options.drive)
     parameters = {**spec.parameters, "robots": list(team.robots), "odom_rate": 10.0}
     return NodeSpec(spec.package, spec.executable, parameters)
 
 
-def coordinator(options: TeamOptions) -> NodeSpec:
+def coordinator(options: TeamConfig) -> NodeSpec:
     """Return the coordinator. Stamps are of simulated time, so that an observation ages as fast as that goes."""
     parameters = {
         "use_sim_time": True,
         "team": options.team,
-        "policy": options.chooses,
+        "policy": options.policy_name,
         "seed": options.seed,
         "lease": _LEASE,
         "lost_after": 4.0 * _LEASE,
@@ -77,7 +77,7 @@ def coordinator(options: TeamOptions) -> NodeSpec:
     return NodeSpec("option_coordinator", "coordinator", parameters)
 
 
-def agents(options: TeamOptions, team: TeamFile) -> list[NodeSpec]:
+def agents(options: TeamConfig, team: TeamFile) -> list[NodeSpec]:
     """Return the robots' own nodes."""
     parameters = {
         "use_sim_time": True,
@@ -92,11 +92,11 @@ def agents(options: TeamOptions, team: TeamFile) -> list[NodeSpec]:
     ]
 
 
-def watchdogs(options: TeamOptions, team: TeamFile) -> list[NodeSpec]:
+def watchdogs(options: TeamConfig, team: TeamFile) -> list[NodeSpec]:
     """Return the watchdog of each robot."""
     return [watchdog(options.speed, namespace=name) for name in team.robots]
 
 
-def team_of(options: TeamOptions) -> TeamFile:
+def team_of(options: TeamConfig) -> TeamFile:
     """Return the team of a run."""
     return load_team(options.team)

@@ -20,15 +20,15 @@ from ctrl_rl_bags.format.checks import fields_of
 from numpy.typing import NDArray
 
 from ctrl_rl_bags import bag_info, read_messages
-from option_coordinator.data.trajectory import Trajectory
+from option_coordinator.data.trajectory import OptionTrajectory
 from option_coordinator.errors import OptionError
 from option_coordinator.options.decision import NONE
-from option_coordinator.options.options import Agent, Mask, Observation, slots
+from option_coordinator.options.options import Agent, Mask, Observation, option_mask
 
 TYPE = "ctrl_rl_msgs/msg/JointOptionStep"
 
 
-class Team(NamedTuple):
+class TeamLayout(NamedTuple):
     """Whose decisions were recorded.
 
     Attributes:
@@ -42,7 +42,7 @@ class Team(NamedTuple):
     observation_sizes: tuple[int, ...]
 
     @classmethod
-    def of(cls, agents: Sequence[Agent]) -> Team:
+    def of(cls, agents: Sequence[Agent]) -> TeamLayout:
         """Return the team of these robots."""
         rows = [(agent.name, len(agent.options), agent.observation_size) for agent in agents]
         return cls(*zip(*rows, strict=True))
@@ -58,9 +58,9 @@ class Recording:
         trajectory: a part of one episode.
     """
 
-    team: Team
+    team: TeamLayout
     digest: str
-    trajectory: Trajectory
+    trajectory: OptionTrajectory
 
 
 def recordings(bag: Path) -> list[Recording]:
@@ -90,7 +90,7 @@ class _Step:
     """A message, in the arrays of a trajectory's one step."""
 
     number: int
-    team: Team
+    team: TeamLayout
     digest: str
     observation: Observation
     options: NDArray[np.int64]
@@ -122,7 +122,7 @@ def _parts(steps: Sequence[_Step]) -> Iterator[Recording]:
 def _recording(part: Sequence[tuple[_Step, _Step]]) -> Recording:
     before, after = zip(*part, strict=True)
     duration = np.array([step.duration for step in after])
-    trajectory = Trajectory(
+    trajectory = OptionTrajectory(
         observation=np.stack([step.observation for step in before]),
         options=np.stack([step.options for step in before]),
         choosing=np.stack([step.present & ~step.running for step in before]),
@@ -162,7 +162,7 @@ def _step(message: Any, where: str) -> _Step:
     if np.any((options < 0) != has_none) or np.any(options >= counts) or np.any(running & absent):
         raise OptionError(f"{where}: options {options.tolist()} are not those of who is there")
     legal = np.zeros((agents, max(counts)), dtype=bool)
-    legal[slots(counts)] = flags
+    legal[option_mask(counts)] = flags
     chooses = np.flatnonzero(~running & (options >= 0))
     if not legal[chooses, options[chooses]].all():
         raise OptionError(f"{where}: an option was chosen that was not legal")
@@ -171,7 +171,7 @@ def _step(message: Any, where: str) -> _Step:
         raise OptionError(f"{where}: not all its numbers are finite, or its discount {message.discount:g} is none")
     return _Step(
         number=int(message.step),
-        team=Team(names, counts, sizes),
+        team=TeamLayout(names, counts, sizes),
         digest=str(message.policy_digest),
         observation=observation,
         options=options,

@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Trajectory:
+class OptionTrajectory:
     """T option steps of N agents with at most K options, one after the other; may hold several episodes.
 
     Attributes:
@@ -107,7 +107,7 @@ class TrajectoryWriter:
         """Add what was chosen at a decision, and the next one."""
         self._steps.append((before, options, log_prob, after))
 
-    def take(self) -> Trajectory:
+    def take(self) -> OptionTrajectory:
         """Return what was added since the last call; its last step ends it, whether or not the episode goes on.
 
         Raises:
@@ -119,7 +119,7 @@ class TrajectoryWriter:
         before, options, log_prob, after = zip(*steps, strict=True)
         last = np.array([decision.over for decision in after])
         last[-1] = True
-        return Trajectory(
+        return OptionTrajectory(
             observation=np.stack([decision.observation for decision in before]),
             options=np.stack(options),
             choosing=np.stack([decision.choosing for decision in before]),
@@ -137,7 +137,7 @@ class TrajectoryWriter:
         )
 
 
-def advantages(trajectory: Trajectory, values: Array, next_values: Array, gae_lambda: float) -> Array:
+def advantages(trajectory: OptionTrajectory, values: Array, next_values: Array, gae_lambda: float) -> Array:
     """Return G^lambda - V of each option step (T,): generalised advantages with gamma^tau in place of gamma (Eq. 5.4).
 
     Args:

@@ -19,11 +19,11 @@ from typing import Any, Literal
 
 import numpy as np
 
-from option_coordinator.environments.robot_dropout import Outage, draw_outage
+from option_coordinator.environments.robot_dropout import RobotDropout, draw_dropout
 from option_coordinator.environments.timeline import Trace
 from option_coordinator.errors import OptionError
 from option_coordinator.options.decision import NONE, Decision
-from option_coordinator.options.options import Mask, Observation, Scene, Simulation, check_option, slots
+from option_coordinator.options.options import Mask, Observation, Scene, Simulation, check_option, option_mask
 
 Synchronisation = Literal["async", "wait", "cut"]
 
@@ -65,15 +65,15 @@ class OptionEnvironment:
         self._seen: list[Observation] = []
         self._running = np.full(len(self.agents), NONE)
         self._present = np.ones(len(self.agents), dtype=bool)
-        self._outage: Outage | None = None
+        self._dropout: RobotDropout | None = None
         self._decision: Decision | None = None
-        self._mask = slots([len(agent.options) for agent in self.agents])
+        self._mask = option_mask([len(agent.options) for agent in self.agents])
 
     def reset(self, seed: int | np.random.Generator | None = None) -> Decision:
         """Begin an episode, in which all are ready."""
         generator = np.random.default_rng(seed)
         self.simulation.reset(generator)
-        self._outage = draw_outage(self.drop, len(self.agents), self.simulation.step_limit, generator)
+        self._dropout = draw_dropout(self.drop, len(self.agents), self.simulation.step_limit, generator)
         self.trace = Trace()
         self.scenes = []
         self._take_scene()
@@ -117,9 +117,9 @@ class OptionEnvironment:
         return ready and (self.synchronisation != "wait" or bool(runs_none.all()))
 
     def _vanish_or_return(self) -> None:
-        if self._outage is None:
+        if self._dropout is None:
             return
-        agent, begin, end = self._outage
+        agent, begin, end = self._dropout
         if self.steps == begin:
             self._present[agent] = False
             if self._running[agent] != NONE:

@@ -9,7 +9,7 @@ import numpy as np
 _PART = 4
 
 
-class Outage(NamedTuple):
+class RobotDropout(NamedTuple):
     """A robot is absent for a while.
 
     Attributes:
@@ -23,7 +23,7 @@ class Outage(NamedTuple):
     end: int
 
 
-def draw_outage(chance: float, agents: int, step_limit: int, generator: np.random.Generator) -> Outage | None:
+def draw_dropout(chance: float, agents: int, step_limit: int, generator: np.random.Generator) -> RobotDropout | None:
     """Return an episode's outage, or that there is none.
 
     Args:
@@ -36,4 +36,4 @@ def draw_outage(chance: float, agents: int, step_limit: int, generator: np.rando
         return None
     longest = max(1, step_limit // _PART)
     begin = 1 + int(generator.integers(longest))
-    return Outage(int(generator.integers(agents)), begin, begin + 1 + int(generator.integers(longest)))
+    return RobotDropout(int(generator.integers(agents)), begin, begin + 1 + int(generator.integers(longest)))

@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from option_coordinator.data.trajectory import Trajectory, TrajectoryWriter
+from option_coordinator.data.trajectory import OptionTrajectory, TrajectoryWriter
 from option_coordinator.environments.option_env import OptionEnvironment
 from option_coordinator.options.decision import Decision
 from option_coordinator.policies.joint_policy import JointPolicy
 
 
 @dataclass
-class Episode:
+class OptionEpisode:
     """How an episode went.
 
     Attributes:
@@ -62,11 +62,11 @@ class RollOut:
         self._environment = environment
         self._generator = generator
         self._decision = environment.reset(generator)
-        self._episode = Episode()
+        self._episode = OptionEpisode()
         self.samples = 0
-        self.finished: list[Episode] = []
+        self.finished: list[OptionEpisode] = []
 
-    def collect(self, policy: JointPolicy, samples: int) -> Trajectory:
+    def collect(self, policy: JointPolicy, samples: int) -> OptionTrajectory:
         """Return the option steps that take at least `samples` low-level steps; the last episode goes on next time."""
         writer = TrajectoryWriter()
         enough = self.samples + samples
@@ -81,7 +81,7 @@ class RollOut:
             if after.over:
                 self._episode.figures = self._environment.figures()
                 self.finished.append(self._episode)
-                self._episode = Episode()
+                self._episode = OptionEpisode()
                 after = self._environment.reset(self._generator)
             self._decision = after
         return writer.take()
@@ -89,10 +89,10 @@ class RollOut:
 
 def play_episodes(
     environment: OptionEnvironment, choose: Callable[[Decision], dict[str, int]], seeds: range
-) -> Iterator[Episode]:
+) -> Iterator[OptionEpisode]:
     """Yield an episode for each seed, played by any chooser."""
     for seed in seeds:
-        decision, episode = environment.reset(seed), Episode()
+        decision, episode = environment.reset(seed), OptionEpisode()
         while not decision.over:
             decision = environment.step(choose(decision))
             episode.add(decision)
@@ -100,7 +100,7 @@ def play_episodes(
         yield episode
 
 
-class PolicyChooser:
+class JointDecisionPolicy:
     """A joint policy as a chooser.
 
     Args:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from option_coordinator.protocol.option_client import Earned, Seen
+from option_coordinator.protocol.option_client import AgentObservation, OptionResult
 from option_coordinator.teams.team_file import TeamFile, Work
 
 
@@ -30,7 +30,7 @@ class Delivery:
         self._began = 0.0
         self._arrived: float | None = None
 
-    def see(self, pose: NDArray[np.float64]) -> Seen:
+    def see(self, pose: NDArray[np.float64]) -> AgentObservation:
         """Return what a policy is told at a pose x, y, theta (3,), see `OBSERVED`, and which options make sense."""
         wanted = {Work.WAIT}
         if self.delivered == self._team.deliveries:
@@ -38,7 +38,7 @@ class Delivery:
         else:
             wanted.add(Work.DELIVER if self.carries else Work.FETCH)
         observation = np.array((pose[0], pose[1], self.carries, self.delivered), np.float32)
-        return Seen(observation, np.array([option.work in wanted for option in self._options]))
+        return AgentObservation(observation, np.array([option.work in wanted for option in self._options]))
 
     def begin(self, option: int, now: float) -> None:
         """Begin an option."""
@@ -52,7 +52,7 @@ class Delivery:
         option = self._options[self.option]
         return self._home if option.work is Work.REST else option.station
 
-    def at_place(self, now: float) -> Earned | None:
+    def at_place(self, now: float) -> OptionResult | None:
         """Note that the robot is where its option leads; return what the option brought once it is done."""
         if self.option is None:
             return None
@@ -68,13 +68,13 @@ class Delivery:
             self.carries = True
         return self.leave(now, reward)
 
-    def leave(self, now: float, reward: float = 0.0) -> Earned:
+    def leave(self, now: float, reward: float = 0.0) -> OptionResult:
         """End the option as it stands, and return what it brought, with a reward at its last step."""
         steps = max(1, round((now - self._began) / self._team.time_step))
         gamma = self._team.discount
         on_the_way = self._team.rewards.step * float(np.sum(gamma ** np.arange(steps)))
         self.option = None
-        return Earned(on_the_way + gamma ** (steps - 1) * reward, steps)
+        return OptionResult(on_the_way + gamma ** (steps - 1) * reward, steps)
 
     def over(self, option: int) -> bool:
         """Return whether the work is over with the end of an option."""

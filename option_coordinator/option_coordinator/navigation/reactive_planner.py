@@ -15,7 +15,7 @@ STAND = (0.0, 0.0)
 
 
 @dataclass(frozen=True)
-class Steering:
+class ReactivePlanner:
     """Speeds towards a place.
 
     Attributes:

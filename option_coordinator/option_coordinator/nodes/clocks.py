@@ -7,7 +7,7 @@ import time
 from rclpy.clock import Clock, ClockType, ROSClock
 from rclpy.node import Node
 
-from option_coordinator.protocol.instant import Instant, TaskTime
+from option_coordinator.protocol.clock_reading import ClockReading, TaskTime
 
 STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 """For timers that go on whatever happens to ROS's clock."""
@@ -32,9 +32,9 @@ class Clocks:
         self._clock = node.get_clock()
         self.task = TaskTime()
 
-    def __call__(self) -> Instant:
+    def __call__(self) -> ClockReading:
         """Return this moment."""
         stamp = 1e-9 * float(self._clock.now().nanoseconds)
         steady = steady_time()
         simulated = isinstance(self._clock, ROSClock) and self._clock.ros_time_is_active
-        return Instant(steady, self.task(stamp, steady, simulated), stamp)
+        return ClockReading(steady, self.task(stamp, steady, simulated), stamp)

@@ -21,21 +21,21 @@ from option_coordinator.nodes.messages import (
     EXCHANGE,
     StepMessages,
     grant_message,
+    heartbeat_message,
+    heartbeat_of,
     request_in,
     status_of,
-    word_message,
-    word_of,
 )
-from option_coordinator.policies.joint_policy import Options
+from option_coordinator.policies.joint_policy import JointOptions
 from option_coordinator.policies.policy_file import OptionPolicy
-from option_coordinator.policies.policy_query import Choice, Chooses, policy_chooser
+from option_coordinator.policies.policy_query import PolicyFn, PolicyQuery, learned_policy_fn
+from option_coordinator.protocol.clock_reading import ClockReading
 from option_coordinator.protocol.coordination import Coordinator
-from option_coordinator.protocol.instant import Instant
-from option_coordinator.protocol.member import LATE
 from option_coordinator.protocol.message_checks import LONGEST_NAME, MessageError
 from option_coordinator.protocol.protocol_types import Answers
-from option_coordinator.protocol.team_settings import Robot, Times
-from option_coordinator.scripted.policy_queries import SCRIPTED, spread_chooser, uniform_chooser
+from option_coordinator.protocol.replica import LATE
+from option_coordinator.protocol.team_settings import CoordinatorTimeouts, RobotSpec
+from option_coordinator.scripted.policy_queries import SCRIPTED, spread_policy, uniform_policy
 from option_coordinator.teams.team_file import load_team
 
 _Told = TypeVar("_Told")
@@ -111,26 +111,32 @@ class OptionCoordinator(SuiteNode):
     def __init__(self) -> None:
         super().__init__("option_coordinator")
         settings = self.settings
-        times, discount = self._prepare()
+        timeouts, discount = self._prepare()
         self._policy_times: deque[float] = deque(maxlen=_RECENT)
         self._reported: Counter[str] = Counter()
         self._now = Clocks(self)
         self._began = False
-        self._held_up = LATE * times.lease
+        self._held_up = LATE * timeouts.lease
         chooses, digest = self._chooser(settings["policy"])
         self._coordinator = Coordinator(
-            self._robots, chooses, digest, Instant(0.0, 0.0, 0.0), times, discount=discount, team=self._team_name()
+            self._robots,
+            chooses,
+            digest,
+            ClockReading(0.0, 0.0, 0.0),
+            timeouts,
+            discount=discount,
+            team=self._team_name(),
         )
-        self._step_message = StepMessages(tuple(robot.agent for robot in self._robots), discount, times.time_step)
+        self._step_message = StepMessages(tuple(robot.agent for robot in self._robots), discount, timeouts.time_step)
         self._grants = self.create_publisher(OptionGrant, "option_grants", EXCHANGE)
         self._steps = self.create_publisher(JointOptionStep, "joint_option_step", EXCHANGE)
-        self._words = self.create_publisher(CoordinatorStatus, "coordinator_status", EXCHANGE)
+        self._heartbeats = self.create_publisher(CoordinatorStatus, "coordinator_status", EXCHANGE)
         # As bytes: a message of millions of options takes long to be made an object of, and is not for anybody.
         self.create_subscription(OptionRequest, "option_requests", self._on_request, EXCHANGE, raw=True)
         self.create_subscription(AgentStatus, "agent_status", self._on_status, EXCHANGE)
-        self.create_subscription(CoordinatorStatus, "coordinator_status", self._on_word, EXCHANGE)
+        self.create_subscription(CoordinatorStatus, "coordinator_status", self._on_coordinator_heartbeat, EXCHANGE)
         self._batch_ends = False
-        self._window = self.create_timer(max(times.window, 1e-4), self._end_batch, clock=STEADY)
+        self._window = self.create_timer(max(timeouts.batch_window, 1e-4), self._end_batch, clock=STEADY)
         self._window.cancel()
         self.create_timer(_HOUSEKEEPING_S, self._tick, clock=STEADY)
         of_team = f"{len(self._robots)} robots of team '{self._coordinator.team}'"
@@ -172,8 +178,8 @@ class OptionCoordinator(SuiteNode):
         self._send(self._coordinator.close(now), now)
         self._steps.wait_for_all_acked(_LAST_WORD)
 
-    def _prepare(self) -> tuple[Times, float]:
-        """Find out who the robots are, and return what times and discount they go by."""
+    def _prepare(self) -> tuple[CoordinatorTimeouts, float]:
+        """Find out who the robots are, and return which timeouts and discount they go by."""
         settings = self.settings
         if settings["lost_after"] < settings["lease"]:
             raise ParameterError("parameter 'lost_after' is less than 'lease': a robot is suspect before it is lost")
@@ -187,15 +193,15 @@ class OptionCoordinator(SuiteNode):
             raise ParameterError("parameter 'team' is needed where 'policy' is no file: who are the robots?")
         else:
             self._robots = self._robots_of(OptionPolicy.load(settings["policy"]))
-        names = ("lease", "lost_after", "repeat", "stale", "policy_limit")
-        times = Times(window=settings["batch_window"], time_step=step, **{name: settings[name] for name in names})
-        return times, discount
+        names = ("batch_window", "lease", "lost_after", "repeat", "stale", "policy_limit")
+        timeouts = CoordinatorTimeouts(time_step=step, **{name: settings[name] for name in names})
+        return timeouts, discount
 
-    def _robots_of(self, policy: OptionPolicy) -> tuple[Robot, ...]:
+    def _robots_of(self, policy: OptionPolicy) -> tuple[RobotSpec, ...]:
         longest, safe = self.settings["longest_option"], self.settings["safe_option"]
-        return tuple(Robot(agent, (longest,) * len(agent.options), safe) for agent in policy.agents)
+        return tuple(RobotSpec(agent, (longest,) * len(agent.options), safe) for agent in policy.agents)
 
-    def _chooser(self, name: str) -> tuple[Chooses, str]:
+    def _chooser(self, name: str) -> tuple[PolicyFn, str]:
         """Return a policy and its digest.
 
         Raises:
@@ -204,16 +210,16 @@ class OptionCoordinator(SuiteNode):
         generator = np.random.default_rng(self.settings["seed"])
         if name in SCRIPTED:
             if name == "uniform":
-                return self._timed(uniform_chooser(generator)), ""
-            return self._timed(spread_chooser(self._robots, generator, self._shared)), ""
+                return self._timed(uniform_policy(generator)), ""
+            return self._timed(spread_policy(self._robots, generator, self._shared)), ""
         policy = OptionPolicy.load_for(name, (robot.agent for robot in self._robots))
         promised = self.settings["policy_digest"]
         if promised and policy.digest != promised:
             raise OptionError(f"{name}: its digest is {policy.digest[:12]}, 'policy_digest' wants {promised[:12]}")
-        return self._timed(policy_chooser(policy, generator)), policy.digest
+        return self._timed(learned_policy_fn(policy, generator)), policy.digest
 
-    def _timed(self, chooses: Chooses) -> Chooses:
-        def timed(choice: Choice) -> tuple[Options, float]:
+    def _timed(self, chooses: PolicyFn) -> PolicyFn:
+        def timed(choice: PolicyQuery) -> tuple[JointOptions, float]:
             begin = time.perf_counter()
             try:
                 return chooses(choice)
@@ -236,10 +242,10 @@ class OptionCoordinator(SuiteNode):
             now = self._now()
             self._send(self._coordinator.on_status(status, now), now)
 
-    def _on_word(self, message: CoordinatorStatus) -> None:
-        word = self._read(word_of, message)
-        if word is not None and self._listens():
-            self._coordinator.on_word(word, self._now())
+    def _on_coordinator_heartbeat(self, message: CoordinatorStatus) -> None:
+        heartbeat = self._read(heartbeat_of, message)
+        if heartbeat is not None and self._listens():
+            self._coordinator.on_coordinator_heartbeat(heartbeat, self._now())
 
     def _read(self, reader: Callable[[Any], _Told], message: Any) -> _Told | None:
         """Return what a message says, None where nobody may say so: that is counted, and said now and then."""
@@ -270,7 +276,7 @@ class OptionCoordinator(SuiteNode):
             now = self._now()
             self._send(self._coordinator.tick(now), now)
 
-    def _send(self, answers: Answers, decided: Instant) -> None:
+    def _send(self, answers: Answers, decided: ClockReading) -> None:
         """Publish answers; grants that were held up since they were decided come again, if they still hold."""
         for grant in answers.grants:
             if steady_time() - decided.steady > self._held_up:
@@ -279,8 +285,8 @@ class OptionCoordinator(SuiteNode):
             self._grants.publish(grant_message(grant))
         for step in answers.steps:
             self._steps.publish(self._step_message(step))
-        if answers.word is not None:
-            self._words.publish(word_message(answers.word, decided.stamp))
+        if answers.heartbeat is not None:
+            self._heartbeats.publish(heartbeat_message(answers.heartbeat, decided.stamp))
 
     def _listens(self) -> bool:
         """Return whether there is a time yet; from its first moment on the coordinator listens for a lease."""

@@ -13,10 +13,18 @@ from rclpy.serialization import deserialize_message
 from std_msgs.msg import Header
 
 from ctrl_rl_msgs.msg import AgentStatus, CoordinatorStatus, JointOptionStep, OptionGrant, OptionRequest
-from option_coordinator.options.options import Agent, slots
+from option_coordinator.options.options import Agent, option_mask
 from option_coordinator.protocol import message_checks
 from option_coordinator.protocol.message_checks import LARGEST_LIFE, LARGEST_REWARD, LONGEST, MessageError
-from option_coordinator.protocol.protocol_types import AgentState, Grant, GrantStatus, JointStep, Request, Status, Word
+from option_coordinator.protocol.protocol_types import (
+    AgentState,
+    CoordinatorHeartbeat,
+    Grant,
+    GrantStatus,
+    JointStep,
+    Request,
+    Status,
+)
 
 EXCHANGE = QoSProfile(depth=1000)
 """Of all topics, on both sides: with a depth of 10 most of 100 simultaneous messages are lost."""
@@ -164,19 +172,19 @@ def grant_of(message: OptionGrant) -> Grant:
     )
 
 
-def word_message(word: Word, now: float) -> CoordinatorStatus:
+def heartbeat_message(heartbeat: CoordinatorHeartbeat, now: float) -> CoordinatorStatus:
     """Return that a coordinator decides, to be sent at a time [s]."""
-    return CoordinatorStatus(header=_header(now), coordinator_epoch=word.epoch, team=word.team)
+    return CoordinatorStatus(header=_header(now), coordinator_epoch=heartbeat.epoch, team=heartbeat.team)
 
 
-def word_of(message: CoordinatorStatus) -> Word:
+def heartbeat_of(message: CoordinatorStatus) -> CoordinatorHeartbeat:
     """Return that a coordinator was heard to decide.
 
     Raises:
         MessageError: it holds what no coordinator may say.
     """
     epoch = message_checks.number(message.coordinator_epoch, "coordinator_epoch", 1)
-    return Word(epoch, message_checks.name(message.team, "team"))
+    return CoordinatorHeartbeat(epoch, message_checks.name(message.team, "team"))
 
 
 class StepMessages:
@@ -193,7 +201,7 @@ class StepMessages:
         self._names = [agent.name for agent in agents]
         self._counts = [len(agent.options) for agent in agents]
         self._sizes = [agent.observation_size for agent in agents]
-        self._own = slots(self._counts)
+        self._own = option_mask(self._counts)
 
     def __call__(self, step: JointStep) -> JointOptionStep:
         """Return one to be sent."""

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import LaserScan
 
 from option_coordinator.navigation.delivery import Delivery
-from option_coordinator.navigation.reactive_planner import STAND, Steering, scan_points
+from option_coordinator.navigation.reactive_planner import STAND, ReactivePlanner, scan_points
 from option_coordinator.nodes.option_agent import OptionAgent
-from option_coordinator.protocol.option_client import Earned, Patience, Seen
+from option_coordinator.protocol.option_client import AgentObservation, ClientTimeouts, OptionResult
 from option_coordinator.teams.team_file import load_team
 
 _STAND = np.array(STAND)
@@ -50,17 +50,17 @@ class NavigationAgent(LidarVelocityNode):
         if name not in team.robots:
             raise ParameterError(f"parameter 'robot' is '{name}': team '{team.name}' has {', '.join(team.robots)}")
         self._names = team.option_names
-        self._delivery, self._steering = Delivery(team, name), Steering()
-        self.set_limits((0.0, -self._steering.turn), (self._steering.speed, self._steering.turn))
+        self._delivery, self._planner = Delivery(team, name), ReactivePlanner()
+        self.set_limits((0.0, -self._planner.turn), (self._planner.speed, self._planner.turn))
         self._read = OdometryReader(("x", "y", "theta"))
         self._pose: NDArray[np.float64] | None = None
         self._points: NDArray[np.float64] | None = None
         beat = settings["heartbeat"]
-        patience = Patience(heartbeat=beat, repeat=beat, waiting=settings["patience"])
+        patience = ClientTimeouts(heartbeat=beat, repeat=beat, waiting=settings["patience"])
         safe = self._names.index(team.safe_option)
         self._agent = OptionAgent(self, name, self._names, self, safe, patience, settings["team_namespace"], team.name)
 
-    def observe(self) -> Seen:
+    def observe(self) -> AgentObservation:
         """Return what the policy is told."""
         return self._delivery.see(np.zeros(3) if self._pose is None else self._pose)
 
@@ -69,7 +69,7 @@ class NavigationAgent(LidarVelocityNode):
         self.get_logger().info(f"begins '{self._names[option]}'")
         self._delivery.begin(option, self._now())
 
-    def leave(self) -> Earned:
+    def leave(self) -> OptionResult:
         """Leave an option as it is."""
         self._go(_STAND)
         return self._delivery.leave(self._now())
@@ -77,10 +77,10 @@ class NavigationAgent(LidarVelocityNode):
     def status(self) -> Status:
         """Say what the robot does."""
         level, message, sent = super().status()
-        side, delivery = self._agent.side, self._delivery
+        client, delivery = self._agent.client, self._delivery
         option = "none" if delivery.option is None else self._names[delivery.option]
-        figures = {"option": option, "state": side.state.name.lower(), "delivered": delivery.delivered}
-        figures |= {"carries": str(delivery.carries).lower(), "epoch": side.epoch, **side.counts, **sent}
+        figures = {"option": option, "state": client.state.name.lower(), "delivered": delivery.delivered}
+        figures |= {"carries": str(delivery.carries).lower(), "epoch": client.epoch, **client.counts, **sent}
         return (level, message, figures) if self.problem else ok(f"option '{option}'", **figures)
 
     def on_odometry(self, message: Odometry) -> None:
@@ -108,13 +108,13 @@ class NavigationAgent(LidarVelocityNode):
         if option is None:
             self._go(_STAND)
             return
-        if place is not None and not self._steering.there(self._pose, place):
-            self._go(np.array(self._steering.command(self._pose, self._points, place)))
+        if place is not None and not self._planner.there(self._pose, place):
+            self._go(np.array(self._planner.command(self._pose, self._points, place)))
             return
         self._go(_STAND)
-        earned = self._delivery.at_place(self._now())
-        if earned is not None:
-            self._agent.ended(earned.reward, earned.steps, self._delivery.over(option))
+        result = self._delivery.at_place(self._now())
+        if result is not None:
+            self._agent.ended(result.reward, result.steps, self._delivery.over(option))
 
     def _go(self, command: NDArray[np.float64]) -> None:
         """Send a command, or stand where that is not safe."""

@@ -34,7 +34,7 @@ class Agent:
     observation_size: int
 
 
-def slots(counts: Sequence[int]) -> Mask:
+def option_mask(counts: Sequence[int]) -> Mask:
     """Return which options there are, (N, K) with K the largest count, of agents with so many each."""
     return np.asarray(np.arange(max(counts)) < np.array(counts)[:, None])
 

@@ -15,8 +15,8 @@ from option_coordinator.options.options import Mask
 from option_coordinator.policies.joint_policy import (
     Array,
     Conditional,
+    JointOptions,
     JointPolicy,
-    Options,
     draw,
     log_sum_exp,
     most_likely,
@@ -37,7 +37,7 @@ class Autoregressive(JointPolicy):
         self.observation_size = tensors["trunk.norm_0.weight"].shape[0]
         self._tensors = tensors
 
-    def _given(self, observation: Array, choosing: Mask, running: Options, legal: Mask) -> Conditional:
+    def _given(self, observation: Array, choosing: Mask, running: JointOptions, legal: Mask) -> Conditional:
         return _AutoregressiveConditional(self._tensors, self.counts, observation, choosing, running, legal)
 
 
@@ -50,7 +50,7 @@ class _AutoregressiveConditional(Conditional):
         counts: tuple[int, ...],
         observation: Array,
         choosing: Mask,
-        running: Options,
+        running: JointOptions,
         legal: Mask,
     ) -> None:
         super().__init__(counts, choosing, running, legal)
@@ -61,7 +61,7 @@ class _AutoregressiveConditional(Conditional):
         hidden = linear(tensors, "state", features(tensors, observation))
         self._hidden = hidden + self._known[:, self._begin[runs] + running[runs]].sum(axis=1)
 
-    def log_prob(self, options: Options) -> Array:
+    def log_prob(self, options: JointOptions) -> Array:
         options = np.asarray(options)
         hidden = np.broadcast_to(self._hidden, (*options.shape[:-1], len(self._hidden)))
         total = np.zeros(options.shape[:-1])
@@ -72,14 +72,14 @@ class _AutoregressiveConditional(Conditional):
             hidden = hidden + self._known.T[self._begin[agent] + chosen]
         return total
 
-    def sample(self, generator: np.random.Generator) -> Options:
+    def sample(self, generator: np.random.Generator) -> JointOptions:
         return self._chain(lambda logs: int(draw(logs, generator)))
 
-    def _rough_mode(self) -> Options:
+    def _rough_mode(self) -> JointOptions:
         """Return each agent's most likely option in turn."""
         return self._chain(most_likely)
 
-    def _chain(self, choose: Callable[[Array], int]) -> Options:
+    def _chain(self, choose: Callable[[Array], int]) -> JointOptions:
         hidden, out = self._hidden, self.running.copy()
         for agent in np.flatnonzero(self.choosing):
             out[agent] = choose(self._logs(hidden, int(agent)))

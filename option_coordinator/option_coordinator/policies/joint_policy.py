@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 
 from option_coordinator.errors import OptionError
 from option_coordinator.options.decision import NONE
-from option_coordinator.options.options import Mask, slots
+from option_coordinator.options.options import Mask, option_mask
 
 Array = NDArray[np.floating]
-Options = NDArray[np.int64]
+JointOptions = NDArray[np.int64]
 ENUMERABLE = 4096
 """Joint options up to which the entropy is found by going through all of them: milliseconds."""
 MODE_ENUMERABLE = 128
@@ -42,21 +42,21 @@ class Conditional(ABC):
         legal: (N, K) which options each may choose.
     """
 
-    def __init__(self, counts: Sequence[int], choosing: Mask, running: Options, legal: Mask) -> None:
+    def __init__(self, counts: Sequence[int], choosing: Mask, running: JointOptions, legal: Mask) -> None:
         self.counts = tuple(counts)
         self.choosing = choosing
         self.running = np.where(choosing, NONE, running)
         self.legal = legal
 
     @abstractmethod
-    def log_prob(self, options: Options) -> Array:
+    def log_prob(self, options: JointOptions) -> Array:
         """Return log pi-hat (...,) of options (..., N); only those of who chooses count, illegal ones give -inf."""
 
     @abstractmethod
-    def sample(self, generator: np.random.Generator) -> Options:
+    def sample(self, generator: np.random.Generator) -> JointOptions:
         """Return options (N,): a draw for who chooses, the running ones of the others, `NONE` for the absent."""
 
-    def mode(self) -> Options:
+    def mode(self) -> JointOptions:
         """Return the most likely options (N,); beyond `MODE_ENUMERABLE` joint options those of `_rough_mode`."""
         if self.size > MODE_ENUMERABLE:
             return self._rough_mode()
@@ -80,18 +80,18 @@ class Conditional(ABC):
             size *= len(row)
         return size
 
-    def choices(self) -> Options:
+    def choices(self) -> JointOptions:
         """Return them all (size, N)."""
         out = np.tile(self.running, (self.size, 1))
         out[:, self.choosing] = list(product(*self._legal_options))
         return out
 
     @cached_property
-    def _legal_options(self) -> list[Options]:
+    def _legal_options(self) -> list[JointOptions]:
         return [np.flatnonzero(self.legal[agent]) for agent in np.flatnonzero(self.choosing)]
 
     @abstractmethod
-    def _rough_mode(self) -> Options:
+    def _rough_mode(self) -> JointOptions:
         """Return likely options where there are too many to go through."""
 
 
@@ -107,15 +107,17 @@ class JointPolicy(ABC):
     observation_size: int
 
     @cached_property
-    def slots(self) -> Mask:
+    def option_mask(self) -> Mask:
         """Which options there are, (N, K), K the largest count."""
-        return slots(self.counts)
+        return option_mask(self.counts)
 
     @cached_property
-    def _counts(self) -> Options:
+    def _counts(self) -> JointOptions:
         return np.array(self.counts)
 
-    def given(self, observation: Array, choosing: Mask, running: Options, legal: Mask | None = None) -> Conditional:
+    def given(
+        self, observation: Array, choosing: Mask, running: JointOptions, legal: Mask | None = None
+    ) -> Conditional:
         """Return pi-hat for one decision.
 
         Args:
@@ -129,22 +131,22 @@ class JointPolicy(ABC):
         """
         choosing, running = np.asarray(choosing, dtype=bool), np.asarray(running)
         observation = np.asarray(observation)
-        legal = self.slots if legal is None else np.asarray(legal, dtype=bool)
-        if legal.shape != self.slots.shape:
-            raise OptionError(f"legal has shape {legal.shape}, must be {self.slots.shape}")
-        legal = legal & self.slots
+        legal = self.option_mask if legal is None else np.asarray(legal, dtype=bool)
+        if legal.shape != self.option_mask.shape:
+            raise OptionError(f"legal has shape {legal.shape}, must be {self.option_mask.shape}")
+        legal = legal & self.option_mask
         self._check(observation, choosing, running, legal)
         return self.valid(observation, choosing, running, legal)
 
-    def valid(self, observation: Array, choosing: Mask, running: Options, legal: Mask) -> Conditional:
+    def valid(self, observation: Array, choosing: Mask, running: JointOptions, legal: Mask) -> Conditional:
         """Return pi-hat for a decision that is known to be in order, as those of `OptionEnvironment` are."""
         return self._given(observation, choosing, running, legal)
 
     @abstractmethod
-    def _given(self, observation: Array, choosing: Mask, running: Options, legal: Mask) -> Conditional:
+    def _given(self, observation: Array, choosing: Mask, running: JointOptions, legal: Mask) -> Conditional:
         """Return pi-hat for what was checked."""
 
-    def _check(self, observation: Array, choosing: Mask, running: Options, legal: Mask) -> None:
+    def _check(self, observation: Array, choosing: Mask, running: JointOptions, legal: Mask) -> None:
         agents = len(self.counts)
         if observation.shape != (self.observation_size,):
             raise OptionError(f"observation has shape {observation.shape}, must be ({self.observation_size},)")
@@ -173,7 +175,7 @@ def log_sum_exp(x: Array, axis: int | tuple[int, ...] | None = None) -> Array:
     return np.squeeze(out, axis=axis) if axis is not None else out.reshape(())
 
 
-def draw(log_probabilities: Array, generator: np.random.Generator) -> Options:
+def draw(log_probabilities: Array, generator: np.random.Generator) -> JointOptions:
     """Return a draw (...) from each row of normalised log-probabilities (..., K).
 
     Raises:

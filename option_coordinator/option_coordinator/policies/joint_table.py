@@ -9,8 +9,8 @@ from option_coordinator.options.options import Mask
 from option_coordinator.policies.joint_policy import (
     Array,
     Conditional,
+    JointOptions,
     JointPolicy,
-    Options,
     draw,
     log_sum_exp,
     most_likely,
@@ -31,7 +31,7 @@ class JointTable(JointPolicy):
         self.observation_size = tensors["trunk.norm_0.weight"].shape[0]
         self._tensors = tensors
 
-    def _given(self, observation: Array, choosing: Mask, running: Options, legal: Mask) -> Conditional:
+    def _given(self, observation: Array, choosing: Mask, running: JointOptions, legal: Mask) -> Conditional:
         return _TableConditional(self._logits(observation), choosing, running, legal)
 
     def _logits(self, observation: Array) -> Array:
@@ -41,7 +41,7 @@ class JointTable(JointPolicy):
 class _TableConditional(Conditional):
     """The table where the running options are fixed and the absent agents are summed out."""
 
-    def __init__(self, logits: Array, choosing: Mask, running: Options, legal: Mask) -> None:
+    def __init__(self, logits: Array, choosing: Mask, running: JointOptions, legal: Mask) -> None:
         super().__init__(logits.shape, choosing, running, legal)
         runs = ~choosing & (running != NONE)
         table = logits[tuple(int(o) if fixed else slice(None) for o, fixed in zip(running, runs, strict=True))]
@@ -52,26 +52,26 @@ class _TableConditional(Conditional):
             table = np.where(row.reshape((-1, *(1,) * (table.ndim - axis - 1))), table, -np.inf)
         self._table = table - log_sum_exp(table)
 
-    def log_prob(self, options: Options) -> Array:
+    def log_prob(self, options: JointOptions) -> Array:
         chosen = np.asarray(options)[..., self.choosing]
         if chosen.shape[-1] == 0:
             return np.zeros(chosen.shape[:-1])
         return np.asarray(self._table[tuple(np.moveaxis(chosen, -1, 0))])
 
-    def sample(self, generator: np.random.Generator) -> Options:
+    def sample(self, generator: np.random.Generator) -> JointOptions:
         return self._options(int(draw(self._table.ravel(), generator)))
 
-    def mode(self) -> Options:
+    def mode(self) -> JointOptions:
         return self._options(most_likely(self._table))
 
     def entropy(self) -> float:
         logs = self._table[np.isfinite(self._table)]
         return float(-np.sum(np.exp(logs) * logs))
 
-    def _options(self, cell: int) -> Options:
+    def _options(self, cell: int) -> JointOptions:
         out = self.running.copy()
         out[self.choosing] = np.unravel_index(cell, self._table.shape) if self._table.ndim else ()
         return out
 
-    def _rough_mode(self) -> Options:
+    def _rough_mode(self) -> JointOptions:
         return self.mode()

@@ -13,8 +13,8 @@ from option_coordinator.options.options import Mask
 from option_coordinator.policies.joint_policy import (
     Array,
     Conditional,
+    JointOptions,
     JointPolicy,
-    Options,
     draw,
     log_sum_exp,
     most_likely,
@@ -40,14 +40,14 @@ class Mixture(JointPolicy):
         self.rank = tensors["weights.bias"].shape[0]
         self._tensors = tensors
 
-    def _given(self, observation: Array, choosing: Mask, running: Options, legal: Mask) -> Conditional:
+    def _given(self, observation: Array, choosing: Mask, running: JointOptions, legal: Mask) -> Conditional:
         x = features(self._tensors, observation)
         flat = linear(self._tensors, "head", x)
         if len(set(self.counts)) == 1:
-            logits = flat.reshape(self.rank, *self.slots.shape).astype(float)
+            logits = flat.reshape(self.rank, *self.option_mask.shape).astype(float)
         else:
-            logits = np.full((self.rank, *self.slots.shape), -np.inf)
-            logits[:, self.slots] = flat.reshape(self.rank, -1)
+            logits = np.full((self.rank, *self.option_mask.shape), -np.inf)
+            logits[:, self.option_mask] = flat.reshape(self.rank, -1)
         weights = linear(self._tensors, "weights", x).astype(float)
         return _MixtureConditional(self.counts, weights, logits, choosing, running, legal)
 
@@ -56,7 +56,7 @@ class _MixtureConditional(Conditional):
     """The mixture's weights and factors, given what runs and what is legal."""
 
     def __init__(
-        self, counts: tuple[int, ...], weights: Array, logits: Array, choosing: Mask, running: Options, legal: Mask
+        self, counts: tuple[int, ...], weights: Array, logits: Array, choosing: Mask, running: JointOptions, legal: Mask
     ) -> None:
         super().__init__(counts, choosing, running, legal)
         runs = np.flatnonzero(~choosing & (running != NONE))
@@ -73,21 +73,21 @@ class _MixtureConditional(Conditional):
         self._weights = weights - log_sum_exp(weights)
         self._factors = allowed - share[..., None]
 
-    def log_prob(self, options: Options) -> Array:
+    def log_prob(self, options: JointOptions) -> Array:
         chosen = np.asarray(options)[..., self._agents]
         terms = self._factors[:, np.arange(len(self._agents)), chosen].sum(axis=-1)
         return log_sum_exp(np.moveaxis(terms, 0, -1) + self._weights, -1)
 
-    def sample(self, generator: np.random.Generator) -> Options:
+    def sample(self, generator: np.random.Generator) -> JointOptions:
         component = int(draw(self._weights, generator))
         return self._options(draw(self._factors[component], generator))
 
-    def _options(self, chosen: Options) -> Options:
+    def _options(self, chosen: JointOptions) -> JointOptions:
         out = self.running.copy()
         out[self._agents] = chosen
         return out
 
-    def _rough_mode(self) -> Options:
+    def _rough_mode(self) -> JointOptions:
         """Return the best of the components' own modes, improved agent by agent as long as that helps, if not for ever.
 
         Only the best few are improved: what the others begin from is far less likely.
@@ -97,7 +97,7 @@ class _MixtureConditional(Conditional):
         ends = np.stack([self._climb(starts[index]) for index in order])
         return ends[most_likely(self.log_prob(ends))]
 
-    def _climb(self, options: Options) -> Options:
+    def _climb(self, options: JointOptions) -> JointOptions:
         """Change one agent's option after the other to its best, given the rest."""
         agents = np.arange(len(self._agents))
         chosen = options[self._agents]

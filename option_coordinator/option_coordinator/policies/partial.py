@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from option_coordinator.options.options import Mask
-from option_coordinator.policies.joint_policy import Array, Conditional, JointPolicy, Options
+from option_coordinator.policies.joint_policy import Array, Conditional, JointOptions, JointPolicy
 
 
 class Partial(JointPolicy):
@@ -27,7 +27,7 @@ class Partial(JointPolicy):
         self._policies = tuple(policies)
         self._ends = np.cumsum([policy.observation_size for policy in policies])[:-1]
 
-    def _given(self, observation: Array, choosing: Mask, running: Options, legal: Mask) -> Conditional:
+    def _given(self, observation: Array, choosing: Mask, running: JointOptions, legal: Mask) -> Conditional:
         parts = {}
         for agent, own in enumerate(np.split(observation, self._ends)):
             if choosing[agent]:
@@ -40,29 +40,29 @@ class _PartialConditional(Conditional):
     """The product of the choosers' own conditionals."""
 
     def __init__(
-        self, counts: tuple[int, ...], choosing: Mask, running: Options, legal: Mask, parts: dict[int, Conditional]
+        self, counts: tuple[int, ...], choosing: Mask, running: JointOptions, legal: Mask, parts: dict[int, Conditional]
     ) -> None:
         super().__init__(counts, choosing, running, legal)
         self._parts = parts
 
-    def log_prob(self, options: Options) -> Array:
+    def log_prob(self, options: JointOptions) -> Array:
         options = np.asarray(options)
         return np.sum([part.log_prob(options) for part in self._parts.values()], axis=0) + np.zeros(options.shape[:-1])
 
-    def sample(self, generator: np.random.Generator) -> Options:
+    def sample(self, generator: np.random.Generator) -> JointOptions:
         return self._each({agent: part.sample(generator) for agent, part in self._parts.items()})
 
-    def mode(self) -> Options:
+    def mode(self) -> JointOptions:
         return self._each({agent: part.mode() for agent, part in self._parts.items()})
 
     def entropy(self) -> float:
         return sum(part.entropy() for part in self._parts.values())
 
-    def _each(self, found: dict[int, Options]) -> Options:
+    def _each(self, found: dict[int, JointOptions]) -> JointOptions:
         out = self.running.copy()
         for agent, options in found.items():
             out[agent] = options[agent]
         return out
 
-    def _rough_mode(self) -> Options:
+    def _rough_mode(self) -> JointOptions:
         return self.mode()

@@ -10,26 +10,26 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from option_coordinator.options.options import Mask, Observation
-from option_coordinator.policies.joint_policy import Options
+from option_coordinator.policies.joint_policy import JointOptions
 from option_coordinator.policies.policy_file import OptionPolicy
 
 
 @dataclass(frozen=True, eq=False)
-class Choice:
+class PolicyQuery:
     """What a policy is asked: the arguments of `JointPolicy.given`."""
 
     observation: Observation
     choosing: Mask
-    running: Options
+    running: JointOptions
     legal: Mask
 
 
-Chooses = Callable[[Choice], tuple[Options, float]]
+PolicyFn = Callable[[PolicyQuery], tuple[JointOptions, float]]
 """Returns options (N,), of which those of who chooses count, and the log-probability of those."""
 
 
 @dataclass(frozen=True, eq=False)
-class Chosen:
+class PolicyAnswer:
     """What was chosen.
 
     Attributes:
@@ -39,16 +39,16 @@ class Chosen:
         faults: what went wrong.
     """
 
-    options: Options
+    options: JointOptions
     log_probability: float
     by_policy: bool
     faults: list[str] = field(default_factory=list)
 
 
-def policy_chooser(policy: OptionPolicy, generator: np.random.Generator) -> Chooses:
+def learned_policy_fn(policy: OptionPolicy, generator: np.random.Generator) -> PolicyFn:
     """Return a learned policy as a coordinator wants it."""
 
-    def chooses(choice: Choice) -> tuple[Options, float]:
+    def chooses(choice: PolicyQuery) -> tuple[JointOptions, float]:
         conditional = policy.joint.given(choice.observation, choice.choosing, choice.running, choice.legal)
         options = conditional.mode() if policy.greedy else conditional.sample(generator)
         return options, float(conditional.log_prob(options))
@@ -56,7 +56,7 @@ def policy_chooser(policy: OptionPolicy, generator: np.random.Generator) -> Choo
     return chooses
 
 
-def choose_or_safe(choice: Choice, policy: Chooses, limit: float, safe: Sequence[int]) -> Chosen:
+def query_with_fallback(choice: PolicyQuery, policy: PolicyFn, limit: float, safe: Sequence[int]) -> PolicyAnswer:
     """Ask the policy; where it fails, is too slow [s] or chooses what is not legal, take the safe options.
 
     A policy may be anybody's code and robots wait, so no error of it may pass.
@@ -70,12 +70,12 @@ def choose_or_safe(choice: Choice, policy: Chooses, limit: float, safe: Sequence
     if not fault and time.perf_counter() - began > limit:
         fault = "policy too slow"
     if not fault:
-        return Chosen(np.asarray(options), log_probability, True)
+        return PolicyAnswer(np.asarray(options), log_probability, True)
     legal = choice.legal[np.arange(len(safe)), safe]
-    return Chosen(np.where(choice.choosing & legal, safe, -1), 0.0, False, [fault])
+    return PolicyAnswer(np.where(choice.choosing & legal, safe, -1), 0.0, False, [fault])
 
 
-def _fault(choice: Choice, options: Options, log_probability: float) -> str:
+def _fault(choice: PolicyQuery, options: JointOptions, log_probability: float) -> str:
     if not math.isfinite(log_probability):
         return "policy not finite"
     if options.shape != choice.choosing.shape or options.dtype.kind not in "iu":

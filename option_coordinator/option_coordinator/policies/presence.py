@@ -6,7 +6,7 @@ import numpy as np
 
 from option_coordinator.options.decision import NONE
 from option_coordinator.options.options import Mask
-from option_coordinator.policies.joint_policy import Array, Conditional, JointPolicy, Options
+from option_coordinator.policies.joint_policy import Array, Conditional, JointOptions, JointPolicy
 
 
 class Presence(JointPolicy):
@@ -23,7 +23,7 @@ class Presence(JointPolicy):
         self.observation_size = policy.observation_size - len(policy.counts)
         self._policy = policy
 
-    def _given(self, observation: Array, choosing: Mask, running: Options, legal: Mask) -> Conditional:
+    def _given(self, observation: Array, choosing: Mask, running: JointOptions, legal: Mask) -> Conditional:
         present = choosing | (running != NONE)
         return self._policy.valid(with_presence(observation, present), choosing, running, legal)
 

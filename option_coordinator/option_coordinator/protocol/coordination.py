@@ -16,25 +16,25 @@ import numpy as np
 
 from option_coordinator.errors import OptionError
 from option_coordinator.options.decision import NONE
-from option_coordinator.options.options import slots
-from option_coordinator.policies.joint_policy import Options
-from option_coordinator.policies.policy_query import Choice, Chooses, choose_or_safe
-from option_coordinator.protocol.instant import Instant
+from option_coordinator.options.options import option_mask
+from option_coordinator.policies.joint_policy import JointOptions
+from option_coordinator.policies.policy_query import PolicyFn, PolicyQuery, query_with_fallback
+from option_coordinator.protocol.clock_reading import ClockReading
 from option_coordinator.protocol.journal import Journal
 from option_coordinator.protocol.ledger import Entry, State
-from option_coordinator.protocol.member import Member
 from option_coordinator.protocol.protocol_types import (
     AgentState,
     Answers,
+    CoordinatorHeartbeat,
     Grant,
     GrantStatus,
     JointStep,
     Request,
     Status,
-    Word,
 )
 from option_coordinator.protocol.refusal import Refusal, refusal_of
-from option_coordinator.protocol.team_settings import Robot, Times
+from option_coordinator.protocol.replica import Replica
+from option_coordinator.protocol.team_settings import CoordinatorTimeouts, RobotSpec
 
 _UNKNOWN_ROBOT = Refusal("unknown robot", "this team has no such robot")
 _TASK_OVER = Refusal("task over", "the task is over")
@@ -42,7 +42,7 @@ _NOTHING_SAFE = Refusal("nothing safe", "policy failed, and the safe option is n
 _LEAP = Refusal("request number leaps", "request_id grows by one per request: so many cannot have been missed")
 
 
-class Coordinator(Member):
+class Coordinator(Replica):
     """Decides for a team. Its methods return what is to be sent; `tick` is to be called often, each millisecond or so.
 
     Args:
@@ -50,7 +50,7 @@ class Coordinator(Member):
         policy: chooses, see `choice`.
         digest: of its file.
         now: when it begins.
-        times: see there.
+        timeouts: Waiting times of the coordinator.
         seed: of its epochs, see `Election`.
         discount: gamma of a low-level step.
         team: Name of the team; words of other teams mean nothing. Empty for unnamed: all words count.
@@ -61,11 +61,11 @@ class Coordinator(Member):
 
     def __init__(
         self,
-        robots: Sequence[Robot],
-        policy: Chooses,
+        robots: Sequence[RobotSpec],
+        policy: PolicyFn,
         digest: str,
-        now: Instant,
-        times: Times | None = None,
+        now: ClockReading,
+        timeouts: CoordinatorTimeouts | None = None,
         seed: int | None = None,
         discount: float = 1.0,
         team: str = "",
@@ -74,24 +74,24 @@ class Coordinator(Member):
         self._index = {name: index for index, name in enumerate(self._robots)}
         self._policy, self.digest = policy, digest
         self._discount = discount
-        self._options = slots([len(robot.agent.options) for robot in robots])
+        self._options = option_mask([len(robot.agent.options) for robot in robots])
         ends = np.cumsum([robot.agent.observation_size for robot in robots]).tolist()
         self._places = {name: slice(*ends) for name, ends in zip(self._robots, pairwise([0, *ends]), strict=True)}
         self._observed = np.zeros(ends[-1], np.float32)
         self._batch_at = math.inf
-        super().__init__(self._robots, times or Times(), now, seed, team)
+        super().__init__(self._robots, timeouts or CoordinatorTimeouts(), now, seed, team)
 
     @property
     def batches(self) -> bool:
         """Whether a request waits for others to be decided with."""
         return self._batch_at < math.inf
 
-    def replace_policy(self, policy: Chooses, digest: str) -> None:
+    def replace_policy(self, policy: PolicyFn, digest: str) -> None:
         """Decide by another policy from the next decision on."""
         self._policy, self.digest = policy, digest
         self.counts["policies replaced"] += 1
 
-    def on_request(self, request: Request, now: Instant) -> Answers:
+    def on_request(self, request: Request, now: ClockReading) -> Answers:
         """Take a request: it is answered as before, refused with a reason, or decided, at once or by `end_batch`."""
         entry = self._entry(request)
         if entry is None:
@@ -105,7 +105,7 @@ class Coordinator(Member):
         except OptionError as error:
             return self._refuse(request, now, Refusal("old life", str(error))) if self._decides(now) else Answers()
         agent = self._robots[request.agent].agent
-        refusal = refusal_of(request, agent, self.epoch, now.stamp - request.stamp, self._times.stale)
+        refusal = refusal_of(request, agent, self.epoch, now.stamp - request.stamp, self._timeouts.stale)
         if not self._decides(now):  # it asks again; what it runs, its status says
             if refusal is None:
                 self._observe(request)
@@ -129,11 +129,11 @@ class Coordinator(Member):
         entry.ask(request.request_id, now.steady)
         self._open[entry.agent] = request
         self._observe(request)
-        self._batch_at = min(self._batch_at, now.steady + self._times.window)
+        self._batch_at = min(self._batch_at, now.steady + self._timeouts.batch_window)
         # One decision serves all that ask at about the same time: one for each would cost 50 robots most of their time.
         return self._decide(now) if self._all_wait() else Answers()
 
-    def on_status(self, status: Status, now: Instant) -> Answers:
+    def on_status(self, status: Status, now: ClockReading) -> Answers:
         """Take a heartbeat: a sign of life, an acknowledgement, or news of what a robot runs."""
         entry = self._entry(status)
         if entry is None:
@@ -151,7 +151,7 @@ class Coordinator(Member):
             return Answers()
         entry.told_id = status.request_id
         if status.request_id < entry.request_id:
-            if not entry.believe_lower(status.request_id, now.steady, self._times.lost_after):
+            if not entry.believe_lower(status.request_id, now.steady, self._timeouts.lost_after):
                 return Answers()  # it was sent before the request
             self._open.pop(entry.agent, None)
             self.counts["requests that were not the robot's"] += 1
@@ -161,33 +161,37 @@ class Coordinator(Member):
             entry.end()
         return Answers()
 
-    def tick(self, now: Instant) -> Answers:
+    def tick(self, now: ClockReading) -> Answers:
         """Let time pass: take over, decide, repeat what was not acknowledged, call off what takes too long."""
         if self._quiet(now):
             return Answers()
         for entry in self.ledger:
-            if entry.fall_silent(now.steady, self._times.lease, self._times.lost_after):
+            if entry.fall_silent(now.steady, self._timeouts.lease, self._timeouts.lost_after):
                 self.counts["lost robots"] += 1
                 self._open.pop(entry.agent, None)
         listened = not self.epoch
-        word_due = self._election.tick(now.steady, self._knows_enough(now))
+        heartbeat_due = self._election.tick(now.steady, self._knows_enough(now))
         if not self.epoch:
             return Answers()
         if listened:
             self._journal = self._new_journal(now)
         grants = [grant for entry in self.ledger for grant in self._overdue(entry, now)]
         decided = self._decide_when_due(now)
-        return Answers(grants + decided.grants, decided.steps, Word(self.epoch, self.team) if word_due else None)
+        return Answers(
+            grants + decided.grants,
+            decided.steps,
+            CoordinatorHeartbeat(self.epoch, self.team) if heartbeat_due else None,
+        )
 
-    def end_batch(self, now: Instant) -> Answers:
+    def end_batch(self, now: ClockReading) -> Answers:
         """Decide for all that have asked, where their time to wait for others is over."""
         return self._decide_when_due(now) if self._decides(now) else Answers()
 
-    def close(self, now: Instant) -> Answers:
+    def close(self, now: ClockReading) -> Answers:
         """Cut the episode off: say so where it has begun and is not over."""
         return Answers(steps=[self._last_step(now, terminated=False)] if self.epoch and self._journal.open else [])
 
-    def _forget(self, now: Instant) -> None:
+    def _forget(self, now: ClockReading) -> None:
         super()._forget(now)
         self._journal = self._new_journal(now)
         self._open: dict[str, Request] = {}
@@ -199,13 +203,13 @@ class Coordinator(Member):
         self._open.pop(agent, None)
         self._done.discard(agent)
 
-    def _new_journal(self, now: Instant) -> Journal:
-        return Journal(now.task, self._times.time_step, self._discount)
+    def _new_journal(self, now: ClockReading) -> Journal:
+        return Journal(now.task, self._timeouts.time_step, self._discount)
 
     def _observe(self, request: Request) -> None:
         self._observed[self._places[request.agent]] = request.observation
 
-    def _refuse(self, request: Request, now: Instant, refusal: Refusal) -> Answers:
+    def _refuse(self, request: Request, now: ClockReading, refusal: Refusal) -> Answers:
         self.counts[f"refused: {refusal.kind}"] += 1
         answer = Grant(
             stamp=now.stamp,
@@ -228,7 +232,7 @@ class Coordinator(Member):
         if not self._journal.credit(request.option_reward, entry.granted_at, longest):
             self.counts["rewards too large"] += 1
 
-    def _finish(self, entry: Entry, request: Request, now: Instant) -> Answers:
+    def _finish(self, entry: Entry, request: Request, now: ClockReading) -> Answers:
         """Note that the task is over for a robot; the last one's word closes the episode."""
         if entry.agent in self._done:
             return self._refuse(request, now, _TASK_OVER)
@@ -242,7 +246,7 @@ class Coordinator(Member):
         steps = [] if at_work else [self._last_step(now, terminated=True)]
         return Answers(self._refuse(request, now, _TASK_OVER).grants, steps)
 
-    def _believe(self, entry: Entry, status: Status, now: Instant) -> None:
+    def _believe(self, entry: Entry, status: Status, now: ClockReading) -> None:
         """Acknowledge a grant, or adopt one that this coordinator has not given."""
         durations = self._robots[entry.agent].durations
         if not 0 <= status.option < len(durations) or status.grant_id < 1:
@@ -259,7 +263,7 @@ class Coordinator(Member):
         self._open.pop(entry.agent, None)
         self.counts["adopted grants"] += 1
 
-    def _overdue(self, entry: Entry, now: Instant) -> list[Grant]:
+    def _overdue(self, entry: Entry, now: ClockReading) -> list[Grant]:
         """Return what a robot must be told, or told again."""
         if not entry.runs:
             return []
@@ -271,10 +275,10 @@ class Coordinator(Member):
         unheard = entry.cancelled or entry.phase is State.GRANTED
         if not unheard or now.steady < self._repeat_at.get(entry.agent, now.steady):
             return []
-        self._repeat_at[entry.agent] = now.steady + self._times.repeat
+        self._repeat_at[entry.agent] = now.steady + self._timeouts.repeat
         return [self._grant_of(entry, now)]
 
-    def _grant_of(self, entry: Entry, now: Instant) -> Grant:
+    def _grant_of(self, entry: Entry, now: ClockReading) -> Grant:
         """Return what stands for a robot's latest request."""
         robot = self._robots[entry.agent]
         return Grant(
@@ -296,16 +300,16 @@ class Coordinator(Member):
         """Whether every robot that is heard waits: who asks next is nobody."""
         return all(entry.phase in (State.WAITING, State.UNKNOWN) or entry.silence is not None for entry in self.ledger)
 
-    def _decide_when_due(self, now: Instant) -> Answers:
+    def _decide_when_due(self, now: ClockReading) -> Answers:
         return self._decide(now) if now.steady >= self._batch_at else Answers()
 
-    def _decide(self, now: Instant) -> Answers:
+    def _decide(self, now: ClockReading) -> Answers:
         """Decide for all that wait and are heard; who fell silent meanwhile asks again when it returns."""
         self._batch_at = math.inf
         waiting = [name for name in self._open if self.ledger[name].state is State.WAITING]
         asking = {name: self._open.pop(name) for name in sorted(waiting, key=self._index.__getitem__)}
         asked = self._choice(asking)
-        choice = choose_or_safe(asked, self._policy, self._times.policy_limit, self._safe_options())
+        choice = query_with_fallback(asked, self._policy, self._timeouts.policy_limit, self._safe_options())
         self.counts.update(choice.faults)
         grants, running = [], asked.running.copy()
         for name, request in asking.items():
@@ -316,7 +320,7 @@ class Coordinator(Member):
                 continue
             entry.grant(self.epoch, int(option), now.task, now.stamp)
             running[self._index[name]] = option
-            self._repeat_at[name] = now.steady + self._times.repeat
+            self._repeat_at[name] = now.steady + self._timeouts.repeat
             grants.append(self._grant_of(entry, now))
         if all(grant.status is GrantStatus.REFUSED for grant in grants):
             return Answers(grants)
@@ -324,7 +328,7 @@ class Coordinator(Member):
         step = self._journal.decision(now, self.epoch, asked, running, choice.log_probability, digest)
         return Answers(grants, [step])
 
-    def _choice(self, asking: Mapping[str, Request]) -> Choice:
+    def _choice(self, asking: Mapping[str, Request]) -> PolicyQuery:
         """Return what the policy is asked."""
         legal, choosing = self._options.copy(), np.zeros(len(self._robots), bool)
         for name, request in asking.items():
@@ -332,14 +336,14 @@ class Coordinator(Member):
             choosing[index] = True
             if np.size(request.legal):
                 legal[index, : np.size(request.legal)] = request.legal
-        return Choice(self._observed.copy(), choosing, self._all_run(), legal)
+        return PolicyQuery(self._observed.copy(), choosing, self._all_run(), legal)
 
     def _safe_options(self) -> list[int]:
         return [robot.safe_option for robot in self._robots.values()]
 
-    def _all_run(self) -> Options:
+    def _all_run(self) -> JointOptions:
         """Return what each robot carries out now (N,); who waits for an option carries out none."""
         return np.array([entry.option if entry.runs else NONE for entry in self.ledger])
 
-    def _last_step(self, now: Instant, terminated: bool) -> JointStep:
+    def _last_step(self, now: ClockReading, terminated: bool) -> JointStep:
         return self._journal.end(now, self.epoch, self._choice({}), self._all_run(), terminated)

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-_WORDS = 5
+_HEARTBEATS_PER_LEASE = 5
 _LOT_BITS = 32
 _RISE = 16 << _LOT_BITS
 _LARGEST_LEAP = 1 << 61
@@ -81,7 +81,7 @@ class Election:
         self._lease = lease
         self._random = np.random.default_rng(seed)
         self.seen = Epochs(lease)
-        self._word_at = now
+        self._heartbeat_at = now
         self.listen(now)
 
     def listen(self, now: float) -> None:
@@ -96,7 +96,7 @@ class Election:
         self.listen(now)
         return True
 
-    def on_word(self, epoch: int, now: float) -> bool:
+    def on_coordinator_heartbeat(self, epoch: int, now: float) -> bool:
         """Hear somebody decide; return whether this one steps down. Words below an epoch that is seen do not count."""
         down = self.on_epoch(epoch, now)
         if not self.epoch and epoch == self.seen.highest:
@@ -109,10 +109,10 @@ class Election:
         if not self.epoch and ready and now >= self._takes_over_at:
             self.epoch = self.seen.highest = self._next_epoch()
             self.stands_by = False
-            self._word_at = now
-        if not self.epoch or now < self._word_at:
+            self._heartbeat_at = now
+        if not self.epoch or now < self._heartbeat_at:
             return False
-        self._word_at = now + self._lease / _WORDS
+        self._heartbeat_at = now + self._lease / _HEARTBEATS_PER_LEASE
         return True
 
     def _next_epoch(self) -> int:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 
-from option_coordinator.policies.joint_policy import Options
-from option_coordinator.policies.policy_query import Choice
-from option_coordinator.protocol.instant import Instant
+from option_coordinator.policies.joint_policy import JointOptions
+from option_coordinator.policies.policy_query import PolicyQuery
+from option_coordinator.protocol.clock_reading import ClockReading
 from option_coordinator.protocol.protocol_types import JointStep
 
 
@@ -45,23 +45,31 @@ class Journal:
         return True
 
     def decision(
-        self, now: Instant, epoch: int, asked: Choice, options: Options, log_probability: float, digest: str
+        self,
+        now: ClockReading,
+        epoch: int,
+        asked: PolicyQuery,
+        options: JointOptions,
+        log_probability: float,
+        digest: str,
     ) -> JointStep:
         """Return a decision: what was asked, what all run from now on, and by which policy."""
         self.open = True
         return self._step(now, epoch, asked, options, log_probability, digest)
 
-    def end(self, now: Instant, epoch: int, asked: Choice, options: Options, terminated: bool) -> JointStep:
+    def end(
+        self, now: ClockReading, epoch: int, asked: PolicyQuery, options: JointOptions, terminated: bool
+    ) -> JointStep:
         """Return the last step of an episode, which is over by itself or is cut off."""
         self.open = False
         return self._step(now, epoch, asked, options, terminated=terminated, truncated=not terminated)
 
     def _step(
         self,
-        now: Instant,
+        now: ClockReading,
         epoch: int,
-        asked: Choice,
-        options: Options,
+        asked: PolicyQuery,
+        options: JointOptions,
         log_probability: float = 0.0,
         digest: str = "",
         terminated: bool = False,

@@ -14,12 +14,20 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from option_coordinator.options.options import Mask, Observation
+from option_coordinator.protocol.clock_reading import ClockReading
 from option_coordinator.protocol.election import Epochs
-from option_coordinator.protocol.instant import Instant
-from option_coordinator.protocol.protocol_types import AgentState, Grant, GrantStatus, Request, Status, Word, same_team
+from option_coordinator.protocol.protocol_types import (
+    AgentState,
+    CoordinatorHeartbeat,
+    Grant,
+    GrantStatus,
+    Request,
+    Status,
+    same_team,
+)
 
 
-class Seen(NamedTuple):
+class AgentObservation(NamedTuple):
     """What a robot tells with a request.
 
     Attributes:
@@ -31,7 +39,7 @@ class Seen(NamedTuple):
     legal: Mask
 
 
-class Earned(NamedTuple):
+class OptionResult(NamedTuple):
     """What an option brought.
 
     Attributes:
@@ -43,21 +51,21 @@ class Earned(NamedTuple):
     steps: int = 0
 
 
-class Executes(Protocol):
-    """What carries options out. Who is done says so: `RobotSide.ended`."""
+class OptionExecutor(Protocol):
+    """What carries options out. Who is done says so: `OptionClient.ended`."""
 
-    def observe(self) -> Seen:
+    def observe(self) -> AgentObservation:
         """Return what is seen now."""
 
     def begin(self, option: int) -> None:
         """Begin an option."""
 
-    def leave(self) -> Earned:
+    def leave(self) -> OptionResult:
         """Leave the option that runs as it is, and return what it brought."""
 
 
 @dataclass(frozen=True)
-class Patience:
+class ClientTimeouts:
     """All in seconds of a steady clock.
 
     Attributes:
@@ -74,7 +82,7 @@ class Patience:
 _WANTING = (AgentState.WAITING, AgentState.FALLBACK)
 
 
-class RobotSide:
+class OptionClient:
     """What one robot says to its coordinator, and does at its word.
 
     Args:
@@ -98,24 +106,24 @@ class RobotSide:
         self,
         name: str,
         options: int,
-        executes: Executes,
+        executor: OptionExecutor,
         incarnation: int,
         safe_option: int = 0,
-        patience: Patience | None = None,
+        timeouts: ClientTimeouts | None = None,
         team: str = "",
     ) -> None:
         self.name, self.incarnation = name, incarnation
-        self._options, self._executes, self._safe = options, executes, safe_option
-        self._patience = patience or Patience()
+        self._options, self._executor, self._safe = options, executor, safe_option
+        self._timeouts = timeouts or ClientTimeouts()
         self.state = AgentState.IDLE
         self.request_id = 0
         self.grant: Grant | None = None
         self.finished = False
         self.counts: Counter[str] = Counter()
         self._team = team
-        self._epochs = Epochs(self._patience.waiting)
+        self._epochs = Epochs(self._timeouts.waiting)
         self._request: Request | None = None
-        self._earned = Earned()
+        self._result = OptionResult()
         self._asked_at = self._began_at = 0.0
         self._request_at = self._status_at = -math.inf
 
@@ -124,13 +132,13 @@ class RobotSide:
         """Highest epoch of a coordinator that it believes, 0 for none."""
         return self._epochs.highest
 
-    def ask(self, now: Instant, earned: Earned | None = None, terminated: bool = False) -> None:
+    def ask(self, now: ClockReading, result: OptionResult | None = None, terminated: bool = False) -> None:
         """Ask for an option, or say that the task is over for this robot."""
-        self._earned = earned = earned or Earned()
+        self._result = result = result or OptionResult()
         self.state, self.finished = AgentState.WAITING, False
         self.request_id += 1
         self._asked_at = self._request_at = self._status_at = now.steady
-        seen = self._executes.observe()
+        seen = self._executor.observe()
         self._request = Request(
             stamp=now.stamp,
             agent=self.name,
@@ -139,24 +147,24 @@ class RobotSide:
             coordinator_epoch=self.epoch,
             observation=np.asarray(seen.observation, np.float32),
             legal=np.asarray(seen.legal, bool),
-            option_reward=earned.reward,
-            option_duration=earned.steps,
+            option_reward=result.reward,
+            option_duration=result.steps,
             terminated=terminated,
             team=self._team,
         )
 
-    def ended(self, now: Instant, earned: Earned | None = None, terminated: bool = False) -> None:
+    def ended(self, now: ClockReading, result: OptionResult | None = None, terminated: bool = False) -> None:
         """Note that the option that runs has ended by itself; a safe option for want of a grant just ends."""
         if self.state is AgentState.RUNNING:
-            self.ask(now, earned, terminated)
+            self.ask(now, result, terminated)
 
-    def on_word(self, word: Word, now: Instant) -> None:
+    def on_coordinator_heartbeat(self, heartbeat: CoordinatorHeartbeat, now: ClockReading) -> None:
         """Hear that a coordinator of its team decides: grants of lower epochs mean nothing from now on."""
         follows = self._team or (self.grant.team if self.grant is not None else None)
-        if word.team == follows and not self._epochs.believe(word.epoch, now.steady):
+        if heartbeat.team == follows and not self._epochs.believe(heartbeat.epoch, now.steady):
             self.counts["epochs not believed"] += 1
 
-    def on_grant(self, grant: Grant, now: Instant) -> None:
+    def on_grant(self, grant: Grant, now: ClockReading) -> None:
         """Take an answer: to an older request or life, of a lower epoch or another team, it means nothing."""
         if (grant.agent, grant.incarnation) != (self.name, self.incarnation) or not same_team(grant.team, self._team):
             return
@@ -182,25 +190,25 @@ class RobotSide:
         else:
             self._status_at = now.steady  # the coordinator has not heard that it is carried out
 
-    def tick(self, now: Instant) -> None:
+    def tick(self, now: ClockReading) -> None:
         """Let time pass: begin the safe option where no grant comes, or where an option takes too long."""
         if self.state is AgentState.RUNNING and self.grant and now.task - self._began_at > self.grant.deadline:
             self.counts["deadlines"] += 1
             self.ask(now, self._stop())
             self._fall_back()
-        elif self._waits and now.steady - self._asked_at > self._patience.waiting:
+        elif self._waits and now.steady - self._asked_at > self._timeouts.waiting:
             self.counts["unanswered"] += 1
             self._fall_back()
 
-    def words(self, now: Instant) -> list[Request | Status]:
+    def due_messages(self, now: ClockReading) -> list[Request | Status]:
         """Return what is to be said now, in this order."""
         out: list[Request | Status] = []
         if self.state in _WANTING and self._request is not None and now.steady >= self._request_at:
-            self._request_at = now.steady + self._patience.repeat
+            self._request_at = now.steady + self._timeouts.repeat
             self._request = replace(self._request, coordinator_epoch=self.epoch)
             out.append(self._request)
         if now.steady >= self._status_at:
-            self._status_at = now.steady + self._patience.heartbeat
+            self._status_at = now.steady + self._timeouts.heartbeat
             out.append(self._status(now))
         return out
 
@@ -212,17 +220,17 @@ class RobotSide:
     def _over(self) -> bool:
         return self._request is not None and self._request.terminated
 
-    def _accept(self, grant: Grant, now: Instant) -> None:
+    def _accept(self, grant: Grant, now: ClockReading) -> None:
         if not 0 <= grant.option < self._options or grant.deadline <= 0.0:
             self.counts["impossible grants"] += 1
             return
         if self.state is AgentState.FALLBACK:
-            self._executes.leave()
+            self._executor.leave()
         self.state, self.grant = AgentState.RUNNING, grant
         self._began_at, self._status_at = now.task, now.steady
-        self._executes.begin(grant.option)
+        self._executor.begin(grant.option)
 
-    def _refused(self, now: Instant, epoch: int) -> None:
+    def _refused(self, now: ClockReading, epoch: int) -> None:
         """Repeat the request at once where only the epoch was unknown; else make another one, of what is seen by then.
 
         A request never changes: which options are legal would else depend on which copy of it was answered.
@@ -234,21 +242,21 @@ class RobotSide:
             self._request_at = now.steady
         else:
             state, asked_at = self.state, self._asked_at
-            self.ask(now, self._earned)
-            self.state, self._asked_at, self._request_at = state, asked_at, now.steady + self._patience.repeat
+            self.ask(now, self._result)
+            self.state, self._asked_at, self._request_at = state, asked_at, now.steady + self._timeouts.repeat
 
     def _fall_back(self) -> None:
         self.state = AgentState.FALLBACK
-        self._executes.begin(self._safe)
+        self._executor.begin(self._safe)
 
-    def _stop(self) -> Earned:
+    def _stop(self) -> OptionResult:
         """Stop what runs; what a safe option brought that nobody granted does not count."""
         if self.state not in (AgentState.RUNNING, AgentState.FALLBACK):
-            return Earned()
-        earned = self._executes.leave()
-        return earned if self.state is AgentState.RUNNING else Earned()
+            return OptionResult()
+        result = self._executor.leave()
+        return result if self.state is AgentState.RUNNING else OptionResult()
 
-    def _status(self, now: Instant) -> Status:
+    def _status(self, now: ClockReading) -> Status:
         status = Status(self.name, self.incarnation, self.state, self.epoch, self.request_id, team=self._team)
         if self.grant is None:
             return status

@@ -80,7 +80,7 @@ class Grant:
     team: str = ""
 
 
-class Word(NamedTuple):
+class CoordinatorHeartbeat(NamedTuple):
     """CoordinatorStatus: a coordinator decides in an epoch."""
 
     epoch: int
@@ -119,9 +119,9 @@ class Answers:
     Attributes:
         grants: to robots.
         steps: for the bag.
-        word: that this one decides, for other coordinators and robots; None for nothing.
+        heartbeat: that this one decides, for other coordinators and robots; None for nothing.
     """
 
     grants: list[Grant] = field(default_factory=list)
     steps: list[JointStep] = field(default_factory=list)
-    word: Word | None = None
+    heartbeat: CoordinatorHeartbeat | None = None

@@ -10,7 +10,7 @@ from option_coordinator.protocol.message_checks import LONGEST
 
 
 @dataclass(frozen=True)
-class Robot:
+class RobotSpec:
     """What a coordinator must know of a robot beside what it can do.
 
     Attributes:
@@ -33,11 +33,11 @@ class Robot:
 
 
 @dataclass(frozen=True)
-class Times:
+class CoordinatorTimeouts:
     """All in seconds.
 
     Attributes:
-        window: time that the first request waits for others to be decided with it.
+        batch_window: time that the first request waits for others to be decided with it.
         lease: a robot silent for so long is suspect; a coordinator listens for so long before it decides.
         lost_after: a robot silent for so long is lost.
         repeat: between repetitions of what was not acknowledged.
@@ -46,7 +46,7 @@ class Times:
         time_step: of a low-level step, in which durations are told.
     """
 
-    window: float = 0.0
+    batch_window: float = 0.0
     lease: float = 0.5
     lost_after: float = 2.0
     repeat: float = 0.1

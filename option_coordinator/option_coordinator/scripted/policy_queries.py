@@ -7,25 +7,25 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from option_coordinator.policies.joint_policy import Options
-from option_coordinator.policies.policy_query import Choice, Chooses
-from option_coordinator.protocol.team_settings import Robot
+from option_coordinator.policies.joint_policy import JointOptions
+from option_coordinator.policies.policy_query import PolicyFn, PolicyQuery
+from option_coordinator.protocol.team_settings import RobotSpec
 
 SCRIPTED = ("spread", "uniform")
 """Their names."""
-_Candidates = Callable[[int, Options], Options]
+_Candidates = Callable[[int, JointOptions], JointOptions]
 
 
-def uniform_chooser(generator: np.random.Generator) -> Chooses:
+def uniform_policy(generator: np.random.Generator) -> PolicyFn:
     """Return a policy that draws each robot's option from all that are legal."""
 
-    def chooses(choice: Choice) -> tuple[Options, float]:
+    def chooses(choice: PolicyQuery) -> tuple[JointOptions, float]:
         return _each(choice, generator, lambda agent, _: np.flatnonzero(choice.legal[agent]))
 
     return chooses
 
 
-def spread_chooser(robots: Sequence[Robot], generator: np.random.Generator, shared: Sequence[str] = ()) -> Chooses:
+def spread_policy(robots: Sequence[RobotSpec], generator: np.random.Generator, shared: Sequence[str] = ()) -> PolicyFn:
     """Return a policy that draws from the legal options that nobody else runs by that name; else the safe one.
 
     Args:
@@ -36,8 +36,8 @@ def spread_chooser(robots: Sequence[Robot], generator: np.random.Generator, shar
     names = [robot.agent.options for robot in robots]
     safe = [robot.safe_option for robot in robots]
 
-    def chooses(choice: Choice) -> tuple[Options, float]:
-        def candidates(agent: int, options: Options) -> Options:
+    def chooses(choice: PolicyQuery) -> tuple[JointOptions, float]:
+        def candidates(agent: int, options: JointOptions) -> JointOptions:
             taken = {names[other][option] for other, option in enumerate(options) if other != agent and option >= 0}
             taken -= set(shared)
             legal = np.flatnonzero(choice.legal[agent])
@@ -51,7 +51,7 @@ def spread_chooser(robots: Sequence[Robot], generator: np.random.Generator, shar
     return chooses
 
 
-def _each(choice: Choice, generator: np.random.Generator, candidates: _Candidates) -> tuple[Options, float]:
+def _each(choice: PolicyQuery, generator: np.random.Generator, candidates: _Candidates) -> tuple[JointOptions, float]:
     """Draw for one robot after the other, each knowing the ones before."""
     options, log_probability = choice.running.copy(), 0.0
     for agent in np.flatnonzero(choice.choosing):

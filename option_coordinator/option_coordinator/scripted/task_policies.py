@@ -21,19 +21,19 @@ from option_coordinator.environments.tasks.tool_delivery import (
 from option_coordinator.environments.tasks.water_filling import WaterFillingSimulation
 from option_coordinator.options.decision import Decision
 from option_coordinator.options.options import Agent
-from option_coordinator.policies.policy_query import Choice
-from option_coordinator.scripted.policy_queries import spread_chooser
+from option_coordinator.policies.policy_query import PolicyQuery
+from option_coordinator.scripted.policy_queries import spread_policy
 from option_coordinator.teams.team_file import TeamFile
 
 
-class Chooser(Protocol):
+class DecisionPolicy(Protocol):
     """Chooses options for the agents that are ready."""
 
     def __call__(self, decision: Decision, /) -> dict[str, int]:
         """Return an option for each agent that is ready."""
 
 
-class RandomChooser:
+class RandomPolicy:
     """Any legal option, all as likely."""
 
     def __init__(self, seed: int = 0) -> None:
@@ -113,11 +113,11 @@ class SpreadTeam:
     """A delivery team's scripted policy, which its coordinator has too: a station that nobody else is on the way to."""
 
     def __init__(self, team: TeamFile, seed: int = 0) -> None:
-        self._chooses = spread_chooser(team.coordinated, np.random.default_rng(seed), team.shared)
+        self._chooses = spread_policy(team.coordinated, np.random.default_rng(seed), team.shared)
 
     def __call__(self, decision: Decision) -> dict[str, int]:
         """Return an option for each agent that is ready."""
-        choice = Choice(decision.observation, decision.choosing, decision.running, decision.legal)
+        choice = PolicyQuery(decision.observation, decision.choosing, decision.running, decision.legal)
         return decision.named(self._chooses(choice)[0])
 
 
@@ -127,7 +127,7 @@ def jar_trips(agent: Agent) -> list[int]:
     return fill or [index for index, name in enumerate(agent.options) if name.startswith("NavTo:")]
 
 
-def scripted_chooser(environment: OptionEnvironment) -> Chooser:
+def scripted_policy(environment: OptionEnvironment) -> DecisionPolicy:
     """Return the hand-written policy of an environment's task."""
     simulation = environment.simulation
     if isinstance(simulation, ToolDeliverySimulation):
@@ -135,8 +135,8 @@ def scripted_chooser(environment: OptionEnvironment) -> Chooser:
     return SpreadTeam(simulation.team) if isinstance(simulation, TeamDeliverySimulation) else JarCycle()
 
 
-def references(environment: OptionEnvironment) -> dict[str, Chooser]:
+def references(environment: OptionEnvironment) -> dict[str, DecisionPolicy]:
     """Return what learning is judged beside, by name: the hand-written policy, and one that knows what nobody sees."""
     simulation = environment.simulation
     omniscient = {"omniscient": GreedyFiller(simulation)} if isinstance(simulation, WaterFillingSimulation) else {}
-    return {"scripted": scripted_chooser(environment), **omniscient}
+    return {"scripted": scripted_policy(environment), **omniscient}

@@ -23,7 +23,7 @@ from pydantic import Field, PrivateAttr, Strict, model_validator
 
 from option_coordinator.errors import OptionError
 from option_coordinator.options.options import Agent
-from option_coordinator.protocol.team_settings import Robot
+from option_coordinator.protocol.team_settings import RobotSpec
 
 FOLDER = FilePath(__file__).parent
 KIND = "team_delivery"
@@ -153,11 +153,11 @@ class TeamFile(TaskHeader):
         return self.learning.batch_samples
 
     @cached_property
-    def coordinated(self) -> tuple[Robot, ...]:
+    def coordinated(self) -> tuple[RobotSpec, ...]:
         """The robots as a coordinator wants them."""
         durations = tuple(option.longest for option in self.options.values())
         safe = self.option_names.index(self.safe_option)
-        return tuple(Robot(Agent(name, self.option_names, len(OBSERVED)), durations, safe) for name in self.robots)
+        return tuple(RobotSpec(Agent(name, self.option_names, len(OBSERVED)), durations, safe) for name in self.robots)
 
 
 def team_names() -> list[str]:

@@ -19,10 +19,10 @@ from option_coordinator.environments.option_env import OptionEnvironment
 from option_coordinator.errors import OptionError
 from option_coordinator.options.decision import NONE, Decision
 
-Seen = dict[str, NDArray[Any]]
+AgentDict = dict[str, NDArray[Any]]
 
 
-class ParallelOptions(ParallelEnv[str, Seen, int]):
+class ParallelOptions(ParallelEnv[str, AgentDict, int]):
     """Every agent observes a dictionary of `observation` and `action_mask`; all get the joint reward r_kappa.
 
     What each agent is told besides: `duration` (tau, low-level steps), `discount` (gamma^tau) and `ready`.
@@ -62,7 +62,7 @@ class ParallelOptions(ParallelEnv[str, Seen, int]):
         self,
         seed: int | None = None,
         options: dict[str, Any] | None = None,  # noqa: ARG002 - PettingZoo's signature
-    ) -> tuple[dict[str, Seen], dict[str, dict[str, Any]]]:
+    ) -> tuple[dict[str, AgentDict], dict[str, dict[str, Any]]]:
         """Begin an episode."""
         decision = self.environment.reset(seed)
         self.agents = list(self.possible_agents)
@@ -71,7 +71,7 @@ class ParallelOptions(ParallelEnv[str, Seen, int]):
 
     def step(
         self, actions: dict[str, int]
-    ) -> tuple[dict[str, Seen], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
+    ) -> tuple[dict[str, AgentDict], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
         """Let the ready begin their options; the others must go on with theirs.
 
         Raises:
@@ -98,8 +98,8 @@ class ParallelOptions(ParallelEnv[str, Seen, int]):
     def render(self) -> None:
         """Show nothing: pictures are made of the environment's trace, see `option_coordinator.plots`."""
 
-    def _seen(self, decision: Decision) -> dict[str, Seen]:
-        out: dict[str, Seen] = {}
+    def _seen(self, decision: Decision) -> dict[str, AgentDict]:
+        out: dict[str, AgentDict] = {}
         for agent, legal, option in zip(decision.agents, decision.legal, decision.running, strict=True):
             every = np.arange(len(agent.options))
             mask = legal[: len(every)] if option == NONE else every == option

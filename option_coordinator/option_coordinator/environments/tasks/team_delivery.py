@@ -1,6 +1,7 @@
-"""A delivery team's light world, to learn in: what runs on the robots, `Delivery` and `Steering`, without any physics.
+"""A light simulation of a delivery team for learning: the robots' own `Delivery` and `ReactivePlanner`, no physics.
 
-Robots are discs that go as they are told; each sees the outlines of walls, obstacles and the others as its lidar would.
+Robots are discs that move exactly as commanded. Each sees the outlines of walls, obstacles and other robots as its lidar
+would.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from ctrl_rl_core.tasks.task import load_navigation_task
 from numpy.typing import NDArray
 
 from option_coordinator.navigation.delivery import Delivery
-from option_coordinator.navigation.reactive_planner import Steering
+from option_coordinator.navigation.reactive_planner import ReactivePlanner
 from option_coordinator.options.options import Agent, Mask, Observation, Scene, SimulationStep
 from option_coordinator.teams.team_file import TeamFile, Work
 
@@ -42,7 +43,7 @@ class TeamDeliverySimulation:
         self._system = self._task.system.build()
         self._world = self._task.build_world()
         self._outlines = np.concatenate([_outline(shape) for shape in (*self._world.walls, *self._world.obstacles)])
-        self._steering = Steering()
+        self._planner = ReactivePlanner()
         self._rest = np.array([option.work is Work.REST for option in team.options.values()])
         self._longest = [option.longest for option in team.options.values()]
         self.reset(np.random.default_rng(0))
@@ -120,7 +121,7 @@ class TeamDeliverySimulation:
         option, place = work.option, work.place
         if option is None:
             return False
-        if place is not None and not self._steering.there(self._poses[agent], place):
+        if place is not None and not self._planner.there(self._poses[agent], place):
             self._drive(agent, place)
             too_long = self._now - self._began[agent] >= self._longest[option]
             if too_long:
@@ -133,7 +134,7 @@ class TeamDeliverySimulation:
 
     def _drive(self, agent: int, place: tuple[float, float]) -> None:
         x, y, heading = pose = self._poses[agent]
-        speed, turn = self._steering.command(pose, self._seen_by(agent), place)
+        speed, turn = self._planner.command(pose, self._seen_by(agent), place)
         middle = heading + 0.5 * turn * self.time_step
         length = speed * self.time_step
         self._poses[agent] = (x + length * np.cos(middle), y + length * np.sin(middle), heading + turn * self.time_step)
@@ -143,7 +144,7 @@ class TeamDeliverySimulation:
         others = np.delete(self._poses[:, :2], agent, axis=0)
         points = np.concatenate((self._outlines, (others[:, None] + _ROBOT).reshape(-1, 2)))
         far = np.abs(points - self._poses[agent, :2]).max(axis=1)
-        return points[far < self._steering.look_ahead + _RADIUS]
+        return points[far < self._planner.look_ahead + _RADIUS]
 
 
 def _outline(shape: Shape) -> Array:
@@ -153,11 +154,11 @@ def _outline(shape: Shape) -> Array:
         return shape.centre + shape.radius * np.column_stack((np.cos(angles), np.sin(angles)))
     half = 0.5 * np.asarray(shape.size)
     edges = []
-    for side in (0, 1):
-        along = np.linspace(-half[side], half[side], max(2, round(shape.size[side] / _SPACING) + 1))
-        for end in (-half[1 - side], half[1 - side]):
+    for client in (0, 1):
+        along = np.linspace(-half[client], half[client], max(2, round(shape.size[client] / _SPACING) + 1))
+        for end in (-half[1 - client], half[1 - client]):
             edge = np.full((len(along), 2), end)
-            edge[:, side] = along
+            edge[:, client] = along
             edges.append(edge)
     c, s = np.cos(shape.angle), np.sin(shape.angle)
     return shape.centre + np.concatenate(edges) @ np.array(((c, s), (-s, c)))

@@ -209,7 +209,7 @@ class WaterFillingSimulation:
 
     def _positions(self) -> NDArray[np.float64]:
         """Return where the robots are (2, 2) [m]."""
-        low = np.array([side[0] for side in self.room])
+        low = np.array([client[0] for client in self.room])
         return low + self.task.cell * np.array(self._cell)
 
     def _features(self, agent: int) -> NDArray[np.float64]:
@@ -220,7 +220,7 @@ class WaterFillingSimulation:
         image = np.zeros((3, *self._cells))
         image[0][tuple(self._cell[agent])] = 1.0
         image[1][tuple(self._cell[1 - agent])] = 1.0
-        low = np.array([side[0] for side in self.room])
+        low = np.array([client[0] for client in self.room])
         in_reach = self._reach[agent]
         for jar, place in enumerate(np.round((self._jars - low) / self.task.cell).astype(int)):
             image[2][tuple(place)] = self.levels[jar] if in_reach[jar] else 0.5

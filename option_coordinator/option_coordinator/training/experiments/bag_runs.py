@@ -21,8 +21,8 @@ import numpy as np
 import torch
 from ctrl_rl_training.experiments.resumable import Point, resumable
 
-from option_coordinator.data.bag_trajectory import Recording, Team, recordings
-from option_coordinator.data.trajectory import Trajectory
+from option_coordinator.data.bag_trajectory import Recording, TeamLayout, recordings
+from option_coordinator.data.trajectory import OptionTrajectory
 from option_coordinator.environments.option_env import OptionEnvironment
 from option_coordinator.environments.tasks import make_environment
 from option_coordinator.errors import OptionError
@@ -93,7 +93,7 @@ class BagRun:
             BagError: one cannot be read.
             OptionError: one holds no such decisions, or of another team.
         """
-        found, team = [], Team.of(self.agents)
+        found, team = [], TeamLayout.of(self.agents)
         for bag in self.bags:
             for recording in recordings(bag):
                 if recording.team != team:
@@ -120,9 +120,9 @@ class BagRun:
         return "mappo"
 
     @cached_property
-    def trajectory(self) -> Trajectory:
+    def trajectory(self) -> OptionTrajectory:
         """What is learnt from: the policy's own decisions, or else all."""
-        return Trajectory.joined([recording.trajectory for recording in self.own or self.recordings])
+        return OptionTrajectory.joined([recording.trajectory for recording in self.own or self.recordings])
 
     @property
     def left_out(self) -> int:
@@ -161,7 +161,7 @@ class BagRun:
         learnt = self.policy.manifest if self.policy is not None else {}
         how = {name: learnt[name] for name in ("synchronisation", "level", "sight", "drop") if name in learnt}
         environment = make_environment(self.task_name, **how)
-        if Team.of(environment.agents) != Team.of(self.agents):
+        if TeamLayout.of(environment.agents) != TeamLayout.of(self.agents):
             raise OptionError(f"task '{self.task_name}' is for other robots than {self.start}")
         return environment
 

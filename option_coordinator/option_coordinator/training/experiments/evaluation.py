@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from option_coordinator.environments.option_env import OptionEnvironment
-from option_coordinator.environments.roll_out import Episode, PolicyChooser, play_episodes
+from option_coordinator.environments.roll_out import JointDecisionPolicy, OptionEpisode, play_episodes
 from option_coordinator.policies.joint_policy import JointPolicy
 
 DRAWS, MODE = "draws", "mode"
@@ -34,13 +34,13 @@ def evaluate(
     """
     seeds = fresh(episodes)
     choosers = {
-        DRAWS: PolicyChooser(draws, np.random.default_rng((_SEED, seed, 1))),
-        MODE: PolicyChooser(mode),
+        DRAWS: JointDecisionPolicy(draws, np.random.default_rng((_SEED, seed, 1))),
+        MODE: JointDecisionPolicy(mode),
     }
     return {how: summary(list(play_episodes(environment, chooser, seeds))) for how, chooser in choosers.items()}
 
 
-def summary(episodes: Sequence[Episode]) -> dict[str, float]:
+def summary(episodes: Sequence[OptionEpisode]) -> dict[str, float]:
     """Return what episodes amount to; nothing for no episodes.
 
     Means over episodes are `return`, `steps`, `decisions`, `terminated` and what the task says. Means over all option

@@ -13,7 +13,7 @@ from option_coordinator.training.heads.head_parts import (
     HEAD_GAIN,
     HIDDEN,
     NEVER,
-    Choice,
+    DecisionBatch,
     Score,
     Trunk,
     entropy_of,
@@ -34,20 +34,20 @@ class AutoregressiveHead(nn.Module):
         self.norm = nn.LayerNorm(HIDDEN)
         self.head = orthogonal(HIDDEN, sum(counts), HEAD_GAIN)
 
-    def forward(self, choice: Choice) -> Score:
+    def forward(self, decisions: DecisionBatch) -> Score:
         """Return log-probability and entropy."""
-        hidden = self.state(self.trunk(choice.observation))
-        shares = [self._share(choice.options[:, agent], agent) for agent in range(len(self.counts))]
+        hidden = self.state(self.trunk(decisions.observation))
+        shares = [self._share(decisions.options[:, agent], agent) for agent in range(len(self.counts))]
         for agent, share in enumerate(shares):
-            hidden = hidden + share * ~choice.choosing[:, agent, None]
+            hidden = hidden + share * ~decisions.choosing[:, agent, None]
         log_prob = entropy = hidden.new_zeros(len(hidden))
         begin = 0
         for agent, count in enumerate(self.counts):
             logits = self.head(self.norm(torch.relu(hidden)))[:, begin : begin + count]
-            legal = choice.legal[:, agent, :count]
+            legal = decisions.legal[:, agent, :count]
             logs = torch.log_softmax(logits.masked_fill(~legal, NEVER), dim=-1)
-            chooses = choice.choosing[:, agent]
-            taken = logs.gather(1, choice.options[:, agent, None].clamp(min=0))[:, 0]
+            chooses = decisions.choosing[:, agent]
+            taken = logs.gather(1, decisions.options[:, agent, None].clamp(min=0))[:, 0]
             log_prob = log_prob + taken * chooses
             entropy = entropy + entropy_of(logs, legal) * chooses
             hidden = hidden + shares[agent] * chooses[:, None]

@@ -16,7 +16,7 @@ NEVER = -1e9
 """Log-probability of what cannot be: exp of it is 0, and unlike -inf it has a gradient."""
 
 
-class Choice(NamedTuple):
+class DecisionBatch(NamedTuple):
     """Decisions, as tensors.
 
     Attributes:
@@ -31,9 +31,9 @@ class Choice(NamedTuple):
     choosing: Tensor
     legal: Tensor
 
-    def at(self, rows: Tensor) -> Choice:
+    def at(self, rows: Tensor) -> DecisionBatch:
         """Return some of them."""
-        return Choice(*(part[rows] for part in self))
+        return DecisionBatch(*(part[rows] for part in self))
 
 
 class Score(NamedTuple):
@@ -77,12 +77,12 @@ def joint_options(counts: Sequence[int]) -> Tensor:
     return torch.tensor(list(product(*(range(count) for count in counts))))
 
 
-def allowed_cells(cells: Tensor, choice: Choice, fixed: Tensor) -> Tensor:
+def allowed_cells(cells: Tensor, decisions: DecisionBatch, fixed: Tensor) -> Tensor:
     """Return which cells hold legal options of who chooses, and `fixed` (B, N) of everybody else (B, cells)."""
     agents = torch.arange(cells.shape[1])
-    legal = choice.legal[:, agents, cells]
+    legal = decisions.legal[:, agents, cells]
     same = cells[None] == fixed[:, None]
-    return torch.where(choice.choosing[:, None], legal, same).all(dim=-1)
+    return torch.where(decisions.choosing[:, None], legal, same).all(dim=-1)
 
 
 def taken_at(logs: Tensor, options: Tensor) -> Tensor:

@@ -15,7 +15,7 @@ from torch import nn
 from option_coordinator.options.decision import NONE
 from option_coordinator.options.options import Agent
 from option_coordinator.training.heads.autoregressive_head import AutoregressiveHead
-from option_coordinator.training.heads.head_parts import Choice, Score
+from option_coordinator.training.heads.head_parts import DecisionBatch, Score
 from option_coordinator.training.heads.mixture_head import MixtureHead
 from option_coordinator.training.heads.table_head import TableHead
 
@@ -27,16 +27,16 @@ class PartialHeads(nn.ModuleList):
         super().__init__(heads)
         self.observation_sizes = tuple(observation_sizes)
 
-    def forward(self, choice: Choice) -> Score:
+    def forward(self, decisions: DecisionBatch) -> Score:
         """Return log-probability and entropy."""
-        observations = torch.split(choice.observation, list(self.observation_sizes), dim=1)
-        log_prob = entropy = choice.observation.new_zeros(len(choice.observation))
+        observations = torch.split(decisions.observation, list(self.observation_sizes), dim=1)
+        log_prob = entropy = decisions.observation.new_zeros(len(decisions.observation))
         for agent, (head, own) in enumerate(zip(self, observations, strict=True)):
-            alone = torch.zeros_like(choice.choosing)
-            alone[:, agent] = choice.choosing[:, agent]
-            unknown = choice.choosing & ~alone
-            score = head(Choice(own, choice.options.masked_fill(unknown, NONE), alone, choice.legal))
-            chooses = choice.choosing[:, agent]
+            alone = torch.zeros_like(decisions.choosing)
+            alone[:, agent] = decisions.choosing[:, agent]
+            unknown = decisions.choosing & ~alone
+            score = head(DecisionBatch(own, decisions.options.masked_fill(unknown, NONE), alone, decisions.legal))
+            chooses = decisions.choosing[:, agent]
             log_prob = log_prob + score.log_prob * chooses
             entropy = entropy + score.entropy * chooses
         return Score(log_prob, entropy)

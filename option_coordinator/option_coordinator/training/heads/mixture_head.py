@@ -13,7 +13,7 @@ from option_coordinator.training.heads.head_parts import (
     HEAD_GAIN,
     HIDDEN,
     NEVER,
-    Choice,
+    DecisionBatch,
     Score,
     Trunk,
     allowed_cells,
@@ -32,7 +32,7 @@ class MixtureHead(nn.Module):
     """`option_coordinator.policies.mixture.Mixture`."""
 
     cells: Tensor | None
-    slots: Tensor
+    option_mask: Tensor
 
     def __init__(self, observation_size: int, counts: Sequence[int], rank: int = RANK) -> None:
         super().__init__()
@@ -41,39 +41,39 @@ class MixtureHead(nn.Module):
         self.trunk = Trunk(observation_size)
         self.weights = orthogonal(HIDDEN, rank, HEAD_GAIN)
         self.head = orthogonal(HIDDEN, rank * sum(counts), 1.0)  # components that are alike would never part
-        slots = torch.arange(max(counts)) < torch.tensor(self.counts)[:, None]
-        self.register_buffer("slots", slots, persistent=False)
+        option_mask = torch.arange(max(counts)) < torch.tensor(self.counts)[:, None]
+        self.register_buffer("option_mask", option_mask, persistent=False)
         countable = math.prod(counts) <= COUNTABLE
         self.register_buffer("cells", joint_options(counts) if countable else None, persistent=False)
 
-    def forward(self, choice: Choice) -> Score:
+    def forward(self, decisions: DecisionBatch) -> Score:
         """Return log-probability and entropy."""
-        weights, factors = self._given(choice)
-        taken = taken_at(factors, choice.options[:, None]) * choice.choosing[:, None]
+        weights, factors = self._given(decisions)
+        taken = taken_at(factors, decisions.options[:, None]) * decisions.choosing[:, None]
         log_prob = (weights + taken.sum(dim=-1)).logsumexp(dim=-1)
         if self.cells is None:
-            return Score(log_prob, self._chain(weights, factors, taken, choice))
-        allowed = allowed_cells(self.cells, choice, torch.zeros_like(choice.options))
+            return Score(log_prob, self._chain(weights, factors, taken, decisions))
+        allowed = allowed_cells(self.cells, decisions, torch.zeros_like(decisions.options))
         agents = torch.arange(len(self.counts))
-        of_cells = factors[:, :, agents, self.cells] * choice.choosing[:, None, None]
+        of_cells = factors[:, :, agents, self.cells] * decisions.choosing[:, None, None]
         logs = (weights[..., None] + of_cells.sum(dim=-1)).logsumexp(dim=1)
         return Score(log_prob, entropy_of(logs, allowed))
 
-    def _given(self, choice: Choice) -> tuple[Tensor, Tensor]:
+    def _given(self, decisions: DecisionBatch) -> tuple[Tensor, Tensor]:
         """Return the weights (B, R) and factors (B, R, N, K), given what runs and what is legal; as logarithms."""
-        x = self.trunk(choice.observation)
-        logits = x.new_full((len(x), self.rank, *self.slots.shape), NEVER)
-        logits[:, :, self.slots] = self.head(x).view(len(x), self.rank, -1)
+        x = self.trunk(decisions.observation)
+        logits = x.new_full((len(x), self.rank, *self.option_mask.shape), NEVER)
+        logits[:, :, self.option_mask] = self.head(x).view(len(x), self.rank, -1)
         logs = torch.log_softmax(logits, dim=-1)
-        runs = ~choice.choosing & (choice.options != NONE)
-        legal = logs.masked_fill(~choice.legal[:, None], NEVER)
+        runs = ~decisions.choosing & (decisions.options != NONE)
+        legal = logs.masked_fill(~decisions.legal[:, None], NEVER)
         share = legal.logsumexp(dim=-1)
-        evidence = taken_at(logs, choice.options[:, None]) * runs[:, None] + share * choice.choosing[:, None]
+        evidence = taken_at(logs, decisions.options[:, None]) * runs[:, None] + share * decisions.choosing[:, None]
         weights = torch.log_softmax(self.weights(x), dim=-1) + evidence.sum(dim=-1)
         return torch.log_softmax(weights, dim=-1), legal - share[..., None]
 
-    def _chain(self, weights: Tensor, factors: Tensor, taken: Tensor, choice: Choice) -> Tensor:
+    def _chain(self, weights: Tensor, factors: Tensor, taken: Tensor, decisions: DecisionBatch) -> Tensor:
         """Return the entropies of each chooser given those before it, summed (B,)."""
         before = weights[..., None] + taken.cumsum(dim=-1) - taken
         links = (torch.log_softmax(before, dim=1)[..., None] + factors).logsumexp(dim=1)
-        return (entropy_of(links, choice.legal) * choice.choosing).sum(dim=-1)
+        return (entropy_of(links, decisions.legal) * decisions.choosing).sum(dim=-1)

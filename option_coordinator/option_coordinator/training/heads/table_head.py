@@ -13,7 +13,7 @@ from option_coordinator.training.heads.head_parts import (
     HEAD_GAIN,
     HIDDEN,
     NEVER,
-    Choice,
+    DecisionBatch,
     Score,
     Trunk,
     allowed_cells,
@@ -42,25 +42,25 @@ class TableHead(nn.Module):
         """Return the table, flat (B, cells)."""
         return self.head(self.trunk(observation))
 
-    def forward(self, choice: Choice) -> Score:
+    def forward(self, decisions: DecisionBatch) -> Score:
         """Return log-probability and entropy."""
-        table = self._without_absent(self.logits(choice.observation), choice)
-        allowed = self.allowed(choice)
+        table = self._without_absent(self.logits(decisions.observation), decisions)
+        allowed = self.allowed(decisions)
         table = table.masked_fill(~allowed, NEVER)
         logs = torch.log_softmax(table, dim=-1)
-        return Score(logs.gather(1, self.cell(choice.options)[:, None])[:, 0], entropy_of(logs, allowed))
+        return Score(logs.gather(1, self.cell(decisions.options)[:, None])[:, 0], entropy_of(logs, allowed))
 
     def cell(self, options: Tensor) -> Tensor:
         """Return the index of joint options (B,); an absent agent counts as its option 0."""
         return (options.clamp(min=0) * self.strides).sum(dim=-1)
 
-    def allowed(self, choice: Choice) -> Tensor:
+    def allowed(self, decisions: DecisionBatch) -> Tensor:
         """Return which cells agree with what runs and with what is legal (B, cells); the absent are at option 0."""
-        return allowed_cells(self.cells, choice, choice.options.clamp(min=0))
+        return allowed_cells(self.cells, decisions, decisions.options.clamp(min=0))
 
-    def _without_absent(self, table: Tensor, choice: Choice) -> Tensor:
+    def _without_absent(self, table: Tensor, decisions: DecisionBatch) -> Tensor:
         """Sum the absent agents' options out: what remains stands at each of them."""
-        absent = ~choice.choosing & (choice.options == NONE)
+        absent = ~decisions.choosing & (decisions.options == NONE)
         if not absent.any():
             return table
         table = table.view(-1, *self.counts)

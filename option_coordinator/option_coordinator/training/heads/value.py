@@ -9,7 +9,7 @@ from torch import Tensor, nn
 
 from option_coordinator.options.decision import NONE
 from option_coordinator.training.heads.head_parts import HIDDEN, Trunk
-from option_coordinator.training.heads.scale import Scale
+from option_coordinator.training.heads.value_norm import ValueNorm
 
 
 class ValueNetwork(nn.Module):
@@ -30,7 +30,7 @@ class ValueNetwork(nn.Module):
         self.head = nn.Linear(HIDDEN, 1)
         nn.init.orthogonal_(self.head.weight)
         nn.init.zeros_(self.head.bias)
-        self.scale = Scale()
+        self.scale = ValueNorm()
 
     def forward(self, observation: Tensor, running: Tensor) -> Tensor:
         """Return values on the learnt scale (B,) for observations (B, D) and running options (B, N)."""

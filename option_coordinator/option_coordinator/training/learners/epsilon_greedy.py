@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from option_coordinator.options.options import Mask
-from option_coordinator.policies.joint_policy import Array, Conditional, JointPolicy, Options
+from option_coordinator.policies.joint_policy import Array, Conditional, JointOptions, JointPolicy
 
 
 class EpsilonGreedy(JointPolicy):
@@ -21,7 +21,7 @@ class EpsilonGreedy(JointPolicy):
         self.epsilon = epsilon
         self._policy = policy
 
-    def _given(self, observation: Array, choosing: Mask, running: Options, legal: Mask) -> Conditional:
+    def _given(self, observation: Array, choosing: Mask, running: JointOptions, legal: Mask) -> Conditional:
         return _EpsilonGreedyConditional(self._policy.valid(observation, choosing, running, legal), self.epsilon)
 
 
@@ -33,7 +33,7 @@ class _EpsilonGreedyConditional(Conditional):
         self._best = best.mode()
         self._epsilon = epsilon
 
-    def log_prob(self, options: Options) -> Array:
+    def log_prob(self, options: JointOptions) -> Array:
         options = np.asarray(options)
         agents = np.flatnonzero(self.choosing)
         legal = self.legal[agents, options[..., agents]].all(axis=-1)
@@ -41,12 +41,12 @@ class _EpsilonGreedyConditional(Conditional):
         with np.errstate(divide="ignore"):
             return np.log(legal * self._epsilon / self.size + same * (1.0 - self._epsilon))
 
-    def sample(self, generator: np.random.Generator) -> Options:
+    def sample(self, generator: np.random.Generator) -> JointOptions:
         out = self._best.copy()
         if generator.random() < self._epsilon:
             for agent in np.flatnonzero(self.choosing):
                 out[agent] = generator.choice(np.flatnonzero(self.legal[agent]))
         return out
 
-    def _rough_mode(self) -> Options:
+    def _rough_mode(self) -> JointOptions:
         return self._best

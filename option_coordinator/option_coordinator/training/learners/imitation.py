@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from option_coordinator.data.trajectory import Trajectory
+from option_coordinator.data.trajectory import OptionTrajectory
 from option_coordinator.options.options import Agent
 from option_coordinator.training.learners.gradient_learner import GradientLearner
-from option_coordinator.training.learners.learner import as_choice
+from option_coordinator.training.learners.learner import decision_batch
 
 
 @dataclass(frozen=True)
@@ -52,15 +52,15 @@ class Imitation(GradientLearner):
         self.settings = settings or ImitationSettings()
         self.optimizer = torch.optim.Adam(self.network.parameters(), self.settings.learning_rate, fused=True)
 
-    def learn(self, trajectory: Trajectory, generator: np.random.Generator) -> dict[str, float]:
+    def learn(self, trajectory: OptionTrajectory, generator: np.random.Generator) -> dict[str, float]:
         """Learn from what was chosen.
 
         Returns:
             `log_prob` of it and `entropy`, means of the last minibatch [nat].
         """
-        choice = as_choice(trajectory, self.presence)
+        decisions = decision_batch(trajectory, self.presence)
         figures: dict[str, float] = {}
-        for part in self.minibatches(choice, len(trajectory), generator):
+        for part in self.minibatches(decisions, len(trajectory), generator):
             score = self.network(part)
             log_prob = score.log_prob.mean()
             self.optimizer.zero_grad()

@@ -12,10 +12,10 @@ from ctrl_rl_training.io.learner_state import Arrays
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from option_coordinator.data.trajectory import Trajectory
+from option_coordinator.data.trajectory import OptionTrajectory
 from option_coordinator.policies.joint_policy import JointPolicy
 from option_coordinator.policies.presence import with_presence
-from option_coordinator.training.heads.head_parts import Choice
+from option_coordinator.training.heads.head_parts import DecisionBatch
 
 
 class Learner(ABC):
@@ -36,7 +36,7 @@ class Learner(ABC):
         """Return what gathers the next trajectory, when this part (0 to 1) of the run is done."""
 
     @abstractmethod
-    def learn(self, trajectory: Trajectory, generator: np.random.Generator) -> dict[str, float]:
+    def learn(self, trajectory: OptionTrajectory, generator: np.random.Generator) -> dict[str, float]:
         """Learn from what was gathered and return figures of it."""
 
     @abstractmethod
@@ -55,10 +55,10 @@ class Learner(ABC):
         """Take up what `memory` returned."""
 
 
-def as_choice(trajectory: Trajectory, presence: bool = False) -> Choice:
+def decision_batch(trajectory: OptionTrajectory, presence: bool = False) -> DecisionBatch:
     """Return a trajectory's choices as tensors, the observation with who is there if `presence`."""
     seen = trajectory.observation
-    return Choice(
+    return DecisionBatch(
         observation=as_tensor(with_presence(seen, trajectory.present) if presence else seen),
         options=torch.from_numpy(trajectory.options),
         choosing=torch.from_numpy(trajectory.choosing),

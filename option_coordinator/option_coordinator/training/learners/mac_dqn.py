@@ -17,15 +17,15 @@ from ctrl_rl_training.io.learner_state import Arrays
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from option_coordinator.data.trajectory import Trajectory
+from option_coordinator.data.trajectory import OptionTrajectory
 from option_coordinator.options.options import Agent
 from option_coordinator.policies.joint_policy import JointPolicy
 from option_coordinator.policies.policy_file import make_policy
 from option_coordinator.training.heads.heads import as_numpy
-from option_coordinator.training.heads.scale import Scale
 from option_coordinator.training.heads.table_head import TableHead
+from option_coordinator.training.heads.value_norm import ValueNorm
 from option_coordinator.training.learners.epsilon_greedy import EpsilonGreedy
-from option_coordinator.training.learners.learner import Learner, as_choice, as_tensor
+from option_coordinator.training.learners.learner import Learner, as_tensor, decision_batch
 from option_coordinator.training.learners.replay import Replay
 
 
@@ -75,7 +75,7 @@ class MacDqn(Learner):
         counts = tuple(len(agent.options) for agent in agents)
         self.network = TableHead(sum(agent.observation_size for agent in agents), counts)
         self.target = deepcopy(self.network)
-        self.scale, self.target_scale = Scale(), Scale()
+        self.scale, self.target_scale = ValueNorm(), ValueNorm()
         self._optimizer = torch.optim.Adam(self.network.parameters(), self.settings.learning_rate, fused=True)
         self._best = make_policy("table", as_numpy(self.network), counts, False)
         self._replay = Replay(self.settings.replay)
@@ -109,7 +109,7 @@ class MacDqn(Learner):
         self._samples, self._copied = (int(count) for count in arrays["counts"])
         self._replay.recall({n.removeprefix("replay."): a for n, a in arrays.items() if n.startswith("replay.")})
 
-    def learn(self, trajectory: Trajectory, generator: np.random.Generator) -> dict[str, float]:
+    def learn(self, trajectory: OptionTrajectory, generator: np.random.Generator) -> dict[str, float]:
         """Keep what was gathered and take one step on a batch of what is kept.
 
         Returns:
@@ -122,11 +122,13 @@ class MacDqn(Learner):
             self.target.load_state_dict(self.network.state_dict())
             self.target_scale.load_state_dict(self.scale.state_dict())
         batch = self._replay.draw(self.settings.batch, generator)
-        choice = as_choice(batch)
+        decisions = decision_batch(batch)
         with torch.no_grad():
             onward = as_tensor(batch.discount * ~batch.terminated)
             targets = self.scale.count(as_tensor(batch.reward) + onward * self._next_values(batch))
-        values = self.network.logits(choice.observation).gather(1, self.network.cell(choice.options)[:, None])[:, 0]
+        values = self.network.logits(decisions.observation).gather(1, self.network.cell(decisions.options)[:, None])[
+            :, 0
+        ]
         loss = nn.functional.huber_loss(values, targets, delta=self.settings.huber)
         self._optimizer.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]
@@ -134,9 +136,9 @@ class MacDqn(Learner):
         self._optimizer.step()
         return {"value_loss": float(loss.detach())}
 
-    def _next_values(self, batch: Trajectory) -> Tensor:
+    def _next_values(self, batch: OptionTrajectory) -> Tensor:
         """Return the target's value of what the network would choose next, given what runs on [reward]."""
-        following = as_choice(batch)._replace(
+        following = decision_batch(batch)._replace(
             observation=as_tensor(batch.next_observation),
             options=torch.from_numpy(batch.next_running),
             choosing=torch.from_numpy(batch.next_running < 0),

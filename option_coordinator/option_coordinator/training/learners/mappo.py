@@ -10,13 +10,13 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from option_coordinator.data.trajectory import Trajectory, advantages
+from option_coordinator.data.trajectory import OptionTrajectory, advantages
 from option_coordinator.options.options import Agent
 from option_coordinator.policies.presence import with_presence
-from option_coordinator.training.heads.head_parts import Choice
+from option_coordinator.training.heads.head_parts import DecisionBatch
 from option_coordinator.training.heads.value import ValueNetwork
 from option_coordinator.training.learners.gradient_learner import GradientLearner
-from option_coordinator.training.learners.learner import as_choice, as_tensor
+from option_coordinator.training.learners.learner import as_tensor, decision_batch
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ class Mappo(GradientLearner):
         """Return all networks by name."""
         return {**super().networks(), "value": self.value}
 
-    def learn(self, trajectory: Trajectory, generator: np.random.Generator) -> dict[str, float]:
+    def learn(self, trajectory: OptionTrajectory, generator: np.random.Generator) -> dict[str, float]:
         """Learn from what was gathered.
 
         Returns:
@@ -86,23 +86,23 @@ class Mappo(GradientLearner):
             figures = found | ({"ratio": figures["ratio"]} if figures else {})
         return figures
 
-    def learn_value(self, trajectory: Trajectory, generator: np.random.Generator) -> None:
+    def learn_value(self, trajectory: OptionTrajectory, generator: np.random.Generator) -> None:
         """Learn what was gathered is worth, and leave the policy as it is."""
         for part in self.minibatches(self._batch(trajectory), len(trajectory), generator):
             self._descend(self._value_loss(part))
 
-    def _batch(self, trajectory: Trajectory) -> _Batch:
-        choice = as_choice(trajectory, self.presence)
+    def _batch(self, trajectory: OptionTrajectory) -> _Batch:
+        decisions = decision_batch(trajectory, self.presence)
         running = torch.from_numpy(trajectory.running)
         following = trajectory.next_observation
         if self.presence:
             following = with_presence(following, trajectory.next_present)
         with torch.no_grad():
-            values = self.value.values(choice.observation, running)
+            values = self.value.values(decisions.observation, running)
             after = self.value.values(as_tensor(following), torch.from_numpy(trajectory.next_running))
         gains = advantages(trajectory, values.double().numpy(), after.double().numpy(), self.settings.gae_lambda)
         return _Batch(
-            choice=choice,
+            decisions=decisions,
             running=running,
             log_prob=as_tensor(trajectory.log_prob),
             gain=as_tensor((gains - gains.mean()) / (gains.std() + 1e-5)),
@@ -111,7 +111,7 @@ class Mappo(GradientLearner):
 
     def _step(self, batch: _Batch) -> dict[str, float]:
         settings = self.settings
-        score = self.network(batch.choice)
+        score = self.network(batch.decisions)
         ratio = torch.exp(score.log_prob - batch.log_prob)
         clipped = ratio.clamp(1.0 - settings.clip, 1.0 + settings.clip)
         entropy = score.entropy.mean()
@@ -126,7 +126,7 @@ class Mappo(GradientLearner):
 
     def _value_loss(self, batch: _Batch) -> Tensor:
         targets = self.value.scale.count(batch.returns)
-        values = self.value(batch.choice.observation, batch.running)
+        values = self.value(batch.decisions.observation, batch.running)
         return nn.functional.huber_loss(values, targets, delta=self.settings.huber)
 
     def _descend(self, loss: Tensor) -> None:
@@ -140,7 +140,7 @@ class Mappo(GradientLearner):
 class _Batch(NamedTuple):
     """What an update learns from, as tensors (B, ...)."""
 
-    choice: Choice
+    decisions: DecisionBatch
     running: Tensor
     log_prob: Tensor
     gain: Tensor
@@ -148,5 +148,5 @@ class _Batch(NamedTuple):
 
     def at(self, rows: Tensor) -> _Batch:
         """Return some of it."""
-        choice, *rest = self
-        return _Batch(choice.at(rows), *(part[rows] for part in rest))
+        decisions, *rest = self
+        return _Batch(decisions.at(rows), *(part[rows] for part in rest))

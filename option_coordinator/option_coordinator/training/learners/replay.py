@@ -10,7 +10,7 @@ import numpy as np
 from ctrl_rl_training.io.learner_state import Arrays
 from numpy.typing import NDArray
 
-from option_coordinator.data.trajectory import Trajectory
+from option_coordinator.data.trajectory import OptionTrajectory
 
 
 class Replay:
@@ -28,7 +28,7 @@ class Replay:
     def __len__(self) -> int:
         return min(self._seen, self._capacity)
 
-    def add(self, trajectory: Trajectory) -> None:
+    def add(self, trajectory: OptionTrajectory) -> None:
         """Keep option steps; the oldest go where there is no room."""
         rows = (self._seen + np.arange(len(trajectory))) % self._capacity
         for field in fields(trajectory):
@@ -37,11 +37,11 @@ class Replay:
             column[rows] = part
         self._seen += len(trajectory)
 
-    def draw(self, count: int, generator: np.random.Generator) -> Trajectory:
+    def draw(self, count: int, generator: np.random.Generator) -> OptionTrajectory:
         """Return option steps, each as likely as any other, each by itself."""
         rows = generator.integers(len(self), size=count)
         parts = {name: column[rows] for name, column in self._columns.items()}
-        return Trajectory(**{**parts, "last": np.ones(count, dtype=bool)})
+        return OptionTrajectory(**{**parts, "last": np.ones(count, dtype=bool)})
 
     def arrays(self) -> Arrays:
         """Return everything, for a checkpoint."""

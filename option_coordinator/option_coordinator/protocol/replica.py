@@ -10,11 +10,11 @@ import math
 from collections import Counter
 from collections.abc import Iterable
 
+from option_coordinator.protocol.clock_reading import ClockReading
 from option_coordinator.protocol.election import Election
-from option_coordinator.protocol.instant import Instant
 from option_coordinator.protocol.ledger import Entry, Ledger, State
-from option_coordinator.protocol.protocol_types import Request, Status, Word, same_team
-from option_coordinator.protocol.team_settings import Times
+from option_coordinator.protocol.protocol_types import CoordinatorHeartbeat, Request, Status, same_team
+from option_coordinator.protocol.team_settings import CoordinatorTimeouts
 
 LATE = 0.5
 _QUIET = 0.4
@@ -22,12 +22,12 @@ _FROZEN = 8.0
 """Leases without a tick after which it listens before it goes on, how long it listens, and when it begins anew."""
 
 
-class Member:
+class Replica:
     """Hears robots and other coordinators of its team, and knows whether it decides.
 
     Args:
         robots: Names of the team's robots, in the policy's order.
-        times: how long it waits for what.
+        timeouts: Waiting times of the coordinator.
         now: when it begins.
         seed: of its epochs, see `Election`.
         team: Name of the team; words of other teams mean nothing. Empty for unnamed: all words count.
@@ -38,10 +38,12 @@ class Member:
         counts: how often what happened, for diagnostics.
     """
 
-    def __init__(self, robots: Iterable[str], times: Times, now: Instant, seed: int | None, team: str) -> None:
-        self._names, self._times, self.team = tuple(robots), times, team
+    def __init__(
+        self, robots: Iterable[str], timeouts: CoordinatorTimeouts, now: ClockReading, seed: int | None, team: str
+    ) -> None:
+        self._names, self._timeouts, self.team = tuple(robots), timeouts, team
         self.counts: Counter[str] = Counter()
-        self._election = Election(now.steady, times.lease, seed)
+        self._election = Election(now.steady, timeouts.lease, seed)
         self._quiet_until = -math.inf
         self._forget(now)
 
@@ -65,21 +67,21 @@ class Member:
         """Robots that have not said anything since this coordinator began to listen."""
         return [entry.agent for entry in self.ledger if entry.phase is State.UNKNOWN]
 
-    def listen(self, now: Instant) -> None:
+    def listen(self, now: ClockReading) -> None:
         """Begin anew: decide nothing for a lease at least, hear who runs what, then take over."""
         self._election.listen(now.steady)
         self._forget(now)
 
-    def on_word(self, word: Word, now: Instant) -> None:
+    def on_coordinator_heartbeat(self, heartbeat: CoordinatorHeartbeat, now: ClockReading) -> None:
         """Hear that a coordinator decides in an epoch: another one, or this one itself."""
-        if not same_team(word.team, self.team):
+        if not same_team(heartbeat.team, self.team):
             self.counts["words of other teams"] += 1
             return
         self._wake(now)
-        if self._election.on_word(word.epoch, now.steady):
+        if self._election.on_coordinator_heartbeat(heartbeat.epoch, now.steady):
             self._step_down(now)
 
-    def _forget(self, now: Instant) -> None:
+    def _forget(self, now: ClockReading) -> None:
         """Forget who runs what, and begin to listen."""
         self._began = self._ticked_at = now.steady
         self.ledger = Ledger(self._names)
@@ -87,23 +89,23 @@ class Member:
     def _forget_robot(self, agent: str) -> None:
         """Forget what an earlier life of a robot has asked; override it where there is such."""
 
-    def _knows_enough(self, now: Instant) -> bool:
+    def _knows_enough(self, now: ClockReading) -> bool:
         """Whether every robot was heard, or could have been: what is not heard yet may run something."""
-        return not self.unheard or now.steady >= self._began + self._times.lost_after
+        return not self.unheard or now.steady >= self._began + self._timeouts.lost_after
 
-    def _wake(self, now: Instant) -> None:
+    def _wake(self, now: ClockReading) -> None:
         """Notice that this coordinator has not run for a while: it is silent until it has heard what happened."""
-        gap = (now.steady - self._ticked_at) / self._times.lease
+        gap = (now.steady - self._ticked_at) / self._timeouts.lease
         if gap <= LATE:
             return
         if now.steady >= self._quiet_until:
             self.counts["late ticks"] += 1
-        self._quiet_until = now.steady + _QUIET * self._times.lease
+        self._quiet_until = now.steady + _QUIET * self._timeouts.lease
         if self.epoch and gap > _FROZEN:
             self._election.listen(now.steady)
             self._step_down(now)
 
-    def _decides(self, now: Instant) -> bool:
+    def _decides(self, now: ClockReading) -> bool:
         """Whether this coordinator decides, and is sure of it."""
         self._wake(now)
         return bool(self.epoch) and now.steady >= self._quiet_until
@@ -118,23 +120,23 @@ class Member:
             return None
         return self.ledger[told.agent]
 
-    def _on_claim(self, entry: Entry, incarnation: int, epoch: int, now: Instant) -> None:
+    def _on_claim(self, entry: Entry, incarnation: int, epoch: int, now: ClockReading) -> None:
         """Note an epoch that a robot has seen.
 
         Who decides goes by it once the robot has said so for a lease; who may have been replaced, at once.
         """
         sure = self.epoch and now.steady >= self._quiet_until
-        if sure and not entry.insists(epoch > self.epoch, incarnation, now.steady, self._times.lease):
+        if sure and not entry.insists(epoch > self.epoch, incarnation, now.steady, self._timeouts.lease):
             return
         if self._election.on_epoch(epoch, now.steady):
             self._step_down(now)
 
-    def _step_down(self, now: Instant) -> None:
+    def _step_down(self, now: ClockReading) -> None:
         """Leave it to another one: what this one has granted may never have been obeyed."""
         self.counts["stepped down"] += 1
         self._forget(now)
 
-    def _hear(self, entry: Entry, incarnation: int, now: Instant) -> bool:
+    def _hear(self, entry: Entry, incarnation: int, now: ClockReading) -> bool:
         """Note a sign of life; return whether it counts.
 
         Raises:
@@ -151,7 +153,7 @@ class Member:
             self.counts["returned robots"] += 1
         return True
 
-    def _quiet(self, now: Instant) -> bool:
+    def _quiet(self, now: ClockReading) -> bool:
         """Note a tick; return whether nothing may be said: nobody is lost whose heartbeats wait to be read."""
         self._wake(now)
         self._ticked_at = now.steady

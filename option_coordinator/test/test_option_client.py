@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from option_coordinator.protocol.option_client import Earned, Patience, RobotSide, Seen
+from option_coordinator.protocol.option_client import AgentObservation, ClientTimeouts, OptionClient, OptionResult
 from option_coordinator.protocol.protocol_types import AgentState, Grant, GrantStatus, Request
 from team import at
 
@@ -16,21 +16,21 @@ class Log:
         self.told = []
 
     def observe(self):
-        return Seen(np.zeros(2), np.ones(3, bool))
+        return AgentObservation(np.zeros(2), np.ones(3, bool))
 
     def begin(self, option):
         self.told.append(option)
 
     def leave(self):
         self.told.append("leave")
-        return Earned(2.0, 4)
+        return OptionResult(2.0, 4)
 
 
 @pytest.fixture
 def robot():
-    side = RobotSide("r0", 3, Log(), incarnation=7, safe_option=2, patience=Patience(0.1, 0.1, 1.0))
-    side.ask(at(0.0))
-    return side
+    client = OptionClient("r0", 3, Log(), incarnation=7, safe_option=2, timeouts=ClientTimeouts(0.1, 0.1, 1.0))
+    client.ask(at(0.0))
+    return client
 
 
 def granted(request_id=1, epoch=5, option=1, grant_id=1, status=GrantStatus.GRANTED, deadline=3.0):
@@ -42,15 +42,15 @@ def requests(words):
 
 
 def told(robot):
-    return robot._executes.told
+    return robot._executor.told
 
 
 def test_a_request_is_repeated_until_it_is_answered(robot):
-    assert [len(requests(robot.words(at(now)))) for now in (0.0, 0.05, 0.1, 0.2)] == [1, 0, 1, 1]
+    assert [len(requests(robot.due_messages(at(now)))) for now in (0.0, 0.05, 0.1, 0.2)] == [1, 0, 1, 1]
     robot.on_grant(granted(), at(0.2))
-    (status,) = robot.words(at(0.2))
+    (status,) = robot.due_messages(at(0.2))
     assert (status.state, status.grant_id, status.coordinator_epoch) == (AgentState.RUNNING, 1, 5)
-    assert not requests(robot.words(at(0.5)))
+    assert not requests(robot.due_messages(at(0.5)))
 
 
 def test_a_grant_is_carried_out_once_however_often_it_is_heard(robot):
@@ -76,7 +76,7 @@ def test_a_lower_epoch_means_nothing(robot):
 def test_cancelled_it_leaves_the_option_and_asks_under_a_new_number(robot):
     robot.on_grant(granted(), at(0.1))
     robot.on_grant(granted(status=GrantStatus.CANCELLED), at(0.2))
-    (request,) = requests(robot.words(at(0.2)))
+    (request,) = requests(robot.due_messages(at(0.2)))
     assert (request.request_id, request.option_reward, request.option_duration) == (2, 2.0, 4)
     assert told(robot) == [1, "leave"]
 
@@ -87,7 +87,7 @@ def test_at_its_deadline_it_asks_and_has_its_safe_option_until_a_grant_comes(rob
     assert told(robot) == [1]
     robot.tick(at(3.2))
     assert (robot.state, told(robot)) == (AgentState.FALLBACK, [1, "leave", 2])
-    assert [request.request_id for request in requests(robot.words(at(3.2)))] == [2]
+    assert [request.request_id for request in requests(robot.due_messages(at(3.2)))] == [2]
     robot.ended(at(3.3))  # the safe option may end by itself: nobody granted it
     robot.on_grant(granted(request_id=2, grant_id=2, option=0), at(3.4))
     assert told(robot) == [1, "leave", 2, "leave", 0]
@@ -101,18 +101,18 @@ def test_without_an_answer_it_has_its_safe_option(robot):
 
 
 def test_refused_for_its_epoch_it_repeats_the_request_at_once(robot):
-    robot.words(at(0.0))
+    robot.due_messages(at(0.0))
     robot.on_grant(granted(status=GrantStatus.REFUSED), at(0.01))
-    (request,) = requests(robot.words(at(0.01)))
+    (request,) = requests(robot.due_messages(at(0.01)))
     assert (request.request_id, request.coordinator_epoch) == (1, 5)
 
 
 def test_refused_for_anything_else_it_observes_again_and_takes_its_time(robot):
     robot.on_grant(granted(request_id=9), at(0.0))
-    robot.words(at(0.0))
+    robot.due_messages(at(0.0))
     robot.on_grant(granted(status=GrantStatus.REFUSED), at(0.01))
-    assert not requests(robot.words(at(0.05)))
-    (request,) = requests(robot.words(at(0.2)))
+    assert not requests(robot.due_messages(at(0.05)))
+    (request,) = requests(robot.due_messages(at(0.2)))
     assert (request.request_id, request.stamp) == (2, 0.01)
     robot.tick(at(1.1))
     assert robot.state is AgentState.FALLBACK
@@ -120,11 +120,11 @@ def test_refused_for_anything_else_it_observes_again_and_takes_its_time(robot):
 
 def test_its_last_word_is_repeated_until_it_is_heard(robot):
     robot.on_grant(granted(), at(0.1))
-    robot.ended(at(0.2), Earned(1.0, 2), terminated=True)
+    robot.ended(at(0.2), OptionResult(1.0, 2), terminated=True)
     robot.tick(at(5.0))
-    (request,) = requests(robot.words(at(5.0)))
+    (request,) = requests(robot.due_messages(at(5.0)))
     assert request.terminated
     assert not robot.finished
     robot.on_grant(granted(request_id=2, status=GrantStatus.REFUSED), at(5.1))
     assert (robot.finished, robot.state) == (True, AgentState.IDLE)
-    assert not requests(robot.words(at(6.0)))
+    assert not requests(robot.due_messages(at(6.0)))

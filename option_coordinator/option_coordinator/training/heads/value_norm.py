@@ -8,7 +8,7 @@ from torch import Tensor, nn
 _KEEP = 0.99999
 
 
-class Scale(nn.Module):
+class ValueNorm(nn.Module):
     """Running mean and standard deviation of the targets so far; 0 and 1 before the first."""
 
     mean: Tensor

@@ -13,7 +13,7 @@ _LARGEST_LEAP = 10.0
 _LARGEST_SPEED = 100.0
 
 
-class Instant(NamedTuple):
+class ClockReading(NamedTuple):
     """One moment [s].
 
     Attributes:
