@@ -1,7 +1,7 @@
 """A light simulation of a delivery team for learning: the robots' own `Delivery` and `ReactivePlanner`, no physics.
 
-Robots are discs that move exactly as commanded. Each sees the outlines of walls, obstacles and other robots as its lidar
-would.
+Robots are discs that move exactly as commanded. Each sees the outlines of walls, obstacles and other robots, as its
+lidar would.
 """
 
 from __future__ import annotations
