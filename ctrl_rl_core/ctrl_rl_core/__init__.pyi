@@ -57,6 +57,7 @@ from .tasks.option_tasks import WaterFilling as WaterFilling
 from .tasks.outcome import Outcome as Outcome
 from .tasks.regions import Region as Region
 from .tasks.regions import position_indices as position_indices
+from .tasks.rewards import terminal_reward as terminal_reward
 from .tasks.start_states import draw_starts as draw_starts
 from .tasks.task import NavigationTask as NavigationTask
 from .tasks.task import Task as Task

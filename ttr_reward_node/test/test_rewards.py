@@ -9,6 +9,7 @@ from ctrl_rl_core.geometry.shapes import Disc
 from ctrl_rl_core.geometry.units import Interval
 from ctrl_rl_core.tasks.outcome import Outcome
 from ctrl_rl_core.tasks.regions import Region
+from ctrl_rl_core.tasks.rewards import terminal_reward
 from ctrl_rl_core.tasks.task import load_navigation_task, task_digest
 from ctrl_rl_core.tasks.task_schema import RegionSpec, RewardSpec
 from ctrl_rl_core.values.grid_axis import Axis
@@ -22,7 +23,6 @@ from ttr_reward_node.rewards.rewards import (
     DISTANCE_WEIGHTS,
     REWARDS,
     distance_reward,
-    end_reward,
     longest_time,
     make_reward,
     time_to_reach_reward,
@@ -69,7 +69,7 @@ def test_an_angle_is_weighed_the_short_way_round():
 def test_an_end_pays_what_the_task_says():
     rewards = RewardSpec(goal=1000.0, collision=-400.0, timeout=-300.0, trap=100.0, tilt=-800.0)
     outcomes = [Outcome.RUNNING, Outcome.GOAL, Outcome.COLLISION, Outcome.TRAP, Outcome.TIMEOUT, Outcome.COLLISION]
-    paid = end_reward(outcomes, rewards, [False, False, False, False, False, True])
+    paid = terminal_reward(outcomes, rewards, [False, False, False, False, False, True])
     assert paid.tolist() == [0.0, 1000.0, -400.0, 100.0, -300.0, -800.0]
 
 

@@ -13,11 +13,10 @@ import numpy as np
 from ctrl_rl_core.geometry.shapes import Box, Disc, Shape, signed_distance
 from ctrl_rl_core.io.schema import Number, Positive, Schema
 from ctrl_rl_core.tasks.regions import position_indices, wrap
+from ctrl_rl_core.tasks.rewards import tilt_reward
 from ctrl_rl_core.tasks.task import NavigationTask
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
-
-from oc_baseline_node.values.returns import tilt_reward as tilt_reward_of
 
 Array = NDArray[np.float64]
 
@@ -80,7 +79,11 @@ class CollisionSet:
         world = task.build_world()
         limit = np.inf if task.robot.tilt_limit is None else task.robot.tilt_limit
         return cls(
-            (*world.walls, *world.obstacles), task.robot.radius, task.rewards.collision, limit, tilt_reward_of(task)
+            (*world.walls, *world.obstacles),
+            task.robot.radius,
+            task.rewards.collision,
+            limit,
+            tilt_reward(task.rewards),
         )
 
     def rewards(self, names: tuple[str, ...], states: Array) -> Array:

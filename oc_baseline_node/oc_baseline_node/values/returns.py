@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from ctrl_rl_core.tasks.outcome import Outcome
 from ctrl_rl_core.tasks.regions import wrap
+from ctrl_rl_core.tasks.rewards import terminal_reward, tilt_reward
 from ctrl_rl_core.tasks.task import NavigationTask
 from ctrl_rl_core.tasks.task_sets import TaskSets
 from numpy.typing import ArrayLike, NDArray
@@ -22,22 +23,11 @@ def rewards(task: NavigationTask, states: ArrayLike) -> tuple[Array, NDArray[np.
     states = np.asarray(states, dtype=float)
     pays = task.rewards
     outcomes = TaskSets(task).outcomes(states)
-    paid = np.full(outcomes.shape, pays.intermediate)
-    for outcome, reward in (
-        (Outcome.GOAL, pays.goal),
-        (Outcome.COLLISION, pays.collision),
-        (Outcome.TRAP, pays.trap or 0.0),
-    ):
-        paid[outcomes == outcome] = reward
+    paid = terminal_reward(outcomes, pays, running=pays.intermediate)
     limit, names = task.robot.tilt_limit, task.system.build().state_names
     if limit is not None and "psi" in names:
-        paid[np.abs(wrap(states[..., names.index("psi")])) > limit] = tilt_reward(task)
+        paid[np.abs(wrap(states[..., names.index("psi")])) > limit] = tilt_reward(pays)
     return paid, outcomes != Outcome.RUNNING
-
-
-def tilt_reward(task: NavigationTask) -> float:
-    """Return what a task pays for too much tilt: that of a collision where it names nothing else."""
-    return task.rewards.collision if task.rewards.tilt is None else task.rewards.tilt
 
 
 def returns(paid: ArrayLike, ended: ArrayLike, discount: ArrayLike) -> Array:

@@ -9,6 +9,7 @@ import numpy as np
 from ctrl_rl_core.geometry.shapes import ArcPath
 from ctrl_rl_core.systems.system import System
 from ctrl_rl_core.tasks.outcome import Outcome
+from ctrl_rl_core.tasks.rewards import terminal_reward
 from ctrl_rl_core.tasks.task import NavigationTask
 from ctrl_rl_core.tasks.task_schema import RewardSpec
 from ctrl_rl_core.tasks.task_sets import PATH_NAMES, PathCoordinates
@@ -48,17 +49,8 @@ class EpisodeState:
             self.outcome, self.tilted = outcome, tilted
 
     def reward(self, rewards: RewardSpec) -> float:
-        """Return what the task pays for the episode as it stands (thesis Eq. 3.9, 3.15, 3.17)."""
-        match self.outcome:
-            case Outcome.GOAL:
-                return rewards.goal
-            case Outcome.COLLISION:
-                return rewards.tilt if self.tilted and rewards.tilt is not None else rewards.collision
-            case Outcome.TRAP:
-                return rewards.trap or 0.0
-            case Outcome.TIMEOUT:
-                return rewards.timeout
-        return rewards.intermediate
+        """Return the task's reward at the present outcome (thesis Eq. 3.9, 3.15, 3.17)."""
+        return float(terminal_reward(self.outcome, rewards, self.tilted, running=rewards.intermediate))
 
 
 class TerminationChecker:

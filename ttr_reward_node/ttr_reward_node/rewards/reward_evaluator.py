@@ -7,12 +7,13 @@ from typing import NamedTuple
 
 import numpy as np
 from ctrl_rl_core.tasks.outcome import Outcome
+from ctrl_rl_core.tasks.rewards import terminal_reward
 from ctrl_rl_core.tasks.task import NavigationTask
 from ctrl_rl_core.tasks.task_sets import TaskSets
 from ctrl_rl_core.values.value_function import ValueFunction, check_function
 from numpy.typing import NDArray
 
-from ttr_reward_node.rewards.rewards import KIND, check_informative, end_reward, longest_time, time_to_reach_reward
+from ttr_reward_node.rewards.rewards import KIND, check_informative, longest_time, time_to_reach_reward
 
 
 class EvaluatedReward(NamedTuple):
@@ -50,7 +51,7 @@ class RewardEvaluator:
         """Return the label of a state (n,) whose time to reach is phi [s], +inf or NaN."""
         outcome = Outcome(int(self._sets.outcomes(state)))
         if outcome is not Outcome.RUNNING:
-            return EvaluatedReward(outcome, float(end_reward(outcome, self._rewards)))
+            return EvaluatedReward(outcome, float(terminal_reward(outcome, self._rewards)))
         # A learner may need a number where nothing is known; whoever reads a topic shall see that nothing is.
         return EvaluatedReward(
             outcome, math.nan if math.isnan(phi) else float(time_to_reach_reward(phi, self._longest))

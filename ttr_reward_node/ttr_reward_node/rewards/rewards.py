@@ -19,8 +19,8 @@ from dataclasses import dataclass
 import numpy as np
 from ctrl_rl_core.tasks.outcome import Outcome
 from ctrl_rl_core.tasks.regions import ANGLES, Region, position_indices, wrap
+from ctrl_rl_core.tasks.rewards import terminal_reward
 from ctrl_rl_core.tasks.task import NavigationTask
-from ctrl_rl_core.tasks.task_schema import RewardSpec
 from ctrl_rl_core.values.value_function import ValueFunction, check_function
 from numpy.typing import ArrayLike, NDArray
 
@@ -88,21 +88,6 @@ def _middle(names: Sequence[str], goal: Region, weight: float) -> tuple[dict[str
     return positions, angles
 
 
-def end_reward(outcomes: ArrayLike, rewards: RewardSpec, tilted: ArrayLike = False) -> Array:
-    """Return what an episode's end pays (N,): Eq. 3.9, s in G or C; 0 where it goes on.
-
-    Args:
-        outcomes: of the episodes (N,), see `Outcome`.
-        rewards: what the task pays.
-        tilted: whether a collision was a tilt beyond the task's limit (N,).
-    """
-    outcomes, tilted = np.broadcast_arrays(np.asarray(outcomes), np.asarray(tilted, dtype=bool))
-    collision = np.where(tilted, rewards.collision if rewards.tilt is None else rewards.tilt, rewards.collision)
-    trap = 0.0 if rewards.trap is None else rewards.trap
-    ends = [outcomes == outcome for outcome in (Outcome.GOAL, Outcome.COLLISION, Outcome.TRAP, Outcome.TIMEOUT)]
-    return np.select(ends, [np.full(outcomes.shape, rewards.goal), collision, trap, rewards.timeout], 0.0)
-
-
 @dataclass(frozen=True)
 class Reward:
     """One of the rewards of a task, see `make_reward`.
@@ -134,7 +119,7 @@ class Reward:
     def __call__(self, states: ArrayLike, outcomes: ArrayLike, tilted: ArrayLike = False) -> Array:
         """Return the rewards (N,) of states (N, n) with the outcomes (N,) of their episodes."""
         running = np.asarray(outcomes) == Outcome.RUNNING
-        return np.where(running, self.intermediate(states), end_reward(outcomes, self.task.rewards, tilted))
+        return np.where(running, self.intermediate(states), terminal_reward(outcomes, self.task.rewards, tilted))
 
 
 def make_reward(name: str, task: NavigationTask, value: ValueFunction | None = None) -> Reward:

@@ -1,0 +1,34 @@
+"""The reward that a task pays when an episode ends, by its outcome."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ctrl_rl_core.tasks.outcome import Outcome
+from ctrl_rl_core.tasks.task_schema import RewardSpec
+
+
+def terminal_reward(
+    outcomes: ArrayLike, rewards: RewardSpec, tilted: ArrayLike = False, running: float = 0.0
+) -> NDArray[np.float64]:
+    """Return the rewards (...) of outcomes (...) (thesis Eq. 3.9, 3.15, 3.17).
+
+    Args:
+        outcomes: Values of `Outcome` (...).
+        rewards: Rewards of the task.
+        tilted: Whether a collision was a tilt beyond the task's limit (...).
+        running: Reward while an episode goes on.
+    """
+    table = np.zeros((2, len(Outcome)))
+    table[:, Outcome.RUNNING] = running
+    table[:, Outcome.GOAL] = rewards.goal
+    table[:, Outcome.COLLISION] = rewards.collision, tilt_reward(rewards)
+    table[:, Outcome.TRAP] = rewards.trap or 0.0
+    table[:, Outcome.TIMEOUT] = rewards.timeout
+    return table[np.asarray(tilted, dtype=np.intp), np.asarray(outcomes, dtype=np.intp)]
+
+
+def tilt_reward(rewards: RewardSpec) -> float:
+    """Return the reward for too much tilt: that of a collision unless the task names another."""
+    return rewards.collision if rewards.tilt is None else rewards.tilt
