@@ -10,6 +10,7 @@ import pytest
 from commands import check_refused, command, start
 from ctrl_rl_bringup.corridor.report import read_drive
 from mcap.reader import make_reader
+from PIL import Image
 from rosbags.highlevel import AnyReader
 
 
@@ -119,6 +120,18 @@ def test_the_report_can_be_made_again_from_the_bag_alone(run) -> None:
     assert again.returncode == 0, again.stderr
     assert again.stdout.splitlines()[:6] == first.stdout.splitlines()[1:7]
     assert (folder / "path.png").exists()
+
+
+def test_a_drive_can_be_drawn_as_a_moving_picture(run, tmp_path: Path) -> None:
+    folder, _ = run
+    picture = tmp_path / "drive.gif"
+    answer = command("animate", folder, "--output", picture)
+    assert answer.returncode == 0, answer.stderr
+    with Image.open(picture) as frames:
+        assert frames.n_frames > 100
+    assert picture.stat().st_size < 1_500_000
+    check_refused("no bag", "animate", tmp_path / "nowhere", "--output", tmp_path / "none.gif")
+    assert not (tmp_path / "none.gif").exists()
 
 
 def test_a_run_never_overwrites_another(run) -> None:
