@@ -93,6 +93,13 @@ attack: build ## fuzz readers and messages, break processes (ARGS="--seconds 60 
 behaviour: build ## digests of what short seeded runs leave, to show that nothing changed (ARGS="--output FILE --against FILE")
 	@$(RUN) python test/behaviour $(ARGS)
 
+docs: build ## the documentation site, into site/; broken links are errors
+	@scripts/docs
+
+picture: build ## the README's moving picture, from a drive made anew
+	@$(RUN) run=runs/picture-$$(date +%Y%m%d-%H%M%S); ros2 run ctrl_rl_bringup demo --seed 5 --output $$run; \
+	ros2 run ctrl_rl_bringup animate $$run --output docs/images/demo.gif
+
 results: build ## the page of results from the JSON files
 	@$(RUN) ros2 run ctrl_rl_bringup results docs/results docs/results.md
 
@@ -101,4 +108,4 @@ lock: setup ## resolve the requirements anew: each package by version and hash, 
 	@.venv/bin/python scripts/lock .venv/tools/uv/bin/uv
 
 clean: ## remove environment and build
-	rm -rf .venv build install log
+	rm -rf .venv .venv-docs build install log docs/reference site

@@ -1,0 +1,23 @@
+"""A hook of MkDocs: $$equations$$ and $`formulas`$ become MathML, which browsers draw without any script."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+from latex2mathml.converter import convert
+
+_CODE = re.compile(r"(^```.*?^```|`[^`$\n]*`(?!\$))", re.DOTALL | re.MULTILINE)
+_BLOCK = re.compile(r"\$\$(.+?)\$\$", re.DOTALL)
+_INLINE = re.compile(r"\$`([^`\n]+)`\$")
+
+
+def on_page_markdown(markdown: str, **_: Any) -> str:
+    """Return a page's text with its formulas as MathML."""
+    text = _INLINE.sub(lambda match: convert(match[1]), markdown)
+    parts = _CODE.split(text)
+    return "".join(part if index % 2 else _BLOCK.sub(_block, part) for index, part in enumerate(parts))
+
+
+def _block(match: re.Match[str]) -> str:
+    return f'<div class="equation">{convert(" ".join(match[1].split()), display="block")}</div>'

@@ -1,0 +1,39 @@
+"""Writes the reference pages of the documentation from the code: commands, parameters, topics, messages, schemas.
+
+python scripts/reference FOLDER
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from commands import command_page
+from messages import message_page
+from nodes import parameter_page, topic_page
+from readmes import package_pages
+from schemas import schema_page
+
+PAGES = {
+    "commands.md": command_page,
+    "parameters.md": parameter_page,
+    "topics.md": topic_page,
+    "messages.md": message_page,
+    "schemas.md": schema_page,
+}
+
+
+def main() -> int:
+    """Write all pages into the folder that is given."""
+    folder = Path(sys.argv[1])
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, page in PAGES.items():
+        print(f"reference: {folder / name}", flush=True)
+        (folder / name).write_text(page(), encoding="utf-8")
+    for name, text in package_pages().items():
+        (folder / name).write_text(text, encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,65 @@
+"""The page of commands: what each answers to `--help`."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+from concurrent.futures import ThreadPoolExecutor
+from itertools import groupby
+
+from ament_index_python.packages import get_package_prefix
+from workspace import Executable, executables
+
+_HEAD = """# Commands
+
+What each command answers to `--help`. Wrong usage is one line and exit code 2; a failure is one line and another code
+than 0. Nodes are commands too: [parameters](parameters.md) has theirs as tables.
+"""
+
+
+class HelpError(Exception):
+    """A command does not answer to `--help`."""
+
+
+def command_page() -> str:
+    """Return the page.
+
+    Raises:
+        HelpError: A command fails; the message holds what it said.
+    """
+    found = list(executables())
+    with ThreadPoolExecutor(2) as pool:
+        texts = dict(zip(found, pool.map(help_of, found), strict=True))
+    parts = [_HEAD]
+    for package, members in groupby(found, key=lambda each: each.package):
+        parts.append(f"## {package}\n")
+        parts += [
+            f"### ros2 run {package} {each.name}\n\n```text\n{texts[each]}\n```\n"
+            for each in members
+            if not each.module.endswith(".moved")
+        ]
+    return "\n".join(parts)
+
+
+def help_of(executable: Executable) -> str:
+    """Return what an executable prints for `--help`, subcommands included."""
+    text = _run(executable, "--help")
+    return "\n\n".join((text, *(_run(executable, name, "--help") for name in _subcommands(text))))
+
+
+def _run(executable: Executable, *arguments: str) -> str:
+    path = f"{get_package_prefix(executable.package)}/lib/{executable.package}/{executable.name}"
+    environment = {**os.environ, "COLUMNS": "100", "NO_COLOR": "1", "TERM": "dumb"}
+    answer = subprocess.run([path, *arguments], capture_output=True, text=True, env=environment, check=False)
+    if answer.returncode:
+        raise HelpError(f"{executable.name} {' '.join(arguments)} ended with {answer.returncode}: {answer.stderr}")
+    return "\n".join(line.rstrip() for line in answer.stdout.strip().splitlines())
+
+
+def _subcommands(text: str) -> list[str]:
+    """Return the names in the first `{a,b,c}` that stands for a subcommand in a usage, or none."""
+    usage = text.split("\n\n", 1)[0]
+    start, end = usage.find(" {"), usage.find("}")
+    words = usage[start + 2 : end].replace("\n", " ").split(",") if 0 <= start < end else []
+    chosen = usage[end + 1 :].lstrip()[:1] if words else ""
+    return [word.strip() for word in words] if chosen in {"", ".", "["} else []

@@ -1,0 +1,172 @@
+"""The pages of node parameters, and of topics and services as the ROS graph shows them of running nodes."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import tempfile
+import time
+from importlib import import_module
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import rclpy
+from ament_index_python.packages import get_package_prefix
+from ctrl_rl_core.ros.node import SuiteNode
+from workspace import Executable, executables
+
+_START_S = 90.0
+_SETTLE_S = 2.0
+"""After a node is seen, until all of its topics are."""
+_OWN = {"/rosout", "/parameter_events", "/clock"}
+_OWN_TYPES = "rcl_interfaces/srv/"
+_PARAMETERS = """# Parameters
+
+Every parameter of every node, from the tables that the nodes check them by. `ros2 run PACKAGE NODE --help` prints the
+same, `ros2 param describe` too. Set one by `--ros-args -p NAME:=VALUE` or a `--params-file`; `live` ones also by
+`ros2 param set` while the node runs. [What every node does](../nodes.md) says how values are checked.
+"""
+_TOPICS = """# Topics and services
+
+What each node publishes, subscribes and serves, as the ROS graph shows it of the running node. Names are relative:
+they can be remapped, and are put in a namespace with the node. `/diagnostics` is absolute. A name that begins with the
+node's own name, `/sim_bridge/...`, is private to it (`~/...`). [Messages](messages.md) has the types of `ctrl_rl_msgs`.
+"""
+
+
+class NodeError(Exception):
+    """A node does not start, or is not seen in the graph."""
+
+
+class RunningNode(NamedTuple):
+    """Start of a node whose topics are to be seen: parameters without which it has none, or does not start."""
+
+    package: str
+    executable: str
+    parameters: tuple[str, ...] = ()
+
+
+_RUNNING = (
+    RunningNode("sim_bridge", "bridge", ("task:=curved_corridor",)),
+    RunningNode("koopman_lqr_controller", "controller"),
+    RunningNode("koopman_lqr_controller", "scripted_driver"),
+    RunningNode("ctrl_rl_core", "watchdog"),
+    RunningNode("ttr_reward_node", "reward", ("grid:={grid}",)),
+    RunningNode("oc_baseline_node", "baseline", ("grid:=curved_corridor",)),
+    RunningNode("option_coordinator", "coordinator", ("team:=delivery_team", "policy:=delivery_team")),
+    RunningNode("option_coordinator", "navigation_agent", ("team:=delivery_team",)),
+)
+
+
+def parameter_page() -> str:
+    """Return the page of parameters: one table for each node."""
+    parts = [_PARAMETERS]
+    for executable in executables():
+        for kind in _node_kinds(executable):
+            parts.append(f"## {executable.name} ({executable.package})\n")
+            parts.append((kind.__doc__ or "").strip().splitlines()[0] + "\n")
+            parts.append("| parameter | default | allowed | live | meaning |\n|---|---|---|---|---|")
+            parts += [
+                f"| `{each.name}` | `{_shown(each.default)}` | {each.limits} | {'yes' if each.live else ''} "
+                f"| {each.description.replace('|', chr(92) + '|')} |"
+                for each in kind.PARAMETERS
+            ]
+            parts.append("")
+    return "\n".join(parts)
+
+
+def topic_page() -> str:
+    """Return the page of topics and services: each node is started and asked of the graph.
+
+    Raises:
+        NodeError: One does not start.
+    """
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    with tempfile.TemporaryDirectory() as folder:
+        grid = Path(folder) / "car_ttr.safetensors"
+        _solve(grid)
+        rclpy.init()
+        try:
+            observer = rclpy.create_node("documentation")
+            parts = [_TOPICS, *(_section(observer, each, grid) for each in _RUNNING)]
+            observer.destroy_node()
+        finally:
+            rclpy.try_shutdown()
+    return "\n".join(parts)
+
+
+def _node_kinds(executable: Executable) -> list[type[SuiteNode]]:
+    """Return the node classes that an executable's module defines or runs; none where it is no node."""
+    if "node" not in executable.module and "agent" not in executable.module:
+        return []
+    members = vars(import_module(executable.module)).values()
+    kinds = [each for each in members if isinstance(each, type) and issubclass(each, SuiteNode)]
+    return [each for each in kinds if each.__module__ == executable.module]
+
+
+def _shown(default: Any) -> str:
+    return repr(default) if isinstance(default, str) else str(default).lower()
+
+
+def _solve(grid: Path) -> None:
+    """Write a time-to-reach grid, which the reward node needs."""
+    _checked([_path("ttr_reward_node", "solve"), "--task", "car_ttr", "--output", str(grid)])
+
+
+def _section(observer: Any, running: RunningNode, grid: Path) -> str:
+    arguments = [part for each in running.parameters for part in ("-p", each.format(grid=grid))]
+    command = [_path(running.package, running.executable), *(("--ros-args", *arguments) if arguments else ())]
+    with tempfile.TemporaryFile() as log:
+        process = subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT)
+        try:
+            name, space = _wait_for_node(observer, process, log)
+            return _tables(observer, running, name, space)
+        finally:
+            process.terminate()
+            process.wait()
+            _wait_until_alone(observer)
+
+
+def _others(observer: Any) -> list[tuple[str, str]]:
+    return [each for each in observer.get_node_names_and_namespaces() if each[0] != "documentation"]
+
+
+def _wait_for_node(observer: Any, process: subprocess.Popen[bytes], log: Any) -> tuple[str, str]:
+    deadline = time.monotonic() + _START_S
+    while time.monotonic() < deadline and process.poll() is None:
+        rclpy.spin_once(observer, timeout_sec=0.1)
+        if found := _others(observer):
+            end = time.monotonic() + _SETTLE_S
+            while time.monotonic() < end:
+                rclpy.spin_once(observer, timeout_sec=0.1)
+            return found[0]
+    log.seek(0)
+    raise NodeError(f"{process.args}: no node seen. It said: {log.read().decode(errors='replace')}")
+
+
+def _wait_until_alone(observer: Any) -> None:
+    while _others(observer):
+        rclpy.spin_once(observer, timeout_sec=0.1)
+
+
+def _tables(observer: Any, running: RunningNode, name: str, space: str) -> str:
+    lines = [f"## {running.executable} ({running.package})\n", "| | name | type |", "|---|---|---|"]
+    for words, ask in (
+        ("publishes", observer.get_publisher_names_and_types_by_node),
+        ("subscribes", observer.get_subscriber_names_and_types_by_node),
+        ("serves", observer.get_service_names_and_types_by_node),
+    ):
+        for topic, (kind, *_) in sorted(ask(name, space)):
+            if topic not in _OWN and not kind.startswith(_OWN_TYPES):
+                lines.append(f"| {words} | `{topic}` | {kind.replace('/msg/', '/').replace('/srv/', '/')} |")
+    return "\n".join(lines) + "\n"
+
+
+def _path(package: str, executable: str) -> str:
+    return f"{get_package_prefix(package)}/lib/{package}/{executable}"
+
+
+def _checked(command: list[str]) -> None:
+    answer = subprocess.run(command, capture_output=True, text=True, check=False)
+    if answer.returncode:
+        raise NodeError(f"{command[0]} ended with {answer.returncode}: {answer.stderr}")

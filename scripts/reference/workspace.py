@@ -1,0 +1,40 @@
+"""What the workspace has: its packages, and the executables that each of them installs."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+ROOT = Path(__file__).resolve().parents[2]
+PACKAGES = sorted(file.parent.name for file in ROOT.glob("*/package.xml"))
+
+
+class Executable(NamedTuple):
+    """One entry of a package's `console_scripts`.
+
+    Attributes:
+        package: Name of the package.
+        name: Word after `ros2 run PACKAGE`.
+        module: Module of the function that is called.
+        function: Name of that function.
+    """
+
+    package: str
+    name: str
+    module: str
+    function: str
+
+
+def executables() -> Iterator[Executable]:
+    """Yield all executables, by package and name."""
+    for package in PACKAGES:
+        file = ROOT / package / "setup.py"
+        if not file.exists():
+            continue
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Constant) and isinstance(node.value, str) and " = " in node.value:
+                name, _, place = node.value.partition(" = ")
+                module, _, function = place.partition(":")
+                yield Executable(package, name, module, function)

@@ -1,0 +1,30 @@
+"""The tutorials work as written: their commands are run one after the other, in an empty folder."""
+
+import os
+import re
+import subprocess
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+TUTORIALS = ROOT / "docs" / "tutorials"
+QUICK = {"own_system"}
+"""Those that take less than half a minute; they are part of `make test`."""
+_BLOCK = re.compile(r"^```bash\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+
+
+def pages() -> list[object]:
+    names = sorted(page.stem for page in TUTORIALS.glob("*.md"))
+    assert len(names) >= 6
+    slow = (pytest.mark.slow, pytest.mark.timeout(1800))
+    return [pytest.param(name, marks=() if name in QUICK else slow) for name in names]
+
+
+@pytest.mark.parametrize("name", pages())
+def test_a_tutorial_works_as_written(name: str, tmp_path: Path) -> None:
+    blocks = _BLOCK.findall((TUTORIALS / f"{name}.md").read_text(encoding="utf-8"))
+    assert blocks
+    script = "\n".join(("set -eo pipefail", f". '{ROOT}/scripts/workspace.bash'", *blocks))
+    answer = subprocess.run(["bash", "-c", script], cwd=tmp_path, capture_output=True, text=True, env=os.environ)
+    assert answer.returncode == 0, f"{answer.stdout}\n{answer.stderr}"
