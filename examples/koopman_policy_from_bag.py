@@ -1,0 +1,37 @@
+"""Learn a linear model and its LQR from a recorded drive, look at both, and save them as a policy.
+
+python examples/koopman_policy_from_bag.py BAG [POLICY]
+
+Drive by it: ros2 run ctrl_rl_bringup demo --policy POLICY
+"""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+from koopman_lqr_controller.data.drives import drives_of, snapshots_of, usual_step
+from koopman_lqr_controller.identification.two_stage import train
+from koopman_lqr_controller.policies.policy_file import save_policy
+from koopman_lqr_controller.sensing.observables import CorridorObservables
+
+from ctrl_rl_core import load_navigation_task
+
+bag = Path(sys.argv[1])
+output = Path(sys.argv[2] if len(sys.argv) > 2 else "policy.safetensors")
+commands = load_navigation_task("curved_corridor").robot.commands
+observables = CorridorObservables()
+drives = drives_of(bag, observables.observe)
+print(f"{sum(map(len, drives))} steps in {len(drives)} sequences")
+
+policy = train(
+    snapshots_of(drives),
+    observables,
+    speed=0.18,  # m/s
+    limits=(commands["v"], commands["omega"]),
+    manifest={"dt": usual_step(drives)},
+)
+poles = np.linalg.eigvals(policy.loop)
+print(f"one-step error {policy.manifest['error_over_persistence']:.2f} of that of 'nothing changes'")
+print(f"slowest poles of the closed loop: {np.sort(np.abs(poles))[::-1][:3].round(3)}")
+save_policy(policy, output, overwrite=True)
+print(f"policy: {output}")
