@@ -211,7 +211,7 @@ def test_a_policy_that_fails_gives_safe_options(policy, fault):
 
 def test_a_slow_policy_gives_safe_options():
     team = coordinator()
-    chosen = query_with_fallback(team._choice({"r0": request()}), uniform(0), -1.0, [0, 0, 0, 0])
+    chosen = query_with_fallback(team._query.of({"r0": request()}, team.ledger), uniform(0), -1.0, [0, 0, 0, 0])
     assert (chosen.by_policy, chosen.faults) == (False, ["policy too slow"])
 
 

@@ -1,11 +1,12 @@
-"""The exchange as messages of ctrl_rl_msgs, there and back, and how they are sent."""
+"""Conversion between the types of `protocol_types` and the messages of ctrl_rl_msgs, by the names of the fields."""
 
 from __future__ import annotations
 
-import math
+from collections.abc import Callable, Mapping
+from dataclasses import fields
+from typing import Any, Generic, TypeVar
 
 import numpy as np
-from builtin_interfaces.msg import Time as TimeMsg
 from ctrl_rl_core.ros.node import float32_array, seconds, to_stamp
 from rclpy._rclpy_pybind11 import RCLError, RMWError
 from rclpy.qos import QoSProfile
@@ -14,8 +15,7 @@ from std_msgs.msg import Header
 
 from ctrl_rl_msgs.msg import AgentStatus, CoordinatorStatus, JointOptionStep, OptionGrant, OptionRequest
 from option_coordinator.options.options import Agent, option_mask
-from option_coordinator.protocol import message_checks
-from option_coordinator.protocol.message_checks import LARGEST_LIFE, LARGEST_REWARD, LONGEST, MessageError
+from option_coordinator.protocol.message_checks import LARGEST_REQUEST, AtMost, MessageError, checks_of
 from option_coordinator.protocol.protocol_types import (
     AgentState,
     CoordinatorHeartbeat,
@@ -27,173 +27,107 @@ from option_coordinator.protocol.protocol_types import (
 )
 
 EXCHANGE = QoSProfile(depth=1000)
-"""Of all topics, on both sides: with a depth of 10 most of 100 simultaneous messages are lost."""
-_STATES = {int(state): state for state in AgentState}
-_STATUSES = {int(status): status for status in GrantStatus}
+"""Quality of service of all topics, on both sides: with a depth of 10 most of 100 simultaneous messages are lost."""
 _LONGEST_STEP = 2**32 - 1
+_REQUEST_SIZE = AtMost(LARGEST_REQUEST)
+_Content = TypeVar("_Content")
+_Convert = Callable[[Any], Any]
 
 
-def request_message(request: Request) -> OptionRequest:
-    """Return a request to be sent."""
-    return OptionRequest(
-        header=_header(request.stamp),
-        agent=request.agent,
-        incarnation=request.incarnation,
-        request_id=request.request_id,
-        coordinator_epoch=request.coordinator_epoch,
-        observation=float32_array(request.observation),
-        legal=request.legal.tolist(),
-        option_reward=float(request.option_reward),
-        option_duration=request.option_duration,
-        terminated=request.terminated,
-        team=request.team,
-    )
+class Conversion(Generic[_Content]):
+    """Converts between one type and its message by the names of the fields, and checks what is received.
+
+    A field `stamp` [s] stands for the header's stamp.
+
+    Args:
+        content: Dataclass of the content.
+        message: Class of the ROS message.
+        write: Conversions of field values for the message, by name; fields without one are passed on as they are.
+        read: Conversions of the message's values, by name.
+    """
+
+    def __init__(
+        self,
+        content: type[_Content],
+        message: type,
+        write: Mapping[str, _Convert] | None = None,
+        read: Mapping[str, _Convert] | None = None,
+    ) -> None:
+        self._content, self._message = content, message
+        names = [field.name for field in fields(content)]  # type: ignore[arg-type]
+        self._stamped = "stamp" in names
+        checks = checks_of(content)
+        own = [name for name in names if name != "stamp"]
+        self._write = [(name, (write or {}).get(name)) for name in own]
+        self._read = [(name, checks.get(name), (read or {}).get(name)) for name in own]
+
+    def to_message(self, content: _Content, now: float = 0.0) -> Any:
+        """Return the message, stamped with the content's own stamp, or with `now` [s] where it has none."""
+        values = {}
+        for name, convert in self._write:
+            value = getattr(content, name)
+            values[name] = value if convert is None else convert(value)
+        return self._message(header=_header(getattr(content, "stamp", now)), **values)
+
+    def from_message(self, message: Any) -> _Content:
+        """Return the content of a message.
+
+        Raises:
+            MessageError: A value lies outside the range that the message file gives.
+        """
+        values = {}
+        for name, check, convert in self._read:
+            value = getattr(message, name)
+            if check is not None:
+                check(value, name)
+            values[name] = value if convert is None else convert(value)
+        if self._stamped:
+            values["stamp"] = seconds(message.header.stamp)
+        return self._content(**values)
+
+
+_REQUEST = Conversion(
+    Request,
+    OptionRequest,
+    {"observation": float32_array, "legal": np.ndarray.tolist, "option_reward": float},
+    {"observation": lambda numbers: np.frombuffer(numbers, np.float32), "legal": lambda flags: np.array(flags, bool)},
+)
+_STATUS = Conversion(Status, AgentStatus, {"state": int}, {"state": AgentState})
+_GRANT = Conversion(
+    Grant, OptionGrant, {"status": int, "option": lambda option: max(0, option)}, {"status": GrantStatus}
+)
+_HEARTBEAT = Conversion(CoordinatorHeartbeat, CoordinatorStatus)
+
+request_message: Callable[[Request], OptionRequest] = _REQUEST.to_message
+request_of: Callable[[OptionRequest], Request] = _REQUEST.from_message
+status_message: Callable[[Status, float], AgentStatus] = _STATUS.to_message
+status_of: Callable[[AgentStatus], Status] = _STATUS.from_message
+grant_message: Callable[[Grant], OptionGrant] = _GRANT.to_message
+grant_of: Callable[[OptionGrant], Grant] = _GRANT.from_message
+heartbeat_message: Callable[[CoordinatorHeartbeat, float], CoordinatorStatus] = _HEARTBEAT.to_message
+heartbeat_of: Callable[[CoordinatorStatus], CoordinatorHeartbeat] = _HEARTBEAT.from_message
 
 
 def request_in(content: bytes) -> Request:
-    """Return a request that was heard, from the bytes of its message: too many of them are not looked at.
+    """Return the request in a serialised message; one that is too large is not deserialised.
 
     Raises:
-        MessageError: it is none, or holds what no robot may say.
+        MessageError: It is no OptionRequest, or a value lies outside its range.
     """
-    message_checks.sized(content, "request", message_checks.LARGEST_REQUEST)
+    _REQUEST_SIZE(content, "request")
     try:
         return request_of(deserialize_message(content, OptionRequest))
     except (RCLError, RMWError, UnicodeDecodeError) as error:
         raise MessageError("request of another layout") from error
 
 
-def request_of(message: OptionRequest) -> Request:
-    """Return a request that was heard.
-
-    A reward that is not finite stays so: who sent it is told, see `refusal`.
-
-    Raises:
-        MessageError: it holds what no robot may say.
-    """
-    message_checks.sized(message.observation, "observation", message_checks.MOST_NUMBERS)
-    message_checks.sized(message.legal, "legal options", message_checks.MOST_OPTIONS)
-    reward = message.option_reward
-    if math.isfinite(reward):
-        message_checks.real(reward, "option_reward", -LARGEST_REWARD, LARGEST_REWARD)
-    return Request(
-        stamp=seconds(message.header.stamp),
-        agent=message_checks.name(message.agent, "agent"),
-        incarnation=message_checks.number(message.incarnation, "incarnation", 1, LARGEST_LIFE),
-        request_id=message_checks.number(message.request_id, "request_id", 1),
-        coordinator_epoch=message_checks.number(message.coordinator_epoch, "coordinator_epoch"),
-        observation=np.frombuffer(message.observation, np.float32),
-        legal=np.array(message.legal, bool),
-        option_reward=reward,
-        option_duration=message.option_duration,
-        terminated=message.terminated,
-        team=message_checks.name(message.team, "team"),
-    )
-
-
-def status_message(status: Status, now: float) -> AgentStatus:
-    """Return a heartbeat to be sent at a time [s]."""
-    return AgentStatus(
-        header=_header(now),
-        agent=status.agent,
-        incarnation=status.incarnation,
-        state=int(status.state),
-        coordinator_epoch=status.coordinator_epoch,
-        request_id=status.request_id,
-        grant_id=status.grant_id,
-        option=status.option,
-        elapsed=status.elapsed,
-        team=status.team,
-    )
-
-
-def status_of(message: AgentStatus) -> Status:
-    """Return a heartbeat that was heard.
-
-    Raises:
-        MessageError: it holds what no robot may say.
-    """
-    state = _STATES.get(message.state)
-    if state is None:
-        raise MessageError("state out of range")
-    return Status(
-        agent=message_checks.name(message.agent, "agent"),
-        incarnation=message_checks.number(message.incarnation, "incarnation", 1, LARGEST_LIFE),
-        state=state,
-        coordinator_epoch=message_checks.number(message.coordinator_epoch, "coordinator_epoch"),
-        request_id=message_checks.number(message.request_id, "request_id"),
-        grant_id=message_checks.number(message.grant_id, "grant_id"),
-        option=message.option,
-        elapsed=message_checks.real(message.elapsed, "elapsed", 0.0, LONGEST),
-        team=message_checks.name(message.team, "team"),
-    )
-
-
-def grant_message(grant: Grant) -> OptionGrant:
-    """Return a grant to be sent."""
-    return OptionGrant(
-        header=_header(grant.stamp),
-        agent=grant.agent,
-        incarnation=grant.incarnation,
-        request_id=grant.request_id,
-        coordinator_epoch=grant.coordinator_epoch,
-        grant_id=grant.grant_id,
-        status=int(grant.status),
-        reason=grant.reason,
-        option=max(0, grant.option),
-        option_name=grant.option_name,
-        deadline=grant.deadline,
-        team=grant.team,
-    )
-
-
-def grant_of(message: OptionGrant) -> Grant:
-    """Return a grant that was heard.
-
-    Raises:
-        MessageError: it holds what no coordinator may say.
-    """
-    status = _STATUSES.get(message.status)
-    if status is None:
-        raise MessageError("status out of range")
-    return Grant(
-        stamp=seconds(message.header.stamp),
-        agent=message_checks.name(message.agent, "agent"),
-        incarnation=message_checks.number(message.incarnation, "incarnation", 1, LARGEST_LIFE),
-        request_id=message_checks.number(message.request_id, "request_id", 1),
-        coordinator_epoch=message_checks.number(message.coordinator_epoch, "coordinator_epoch"),
-        grant_id=message_checks.number(message.grant_id, "grant_id"),
-        status=status,
-        reason=message.reason,
-        option=message.option,
-        option_name=message.option_name,
-        deadline=message_checks.real(message.deadline, "deadline", 0.0, LONGEST),
-        team=message_checks.name(message.team, "team"),
-    )
-
-
-def heartbeat_message(heartbeat: CoordinatorHeartbeat, now: float) -> CoordinatorStatus:
-    """Return that a coordinator decides, to be sent at a time [s]."""
-    return CoordinatorStatus(header=_header(now), coordinator_epoch=heartbeat.epoch, team=heartbeat.team)
-
-
-def heartbeat_of(message: CoordinatorStatus) -> CoordinatorHeartbeat:
-    """Return that a coordinator was heard to decide.
-
-    Raises:
-        MessageError: it holds what no coordinator may say.
-    """
-    epoch = message_checks.number(message.coordinator_epoch, "coordinator_epoch", 1)
-    return CoordinatorHeartbeat(epoch, message_checks.name(message.team, "team"))
-
-
 class StepMessages:
-    """Writes the joint steps of one team.
+    """Converts the joint steps of one team to messages.
 
     Args:
-        agents: the robots, in the policy's order.
-        discount: gamma of a low-level step.
-        time_step: how long one lasts [s].
+        agents: Robots, in the policy's order.
+        discount: Discount factor gamma of a low-level step.
+        time_step: Duration of a low-level step [s].
     """
 
     def __init__(self, agents: tuple[Agent, ...], discount: float, time_step: float) -> None:
@@ -204,7 +138,7 @@ class StepMessages:
         self._own = option_mask(self._counts)
 
     def __call__(self, step: JointStep) -> JointOptionStep:
-        """Return one to be sent."""
+        """Return the message of one joint step."""
         return JointOptionStep(
             header=_header(step.stamp),
             coordinator_epoch=step.coordinator_epoch,
@@ -229,8 +163,4 @@ class StepMessages:
 
 
 def _header(stamp: float) -> Header:
-    return Header(stamp=_time(stamp))
-
-
-def _time(stamp: float) -> TimeMsg:
-    return to_stamp(round(1e9 * stamp))
+    return Header(stamp=to_stamp(round(1e9 * stamp)))

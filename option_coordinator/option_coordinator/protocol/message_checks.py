@@ -1,17 +1,20 @@
-"""What any message may say, whoever sent it: the ranges of the message files. Pure: no ROS.
+"""The ranges of the message files, as annotations of the types of `protocol_types`. No ROS.
 
-Every number and name that a coordinator or a robot reads from a message passes here once, where messages become the
-types of `exchange`. What depends on a team (sizes, names, options, epochs, order) is checked by who knows the team.
+`checks_of` returns the checks of a type by field, which are applied once to each message, where it is converted. What
+depends on a team (sizes, names, options, epochs, order) is checked by the coordinator and the clients.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sized
+from enum import IntEnum
+from typing import Annotated, Any, NamedTuple, Protocol, get_type_hints
 
 from option_coordinator.errors import OptionError
 
 LARGEST_COUNT = (1 << 62) - 1
-"""Of epochs, request and grant numbers: counting does not reach it."""
+"""Largest epoch, request or grant number. Counting from 0 never reaches it."""
 LARGEST_LIFE = (1 << 63) - 1
 LARGEST_REWARD = 1e9
 LONGEST = 1e7
@@ -20,14 +23,14 @@ LONGEST_NAME = 255
 MOST_NUMBERS = 65536
 MOST_OPTIONS = 10000
 LARGEST_REQUEST = 4 * MOST_NUMBERS + MOST_OPTIONS + 2 * LONGEST_NAME + 1024
-"""Of a serialised OptionRequest [bytes]."""
+"""Largest serialised OptionRequest [bytes]."""
 
 
 class MessageError(OptionError):
-    """A message holds what no peer may say.
+    """A message holds a value outside the ranges of its message file.
 
     Attributes:
-        kind: A few words, to count by; nothing of the message's content.
+        kind: Short reason without any of the message's content, used as the key of a counter.
     """
 
     def __init__(self, kind: str) -> None:
@@ -35,44 +38,76 @@ class MessageError(OptionError):
         self.kind = kind
 
 
-def name(text: str, what: str) -> str:
-    """Return a name that is not too long.
+class Check(Protocol):
+    """Refuses a value that no peer may send."""
 
-    Raises:
-        MessageError: it is.
-    """
-    if len(text) > LONGEST_NAME:
-        raise MessageError(f"{what} too long")
-    return text
+    def __call__(self, value: Any, field: str, /) -> None:
+        """Raise MessageError, which names the field, if the value is refused."""
 
 
-def number(value: int, what: str, least: int = 0, largest: int = LARGEST_COUNT) -> int:
-    """Return a whole number that lies in a range.
+class Between(NamedTuple):
+    """A number in a closed interval; NaN lies in none."""
 
-    Raises:
-        MessageError: it does not.
-    """
-    if not least <= value <= largest:
-        raise MessageError(f"{what} out of range")
-    return value
+    least: float
+    largest: float
 
-
-def real(value: float, what: str, least: float, largest: float) -> float:
-    """Return a real number that lies in a range; NaN lies in none.
-
-    Raises:
-        MessageError: it does not.
-    """
-    if not least <= value <= largest:
-        raise MessageError(f"{what} out of range")
-    return value
+    def __call__(self, value: float, field: str, /) -> None:
+        """Raise MessageError if the number lies outside."""
+        if not self.least <= value <= self.largest:
+            raise MessageError(f"{field} out of range")
 
 
-def sized(values: Sized, what: str, most: int) -> None:
-    """See to it that an array is not too long.
+class FiniteBetween(Between):
+    """A number in a closed interval, or one that is not finite: the coordinator refuses that with a reason."""
 
-    Raises:
-        MessageError: it is.
-    """
-    if len(values) > most:
-        raise MessageError(f"{what} too long")
+    def __call__(self, value: float, field: str, /) -> None:
+        """Raise MessageError if the number is finite and lies outside."""
+        if math.isfinite(value):
+            super().__call__(value, field)
+
+
+class AtMost(NamedTuple):
+    """A text or an array up to a length; errors call it by `label`, or by its field's name."""
+
+    length: int
+    label: str = ""
+
+    def __call__(self, value: Sized, field: str, /) -> None:
+        """Raise MessageError if it is longer."""
+        if len(value) > self.length:
+            raise MessageError(f"{self.label or field} too long")
+
+
+class OneOf(NamedTuple):
+    """One of the constants of an enumeration."""
+
+    numbers: frozenset[int]
+
+    def __call__(self, value: int, field: str, /) -> None:
+        """Raise MessageError if it is none of them."""
+        if value not in self.numbers:
+            raise MessageError(f"{field} out of range")
+
+
+def constants(kind: type[IntEnum]) -> OneOf:
+    """Return the check that a number is one of an enumeration's constants."""
+    return OneOf(frozenset(int(member) for member in kind))
+
+
+Name = Annotated[str, AtMost(LONGEST_NAME)]
+Life = Annotated[int, Between(1, LARGEST_LIFE)]
+Count = Annotated[int, Between(0, LARGEST_COUNT)]
+CountFrom1 = Annotated[int, Between(1, LARGEST_COUNT)]
+Duration = Annotated[float, Between(0.0, LONGEST)]
+OptionReward = Annotated[float, FiniteBetween(-LARGEST_REWARD, LARGEST_REWARD)]
+_KINDS = (Between, AtMost, OneOf)
+
+
+def checks_of(kind: type) -> dict[str, Check]:
+    """Return the checks of a type's fields, by the name of the field."""
+    hints = get_type_hints(kind, include_extras=True)
+    found = {
+        name: [part for part in getattr(hint, "__metadata__", ()) if isinstance(part, _KINDS)]
+        for name, hint in hints.items()
+    }
+    return {name: checks[0] for name, checks in found.items() if checks}

@@ -161,7 +161,7 @@ class OptionClient:
     def on_coordinator_heartbeat(self, heartbeat: CoordinatorHeartbeat, now: ClockReading) -> None:
         """Hear that a coordinator of its team decides: grants of lower epochs mean nothing from now on."""
         follows = self._team or (self.grant.team if self.grant is not None else None)
-        if heartbeat.team == follows and not self._epochs.believe(heartbeat.epoch, now.steady):
+        if heartbeat.team == follows and not self._epochs.believe(heartbeat.coordinator_epoch, now.steady):
             self.counts["epochs not believed"] += 1
 
     def on_grant(self, grant: Grant, now: ClockReading) -> None:

@@ -1,20 +1,35 @@
-"""What robots and coordinator tell each other, as in ctrl_rl_msgs and without ROS. Times are seconds of one clock."""
+"""The messages between robots and coordinator, field by field as in ctrl_rl_msgs, without ROS. Stamps are in seconds.
+
+An annotation holds a field's range, see `message_checks`. The message files say what each field means.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import NamedTuple
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from option_coordinator.options.decision import NONE
 from option_coordinator.options.options import Mask, Observation
+from option_coordinator.protocol.message_checks import (
+    MOST_NUMBERS,
+    MOST_OPTIONS,
+    AtMost,
+    Count,
+    CountFrom1,
+    Duration,
+    Life,
+    Name,
+    OptionReward,
+    constants,
+)
 
 
 class GrantStatus(IntEnum):
-    """OptionGrant.status."""
+    """Constants of OptionGrant.status."""
 
     GRANTED = 0
     REFUSED = 1
@@ -22,7 +37,7 @@ class GrantStatus(IntEnum):
 
 
 class AgentState(IntEnum):
-    """AgentStatus.state."""
+    """Constants of AgentStatus.state."""
 
     IDLE = 0
     WAITING = 1
@@ -32,64 +47,65 @@ class AgentState(IntEnum):
 
 @dataclass(frozen=True, eq=False)
 class Request:
-    """OptionRequest."""
+    """An OptionRequest: a robot asks for its next option."""
 
     stamp: float
-    agent: str
-    incarnation: int
-    request_id: int
-    coordinator_epoch: int
-    observation: Observation
-    legal: Mask
-    option_reward: float = 0.0
+    agent: Name
+    incarnation: Life
+    request_id: CountFrom1
+    coordinator_epoch: Count
+    observation: Annotated[Observation, AtMost(MOST_NUMBERS)]
+    legal: Annotated[Mask, AtMost(MOST_OPTIONS, "legal options")]
+    option_reward: OptionReward = 0.0
     option_duration: int = 0
     terminated: bool = False
-    team: str = ""
+    team: Name = ""
 
 
 @dataclass(frozen=True)
 class Status:
-    """AgentStatus."""
+    """An AgentStatus: a robot's heartbeat."""
 
-    agent: str
-    incarnation: int
-    state: AgentState
-    coordinator_epoch: int = 0
-    request_id: int = 0
-    grant_id: int = 0
+    agent: Name
+    incarnation: Life
+    state: Annotated[AgentState, constants(AgentState)]
+    coordinator_epoch: Count = 0
+    request_id: Count = 0
+    grant_id: Count = 0
     option: int = 0
-    elapsed: float = 0.0
-    team: str = ""
+    elapsed: Duration = 0.0
+    team: Name = ""
 
 
 @dataclass(frozen=True)
 class Grant:
-    """OptionGrant; its option is `NONE` where nothing is granted."""
+    """An OptionGrant: the answer to a request; its option is `NONE` where nothing is granted."""
 
     stamp: float
-    agent: str
-    incarnation: int
-    request_id: int
-    coordinator_epoch: int
-    grant_id: int
-    status: GrantStatus
+    agent: Name
+    incarnation: Life
+    request_id: CountFrom1
+    coordinator_epoch: Count
+    grant_id: Count
+    status: Annotated[GrantStatus, constants(GrantStatus)]
     reason: str = ""
     option: int = NONE
     option_name: str = ""
-    deadline: float = 0.0
-    team: str = ""
+    deadline: Duration = 0.0
+    team: Name = ""
 
 
-class CoordinatorHeartbeat(NamedTuple):
-    """CoordinatorStatus: a coordinator decides in an epoch."""
+@dataclass(frozen=True)
+class CoordinatorHeartbeat:
+    """A CoordinatorStatus: a coordinator decides in an epoch."""
 
-    epoch: int
-    team: str = ""
+    coordinator_epoch: CountFrom1
+    team: Name = ""
 
 
 @dataclass(frozen=True, eq=False)
 class JointStep:
-    """JointOptionStep; legal (N, K) as in `Decision`, observation of all, one after the other."""
+    """A JointOptionStep: legal (N, K) as in `Decision`, observations of all robots one after the other."""
 
     stamp: float
     coordinator_epoch: int
@@ -108,18 +124,18 @@ class JointStep:
 
 
 def same_team(one: str, other: str) -> bool:
-    """Return whether two words may be of one team: an unnamed one, as of an old peer, is of any."""
+    """Return whether two messages may belong to one team; a message of an old peer, without a name, fits any."""
     return one == other or not one or not other
 
 
 @dataclass(frozen=True)
 class Answers:
-    """What a coordinator has to send now, in this order: grants, joint steps, and, where it is due, that it decides.
+    """The messages that a coordinator sends now, in this order.
 
     Attributes:
-        grants: to robots.
-        steps: for the bag.
-        heartbeat: that this one decides, for other coordinators and robots; None for nothing.
+        grants: Answers to robots.
+        steps: Joint steps, for the bag.
+        heartbeat: Heartbeat for robots and other coordinators; None where none is due.
     """
 
     grants: list[Grant] = field(default_factory=list)

@@ -78,7 +78,7 @@ class Replica:
             self.counts["words of other teams"] += 1
             return
         self._wake(now)
-        if self._election.on_coordinator_heartbeat(heartbeat.epoch, now.steady):
+        if self._election.on_coordinator_heartbeat(heartbeat.coordinator_epoch, now.steady):
             self._step_down(now)
 
     def _forget(self, now: ClockReading) -> None:
