@@ -14,8 +14,9 @@ from typing import Any
 import pytest
 from ctrl_rl_core.processes.ray_workers import map_in_ray
 from ctrl_rl_core.processes.workers import WorkersError
-from ctrl_rl_training.experiments.matrix import train_all
-from option_coordinator.training.experiments.runs import OptionRun, RunOptions, option_runs, train_one
+from ctrl_rl_training.experiments.matrix import run_experiments
+from ctrl_rl_training.experiments.run import RunOptions
+from option_coordinator.training.experiments.runs import OptionRun, option_runs
 
 RUNS = option_runs("tool_delivery", ["async", "mac_dqn"], 4)
 LIMIT = 200.0
@@ -42,12 +43,12 @@ def cluster() -> Iterator[str]:
 def local(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Give the folder of the runs as processes of this machine learn them."""
     folder = tmp_path_factory.mktemp("local")
-    train_all(RUNS, how(folder), train_one, 2)
+    run_experiments(RUNS, how(folder), 2)
     return folder
 
 
 def how(folder: Path) -> RunOptions:
-    return RunOptions(folder, iterations=4, samples=400, evaluations=1)
+    return RunOptions(folder, 4, 400, final_evaluations=1)
 
 
 def learnt(folder: Path, run: OptionRun) -> tuple[Any, bytes]:
@@ -82,10 +83,11 @@ def test_eight_runs_end_alike_though_a_worker_is_killed(
     program = (
         "import sys, functools; from pathlib import Path\n"
         "from ctrl_rl_training.experiments import matrix\n"
-        "from option_coordinator.training.experiments.runs import RunOptions, option_runs, train_one\n"
+        "from option_coordinator.training.experiments.runs import option_runs\n"
+        "from ctrl_rl_training.experiments.run import RunOptions\n"
         "matrix.map_in_ray = functools.partial(matrix.map_in_ray, shared=sys.argv[3] == 'True')\n"
         "runs = option_runs('tool_delivery', ['async', 'mac_dqn'], 4)\n"
-        "matrix.train_all(runs, RunOptions(Path(sys.argv[1]), 4, 400, 1), train_one, ray=sys.argv[2])\n"
+        "matrix.run_experiments(runs, RunOptions(Path(sys.argv[1]), 4, 400, 0, 1), ray=sys.argv[2])\n"
     )
     begun = subprocess.Popen(
         [sys.executable, "-c", program, str(tmp_path), cluster, str(shared)], stderr=subprocess.PIPE, text=True

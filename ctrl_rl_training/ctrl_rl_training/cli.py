@@ -6,29 +6,20 @@ import argparse
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from ctrl_rl_core.command import check_least, file_to_write, folder_to_write
 from ctrl_rl_core.io.results import Result, ResultsError, write_results
 from ctrl_rl_core.tasks.task import NavigationTask, load_navigation_task, task_digest, task_names
 from ctrl_rl_core.tasks.task_schema import TaskHeader
 
-from ctrl_rl_training.experiments.run_folder import Named
+from ctrl_rl_training.experiments.run import Run, RunOptions
 
 if TYPE_CHECKING:
     from ctrl_rl_training.experiments.figure_data import Figures
-    from ctrl_rl_training.sb3.training import Options
 
 
-class RunOfTask(Named, Protocol):
-    """A run that learns a task."""
-
-    @property
-    def task(self) -> TaskHeader:
-        """The task."""
-
-
-AnyRun = TypeVar("AnyRun", bound=RunOfTask)
+AnyRun = TypeVar("AnyRun", bound=Run)
 
 
 def add_run_options(parser: argparse.ArgumentParser, folder: Path, iterations: int) -> None:
@@ -57,31 +48,30 @@ def check_run_options(options: argparse.Namespace) -> None:
 
 def train_and_collect(
     options: argparse.Namespace,
+    task: TaskHeader,
     runs: Sequence[AnyRun],
     title: str,
     collect: Callable[[Sequence[AnyRun], Path], tuple[list[Result], dict[str, Any]]],
     as_text: Callable[[list[Result]], str],
-    how: Any = None,
-    train: Callable[..., dict[str, Any]] | None = None,
+    how: RunOptions | None = None,
 ) -> None:
-    """Run what is not finished yet, print the table, and write it and the figures' data where that is asked for.
+    """Run what is not finished yet, print the table, and write it and the figures' data if asked to.
 
     Args:
-        options: of `add_run_options`.
-        runs: all of one task, in the order in which they begin.
-        title: the experiment's name is this and the task's.
-        collect: returns the rows and the figures' data of the runs that are finished in a folder.
-        as_text: returns what is printed of the rows.
-        how: the runs go, see `train_all`; `Options` of Stable-Baselines3 unless given.
-        train: what learns, see `train_all`; with Stable-Baselines3 unless given.
+        options: Options of `add_run_options`.
+        task: Task of the runs.
+        runs: Runs in the order in which they begin.
+        title: Begins the name of the experiment, which ends with the task's.
+        collect: Returns the rows and the figures' data of the runs that are finished in a folder.
+        as_text: Returns the printed form of the rows.
+        how: Settings of the runs; those of Stable-Baselines3 unless given.
 
     Raises:
-        CtrlRlError: see `train_all`.
+        CtrlRlError: See `run_experiments`.
     """
-    from ctrl_rl_training.experiments.matrix import train_all
+    from ctrl_rl_training.experiments.matrix import run_experiments
 
-    task = runs[0].task
-    train_all(runs, how or _usual(options), train or _train_with_sb3(), options.workers, task.name, options.ray)
+    run_experiments(runs, how or _usual(options), options.workers, task.name, options.ray)
     rows, figures = collect(runs, options.folder)
     print(as_text(rows))
     if options.results is not None:
@@ -90,16 +80,10 @@ def train_and_collect(
         print(f"results    {options.results}")
 
 
-def _train_with_sb3() -> Callable[..., dict[str, Any]]:
-    from ctrl_rl_training.sb3.training import train_one  # its simulator and library are not for every run
+def _usual(options: argparse.Namespace) -> RunOptions:
+    from ctrl_rl_training.sb3.training import EVALUATIONS, FINAL_EVALUATIONS, ITERATION  # not every run needs them
 
-    return train_one
-
-
-def _usual(options: argparse.Namespace) -> Options:
-    from ctrl_rl_training.sb3.training import Options  # its simulator and library are not for every run
-
-    return Options(options.folder, options.iterations)
+    return RunOptions(options.folder, options.iterations, ITERATION, EVALUATIONS, FINAL_EVALUATIONS)
 
 
 def add_figure_options(parser: argparse.ArgumentParser) -> None:

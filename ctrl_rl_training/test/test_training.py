@@ -9,21 +9,23 @@ import numpy as np
 import pytest
 from ctrl_rl_core.tasks.task import load_navigation_task
 from ctrl_rl_training.errors import TrainingError
-from ctrl_rl_training.experiments.matrix import train_all
+from ctrl_rl_training.experiments.matrix import run_experiments
+from ctrl_rl_training.experiments.run import RunOptions
 from ctrl_rl_training.experiments.run_folder import result_file
+from ctrl_rl_training.experiments.trainer import train
 from ctrl_rl_training.io.actor import Actor
 from ctrl_rl_training.sb3.algorithm_names import ALGORITHMS
 from ctrl_rl_training.sb3.algorithms import ROLL_OUT, extract_actor, make_algorithm
 from ctrl_rl_training.sb3.environment import make_environment
 from ctrl_rl_training.sb3.state_visitation import load_visits
-from ctrl_rl_training.sb3.training import Options, evaluate, train_one
+from ctrl_rl_training.sb3.training import SimulatedRun, evaluate
 
 TASK = load_navigation_task("quad_ttr")
 SHORT = {"iterations": 2, "samples": ROLL_OUT, "evaluations": 1, "final_evaluations": 2}
 
 
 @dataclass(frozen=True)
-class PlainRun:
+class PlainRun(SimulatedRun):
     """Learns the quadrotor's task with the task's own reward."""
 
     algorithm: str
@@ -50,7 +52,7 @@ class PlainRun:
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_a_run_that_was_cut_off_ends_as_if_it_had_not_been(check_resuming, algorithm):
-    folder = check_resuming(train_one, PlainRun(algorithm, 3), partial(Options, **SHORT))
+    folder = check_resuming(train, PlainRun(algorithm, 3), partial(RunOptions, **SHORT))
     counts = load_visits(folder / "visits.safetensors")
     assert counts["places"].shape[0] == 2
     assert counts["turns"].sum(axis=1).tolist() == [ROLL_OUT, ROLL_OUT]
@@ -92,29 +94,29 @@ def test_evaluations_are_the_same_for_all():
 
 def test_many_runs_on_several_cores_and_never_twice(tmp_path):
     runs = [PlainRun("ppo", seed) for seed in range(2)]
-    options = Options(tmp_path, 1, ROLL_OUT, 1, 1)
-    results = train_all(runs, options, train_one, workers=2)
+    options = RunOptions(tmp_path, 1, ROLL_OUT, 1, 1)
+    results = run_experiments(runs, options, workers=2)
     assert [result["run"]["seed"] for result in results] == [0, 1]
     before = [result_file(tmp_path, run).stat().st_mtime_ns for run in runs]
-    assert train_all(runs, options, train_one) == results
+    assert run_experiments(runs, options) == results
     assert before == [result_file(tmp_path, run).stat().st_mtime_ns for run in runs]
 
 
 def test_a_finished_run_is_not_made_longer_and_says_what_to_do_instead(tmp_path):
     runs = [PlainRun("ppo", seed) for seed in (1, 0)]
-    train_one(runs[1], Options(tmp_path, 1, ROLL_OUT, 1, 1))
+    train(runs[1], RunOptions(tmp_path, 1, ROLL_OUT, 1, 1))
     what_to_do = r"result\.json: is finished with 1 iterations .* ask for 1 again, or .* delete .*ppo-0 to learn 2 from"
     with pytest.raises(TrainingError, match=what_to_do):
-        train_all(runs, Options(tmp_path, 2, ROLL_OUT, 1, 1), train_one)
+        run_experiments(runs, RunOptions(tmp_path, 2, ROLL_OUT, 1, 1))
     assert not (tmp_path / "ppo-1").exists(), "it is said before anything is learnt"
 
 
 def test_a_run_that_was_cut_off_may_go_on_to_more_iterations_but_not_to_fewer(tmp_path, cut_off):
     run = PlainRun("ppo", 0)
-    cut_off(train_one, run, Options(tmp_path, 2, ROLL_OUT, 0, 0))
+    cut_off(train, run, RunOptions(tmp_path, 2, ROLL_OUT, 0, 0))
     with pytest.raises(TrainingError, match=r"checkpoint\.safetensors: has 1 iterations already: ask for no fewer"):
-        train_one(run, Options(tmp_path, 0, ROLL_OUT, 0, 0))
-    assert len(train_one(run, Options(tmp_path, 3, ROLL_OUT, 0, 0))["curve"]) == 3
+        train(run, RunOptions(tmp_path, 0, ROLL_OUT, 0, 0))
+    assert len(train(run, RunOptions(tmp_path, 3, ROLL_OUT, 0, 0))["curve"]) == 3
 
 
 def test_a_broken_checkpoint_is_named(tmp_path):
@@ -123,7 +125,7 @@ def test_a_broken_checkpoint_is_named(tmp_path):
     checkpoint.parent.mkdir()
     checkpoint.write_bytes(b"half a file")
     with pytest.raises(TrainingError, match=r"checkpoint\.safetensors: .*: cannot go on from it, delete it"):
-        train_one(run, Options(tmp_path, **SHORT))
+        train(run, RunOptions(tmp_path, **SHORT))
 
 
 def test_an_unknown_algorithm_is_named():

@@ -13,7 +13,9 @@ import pytest
 import torch
 from ctrl_rl_core.io.checked_json import read_json
 from ctrl_rl_training.errors import TrainingError
+from ctrl_rl_training.experiments.run import RunOptions
 from ctrl_rl_training.experiments.run_folder import result_file
+from ctrl_rl_training.experiments.trainer import train
 from koopman_lqr_controller.data.roll_outs import evaluate
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.policies.policy_file import load_policy
@@ -21,8 +23,8 @@ from koopman_lqr_controller.training.agents.actor import Interface
 from koopman_lqr_controller.training.agents.agent import Agent
 from koopman_lqr_controller.training.consolidation.consolidation import REPORT_SEED
 from koopman_lqr_controller.training.environments.problems import PROBLEMS
-from koopman_lqr_controller.training.experiments.runs import LearningRun, learn_one
-from koopman_lqr_controller.training.experiments.trainer import POLICY_FILE, LearningOptions
+from koopman_lqr_controller.training.experiments.runs import LearningRun
+from koopman_lqr_controller.training.experiments.trainer import POLICY_FILE
 from koopman_lqr_controller.training.networks.encoder_losses import Seen
 from koopman_lqr_controller.training.replay import Transitions
 from koopman_lqr_controller.training.settings import Settings
@@ -31,8 +33,8 @@ TINY = (("batch", 16), ("first_steps", 30), ("hidden", 16), ("latent", 6))
 RUN = LearningRun("cartpole_swingup", 2, TINY, command="learn --task cartpole_swingup", consolidation=0)
 
 
-def options(folder: Path, chunks: int = 3) -> LearningOptions:
-    return LearningOptions(folder, chunks, 40, 1, 2)
+def options(folder: Path, chunks: int = 3) -> RunOptions:
+    return RunOptions(folder, chunks, 40, 1, 2)
 
 
 def learnt(folder: Path, run: LearningRun = RUN) -> tuple[dict, bytes]:
@@ -68,10 +70,10 @@ OTHERS = (
 @pytest.mark.parametrize("run", OTHERS, ids=lambda run: run.name)
 def test_other_ways_of_learning_go_on_exactly_too(run: LearningRun, tmp_path: Path) -> None:
     whole, cut = tmp_path / "whole", tmp_path / "cut"
-    result = learn_one(run, options(whole, 2))
+    result = train(run, options(whole, 2))
     with pytest.raises(CutOffError):
-        learn_one(run, options(cut, 2), cut_off)
-    learn_one(run, options(cut, 2))
+        train(run, options(cut, 2), cut_off)
+    train(run, options(cut, 2))
     assert learnt(cut, run) == learnt(whole, run)
     assert [point["actions"] for point in result["curve"]] == [40, 80]
     assert result["interaction"]["learning"] == {"episodes": 2, "actions": 80}
@@ -80,7 +82,7 @@ def test_other_ways_of_learning_go_on_exactly_too(run: LearningRun, tmp_path: Pa
 
 
 def test_two_stages_put_the_costs_of_the_thesis_on_the_observation(tmp_path: Path) -> None:
-    learn_one(replace(RUN, learner="two_stage", changes=(*TINY, ("cost", "Q4"))), options(tmp_path, 1))
+    train(replace(RUN, learner="two_stage", changes=(*TINY, ("cost", "Q4"))), options(tmp_path, 1))
     controller = load_policy(next(tmp_path.rglob(POLICY_FILE))).controller
     x = np.array([0.3, -1.0, 0.1, 2.0, -3.0], np.float32)
     assert controller.latent(x)[:5] == pytest.approx(x)
@@ -102,29 +104,30 @@ def test_two_stages_put_the_costs_of_the_thesis_on_the_observation(tmp_path: Pat
 )
 def test_what_cannot_be_learnt_is_refused(run: LearningRun, words: str, tmp_path: Path) -> None:
     with pytest.raises(KoopmanError, match=words):
-        learn_one(run, options(tmp_path))
+        train(run, options(tmp_path))
 
 
 def test_a_run_that_was_cut_off_ends_bit_by_bit_as_if_it_had_not_been(tmp_path: Path) -> None:
     """Between chunks, and after the last of them."""
     whole, cut = tmp_path / "whole", tmp_path / "cut"
-    learn_one(RUN, options(whole))
+    train(RUN, options(whole))
     for _ in range(3):
         with pytest.raises(CutOffError):
-            learn_one(RUN, options(cut), cut_off)
+            train(RUN, options(cut), cut_off)
     assert not result_file(cut, RUN).exists()
-    learn_one(RUN, options(cut))
+    train(RUN, options(cut))
     assert learnt(cut) == learnt(whole)
     assert [file.name for file in sorted(result_file(cut, RUN).parent.iterdir())] == [POLICY_FILE, "result.json"]
 
 
 def test_a_run_that_was_killed_goes_on_exactly(tmp_path: Path) -> None:
     whole, killed = tmp_path / "whole", tmp_path / "killed"
-    learn_one(RUN, options(whole))
+    train(RUN, options(whole))
     program = (
-        "from pathlib import Path\nfrom koopman_lqr_controller.training.experiments.trainer import LearningOptions\n"
-        "from koopman_lqr_controller.training.experiments.runs import LearningRun, learn_one\n"
-        f"learn_one({RUN!r}, LearningOptions(Path({str(killed)!r}), 3, 40, 1, 2))"
+        "from pathlib import Path\nfrom ctrl_rl_training.experiments.run import RunOptions\n"
+        "from ctrl_rl_training.experiments.trainer import train\n"
+        "from koopman_lqr_controller.training.experiments.runs import LearningRun\n"
+        f"train({RUN!r}, RunOptions(Path({str(killed)!r}), 3, 40, 1, 2))"
     )
     process = subprocess.Popen([sys.executable, "-c", program])
     checkpoint = result_file(killed, RUN).with_name("checkpoint.safetensors")
@@ -133,13 +136,13 @@ def test_a_run_that_was_killed_goes_on_exactly(tmp_path: Path) -> None:
     time.sleep(0.05)
     os.kill(process.pid, signal.SIGKILL)
     process.wait()
-    learn_one(RUN, options(killed))
+    train(RUN, options(killed))
     assert learnt(killed) == learnt(whole)
 
 
 def test_what_is_learnt_is_what_is_evaluated_and_says_where_it_comes_from(tmp_path: Path) -> None:
     said = []
-    result = learn_one(RUN, options(tmp_path), lambda run, done, best: said.append((run.name, done, best)))
+    result = train(RUN, options(tmp_path), lambda run, done, best: said.append((run.name, done, best)))
     assert [done for _, done, _ in said] == [1, 2, 3, 3]
     assert said.pop()[2] == "fresh episodes"
     best = result["best"]["return"]
@@ -154,29 +157,29 @@ def test_what_is_learnt_is_what_is_evaluated_and_says_where_it_comes_from(tmp_pa
     assert [episode.total for episode in evaluate(policy.controller, environment, 2, REPORT_SEED)] == result["returns"]
     assert evaluate(policy.controller, environment, 1, 1_000_000)[0].total == result["best"]["return"]
     before = result_file(tmp_path, RUN).stat().st_mtime_ns
-    assert learn_one(RUN, options(tmp_path)) == result
+    assert train(RUN, options(tmp_path)) == result
     assert result_file(tmp_path, RUN).stat().st_mtime_ns == before
 
 
 def test_a_run_made_with_other_settings_is_not_taken(tmp_path: Path) -> None:
     with pytest.raises(CutOffError):
-        learn_one(RUN, options(tmp_path), cut_off)
+        train(RUN, options(tmp_path), cut_off)
     with pytest.raises(TrainingError, match=r"checkpoint\.safetensors: was made with iterations 3, now it is 2: use"):
-        learn_one(RUN, options(tmp_path, 2))
-    learn_one(RUN, options(tmp_path))
+        train(RUN, options(tmp_path, 2))
+    train(RUN, options(tmp_path))
     with pytest.raises(TrainingError, match=r"result\.json: was made with iterations 3, now it is 2: use"):
-        learn_one(RUN, options(tmp_path, 2))
+        train(RUN, options(tmp_path, 2))
 
 
 @pytest.mark.parametrize("change", [{"evaluations": 2}, {"final_evaluations": 3}])
 def test_a_run_that_was_evaluated_otherwise_is_not_taken(change: dict[str, int], tmp_path: Path) -> None:
-    learn_one(RUN, options(tmp_path, 1))
+    train(RUN, options(tmp_path, 1))
     with pytest.raises(TrainingError, match=r"result\.json: was made with .*evaluations"):
-        learn_one(RUN, replace(options(tmp_path, 1), **change))
+        train(RUN, replace(options(tmp_path, 1), **change))
 
 
 def test_what_it_took_is_counted(tmp_path: Path) -> None:
-    result = learn_one(RUN, options(tmp_path))
+    result = train(RUN, options(tmp_path))
     assert [point["episodes"] for point in result["curve"]] == [1, 2, 3], "chunks of 40 actions, episodes of 125"
     assert result["interaction"]["learning"] == {"episodes": 3, "actions": 120}
     assert result["interaction"]["choosing"] == {"episodes": 6, "actions": 6 * 125}
@@ -185,11 +188,11 @@ def test_what_it_took_is_counted(tmp_path: Path) -> None:
 @pytest.mark.parametrize("cut", [False, True])
 def test_learning_ends_with_its_episodes(cut: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(PROBLEMS, RUN.problem_name, replace(PROBLEMS[RUN.problem_name], episodes=2))
-    longer = LearningOptions(tmp_path, 3, 150, 1, 2)
+    longer = RunOptions(tmp_path, 3, 150, 1, 2)
     if cut:
         with pytest.raises(CutOffError):
-            learn_one(RUN, longer, cut_off)
-    result = learn_one(RUN, longer)
+            train(RUN, longer, cut_off)
+    result = train(RUN, longer)
     assert [point["actions"] for point in result["curve"]] == [150], "an episode of 125 actions and one of 25"
     assert result["interaction"]["learning"] == {"episodes": 2, "actions": 150}
 
@@ -197,7 +200,7 @@ def test_learning_ends_with_its_episodes(cut: bool, tmp_path: Path, monkeypatch:
 def test_a_chunk_may_end_with_its_episodes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     problem = replace(PROBLEMS[RUN.problem_name], chunk_episodes=1, episodes=3)
     monkeypatch.setitem(PROBLEMS, RUN.problem_name, problem)
-    result = learn_one(RUN, LearningOptions(tmp_path, 4, 300, 1, 2))
+    result = train(RUN, RunOptions(tmp_path, 4, 300, 1, 2))
     assert [(point["actions"], point["episodes"]) for point in result["curve"]] == [(125, 1), (250, 2), (375, 3)]
 
 
@@ -206,18 +209,18 @@ def test_updates_may_be_many_or_few(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(Agent, "update", lambda agent, *_: counts.append(agent))
     for updates, every in ((3, 1), (2, 5)):
         changes = (*TINY, ("update_every", every), ("updates", updates))
-        learn_one(replace(RUN, changes=changes), options(tmp_path, 1))
+        train(replace(RUN, changes=changes), options(tmp_path, 1))
         assert len(counts) == updates * 10 // every, "40 actions, the first 30 at random"
         counts.clear()
 
 
 def test_learning_ends_when_nothing_gets_better(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(PROBLEMS, RUN.problem_name, replace(PROBLEMS[RUN.problem_name], patience=1))
-    result = learn_one(RUN, options(tmp_path, 12))
+    result = train(RUN, options(tmp_path, 12))
     ends = [point["actions"] for point in result["curve"]]
     assert len(ends) < 12
     assert ends[-2:] == [result["best"]["actions"], result["best"]["actions"] + 40]
-    other = learn_one(replace(RUN, learner="edmd"), options(tmp_path, 12))
+    other = train(replace(RUN, learner="edmd"), options(tmp_path, 12))
     assert len(other["curve"]) == 12, "what is not ours gets all of the budget"
 
 
@@ -226,7 +229,7 @@ def test_a_broken_checkpoint_is_named(tmp_path: Path) -> None:
     checkpoint.parent.mkdir()
     checkpoint.write_bytes(b"half a file")
     with pytest.raises(TrainingError, match=r"checkpoint\.safetensors: .*: cannot go on from it, delete it"):
-        learn_one(RUN, options(tmp_path))
+        train(RUN, options(tmp_path))
 
 
 def some_agent(shape: tuple[int, ...] = (3,), **changes: object) -> tuple[Agent, Transitions]:
@@ -322,7 +325,7 @@ def test_a_device_that_is_not_there_is_named(tmp_path: Path) -> None:
     if torch.cuda.is_available():
         pytest.skip("this machine has one")
     with pytest.raises(KoopmanError, match="device cuda: torch sees none; use cpu"):
-        learn_one(LearningRun("cartpole_swingup", 0, TINY, "cuda"), options(tmp_path))
+        train(LearningRun("cartpole_swingup", 0, TINY, "cuda"), options(tmp_path))
 
 
 def test_learning_needs_no_other_library_of_learning() -> None:

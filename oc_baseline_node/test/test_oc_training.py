@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from ctrl_rl_core.tasks.task import load_navigation_task, task_digest, task_file
 from ctrl_rl_core.values.value_function import ValueFunctionError
+from ctrl_rl_training.experiments.run import RunOptions
+from ctrl_rl_training.experiments.trainer import train as train_run
 from ctrl_rl_training.sb3.algorithms import ROLL_OUT
-from ctrl_rl_training.sb3.training import Options, train_one
 from oc_baseline_node.errors import OcError
 from oc_baseline_node.training.cli import train, training_figures
 from oc_baseline_node.training.experiments.environment import PaidTimeOut
@@ -36,14 +37,14 @@ def own_task(folder, of, *changes, name=None):
 
 @pytest.mark.parametrize("method", ["oc_ppo", "oc_trpo", "stein", "q_prop", "noise_0.1", "oc_own_end", "oc_corrected"])
 def test_a_run_that_was_cut_off_ends_as_if_it_had_not_been(check_resuming, method):
-    check_resuming(train_one, OcRun(TASK, method, 3), partial(Options, **SHORT))
+    check_resuming(train_run, OcRun(TASK, method, 3), partial(RunOptions, **SHORT))
 
 
 def test_runs_become_a_table_and_pictures(tmp_path, capsys):
     runs = oc_runs(TASK, ("ppo", "oc_ppo", "entropy_0.05"), 2)
     assert [run.method_name for run in runs[:2]] == ["oc_ppo", "oc_ppo"]
     for run in runs:
-        train_one(run, Options(tmp_path, **SHORT))
+        train_run(run, RunOptions(tmp_path, **SHORT))
     rows, figures = collect(runs, tmp_path)
     of_trap = next(row for row in rows if (row.method, row.metric) == ("ppo", "trap rate"))
     assert (len(of_trap.values), of_trap.thesis) == (2, 0.65)

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 import torch
 from ctrl_rl_core.errors import CtrlRlError
+from ctrl_rl_training.experiments.run import RunOptions
+from ctrl_rl_training.experiments.trainer import train as train_run
 from option_coordinator.data.bag_trajectory import recordings
 from option_coordinator.data.trajectory import OptionTrajectory
 from option_coordinator.environments.roll_out import RollOut
@@ -13,7 +15,7 @@ from option_coordinator.environments.tasks import make_environment
 from option_coordinator.policies.policy_file import OptionPolicy
 from option_coordinator.scripted.task_policies import scripted_policy
 from option_coordinator.training.cli import train
-from option_coordinator.training.experiments.bag_runs import BagOptions, BagRun, train_on_bags
+from option_coordinator.training.experiments.bag_runs import BagRun
 from option_coordinator.training.experiments.runs import OptionRun
 from option_coordinator.training.heads.heads import as_numpy
 from option_coordinator.training.learners.imitation import Imitation
@@ -67,10 +69,10 @@ def test_what_was_cut_off_ends_as_if_it_had_not_been(tmp_path, recorded):
     policy = OptionPolicy.load(start)
     with TeamBag(tmp_path / "bag") as bag:
         play_into(bag, make_environment(TASK), policy.joint, policy.digest, 2)
-    run, options = BagRun((tmp_path / "bag",), start), {"iterations": 2, "evaluations": 1}
+    run, options = BagRun((tmp_path / "bag",), start), {"iterations": 2, "final_evaluations": 1}
     with pytest.raises(CutOffError):
-        train_on_bags(run, BagOptions(tmp_path / "cut", **options), cut_off)
-    results = [train_on_bags(run, BagOptions(tmp_path / name, **options)) for name in ("cut", "whole")]
+        train_run(run, RunOptions(tmp_path / "cut", **options), cut_off)
+    results = [train_run(run, RunOptions(tmp_path / name, **options)) for name in ("cut", "whole")]
     cut, whole = ([point["update"] for point in result["curve"]] for result in results)
     assert cut == whole
     one, other = (OptionPolicy.load(tmp_path / name / run.name / "policy.safetensors") for name in ("cut", "whole"))
@@ -97,7 +99,7 @@ def test_a_script_is_imitated_by_a_new_policy(tmp_path):
     record_script(tmp_path / "bag")
     run = BagRun((tmp_path / "bag",), task_name=TASK, head="autoregressive")
     assert run.way == "imitation"
-    result = train_on_bags(run, BagOptions(tmp_path / "runs", iterations=20, evaluations=1))
+    result = train_run(run, RunOptions(tmp_path / "runs", iterations=20, final_evaluations=1))
     assert result["curve"][-1]["update"]["log_prob"] > -0.3
     assert result["after"]["draws"]["return"] > result["before"]["draws"]["return"]
 
@@ -167,4 +169,4 @@ def test_a_policy_that_does_not_draw_or_did_not_say_so_is_refused(tmp_path, reco
     with TeamBag(tmp_path / "lie") as lie:
         play_into(lie, environment, policy.joint, OptionPolicy.load(tmp_path / "s.safetensors").digest, 1)
     with pytest.raises(CtrlRlError, match="is not true of it"):
-        train_on_bags(BagRun((tmp_path / "lie",), tmp_path / "s.safetensors"), BagOptions(tmp_path / "runs", 1))
+        train_run(BagRun((tmp_path / "lie",), tmp_path / "s.safetensors"), RunOptions(tmp_path / "runs", 1))

@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 import torch
 from ctrl_rl_core.errors import CtrlRlError
-from ctrl_rl_training.experiments.matrix import train_all
+from ctrl_rl_training.experiments.matrix import run_experiments
+from ctrl_rl_training.experiments.run import RunOptions
 from ctrl_rl_training.experiments.run_folder import result_file
+from ctrl_rl_training.experiments.trainer import train
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from option_coordinator.data.trajectory import OptionTrajectory, TrajectoryWriter, advantages
@@ -21,7 +23,7 @@ from option_coordinator.policies.policy_file import OptionPolicy
 from option_coordinator.scripted.task_policies import scripted_policy
 from option_coordinator.training.experiments.evaluation import evaluate, summary
 from option_coordinator.training.experiments.methods import METHODS
-from option_coordinator.training.experiments.runs import OptionRun, RunOptions, option_runs, train_one
+from option_coordinator.training.experiments.runs import OptionRun, option_runs
 from option_coordinator.training.heads.value import ValueNetwork
 from option_coordinator.training.learners.epsilon_greedy import EpsilonGreedy
 from option_coordinator.training.learners.learner import decision_batch
@@ -29,7 +31,7 @@ from option_coordinator.training.learners.mac_dqn import MacDqn
 from option_coordinator.training.learners.mappo import Mappo, MappoSettings
 from option_coordinator.training.learners.replay import Replay
 
-SHORT = {"iterations": 2, "samples": 200, "evaluations": 1}
+SHORT = {"iterations": 2, "samples": 200, "final_evaluations": 1}
 
 
 def gathered(samples=400, seed=0, head="table", partial=False):
@@ -211,7 +213,7 @@ def test_figures_of_option_steps_are_pooled():
 @pytest.mark.parametrize("method", ["async", "mac_dqn"])
 def test_what_is_judged_is_what_is_saved(tmp_path, method):
     run = OptionRun("tool_delivery", method, 1)
-    result = train_one(run, RunOptions(tmp_path, **SHORT))
+    result = train(run, RunOptions(tmp_path, **SHORT))
     policy = OptionPolicy.load(tmp_path / run.name / "policy.safetensors")
     assert result["used"] == policy.manifest["used"] == ("mode" if policy.greedy else "draws")
     mode = JointDecisionPolicy(policy.joint)
@@ -242,20 +244,20 @@ def test_epsilon_greedy_is_what_it_says():
 
 @pytest.mark.parametrize("method", ["async_mixture", "partial", "mac_dqn", "end2end"])
 def test_a_run_that_was_cut_off_ends_as_if_it_had_not_been(check_resuming, method):
-    folder = check_resuming(train_one, OptionRun("tool_delivery", method, 3), partial(RunOptions, **SHORT))
+    folder = check_resuming(train, OptionRun("tool_delivery", method, 3), partial(RunOptions, **SHORT))
     assert not (folder / "checkpoint.safetensors").exists()
 
 
 def test_a_folder_of_another_run_is_refused(tmp_path, cut_off):
     run = OptionRun("tool_delivery", "async", 0)
-    cut_off(train_one, run, RunOptions(tmp_path, **SHORT))
+    cut_off(train, run, RunOptions(tmp_path, **SHORT))
     with pytest.raises(CtrlRlError, match="samples 200, now it is 100"):
-        train_one(run, RunOptions(tmp_path, **(SHORT | {"samples": 100})))
+        train(run, RunOptions(tmp_path, **(SHORT | {"samples": 100})))
     with pytest.raises(CtrlRlError, match="evaluations 1, now it is 2"):
-        train_one(run, RunOptions(tmp_path, **(SHORT | {"evaluations": 2})))
+        train(run, RunOptions(tmp_path, **(SHORT | {"final_evaluations": 2})))
     (tmp_path / run.name / "checkpoint.safetensors").write_bytes(b"nonsense")
     with pytest.raises(CtrlRlError, match="cannot go on from it"):
-        train_one(run, RunOptions(tmp_path, **SHORT))
+        train(run, RunOptions(tmp_path, **SHORT))
 
 
 def test_many_runs_at_a_time(tmp_path):
@@ -263,12 +265,12 @@ def test_many_runs_at_a_time(tmp_path):
     assert [run.method_name for run in runs] == ["async", "sync_cut"]
     assert option_runs("tool_delivery", ["async", "sync_cut", "async"], 1) == runs
     options = RunOptions(tmp_path, **(SHORT | {"iterations": 1}))
-    results = train_all(runs, options, train_one, workers=2)
+    results = run_experiments(runs, options, workers=2)
     assert [result["run"]["method"] for result in results] == ["async", "sync_cut"]
-    assert train_all(runs, options, train_one) == results
+    assert run_experiments(runs, options) == results
     result_file(tmp_path, runs[0]).write_text("{", encoding="utf-8")
     with pytest.raises(CtrlRlError, match=r"async-s0/result\.json: .*: is not what a finished run leaves"):
-        train_all(runs, options, train_one)
+        run_experiments(runs, options)
 
 
 def test_every_method_has_an_environment_and_a_learner():

@@ -8,9 +8,10 @@ import pytest
 from ctrl_rl_core.tasks.outcome import Outcome
 from ctrl_rl_core.tasks.task import load_navigation_task, task_file
 from ctrl_rl_training.experiments.results import samples_to
+from ctrl_rl_training.experiments.run import RunOptions
+from ctrl_rl_training.experiments.trainer import train as train_run
 from ctrl_rl_training.sb3.algorithms import ROLL_OUT
 from ctrl_rl_training.sb3.state_visitation import Visits
-from ctrl_rl_training.sb3.training import Options, train_one
 from ttr_reward_node.errors import TimeToReachError
 from ttr_reward_node.rewards.rewards import make_reward
 from ttr_reward_node.training.cli import train, training_figures
@@ -44,7 +45,7 @@ def test_the_wrapper_pays_the_reward_and_leaves_the_rest_alone():
 def test_runs_become_a_table_and_pictures(tmp_path, capsys):
     runs = reward_runs("quad_ttr", ("ppo",), ("sparse", "distance_10"), 2)
     for run in runs:
-        train_one(run, Options(tmp_path, 2, ROLL_OUT, 1, 2))
+        train_run(run, RunOptions(tmp_path, 2, ROLL_OUT, 1, 2))
     rows, figures = collect(runs, tmp_path)
     assert [(row.method, row.metric, len(row.values)) for row in rows if row.metric == "success"] == [
         ("ppo, sparse", "success", 2),

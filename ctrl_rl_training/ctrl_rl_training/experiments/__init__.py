@@ -1,1 +1,1 @@
-"""Runs: many at a time, resumable, with their results."""
+"""Runs of every method: training loop, checkpoints, many at a time, results."""

@@ -1,56 +1,30 @@
-"""Many runs, as many at a time as there are cores; may be cut off at any time.
+"""Many runs at a time, in processes or on a Ray cluster; they may be cut off at any time.
 
-    results = train_all(runs, Options(Path("runs/mine")), train_one)
-
-A run and how it learns are its own matter: the function that trains one is given.
+results = run_experiments(runs, RunOptions(Path("runs/mine"), 10, 10240))
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from queue import Empty
-from typing import Any, Protocol, TypeVar
+from typing import Any
 
 from ctrl_rl_core.processes.exclusive_lock import exclusive_lock
 from ctrl_rl_core.processes.ray_workers import Tell, map_in_ray
 from ctrl_rl_core.processes.workers import CONTEXT, map_in_processes
 from tqdm import tqdm
 
-from ctrl_rl_training.experiments.run_folder import Named, result_file
+from ctrl_rl_training.experiments.run import Run, RunOptions
+from ctrl_rl_training.experiments.run_folder import result_file
+from ctrl_rl_training.experiments.trainer import train
 
 
-class HowRunsGo(Protocol):
-    """How runs go, as far as it matters here."""
-
-    @property
-    def folder(self) -> Path:
-        """Where each has a folder of its own."""
-
-    @property
-    def iterations(self) -> int:
-        """How many reports each makes."""
-
-
-AnyRun = TypeVar("AnyRun", bound=Named)
-How = TypeVar("How", bound=HowRunsGo)
-Report = Callable[[AnyRun, int, float | str], None]
-"""What is told: the run, the iterations done, and a success rate or other words on how it goes. It may be told more
-than once for an iteration, where something else takes long."""
-Train = Callable[[AnyRun, How, Report[AnyRun]], dict[str, Any]]
-"""Trains a run, or reads the result of a finished one, and reports each iteration."""
-
-
-def train_all(
-    runs: Sequence[AnyRun],
-    options: How,
-    train: Train[AnyRun, How],
-    workers: int = 0,
-    title: str = "training",
-    ray: str | None = None,
+def run_experiments(
+    runs: Sequence[Run], options: RunOptions, workers: int = 0, title: str = "training", ray: str | None = None
 ) -> list[dict[str, Any]]:
     """Run what is not finished yet and return the results of all.
 
@@ -59,68 +33,65 @@ def train_all(
     Args:
         runs: Runs in the order in which they begin.
         options: Settings that all runs share.
-        train: Function that trains one run; a worker process imports it by name.
         workers: Runs at a time; 0 for one for each core, here or in the cluster.
         title: Title of the progress bar and name of the lock that keeps a second call out of the folder.
         ray: Address of a Ray cluster whose workers train, "auto" for this machine's; processes of this machine unless
             given.
 
     Raises:
-        LockError: another call works in the folder.
-        CtrlRlError: a run refuses, or a worker was killed.
+        LockError: Another call works in the folder.
+        CtrlRlError: A run refuses, or a worker was killed.
     """
     # What is finished is read first: what does not fit is refused now, not after hours of the others.
-    finished = [run for run in runs if result_file(options.folder, run).is_file()]
-    known = {run.name: train(run, options, lambda *_: None) for run in finished}
+    known = {run.name: train(run, options) for run in runs if result_file(options.folder, run).is_file()}
     todo = [run for run in runs if run.name not in known]
     options.folder.mkdir(parents=True, exist_ok=True)
     with exclusive_lock(options.folder / f".{title}.lock"):
         if todo:
             with tqdm(total=len(todo) * options.iterations, desc=title, unit="iteration", mininterval=5.0) as bar:
+                show = _Progress(bar)
                 if ray is None:
-                    _in_processes(todo, options, min(len(todo), workers or os.cpu_count() or 1), train, bar)
+                    _in_processes(todo, options, min(len(todo), workers or os.cpu_count() or 1), show)
                 else:
-                    _in_ray(ray, todo, options, workers, train, bar)
-        known |= {run.name: train(run, options, lambda *_: None) for run in todo}
+                    work = partial(_train_there, options=options)
+                    for _ in map_in_ray(ray, work, todo, options.folder, lambda run: run.name, workers, show):
+                        pass
+        known |= {run.name: train(run, options) for run in todo}
     return [known[run.name] for run in runs]
 
 
-def _in_processes(
-    todo: Sequence[AnyRun], options: How, workers: int, train: Train[AnyRun, How], bar: tqdm[Any]
-) -> None:
+class _Progress:
+    """Shows reports, each a run's name, the iterations done, and a success rate or words."""
+
+    def __init__(self, bar: tqdm[Any]) -> None:
+        self._bar = bar
+        self._done: dict[str, int] = {}
+
+    def __call__(self, report: tuple[str, int, float | str]) -> None:
+        name, done, how = report
+        if done > self._done.get(name, 0):
+            self._bar.update(min(1, int(self._bar.total or 0) - self._bar.n))
+        self._done[name] = done
+        self._bar.set_postfix_str(f"{name} {done}: {how if isinstance(how, str) else f'{100 * how:.0f} %'}")
+
+
+def _in_processes(todo: Sequence[Run], options: RunOptions, workers: int, show: _Progress) -> None:
     reports: Any = CONTEXT.Queue()
-    work, show = partial(_train, options=options, train=train), partial(_show, bar, reports, {})
-    for _ in map_in_processes(work, todo, workers, _begin_worker, (reports,), show):
-        show()
+
+    def show_all() -> None:
+        for report in _waiting(reports):
+            show(report)
+
+    for _ in map_in_processes(partial(_train, options=options), todo, workers, _begin_worker, (reports,), show_all):
+        show_all()
 
 
-def _in_ray(
-    address: str, todo: Sequence[AnyRun], options: How, workers: int, train: Train[AnyRun, How], bar: tqdm[Any]
-) -> None:
-    told: dict[str, int] = {}
-    work = partial(_train_there, options=options, train=train)
-    for _ in map_in_ray(
-        address, work, todo, options.folder, lambda run: run.name, workers, lambda report: _note(bar, told, *report)
-    ):
-        pass
-
-
-def _show(bar: tqdm[Any], reports: Any, told: dict[str, int]) -> None:
-    """Show what was reported; `told` keeps the iterations of each run, and begins empty."""
+def _waiting(reports: Any) -> Iterator[Any]:
     while True:
         try:
-            report = reports.get_nowait()
+            yield reports.get_nowait()
         except Empty:
             return
-        _note(bar, told, *report)
-
-
-def _note(bar: tqdm[Any], told: dict[str, int], name: str, done: int, how: float | str) -> None:
-    """Show one report."""
-    if done > told.get(name, 0):
-        bar.update(min(1, int(bar.total or 0) - bar.n))
-    told[name] = done
-    bar.set_postfix_str(f"{name} {done}: {how if isinstance(how, str) else f'{100 * how:.0f} %'}")
 
 
 _worker: dict[str, Any] = {}
@@ -130,10 +101,9 @@ def _begin_worker(reports: Any) -> None:
     _worker["reports"] = reports
 
 
-def _train(run: AnyRun, options: How, train: Train[AnyRun, How]) -> None:
+def _train(run: Run, options: RunOptions) -> None:
     train(run, options, lambda run, done, how: _worker["reports"].put((run.name, done, how)))
 
 
-def _train_there(run: AnyRun, folder: Path, tell: Tell, options: How, train: Train[AnyRun, How]) -> None:
-    there = replace(options, folder=folder)  # type: ignore[type-var]
-    train(run, there, lambda run, done, how: tell((run.name, done, how)))
+def _train_there(run: Run, folder: Path, tell: Tell, options: RunOptions) -> None:
+    train(run, replace(options, folder=folder), lambda run, done, how: tell((run.name, done, how)))

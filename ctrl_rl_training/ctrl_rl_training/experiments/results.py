@@ -12,9 +12,10 @@ from ctrl_rl_core.io.file_checks import FileError, raise_as
 from ctrl_rl_core.io.results import Result, ResultsError
 
 from ctrl_rl_training.experiments.figure_data import Figures
-from ctrl_rl_training.experiments.run_folder import Named, read_result, result_file
+from ctrl_rl_training.experiments.run import Run
+from ctrl_rl_training.experiments.run_folder import read_result, result_file
 
-AnyRun = TypeVar("AnyRun", bound=Named)
+AnyRun = TypeVar("AnyRun", bound=Run)
 GOOD = 0.9
 """Success that counts as learnt (thesis 3.2.3)."""
 
@@ -22,7 +23,7 @@ GOOD = 0.9
 def finished_runs(
     todo: Sequence[AnyRun], folder: Path, label: Callable[[AnyRun], str]
 ) -> dict[str, list[tuple[AnyRun, dict[str, Any]]]]:
-    """Return the runs that are finished and their results (see `train_one`), by method."""
+    """Return the runs that are finished and their results (see `trainer.train`), by method."""
     runs: dict[str, list[tuple[AnyRun, dict[str, Any]]]] = {}
     for run in todo:
         file = result_file(folder, run)

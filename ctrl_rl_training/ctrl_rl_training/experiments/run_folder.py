@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Protocol
+from typing import Annotated, Any
 
 from ctrl_rl_core.io.checked_json import read_json
 from ctrl_rl_core.io.file_checks import one_line, raise_as, short_path
@@ -12,6 +12,7 @@ from ctrl_rl_core.io.schema import Anything, Schema
 from pydantic import ConfigDict, Field, field_validator
 
 from ctrl_rl_training.errors import TrainingError
+from ctrl_rl_training.experiments.run import Run
 
 
 class _Point(Schema):
@@ -45,15 +46,7 @@ class Finished(Progress):
     cpu_seconds: float = 0.0
 
 
-class Named(Protocol):
-    """A run, as far as its folder matters."""
-
-    @property
-    def name(self) -> str:
-        """Name of it, and of its folder."""
-
-
-def result_file(folder: Path, run: Named) -> Path:
+def result_file(folder: Path, run: Run) -> Path:
     """Return the file that says that a run is finished, and how it went."""
     return folder / run.name / "result.json"
 

@@ -39,7 +39,7 @@ def load_checkpoint(path: Path, model: BaseAlgorithm) -> tuple[dict[str, Any], d
     """Bring a new model to where a checkpoint was and return progress and history.
 
     Raises:
-        Exception: one of `ctrl_rl_training.experiments.resumable.UNUSABLE`.
+        Exception: one of `ctrl_rl_training.experiments.trainer.UNUSABLE`.
     """
     tensors, header = load_arrays(path)
     restore_model(model, tensors)

@@ -1,21 +1,17 @@
-"""One run of learning: an algorithm on a task, from one seed; may be cut off at any time.
+"""Learning with Stable-Baselines3: iterations of fresh episodes, an evaluation after each, and the deployed policy.
 
-    result = train_one(run, Options(Path("runs/mine")))        # run: see `Run`
-
-It goes in iterations of `ITERATION` samples. Each begins with fresh episodes and draws its random numbers from the seed
-and its own number, so that a run that goes on from its last checkpoint ends exactly as if it had not been cut off.
+result = train(run, RunOptions(Path("runs/mine"), 10, ITERATION, 20, 50))        # run: a `SimulatedRun`
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from abc import abstractmethod
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-import torch
 from ctrl_rl_core.tasks.outcome import Outcome
 from ctrl_rl_core.tasks.task import NavigationTask, task_digest
 from numpy.typing import NDArray
@@ -23,7 +19,7 @@ from stable_baselines3 import DDPG
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 
-from ctrl_rl_training.experiments.resumable import Point, resumable
+from ctrl_rl_training.experiments.run import Point, Run, RunOptions, Tell
 from ctrl_rl_training.io.actor import Actor
 from ctrl_rl_training.sb3.algorithms import ROLL_OUT, extract_actor
 from ctrl_rl_training.sb3.checkpoint import load_checkpoint, save_checkpoint
@@ -32,108 +28,76 @@ from ctrl_rl_training.sb3.state_visitation import Visits
 
 ITERATION = 5 * ROLL_OUT
 """Samples of an iteration."""
+EVALUATIONS, FINAL_EVALUATIONS = 20, 50
+"""Episodes after each iteration, and after the last one."""
 _EVALUATION_SEED = 1_000_000
 _SUCCESS = Outcome.GOAL.name
 
 
-class Run(Protocol):
-    """What is learnt: everything about it, and nothing that cannot be sent to another process."""
+class SimulatedRun(Run):
+    """A run in a simulated task.
+
+    Its folder then holds policy.safetensors (an `Actor`) and visits.safetensors (how often states were met: `Visits`).
+    A point of its curve says samples, episodes and how they ended, success of the evaluation and its mean undiscounted
+    return, and `notes`; its result has `success`, `returns` and how they `ended` (of the last evaluation) and `paths`
+    (states of its first episodes).
+
+    Attributes:
+        seed: Seed of everything random.
+    """
+
+    seed: int
+
+    if TYPE_CHECKING:  # a field of a subclass would take a property for its default
+
+        @property
+        def task(self) -> NavigationTask:
+            """Task to learn."""
 
     @property
-    def name(self) -> str:
-        """Name of it, and of its folder."""
-
-    @property
-    def seed(self) -> int:
-        """Of everything random."""
-
-    @property
-    def task(self) -> NavigationTask:
-        """The task."""
-
-    @property
+    @abstractmethod
     def description(self) -> dict[str, Any]:
-        """What results and policy say about it, as JSON."""
+        """Description of the run in its result and its policy, as JSON."""
 
+    @abstractmethod
     def environment(self, rate: int | None = None) -> Environment:
-        """Return the environment, see `ctrl_rl_training.sb3.environment.make_environment`."""
+        """Return the environment with so many physics steps per second [Hz], see `environment.make_environment`."""
 
+    @abstractmethod
     def model(self, samples: int) -> BaseAlgorithm:
         """Return the untrained algorithm with its own environments, for so many samples."""
 
-    def notes(self, model: BaseAlgorithm, /) -> dict[str, Any]:
-        """Return what else the curve shall say, as JSON; called after each iteration."""
+    def notes(self, _: BaseAlgorithm, /) -> dict[str, Any]:
+        """Return more figures for a point of the curve, as JSON; called after each iteration."""
+        return {}
 
+    def terms(self, _: RunOptions) -> dict[str, Any]:
+        """Return description and digest of the task."""
+        return {**self.description, "task_digest": task_digest(self.task)}
 
-@dataclass(frozen=True)
-class Options:
-    """How runs go.
+    def words(self, point: Point) -> float:
+        """Return the success rate of the evaluation."""
+        return float(point["evaluation"])
 
-    Attributes:
-        folder: where each has a folder of its own.
-        iterations: how many.
-        samples: of an iteration.
-        evaluations: episodes after each iteration.
-        final_evaluations: episodes after the last one.
-    """
-
-    folder: Path
-    iterations: int = 10
-    samples: int = ITERATION
-    evaluations: int = 20
-    final_evaluations: int = 50
-
-
-Report = Callable[[Run, int, float], None]
-"""What is told of an iteration: the run, the iterations done, and the success rate of the evaluation."""
-
-
-def train_one(run: Run, options: Options, report: Report = lambda *_: None) -> dict[str, Any]:
-    """Learn, or go on where an earlier call was cut off; a finished run is read, never computed again.
-
-    The folder of the run then holds result.json (what is returned), policy.safetensors (an `Actor`) and
-    visits.safetensors (how often states were met, see `Visits`).
-
-    Args:
-        run: what is learnt.
-        options: how.
-        report: called after each iteration.
-
-    Returns:
-        description, digest of the task, `curve` (for each iteration: samples, episodes and how they ended, success of
-        the evaluation and its mean undiscounted return, the run's own notes, seconds), `success`, `returns` and how
-        they `ended` (of the last evaluation) and `paths` (states of its first episodes).
-
-    Raises:
-        CtrlRlError: the run asks for what is not there, or its checkpoint cannot be used.
-    """
-    return resumable(
-        run,
-        options.folder,
-        options.iterations,
-        _terms(run),
-        lambda: _learning(run, options),
-        lambda done, point: report(run, done, point["evaluation"]),
-    )
-
-
-@contextmanager
-def _learning(run: Run, options: Options) -> Iterator[_Learning]:
-    torch.set_num_threads(1)
-    model = run.model(options.samples * options.iterations)
-    test_environment = run.environment()
-    try:
-        yield _Learning(run, options, model, test_environment)
-    finally:
-        test_environment.close()
-        if model.env is not None:
-            model.env.close()
+    @contextmanager
+    def begin(self, options: RunOptions, _: Tell) -> Iterator[_Learning]:
+        """Yield the learner with its environments."""
+        model = self.model(options.samples * options.iterations)
+        test_environment = self.environment()
+        try:
+            yield _Learning(self, options, model, test_environment)
+        finally:
+            test_environment.close()
+            if model.env is not None:
+                model.env.close()
 
 
 class _Learning:
-    """An algorithm of Stable-Baselines3 as `resumable` wants it."""
+    """An algorithm of Stable-Baselines3 as a `Learning`."""
 
-    def __init__(self, run: Run, options: Options, model: BaseAlgorithm, test_environment: Environment) -> None:
+    def __init__(
+        self, run: SimulatedRun, options: RunOptions, model: BaseAlgorithm, test_environment: Environment
+    ) -> None:
         self._run = run
         self._options = options
         self._model = model
@@ -167,7 +131,7 @@ class _Learning:
         """Evaluate at the rate of the deployed robots, and write policy and visits."""
         run = self._run
         manifest = {
-            **_terms(run),
+            **run.terms(self._options),
             "observation": observation_names(run.task),
             "commands": list(run.task.robot.commands),
         }
@@ -188,10 +152,6 @@ class _Learning:
             "returns": [episode.total for episode in episodes],
             "paths": [{"outcome": one.outcome, "states": one.states.round(4).tolist()} for one in episodes[:3]],
         }
-
-
-def _terms(run: Run) -> dict[str, Any]:
-    return {**run.description, "task_digest": task_digest(run.task)}
 
 
 def _iterate(model: BaseAlgorithm, seed: int, samples: int, visits: Visits) -> list[str]:

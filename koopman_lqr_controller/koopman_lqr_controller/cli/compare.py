@@ -89,12 +89,12 @@ def _compare(options: argparse.Namespace, words: Sequence[str]) -> int:
 def _compare_on(
     task: str, name: str, methods: Sequence[str], changes: Changes, options: argparse.Namespace, words: Sequence[str]
 ) -> None:
-    from ctrl_rl_training.experiments.matrix import train_all
+    from ctrl_rl_training.experiments.matrix import run_experiments
     from ctrl_rl_training.experiments.results import as_table
+    from ctrl_rl_training.experiments.run import RunOptions
 
     from koopman_lqr_controller.training.experiments.comparison_results import collect_comparison
-    from koopman_lqr_controller.training.experiments.runs import LearningRun, learn_one
-    from koopman_lqr_controller.training.experiments.trainer import LearningOptions
+    from koopman_lqr_controller.training.experiments.runs import LearningRun
 
     problem = find_problem(task)
     sees = {method: METHODS[method] for method in methods}
@@ -122,7 +122,7 @@ def _compare_on(
             )
             for seed in range(options.seeds)
         ]
-    how = LearningOptions(
+    how = RunOptions(
         options.folder,
         options.chunks or problem.chunks,
         options.actions or problem.chunk,
@@ -132,7 +132,7 @@ def _compare_on(
     # Where `--set` makes two methods the same, they are one run.
     named = {each[seed].name: each[seed] for seed in range(options.seeds) for each in runs.values()}
     everything = list(named.values())
-    found = train_all(everything, how, learn_one, options.workers, task, options.ray)
+    found = run_experiments(everything, how, options.workers, task, options.ray)
     by_name: dict[str, dict[str, Any]] = {run.name: result for run, result in zip(everything, found, strict=True)}
     results = {method: [by_name[run.name] for run in each] for method, each in runs.items()}
     rows, figures = collect_comparison(name, task, results)

@@ -74,12 +74,12 @@ def _learn(options: argparse.Namespace, words: Sequence[str]) -> int:
     chunks, actions = options.chunks or problem.chunks, options.actions or problem.chunk
     changes = check_learning_options(options)
     problem = problem.with_settings(**dict(changes))  # refuses what is wrong before torch, which takes seconds, is here
-    from ctrl_rl_training.experiments.matrix import train_all
+    from ctrl_rl_training.experiments.matrix import run_experiments
+    from ctrl_rl_training.experiments.run import RunOptions
     from ctrl_rl_training.experiments.run_folder import result_file
 
     from koopman_lqr_controller.training.experiments.results import collect
-    from koopman_lqr_controller.training.experiments.runs import LearningRun, learn_one
-    from koopman_lqr_controller.training.experiments.trainer import LearningOptions
+    from koopman_lqr_controller.training.experiments.runs import LearningRun
 
     command = as_command("learn", "--task", options.task, *(["--set", *options.set] if options.set else []), *words)
     runs = [
@@ -94,9 +94,9 @@ def _learn(options: argparse.Namespace, words: Sequence[str]) -> int:
         )
         for seed in range(options.seeds)
     ]
-    how = LearningOptions(options.folder, chunks, actions, problem.evaluations, options.episodes)
+    how = RunOptions(options.folder, chunks, actions, problem.evaluations, options.episodes)
     title = Path(problem.name).stem
-    results = train_all(runs, how, learn_one, options.workers, title, options.ray)
+    results = run_experiments(runs, how, options.workers, title, options.ray)
     rows, figures = collect(problem, results)
     for row in rows:
         print(f"{row.method:<38} {row.metric:<32} {' '.join(f'{value:8.4g}' for value in row.values)}")

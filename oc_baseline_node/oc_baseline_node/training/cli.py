@@ -53,7 +53,7 @@ def _train(options: argparse.Namespace) -> int:
     runs = oc_runs(task, _methods(options), options.seeds, options.value)
     for run in runs:
         run.description  # noqa: B018 - refuses a missing or wrong V_oc before workers start
-    train_and_collect(options, runs, "oc_training", collect, table)
+    train_and_collect(options, task, runs, "oc_training", collect, table)
     return 0
 
 

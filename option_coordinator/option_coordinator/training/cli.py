@@ -73,9 +73,10 @@ def _train(options: argparse.Namespace) -> int:
         raise CommandError(f"--drop must be a probability, 0 to 1, not {options.drop:g}")
     samples = task.training_samples if options.samples is None else options.samples
     from ctrl_rl_training.cli import train_and_collect
+    from ctrl_rl_training.experiments.run import RunOptions
 
     from option_coordinator.training.experiments.results import collect, table
-    from option_coordinator.training.experiments.runs import RunOptions, option_runs, train_one
+    from option_coordinator.training.experiments.runs import option_runs
 
     every = [name for name, method in METHODS.items() if task.kind in method.kinds]
     methods = every if "all" in options.methods else options.methods
@@ -84,23 +85,24 @@ def _train(options: argparse.Namespace) -> int:
     runs = option_runs(options.task, methods, options.seeds, options.sight, options.drop)
     for run in runs:
         run.environment()  # refuses images, options or robots that vanish where there are none
-    how = RunOptions(options.folder, ITERATIONS, samples // ITERATIONS, options.evaluations)
-    train_and_collect(options, runs, "options", collect, table, how, train_one)
+    how = RunOptions(options.folder, ITERATIONS, samples // ITERATIONS, final_evaluations=options.evaluations)
+    train_and_collect(options, task, runs, "options", collect, table, how)
     return 0
 
 
 def _train_on_bags(options: argparse.Namespace) -> int:
     check_least(options, evaluations=1)
-    from ctrl_rl_training.experiments.matrix import train_all
+    from ctrl_rl_training.experiments.matrix import run_experiments
+    from ctrl_rl_training.experiments.run import RunOptions
 
-    from option_coordinator.training.experiments.bag_runs import ROUNDS, BagOptions, BagRun, train_on_bags
+    from option_coordinator.training.experiments.bag_runs import ROUNDS, BagRun
 
     run = BagRun(tuple(options.bags), options.start, options.task, options.head)
     run.environment()  # refuses a task of other robots, as `way` and `name` refuse what cannot be learnt from
     whose = f"this policy's own, {run.left_out} others are left out" if run.way == "mappo" else "imitated"
     print(f"learning   {len(run.trajectory)} decisions, {whose}", flush=True)
-    how = BagOptions(options.folder, ROUNDS[run.way], options.evaluations)
-    (result,) = train_all([run], how, train_on_bags, 1, run.name, options.ray)
+    how = RunOptions(options.folder, ROUNDS[run.way], final_evaluations=options.evaluations)
+    (result,) = run_experiments([run], how, 1, run.name, options.ray)
     for when in ("before", "after"):
         if when in result:
             draws, mode = (result[when][use]["return"] for use in ("draws", "mode"))

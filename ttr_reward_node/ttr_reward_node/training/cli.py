@@ -56,7 +56,7 @@ def _train(options: argparse.Namespace) -> int:
     runs = reward_runs(options.task, options.algorithms, options.rewards, options.seeds, options.grid)
     for run in {run.reward: run for run in runs}.values():
         run.environment().close()  # refuses what is wrong before workers start
-    train_and_collect(options, runs, "ttr_training", collect, success_table)
+    train_and_collect(options, runs[0].task, runs, "ttr_training", collect, success_table)
     return 0
 
 

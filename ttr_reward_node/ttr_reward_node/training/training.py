@@ -1,7 +1,4 @@
-"""What is learnt in thesis 3.2.3: each algorithm with each reward of Table 3.3 on a task, from several seeds.
-
-train_one(RewardRun("car_ttr", "ppo", "ttr", 0, Path("car_ttr.safetensors")), Options(Path("runs/ttr_training")))
-"""
+"""The runs of thesis 3.2.3: each algorithm with each reward of Table 3.3 on a task, from several seeds."""
 
 from __future__ import annotations
 
@@ -15,6 +12,7 @@ from ctrl_rl_core.tasks.task import NavigationTask, load_navigation_task
 from ctrl_rl_training.sb3.algorithm_names import ALGORITHMS
 from ctrl_rl_training.sb3.algorithms import make_algorithm
 from ctrl_rl_training.sb3.environment import Environment
+from ctrl_rl_training.sb3.training import SimulatedRun
 from stable_baselines3.common.base_class import BaseAlgorithm
 
 from ttr_reward_node.rewards.rewards import REWARDS, Reward, make_reward
@@ -22,19 +20,19 @@ from ttr_reward_node.training.environment import make_rewarded
 from ttr_reward_node.values.value_file import load_value
 
 _FIRST = ("ttr", "sparse", "distance_10")
-"""What is learnt first if time should run out."""
+"""Rewards that are learnt first, in case time runs out."""
 
 
 @dataclass(frozen=True)
-class RewardRun:
-    """One run: a cell of the table and a seed (a `ctrl_rl_training.sb3.training.Run`).
+class RewardRun(SimulatedRun):
+    """A run with an algorithm and a reward.
 
     Attributes:
-        task_name: of the task, or its file.
-        algorithm: one of `ALGORITHMS`.
-        reward: one of `REWARDS`.
-        seed: of everything random.
-        grid: file of the task's time to reach; needed for the reward "ttr" alone.
+        task_name: Name of the task, or its file.
+        algorithm: One of `ALGORITHMS`.
+        reward: One of `REWARDS`.
+        seed: Seed of everything random.
+        grid: File of the task's time-to-reach function, for the reward "ttr".
     """
 
     task_name: str
@@ -45,7 +43,7 @@ class RewardRun:
 
     @property
     def name(self) -> str:
-        """Its name, which is that of its folder too."""
+        """Name of the run and of its folder."""
         return f"{self.task.name}-{self.algorithm}-{self.reward}-s{self.seed}"
 
     @property
@@ -55,7 +53,7 @@ class RewardRun:
 
     @property
     def description(self) -> dict[str, Any]:
-        """What the results say about it."""
+        """Description of the run in its result."""
         value = _reward(self).value
         return {
             "task": self.task.name,
@@ -72,10 +70,6 @@ class RewardRun:
     def model(self, samples: int) -> BaseAlgorithm:
         """Return the untrained algorithm with its own environments, for so many samples."""
         return make_algorithm(self.algorithm, self.environment, self.seed, samples)
-
-    def notes(self, _: BaseAlgorithm) -> dict[str, Any]:
-        """Return nothing: the curve says enough."""
-        return {}
 
 
 def reward_runs(

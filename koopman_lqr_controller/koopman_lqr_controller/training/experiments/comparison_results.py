@@ -14,7 +14,7 @@ from koopman_lqr_controller.training.experiments.comparisons import COMPARISONS,
 from koopman_lqr_controller.training.experiments.methods import METHODS
 
 Results = Mapping[str, Sequence[Mapping[str, Any]]]
-"""Of `learn_one`, one a seed, by the names of methods."""
+"""Results of `train`, one a seed, by the names of methods."""
 
 
 def collect_comparison(name: str, task: str, results: Results) -> tuple[list[Result], dict[str, Any]]:

@@ -1,15 +1,15 @@
-"""What a run goes through, whatever learns: chunks of interaction, evaluations, and the best policy kept."""
+"""Learning by interaction, whatever the learner: chunks, evaluations after each, and the best policy kept."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 from ctrl_rl_core.io.schema import Schema
-from ctrl_rl_training.experiments.resumable import Point
+from ctrl_rl_training.experiments.run import Point, RunOptions, Tell
 from ctrl_rl_training.io.array_file import load_arrays, save_arrays
 from ctrl_rl_training.io.learner_state import Arrays
 from pydantic import ConfigDict, Field
@@ -46,32 +46,13 @@ class _Best(Schema):
 
 
 class _Point(Schema):
-    """What learning goes on from of a chunk, see `Course.iterate`."""
+    """What learning goes on from of a chunk, see `KoopmanLearning.iterate`."""
 
     model_config = ConfigDict(extra="allow", allow_inf_nan=True)
 
     actions: int
     episodes: int
     best_actions: int
-
-
-@dataclass(frozen=True)
-class LearningOptions:
-    """How runs go.
-
-    Attributes:
-        folder: where each has a folder of its own.
-        iterations: chunks, at most.
-        samples: actions of a chunk.
-        evaluations: episodes after each chunk, for each candidate.
-        final_evaluations: fresh episodes at the end.
-    """
-
-    folder: Path
-    iterations: int
-    samples: int
-    evaluations: int = 5
-    final_evaluations: int = 20
 
 
 class Learner(Protocol):
@@ -106,18 +87,18 @@ class Learner(Protocol):
         """Take what `arrays` gave."""
 
 
-class Course:
-    """A learner as `resumable` wants it.
+class KoopmanLearning:
+    """A learner as a `Learning`: chunks of interaction, evaluations, and the best policy kept.
 
     Args:
-        learner: learns.
-        problem: that is learnt.
-        tested: environment to evaluate in.
-        options: how.
-        folder: of the run.
-        manifest: what policies say of themselves.
-        plan: of consolidation, None for none.
-        tell: told how many chunks are done, and what is done now, when that is no chunk.
+        learner: Learner of the run.
+        problem: Problem to learn.
+        tested: Environment to evaluate in.
+        options: Settings of the experiment.
+        folder: Folder of the run.
+        manifest: Description of the run in its policies.
+        plan: How the policy is consolidated; None if it is not.
+        tell: Takes the chunks done and the work at hand, where that is no chunk.
     """
 
     def __init__(
@@ -125,11 +106,11 @@ class Course:
         learner: Learner,
         problem: Problem,
         tested: AnyEnvironment,
-        options: LearningOptions,
+        options: RunOptions,
         folder: Path,
         manifest: Mapping[str, Any],
         plan: Plan | None,
-        tell: Callable[[int, str], None] = lambda *_: None,
+        tell: Tell = lambda *_: None,
     ) -> None:
         self._learner, self._problem, self._tested = learner, problem, tested
         self._options, self._folder, self._plan, self._tell = options, folder, plan, tell
@@ -286,7 +267,7 @@ def model_errors(controller: LatentController, episodes: Sequence[Episode]) -> d
     }
 
 
-def over(curve: Sequence[Point], problem: Problem, patience: int) -> bool:
+def should_stop(curve: Sequence[Point], problem: Problem, patience: int) -> bool:
     """Return whether a task's episodes are used up, or so many chunks brought no new best; 0 for any number."""
     if not curve:
         return False

@@ -1,7 +1,4 @@
-"""What is learnt in thesis 3.3.3: a task's sparse reward with one of several policy gradients, from several seeds.
-
-train_one(OcRun(load_navigation_task("car_navigation"), "oc_ppo", 0), Options(Path("runs/oc_training")))
-"""
+"""The runs of thesis 3.3.3: a task's sparse reward with one of several policy gradients, from several seeds."""
 
 from __future__ import annotations
 
@@ -12,8 +9,10 @@ from typing import Any
 
 from ctrl_rl_core.tasks.task import NavigationTask
 from ctrl_rl_core.values.value_function import check_function
+from ctrl_rl_training.experiments.run import find_method
 from ctrl_rl_training.sb3.algorithms import make_algorithm
 from ctrl_rl_training.sb3.environment import Environment, make_environment
+from ctrl_rl_training.sb3.training import SimulatedRun
 from stable_baselines3.common.base_class import BaseAlgorithm
 
 from oc_baseline_node.errors import OcError
@@ -33,14 +32,14 @@ from oc_baseline_node.values.value_file import find_value, load_network
 
 
 @dataclass(frozen=True)
-class OcRun:
-    """One run: a method, a task and a seed (a `ctrl_rl_training.sb3.training.Run`).
+class OcRun(SimulatedRun):
+    """A run with a policy gradient.
 
     Attributes:
-        task: what is learnt.
-        method_name: one of `METHODS`.
-        seed: of everything random.
-        value: file of V_oc; the network that comes with the package unless given.
+        task: Task to learn.
+        method_name: One of `METHODS`.
+        seed: Seed of everything random.
+        value: File of V_oc; the network that comes with the package unless given.
     """
 
     task: NavigationTask
@@ -50,7 +49,7 @@ class OcRun:
 
     @property
     def name(self) -> str:
-        """Its name, which is that of its folder too."""
+        """Name of the run and of its folder."""
         return f"{self.task.name}-{self.method_name}-s{self.seed}"
 
     @property
@@ -60,14 +59,12 @@ class OcRun:
         Raises:
             OcError: there is no such method.
         """
-        try:
-            return METHODS[self.method_name]
-        except KeyError:
-            raise OcError(f"no method '{self.method_name}': there are {', '.join(METHODS)}") from None
+        method: Method = find_method(METHODS, self.method_name, OcError)
+        return method
 
     @property
     def description(self) -> dict[str, Any]:
-        """What the results say about it."""
+        """Description of the run in its result."""
         value = self.network.digest if self.method.needs_value else None
         return {
             "task": self.task.name,

@@ -1,6 +1,7 @@
-"""Learning from what was recorded: a run whose data are bags; may be cut off at any time.
+"""Learning from recorded decisions: a run whose data are bags.
 
-    result = train_on_bags(BagRun((Path("runs/mine/bag"),), start=Path("policy.safetensors")), BagOptions(folder))
+    run = BagRun((Path("runs/mine/bag"),), start=Path("policy.safetensors"))
+    result = train(run, RunOptions(folder, ROUNDS[run.way], final_evaluations=50))
 
 Decisions that the policy itself has made are its own experience: it goes on learning from them with MAPPO's clipped
 ratios, to the log-probabilities that stand in the bag. Decisions of anything else, a script or another policy, say
@@ -10,7 +11,7 @@ little about it: they are imitated.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, fields
 from functools import cached_property
@@ -19,7 +20,7 @@ from typing import Any, Literal
 
 import numpy as np
 import torch
-from ctrl_rl_training.experiments.resumable import Point, resumable
+from ctrl_rl_training.experiments.run import Point, Run, RunOptions, Tell
 
 from option_coordinator.data.bag_trajectory import Recording, TeamLayout, recordings
 from option_coordinator.data.trajectory import OptionTrajectory
@@ -44,15 +45,17 @@ _SAME_RATIO = 1e-2
 
 
 @dataclass(frozen=True)
-class BagRun:
-    """What is learnt from what.
+class BagRun(Run):
+    """A run on recorded decisions; its folder then holds policy.safetensors (an `OptionPolicy`).
+
+    Each iteration goes ten times through the data. The result has, with a task, `before` and `after`: see `evaluate`.
 
     Attributes:
-        bags: that were recorded.
-        start: policy to go on from; a new one is learnt without.
-        task_name: of a task to judge the policy in, or its file; without `start` it says what the robots can do.
-        head: kind of joint policy, of a new one.
-        seed: of everything random.
+        bags: Bags to learn from.
+        start: Policy to go on from; None for a new one.
+        task_name: Name or file of a task to judge the policy in; without `start` it says what the robots can do.
+        head: Kind of joint policy, for a new one.
+        seed: Seed of everything random.
     """
 
     bags: tuple[Path, ...]
@@ -63,7 +66,7 @@ class BagRun:
 
     @property
     def name(self) -> str:
-        """Its name, which is that of its folder too: of what it learns from, and from where."""
+        """Name of the run and of its folder: the digest of its data and of the policy that it begins with."""
         told = [self.data_digest, self.policy.digest if self.policy else self.head, self.task_name, self.seed]
         return f"bags-{hashlib.sha256(repr(told).encode()).hexdigest()[:12]}"
 
@@ -165,65 +168,35 @@ class BagRun:
             raise OptionError(f"task '{self.task_name}' is for other robots than {self.start}")
         return environment
 
-
-@dataclass(frozen=True)
-class BagOptions:
-    """How such a run goes.
-
-    Attributes:
-        folder: where each has a folder of its own.
-        iterations: how many; each goes ten times through the data.
-        evaluations: episodes in the task, before and after.
-    """
-
-    folder: Path
-    iterations: int = 3
-    evaluations: int = 50
-
-
-Report = Callable[[BagRun, int, float | str], None]
-
-
-def train_on_bags(run: BagRun, options: BagOptions, report: Report = lambda *_: None) -> dict[str, Any]:
-    """Learn, or go on where an earlier call was cut off; a finished run is read, never computed again.
-
-    The folder of the run then holds result.json (what is returned) and policy.safetensors (an `OptionPolicy`).
-
-    Returns:
-        `run`, `curve` (figures of each iteration) and, with a task, `before` and `after`: see `evaluate`.
-
-    Raises:
-        CtrlRlError: bags, policy and task do not fit each other, or the folder holds another run.
-    """
-    torch.set_num_threads(1)
-    learner = run.learner()
-    terms = {
-        "way": run.way,
-        "from": run.policy.digest if run.policy is not None else "",
-        "data": run.data_digest,
-        "decisions": len(run.trajectory),
-        "left_out": run.left_out,
-        "task": run.task_name or "",
-        "seed": run.seed,
-        "iterations": options.iterations,
-        "evaluations": options.evaluations,
-        "settings": asdict(learner.settings),
-    }
+    def terms(self, options: RunOptions) -> dict[str, Any]:
+        """Return data, policy and settings."""
+        return {
+            "way": self.way,
+            "from": self.policy.digest if self.policy is not None else "",
+            "data": self.data_digest,
+            "decisions": len(self.trajectory),
+            "left_out": self.left_out,
+            "task": self.task_name or "",
+            "seed": self.seed,
+            "iterations": options.iterations,
+            "evaluations": options.final_evaluations,
+            "settings": asdict(self.learner().settings),
+        }
 
     @contextmanager
-    def begin() -> Iterator[_Learning]:
-        yield _Learning(run, options, learner)
+    def begin(self, options: RunOptions, _: Tell) -> Iterator[_Learning]:
+        """Yield the learner."""
+        yield _Learning(self, options, self.learner())
 
-    def tell(done: int, point: Point) -> None:
-        report(run, done, ", ".join(f"{name} {figure:.2f}" for name, figure in point["update"].items()))
-
-    return resumable(run, options.folder, options.iterations, terms, begin, tell)
+    def words(self, point: Point) -> str:
+        """Return the figures of the iteration."""
+        return ", ".join(f"{name} {figure:.2f}" for name, figure in point["update"].items())
 
 
 class _Learning:
-    """A learner as `resumable` wants it."""
+    """A learner as a `Learning`."""
 
-    def __init__(self, run: BagRun, options: BagOptions, learner: Learner) -> None:
+    def __init__(self, run: BagRun, options: RunOptions, learner: Learner) -> None:
         self._run = run
         self._options = options
         self._learner = learner
@@ -272,4 +245,4 @@ class _Learning:
         if environment is None:
             return {}
         policy = self._learner.behaviour(1.0)
-        return evaluate(environment, policy, policy, self._options.evaluations, self._run.seed)
+        return evaluate(environment, policy, policy, self._options.final_evaluations, self._run.seed)

@@ -25,7 +25,7 @@ def load_checkpoint(path: Path, learner: Learner) -> dict[str, Any]:
     """Bring a new learner to where a checkpoint was and return the progress.
 
     Raises:
-        Exception: one of `ctrl_rl_training.experiments.resumable.UNUSABLE`.
+        Exception: one of `ctrl_rl_training.experiments.trainer.UNUSABLE`.
     """
     arrays, progress = load_arrays(path)
     restore_state(learner.networks(), learner.optimizers(), arrays)

@@ -1,14 +1,11 @@
-"""One run of learning: a method on a task, from one seed; may be cut off at any time.
+"""The runs of thesis 5.3: a method on a task, from one seed, in iterations of fresh episodes.
 
-    result = train_one(OptionRun("tool_delivery", "async", 0), RunOptions(Path("runs/options")))
-
-It goes in iterations. Each begins with fresh episodes and draws its random numbers from the seed and its own number, so
-that a run that goes on from its last checkpoint ends exactly as if it had not been cut off.
+result = train(OptionRun("tool_delivery", "async", 0), RunOptions(Path("runs/options"), 25, 2000, 0, 50))
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from functools import cached_property
@@ -18,7 +15,7 @@ from typing import Any
 import numpy as np
 import torch
 from ctrl_rl_core.tasks.task import task_digest
-from ctrl_rl_training.experiments.resumable import Point, resumable
+from ctrl_rl_training.experiments.run import Point, Run, RunOptions, Tell, find_method
 
 from option_coordinator.environments.option_env import OptionEnvironment
 from option_coordinator.environments.roll_out import RollOut
@@ -36,15 +33,19 @@ from option_coordinator.training.learners.mappo import Mappo
 
 
 @dataclass(frozen=True)
-class OptionRun:
-    """What is learnt: everything about it, and nothing that cannot be sent to another process.
+class OptionRun(Run):
+    """A run with a method of `METHODS`; its folder then holds policy.safetensors (an `OptionPolicy`).
+
+    A point of its curve says samples, `learning` (`summary` of the episodes that ended in it) and the largest figures
+    of each `update`; its result has `final` (see `evaluate`) and `used`, the way of using the policy that it was
+    learnt for. A method with a larger budget takes as many times more samples than `RunOptions` say.
 
     Attributes:
-        task_name: of the task, or its file.
-        method_name: one of `METHODS`.
-        seed: of everything random.
-        sight: what Water Filling's robots see.
-        drop: chance that a robot vanishes for a while in an episode; with one, the policy is told who is there.
+        task_name: Name of the task, or its file.
+        method_name: One of `METHODS`.
+        seed: Seed of everything random.
+        sight: Observation of Water Filling's robots.
+        drop: Probability that a robot vanishes for a while in an episode; if positive, the policy is told who is there.
     """
 
     task_name: str
@@ -55,7 +56,7 @@ class OptionRun:
 
     @property
     def name(self) -> str:
-        """Its name, which is that of its folder too."""
+        """Name of the run and of its folder."""
         seen = "" if self.sight == "features" else f"-{self.sight}"
         dropped = f"-drop{self.drop:g}" if self.drop else ""
         return f"{self.task.name}-{self.method_name}{seen}{dropped}-s{self.seed}"
@@ -72,14 +73,12 @@ class OptionRun:
         Raises:
             OptionError: there is no such method.
         """
-        try:
-            return METHODS[self.method_name]
-        except KeyError:
-            raise OptionError(f"no method '{self.method_name}': there are {', '.join(METHODS)}") from None
+        method: Method = find_method(METHODS, self.method_name, OptionError)
+        return method
 
     @property
     def description(self) -> dict[str, Any]:
-        """What results and policy say about it."""
+        """Description of the run in its result and its policy, as JSON."""
         return {
             "task": self.task.name,
             "task_digest": task_digest(self.task),
@@ -133,77 +132,30 @@ class OptionRun:
             manifest={**self.description, **figures},
         )
 
-
-@dataclass(frozen=True)
-class RunOptions:
-    """How runs go.
-
-    Attributes:
-        folder: where each has a folder of its own.
-        iterations: how many.
-        samples: low-level samples of an iteration; a method with a larger budget takes as many times more.
-        evaluations: episodes after the last one, of each use of the policy.
-    """
-
-    folder: Path
-    iterations: int = 25
-    samples: int = 2000
-    evaluations: int = 50
-
-
-Report = Callable[[OptionRun, int, float | str], None]
-
-
-def option_runs(
-    task_name: str, methods: Sequence[str], seeds: int, sight: Sight = "features", drop: float = 0.0
-) -> list[OptionRun]:
-    """Return all runs of a task, those that matter most first."""
-    ordered = sorted(set(methods), key=list(METHODS).index)
-    return [OptionRun(task_name, method, seed, sight, drop) for method in ordered for seed in range(seeds)]
-
-
-def train_one(run: OptionRun, options: RunOptions, report: Report = lambda *_: None) -> dict[str, Any]:
-    """Learn, or go on where an earlier call was cut off; a finished run is read, never computed again.
-
-    The folder of the run then holds result.json (what is returned) and policy.safetensors (an `OptionPolicy`).
-
-    Args:
-        run: what is learnt.
-        options: how.
-        report: called after each iteration.
-
-    Returns:
-        description, `curve` (for each iteration: samples, what the episodes that ended in it amount to, see `summary`,
-        the largest figures of its updates, seconds), `final` (see `evaluate`) and `used`, the way of using the policy
-        that it was learnt for.
-
-    Raises:
-        CtrlRlError: the run asks for what is not there, or its folder holds another run.
-    """
-    torch.set_num_threads(1)
-    learner = run.learner()
-    terms = {
-        **run.description,
-        "iterations": options.iterations,
-        "samples": options.samples,
-        "evaluations": options.evaluations,
-        "discount": discount_of(run.task),
-        "settings": asdict(learner.settings),
-    }
+    def terms(self, options: RunOptions) -> dict[str, Any]:
+        """Return description and settings."""
+        return {
+            **self.description,
+            "iterations": options.iterations,
+            "samples": options.samples,
+            "evaluations": options.final_evaluations,
+            "discount": discount_of(self.task),
+            "settings": asdict(self.learner().settings),
+        }
 
     @contextmanager
-    def begin() -> Iterator[_Learning]:
-        yield _Learning(run, options, learner)
+    def begin(self, options: RunOptions, _: Tell) -> Iterator[_Learning]:
+        """Yield the learner."""
+        yield _Learning(self, options, self.learner())
 
-    def tell(done: int, point: Point) -> None:
+    def words(self, point: Point) -> str:
+        """Return the mean return of the iteration's episodes."""
         returned = point["learning"].get("return")
-        report(run, done, "" if returned is None else f"return {returned:.0f}")
-
-    return resumable(run, options.folder, options.iterations, terms, begin, tell)
+        return "" if returned is None else f"return {returned:.0f}"
 
 
 class _Learning:
-    """A learner as `resumable` wants it."""
+    """A learner as a `Learning`."""
 
     def __init__(self, run: OptionRun, options: RunOptions, learner: Learner) -> None:
         self._run = run
@@ -236,7 +188,15 @@ class _Learning:
         """Play what is saved, and write it."""
         run, learner = self._run, self._learner
         best = run.policy(learner, {}).joint
-        final = evaluate(run.environment(), learner.behaviour(1.0), best, self._options.evaluations, run.seed)
+        final = evaluate(run.environment(), learner.behaviour(1.0), best, self._options.final_evaluations, run.seed)
         told = {"final": final, "used": "mode" if learner.greedy else "draws"}
         run.policy(learner, told).save(folder / "policy.safetensors")
         return told
+
+
+def option_runs(
+    task_name: str, methods: Sequence[str], seeds: int, sight: Sight = "features", drop: float = 0.0
+) -> list[OptionRun]:
+    """Return all runs of a task, those that matter most first."""
+    ordered = sorted(set(methods), key=list(METHODS).index)
+    return [OptionRun(task_name, method, seed, sight, drop) for method in ordered for seed in range(seeds)]
