@@ -1,9 +1,10 @@
 from .alignment.alignment import AlignedSamples as AlignedSamples
-from .alignment.alignment import Extractor as Extractor
-from .alignment.alignment import Scan as Scan
-from .alignment.alignment import TimeSeries as TimeSeries
 from .alignment.alignment import align as align
-from .alignment.alignment import resample as resample
+from .alignment.extractors import EXTRACTORS as EXTRACTORS
+from .alignment.extractors import Extractor as Extractor
+from .alignment.extractors import Scan as Scan
+from .alignment.resampling import TimeSeries as TimeSeries
+from .alignment.resampling import resample as resample
 from .format.checks import BagError as BagError
 from .format.copy import bag_topics as bag_topics
 from .format.copy import copy_bag as copy_bag

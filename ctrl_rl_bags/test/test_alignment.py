@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 from bag_messages import OFFICE, cdr, odometry, scan, topic, twist, write_texts
-from ctrl_rl_bags.alignment.alignment import TWIST, TimeSeries, align, resample
+from ctrl_rl_bags.alignment.alignment import align
+from ctrl_rl_bags.alignment.extractors import TWIST
+from ctrl_rl_bags.alignment.resampling import TimeSeries, resample
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

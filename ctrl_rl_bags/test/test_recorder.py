@@ -1,6 +1,7 @@
 """The recorder as a process, recording real publishers, stopped, refused and killed."""
 
 import json
+import os
 import signal
 import time
 
@@ -113,12 +114,14 @@ def test_asks_for_less_when_a_best_effort_publisher_joins(start, tmp_path):
         ("queue_depth:=0", 2, "queue_depth"),
         ("exclude:=['(']", 2, "no regular expression"),
         ("digest_files:=['task=/nowhere/task.yaml']", 2, "cannot be read"),
+        ("digest_files:=['task={folder}/pipe']", 2, "is no regular file"),
         ("digest_files:=['task']", 2, "NAME=PATH"),
         ("output:=.", 1, "exists"),
     ],
 )
 def test_refusals_are_one_line(start, tmp_path, parameter, code, words):
-    process = record(start, tmp_path / "bag", parameter)
+    os.mkfifo(tmp_path / "pipe")  # nobody writes into it: to open it plainly would wait forever
+    process = record(start, tmp_path / "bag", parameter.replace("{folder}", str(tmp_path)))
     _, errors = process.communicate(timeout=120)
     assert process.returncode == code
     assert words in errors

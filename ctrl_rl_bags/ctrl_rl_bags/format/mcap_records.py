@@ -25,6 +25,8 @@ RECORD = struct.Struct("<BQ")
 MESSAGE = struct.Struct("<HIQQ")
 OPCODES = {int(opcode) for opcode in Opcode}
 _CHUNK = struct.Struct("<QQQI")
+READ_AT_ONCE = 1 << 20
+"""Bytes of a record that is only skipped or checked, read in one go."""
 _LONGEST_COMPRESSION = 32
 _KINDS: dict[int, type[Schema] | type[Channel] | type[Metadata]] = {
     Opcode.SCHEMA: Schema,

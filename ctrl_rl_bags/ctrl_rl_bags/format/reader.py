@@ -19,7 +19,8 @@ import zstandard
 from ctrl_rl_bags.format.checks import BagError, DamagedError, open_regular, printable, reason
 from ctrl_rl_bags.format.mcap_records import DEFAULT_LIMITS, Limits, decompress_some
 from ctrl_rl_bags.format.metadata import METADATA_FILE, BagMetadata, Qos, Topic, read_metadata
-from ctrl_rl_bags.format.sources import McapSource, SerializedMessage, Source, open_source, parsed_qos
+from ctrl_rl_bags.format.sources import McapSource, SerializedMessage, Source, open_source
+from ctrl_rl_bags.format.topics import parsed_qos
 from ctrl_rl_bags.format.type_definitions import BagTypes, Definition
 
 _ROS1_MAGIC = b"#ROSBAG V"
@@ -134,6 +135,20 @@ class Bag:
                 for message in source.messages(wanted, start, stop):
                     yield message._replace(data=self._plain(message.data)) if self._by_message else message
 
+    def decoded(
+        self, topics: Iterable[str] = (), start: int | None = None, stop: int | None = None
+    ) -> Iterator[BagMessage]:
+        """Yield decoded messages; arguments and errors are those of `messages`."""
+        topics, types = list(topics), None
+        for message in self.messages(topics, start, stop):
+            types = types or self.types(topics)
+            try:
+                data = types.decode(message.data, message.type)
+            except DamagedError as error:
+                topic = printable(message.topic)
+                raise BagError(f"{self.path}: a message of {topic} cannot be decoded: {error}") from None
+            yield BagMessage(message.topic, message.type, message.log_time, data)
+
     def check(self) -> None:
         """Check all of the bag that has a checksum and that `messages` does not check.
 
@@ -234,12 +249,19 @@ class Bag:
 
 
 @contextmanager
-def open_bag(bag: Path | str, limits: Limits = DEFAULT_LIMITS) -> Iterator[Bag]:
-    """Open a bag: its folder, or one .mcap or .db3 file.
+def open_bag(bag: Path | str | Bag, limits: Limits = DEFAULT_LIMITS) -> Iterator[Bag]:
+    """Open a bag for several readings of it.
+
+    Args:
+        bag: Folder of the bag, one .mcap or .db3 file, or an open bag, which stays open.
+        limits: Memory that the bag may take at most.
 
     Raises:
-        BagError: there is no such bag, it was cut off, or it is damaged.
+        BagError: There is no such bag, it was cut off, or it is damaged.
     """
+    if isinstance(bag, Bag):
+        yield bag
+        return
     path = Path(bag)
     if not path.exists():
         raise BagError(f"{path}: there is no such bag")
@@ -252,7 +274,7 @@ def open_bag(bag: Path | str, limits: Limits = DEFAULT_LIMITS) -> Iterator[Bag]:
 
 
 def read_messages(
-    bag: Path | str, topics: Iterable[str] = (), start: int | None = None, stop: int | None = None
+    bag: Path | str | Bag, topics: Iterable[str] = (), start: int | None = None, stop: int | None = None
 ) -> Iterator[BagMessage]:
     """Yield the messages of a bag in the order of their log time.
 
@@ -265,20 +287,12 @@ def read_messages(
     Raises:
         BagError: the bag has no such topic, or cannot be read.
     """
-    topics = list(topics)
     with open_bag(bag) as opened:
-        messages, types = opened.messages(topics, start, stop), None
-        for message in messages:
-            types = types or opened.types(topics)
-            try:
-                data = types.decode(message.data, message.type)
-            except DamagedError as error:
-                raise BagError(f"{bag}: a message of {printable(message.topic)} cannot be decoded: {error}") from None
-            yield BagMessage(message.topic, message.type, message.log_time, data)
+        yield from opened.decoded(topics, start, stop)
 
 
 def read_raw(
-    bag: Path | str,
+    bag: Path | str | Bag,
     topics: Iterable[str] = (),
     start: int | None = None,
     stop: int | None = None,
@@ -290,7 +304,7 @@ def read_raw(
             yield RawMessage(message.topic, message.type, message.log_time, message.data)
 
 
-def bag_info(bag: Path | str, limits: Limits = DEFAULT_LIMITS) -> BagInfo:
+def bag_info(bag: Path | str | Bag, limits: Limits = DEFAULT_LIMITS) -> BagInfo:
     """Return what a bag holds.
 
     Raises:

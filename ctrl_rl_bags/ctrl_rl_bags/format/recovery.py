@@ -34,7 +34,7 @@ from ctrl_rl_bags.format.mcap_records import (
 )
 from ctrl_rl_bags.format.metadata import CUSTOM_DATA_RECORD, METADATA_FILE, Topic, name_of_other_type
 from ctrl_rl_bags.format.reader import open_bag
-from ctrl_rl_bags.format.sources import parsed_qos
+from ctrl_rl_bags.format.topics import mcap_topic
 from ctrl_rl_bags.format.writer import BagWriter
 
 _READ = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.METADATA)
@@ -171,18 +171,7 @@ class _Copy:
 
     def _add_channel(self, channel: Channel) -> None:
         schema = self._schemas.get(channel.schema_id) or Schema(0, b"", "", "unknown/msg/Unknown")
-        try:
-            definition = schema.data.decode()
-        except UnicodeDecodeError:
-            raise DamagedError("a definition is no text") from None
-        topic = Topic(
-            name=channel.topic,
-            type=schema.name,
-            definition=definition,
-            type_hash=channel.metadata.get("topic_type_hash", ""),
-            qos=parsed_qos(channel.metadata.get("offered_qos_profiles", "")),
-            encoding=schema.encoding,
-        )
+        topic = mcap_topic(channel, schema)
         if self._topics.get(topic.name, topic).type != topic.type:
             topic = replace(topic, name=name_of_other_type(topic.name, topic.type))
         self._channels[channel.id] = topic.name

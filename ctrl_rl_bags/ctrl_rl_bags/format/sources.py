@@ -8,14 +8,14 @@ from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 import apsw
-from mcap.records import Schema
-from rosbags.rosbag2.metadata import dump_qos_v9, parse_qos
+from rosbags.rosbag2.metadata import dump_qos_v9
 from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 
-from ctrl_rl_bags.format.checks import DamagedError, open_regular, parse_yaml, reason
+from ctrl_rl_bags.format.checks import DamagedError, open_regular, reason
 from ctrl_rl_bags.format.mcap_reader import McapReader
 from ctrl_rl_bags.format.mcap_records import Limits
-from ctrl_rl_bags.format.metadata import Qos, Topic
+from ctrl_rl_bags.format.metadata import Topic
+from ctrl_rl_bags.format.topics import mcap_topic
 
 _SQLITE_MAGIC = b"SQLite format 3\0"
 
@@ -78,12 +78,16 @@ class McapSource:
     """An MCAP file."""
 
     def __init__(self, path: Path, limits: Limits) -> None:
-        self._reader = reader = McapReader(path, limits)
+        self._reader = McapReader(path, limits)
+        reader = self._reader.index
         try:
             self.start, self.end, self.custom_data = reader.start, reader.end, reader.custom_data
-            self._topics = {number: _mcap_topic(reader, number) for number in reader.channels}
+            self._topics = {
+                number: mcap_topic(channel, reader.schemas.get(channel.schema_id))
+                for number, channel in reader.channels.items()
+            }
         except BaseException:
-            reader.close()
+            self._reader.close()
             raise
         counts: dict[tuple[str, str], tuple[Topic, int]] = {}
         for number, topic in self._topics.items():
@@ -95,7 +99,7 @@ class McapSource:
         """See `Source.messages`."""
         chosen = {number: (topic.name, topic.type) for number, topic in self._topics.items() if topic.name in topics}
         for number in chosen:
-            encoding = self._reader.channels[number].message_encoding
+            encoding = self._reader.index.channels[number].message_encoding
             if encoding != "cdr":
                 raise DamagedError(f"{chosen[number][0]} is encoded as {encoding[:40]!r}, not as cdr")
         for channel, sequence, log_time, publish_time, data in self._reader.messages(chosen, start, stop):
@@ -162,31 +166,6 @@ class Sqlite3Source:
         """See `Source.close`."""
         with suppress(Exception):
             self._reader.close()
-
-
-def parsed_qos(profiles: Any) -> tuple[Qos, ...]:
-    """Return offered profiles, given as YAML or as its content, in the words of metadata version 9; empty if wrong."""
-    try:
-        return tuple(dump_qos_v9(parse_qos(parse_yaml(profiles) if isinstance(profiles, str) else profiles)))
-    except Exception:  # what a bag says of quality of service is not worth a bag that cannot be read
-        return ()
-
-
-def _mcap_topic(reader: McapReader, number: int) -> Topic:
-    channel = reader.channels[number]
-    schema = reader.schemas.get(channel.schema_id) or Schema(id=0, data=b"", encoding="", name="")
-    try:
-        text = schema.data.decode()
-    except UnicodeDecodeError:
-        raise DamagedError("a message definition is no text") from None
-    return Topic(
-        name=channel.topic,
-        type=schema.name,
-        definition=text,
-        type_hash=channel.metadata.get("topic_type_hash", ""),
-        qos=parsed_qos(channel.metadata.get("offered_qos_profiles", "")),
-        encoding=schema.encoding,
-    )
 
 
 def _sqlite_topic(connection: Any) -> Topic:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import re
 import sys
 import time
-from pathlib import Path
 
+from ctrl_rl_core.io.file_checks import FileError, open_file
 from ctrl_rl_core.ros.node import Status, SuiteNode, ok, run_node, warn
 from ctrl_rl_core.ros.parameters import Parameter, ParameterError
 from rclpy.clock import Clock, ClockType
@@ -144,10 +145,12 @@ def _digests(texts: list[str]) -> dict[str, str]:
         if not name or not path:
             raise ParameterError(f"parameter 'digest_files': '{text}' must be NAME=PATH")
         try:
-            with Path(path).expanduser().open("rb") as file:
-                out[name] = hashlib.file_digest(file, "sha256").hexdigest()
+            with open_file(path, math.inf) as (file, _):
+                out[name] = hashlib.file_digest(file, "sha256").hexdigest()  # type: ignore[arg-type]
         except OSError as error:
             raise ParameterError(f"parameter 'digest_files': {path} cannot be read ({error.strerror})") from None
+        except FileError as error:
+            raise ParameterError(f"parameter 'digest_files': {path} cannot be read: {error}") from None
     return out
 
 

@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ctrl_rl_bags.alignment.alignment import EXTRACTORS
 from numpy.typing import NDArray
 
-from ctrl_rl_bags import AlignedSamples, Extractor, align, bag_info
+from ctrl_rl_bags import EXTRACTORS, AlignedSamples, Extractor, align, bag_info
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.models.edmd import Snapshots
 from koopman_lqr_controller.policies.closed_loop_model import See

@@ -1,0 +1,252 @@
+"""The index of an MCAP file: its topics, chunks and counts, from its summary or, without one, from all of it."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from typing import BinaryIO, cast
+
+import numpy as np
+from mcap.opcode import Opcode
+from mcap.records import Channel, Metadata, Schema
+
+from ctrl_rl_bags.format.checks import DamagedError
+from ctrl_rl_bags.format.mcap_chunks import ChunkTable, index_messages, message_head, records_in
+from ctrl_rl_bags.format.mcap_records import (
+    MAGIC,
+    READ_AT_ONCE,
+    RECORD,
+    Limits,
+    chunk_head,
+    decompress,
+    parse,
+    read_exactly,
+)
+from ctrl_rl_bags.format.metadata import CUSTOM_DATA_RECORD
+
+_FOOTER = struct.Struct("<BQQQI")
+_CHUNK_INDEX = struct.Struct("<QQQQI")
+_STATISTICS = struct.Struct("<QHIIIIQQI")
+_ALL = frozenset(range(1 << 16))
+_MOST_CHANNEL_SETS = 1_000_000
+
+
+class McapIndex:
+    """Topics, chunks and counts of an open MCAP file.
+
+    Attributes:
+        schemas: Schemas by number.
+        channels: Channels by number.
+        counts: Number of messages by channel.
+        start: First log time [ns]; 0 without messages.
+        end: Last log time [ns].
+        custom_data: Texts that the bag keeps, by key.
+        chunks: Place, times and size of each chunk.
+        loose: Whether the messages lie outside of chunks.
+        summary_crc: Checksum of the summary; 0 without one.
+
+    Raises:
+        DamagedError: The file is no whole MCAP file, a checksum is wrong, or it asks for more than the limits allow.
+    """
+
+    def __init__(self, stream: BinaryIO, size: int, limits: Limits) -> None:
+        """Read the index.
+
+        Args:
+            stream: File at its first byte.
+            size: Size of the file [bytes].
+            limits: Memory that the file may take at most.
+        """
+        self.schemas: dict[int, Schema] = {}
+        self.channels: dict[int, Channel] = {}
+        self.counts: Mapping[int, int] = {}
+        self.start = self.end = 0
+        self.custom_data: dict[str, str] = {}
+        self.chunks = ChunkTable()
+        self.loose = False
+        self.summary_crc = 0
+        self._stream, self._size, self._limits = stream, size, limits
+        self._channel_sets: dict[frozenset[int], frozenset[int]] = {}
+        self._channel_set_items = 0
+        self._topics_bytes = 0
+        self._open()
+
+    @property
+    def message_count(self) -> int:
+        """Number of messages."""
+        return sum(self.counts.values())
+
+    def _open(self) -> None:
+        if self._stream.read(len(MAGIC)) != MAGIC:
+            raise DamagedError("it is no MCAP file" if self._size else "it is empty")
+        self._read_header()
+        self._footer_at = self._size - len(MAGIC) - _FOOTER.size
+        if self._footer_at < self._data_at:
+            raise DamagedError("it was cut off")
+        self._stream.seek(self._footer_at)
+        tail = self._stream.read()
+        opcode, length, start, _, self.summary_crc = _FOOTER.unpack_from(tail)
+        if tail[_FOOTER.size :] != MAGIC or (opcode, length) != (Opcode.FOOTER, 20):
+            raise DamagedError("it was cut off")
+        if start and not self._data_at <= start <= self._footer_at:
+            raise DamagedError("its summary does not lie in it")
+        self._summary_at = start or self._footer_at
+        if not (start and self._read_summary(tail[: _FOOTER.size - 4])):
+            self._scan()
+
+    def _read_header(self) -> None:
+        opcode, length = RECORD.unpack(read_exactly(self._stream, RECORD.size, RECORD.size))
+        content = read_exactly(self._stream, length, self._limits.topics_bytes)
+        if opcode != Opcode.HEADER or len(content) < 4:
+            raise DamagedError("it has no header")
+        profile = content[4 : 4 + int.from_bytes(content[:4], "little")]
+        if profile != b"ros2":
+            raise DamagedError(f"it is not of ROS 2: its profile is {profile[:40].decode(errors='replace')!r}")
+        self._data_at = self._stream.tell()
+
+    def _read_summary(self, footer: bytes) -> bool:
+        """Read topics and chunks, and return whether the summary names them all."""
+        self._stream.seek(self._summary_at)
+        summary = read_exactly(self._stream, self._footer_at - self._summary_at, self._limits.index_bytes)
+        if self.summary_crc and zlib.crc32(footer, zlib.crc32(summary)) != self.summary_crc:
+            raise DamagedError("the checksum of its summary is wrong")
+        count, texts = None, []
+        try:
+            for opcode, at, length in records_in(summary):
+                if opcode == Opcode.CHUNK_INDEX:
+                    self._add_chunk_index(summary, at, length)
+                elif opcode == Opcode.STATISTICS:
+                    count, _, _, _, _, _, self.start, self.end, size = _STATISTICS.unpack_from(summary, at)
+                    pairs = summary[at + _STATISTICS.size : at + _STATISTICS.size + size]
+                    self.counts = dict(struct.iter_unpack("<HQ", pairs))
+                elif opcode == Opcode.METADATA_INDEX:
+                    offset, size, name = struct.unpack_from("<QQI", summary, at)
+                    if summary[at + 20 : at + 20 + name] == CUSTOM_DATA_RECORD.encode():
+                        texts.append((offset, size))
+                else:
+                    self._add_topic(opcode, summary[at : at + length])
+        except struct.error:
+            raise DamagedError("its summary cannot be read") from None
+        if count is None or (count and not (self.channels and len(self.chunks) and self.message_count == count)):
+            return False
+        if not self.counts.keys() <= self.channels.keys():
+            raise DamagedError("its summary counts messages of an unknown channel")
+        offsets, lengths = (np.array(column, np.uint64) for column in (self.chunks.offset, self.chunks.length))
+        order = np.argsort(offsets)
+        if np.any(offsets[order][:-1] + lengths[order][:-1] > offsets[order][1:]):
+            raise DamagedError("its index has a chunk twice")
+        for offset, size in texts:
+            self._read_metadata(offset, size)
+        return True
+
+    def _read_metadata(self, offset: int, length: int) -> None:
+        self._stream.seek(min(offset, self._size))
+        opcode, size = RECORD.unpack(read_exactly(self._stream, RECORD.size, RECORD.size))
+        if opcode != Opcode.METADATA or size + RECORD.size != length:
+            raise DamagedError("its index has metadata where there is none")
+        self._add_topic(opcode, read_exactly(self._stream, size, self._limits.topics_bytes))
+
+    def _add_chunk_index(self, summary: bytes, at: int, length: int) -> None:
+        start, end, offset, size_of_record, size = _CHUNK_INDEX.unpack_from(summary, at)
+        at, stop = at + _CHUNK_INDEX.size, at + length
+        pairs, at = summary[at : at + size], at + size
+        (name_size,) = struct.unpack_from("<QI", summary, at)[1:]
+        _, uncompressed = struct.unpack_from("<QQ", summary, at + 12 + name_size)
+        if at + 28 + name_size > stop or len(pairs) != size:
+            raise DamagedError("its index of chunks cannot be read")
+        if offset < self._data_at or offset + size_of_record > self._summary_at or start > end:
+            raise DamagedError("its index has a chunk that does not lie in it")
+        channels = frozenset(channel for channel, _ in struct.iter_unpack("<HQ", pairs))
+        self.chunks.add(start, end, offset, size_of_record, uncompressed, self._same(channels) if channels else None)
+
+    def _same(self, channels: frozenset[int]) -> frozenset[int] | None:
+        """Return the one object that stands for equal sets; None, for any channel, when there are too many of them."""
+        if channels not in self._channel_sets:
+            self._channel_set_items += len(channels)
+            if self._channel_set_items > _MOST_CHANNEL_SETS:
+                return None
+            self._channel_sets[channels] = channels
+        return self._channel_sets[channels]
+
+    def _add_topic(self, opcode: int, content: bytes) -> None:
+        """Take a schema, a channel or custom data; nothing of any other record."""
+        record = parse(opcode, content)
+        if record is None:
+            return
+        self._topics_bytes += len(content)
+        if self._topics_bytes > self._limits.topics_bytes:
+            raise DamagedError(f"its topics take more than {self._limits.topics_bytes:,} bytes")
+        if isinstance(record, Metadata):
+            if record.name == CUSTOM_DATA_RECORD:
+                self.custom_data.update(record.metadata)
+            return
+        known = cast("dict[int, Schema | Channel]", self.schemas if isinstance(record, Schema) else self.channels)
+        if known.setdefault(record.id, record) != record:
+            raise DamagedError(f"it has two {type(record).__name__.lower()}s with the number {record.id}")
+
+    def _scan(self) -> None:
+        """Find topics and chunks where there is no summary."""
+        counts: Counter[int] = Counter()
+        first, last = list[int](), list[int]()
+        self.schemas, self.channels, self.chunks, self._topics_bytes = {}, {}, ChunkTable(), 0
+        for opcode, content in self.data_section():
+            if opcode == Opcode.MESSAGE:
+                self.loose = True
+                channel, _, time, _ = message_head(content)
+                counts[channel] += 1
+                first, last = [min([*first, time])], [max([*last, time])]
+            elif opcode == Opcode.CHUNK:
+                head, inside = chunk_head(content), decompress(content, self._limits.chunk_bytes)
+                for kind, at, length in records_in(inside):
+                    if kind != Opcode.MESSAGE:
+                        self._add_topic(kind, inside[at : at + length])
+                channels, times, _ = index_messages(inside, _ALL, head.start, head.end)
+                length = RECORD.size + len(content)
+                offset = self._stream.tell() - length
+                found = self._same(frozenset(channels)) if times else frozenset()
+                self.chunks.add(head.start, head.end, offset, length, head.size, found)
+                counts.update(channels)
+                if times:
+                    first, last = [min([*first, *times])], [max([*last, *times])]
+            else:
+                self._add_topic(opcode, content)
+        if self.loose and len(self.chunks):
+            raise DamagedError("it has messages in chunks and outside of them, and no summary")
+        if not counts.keys() <= self.channels.keys():
+            raise DamagedError("it has a message of an unknown channel")
+        self.counts, self.start, self.end = dict(counts), *(first or [0]), *(last or [0])
+
+    def data_section(self) -> Iterator[tuple[int, bytes]]:
+        """Yield all records before the summary; what is not needed, empty."""
+        self._stream.seek(0)
+        crc = zlib.crc32(self._stream.read(self._data_at))
+        position = self._data_at
+        while position + RECORD.size <= self._summary_at:
+            head = read_exactly(self._stream, RECORD.size, RECORD.size)
+            opcode, length = RECORD.unpack(head)
+            if position + RECORD.size + length > self._summary_at:
+                raise DamagedError("a record reaches beyond its part of the file")
+            if opcode == Opcode.DATA_END:
+                said = int.from_bytes(self._stream.read(4), "little")
+                if said and said != crc:
+                    raise DamagedError("the checksum of its data is wrong")
+                return
+            crc = zlib.crc32(head, crc)
+            content = b""
+            if opcode in (Opcode.CHUNK, Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA):
+                content = read_exactly(self._stream, length, self._limits.chunk_bytes + READ_AT_ONCE)
+                crc = zlib.crc32(content, crc)
+            else:
+                for size in _pieces(length):
+                    crc = zlib.crc32(read_exactly(self._stream, size, READ_AT_ONCE), crc)
+            position = self._stream.tell()
+            yield opcode, content
+        raise DamagedError("the end of its data is missing")
+
+
+def _pieces(size: int) -> Iterator[int]:
+    while size:
+        yield min(size, READ_AT_ONCE)
+        size -= min(size, READ_AT_ONCE)

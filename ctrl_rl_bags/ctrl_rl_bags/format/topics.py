@@ -1,0 +1,44 @@
+"""Topics as the files of a bag describe them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from mcap.records import Channel, Schema
+from rosbags.rosbag2.metadata import dump_qos_v9, parse_qos
+
+from ctrl_rl_bags.format.checks import DamagedError, parse_yaml
+from ctrl_rl_bags.format.metadata import Qos, Topic
+
+
+def mcap_topic(channel: Channel, schema: Schema | None) -> Topic:
+    """Return the topic of an MCAP channel; its type is empty without a schema.
+
+    Raises:
+        DamagedError: The message definition is no text.
+    """
+    schema = schema or Schema(id=0, data=b"", encoding="", name="")
+    try:
+        definition = schema.data.decode()
+    except UnicodeDecodeError:
+        raise DamagedError("a message definition is no text") from None
+    return Topic(
+        name=channel.topic,
+        type=schema.name,
+        definition=definition,
+        type_hash=channel.metadata.get("topic_type_hash", ""),
+        qos=parsed_qos(channel.metadata.get("offered_qos_profiles", "")),
+        encoding=schema.encoding,
+    )
+
+
+def parsed_qos(profiles: Any) -> tuple[Qos, ...]:
+    """Return the QoS profiles that publishers offered, in the words of metadata version 9; none if they make no sense.
+
+    Args:
+        profiles: YAML text, or its content.
+    """
+    try:
+        return tuple(dump_qos_v9(parse_qos(parse_yaml(profiles) if isinstance(profiles, str) else profiles)))
+    except Exception:  # what a bag says of quality of service is not worth a bag that cannot be read
+        return ()
