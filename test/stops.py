@@ -24,7 +24,7 @@ from ctrl_rl_core.errors import CtrlRlError
 from ctrl_rl_core.geometry.shapes import Box, Disc, Shape
 from ctrl_rl_core.tasks.outcome import Outcome
 from ctrl_rl_core.tasks.task import load_navigation_task
-from koopman_lqr_controller.policies.edmd_policy import DrivingPolicy
+from koopman_lqr_controller.policies.edmd_policy import KoopmanPolicy
 from koopman_lqr_controller.policies.policy_file import find_policy, load_policy
 from koopman_lqr_controller.safety.guards import Guard
 from sim_bridge.simulation.lidar import LidarScan
@@ -131,7 +131,7 @@ FAULT_BEGINS = 25
 """Scans before the lidar breaks."""
 
 
-def episode(policy: DrivingPolicy, scene: Scene, seed: int, bare: bool, largest_distance: float, tally: Tally) -> None:
+def episode(policy: KoopmanPolicy, scene: Scene, seed: int, bare: bool, largest_distance: float, tally: Tally) -> None:
     """Drive one start to its end."""
     world = SimulatedWorld(TASK, seed=seed, options=scene.options)
     random = np.random.default_rng((seed, 7))
@@ -143,7 +143,7 @@ def episode(policy: DrivingPolicy, scene: Scene, seed: int, bare: bool, largest_
             shape = scene.obstacle(path.pose(s), random)
             world._physics.add_fixed((shape,), "xy")
         safety = None if bare else new_safety()
-        guard = Guard(policy.region, largest_distance, 1.0, 1.0)
+        guard = Guard(policy.distribution, largest_distance, 1.0, 1.0)
         if not bare:
             guard.set_retries(3.0, 5)
         seen: list[LidarScan] = []
@@ -201,7 +201,7 @@ def new_safety() -> DriveSafety:
 
 
 def decide(
-    policy: DrivingPolicy,
+    policy: KoopmanPolicy,
     guard: Guard,
     safety: DriveSafety | None,
     scan: LidarScan,
@@ -220,11 +220,11 @@ def decide(
                 return stand, safety.fault, None, 0.0
         decision = policy.decide(scan.ranges, geometry, *motion)
         error = math.nan if predicted is None else float(np.linalg.norm(decision.z - predicted))
-        why = guard.see(0.2 * step, decision.z, error)
-        command = stand if why else guard.pace * decision.command
+        why = guard.update(0.2 * step, decision.z, error)
+        command = stand if why else guard.speed_scale * decision.command
         if safety is not None and not why:
             command, why = safety.limit(command, motion[0], 0.0)
-        return command, why, policy.predict(decision.z, command), guard.outside
+        return command, why, policy.predict(decision.z, command), guard.distance
     except CtrlRlError as error:
         return stand, str(error), None, 0.0
 

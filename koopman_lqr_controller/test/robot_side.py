@@ -12,7 +12,7 @@ from geometry_msgs.msg import Twist, TwistStamped
 from koopman_lqr_controller.control.latent_controller import LatentController
 from koopman_lqr_controller.models.edmd import LinearModel
 from koopman_lqr_controller.models.encoder import Dense, Encoder
-from koopman_lqr_controller.policies.latent_policy import LatentPolicy, LidarWiring
+from koopman_lqr_controller.policies.latent_policy import LatentPolicy, RobotInterface
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from sensor_msgs.msg import LaserScan
@@ -104,10 +104,10 @@ def ask(robot: Robot, ranges: np.ndarray, nanoseconds: int) -> TwistStamped:
     return answer
 
 
-def a_policy(observations: int, wiring: LidarWiring | None) -> LatentPolicy:
+def a_policy(observations: int, robot_interface: RobotInterface | None) -> LatentPolicy:
     weight = np.random.default_rng(0).normal(size=(3, observations)).astype(np.float32)
     zeros = np.zeros(1, np.float32)
     encoder = Encoder((Dense(weight, np.zeros(3, np.float32), False),), (observations,), zeros, zeros + 1)
     model = LinearModel(0.9 * np.eye(3), np.ones((3, 2)))
     controller = LatentController(encoder, model, np.ones(3), np.ones(2), np.zeros(3))
-    return LatentPolicy(controller, 0.1, wiring, {"task": "cheetah_run"})
+    return LatentPolicy(controller, 0.1, robot_interface, {"task": "cheetah_run"})

@@ -8,7 +8,7 @@ import pytest
 from koopman_lqr_controller.cli.compare import compare, comparison_figures
 from koopman_lqr_controller.cli.learn import learn
 from koopman_lqr_controller.policies.policy_file import load_policy
-from koopman_lqr_controller.training.environments.problems import find_problem
+from koopman_lqr_controller.training.environments.benchmark_tasks import find_task
 from koopman_lqr_controller.training.experiments.comparison_results import collect_comparison
 from koopman_lqr_controller.training.experiments.comparisons import COMPARISONS
 from koopman_lqr_controller.training.experiments.methods import LEARNERS, METHODS
@@ -22,7 +22,7 @@ def test_a_comparison_names_only_what_there_is(name: str) -> None:
     comparison = COMPARISONS[name]
     for task in comparison.tasks:
         for method in comparison.methods:
-            find_problem(task).with_settings(**dict(METHODS[method].changes))
+            find_task(task).with_settings(**dict(METHODS[method].changes))
             assert METHODS[method].learner in LEARNERS
     assert {task for task, _ in comparison.thesis} <= set(comparison.tasks)
     assert {method for _, method in comparison.thesis} <= set(comparison.methods)

@@ -7,17 +7,24 @@ import pytest
 from koopman_lqr_controller.data.roll_outs import evaluate, noisy_roll_outs, projected
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.models.prediction import horizon_errors
-from koopman_lqr_controller.training.consolidation.consolidation import Plan, _surely_lost, consolidate, proof
-from koopman_lqr_controller.training.consolidation.distillation import DistillationSettings, Distilled
+from koopman_lqr_controller.training.consolidation.consolidation import (
+    ConsolidationConfig,
+    _surely_lost,
+    consolidate,
+    proof,
+)
+from koopman_lqr_controller.training.consolidation.distillation import DistillationSettings, DistilledPolicy
 from line import Line, learnt_controller
 
 QUICK = DistillationSettings(hidden=64, updates=600, batch=128)
-PLAN = Plan(episodes=10, noise=0.3, scout=3, sizes=(2, 3), candidates=5, report=10, distillation=QUICK)
+CONFIG = ConsolidationConfig(
+    episodes=10, noise=0.3, exploratory_latent=3, sizes=(2, 3), candidates=5, report=10, distillation=QUICK
+)
 
 
 @pytest.fixture(scope="module")
 def consolidated():
-    return consolidate(learnt_controller(), Line(), PLAN)
+    return consolidate(learnt_controller(), Line(), CONFIG)
 
 
 def test_it_keeps_the_return_and_says_both(consolidated) -> None:
@@ -51,7 +58,7 @@ def test_its_model_predicts(consolidated) -> None:
 
 
 def test_without_a_goal_it_stands_in_the_middle_of_what_is_met() -> None:
-    found = consolidate(learnt_controller(), Line(), PLAN, goal=False)
+    found = consolidate(learnt_controller(), Line(), CONFIG, goal=False)
     before, after = (float(np.mean(x["returns"])) for x in (found.figures["learnt"], found.figures))
     assert after >= 0.95 * before
     assert found.figures["spectral_radius"] < 1.0
@@ -69,7 +76,7 @@ def test_without_a_goal_it_stands_in_the_middle_of_what_is_met() -> None:
 
 def test_what_is_consolidated_is_not_consolidated_again(consolidated) -> None:
     with pytest.raises(KoopmanError, match="the regulator of its own model already"):
-        consolidate(consolidated.controller, Line(), PLAN)
+        consolidate(consolidated.controller, Line(), CONFIG)
 
 
 def test_it_says_what_it_was_chosen_by_and_what_it_met(consolidated) -> None:
@@ -78,7 +85,7 @@ def test_it_says_what_it_was_chosen_by_and_what_it_met(consolidated) -> None:
     assert len(figures["horizon_errors"]) == 10
     assert figures["horizon_errors"][0] == figures["error_over_persistence"]
     tried = figures["candidates"]
-    assert all(row["latent"] >= figures["latent"] for row in tried if row["error_over_persistence"] < PLAN.error)
+    assert all(row["latent"] >= figures["latent"] for row in tried if row["error_over_persistence"] < CONFIG.error)
     assert [row["latent"] for row in tried[:2]] == [3, 3], "make the mistakes that are learnt from"
     # 10 episodes in each of 3 rounds, 5 of the learnt policy and of each candidate, 60 steps each.
     assert figures["interaction"]["episodes"] == 30 + 5 * (1 + len(tried))
@@ -93,22 +100,22 @@ def test_a_return_is_kept_only_where_it_surely_is() -> None:
 
 
 def test_what_is_missed_is_said() -> None:
-    small = Plan(episodes=10, noise=0.3, rounds=1, sizes=(3,), candidates=2, report=2)
-    plan = replace(small, error=0.0, distillation=QUICK, thorough=replace(QUICK, updates=300))
-    assert consolidate(learnt_controller(), Line(), plan).figures["meets"]["error"] is False
+    small = ConsolidationConfig(episodes=10, noise=0.3, rounds=1, sizes=(3,), candidates=2, report=2)
+    config = replace(small, error=0.0, distillation=QUICK, thorough=replace(QUICK, updates=300))
+    assert consolidate(learnt_controller(), Line(), config).figures["meets"]["error"] is False
 
 
 def test_where_the_usual_falls_short_the_larger_half_is_trained_more_thoroughly() -> None:
     hasty, many = replace(QUICK, updates=5), replace(QUICK, updates=1500)
-    plan = replace(PLAN, rounds=1, sizes=(2, 3), hopeless=0.0, distillation=hasty, thorough=many)
-    figures = consolidate(learnt_controller(), Line(), plan).figures
+    config = replace(CONFIG, rounds=1, sizes=(2, 3), max_return_loss=0.0, distillation=hasty, thorough=many)
+    figures = consolidate(learnt_controller(), Line(), config).figures
     assert [(row["latent"], row["updates"]) for row in figures["candidates"]] == [(2, 5), (3, 5), (3, 1500)]
     assert figures["meets"] == {"return": True, "error": True}
 
 
 def test_the_reported_error_is_of_episodes_that_nothing_was_chosen_by(consolidated) -> None:
     chosen = consolidated.controller
-    noises = np.linspace(0.0, PLAN.noise, 5).tolist()
+    noises = np.linspace(0.0, CONFIG.noise, 5).tolist()
     fresh = noisy_roll_outs(chosen, Line(), noises, 6_001_000)
     behind = replace(chosen.encoder, layers=chosen.encoder.layers[1:], shape=(8,), middle=np.zeros(8), unit=np.ones(8))
     for episode in noisy_roll_outs(learnt_controller(), Line(), noises, 6_000_000):
@@ -119,7 +126,7 @@ def test_the_reported_error_is_of_episodes_that_nothing_was_chosen_by(consolidat
 
 def test_the_same_seed_gives_the_same_and_what_takes_long_is_told(consolidated) -> None:
     told: list[str] = []
-    again = consolidate(learnt_controller(), Line(), PLAN, tick=told.append)
+    again = consolidate(learnt_controller(), Line(), CONFIG, on_progress=told.append)
     assert told[:2] == ["the learnt policy", "10 episodes"]
     assert sum("dimensions" in each for each in told) == len(again.figures["candidates"])
     assert told[-3:] == ["the model's error", "10 fresh episodes", "10 fresh episodes"]
@@ -130,11 +137,11 @@ def test_the_same_seed_gives_the_same_and_what_takes_long_is_told(consolidated) 
 def test_a_learnt_controller_is_no_proof_of_itself() -> None:
     learnt = learnt_controller()
     with pytest.raises(KoopmanError, match="not the regulator of its own model"):
-        proof(Distilled(learnt.encoder, learnt.encoder, learnt), [])
+        proof(DistilledPolicy(learnt.encoder, learnt.encoder, learnt), [])
 
 
 def test_the_sizes_are_those_that_were_asked_for() -> None:
-    plan = Plan(
+    config = ConsolidationConfig(
         episodes=10, noise=0.3, sizes=(5,), candidates=2, report=2, rounds=1, distillation=QUICK, thorough=QUICK
     )
-    assert len(consolidate(learnt_controller(), Line(), plan).controller.Q) == 5
+    assert len(consolidate(learnt_controller(), Line(), config).controller.Q) == 5

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from koopman_lqr_controller.policies.latent_policy import LatentPolicy, LidarWiring
+from koopman_lqr_controller.policies.latent_policy import LatentPolicy, RobotInterface
 from koopman_lqr_controller.policies.policy_file import DEFAULT_POLICY, find_policy, load_policy, save_policy
-from koopman_lqr_controller.safety.latent_distribution import Region
+from koopman_lqr_controller.safety.latent_distribution import LatentDistribution
 from koopman_lqr_controller.sensing.lidar import ScanGeometry
 from koopman_lqr_controller.sensing.lidar_observation import LidarObservation
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
@@ -20,13 +20,13 @@ from robot_side import Robot, a_policy, ask, corridor
 from safetensors.numpy import save_file
 
 OBSERVATION = LidarObservation(count=12)
-WIRING = LidarWiring(OBSERVATION, np.array([0.0, -1.5]), np.array([0.22, 1.5]))
+ROBOT = RobotInterface(OBSERVATION, np.array([0.0, -1.5]), np.array([0.22, 1.5]))
 SECOND = 1_000_000_000
-ANYWHERE = Region(np.zeros(3), np.eye(3), 1e3, 1e3)
+ANYWHERE = LatentDistribution(np.zeros(3), np.eye(3), 1e3, 1e3)
 
 
-def learnt(path: Path, region: Region | None) -> LatentPolicy:
-    policy = replace(a_policy(len(OBSERVATION.names), WIRING), region=region)
+def learnt(path: Path, distribution: LatentDistribution | None) -> LatentPolicy:
+    policy = replace(a_policy(len(OBSERVATION.names), ROBOT), distribution=distribution)
     save_policy(policy, path)
     return policy
 
@@ -82,8 +82,8 @@ def test_outside_what_training_saw_it_stops_says_so_and_recovers(
     file = tmp_path / "policy.safetensors"
     policy = load_policy(find_policy("curved_corridor_edmd")) if kind == "edmd" else learnt(file, None)
     decisions = [policy.decide(*seen(corridor(offset)), 0.0, 0.0).z for offset in (0.0, 0.2)]
-    middle = Region(decisions[0], np.eye(len(decisions[0])), 0.3 * math.dist(*decisions), 1e3)
-    save_policy(replace(policy, region=middle), file, overwrite=True)
+    middle = LatentDistribution(decisions[0], np.eye(len(decisions[0])), 0.3 * math.dist(*decisions), 1e3)
+    save_policy(replace(policy, distribution=middle), file, overwrite=True)
     run_node("koopman_lqr_controller", "controller", f"policy:={file}", "scan_timeout:=5.0")
     robot.wait_for_controller()
     moves = []
@@ -115,7 +115,7 @@ def test_a_prediction_error_that_stays_high_stops_it_until_the_world_is_as_predi
     still = replace(
         policy.controller, model=replace(policy.controller.model, A=0.999 * np.eye(3), B=1e-3 * np.ones((3, 2)))
     )
-    save_policy(replace(policy, controller=still, region=replace(ANYWHERE, error=0.2)), file, overwrite=True)
+    save_policy(replace(policy, controller=still, distribution=replace(ANYWHERE, error=0.2)), file, overwrite=True)
     run_node("koopman_lqr_controller", "controller", f"policy:={file}", "error_patience:=0.35", "scan_timeout:=5.0")
     robot.wait_for_controller()
     offsets = [0.0, 0.2] * 4 + [0.1] * 9

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from ctrl_rl_core.ros.node import to_stamp
-from koopman_lqr_controller.policies.latent_policy import LidarWiring
+from koopman_lqr_controller.policies.latent_policy import RobotInterface
 from koopman_lqr_controller.policies.policy_file import save_policy
 from koopman_lqr_controller.sensing.lidar_observation import LidarObservation
 from nav_msgs.msg import Odometry
@@ -103,8 +103,8 @@ def test_a_prediction_is_held_against_the_scan_that_it_was_made_for(
 ) -> None:
     """Neither across a halt, nor a scan that comes at another time than the model's step."""
     observation = LidarObservation(count=12)
-    wiring = LidarWiring(observation, np.array([0.0, -1.5]), np.array([0.22, 1.5]))
-    save_policy(a_policy(len(observation.names), wiring), tmp_path / "corridor.safetensors")
+    robot_interface = RobotInterface(observation, np.array([0.0, -1.5]), np.array([0.22, 1.5]))
+    save_policy(a_policy(len(observation.names), robot_interface), tmp_path / "corridor.safetensors")
     policy = f"policy:={tmp_path / 'corridor.safetensors'}"
     run_node("koopman_lqr_controller", "controller", policy, "scan_timeout:=5.0")
     robot.wait_for_controller()

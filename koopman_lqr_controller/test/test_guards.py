@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from koopman_lqr_controller.safety.guards import CREEP, FORGET, RELEASE, Alarm, Guard, Retries
-from koopman_lqr_controller.safety.latent_distribution import Region
+from koopman_lqr_controller.safety.guards import FORGET_SECONDS, RELEASE, RETRY_SCALE, Alarm, Guard, Retries
+from koopman_lqr_controller.safety.latent_distribution import LatentDistribution
 
-REGION = Region(np.zeros(2), np.eye(2), distance=3.0, error=0.5)
+REGION = LatentDistribution(np.zeros(2), np.eye(2), distance=3.0, error=0.5)
 INSIDE, OUTSIDE = np.zeros(2), np.array([4.0, 0.0])
 
 
 def raised(alarm: Alarm, values: list[float], step: float = 0.2) -> list[bool]:
-    return [alarm.see(index * step, value) for index, value in enumerate(values)]
+    return [alarm.update(index * step, value) for index, value in enumerate(values)]
 
 
 def test_without_patience_it_rises_at_once_and_ends_well_below_its_limit() -> None:
@@ -33,11 +33,11 @@ def test_what_is_high_only_now_and_then_does_not_raise_it() -> None:
 
 def test_an_alarm_stays_when_another_limit_changes() -> None:
     guard = Guard(REGION, 2.0, 1.0, 0.0)
-    assert "prediction error" in guard.see(0.0, INSIDE, 0.6)
+    assert "prediction error" in guard.update(0.0, INSIDE, 0.6)
     guard.set_limits(3.0, 1.0, 0.0)
-    assert "prediction error" in guard.see(0.2, INSIDE, 0.45), "not well below its limit"
+    assert "prediction error" in guard.update(0.2, INSIDE, 0.45), "not well below its limit"
     guard.set_limits(3.0, 2.0, 0.0)
-    assert guard.see(0.4, INSIDE, 0.45) == ""
+    assert guard.update(0.4, INSIDE, 0.45) == ""
 
 
 def test_no_value_is_no_news() -> None:
@@ -46,28 +46,28 @@ def test_no_value_is_no_news() -> None:
 
 def test_values_that_are_far_apart_do_not_stay_high() -> None:
     alarm = Alarm(1.0, 1.0)
-    assert not any(alarm.see(now, 2.0) for now in (0.0, 60.0, 120.0, 120.8))
-    assert alarm.see(121.2, 2.0)
+    assert not any(alarm.update(now, 2.0) for now in (0.0, 60.0, 120.0, 120.8))
+    assert alarm.update(121.2, 2.0)
 
 
 def test_what_cannot_be_watched_any_more_ends_its_alarm() -> None:
     guard = Guard(REGION, 2.0, 1.0, 0.0)
-    assert "prediction error" in guard.see(0.0, INSIDE, 0.6)
-    assert "prediction error" in guard.see(0.2, INSIDE, math.nan)
-    guard.cannot_predict()
-    assert guard.see(0.4, INSIDE, math.nan) == ""
+    assert "prediction error" in guard.update(0.0, INSIDE, 0.6)
+    assert "prediction error" in guard.update(0.2, INSIDE, math.nan)
+    guard.reset_prediction_alarm()
+    assert guard.update(0.4, INSIDE, math.nan) == ""
 
 
 def test_a_clock_that_is_set_back_begins_anew() -> None:
     alarm = Alarm(1.0, 0.5)
-    assert [alarm.see(now, 2.0) for now in (10.0, 10.4, 0.0, 0.4, 0.6)] == [False, False, False, False, True]
+    assert [alarm.update(now, 2.0) for now in (10.0, 10.4, 0.0, 0.4, 0.6)] == [False, False, False, False, True]
 
 
 @given(st.lists(st.floats(0.0, 3.0), max_size=50), st.floats(0.0, 2.0))
 def test_it_changes_only_beyond_its_limits(values: list[float], patience: float) -> None:
     alarm, before = Alarm(1.0, patience), False
     for index, value in enumerate(values):
-        now = alarm.see(0.2 * index, value)
+        now = alarm.update(0.2 * index, value)
         assert now == before or (value > 1.0 if now else value < RELEASE)
         before = now
 
@@ -78,24 +78,24 @@ def test_a_limit_of_zero_is_none() -> None:
 
 def test_a_latent_outside_stops_the_robot_and_one_inside_lets_it_go() -> None:
     guard = Guard(REGION, 1.0, 1.0, 1.0)
-    assert guard.see(0.0, INSIDE, 0.0) == ""
-    assert "left the region" in guard.see(0.2, OUTSIDE, 0.0)
-    assert guard.outside == pytest.approx(4.0 / 3.0)
-    assert "left the region" in guard.see(0.4, np.array([2.9, 0.0]), 0.0)
-    assert guard.see(0.6, INSIDE, 0.0) == ""
+    assert guard.update(0.0, INSIDE, 0.0) == ""
+    assert "left the region" in guard.update(0.2, OUTSIDE, 0.0)
+    assert guard.distance == pytest.approx(4.0 / 3.0)
+    assert "left the region" in guard.update(0.4, np.array([2.9, 0.0]), 0.0)
+    assert guard.update(0.6, INSIDE, 0.0) == ""
 
 
 def test_an_error_that_stays_high_stops_the_robot() -> None:
     guard = Guard(REGION, 1.0, 1.0, 0.5)
-    answers = [guard.see(0.2 * index, INSIDE, 0.6) for index in range(5)]
+    answers = [guard.update(0.2 * index, INSIDE, 0.6) for index in range(5)]
     assert [bool(answer) for answer in answers] == [False, False, False, True, True]
     assert "prediction error" in answers[-1]
 
 
 @pytest.mark.parametrize("off", [Guard(REGION, 0.0, 0.0, 0.0), Guard(None, 1.0, 1.0, 0.0)])
 def test_guards_can_be_turned_off_and_are_off_where_nothing_is_known(off: Guard) -> None:
-    assert [off.see(0.2 * index, OUTSIDE, 9.0) for index in range(5)] == [""] * 5
-    assert math.isnan(off.outside) == (off.region is None)
+    assert [off.update(0.2 * index, OUTSIDE, 9.0) for index in range(5)] == [""] * 5
+    assert math.isnan(off.distance) == (off.distribution is None)
 
 
 def paces(retries: Retries, alarms: dict[int, bool], seconds: int) -> list[float]:
@@ -103,7 +103,7 @@ def paces(retries: Retries, alarms: dict[int, bool], seconds: int) -> list[float
     out, alarm = [], False
     for now in range(seconds):
         alarm = alarms.get(now, alarm)
-        out.append(retries.see(float(now), alarm))
+        out.append(retries.update(float(now), alarm))
     return out
 
 
@@ -112,8 +112,8 @@ def test_an_alarm_that_standing_cannot_end_is_tried_again_slowly_and_not_for_eve
     """Ten seconds of standing, then three of creeping, twice; then it stands for good."""
     seen = paces(Retries(wait=10.0, most=2), {0: True}, 100)
     assert seen[:10] == [0.0] * 10
-    assert seen[10:13] == [CREEP] * 3
-    assert sum(pace == CREEP for pace in seen) == 6
+    assert seen[10:13] == [RETRY_SCALE] * 3
+    assert sum(speed_scale == RETRY_SCALE for speed_scale in seen) == 6
     assert set(seen[26:]) == {0.0}, "bounded"
     assert set(paces(Retries(wait=0.0, most=0), {0: True}, 20)) == {0.0}
 
@@ -121,11 +121,11 @@ def test_an_alarm_that_standing_cannot_end_is_tried_again_slowly_and_not_for_eve
 @pytest.mark.fault
 def test_a_try_that_ends_the_alarm_drives_on_and_tries_come_back_when_all_was_well_for_long() -> None:
     retries = Retries(wait=2.0, most=1)
-    assert paces(retries, {0: True, 3: False}, 5) == [0.0, 0.0, CREEP, 1.0, 1.0]
-    assert retries.see(5.0, True) == 0.0
-    assert {retries.see(float(now), True) for now in range(6, 30)} == {0.0}, "used up"
-    assert {retries.see(float(now), False) for now in range(30, 30 + int(FORGET) + 1)} == {1.0}
-    assert [retries.see(50.0 + now, True) for now in range(3)] == [0.0, 0.0, CREEP]
+    assert paces(retries, {0: True, 3: False}, 5) == [0.0, 0.0, RETRY_SCALE, 1.0, 1.0]
+    assert retries.update(5.0, True) == 0.0
+    assert {retries.update(float(now), True) for now in range(6, 30)} == {0.0}, "used up"
+    assert {retries.update(float(now), False) for now in range(30, 30 + int(FORGET_SECONDS) + 1)} == {1.0}
+    assert [retries.update(50.0 + now, True) for now in range(3)] == [0.0, 0.0, RETRY_SCALE]
 
 
 @given(
@@ -140,7 +140,7 @@ def test_there_are_never_more_tries_than_allowed_whatever_the_clock_does(
     retries, now = Retries(wait, most), 0.0
     for step, alarm in steps:
         now += step
-        pace = retries.see(now, alarm)
+        speed_scale = retries.update(now, alarm)
         assert retries.used <= most
-        assert (pace == 1.0) == (not alarm)
-        assert pace in (0.0, CREEP, 1.0)
+        assert (speed_scale == 1.0) == (not alarm)
+        assert speed_scale in (0.0, RETRY_SCALE, 1.0)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from koopman_lqr_controller.control.inverse_lqr import Law, fit_costs, mismatch_and_gradient
+from koopman_lqr_controller.control.inverse_lqr import LinearLaw, fit_costs, mismatch_and_gradient
 from koopman_lqr_controller.control.riccati import solve_lqr
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.models.edmd import LinearModel
@@ -15,9 +15,9 @@ def some_model(random: np.random.Generator, n: int = 4, m: int = 2) -> LinearMod
     return LinearModel(A * 1.1 / np.abs(np.linalg.eigvals(A)).max(), random.normal(size=(n, m)))
 
 
-def law_of(K: np.ndarray, random: np.random.Generator) -> Law:
+def law_of(K: np.ndarray, random: np.random.Generator) -> LinearLaw:
     z = random.normal(size=(500, K.shape[1]))
-    return Law.seen(z, -z @ K.T, random.uniform(0.1, 1.0, 500))
+    return LinearLaw.from_samples(z, -z @ K.T, random.uniform(0.1, 1.0, 500))
 
 
 @settings(deadline=None, max_examples=20)

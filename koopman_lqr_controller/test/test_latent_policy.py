@@ -14,8 +14,8 @@ from koopman_lqr_controller.control.latent_controller import LatentController
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.models.edmd import LinearModel
 from koopman_lqr_controller.models.encoder import Dense, Encoder, LayerNorm
-from koopman_lqr_controller.policies.edmd_policy import DrivingPolicy
-from koopman_lqr_controller.policies.latent_policy import LatentPolicy, LidarWiring
+from koopman_lqr_controller.policies.edmd_policy import KoopmanPolicy
+from koopman_lqr_controller.policies.latent_policy import LatentPolicy, RobotInterface
 from koopman_lqr_controller.policies.policy_file import load_policy, save_policy
 from koopman_lqr_controller.sensing.lidar import ScanGeometry
 from koopman_lqr_controller.sensing.lidar_observation import LidarObservation
@@ -46,8 +46,8 @@ def some_controller(horizon: int | None = None, seed: int = 0, reduced: bool = F
 
 
 def some_policy(**given: object) -> LatentPolicy:
-    wiring = LidarWiring(OBSERVATION, np.array([0.0, -1.5]), np.array([0.22, 1.5]))
-    return LatentPolicy(some_controller(**given), 0.1, wiring, {"task": "curved_corridor", "command": "learn"})
+    robot_interface = RobotInterface(OBSERVATION, np.array([0.0, -1.5]), np.array([0.22, 1.5]))
+    return LatentPolicy(some_controller(**given), 0.1, robot_interface, {"task": "curved_corridor", "command": "learn"})
 
 
 def some_ranges(seed: int = 1) -> np.ndarray:
@@ -93,11 +93,13 @@ def test_the_cost_to_go_falls_by_the_cost_of_a_step_along_the_model(seed: int) -
 @pytest.mark.parametrize("horizon", [None, 5])
 def test_commands_stay_within_limits_and_predictions_follow_the_model(horizon: int | None) -> None:
     policy = some_policy(horizon=horizon)
-    driving: DrivingPolicy = policy
+    driving: KoopmanPolicy = policy
     decision = driving.decide(some_ranges(), SCAN, 0.1, 0.3)
     assert (decision.command >= [0.0, -1.5]).all()
     assert (decision.command <= [0.22, 1.5]).all()
-    action = (decision.command - policy.wiring.u_low) / (policy.wiring.u_high - policy.wiring.u_low) * 2 - 1
+    action = (decision.command - policy.robot_interface.u_low) / (
+        policy.robot_interface.u_high - policy.robot_interface.u_low
+    ) * 2 - 1
     expected = policy.controller.predict(decision.z, action)
     assert driving.predict(decision.z, decision.command) == pytest.approx(expected)
     assert driving.cost_to_go(decision.z) >= 0.0
@@ -112,13 +114,13 @@ def test_a_decision_is_what_the_controller_does_step_by_step(given: dict[str, ob
         encoder, projection = replace(policy.controller.encoder, inclusive=True), policy.controller.projection
         first = np.eye(20)[14:] if projection is None else np.pad(projection, ((0, 0), (14, 0)))
         policy = replace(policy, controller=replace(policy.controller, encoder=encoder, projection=first))
-    wiring, controller, ranges = policy.wired, policy.controller, some_ranges()
-    z = controller.latent(wiring.observation.observe(ranges, SCAN, 0.1, 0.3))
+    robot_interface, controller, ranges = policy.required_interface, policy.controller, some_ranges()
+    z = controller.latent(robot_interface.observation.observe(ranges, SCAN, 0.1, 0.3))
     u = controller.control(z)
     decision = policy.decide(ranges, SCAN, 0.1, 0.3)
     assert decision.z == pytest.approx(z, rel=1e-3, abs=1e-4)
-    assert decision.control == pytest.approx(wiring.command(u), rel=1e-3, abs=1e-3)
-    assert decision.command == pytest.approx(wiring.command(controller.saturate(u)), abs=1e-3)
+    assert decision.control == pytest.approx(robot_interface.command(u), rel=1e-3, abs=1e-3)
+    assert decision.command == pytest.approx(robot_interface.command(controller.saturate(u)), abs=1e-3)
 
 
 @pytest.mark.parametrize("given", [{}, {"horizon": 5}, {"reduced": True}])
@@ -206,11 +208,11 @@ def test_a_time_step_that_is_none_is_refused(dt: float) -> None:
 
 
 def test_a_wiring_that_does_not_fit_is_named() -> None:
-    wiring = LidarWiring(LidarObservation(count=36), np.zeros(2), np.ones(2))
+    robot_interface = RobotInterface(LidarObservation(count=36), np.zeros(2), np.ones(2))
     with pytest.raises(KoopmanError, match=r"the robot gives \(38,\)"):
-        LatentPolicy(some_controller(), 0.1, wiring)
+        LatentPolicy(some_controller(), 0.1, robot_interface)
     with pytest.raises(KoopmanError, match="u_low below u_high"):
-        LidarWiring(OBSERVATION, np.zeros(2), np.zeros(2))
+        RobotInterface(OBSERVATION, np.zeros(2), np.zeros(2))
 
 
 def test_a_file_that_lacks_something_gives_one_clear_error(tmp_path: Path) -> None:

@@ -19,13 +19,13 @@ from ctrl_rl_training.experiments.trainer import train
 from koopman_lqr_controller.data.roll_outs import evaluate
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.policies.policy_file import load_policy
-from koopman_lqr_controller.training.agents.actor import Interface
+from koopman_lqr_controller.training.agents.actor import AgentInterface
 from koopman_lqr_controller.training.agents.agent import Agent
 from koopman_lqr_controller.training.consolidation.consolidation import REPORT_SEED
-from koopman_lqr_controller.training.environments.problems import PROBLEMS
+from koopman_lqr_controller.training.environments.benchmark_tasks import BENCHMARK_TASKS
 from koopman_lqr_controller.training.experiments.runs import LearningRun
 from koopman_lqr_controller.training.experiments.trainer import POLICY_FILE
-from koopman_lqr_controller.training.networks.encoder_losses import Seen
+from koopman_lqr_controller.training.networks.encoder_losses import EncoderBatch
 from koopman_lqr_controller.training.replay import Transitions
 from koopman_lqr_controller.training.settings import Settings
 
@@ -152,7 +152,7 @@ def test_what_is_learnt_is_what_is_evaluated_and_says_where_it_comes_from(tmp_pa
     assert policy.manifest["command"] == RUN.command
     assert policy.manifest["task_digest"] == RUN.problem.digest
     assert policy.manifest["settings"]["latent"] == 6
-    assert policy.region.mean.shape == (6,), "what learning saw"
+    assert policy.distribution.mean.shape == (6,), "what learning saw"
     environment = RUN.problem.make(False)
     assert [episode.total for episode in evaluate(policy.controller, environment, 2, REPORT_SEED)] == result["returns"]
     assert evaluate(policy.controller, environment, 1, 1_000_000)[0].total == result["best"]["return"]
@@ -187,7 +187,7 @@ def test_what_it_took_is_counted(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("cut", [False, True])
 def test_learning_ends_with_its_episodes(cut: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(PROBLEMS, RUN.problem_name, replace(PROBLEMS[RUN.problem_name], episodes=2))
+    monkeypatch.setitem(BENCHMARK_TASKS, RUN.problem_name, replace(BENCHMARK_TASKS[RUN.problem_name], episodes=2))
     longer = RunOptions(tmp_path, 3, 150, 1, 2)
     if cut:
         with pytest.raises(CutOffError):
@@ -198,8 +198,8 @@ def test_learning_ends_with_its_episodes(cut: bool, tmp_path: Path, monkeypatch:
 
 
 def test_a_chunk_may_end_with_its_episodes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    problem = replace(PROBLEMS[RUN.problem_name], chunk_episodes=1, episodes=3)
-    monkeypatch.setitem(PROBLEMS, RUN.problem_name, problem)
+    problem = replace(BENCHMARK_TASKS[RUN.problem_name], chunk_episodes=1, episodes=3)
+    monkeypatch.setitem(BENCHMARK_TASKS, RUN.problem_name, problem)
     result = train(RUN, RunOptions(tmp_path, 4, 300, 1, 2))
     assert [(point["actions"], point["episodes"]) for point in result["curve"]] == [(125, 1), (250, 2), (375, 3)]
 
@@ -215,7 +215,7 @@ def test_updates_may_be_many_or_few(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 
 def test_learning_ends_when_nothing_gets_better(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(PROBLEMS, RUN.problem_name, replace(PROBLEMS[RUN.problem_name], patience=1))
+    monkeypatch.setitem(BENCHMARK_TASKS, RUN.problem_name, replace(BENCHMARK_TASKS[RUN.problem_name], patience=1))
     result = train(RUN, options(tmp_path, 12))
     ends = [point["actions"] for point in result["curve"]]
     assert len(ends) < 12
@@ -235,7 +235,7 @@ def test_a_broken_checkpoint_is_named(tmp_path: Path) -> None:
 def some_agent(shape: tuple[int, ...] = (3,), **changes: object) -> tuple[Agent, Transitions]:
     settings = Settings(**{"hidden": 16, "latent": 5, "batch": 32, **changes})
     goal = None if len(shape) > 1 else np.array([0.0, 1.0, 0.0], np.float32)
-    interface = Interface(shape, 2, np.zeros((), np.float32), np.ones((), np.float32), goal)
+    interface = AgentInterface(shape, 2, np.zeros((), np.float32), np.ones((), np.float32), goal)
     random = np.random.default_rng(0)
     x, x_next = random.normal(size=(2, 32, *shape)).astype(np.float32)
     u, reward = random.uniform(-1, 1, (32, 2)).astype(np.float32), random.normal(size=32).astype(np.float32)
@@ -262,7 +262,7 @@ def test_each_loss_moves_what_it_should_and_nothing_else(encoder_loss: str) -> N
         return {"critic": agent._critic_loss(agent.actor.encoder(x), u, reward, x_next, end, generator)[0]}
 
     def encoder() -> dict[str, torch.Tensor]:
-        seen = Seen(x, x, u, x_next, agent.key_encoder, agent.lqr)
+        seen = EncoderBatch(x, x, u, x_next, agent.key_encoder, agent.lqr)
         return {"encoder": agent.encoder_loss(agent.actor.encoder(x), seen)}
 
     z = agent.actor.encoder(x).detach()
@@ -339,7 +339,7 @@ def test_learning_needs_no_other_library_of_learning() -> None:
 def test_the_encoder_of_images_hears_its_own_loss_beside_values_that_are_large() -> None:
     settings = Settings(latent=8, hidden=16, depth=2, crop=20, batch=32, learning_rate=1e-3)
     grey = np.array(127.5, np.float32)
-    agent = Agent(Interface((3, 24, 24), 1, grey, grey, None), settings, seed=0)
+    agent = Agent(AgentInterface((3, 24, 24), 1, grey, grey, None), settings, seed=0)
     random, generator = np.random.default_rng(0), torch.Generator().manual_seed(0)
     pictures = random.integers(0, 255, (32, 3, 6, 6)).repeat(4, axis=2).repeat(4, axis=3).astype(np.uint8)
     batch = Transitions(
@@ -352,7 +352,7 @@ def test_the_encoder_of_images_hears_its_own_loss_beside_values_that_are_large()
 
     def contrast() -> float:
         x = torch.from_numpy(pictures)
-        seen = Seen(x, x, torch.from_numpy(batch.u), x, agent.key_encoder, agent.lqr)
+        seen = EncoderBatch(x, x, torch.from_numpy(batch.u), x, agent.key_encoder, agent.lqr)
         with torch.no_grad():
             return float(agent.encoder_loss(agent.actor.encoder(x), seen))
 

@@ -8,13 +8,13 @@ import pytest
 from koopman_lqr_controller.cli.offline import evaluate, fit, learn_offline
 from koopman_lqr_controller.cli.train import main as train
 from koopman_lqr_controller.control.latent_controller import LatentController
-from koopman_lqr_controller.data.drives import Drive
+from koopman_lqr_controller.data.trajectory_segments import TrajectorySegment
 from koopman_lqr_controller.errors import KoopmanError
-from koopman_lqr_controller.identification.evaluation import judge, other_step
+from koopman_lqr_controller.identification.evaluation import evaluate_policy, time_step_mismatch
 from koopman_lqr_controller.identification.offline import refit
 from koopman_lqr_controller.models.edmd import LinearModel
 from koopman_lqr_controller.models.encoder import Dense, Encoder
-from koopman_lqr_controller.policies.latent_policy import LatentPolicy, LidarWiring
+from koopman_lqr_controller.policies.latent_policy import LatentPolicy, RobotInterface
 from koopman_lqr_controller.policies.policy_file import find_policy, load_policy, save_policy
 from koopman_lqr_controller.sensing.lidar_observation import LidarObservation
 from koopman_lqr_controller.training.agents.imitation import ImitationSettings, imitate
@@ -40,10 +40,10 @@ def driven(steps: int, seed: int) -> tuple[list[np.ndarray], np.ndarray]:
     return states, np.array(commands)
 
 
-def seen(steps: int = 300, seed: int = 0) -> Drive:
+def seen(steps: int = 300, seed: int = 0) -> TrajectorySegment:
     states, commands = driven(steps, seed)
     x = [OBSERVATION.observe(CORRIDOR.scan(s), CORRIDOR.geometry, s[2], s[3]) for s in states]
-    return Drive(np.array(x), commands[:-1], CORRIDOR.dt)
+    return TrajectorySegment(np.array(x), commands[:-1], CORRIDOR.dt)
 
 
 def some_policy(task: str = "curved_corridor") -> LatentPolicy:
@@ -56,7 +56,7 @@ def some_policy(task: str = "curved_corridor") -> LatentPolicy:
     )
     model = LinearModel(0.5 * np.eye(n), 0.1 * random.normal(size=(n, 2)))
     controller = LatentController(encoder, model, np.ones(n), np.ones(2), np.zeros(n), 3)
-    return LatentPolicy(controller, 0.2, LidarWiring(OBSERVATION, *LIMITS), {"task": task, "returns": [1.0]})
+    return LatentPolicy(controller, 0.2, RobotInterface(OBSERVATION, *LIMITS), {"task": task, "returns": [1.0]})
 
 
 @pytest.fixture(scope="module")
@@ -105,17 +105,17 @@ def test_a_lidar_that_sees_only_ahead_fits_a_policy_whose_rear_observables_stay_
 
 def test_a_refitted_policy_predicts_and_does_what_the_first_did() -> None:
     learnt, drive, fresh = some_policy(), seen(), seen(200, seed=5)
-    assert judge(learnt, [fresh])["over_persistence"][0] > 1.0
+    assert evaluate_policy(learnt, [fresh])["over_persistence"][0] > 1.0
     once = refit(learnt, [drive.cut(0, 200), drive.cut(200, 300)], sizes=(3,))
     assert once.controller.projection is not None
     twice = refit(once, [seen(seed=1)])
     for before, found in ((learnt, once), (once, twice)):
-        assert judge(found, [fresh])["over_persistence"][0] < 0.9
+        assert evaluate_policy(found, [fresh])["over_persistence"][0] < 0.9
         assert found.controller.horizon is None
         assert found.controller.spectral_radius < 1.0
         assert len(found.controller.Q) == 3
-        assert found.region is not None
-        assert found.region.outside(found.controller.latent(fresh.x[100])) < 1.5
+        assert found.distribution is not None
+        assert found.distribution.relative_distance(found.controller.latent(fresh.x[100])) < 1.5
         done, wanted = (each.controller.action(fresh.x) for each in (found, before))
         missed = np.sqrt(np.mean((done - wanted) ** 2))
         assert missed < 0.5 * np.sqrt(np.mean(wanted**2))
@@ -124,13 +124,13 @@ def test_a_refitted_policy_predicts_and_does_what_the_first_did() -> None:
 
 def test_agreement_is_whole_for_a_policy_that_was_recorded_itself() -> None:
     policy, drive = some_policy(), seen(50)
-    u = policy.wiring.command(policy.controller.action(drive.x[:-1]))
-    found = judge(policy, [Drive(drive.x, u, 0.2)])
+    u = policy.robot_interface.command(policy.controller.action(drive.x[:-1]))
+    found = evaluate_policy(policy, [TrajectorySegment(drive.x, u, 0.2)])
     assert [each["explained"] for each in found["commands"].values()] == pytest.approx([1.0, 1.0])
-    other = judge(policy, [Drive(drive.x, u[::-1], 0.2)])
+    other = evaluate_policy(policy, [TrajectorySegment(drive.x, u[::-1], 0.2)])
     assert other["commands"]["turn rate [rad/s]"]["explained"] < 1.0
     with pytest.raises(KoopmanError, match="no steps"):
-        judge(policy, [])
+        evaluate_policy(policy, [])
 
 
 def test_two_stages_are_fitted_and_evaluated_by_command(
@@ -176,9 +176,9 @@ def test_drives_with_another_step_than_the_model_s_are_told(
     bags: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     policy = some_policy()
-    slow = LatentPolicy(policy.controller, 0.4, policy.wiring, policy.manifest)
-    assert other_step(policy, [seen(20)]) == ""
-    assert other_step(slow, [seen(20)]).startswith("The model's step is 0.40 s, that of the drives 0.20 s")
+    slow = LatentPolicy(policy.controller, 0.4, policy.robot_interface, policy.manifest)
+    assert time_step_mismatch(policy, [seen(20)]) == ""
+    assert time_step_mismatch(slow, [seen(20)]).startswith("The model's step is 0.40 s, that of the drives 0.20 s")
     save_policy(slow, tmp_path / "slow.safetensors")
     assert evaluate([str(tmp_path / "slow.safetensors"), str(bags[0])]) == 0
     assert "The model's step is 0.40 s" in capsys.readouterr().out
@@ -190,7 +190,7 @@ def test_a_latent_policy_is_learnt_from_bags_alone(bags: list[Path], tmp_path: P
     assert learn_offline(given) == 0
     learnt = load_policy(output)
     assert isinstance(learnt, LatentPolicy)
-    assert learnt.region is not None
+    assert learnt.distribution is not None
     assert learnt.dt == pytest.approx(0.2)
     figures = learnt.manifest["drives"]
     assert figures["held out"]["over_persistence"][0] < 1.0

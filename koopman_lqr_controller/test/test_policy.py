@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.identification.two_stage import train
 from koopman_lqr_controller.models.edmd import Snapshots
-from koopman_lqr_controller.policies.edmd_policy import KoopmanPolicy
+from koopman_lqr_controller.policies.edmd_policy import EdmdPolicy
 from koopman_lqr_controller.policies.policy_file import (
     DEFAULT_POLICY,
     find_policy,
@@ -28,7 +28,7 @@ OBSERVABLES = CorridorObservables()
 LIMITS = (Interval(-0.22, 0.22), Interval(-2.84, 2.84))
 
 
-def some_policy() -> KoopmanPolicy:
+def some_policy() -> EdmdPolicy:
     random = np.random.default_rng(0)
     n = len(OBSERVABLES.names)
     z, u = random.normal(size=(600, n)), random.normal(size=(600, 2))
@@ -40,7 +40,7 @@ def some_policy() -> KoopmanPolicy:
 
 
 @pytest.fixture(scope="module")
-def policy() -> KoopmanPolicy:
+def policy() -> EdmdPolicy:
     return some_policy()
 
 
@@ -60,7 +60,7 @@ def lift(ranges: np.ndarray, v: float = 0.18, omega: float = 0.0) -> np.ndarray:
     return OBSERVABLES.observe(ranges, scan_of(ranges), v, omega)
 
 
-def test_the_middle_of_a_straight_corridor_is_the_reference(policy: KoopmanPolicy) -> None:
+def test_the_middle_of_a_straight_corridor_is_the_reference(policy: EdmdPolicy) -> None:
     assert lift(between_walls(0.7, 0.0, 0.0)) == pytest.approx(policy.z_ref, abs=1e-6)
 
 
@@ -81,7 +81,7 @@ def test_nearer_to_the_left_wall_is_positive_and_grows() -> None:
     assert values[1] > 0.05
 
 
-def test_commands_stay_within_limits_and_predictions_follow_the_model(policy: KoopmanPolicy) -> None:
+def test_commands_stay_within_limits_and_predictions_follow_the_model(policy: EdmdPolicy) -> None:
     ranges = between_walls(0.7, 0.15, 0.6)
     decision = policy.decide(ranges, scan_of(ranges), v=0.1, omega=2.0)
     assert (decision.command >= policy.u_low).all()
@@ -95,13 +95,13 @@ def test_commands_stay_within_limits_and_predictions_follow_the_model(policy: Ko
 
 
 @pytest.mark.parametrize(("v", "omega"), [(float("nan"), 0.0), (0.0, float("inf"))])
-def test_odometry_that_is_not_finite_is_refused(policy: KoopmanPolicy, v: float, omega: float) -> None:
+def test_odometry_that_is_not_finite_is_refused(policy: EdmdPolicy, v: float, omega: float) -> None:
     ranges = between_walls(0.7, 0.0, 0.0)
     with pytest.raises(KoopmanError, match="odometry"):
         policy.decide(ranges, scan_of(ranges), v, omega)
 
 
-def test_a_file_gives_the_same_policy_back(policy: KoopmanPolicy, tmp_path: Path) -> None:
+def test_a_file_gives_the_same_policy_back(policy: EdmdPolicy, tmp_path: Path) -> None:
     path = tmp_path / "policy.safetensors"
     save_policy(policy, path)
     again = load_policy(path)
@@ -115,7 +115,7 @@ def test_a_file_gives_the_same_policy_back(policy: KoopmanPolicy, tmp_path: Path
     save_policy(policy, path, overwrite=True)
 
 
-def test_a_broken_file_gives_one_clear_error(policy: KoopmanPolicy, tmp_path: Path) -> None:
+def test_a_broken_file_gives_one_clear_error(policy: EdmdPolicy, tmp_path: Path) -> None:
     path = tmp_path / "policy.safetensors"
     save_policy(policy, path)
     whole = path.read_bytes()
@@ -141,16 +141,16 @@ def test_a_broken_file_gives_one_clear_error(policy: KoopmanPolicy, tmp_path: Pa
         find_policy(300 * "long")
 
 
-def test_a_policy_with_a_wrong_shape_or_nan_is_refused(policy: KoopmanPolicy) -> None:
+def test_a_policy_with_a_wrong_shape_or_nan_is_refused(policy: EdmdPolicy) -> None:
     given = {name: getattr(policy, name) for name in ("observables", "model", "P", "z_ref", "u_ref", "u_low", "u_high")}
     with pytest.raises(KoopmanError, match="K has shape"):
-        KoopmanPolicy(**given, K=policy.K[:, 1:])
+        EdmdPolicy(**given, K=policy.K[:, 1:])
     with pytest.raises(KoopmanError, match="K holds values"):
-        KoopmanPolicy(**given, K=np.full_like(policy.K, np.nan))
+        EdmdPolicy(**given, K=np.full_like(policy.K, np.nan))
     for dt in (0, -0.2, "0.2", float("nan")):
         with pytest.raises(KoopmanError, match=f"dt is {dt}: must be a positive time"):
-            KoopmanPolicy(**given, K=policy.K, manifest={"dt": dt})
-    assert KoopmanPolicy(**given, K=policy.K, manifest={"dt": 0.2}).dt == 0.2
+            EdmdPolicy(**given, K=policy.K, manifest={"dt": dt})
+    assert EdmdPolicy(**given, K=policy.K, manifest={"dt": 0.2}).dt == 0.2
 
 
 @pytest.mark.parametrize("name", shipped_policies())

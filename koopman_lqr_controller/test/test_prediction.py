@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from koopman_lqr_controller.models.prediction import horizon_errors, law_error, linear_floor, noise_floor
-from koopman_lqr_controller.policies.closed_loop_model import linear_loop
+from koopman_lqr_controller.policies.closed_loop_model import closed_loop_model
 from koopman_lqr_controller.policies.policy_file import find_policy, load_policy
-from koopman_lqr_controller.training.analysis.disturbance_ablation import prediction_limits
+from koopman_lqr_controller.training.analysis.disturbance_ablation import ablate_disturbances
 from koopman_lqr_controller.training.analysis.policy_world import make_corridor
 from koopman_lqr_controller.training.environments.corridor import Conditions
 
@@ -72,8 +72,10 @@ def test_the_error_of_the_law_does_not_depend_on_coordinates() -> None:
 
 def test_noise_alone_explains_little_of_what_a_model_of_the_corridor_misses() -> None:
     policy = load_policy(find_policy("curved_corridor_edmd"))
-    hardships = {"none": Conditions(noise=0.0), "both": Conditions(dropout=0.1)}
-    rows = prediction_limits(linear_loop(policy), lambda each: make_corridor(policy, each), (0.5,), 1, hardships)
+    disturbances = {"none": Conditions(noise=0.0), "both": Conditions(dropout=0.1)}
+    rows = ablate_disturbances(
+        closed_loop_model(policy), lambda each: make_corridor(policy, each), (0.5,), 1, disturbances
+    )
     perfect, hard = rows
     assert [row["name"] for row in rows] == ["none", "both"]
     assert perfect["noise_floor"] < 1e-3, "two looks without noise are one"

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from koopman_lqr_controller.data.roll_outs import noisy_roll_outs, projected
-from koopman_lqr_controller.identification.regulators import Refit, reference_inside
+from koopman_lqr_controller.identification.regulators import RegulatorFitter, reference_inside
 from koopman_lqr_controller.models.prediction import horizon_errors
 from line import A, Line, learnt_controller
 
@@ -12,7 +12,9 @@ def test_the_offset_of_the_law_is_kept() -> None:
     """At its goal the learnt law, k - K z, asks for something: what comes of it asks for the same."""
     learnt = learnt_controller()
     lived = noisy_roll_outs(learnt, Line(), [0.0, 0.1, 0.2, 0.3], 0)
-    found = Refit(learnt, lived, (), True).regulator("principal", np.linalg.qr(learnt.encoder.layers[0].weight)[0].T)
+    found = RegulatorFitter(learnt, lived, (), True).regulator(
+        "principal", np.linalg.qr(learnt.encoder.layers[0].weight)[0].T
+    )
     psi = np.concatenate([episode.features for episode in lived])
     asked = learnt.control(psi)
     assert abs(float(learnt.control(learnt.z_ref)[0])) > 0.5
@@ -25,7 +27,7 @@ def test_the_refitted_model_is_that_of_the_system() -> None:
     learnt = learnt_controller()
     lived = noisy_roll_outs(learnt, Line(), np.linspace(0.0, 0.3, 10).tolist(), 0)
     lift = np.linalg.qr(learnt.encoder.layers[0].weight)[0].T
-    found = Refit(learnt, lived, (), True).regulator("principal", lift).controller
+    found = RegulatorFitter(learnt, lived, (), True).regulator("principal", lift).controller
     fresh = noisy_roll_outs(learnt, Line(), [0.0, 0.3], 900)
     assert horizon_errors(found.predict, *projected(found.project, fresh), 10)[0] < 0.05
     assert np.sort_complex(np.linalg.eigvals(found.model.A)) == pytest.approx(

@@ -89,11 +89,14 @@ def test_a_mirrored_step_is_mirrored_as_a_whole_and_twice_is_nothing() -> None:
     steps = Transitions(
         x, random.normal(size=(64, 2)).astype(np.float32), *random.random((1, 64)), x_next, np.zeros(64)
     )
-    once = mirror.some(steps, np.random.default_rng(1))
+    once = mirror.mirror_at_random(steps, np.random.default_rng(1))
     turned = once.u[:, 1] != steps.u[:, 1]
     assert 16 < turned.sum() < 48
     assert np.array_equal(once.x[turned], steps.x[turned][:, [1, 0, 2]] * np.float32([1, 1, -1]))
     assert np.array_equal(once.x_next[turned, 2], -steps.x_next[turned, 2])
     assert all(np.array_equal(a[~turned], b[~turned]) for a, b in zip(once, steps, strict=True))
     assert all(a.dtype == b.dtype for a, b in zip(once, steps, strict=True))
-    assert all(np.array_equal(*each) for each in zip(mirror.some(once, np.random.default_rng(1)), steps, strict=True))
+    assert all(
+        np.array_equal(*each)
+        for each in zip(mirror.mirror_at_random(once, np.random.default_rng(1)), steps, strict=True)
+    )

@@ -10,9 +10,9 @@ import pytest
 from ctrl_rl_core.tasks.task import task_file
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.training.analysis.straight_corridor import StraightCorridor
+from koopman_lqr_controller.training.environments.benchmark_tasks import BENCHMARK_TASKS, find_task, task_of_manifest
 from koopman_lqr_controller.training.environments.control_suite import FRAMES, ControlSuite
 from koopman_lqr_controller.training.environments.corridor import Conditions, Corridor
-from koopman_lqr_controller.training.environments.problems import PROBLEMS, find_problem, problem_of
 
 if find_library("EGL"):
     os.environ.setdefault("MUJOCO_GL", "egl")  # else MuJoCo comes without OpenGL where states are simulated first
@@ -39,11 +39,11 @@ def same(one: list, other: list) -> bool:
     return len(one) == len(other) and all(np.array_equal(a, b) for a, b in zip(one, other, strict=True))
 
 
-@pytest.mark.parametrize("name", PROBLEMS)
+@pytest.mark.parametrize("name", BENCHMARK_TASKS)
 def test_the_same_seed_gives_the_same_episode_whatever_came_before(name: str) -> None:
-    if PROBLEMS[name].settings.crop:
+    if BENCHMARK_TASKS[name].settings.crop:
         needs_egl()
-    first, second = find_problem(name).make(True), find_problem(name).make(True)
+    first, second = find_task(name).make(True), find_task(name).make(True)
     expected = episode(first, 3, 6)
     episode(second, 4, 4)
     assert same(episode(second, 3, 6), expected)
@@ -69,7 +69,7 @@ def test_the_goal_of_the_cartpole_is_an_equilibrium_that_pays_all() -> None:
     with physics.reset_context():
         physics.data.qpos[:] = physics.data.qvel[:] = 0.0
     x, reward, *_ = environment.step(np.zeros(1, np.float32))
-    assert x == pytest.approx(PROBLEMS["cartpole_swingup"].goal, abs=1e-6)
+    assert x == pytest.approx(BENCHMARK_TASKS["cartpole_swingup"].goal, abs=1e-6)
     assert reward == pytest.approx(8.0, abs=1e-6)
 
 
@@ -153,8 +153,8 @@ def test_a_corridor_of_ones_own_is_learnt_without_meeting_itself(tmp_path: Path)
     text = re.sub(r"  pieces:\n(    - .*\n)+", pieces, text).replace("curved_corridor", "corner")
     text = re.sub(r"\ngoal: .*", "\ngoal: {s: 3.1 .. 3.4 m}", text)
     file.write_text(text, encoding="utf-8")
-    problem = find_problem(str(file))
-    assert problem.digest != PROBLEMS["curved_corridor"].digest
+    problem = find_task(str(file))
+    assert problem.digest != BENCHMARK_TASKS["curved_corridor"].digest
     learning, task = problem.make(True), problem.make(False)
     alone = task._world.geometry.path.length
     assert round(learning._world.geometry.path.length / alone, 6) == 3, "the fourth would meet the first"
@@ -172,9 +172,9 @@ def test_a_corridor_is_driven_with_the_commands_that_its_task_allows(tmp_path: P
         file = tmp_path / "own.yaml"
         own = re.sub(r"v: .* m/s", f"v: {v} m/s", re.sub(r"omega: .* rad/s", f"omega: {omega} rad/s", text))
         file.write_text(own.replace("curved_corridor", "own"), encoding="utf-8")
-        corridor = find_problem(str(file)).make(False)
+        corridor = find_task(str(file)).make(False)
         corridor.close()
-        return corridor.wiring.u_low.tolist(), corridor.wiring.u_high.tolist()
+        return corridor.robot_interface.u_low.tolist(), corridor.robot_interface.u_high.tolist()
 
     assert limits("0.0 .. 0.22", "-2.84 .. 2.84") == ([0.0, -1.5], [0.22, 1.5])
     assert limits("0.05 .. 0.1", "-0.9 .. 0.8") == ([0.05, -0.8], [0.1, 0.8])
@@ -201,12 +201,12 @@ def test_the_mirrored_corridor_is_one() -> None:
     """What a corridor says is its mirror image is that of a robot on the other side that turns the other way."""
     corridor, straight = Corridor(conditions=Conditions("task")), StraightCorridor(0.7, 0.2)
     order, sign, control_sign = corridor.mirror
-    limits = corridor.wiring.command(np.array([[0.3, 0.8], [0.3, -0.8]]))
+    limits = corridor.robot_interface.command(np.array([[0.3, 0.8], [0.3, -0.8]]))
     state, swapped = np.array([0.1, 0.2, 0.15, 0.3]), np.array([1.0, -1.0])
     there = state * [-1.0, -1.0, 1.0, -1.0]
 
     def seen(state: np.ndarray) -> np.ndarray:
-        return corridor.wiring.observation.observe(straight.scan(state), straight.geometry, *state[2:])
+        return corridor.robot_interface.observation.observe(straight.scan(state), straight.geometry, *state[2:])
 
     assert limits[1] == pytest.approx(limits[0] * swapped), "mirrored actions are mirrored commands"
     assert control_sign == pytest.approx(swapped)
@@ -219,17 +219,17 @@ def test_the_mirrored_corridor_is_one() -> None:
 
 def test_what_is_not_there_is_named() -> None:
     with pytest.raises(KoopmanError, match="no task 'walker': there are cartpole_swingup, "):
-        find_problem("walker")
+        find_task("walker")
     with pytest.raises(KoopmanError, match=r"car_ttr\.yaml: has no corridor to learn to drive through"):
-        find_problem(str(task_file("car_ttr")))
-    same = {"task": "cheetah_run", "task_digest": find_problem("cheetah_run").digest}
-    assert problem_of(same) == find_problem("cheetah_run")
+        find_task(str(task_file("car_ttr")))
+    same = {"task": "cheetah_run", "task_digest": find_task("cheetah_run").digest}
+    assert task_of_manifest(same) == find_task("cheetah_run")
     with pytest.raises(KoopmanError, match="task cheetah_run is another one than when the policy was made"):
-        problem_of({**same, "task_digest": "of yesterday"})
+        task_of_manifest({**same, "task_digest": "of yesterday"})
     with pytest.raises(KoopmanError, match="no setting latnt: there are latent, "):
-        find_problem("cheetah_run").with_settings(latnt=3)
+        find_task("cheetah_run").with_settings(latnt=3)
     with pytest.raises(KoopmanError, match="batch is 0: must be positive"):
-        find_problem("cheetah_run").with_settings(batch=0)
+        find_task("cheetah_run").with_settings(batch=0)
 
 
 def test_an_episode_that_stands_still_is_cut_off() -> None:

@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 from _common import Row, row
 from koopman_lqr_controller.models.encoder import Dense
-from koopman_lqr_controller.policies.edmd_policy import DrivingPolicy, KoopmanPolicy
+from koopman_lqr_controller.policies.edmd_policy import EdmdPolicy, KoopmanPolicy
 from koopman_lqr_controller.policies.latent_policy import LatentPolicy
 from koopman_lqr_controller.policies.policy_file import DEFAULT_POLICY, find_policy, load_policy
 from koopman_lqr_controller.sensing.lidar import ScanGeometry
@@ -24,9 +24,9 @@ STRETCHES = 10
 WARM_UP = 2000
 
 
-def products(policy: DrivingPolicy) -> Callable[[], None]:
+def products(policy: KoopmanPolicy) -> Callable[[], None]:
     """Return what multiplies by each matrix of a policy once."""
-    if isinstance(policy, KoopmanPolicy):
+    if isinstance(policy, EdmdPolicy):
         matrices = [policy.K]
     else:
         assert isinstance(policy, LatentPolicy)
@@ -78,7 +78,7 @@ def _percentile(times: np.ndarray, percentile: int) -> float:
 
 
 def _times(
-    policy: DrivingPolicy, given: list[tuple[np.ndarray, ScanGeometry]], multiply: Callable[[], None]
+    policy: KoopmanPolicy, given: list[tuple[np.ndarray, ScanGeometry]], multiply: Callable[[], None]
 ) -> np.ndarray:
     """Return how long the whole, resampling alone and the floor took (3, n) [us], one after the other."""
     times = []

@@ -12,10 +12,10 @@ from ctrl_rl_core.command import check_least, folder_to_write, run_command
 from ctrl_rl_core.errors import CtrlRlError
 from ctrl_rl_core.io.atomic_write import atomic_write
 
-from koopman_lqr_controller.cli.drive_options import add_topics, read_drives
+from koopman_lqr_controller.cli.drive_options import add_topics, read_segments
 from koopman_lqr_controller.errors import KoopmanError
-from koopman_lqr_controller.identification.evaluation import other_step
-from koopman_lqr_controller.policies.closed_loop_model import controls_of, sight
+from koopman_lqr_controller.identification.evaluation import time_step_mismatch
+from koopman_lqr_controller.policies.closed_loop_model import controls_of, observation_fn
 from koopman_lqr_controller.policies.policy_file import digest, find_policy, load_policy
 
 _PAGE, _DATA = "analysis.md", "analysis.json"
@@ -49,10 +49,12 @@ def _analyse(options: argparse.Namespace) -> int:
     from koopman_lqr_controller.training.analysis.page import page
     from koopman_lqr_controller.training.analysis.plots import draw_all
     from koopman_lqr_controller.training.analysis.policy_analysis import analyse as find
-    from koopman_lqr_controller.training.analysis.policy_world import Trajectory, make_world
+    from koopman_lqr_controller.training.analysis.policy_world import EpisodeTrajectory, make_world
 
-    drives = read_drives(options, sight(policy)) if options.bags else []
-    recorded = [Trajectory(drive.x, controls_of(policy, drive.u), drive.u[:, 0] * 0.0, {}) for drive in drives]
+    segments = read_segments(options, observation_fn(policy)) if options.bags else []
+    recorded = [
+        EpisodeTrajectory(segment.x, controls_of(policy, segment.u), segment.u[:, 0] * 0.0, {}) for segment in segments
+    ]
     world: Any = None
     try:
         world = make_world(policy)
@@ -63,11 +65,11 @@ def _analyse(options: argparse.Namespace) -> int:
     try:
         with tqdm(desc="analysing", unit="part", disable=None) as bar:
 
-            def tick(what: str) -> None:
+            def on_progress(what: str) -> None:
                 bar.set_postfix_str(what)
                 bar.update()
 
-            found = find(policy, world, recorded, options.episodes, tick)
+            found = find(policy, world, recorded, options.episodes, on_progress)
     finally:
         if not isinstance(world, CtrlRlError):
             world.close()
@@ -79,11 +81,11 @@ def _analyse(options: argparse.Namespace) -> int:
         over_best = row["model"] / max(row["linear_floor"], 1e-12)
         print(
             f"one step   {row['model']:.2f} of persistence, {over_best:.2f} of the best linear model; noise alone "
-            f"{row['noise_floor']:.2f} (hardship: {row['name']}, noise in the actions {row['noise']:g})"
+            f"{row['noise_floor']:.2f} (disturbance: {row['name']}, noise in the actions {row['noise']:g})"
         )
     for part, reason in found["left_out"].items():
         print(f"left out   {part}: {reason}")
-    told = other_step(policy, drives) if drives else ""
+    told = time_step_mismatch(policy, segments) if segments else ""
     if told:
         print(told)
     print(f"page       {folder / _PAGE}")

@@ -18,7 +18,7 @@ from koopman_lqr_controller.cli.run_options import (
     given_words,
 )
 from koopman_lqr_controller.errors import KoopmanError
-from koopman_lqr_controller.training.environments.problems import find_problem
+from koopman_lqr_controller.training.environments.benchmark_tasks import find_task
 from koopman_lqr_controller.training.experiments.comparisons import COMPARISONS
 from koopman_lqr_controller.training.experiments.methods import METHODS, Changes
 
@@ -78,9 +78,7 @@ def _compare(options: argparse.Namespace, words: Sequence[str]) -> int:
         if task not in comparison.tasks:
             raise KoopmanError(f"--tasks {task}: {name} is of {', '.join(comparison.tasks)}")
         for method in methods:
-            find_problem(task).with_settings(
-                **dict((*METHODS[method].changes, *changes))
-            )  # refuses before torch is here
+            find_task(task).with_settings(**dict((*METHODS[method].changes, *changes)))  # refuses before torch is here
     for task in tasks:
         _compare_on(task, name, methods, changes, options, words)
     return 0
@@ -96,7 +94,7 @@ def _compare_on(
     from koopman_lqr_controller.training.experiments.comparison_results import collect_comparison
     from koopman_lqr_controller.training.experiments.runs import LearningRun
 
-    problem = find_problem(task)
+    problem = find_task(task)
     sees = {method: METHODS[method] for method in methods}
     if problem.settings.crop:  # the others learn from vectors
         sees = {method: each for method, each in sees.items() if each.learner == "koopman"}

@@ -9,8 +9,8 @@ from pathlib import Path
 from ctrl_rl_core.command import file_to_write
 from tqdm import tqdm
 
-from koopman_lqr_controller.data.drives import Drive, drives_of
-from koopman_lqr_controller.policies.closed_loop_model import See
+from koopman_lqr_controller.data.trajectory_segments import TrajectorySegment, load_segments
+from koopman_lqr_controller.policies.closed_loop_model import ObservationFn
 
 
 def add_drives(parser: argparse.ArgumentParser) -> None:
@@ -36,16 +36,16 @@ def add_output(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--overwrite", action="store_true", help="replace an existing policy file")
 
 
-def read_drives(options: argparse.Namespace, see: See) -> list[Drive]:
-    """Return what is seen and commanded in the bags that were given, see `drives_of`.
+def read_segments(options: argparse.Namespace, observe: ObservationFn) -> list[TrajectorySegment]:
+    """Return what is seen and commanded in the bags that were given, see `load_segments`.
 
     Raises:
         KoopmanError: a topic is missing or holds nothing usable.
         BagError: a bag cannot be read.
     """
-    out: list[Drive] = []
+    out: list[TrajectorySegment] = []
     for bag in tqdm(options.bags, desc="reading", unit="bag", disable=None):
-        out += drives_of(bag, see, options.robot, options.lidar_yaw)
+        out += load_segments(bag, observe, options.robot, options.lidar_yaw)
     return out
 
 

@@ -13,7 +13,7 @@ from ctrl_rl_core.io.results import write_results
 
 from koopman_lqr_controller.cli.run_options import add_learning_options, as_command, check_learning_options, given_words
 from koopman_lqr_controller.errors import KoopmanError
-from koopman_lqr_controller.training.environments.problems import PROBLEMS, find_problem, problem_of
+from koopman_lqr_controller.training.environments.benchmark_tasks import BENCHMARK_TASKS, find_task, task_of_manifest
 from koopman_lqr_controller.training.experiments.methods import LEARNERS
 
 _LEARN_WORDS = ("learner", "chunks", "actions", "episodes", "consolidation", "device")
@@ -21,7 +21,7 @@ _CONSOLIDATE_WORDS = ("latent", "episodes", "live", "noise", "seed")
 """Options that say what comes out: a policy's file tells them."""
 _TASKS = "\n".join(
     f"  {problem.name:<24} {problem.about}; {problem.chunks} chunks of {problem.chunk} actions"
-    for problem in PROBLEMS.values()
+    for problem in BENCHMARK_TASKS.values()
 )
 
 
@@ -70,7 +70,7 @@ def consolidate(arguments: Sequence[str] | None = None) -> int:
 
 
 def _learn(options: argparse.Namespace, words: Sequence[str]) -> int:
-    problem = find_problem(options.task)
+    problem = find_task(options.task)
     chunks, actions = options.chunks or problem.chunks, options.actions or problem.chunk
     changes = check_learning_options(options)
     problem = problem.with_settings(**dict(changes))  # refuses what is wrong before torch, which takes seconds, is here
@@ -113,27 +113,29 @@ def _consolidate(options: argparse.Namespace, words: Sequence[str]) -> int:
     from tqdm import tqdm
 
     from koopman_lqr_controller.policies.policy_file import refuse_existing, save_policy
-    from koopman_lqr_controller.training.consolidation.consolidation import Plan
+    from koopman_lqr_controller.training.consolidation.consolidation import ConsolidationConfig
     from koopman_lqr_controller.training.consolidation.finishing import consolidate_policy, load_latent
 
     check_least(options, episodes=1, live=5, seed=0)
     if min(options.latent or [1]) < 1 or not 0.0 < options.noise < math.inf:
         raise KoopmanError("--latent must be at least 1, and --noise positive")
     refuse_existing(options.output, options.overwrite)
-    problem = problem_of(load_latent(options.policy).manifest)
+    problem = task_of_manifest(load_latent(options.policy).manifest)
     torch.set_num_threads(1)  # more only get into each other's way
     environment = problem.make(False)
     sizes = {"sizes": tuple(sorted(set(options.latent)))} if options.latent else {}
-    plan = Plan.of(options.live, options.episodes, noise=options.noise, **sizes)
+    plan = ConsolidationConfig.of(options.live, options.episodes, noise=options.noise, **sizes)
     command = as_command("consolidate", options.policy.name, "--output", options.output.name, *words)
     try:
         with tqdm(desc="consolidating", unit="part", disable=None) as bar:
 
-            def tick(what: str) -> None:
+            def on_progress(what: str) -> None:
                 bar.set_postfix_str(what)
                 bar.update()
 
-            policy, found = consolidate_policy(options.policy, problem, environment, plan, command, options.seed, tick)
+            policy, found = consolidate_policy(
+                options.policy, problem, environment, plan, command, options.seed, on_progress
+            )
     finally:
         environment.close()
     save_policy(policy, options.output, overwrite=options.overwrite)

@@ -13,13 +13,19 @@ from ctrl_rl_core.geometry.units import Interval
 from ctrl_rl_core.io.atomic_write import atomic_write
 from tqdm import tqdm
 
-from koopman_lqr_controller.cli.drive_options import add_drives, add_output, read_drives
-from koopman_lqr_controller.data.drives import Drive, check_held_out, snapshots_of, split, usual_step
-from koopman_lqr_controller.identification.evaluation import judge, other_step
+from koopman_lqr_controller.cli.drive_options import add_drives, add_output, read_segments
+from koopman_lqr_controller.data.trajectory_segments import (
+    TrajectorySegment,
+    check_held_out,
+    mean_time_step,
+    split,
+    to_snapshots,
+)
+from koopman_lqr_controller.identification.evaluation import evaluate_policy, time_step_mismatch
 from koopman_lqr_controller.identification.offline import refit
 from koopman_lqr_controller.identification.two_stage import Weights, train
-from koopman_lqr_controller.policies.closed_loop_model import See, sight
-from koopman_lqr_controller.policies.edmd_policy import KoopmanPolicy
+from koopman_lqr_controller.policies.closed_loop_model import ObservationFn, observation_fn
+from koopman_lqr_controller.policies.edmd_policy import EdmdPolicy
 from koopman_lqr_controller.policies.latent_policy import LatentPolicy
 from koopman_lqr_controller.policies.policy_file import digest, find_policy, load_policy, refuse_existing, save_policy
 from koopman_lqr_controller.sensing.lidar_observation import LidarObservation
@@ -66,22 +72,22 @@ def _fit(options: argparse.Namespace) -> int:
     refuse_existing(options.output, options.overwrite)
     file = find_policy(options.policy)
     policy = load_policy(file)
-    seen, unseen = _parts(options, sight(policy))
+    seen, unseen = _parts(options, observation_fn(policy))
     manifest = {"fitted_from": digest(file), **_source(options)}
-    fitted: KoopmanPolicy | LatentPolicy
+    fitted: EdmdPolicy | LatentPolicy
     if isinstance(policy, LatentPolicy):
         fitted = refit(policy, seen)
     else:
         weights = Weights(**policy.manifest["weights"]) if "weights" in policy.manifest else None
         limits = [Interval(low, high) for low, high in zip(policy.u_low, policy.u_high, strict=True)]
         fitted = train(
-            snapshots_of(seen),
+            to_snapshots(seen),
             policy.observables,
             float(policy.z_ref[-1]),
             (limits[0], limits[1]),
             weights,
             held_out=0.0,
-            manifest={"task": policy.manifest.get("task"), "dt": usual_step(seen)},
+            manifest={"task": policy.manifest.get("task"), "dt": mean_time_step(seen)},
             shrunk=True,
         )
         fitted = replace(fitted, manifest={k: v for k, v in fitted.manifest.items() if k not in _OF_NOTHING_HELD_OUT})
@@ -90,10 +96,10 @@ def _fit(options: argparse.Namespace) -> int:
 
 def _evaluate(options: argparse.Namespace) -> int:
     policy = load_policy(find_policy(options.policy))
-    parts = dict(zip((_FITTED, _HELD_OUT), _parts(options, sight(policy)), strict=True))
-    figures = {name: judge(policy, drives) for name, drives in parts.items() if drives}
+    parts = dict(zip((_FITTED, _HELD_OUT), _parts(options, observation_fn(policy)), strict=True))
+    figures = {name: evaluate_policy(policy, segments) for name, segments in parts.items() if segments}
     _print(figures)
-    told = other_step(policy, [*parts[_FITTED], *parts[_HELD_OUT]])
+    told = time_step_mismatch(policy, [*parts[_FITTED], *parts[_HELD_OUT]])
     if told:
         print(told)
     if options.json is not None:
@@ -119,9 +125,11 @@ def _learn_offline(options: argparse.Namespace) -> int:
     return _save(options, refit(learnt, seen), seen, unseen, manifest)
 
 
-def _parts(options: argparse.Namespace, see: See) -> tuple[list[Drive], list[Drive]]:
+def _parts(
+    options: argparse.Namespace, observe: ObservationFn
+) -> tuple[list[TrajectorySegment], list[TrajectorySegment]]:
     check_held_out(options.held_out)
-    return split(read_drives(options, see), options.held_out)
+    return split(read_segments(options, observe), options.held_out)
 
 
 def _source(options: argparse.Namespace) -> dict[str, Any]:
@@ -130,13 +138,15 @@ def _source(options: argparse.Namespace) -> dict[str, Any]:
 
 def _save(
     options: argparse.Namespace,
-    policy: KoopmanPolicy | LatentPolicy,
-    seen: Sequence[Drive],
-    unseen: Sequence[Drive],
+    policy: EdmdPolicy | LatentPolicy,
+    seen: Sequence[TrajectorySegment],
+    unseen: Sequence[TrajectorySegment],
     manifest: dict[str, Any],
 ) -> int:
     """Write a policy with its figures on both parts."""
-    figures = {name: judge(policy, drives) for name, drives in ((_FITTED, seen), (_HELD_OUT, unseen)) if drives}
+    figures = {
+        name: evaluate_policy(policy, segments) for name, segments in ((_FITTED, seen), (_HELD_OUT, unseen)) if segments
+    }
     told = figures.get(_HELD_OUT, figures[_FITTED])
     more = {"error_over_persistence": told["over_persistence"][0], "drives": figures}
     save_policy(

@@ -8,10 +8,10 @@ from pathlib import Path
 from ctrl_rl_core.command import run_command
 from ctrl_rl_core.tasks.task import load_navigation_task, task_digest
 
-from koopman_lqr_controller.cli.drive_options import add_drives, add_output, read_drives
-from koopman_lqr_controller.data.drives import check_held_out, snapshots_of, usual_step
+from koopman_lqr_controller.cli.drive_options import add_drives, add_output, read_segments
+from koopman_lqr_controller.data.trajectory_segments import check_held_out, mean_time_step, to_snapshots
 from koopman_lqr_controller.identification.two_stage import train
-from koopman_lqr_controller.policies.edmd_policy import KoopmanPolicy
+from koopman_lqr_controller.policies.edmd_policy import EdmdPolicy
 from koopman_lqr_controller.policies.policy_file import refuse_existing, save_policy
 from koopman_lqr_controller.sensing.observables import CorridorObservables
 
@@ -44,22 +44,24 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _train(options: argparse.Namespace) -> KoopmanPolicy:
+def _train(options: argparse.Namespace) -> EdmdPolicy:
     check_held_out(options.held_out)
     task = load_navigation_task(options.task)
     limits = (task.robot.commands["v"], task.robot.commands["omega"])
     observables = CorridorObservables()
-    drives = read_drives(options, observables.observe)
+    segments = read_segments(options, observables.observe)
     manifest = {
         "task": task.name,
         "task_digest": task_digest(task),
         "bags": [bag.name for bag in options.bags],
-        "dt": usual_step(drives),
+        "dt": mean_time_step(segments),
     }
-    return train(snapshots_of(drives), observables, options.speed, limits, held_out=options.held_out, manifest=manifest)
+    return train(
+        to_snapshots(segments), observables, options.speed, limits, held_out=options.held_out, manifest=manifest
+    )
 
 
-def _report(policy: KoopmanPolicy, path: Path) -> None:
+def _report(policy: EdmdPolicy, path: Path) -> None:
     figures = policy.manifest
     counts = figures["snapshots"]
     print(f"snapshots            {counts['fitted']} fitted, {counts['held_out']} held out")

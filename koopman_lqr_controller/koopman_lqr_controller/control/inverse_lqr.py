@@ -23,7 +23,7 @@ _REFUSED = 1e6
 
 
 @dataclass(frozen=True)
-class Law:
+class LinearLaw:
     """A linear law u = -K z by what it does on data, weighted: E[w u u^T], E[w u z^T], E[w z z^T].
 
     Attributes:
@@ -37,7 +37,7 @@ class Law:
     zz: Array
 
     @classmethod
-    def seen(cls, z: Array, u: Array, weight: Array) -> Law:
+    def from_samples(cls, z: Array, u: Array, weight: Array) -> LinearLaw:
         """Return the law of samples z (N, n), u (N, m) with weights (N,)."""
         share = (weight / weight.sum())[:, None]
         return cls(float((share * u * u).sum()), (share * u).T @ z, (share * z).T @ z)
@@ -51,7 +51,7 @@ class Law:
         return 2.0 * (K @ self.zz + self.uz) / max(self.uu, 1e-12)
 
 
-def mismatch_and_gradient(logs: Array, model: LinearModel, law: Law) -> tuple[float, Array]:
+def mismatch_and_gradient(logs: Array, model: LinearModel, law: LinearLaw) -> tuple[float, Array]:
     """Return how far the LQR of exp(logs) is from a law, and the derivative by the logarithms.
 
     The cost-to-go P moves with the costs by the closed loop's Lyapunov equation; its adjoint is solved once.
@@ -78,7 +78,9 @@ def mismatch_and_gradient(logs: Array, model: LinearModel, law: Law) -> tuple[fl
     return law.mismatch(K), np.concatenate((by_Q * Q, by_R * R))
 
 
-def fit_costs(model: LinearModel, law: Law, Q: Array, R: Array, iterations: int = 150) -> tuple[Array, Array, float]:
+def fit_costs(
+    model: LinearModel, law: LinearLaw, Q: Array, R: Array, iterations: int = 150
+) -> tuple[Array, Array, float]:
     """Return Q (n,), R (m,) and the mismatch that is left.
 
     Args:

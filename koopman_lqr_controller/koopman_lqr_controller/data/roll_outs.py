@@ -118,7 +118,7 @@ def saturated(episodes: Sequence[Episode]) -> float:
     return float(np.average([each.saturated for each in episodes], weights=[max(1, each.steps) for each in episodes]))
 
 
-def interaction(episodes: Sequence[Episode]) -> dict[str, int]:
+def count_interaction(episodes: Sequence[Episode]) -> dict[str, int]:
     """Return how many episodes and actions these are."""
     return {"episodes": len(episodes), "actions": sum(episode.steps for episode in episodes)}
 

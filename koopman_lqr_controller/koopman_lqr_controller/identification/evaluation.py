@@ -7,18 +7,18 @@ from typing import Any
 
 import numpy as np
 
-from koopman_lqr_controller.data.drives import Drive, usual_step
+from koopman_lqr_controller.data.trajectory_segments import TrajectorySegment, mean_time_step
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.models.prediction import HORIZON, horizon_errors
-from koopman_lqr_controller.policies.closed_loop_model import commands_of, controls_of, linear_loop
-from koopman_lqr_controller.policies.edmd_policy import KoopmanPolicy
+from koopman_lqr_controller.policies.closed_loop_model import closed_loop_model, commands_of, controls_of
+from koopman_lqr_controller.policies.edmd_policy import EdmdPolicy
 from koopman_lqr_controller.policies.latent_policy import LatentPolicy
-from koopman_lqr_controller.sensing.lidar import SAME_STEP
+from koopman_lqr_controller.sensing.lidar import STEP_TOLERANCE
 
 _COMMANDS = ("speed [m/s]", "turn rate [rad/s]")
 
 
-def judge(policy: KoopmanPolicy | LatentPolicy, drives: Sequence[Drive]) -> dict[str, Any]:
+def evaluate_policy(policy: EdmdPolicy | LatentPolicy, segments: Sequence[TrajectorySegment]) -> dict[str, Any]:
     """Return figures of a policy on drives, as JSON.
 
     Returns:
@@ -29,12 +29,12 @@ def judge(policy: KoopmanPolicy | LatentPolicy, drives: Sequence[Drive]) -> dict
     Raises:
         KoopmanError: there is no step, or the policy is of a task without a lidar.
     """
-    if not drives:
+    if not segments:
         raise KoopmanError("no steps to evaluate on")
-    loop = linear_loop(policy)
-    z = [loop.latent(drive.x) for drive in drives]
-    errors = horizon_errors(loop.predict, z, [controls_of(policy, drive.u) for drive in drives], HORIZON)
-    given = np.concatenate([drive.u for drive in drives])
+    loop = closed_loop_model(policy)
+    z = [loop.latent(segment.x) for segment in segments]
+    errors = horizon_errors(loop.predict, z, [controls_of(policy, segment.u) for segment in segments], HORIZON)
+    given = np.concatenate([segment.u for segment in segments])
     own = np.concatenate([commands_of(policy, loop.control(each[:-1])) for each in z])
     missed = np.sqrt(np.mean((own - given) ** 2, axis=0))
     spread = given.std(axis=0)
@@ -52,9 +52,9 @@ def judge(policy: KoopmanPolicy | LatentPolicy, drives: Sequence[Drive]) -> dict
     }
 
 
-def other_step(policy: KoopmanPolicy | LatentPolicy, drives: Sequence[Drive]) -> str:
+def time_step_mismatch(policy: EdmdPolicy | LatentPolicy, segments: Sequence[TrajectorySegment]) -> str:
     """Return that a policy's model steps at another pace than drives, empty where it does not or nobody knows."""
-    step = usual_step(drives)
-    if policy.dt is None or abs(step / policy.dt - 1.0) < SAME_STEP:
+    step = mean_time_step(segments)
+    if policy.dt is None or abs(step / policy.dt - 1.0) < STEP_TOLERANCE:
         return ""
     return f"The model's step is {policy.dt:.2f} s, that of the drives {step:.2f} s: `fit` makes a model of theirs."

@@ -10,53 +10,59 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koopman_lqr_controller.control.latent_controller import LatentController
-from koopman_lqr_controller.data.drives import Drive, usual_step
 from koopman_lqr_controller.data.roll_outs import Episode, projected
+from koopman_lqr_controller.data.trajectory_segments import TrajectorySegment, mean_time_step
 from koopman_lqr_controller.errors import KoopmanError
-from koopman_lqr_controller.identification.regulators import Refit
+from koopman_lqr_controller.identification.regulators import RegulatorFitter
 from koopman_lqr_controller.models.encoder import Dense
 from koopman_lqr_controller.policies.closed_loop_model import controls_of
 from koopman_lqr_controller.policies.latent_policy import LatentPolicy
-from koopman_lqr_controller.safety.latent_distribution import region_of_episodes
+from koopman_lqr_controller.safety.latent_distribution import fit_distribution_to_episodes
 
 Array = NDArray[np.float64]
 
 SIZES = (4, 8, 16, 1000)
 """Latent dimensions that are tried; those beyond the encoder's own stand for all of them."""
 _SAME_LAW = 0.1
-"""Mismatch up to which a regulator does what the policy does, see `Law.mismatch`."""
+"""Mismatch up to which a regulator does what the policy does, see `LinearLaw.mismatch`."""
 
 _STAYS = ("task", "task_digest")
 """Of a manifest: all else is said of a policy that was made otherwise."""
 
 
-def refit(policy: LatentPolicy, drives: Sequence[Drive], sizes: Sequence[int] = SIZES) -> LatentPolicy:
+def refit(policy: LatentPolicy, segments: Sequence[TrajectorySegment], sizes: Sequence[int] = SIZES) -> LatentPolicy:
     """Return the regulator of a model of recorded drives that does what a policy does, with the region they span.
 
     Of the projections whose regulator does the same, the one that predicts best in cross-validation is taken.
 
     Args:
         policy: a latent one that drives from a lidar.
-        drives: x as the policy sees it, and commands.
+        segments: x as the policy sees it, and commands.
         sizes: latent dimensions to try.
 
     Raises:
         KoopmanError: the policy is of another task, the drives are too short, or no model has a regulator.
     """
     learnt = _unprojected(policy.controller)
-    if not drives:
+    if not segments:
         raise KoopmanError("no drive to fit to")
-    episodes = [_episode(learnt, policy, drive) for drive in drives]
-    mirrored = [_episode(learnt, policy, _mirrored(policy, drive)) for drive in drives]
-    found = Refit(learnt, episodes, mirrored, goal=bool(learnt.z_ref.any()))
+    episodes = [_episode(learnt, policy, segment) for segment in segments]
+    mirrored = [_episode(learnt, policy, _mirrored(policy, segment)) for segment in segments]
+    found = RegulatorFitter(learnt, episodes, mirrored, goal=bool(learnt.z_ref.any()))
     candidates = (found.regulator(family, C) for family, C in found.projections(sizes))
     tried = [each for each in candidates if each is not None]
     if not tried:
         raise KoopmanError("no regulator: the refitted model cannot be stabilised; record a livelier drive")
     same = [each for each in tried if each.mismatch <= _SAME_LAW]
-    chosen = min(same, key=lambda each: each.shrunk.crossed) if same else min(tried, key=lambda each: each.mismatch)
+    chosen = (
+        min(same, key=lambda each: each.shrunk.cross_validation_error)
+        if same
+        else min(tried, key=lambda each: each.mismatch)
+    )
     controller = chosen.controller
-    region = region_of_episodes(controller.predict, *projected(controller.project, [*episodes, *mirrored]))
+    distribution = fit_distribution_to_episodes(
+        controller.predict, *projected(controller.project, [*episodes, *mirrored])
+    )
     figures = {
         "latent": len(controller.Q),
         "family": chosen.family,
@@ -64,19 +70,19 @@ def refit(policy: LatentPolicy, drives: Sequence[Drive], sizes: Sequence[int] = 
         "action_difference": _difference(controller, learnt, episodes),
         "contraction": chosen.contraction,
         "ridge": chosen.shrunk.ridge,
-        "cross_validated_error_over_persistence": chosen.shrunk.crossed,
+        "cross_validated_error_over_persistence": chosen.shrunk.cross_validation_error,
         "spectral_radius": controller.spectral_radius,
         "dare_residual": controller.residual,
     }
     manifest = {name: policy.manifest[name] for name in _STAYS if name in policy.manifest} | figures
-    return LatentPolicy(controller, usual_step(drives), policy.wiring, manifest, region)
+    return LatentPolicy(controller, mean_time_step(segments), policy.robot_interface, manifest, distribution)
 
 
-def _episode(learnt: LatentController, policy: LatentPolicy, drive: Drive) -> Episode:
+def _episode(learnt: LatentController, policy: LatentPolicy, segment: TrajectorySegment) -> Episode:
     """Return a drive as an episode; nobody paid for it."""
-    actions = controls_of(policy, drive.u)
+    actions = controls_of(policy, segment.u)
     none: dict[str, Any] = {}
-    return Episode(learnt.encoder(drive.x), actions, float("nan"), len(actions), 0.0, none)
+    return Episode(learnt.encoder(segment.x), actions, float("nan"), len(actions), 0.0, none)
 
 
 def _difference(controller: LatentController, learnt: LatentController, episodes: Sequence[Episode]) -> float:
@@ -86,10 +92,10 @@ def _difference(controller: LatentController, learnt: LatentController, episodes
     return float(np.sqrt(np.mean((done - wanted) ** 2)))
 
 
-def _mirrored(policy: LatentPolicy, drive: Drive) -> Drive:
+def _mirrored(policy: LatentPolicy, segment: TrajectorySegment) -> TrajectorySegment:
     """Return a drive as it would have been had left and right been swapped."""
-    order, sign = policy.wired.observation.mirror
-    return Drive(drive.x[:, order] * sign, drive.u * (1.0, -1.0), drive.dt)
+    order, sign = policy.required_interface.observation.mirror
+    return TrajectorySegment(segment.x[:, order] * sign, segment.u * (1.0, -1.0), segment.dt)
 
 
 def _unprojected(controller: LatentController) -> LatentController:

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from koopman_lqr_controller.control.inverse_lqr import Law, fit_costs
+from koopman_lqr_controller.control.inverse_lqr import LinearLaw, fit_costs
 from koopman_lqr_controller.control.latent_controller import LatentController
 from koopman_lqr_controller.data.roll_outs import Episode
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.models.edmd import Snapshots
 from koopman_lqr_controller.models.reduction import observed, principal
-from koopman_lqr_controller.models.shrinkage import Shrunk, fit_shrunk
+from koopman_lqr_controller.models.shrinkage import ShrinkageFit, fit_with_shrinkage
 
 Array = NDArray[np.float64]
 
@@ -28,14 +28,14 @@ _LEAST_WEIGHT = 0.05
 
 
 @dataclass(frozen=True)
-class Regulator:
+class RegulatorCandidate:
     """A candidate.
 
     Attributes:
         controller: of the infinite horizon.
         family: how its dimensions were found: "observed" or "principal", see `reduction`.
-        mismatch: what is left of the difference to the law, see `Law.mismatch`.
-        contraction: what the refitted A was multiplied by, 1 for nothing: see `Refit.regulator`.
+        mismatch: what is left of the difference to the law, see `LinearLaw.mismatch`.
+        contraction: what the refitted A was multiplied by, 1 for nothing: see `RegulatorFitter.regulator`.
         shrunk: how its model was chosen.
     """
 
@@ -43,7 +43,7 @@ class Regulator:
     family: str
     mismatch: float
     contraction: float
-    shrunk: Shrunk
+    shrunk: ShrinkageFit
 
 
 def reference_inside(z_ref: Array, u_ref: Array, K: Array, spread: Array) -> tuple[Array, Array]:
@@ -62,7 +62,7 @@ def reference_inside(z_ref: Array, u_ref: Array, K: Array, spread: Array) -> tup
     return z_ref + along @ np.linalg.pinv(K @ along) @ (u_ref - a_ref), a_ref
 
 
-class Refit:
+class RegulatorFitter:
     """What recorded drives say about a learnt controller: its law as data, and models of projections of psi.
 
     The models are shrunk towards "nothing changes": drives are short.
@@ -98,10 +98,10 @@ class Refit:
         spread = np.cov(self._psi.T, aweights=self._weight)
         return reference_inside(psi_ref, learnt.control(psi_ref), learnt.K, spread)
 
-    def shrunk(self, C: Array) -> Shrunk:
+    def shrunk(self, C: Array) -> ShrinkageFit:
         """Return the model of C psi and the action around the reference, and how it was chosen."""
         twin = self._snapshots(C, self._mirrored) if self._mirrored else None
-        return fit_shrunk(self._snapshots(C, self._episodes), twin)
+        return fit_with_shrinkage(self._snapshots(C, self._episodes), twin)
 
     def _snapshots(self, C: Array, episodes: Sequence[Episode]) -> Snapshots:
         """Return drives as deviations of C psi and of the actions from the reference."""
@@ -124,7 +124,7 @@ class Refit:
         for size in wanted:
             yield "principal", self.directions[:size]
 
-    def regulator(self, family: str, C: Array) -> Regulator | None:
+    def regulator(self, family: str, C: Array) -> RegulatorCandidate | None:
         """Return the regulator for a projection; None where the model has none.
 
         What a weak policy never moves cannot be regulated, and need not be: where the refitted model has no regulator,
@@ -132,7 +132,7 @@ class Refit:
         """
         shrunk, z_ref = self.shrunk(C), C @ self._psi_ref
         model, drift = shrunk.model, shrunk.drift
-        law = Law.seen(self._psi @ C.T - z_ref, self._u - self._a_ref, self._weight)
+        law = LinearLaw.from_samples(self._psi @ C.T - z_ref, self._u - self._a_ref, self._weight)
         for contraction, each in ((1.0, model), model.contracted()):
             try:
                 Q, R, mismatch = fit_costs(each, law, np.ones(len(C)), self.learnt.R)
@@ -141,5 +141,5 @@ class Refit:
             found = LatentController(self.learnt.encoder, each, Q, R, z_ref, None, C, self._a_ref, drift)
             if found.residual >= LARGEST_RESIDUAL:
                 return None
-            return Regulator(found, family, mismatch, contraction, shrunk)
+            return RegulatorCandidate(found, family, mismatch, contraction, shrunk)
         return None

@@ -14,9 +14,9 @@ from ctrl_rl_core.geometry.units import Interval
 from koopman_lqr_controller.control.riccati import solve_lqr
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.models.edmd import Snapshots, fit, persistence_error
-from koopman_lqr_controller.models.shrinkage import fit_shrunk
-from koopman_lqr_controller.policies.edmd_policy import KoopmanPolicy
-from koopman_lqr_controller.safety.latent_distribution import region_of
+from koopman_lqr_controller.models.shrinkage import fit_with_shrinkage
+from koopman_lqr_controller.policies.edmd_policy import EdmdPolicy
+from koopman_lqr_controller.safety.latent_distribution import fit_distribution
 from koopman_lqr_controller.sensing.observables import CorridorObservables
 
 
@@ -48,7 +48,7 @@ def train(
     held_out: float = 0.2,
     manifest: dict[str, Any] | None = None,
     shrunk: bool = False,
-) -> KoopmanPolicy:
+) -> EdmdPolicy:
     """Fit model and regulator and return the policy, with its figures in the manifest.
 
     Args:
@@ -76,7 +76,7 @@ def train(
     # What was driven left could have been driven right: the mirrored drive is as true, and makes the model symmetric.
     data = seen.centred(z_ref, u_ref)
     mirrored = data.mirrored(observables.mirror, np.array([1.0, -1.0]))
-    model = fit_shrunk(data, mirrored, drift=False).model if shrunk else fit(data + mirrored)
+    model = fit_with_shrinkage(data, mirrored, drift=False).model if shrunk else fit(data + mirrored)
     constant = [
         name
         for name, here, there in zip(observables.names, data.z.T, data.z_next.T, strict=True)
@@ -87,7 +87,7 @@ def train(
     regulator = solve_lqr(model, Q, R)
     test = unseen.centred(z_ref, u_ref)
     both = np.vstack((seen.z, seen.z * observables.mirror))
-    region = region_of(both, np.linalg.norm(test.z_next - model.predict(test.z, test.u), axis=1))
+    distribution = fit_distribution(both, np.linalg.norm(test.z_next - model.predict(test.z, test.u), axis=1))
     error, persistence = model.one_step_error(test), persistence_error(test)
     figures = {
         "method": "EDMD and infinite-horizon LQR, two stages (thesis 2.3.1)",
@@ -102,8 +102,17 @@ def train(
         "dare_residual": regulator.residual,
     }
     low, high = np.array(limits).T
-    return KoopmanPolicy(
-        observables, model, regulator.K, regulator.P, z_ref, u_ref, low, high, {**(manifest or {}), **figures}, region
+    return EdmdPolicy(
+        observables,
+        model,
+        regulator.K,
+        regulator.P,
+        z_ref,
+        u_ref,
+        low,
+        high,
+        {**(manifest or {}), **figures},
+        distribution,
     )
 
 

@@ -24,7 +24,7 @@ class _Step(NamedTuple):
     normalised: bool = False
 
 
-class QuickEncoder:
+class FusedEncoder:
     """C psi(x) for one x: what is linear between two nonlinear steps, biases, norms and C too, is one matrix.
 
     It differs from the encoder by rounding alone.

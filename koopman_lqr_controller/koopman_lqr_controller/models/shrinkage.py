@@ -24,23 +24,23 @@ _FOLDS = 8
 
 
 @dataclass(frozen=True)
-class Shrunk:
+class ShrinkageFit:
     """A model and how it was chosen: z_{k+1} = drift + A z_k + B u_k.
 
     Attributes:
         model: A (n, n), B (n, m).
         drift: (n,).
         ridge: its strength.
-        crossed: error over persistence in cross-validation, on parts that were not fitted.
+        cross_validation_error: error over persistence in cross-validation, on parts that were not fitted.
     """
 
     model: LinearModel
     drift: Array
     ridge: float
-    crossed: float
+    cross_validation_error: float
 
 
-def fit_shrunk(data: Snapshots, twin: Snapshots | None = None, drift: bool = True) -> Shrunk:
+def fit_with_shrinkage(data: Snapshots, twin: Snapshots | None = None, drift: bool = True) -> ShrinkageFit:
     """Return the model of snapshots in the order of time; neighbours stay together when parts are left out.
 
     Args:
@@ -66,7 +66,7 @@ def fit_shrunk(data: Snapshots, twin: Snapshots | None = None, drift: bool = Tru
     unit = X.std(axis=0)
     unit[unit == 0.0] = 1.0
     X, Y = (X - middle) / unit, Y - moved
-    errors = _crossed(X, Y, moved, [np.concatenate(part) for part in parts])
+    errors = _cross_validation_errors(X, Y, moved, [np.concatenate(part) for part in parts])
     chosen = _chosen(errors)
     W = _solve(X.T @ X, X.T @ Y, len(X), RIDGES[chosen]).T / unit
     n = data.z.shape[1]
@@ -76,10 +76,10 @@ def fit_shrunk(data: Snapshots, twin: Snapshots | None = None, drift: bool = Tru
         still = ~(X[:, :n].any(axis=0) | Y.any(axis=0))
         A[still, still] = 0.0
     model = LinearModel(A, np.ascontiguousarray(W[:, n:]))
-    return Shrunk(model, moved - W @ middle, RIDGES[chosen], float(np.sqrt(errors[:, chosen].mean())))
+    return ShrinkageFit(model, moved - W @ middle, RIDGES[chosen], float(np.sqrt(errors[:, chosen].mean())))
 
 
-def _crossed(X: Array, Y: Array, moved: Array, parts: Sequence[NDArray[np.intp]]) -> Array:
+def _cross_validation_errors(X: Array, Y: Array, moved: Array, parts: Sequence[NDArray[np.intp]]) -> Array:
     """Return squared errors over those of persistence (parts, ridges), each part predicted by the others."""
     G, M = X.T @ X, X.T @ Y
     out = []

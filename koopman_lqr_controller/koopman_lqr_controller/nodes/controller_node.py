@@ -16,11 +16,11 @@ from std_msgs.msg import Header
 from ctrl_rl_msgs.msg import EpisodeStatus, LatentState
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.nodes.arrival import ENDED, Arrival
-from koopman_lqr_controller.nodes.lidar_driver import DRIVER_PARAMETERS, LidarDriver, Sensed
-from koopman_lqr_controller.policies.edmd_policy import Decision, DrivingPolicy
+from koopman_lqr_controller.nodes.lidar_driver import DRIVER_PARAMETERS, LidarDriver, SensorReading
+from koopman_lqr_controller.policies.edmd_policy import Decision, KoopmanPolicy
 from koopman_lqr_controller.policies.policy_file import DEFAULT_POLICY, digest, find_policy, load_policy
 from koopman_lqr_controller.safety.guards import Guard
-from koopman_lqr_controller.sensing.lidar import SAME_STEP, ScanGeometry
+from koopman_lqr_controller.sensing.lidar import STEP_TOLERANCE, ScanGeometry
 
 _OUT_OF_STEP = 20
 """Scans in a row that were not predicted, after which it is said."""
@@ -94,7 +94,7 @@ class Controller(LidarDriver):
     def __init__(self) -> None:
         super().__init__("koopman_lqr_controller")
         self._latent = self.create_publisher(LatentState, "~/latent", RESULT)
-        self._policy: DrivingPolicy
+        self._policy: KoopmanPolicy
         self._thought: _Thought | None = None
         self._next: NDArray[np.float64] | None = None
         self._next_since = math.nan
@@ -120,7 +120,7 @@ class Controller(LidarDriver):
         """Say whether commands flow, which policy gives them, and how far from its training the robot is."""
         level, message, figures = super().status()
         watched = {
-            "distance over the region's": self._not_watched("largest_distance") or f"{self._guard.outside:.2f}",
+            "distance over the region's": self._not_watched("largest_distance") or f"{self._guard.distance:.2f}",
             "prediction": self._not_watched("largest_error") or self._out_of_step or "watched",
             "retries": f"{self._guard.retries.used} of {self._guard.retries.most}",
         }
@@ -129,29 +129,29 @@ class Controller(LidarDriver):
             level = DiagnosticStatus.OK
         return level, message, {**figures, **self._served, **watched}
 
-    def decide(self, sensed: Sensed) -> NDArray[np.float64]:
+    def decide(self, reading: SensorReading) -> NDArray[np.float64]:
         """Return the policy's command.
 
         Raises:
             KoopmanError: it cannot be made, or would not be as in training.
         """
-        now, predicted, error = seconds(sensed.header.stamp), None, math.nan
-        self._arrival.moved(now, sensed.v)
+        now, predicted, error = seconds(reading.header.stamp), None, math.nan
+        self._arrival.moved(now, reading.v)
         over = self._arrival.reason()
         if over:
             raise KoopmanError(over)
-        decision = self._policy.decide(sensed.ranges, sensed.scan, sensed.v, sensed.omega)
+        decision = self._policy.decide(reading.ranges, reading.scan, reading.v, reading.omega)
         if self._next is not None and self._in_step(now - self._next_since):
             predicted = self._next
             missed = decision.z - predicted
             error = math.sqrt(missed.dot(missed))
-        self._thought = _Thought(decision, predicted, error, (sensed.v, sensed.omega))
-        reason = self._guard.see(now, decision.z, error)
+        self._thought = _Thought(decision, predicted, error, (reading.v, reading.omega))
+        reason = self._guard.update(now, decision.z, error)
         if reason:
             raise KoopmanError(reason)
-        return self._guard.pace * decision.command
+        return self._guard.speed_scale * decision.command
 
-    def answered(self, header: Header, command: NDArray[np.float64], problem: str) -> None:
+    def on_command_sent(self, header: Header, command: NDArray[np.float64], problem: str) -> None:
         """Publish how the answer came about, and predict what comes of it."""
         dry, thought, self._thought = self.settings["dry_run"], self._thought, None
         nan = math.nan
@@ -163,7 +163,7 @@ class Controller(LidarDriver):
         else:
             z = thought.decision.z
             out.z, out.control = _doubles(z), _doubles(thought.decision.control)
-            out.cost_to_go, out.distance = self._policy.cost_to_go(z), self._guard.outside
+            out.cost_to_go, out.distance = self._policy.cost_to_go(z), self._guard.distance
             if thought.predicted is not None:
                 out.z_predicted, out.prediction_error = _doubles(thought.predicted), thought.error
             # In a dry run somebody else drives, or nobody: what the robot does is what it does by odometry.
@@ -185,11 +185,11 @@ class Controller(LidarDriver):
             KoopmanError: it does not serve; the one before goes on.
         """
         path = find_policy(name)
-        policy: DrivingPolicy = load_policy(path)
+        policy: KoopmanPolicy = load_policy(path)
         policy.decide(np.ones(_SOME_SCAN.beams, np.float32), _SOME_SCAN, 0.0, 0.0)  # one of another robot ends here
         served = {"policy": path.name, "policy digest": digest(path)}
         # Only what is right in every respect takes the place of what drives.
-        self._guard, self._served, self._next = Guard(policy.region, *self._limits()), served, None
+        self._guard, self._served, self._next = Guard(policy.distribution, *self._limits()), served, None
         self._guard.set_retries(*self._retries())
         self._late, self._out_of_step = 0, ""
         self._policy = policy
@@ -198,7 +198,7 @@ class Controller(LidarDriver):
             f"policy {path.name} ({served['policy digest'][:12]}), {len(policy.z_ref)} observables, "
             f"{len(policy.sectors.bearings)} sectors"
         )
-        if policy.region is None:
+        if policy.distribution is None:
             self.get_logger().warning(
                 f"{path.name} does not say what its training saw: only stale and unusable input stops the robot"
             )
@@ -213,19 +213,19 @@ class Controller(LidarDriver):
     def _in_step(self, elapsed: float) -> bool:
         """Whether so much time [s] since the last scan is what the model predicts for; say so where it never is."""
         dt = self._policy.dt
-        if dt is None or abs(elapsed / dt - 1.0) < SAME_STEP:
+        if dt is None or abs(elapsed / dt - 1.0) < STEP_TOLERANCE:
             self._late, self._out_of_step = 0, ""
             return True
         self._late += 1
         if self._late >= _OUT_OF_STEP and not self._out_of_step:
             self._out_of_step = f"not watched: scans come every {elapsed:.2f} s, the model's step is {dt:.2f} s"
-            self._guard.cannot_predict()
+            self._guard.reset_prediction_alarm()
             self.get_logger().warning(f"prediction error {self._out_of_step}")
         return False
 
     def _not_watched(self, limit: str) -> str:
         """Return why a parameter's limit is of no effect, empty where it is."""
-        if self._policy.region is None:
+        if self._policy.distribution is None:
             return "not watched: the policy's file has no region"
         return "" if self.settings[limit] > 0.0 else f"not watched: {limit} is 0.0"
 

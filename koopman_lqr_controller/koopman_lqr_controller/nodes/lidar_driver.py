@@ -26,7 +26,7 @@ _RECENT = 1000
 _STAND = np.zeros(2)
 
 
-class Sensed(NamedTuple):
+class SensorReading(NamedTuple):
     """What a driver knows when it decides: ranges (beams,) [m] and their geometry, speed [m/s], turn rate [rad/s]."""
 
     ranges: NDArray[np.float32]
@@ -46,14 +46,14 @@ class LidarDriver(LidarVelocityNode):
         self._latencies: deque[float] = deque(maxlen=_RECENT)
 
     @abstractmethod
-    def decide(self, sensed: Sensed) -> NDArray[np.float64]:
+    def decide(self, reading: SensorReading) -> NDArray[np.float64]:
         """Return speed [m/s] and turn rate [rad/s] (2,) for one scan.
 
         Raises:
             CtrlRlError: there is no command; the robot then stops, for the reason that the error says.
         """
 
-    def answered(self, header: Header, command: NDArray[np.float64], problem: str) -> None:
+    def on_command_sent(self, header: Header, command: NDArray[np.float64], problem: str) -> None:
         """Take note of what was sent, or in a dry run would have been; nobody waits for it any more.
 
         Args:
@@ -73,7 +73,7 @@ class LidarDriver(LidarVelocityNode):
     def on_stale_input(self, problem: str) -> None:
         """Say that there was nothing to answer."""
         header = Header(stamp=self.get_clock().now().to_msg(), frame_id=self.frame)
-        self.answered(header, _STAND, problem)
+        self.on_command_sent(header, _STAND, problem)
 
     def on_scan(self, message: LaserScan, ranges: NDArray[np.float32], scan: ScanGeometry) -> None:
         """Answer it."""
@@ -82,11 +82,11 @@ class LidarDriver(LidarVelocityNode):
             problem = self.input_fault()
             if problem:
                 raise VelocityError(problem)
-            sensed = Sensed(ranges, scan, *self.motion, message.header)
-            command = self.drive(self.decide(sensed), message.header.stamp)
+            reading = SensorReading(ranges, scan, *self.motion, message.header)
+            command = self.drive(self.decide(reading), message.header.stamp)
         except CtrlRlError as error:
             self.halt(str(error), message.header.stamp)
-            self.answered(message.header, _STAND, str(error))
+            self.on_command_sent(message.header, _STAND, str(error))
             return
         self._latencies.append(time.perf_counter() - begin)
-        self.answered(message.header, command, self.problem)
+        self.on_command_sent(message.header, command, self.problem)

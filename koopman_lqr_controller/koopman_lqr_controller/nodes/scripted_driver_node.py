@@ -9,7 +9,7 @@ from ctrl_rl_core.ros.node import run_node
 from ctrl_rl_core.ros.parameters import Parameter
 from numpy.typing import NDArray
 
-from koopman_lqr_controller.nodes.lidar_driver import DRIVER_PARAMETERS, LidarDriver, Sensed
+from koopman_lqr_controller.nodes.lidar_driver import DRIVER_PARAMETERS, LidarDriver, SensorReading
 from koopman_lqr_controller.nodes.scripted_driver import ScriptedDriver
 
 
@@ -38,9 +38,9 @@ class ScriptedDriverNode(LidarDriver):
         limits = np.array([self.settings["largest_speed"], self.settings["largest_turn_rate"]])
         self.set_limits(-limits, limits)
 
-    def decide(self, sensed: Sensed) -> NDArray[np.float64]:
+    def decide(self, reading: SensorReading) -> NDArray[np.float64]:
         """Return the scripted command."""
-        return self._driver.command(self._driver.sectors.distances(sensed.ranges, sensed.scan))
+        return self._driver.command(self._driver.sectors.distances(reading.ranges, reading.scan))
 
 
 def main() -> int:

@@ -11,19 +11,19 @@ from numpy.typing import NDArray
 from koopman_lqr_controller.control.latent_controller import LatentController
 from koopman_lqr_controller.control.linear_analysis import costs_of
 from koopman_lqr_controller.models.edmd import LinearModel
-from koopman_lqr_controller.policies.edmd_policy import KoopmanPolicy
+from koopman_lqr_controller.policies.edmd_policy import EdmdPolicy
 from koopman_lqr_controller.policies.latent_policy import LatentPolicy
 from koopman_lqr_controller.sensing.lidar import ScanGeometry
 
 Array = NDArray[np.float64]
-See = Callable[[NDArray[np.float32], ScanGeometry, float, float], Array]
+ObservationFn = Callable[[NDArray[np.float32], ScanGeometry, float, float], Array]
 """Ranges, their geometry, speed [m/s] and turn rate [rad/s] to an observation x; KoopmanError where it cannot be."""
 
 LEARNT, CONSOLIDATED, TWO_STAGES = "as learnt", "consolidated", "two stages"
 
 
 @dataclass(frozen=True)
-class LinearLoop:
+class ClosedLoopModel:
     """A policy as control theory sees it. The control u is the model's own: actions in [-1, 1], or commands.
 
     Attributes:
@@ -77,13 +77,13 @@ class LinearLoop:
         return np.asarray(np.sum((deviation @ self.P) * deviation, axis=1), dtype=np.float64)
 
 
-def linear_loop(policy: KoopmanPolicy | LatentPolicy) -> LinearLoop:
+def closed_loop_model(policy: EdmdPolicy | LatentPolicy) -> ClosedLoopModel:
     """Return a policy's loop."""
     if isinstance(policy, LatentPolicy):
         return _latent(policy.controller)
     z_ref, u_ref = policy.z_ref, policy.u_ref
     Q, R = costs_of(policy.model, policy.K, policy.P)
-    return LinearLoop(
+    return ClosedLoopModel(
         kind=TWO_STAGES,
         model=policy.model,
         K=policy.K,
@@ -100,11 +100,11 @@ def linear_loop(policy: KoopmanPolicy | LatentPolicy) -> LinearLoop:
     )
 
 
-def _latent(controller: LatentController) -> LinearLoop:
+def _latent(controller: LatentController) -> ClosedLoopModel:
     controls = len(controller.R)
     learnt = controller.horizon is not None
     slope = 1.0 - np.tanh(controller.control(controller.z_ref)) ** 2 if learnt else np.ones(controls)
-    return LinearLoop(
+    return ClosedLoopModel(
         kind=LEARNT if learnt else CONSOLIDATED,
         model=controller.model,
         K=controller.K,
@@ -121,28 +121,32 @@ def _latent(controller: LatentController) -> LinearLoop:
     )
 
 
-def sight(policy: KoopmanPolicy | LatentPolicy) -> See:
+def observation_fn(policy: EdmdPolicy | LatentPolicy) -> ObservationFn:
     """Return how a policy sees scan and odometry: its x.
 
     Raises:
         KoopmanError: the policy is of a task without a lidar.
     """
-    return policy.wired.observation.observe if isinstance(policy, LatentPolicy) else policy.observables.observe
+    return (
+        policy.required_interface.observation.observe
+        if isinstance(policy, LatentPolicy)
+        else policy.observables.observe
+    )
 
 
-def controls_of(policy: KoopmanPolicy | LatentPolicy, commands: Array) -> Array:
+def controls_of(policy: EdmdPolicy | LatentPolicy, commands: Array) -> Array:
     """Return the model's controls (N, m) for recorded commands (N, 2): actions are cut off at -1 and 1.
 
     Raises:
         KoopmanError: the policy is of a task without a lidar.
     """
-    return policy.wired.action(commands) if isinstance(policy, LatentPolicy) else commands
+    return policy.required_interface.action(commands) if isinstance(policy, LatentPolicy) else commands
 
 
-def commands_of(policy: KoopmanPolicy | LatentPolicy, controls: Array) -> Array:
+def commands_of(policy: EdmdPolicy | LatentPolicy, controls: Array) -> Array:
     """Return the commands (N, 2) of controls (N, m).
 
     Raises:
         KoopmanError: the policy is of a task without a lidar.
     """
-    return policy.wired.command(controls) if isinstance(policy, LatentPolicy) else controls
+    return policy.required_interface.command(controls) if isinstance(policy, LatentPolicy) else controls

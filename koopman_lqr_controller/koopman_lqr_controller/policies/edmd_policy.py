@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.models.edmd import LinearModel
-from koopman_lqr_controller.safety.latent_distribution import Region, check_region
+from koopman_lqr_controller.safety.latent_distribution import LatentDistribution, check_distribution
 from koopman_lqr_controller.sensing.lidar import ScanGeometry, Sectors
 from koopman_lqr_controller.sensing.observables import CorridorObservables
 
@@ -32,7 +32,7 @@ class Decision(NamedTuple):
     z: Array
 
 
-class DrivingPolicy(Protocol):
+class KoopmanPolicy(Protocol):
     """What a node needs of a policy, however it was learnt."""
 
     @property
@@ -56,7 +56,7 @@ class DrivingPolicy(Protocol):
         """Least and largest command (2,), (2,): speed [m/s], turn rate [rad/s]."""
 
     @property
-    def region(self) -> Region | None:
+    def distribution(self) -> LatentDistribution | None:
         """What training saw; None where the file does not say."""
 
     @property
@@ -74,7 +74,7 @@ class DrivingPolicy(Protocol):
 
 
 @dataclass(frozen=True)
-class KoopmanPolicy:
+class EdmdPolicy:
     """u = u_ref - K (z - z_ref), z = Psi(x).
 
     Attributes:
@@ -87,7 +87,7 @@ class KoopmanPolicy:
         u_low: least command (2,).
         u_high: largest command (2,).
         manifest: what was learned from, and how well: plain JSON values.
-        region: what training saw; None where it was not written down.
+        distribution: what training saw; None where it was not written down.
     """
 
     observables: CorridorObservables
@@ -99,7 +99,7 @@ class KoopmanPolicy:
     u_low: Array
     u_high: Array
     manifest: Mapping[str, Any] = field(default_factory=dict)
-    region: Region | None = None
+    distribution: LatentDistribution | None = None
 
     def __post_init__(self) -> None:
         n, m = len(self.observables.names), 2
@@ -123,7 +123,7 @@ class KoopmanPolicy:
         dt = self.manifest.get("dt")
         if dt is not None and not (isinstance(dt, int | float) and 0.0 < dt < float("inf")):
             raise KoopmanError(f"dt is {dt}: must be a positive time")
-        check_region(self.region, n)
+        check_distribution(self.distribution, n)
 
     @property
     def dt(self) -> float | None:

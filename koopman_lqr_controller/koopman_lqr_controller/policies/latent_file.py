@@ -12,18 +12,18 @@ from numpy.typing import NDArray
 from koopman_lqr_controller.control.latent_controller import LatentController
 from koopman_lqr_controller.models.edmd import LinearModel
 from koopman_lqr_controller.models.encoder import Encoder
-from koopman_lqr_controller.policies.latent_policy import LatentPolicy, LidarWiring
+from koopman_lqr_controller.policies.latent_policy import LatentPolicy, RobotInterface
 from koopman_lqr_controller.policies.policy_header import LatentHeader
 
 FORMAT = "koopman-latent-2"
 _LQR = ("A", "B", "Q", "R", "z_ref")
 _REFERENCE = ("a_ref", "drift")
-_WIRING = ("u_low", "u_high")
+_COMMAND_LIMITS = ("u_low", "u_high")
 
 
 def describe_latent(policy: LatentPolicy) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     """Return what `build_latent` makes the policy from again."""
-    controller, wiring = policy.controller, policy.wiring
+    controller, robot_interface = policy.controller, policy.robot_interface
     encoder, tensors = controller.encoder.describe()
     arrays: dict[str, NDArray[Any]] = {**tensors, "A": controller.model.A, "B": controller.model.B}
     arrays |= {"Q": controller.Q, "R": controller.R, "z_ref": controller.z_ref}
@@ -38,9 +38,9 @@ def describe_latent(policy: LatentPolicy) -> tuple[dict[str, Any], dict[str, NDA
         "horizon": controller.horizon,
         "manifest": dict(policy.manifest),
     }
-    if wiring is not None:
-        arrays |= {"u_low": wiring.u_low, "u_high": wiring.u_high}
-        header["observation"] = asdict(wiring.observation)
+    if robot_interface is not None:
+        arrays |= {"u_low": robot_interface.u_low, "u_high": robot_interface.u_high}
+        header["observation"] = asdict(robot_interface.observation)
         header["action"] = ["speed [m/s]", "turn rate [rad/s]"]
     return header, arrays
 
@@ -66,9 +66,9 @@ def build_latent(told: LatentHeader, tensors: Tensors) -> LatentPolicy:
         horizon=told.horizon,
         projection=None if projection is None else projection.astype(np.float64),
     )
-    wiring = None
+    robot_interface = None
     if told.observation is not None:
-        low, high = (tensors[name].astype(np.float64) for name in _WIRING)
-        wiring = LidarWiring(told.observation.observation, low, high)
+        low, high = (tensors[name].astype(np.float64) for name in _COMMAND_LIMITS)
+        robot_interface = RobotInterface(told.observation.observation, low, high)
     manifest = told.manifest.model_dump(exclude_unset=True)
-    return LatentPolicy(controller, told.dt, wiring, manifest, told.region_of(tensors))
+    return LatentPolicy(controller, told.dt, robot_interface, manifest, told.training_distribution(tensors))

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from koopman_lqr_controller.control.latent_controller import LatentController
 from koopman_lqr_controller.errors import KoopmanError
-from koopman_lqr_controller.models.fused_encoder import QuickEncoder
+from koopman_lqr_controller.models.fused_encoder import FusedEncoder
 from koopman_lqr_controller.policies.edmd_policy import Decision
-from koopman_lqr_controller.safety.latent_distribution import Region, check_region
+from koopman_lqr_controller.safety.latent_distribution import LatentDistribution, check_distribution
 from koopman_lqr_controller.sensing.lidar import ScanGeometry, Sectors
 from koopman_lqr_controller.sensing.lidar_observation import LidarObservation
 
@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class LidarWiring:
+class RobotInterface:
     """How a robot with a lidar is wired to a controller.
 
     Attributes:
@@ -62,23 +62,24 @@ class LatentPolicy:
     Attributes:
         controller: the latent controller.
         dt: from one decision to the next, for which the model predicts [s].
-        wiring: to a robot with a lidar; None for tasks that have none, e.g. those of the DeepMind control suite.
+        robot_interface: Connection to a robot with a lidar; None for tasks without one, e.g. those of the DeepMind
+            control suite.
         manifest: what was learnt from, how, and how well: plain JSON values.
-        region: what training saw; None where it was not written down.
+        distribution: what training saw; None where it was not written down.
     """
 
     controller: LatentController
     dt: float
-    wiring: LidarWiring | None = None
+    robot_interface: RobotInterface | None = None
     manifest: Mapping[str, Any] = field(default_factory=dict)
-    region: Region | None = None
+    distribution: LatentDistribution | None = None
 
     def __post_init__(self) -> None:
         if not 0.0 < self.dt < float("inf"):
             raise KoopmanError(f"dt is {self.dt} s: must be positive")
-        check_region(self.region, len(self.z_ref))
-        if self.wiring is not None:
-            wanted, controls = (len(self.wiring.observation.names),), len(self.controller.R)
+        check_distribution(self.distribution, len(self.z_ref))
+        if self.robot_interface is not None:
+            wanted, controls = (len(self.robot_interface.observation.names),), len(self.controller.R)
             if self.controller.encoder.shape != wanted or controls != 2:
                 raise KoopmanError(
                     f"the encoder takes {self.controller.encoder.shape} and {controls} controls come out, "
@@ -91,15 +92,15 @@ class LatentPolicy:
         return self.controller.z_ref
 
     @property
-    def wired(self) -> LidarWiring:
+    def required_interface(self) -> RobotInterface:
         """The wiring, where there is one.
 
         Raises:
             KoopmanError: the policy is of a task without a lidar.
         """
-        if self.wiring is None:
+        if self.robot_interface is None:
             raise KoopmanError(f"this policy is of the task {self.manifest.get('task')}: it knows no lidar")
-        return self.wiring
+        return self.robot_interface
 
     @property
     def sectors(self) -> Sectors:
@@ -108,7 +109,7 @@ class LatentPolicy:
         Raises:
             KoopmanError: the policy is of another task.
         """
-        return self.wired.observation.sectors
+        return self.required_interface.observation.sectors
 
     @property
     def limits(self) -> tuple[Array, Array]:
@@ -117,25 +118,25 @@ class LatentPolicy:
         Raises:
             KoopmanError: the policy is of another task.
         """
-        return self.wired.u_low, self.wired.u_high
+        return self.required_interface.u_low, self.required_interface.u_high
 
     @cached_property
     def _latent(self) -> Callable[[Array], Array]:
         """The controller's `latent`, quick where it can be."""
         try:
-            return QuickEncoder(self.controller.encoder, self.controller.projection)
+            return FusedEncoder(self.controller.encoder, self.controller.projection)
         except KoopmanError:
             return self.controller.latent
 
     @cached_property
     def _gain(self) -> Array:
         """The gain K in the units of the command (2, n)."""
-        return self.wired.half[:, None] * self.controller.K
+        return self.required_interface.half[:, None] * self.controller.K
 
     @cached_property
     def _offset(self) -> Array:
         """The offset k in the units of the command (2,)."""
-        return self.wired.command(self.controller.k)
+        return self.required_interface.command(self.controller.k)
 
     @property
     def loop(self) -> Array:
@@ -149,18 +150,18 @@ class LatentPolicy:
             KoopmanError: nothing can be seen in the scan, speed or turn rate are not finite, or the policy is of
                 another task.
         """
-        wiring, controller = self.wired, self.controller
-        z = self._latent(wiring.observation.observe(ranges, scan, v, omega))
+        robot_interface, controller = self.required_interface, self.controller
+        z = self._latent(robot_interface.observation.observe(ranges, scan, v, omega))
         if controller.horizon is not None:
             u = controller.control(z)
-            return Decision(wiring.command(controller.saturate(u)), wiring.command(u), z)
+            return Decision(robot_interface.command(controller.saturate(u)), robot_interface.command(u), z)
         # Actions are cut off where commands are: the quickest is to think in commands.
         control = self._offset - self._gain.dot(z)
-        return Decision(np.minimum(np.maximum(control, wiring.u_low), wiring.u_high), control, z)
+        return Decision(np.minimum(np.maximum(control, robot_interface.u_low), robot_interface.u_high), control, z)
 
     def predict(self, z: Array, command: Array) -> Array:
         """Return the model's next z (n,) under a command (2,), which counts as the nearest within the limits."""
-        return self.controller.predict(z, self.wired.action(command))
+        return self.controller.predict(z, self.required_interface.action(command))
 
     def cost_to_go(self, z: Array) -> float:
         """Return (z - z_ref)^T P (z - z_ref)."""

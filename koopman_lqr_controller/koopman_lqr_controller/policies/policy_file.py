@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.models.edmd import LinearModel
-from koopman_lqr_controller.policies.edmd_policy import KoopmanPolicy
+from koopman_lqr_controller.policies.edmd_policy import EdmdPolicy
 from koopman_lqr_controller.policies.latent_file import FORMAT as LATENT_FORMAT
 from koopman_lqr_controller.policies.latent_file import build_latent, describe_latent
 from koopman_lqr_controller.policies.latent_policy import LatentPolicy
@@ -75,7 +75,7 @@ def refuse_existing(path: Path, overwrite: bool) -> None:
         raise KoopmanError(f"{short_path(path)} exists: give another name, or ask to --overwrite it")
 
 
-def save_policy(policy: KoopmanPolicy | LatentPolicy, path: Path, overwrite: bool = False) -> None:
+def save_policy(policy: EdmdPolicy | LatentPolicy, path: Path, overwrite: bool = False) -> None:
     """Write a policy; the file is there whole or not at all.
 
     Raises:
@@ -83,9 +83,9 @@ def save_policy(policy: KoopmanPolicy | LatentPolicy, path: Path, overwrite: boo
     """
     refuse_existing(path, overwrite)
     header, tensors = describe_latent(policy) if isinstance(policy, LatentPolicy) else _describe_edmd(policy)
-    if policy.region is not None:
-        header["region"] = {name: getattr(policy.region, name) for name in _REGION}
-        tensors |= {"region.mean": policy.region.mean, "region.covariance": policy.region.covariance}
+    if policy.distribution is not None:
+        header["region"] = {name: getattr(policy.distribution, name) for name in _REGION}
+        tensors |= {"region.mean": policy.distribution.mean, "region.covariance": policy.distribution.covariance}
     content = encode_tensors(tensors, _HEADER_KEY, header)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -94,7 +94,7 @@ def save_policy(policy: KoopmanPolicy | LatentPolicy, path: Path, overwrite: boo
         raise KoopmanError(f"cannot write {path}: {error.strerror}") from None
 
 
-def load_policy(path: Path) -> KoopmanPolicy | LatentPolicy:
+def load_policy(path: Path) -> EdmdPolicy | LatentPolicy:
     """Read a policy of either kind and check it.
 
     Raises:
@@ -116,7 +116,7 @@ def load_policy(path: Path) -> KoopmanPolicy | LatentPolicy:
         raise FileError(f"format is {short_repr(found)}, must be '{FORMAT}' or '{LATENT_FORMAT}': train it again")
 
 
-def _describe_edmd(policy: KoopmanPolicy) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+def _describe_edmd(policy: EdmdPolicy) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     tensors = {
         "A": policy.model.A,
         "B": policy.model.B,
@@ -132,12 +132,12 @@ def _describe_edmd(policy: KoopmanPolicy) -> tuple[dict[str, Any], dict[str, NDA
     return header, tensors
 
 
-def _build_edmd(told: EdmdHeader, tensors: Tensors) -> KoopmanPolicy:
+def _build_edmd(told: EdmdHeader, tensors: Tensors) -> EdmdPolicy:
     arrays: dict[str, Any] = {name: tensors[name].astype(np.float64) for name in _TENSORS}
-    return KoopmanPolicy(
+    return EdmdPolicy(
         observables=told.observables.observables,
         model=LinearModel(arrays.pop("A"), arrays.pop("B")),
         manifest=told.manifest.model_dump(exclude_unset=True),
-        region=told.region_of(tensors),
+        distribution=told.training_distribution(tensors),
         **arrays,
     )

@@ -9,7 +9,7 @@ from ctrl_rl_core.io.checked_tensors import Tensors
 from ctrl_rl_core.io.schema import Name, Positive, Schema
 from pydantic import ConfigDict, Field, model_validator
 
-from koopman_lqr_controller.safety.latent_distribution import Region
+from koopman_lqr_controller.safety.latent_distribution import LatentDistribution
 from koopman_lqr_controller.sensing.lidar_observation import LidarObservation
 from koopman_lqr_controller.sensing.observables import CorridorObservables
 
@@ -86,12 +86,12 @@ class _Header(Schema):
     manifest: _Manifest
     region: _Region | None = None
 
-    def region_of(self, tensors: Tensors) -> Region | None:
+    def training_distribution(self, tensors: Tensors) -> LatentDistribution | None:
         """Return what training saw; files from before it was written down have none."""
         if self.region is None:
             return None
         mean, covariance = (tensors[f"region.{name}"].astype(float) for name in _REGION)
-        return Region(mean, covariance, self.region.distance, self.region.error)
+        return LatentDistribution(mean, covariance, self.region.distance, self.region.error)
 
 
 class EdmdHeader(_Header):

@@ -13,19 +13,19 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from koopman_lqr_controller.safety.latent_distribution import Region
+from koopman_lqr_controller.safety.latent_distribution import LatentDistribution
 
 Array = NDArray[np.float64]
 
 RELEASE = 0.8
 """Part of the limit below which an alarm ends: what hovers at the limit does not stop and go."""
-CREEP = 0.5
+RETRY_SCALE = 0.5
 """Part of a command that is carried out while the robot tries again."""
-CREEPING = 3.0
+RETRY_SECONDS = 3.0
 """How long it tries [s]."""
-FORGET = 10.0
+FORGET_SECONDS = 10.0
 """How long all must have been well before former tries no longer count [s]."""
-GAP = 1.0
+MAX_GAP_SECONDS = 1.0
 """Values that are further apart say nothing of the time between them [s]."""
 
 
@@ -49,12 +49,12 @@ class Alarm:
         """Forget all that was seen."""
         self.raised, self._since = False, math.nan
 
-    def see(self, now: float, value: float) -> bool:
+    def update(self, now: float, value: float) -> bool:
         """Take a value at a time [s], NaN for none, and return whether the alarm is raised."""
         if self.limit <= 0.0:
             self.end()
         elif not math.isnan(value):
-            if not now - self._last <= GAP:
+            if not now - self._last <= MAX_GAP_SECONDS:
                 self._since = math.nan
             self._last = now
             wrong = value < RELEASE * self.limit if self.raised else value > self.limit
@@ -75,7 +75,7 @@ class Retries:
     Attributes:
         wait: how long the robot stands before it tries again [s].
         most: how many times it does; 0 for never.
-        used: how many times it has, since all was well for `FORGET`.
+        used: how many times it has, since all was well for `FORGET_SECONDS`.
     """
 
     wait: float
@@ -85,7 +85,7 @@ class Retries:
     _since: float = field(default=math.nan, repr=False)
     _well_since: float = field(default=math.nan, repr=False)
 
-    def see(self, now: float, alarm: bool) -> float:
+    def update(self, now: float, alarm: bool) -> float:
         """Return the part of a command that is to be carried out: 1 without an alarm, 0 to stand, CREEP to try again.
 
         Args:
@@ -96,60 +96,64 @@ class Retries:
             self._creeping, self._since = False, math.nan
             if not self._well_since <= now:
                 self._well_since = now
-            if now - self._well_since >= FORGET:
+            if now - self._well_since >= FORGET_SECONDS:
                 self.used = 0
             return 1.0
         self._well_since = math.nan
         if not self._since <= now:  # the alarm is new, or the clock was set back
             self._since, self._creeping = now, False
-        if self._creeping and now - self._since >= CREEPING:
+        if self._creeping and now - self._since >= RETRY_SECONDS:
             self._creeping, self._since = False, now
         elif not self._creeping and self.used < self.most and now - self._since >= self.wait:
             self._creeping, self._since = True, now
             self.used += 1
-        return CREEP if self._creeping else 0.0
+        return RETRY_SCALE if self._creeping else 0.0
 
 
 class Guard:
     """Holds a policy's latents and prediction errors against what training saw.
 
     Attributes:
-        region: of the policy; None where its file has none: then nothing is watched.
-        outside: how far outside the last latent was, see `Region.outside`; NaN where there is no region.
-        pace: part of the command that is to be carried out where nothing stops the robot: less than 1 on a retry.
+        distribution: of the policy; None where its file has none: then nothing is watched.
+        distance: Distance of the last latent over that of the border; NaN without a distribution.
+        speed_scale: Part of the command to carry out where nothing stops the robot; below 1 on a retry.
         retries: how often it has tried again.
     """
 
     def __init__(
-        self, region: Region | None, largest_distance: float, largest_error: float, error_patience: float
+        self,
+        distribution: LatentDistribution | None,
+        largest_distance: float,
+        largest_error: float,
+        error_patience: float,
     ) -> None:
         """Set it up.
 
         Args:
-            region: of the policy.
+            distribution: of the policy.
             largest_distance: that is allowed, in those of the region's border; 0 for any.
             largest_error: that may stay, in the region's own; 0 for any.
             error_patience: how long it may stay [s].
         """
-        self.region, self.outside = region, math.nan
-        self.pace, self.retries = 1.0, Retries(math.inf, 0)
-        self._region_alarm, self._error_alarm = Alarm(0.0), Alarm(0.0)
+        self.distribution, self.distance = distribution, math.nan
+        self.speed_scale, self.retries = 1.0, Retries(math.inf, 0)
+        self._distance_alarm, self._error_alarm = Alarm(0.0), Alarm(0.0)
         self.set_limits(largest_distance, largest_error, error_patience)
 
     def set_limits(self, largest_distance: float, largest_error: float, error_patience: float) -> None:
         """Change them; an alarm that is raised stays so until its own limit says otherwise."""
-        self._region_alarm.limit = largest_distance
+        self._distance_alarm.limit = largest_distance
         self._error_alarm.limit, self._error_alarm.patience = largest_error, error_patience
 
     def set_retries(self, wait: float, most: int) -> None:
         """Let the robot try again slowly after it stood for `wait` [s] for its prediction error, `most` times."""
         self.retries.wait, self.retries.most = wait, most
 
-    def cannot_predict(self) -> None:
+    def reset_prediction_alarm(self) -> None:
         """End the alarm of the prediction: there will be no more errors to end it."""
         self._error_alarm.end()
 
-    def see(self, now: float, z: Array, error: float) -> str:
+    def update(self, now: float, z: Array, error: float) -> str:
         """Return why the robot must stop, empty where it need not.
 
         Args:
@@ -157,14 +161,14 @@ class Guard:
             z: its latent (n,).
             error: |z - z_predicted|; NaN where nothing was predicted.
         """
-        if self.region is None:
+        if self.distribution is None:
             return ""
-        self.outside = self.region.outside(z)
-        left = self._region_alarm.see(now, self.outside)
-        missed = self._error_alarm.see(now, error / self.region.error)
-        self.pace = self.retries.see(now, missed)
+        self.distance = self.distribution.relative_distance(z)
+        left = self._distance_alarm.update(now, self.distance)
+        missed = self._error_alarm.update(now, error / self.distribution.error)
+        self.speed_scale = self.retries.update(now, missed)
         if left:
             return "the latent has left the region seen in training (parameter largest_distance)"
-        if self.pace == 0.0:
+        if self.speed_scale == 0.0:
             return "the prediction error stays high (parameter largest_error)"
         return ""

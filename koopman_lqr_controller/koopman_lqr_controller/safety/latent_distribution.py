@@ -21,7 +21,7 @@ _LEAST_SPREAD = 1e-4
 
 
 @dataclass(frozen=True)
-class Region:
+class LatentDistribution:
     """Where latents are usual, and which prediction errors are.
 
     Attributes:
@@ -57,23 +57,23 @@ class Region:
         """Return Mahalanobis distances (N,) of latents (N, n) from the mean."""
         return np.linalg.norm((z - self.mean) @ self._whitening.T, axis=-1)
 
-    def outside(self, z: Array) -> float:
+    def relative_distance(self, z: Array) -> float:
         """Return the distance of one latent (n,) over that of the border: above 1 is outside."""
         white = self._whitening.dot(z - self.mean)
         return float(np.sqrt(white.dot(white))) / self.distance
 
 
-def check_region(region: Region | None, size: int) -> None:
+def check_distribution(distribution: LatentDistribution | None, size: int) -> None:
     """Refuse a region of other latents.
 
     Raises:
         KoopmanError: it is of another size.
     """
-    if region is not None and len(region.mean) != size:
-        raise KoopmanError(f"the region is of {len(region.mean)} dimensions, the latent has {size}")
+    if distribution is not None and len(distribution.mean) != size:
+        raise KoopmanError(f"the region is of {len(distribution.mean)} dimensions, the latent has {size}")
 
 
-def region_of(latents: Array, errors: Array) -> Region:
+def fit_distribution(latents: Array, errors: Array) -> LatentDistribution:
     """Return the region of latents (N, n) and their one-step prediction errors |z - z_predicted| (M,).
 
     Raises:
@@ -87,13 +87,15 @@ def region_of(latents: Array, errors: Array) -> Region:
     if not (np.isfinite(latents).all() and np.isfinite(errors).all()):
         raise KoopmanError("latents or prediction errors hold values that are not finite")
     mean, covariance = latents.mean(axis=0), np.atleast_2d(np.cov(latents.T))
-    distances = Region(mean, covariance, 1.0, 1.0).distances(latents)
-    return Region(mean, covariance, float(np.percentile(distances, INSIDE)), float(np.percentile(errors, PREDICTED)))
+    distances = LatentDistribution(mean, covariance, 1.0, 1.0).distances(latents)
+    return LatentDistribution(
+        mean, covariance, float(np.percentile(distances, INSIDE)), float(np.percentile(errors, PREDICTED))
+    )
 
 
-def region_of_episodes(
+def fit_distribution_to_episodes(
     predict: Callable[[Array, Array], Array], z: Sequence[Array], actions: Sequence[Array]
-) -> Region:
+) -> LatentDistribution:
     """Return the region of episodes that were lived through.
 
     Args:
@@ -102,11 +104,11 @@ def region_of_episodes(
         actions: of each episode (T, m).
 
     Raises:
-        KoopmanError: as `region_of`.
+        KoopmanError: as `fit_distribution`.
     """
     errors = [
         np.linalg.norm(here[1:] - predict(here[:-1], done), axis=1) for here, done in zip(z, actions, strict=True)
     ]
     if not errors:
         raise KoopmanError("no episodes make no region")
-    return region_of(np.concatenate(list(z)), np.concatenate(errors))
+    return fit_distribution(np.concatenate(list(z)), np.concatenate(errors))

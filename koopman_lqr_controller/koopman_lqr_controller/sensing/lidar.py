@@ -25,7 +25,7 @@ OPENING = 1e-3
 """Scans whose openings differ by less are taken for alike [rad]: no lidar turns as evenly as that."""
 EDGE = 1e-3
 """Beams on a sector's edge belong to it on both sides of the robot, whatever rounding says [rad]."""
-SAME_STEP = 0.25
+STEP_TOLERANCE = 0.25
 """Part by which a step from scan to scan may be shorter or longer than another and still count as the same."""
 _TURN = 2.0 * np.pi
 _KNOWN = 512

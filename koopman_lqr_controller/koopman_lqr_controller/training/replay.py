@@ -42,7 +42,7 @@ class Mirror(NamedTuple):
     sign: NDArray[np.float64]
     control_sign: NDArray[np.float64]
 
-    def some(self, steps: Transitions, random: np.random.Generator) -> Transitions:
+    def mirror_at_random(self, steps: Transitions, random: np.random.Generator) -> Transitions:
         """Return the steps, each as it was or mirrored, by lot."""
         chosen = (random.random(len(steps.u)) < 0.5)[:, None]
 

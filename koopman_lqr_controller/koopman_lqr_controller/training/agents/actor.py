@@ -24,7 +24,7 @@ _LOG_DEVIATIONS = (-5.0, 1.0)
 Array = NDArray[np.float64]
 
 
-class Interface(NamedTuple):
+class AgentInterface(NamedTuple):
     """What an agent observes and controls.
 
     Attributes:
@@ -56,7 +56,7 @@ class Actor(nn.Module, ABC):
         raw_deviation: what tanh makes the logarithm of the controls' deviation from, one for all (1,).
     """
 
-    def __init__(self, interface: Interface, settings: Settings) -> None:
+    def __init__(self, interface: AgentInterface, settings: Settings) -> None:
         super().__init__()
         self.encoder = interface.encoder(settings)
         low, high = _LOG_DEVIATIONS
@@ -102,7 +102,7 @@ class LqrActor(Actor):
 
     goal: Tensor
 
-    def __init__(self, interface: Interface, settings: Settings) -> None:
+    def __init__(self, interface: AgentInterface, settings: Settings) -> None:
         super().__init__(interface, settings)
         self.lqr = LatentLqr(settings.latent, interface.controls, settings.riccati_iterations)
         goal = torch.zeros(0, *interface.shape) if interface.goal is None else torch.from_numpy(interface.goal)[None]
@@ -136,7 +136,7 @@ class NetworkActor(Actor):
         layers: of the policy.
     """
 
-    def __init__(self, interface: Interface, settings: Settings) -> None:
+    def __init__(self, interface: AgentInterface, settings: Settings) -> None:
         super().__init__(interface, settings)
         body = dense(settings.latent, settings.hidden, 2)
         self.layers = nn.Sequential(*body, nn.Linear(settings.hidden, interface.controls))
@@ -151,7 +151,7 @@ class NetworkActor(Actor):
         return NetworkPolicy(self.encoder.deploy().followed_by(deploy_layers(self.layers)))
 
 
-def make_actor(interface: Interface, settings: Settings) -> LqrActor | NetworkActor:
+def make_actor(interface: AgentInterface, settings: Settings) -> LqrActor | NetworkActor:
     """Return the untrained actor that the settings ask for."""
     return NetworkActor(interface, settings) if settings.policy == "network" else LqrActor(interface, settings)
 

@@ -20,10 +20,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from koopman_lqr_controller.training.agents.actor import Interface, LqrActor, make_actor
+from koopman_lqr_controller.training.agents.actor import AgentInterface, LqrActor, make_actor
 from koopman_lqr_controller.training.networks.contrastive import noisy, random_crop
 from koopman_lqr_controller.training.networks.differentiable_lqr import LatentLqr
-from koopman_lqr_controller.training.networks.encoder_losses import Seen, make_encoder_loss
+from koopman_lqr_controller.training.networks.encoder_losses import EncoderBatch, make_encoder_loss
 from koopman_lqr_controller.training.networks.networks import TwinCritic, follow
 from koopman_lqr_controller.training.replay import Transitions
 from koopman_lqr_controller.training.settings import Settings
@@ -40,7 +40,7 @@ class Agent(nn.Module):
         updates: how many there were.
     """
 
-    def __init__(self, interface: Interface, settings: Settings, seed: int, device: str = "cpu") -> None:
+    def __init__(self, interface: AgentInterface, settings: Settings, seed: int, device: str = "cpu") -> None:
         super().__init__()
         self.settings, self._device = settings, torch.device(device)
         with torch.random.fork_rng(devices=[]):
@@ -92,7 +92,7 @@ class Agent(nn.Module):
             query, key = (noisy(x, self.settings.noise, generator) for _ in range(2))
         else:
             query = key = x
-        seen = Seen(query, key, u, x_next, self.key_encoder, self.lqr)
+        seen = EncoderBatch(query, key, u, x_next, self.key_encoder, self.lqr)
         features = self.actor.encoder.features(x)
         z = self.actor.encoder.latent(features)
         critic, z_next = self._critic_loss(z, u, reward, x_next, terminated, generator)

@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from koopman_lqr_controller.control.latent_controller import LatentController
-from koopman_lqr_controller.data.drives import Drive, usual_step
+from koopman_lqr_controller.data.trajectory_segments import TrajectorySegment, mean_time_step
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.models.edmd import LinearModel
-from koopman_lqr_controller.policies.latent_policy import LatentPolicy, LidarWiring
+from koopman_lqr_controller.policies.latent_policy import LatentPolicy, RobotInterface
 from koopman_lqr_controller.sensing.lidar_observation import LidarObservation
 from koopman_lqr_controller.training.networks.contrastive import info_nce, noisy
 from koopman_lqr_controller.training.networks.differentiable_lqr import LatentLqr
@@ -60,47 +60,47 @@ class ImitationSettings:
 
 
 def imitate(
-    drives: Sequence[Drive],
+    segments: Sequence[TrajectorySegment],
     observation: LidarObservation,
     settings: ImitationSettings | None = None,
-    tick: Callable[[], object] = lambda: None,
+    on_progress: Callable[[], object] = lambda: None,
 ) -> LatentPolicy:
     """Return the policy as learnt, with the gain of a few Riccati iterations; `offline.refit` makes it consolidated.
 
     Its commands span what was commanded in the drives, the same to both sides.
 
     Args:
-        drives: x by `observation`, and commands.
+        segments: x by `observation`, and commands.
         observation: what is seen.
         settings: how; the defaults where left out.
-        tick: called after each update.
+        on_progress: called after each update.
 
     Raises:
         KoopmanError: there are fewer steps than in a batch, or a command never changes.
     """
     settings = settings or ImitationSettings()
-    steps = sum(len(drive) for drive in drives)
+    steps = sum(len(segment) for segment in segments)
     if steps < settings.batch:
         raise KoopmanError(f"{steps} steps are too few to learn from: {settings.batch} at least")
-    wiring = _wiring(drives, observation)
+    robot_interface = _robot_interface(segments, observation)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(settings.seed)
-        imitation = _Imitation(_Data.of(drives, wiring), settings)
+        imitation = _Imitation(_Data.of(segments, robot_interface), settings)
         for _ in range(settings.updates):
             imitation.update()
-            tick()
-    return LatentPolicy(imitation.deploy(), usual_step(drives), wiring)
+            on_progress()
+    return LatentPolicy(imitation.deploy(), mean_time_step(segments), robot_interface)
 
 
-def _wiring(drives: Sequence[Drive], observation: LidarObservation) -> LidarWiring:
-    u = np.concatenate([drive.u for drive in drives])
+def _robot_interface(segments: Sequence[TrajectorySegment], observation: LidarObservation) -> RobotInterface:
+    u = np.concatenate([segment.u for segment in segments])
     turn = float(np.abs(u[:, 1]).max())
     low, high = np.array([min(0.0, u[:, 0].min()), -turn]), np.array([u[:, 0].max(), turn])
     if not (low < high).all():
         raise KoopmanError(
             f"speed is commanded up to {high[0]:g} m/s, turn rate to {turn:g} rad/s: nothing to learn from"
         )
-    return LidarWiring(observation, low, high)
+    return RobotInterface(observation, low, high)
 
 
 @dataclass(frozen=True)
@@ -112,17 +112,17 @@ class _Data:
     x_next: Tensor
 
     @classmethod
-    def of(cls, drives: Sequence[Drive], wiring: LidarWiring) -> _Data:
-        order, sign = wiring.observation.mirror
+    def of(cls, segments: Sequence[TrajectorySegment], robot_interface: RobotInterface) -> _Data:
+        order, sign = robot_interface.observation.mirror
 
         def both(rows: Array) -> Tensor:
             return torch.from_numpy(np.concatenate((rows, rows[:, order] * sign)).astype(np.float32))
 
-        u = wiring.action(np.concatenate([drive.u for drive in drives]))
+        u = robot_interface.action(np.concatenate([segment.u for segment in segments]))
         return cls(
-            both(np.concatenate([drive.x[:-1] for drive in drives])),
+            both(np.concatenate([segment.x[:-1] for segment in segments])),
             torch.from_numpy(np.concatenate((u, u * (1.0, -1.0))).astype(np.float32)),
-            both(np.concatenate([drive.x[1:] for drive in drives])),
+            both(np.concatenate([segment.x[1:] for segment in segments])),
         )
 
 

@@ -7,13 +7,13 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from koopman_lqr_controller.training.environments.problems import AnyEnvironment
+from koopman_lqr_controller.training.environments.benchmark_tasks import AnyEnvironment
 from koopman_lqr_controller.training.replay import Replay
 
 Act = Callable[[int, NDArray[np.generic]], NDArray[np.float32]]
 
 
-def interact(
+def collect_transitions(
     environment: AnyEnvironment,
     replay: Replay,
     random: np.random.Generator,

@@ -8,11 +8,11 @@ from ctrl_rl_training.io.learner_state import Arrays, restore_state, state_array
 from numpy.typing import NDArray
 
 from koopman_lqr_controller.control.latent_controller import LatentController
-from koopman_lqr_controller.training.agents.actor import Interface
+from koopman_lqr_controller.training.agents.actor import AgentInterface
 from koopman_lqr_controller.training.agents.agent import Agent
-from koopman_lqr_controller.training.agents.interaction import interact
+from koopman_lqr_controller.training.agents.interaction import collect_transitions
 from koopman_lqr_controller.training.agents.network_policy import NetworkPolicy
-from koopman_lqr_controller.training.environments.problems import AnyEnvironment, Problem
+from koopman_lqr_controller.training.environments.benchmark_tasks import AnyEnvironment, BenchmarkTask
 from koopman_lqr_controller.training.replay import Mirror, Replay
 
 _UPDATES = "updates"
@@ -32,11 +32,11 @@ class KoopmanLearner:
     method = "task-oriented Koopman control with contrastive encoder (thesis 4.2)"
 
     def __init__(
-        self, problem: Problem, environment: AnyEnvironment, seed: int, capacity: int, device: str = "cpu"
+        self, problem: BenchmarkTask, environment: AnyEnvironment, seed: int, capacity: int, device: str = "cpu"
     ) -> None:
         self._settings, self._environment, self._seed = problem.settings, environment, seed
         self._mirror: Mirror | None = getattr(environment, "mirror", None)
-        interface = interface_of(problem, environment)
+        interface = agent_interface(problem, environment)
         self._agent = Agent(interface, problem.settings, seed, device)
         kind = environment.observation_space.dtype.type
         self.replay = Replay(min(problem.settings.replay, capacity), interface.shape, interface.controls, kind)
@@ -56,9 +56,9 @@ class KoopmanLearner:
                 return
             for _ in range(settings.updates):
                 steps = self.replay.draw(settings.batch, random)
-                agent.update(steps if self._mirror is None else self._mirror.some(steps, random), generator)
+                agent.update(steps if self._mirror is None else self._mirror.mirror_at_random(steps, random), generator)
 
-        return interact(self._environment, self.replay, random, actions, episodes, act, update)
+        return collect_transitions(self._environment, self.replay, random, actions, episodes, act, update)
 
     def candidates(self) -> dict[str, LatentController | NetworkPolicy]:
         """Return the average of the actor, and the actor as it is now."""
@@ -76,9 +76,9 @@ class KoopmanLearner:
         self._agent.updates = int(arrays[_UPDATES].item())
 
 
-def interface_of(problem: Problem, environment: AnyEnvironment) -> Interface:
+def agent_interface(problem: BenchmarkTask, environment: AnyEnvironment) -> AgentInterface:
     """Return what an agent observes and controls in a task's environment."""
-    return Interface(
+    return AgentInterface(
         shape=environment.observation_space.shape,
         controls=environment.action_space.shape[0],
         middle=np.array(problem.middle, np.float32),

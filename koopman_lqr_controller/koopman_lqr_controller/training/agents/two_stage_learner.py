@@ -19,10 +19,10 @@ from koopman_lqr_controller.control.latent_controller import LatentController
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.models.edmd import Snapshots, fit
 from koopman_lqr_controller.models.encoder import Encoder
-from koopman_lqr_controller.training.agents.actor import Interface
-from koopman_lqr_controller.training.agents.interaction import interact
-from koopman_lqr_controller.training.agents.learner import interface_of
-from koopman_lqr_controller.training.environments.problems import AnyEnvironment, Problem
+from koopman_lqr_controller.training.agents.actor import AgentInterface
+from koopman_lqr_controller.training.agents.interaction import collect_transitions
+from koopman_lqr_controller.training.agents.learner import agent_interface
+from koopman_lqr_controller.training.environments.benchmark_tasks import AnyEnvironment, BenchmarkTask
 from koopman_lqr_controller.training.networks.differentiable_lqr import LatentLqr
 from koopman_lqr_controller.training.replay import Replay, Transitions
 from koopman_lqr_controller.training.settings import Settings
@@ -38,7 +38,7 @@ class LiftedModel(nn.Module):
         linear: A and B; its costs are not used.
     """
 
-    def __init__(self, interface: Interface, settings: Settings) -> None:
+    def __init__(self, interface: AgentInterface, settings: Settings) -> None:
         super().__init__()
         self.encoder = interface.encoder(settings)
         self.linear = LatentLqr(interface.shape[0] + settings.latent, interface.controls, settings.riccati_iterations)
@@ -69,7 +69,7 @@ class TwoStageLearner:
 
     def __init__(
         self,
-        problem: Problem,
+        problem: BenchmarkTask,
         environment: AnyEnvironment,
         seed: int,
         capacity: int,
@@ -79,7 +79,7 @@ class TwoStageLearner:
         self._settings, self._environment, self._seed, self._learnt = problem.settings, environment, seed, learnt
         self._device = torch.device(device)
         self.method = "two-stage Koopman control, " + ("learnt lifting" if learnt else "EDMD with random features")
-        interface = interface_of(problem, environment)
+        interface = agent_interface(problem, environment)
         if interface.goal is None or len(interface.shape) != 1 or problem.name not in HAND_TUNED:
             raise KoopmanError(
                 f"{problem.name}: two_stage needs costs that a hand has tuned, as for {', '.join(HAND_TUNED)}"
@@ -105,7 +105,7 @@ class TwoStageLearner:
             if self._learnt and done + step > settings.first_steps and (done + step) % settings.update_every == 0:
                 self._update(self.replay.draw(settings.batch, random))
 
-        return interact(self._environment, self.replay, random, actions, episodes, act, update)
+        return collect_transitions(self._environment, self.replay, random, actions, episodes, act, update)
 
     def _update(self, data: Transitions) -> None:
         x, u, _, x_next, _ = (torch.from_numpy(it).to(self._device).float() for it in data)

@@ -1,4 +1,4 @@
-"""Why a corridor's model does not predict better: the same starts under one hardship after the other.
+"""Why a corridor's model does not predict better: the same starts under one disturbance after the other.
 
 Each state is looked at twice, which tells what the sensor's noise alone makes any model miss; and the linear model that
 is fitted to the very steps tells what no linear model of these latents could have known.
@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 
 from koopman_lqr_controller.models.prediction import horizon_errors, law_error, linear_floor, noise_floor
-from koopman_lqr_controller.policies.closed_loop_model import LinearLoop
-from koopman_lqr_controller.training.analysis.policy_world import live
+from koopman_lqr_controller.policies.closed_loop_model import ClosedLoopModel
+from koopman_lqr_controller.training.analysis.policy_world import run_episode
 from koopman_lqr_controller.training.environments.corridor import Conditions, Corridor, Vector
 
-HARDSHIPS: Mapping[str, Conditions] = {
+DISTURBANCES: Mapping[str, Conditions] = {
     "none": Conditions(noise=0.0),
     "noise": Conditions(),
     "noise and drop-out": Conditions(dropout=0.1),
@@ -25,34 +25,34 @@ HARDSHIPS: Mapping[str, Conditions] = {
 _SEED = 8_000_000
 
 
-def prediction_limits(
-    loop: LinearLoop,
+def ablate_disturbances(
+    loop: ClosedLoopModel,
     make: Callable[[Conditions], Corridor],
     noises: Sequence[float],
     episodes: int,
-    hardships: Mapping[str, Conditions] = HARDSHIPS,
-    tick: Callable[[str], None] = lambda _: None,
+    disturbances: Mapping[str, Conditions] = DISTURBANCES,
+    on_progress: Callable[[str], None] = lambda _: None,
 ) -> list[dict[str, Any]]:
     """Return what a policy's model misses.
 
     Args:
         loop: the policy.
         make: makes the corridor of a robot.
-        noises: in the actions, see `live`; judged apart, as how much changes in a step depends on them.
-        episodes: for each of them, the same starts under all hardships.
-        hardships: by name.
-        tick: told what is done.
+        noises: in the actions, see `run_episode`; judged apart, as how much changes in a step depends on them.
+        episodes: for each of them, the same starts under all disturbances.
+        disturbances: by name.
+        on_progress: told what is done.
 
     Returns:
-        For each hardship and noise `name`, `noise`, `steps` and, all of them errors of one step over that of
+        For each disturbance and noise `name`, `noise`, `steps` and, all of them errors of one step over that of
         persistence, `model`, `law` (see `law_error`), `linear_floor` and `noise_floor`.
     """
     out = []
-    for name, conditions in hardships.items():
-        corridor = _SeenTwice(make(conditions))
+    for name, conditions in disturbances.items():
+        corridor = _ObservedTwice(make(conditions))
         try:
             for index, noise in enumerate(noises):
-                tick(f"hardship: {name}, noise {noise:g}")
+                on_progress(f"disturbance: {name}, noise {noise:g}")
                 first = _SEED + index * episodes
                 out.append({"name": name, "noise": noise, **_errors(loop, corridor, noise, first, episodes)})
         finally:
@@ -60,7 +60,7 @@ def prediction_limits(
     return out
 
 
-class _SeenTwice:
+class _ObservedTwice:
     """A corridor that keeps a second look at each state of an episode, in `again`."""
 
     def __init__(self, corridor: Corridor) -> None:
@@ -81,10 +81,12 @@ class _SeenTwice:
         self._corridor.close()
 
 
-def _errors(loop: LinearLoop, corridor: _SeenTwice, noise: float, first: int, episodes: int) -> dict[str, float]:
+def _errors(
+    loop: ClosedLoopModel, corridor: _ObservedTwice, noise: float, first: int, episodes: int
+) -> dict[str, float]:
     z, again, u = [], [], []
     for seed in range(first, first + episodes):
-        episode = live(loop, corridor, seed, noise)
+        episode = run_episode(loop, corridor, seed, noise)
         z.append(loop.latent(episode.x))
         again.append(loop.latent(np.array(corridor.again)))
         u.append(episode.u)

@@ -14,17 +14,17 @@ from numpy.typing import NDArray
 from koopman_lqr_controller.control import linear_analysis
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.models.prediction import horizon_errors, law_error
-from koopman_lqr_controller.policies.closed_loop_model import LEARNT, TWO_STAGES, LinearLoop, linear_loop
-from koopman_lqr_controller.policies.edmd_policy import KoopmanPolicy
+from koopman_lqr_controller.policies.closed_loop_model import LEARNT, TWO_STAGES, ClosedLoopModel, closed_loop_model
+from koopman_lqr_controller.policies.edmd_policy import EdmdPolicy
 from koopman_lqr_controller.policies.latent_policy import LatentPolicy
-from koopman_lqr_controller.training.analysis.disturbance_ablation import prediction_limits
-from koopman_lqr_controller.training.analysis.policy_world import Trajectory, live, make_corridor
+from koopman_lqr_controller.training.analysis.disturbance_ablation import ablate_disturbances
+from koopman_lqr_controller.training.analysis.policy_world import EpisodeTrajectory, make_corridor, run_episode
 from koopman_lqr_controller.training.analysis.true_system import TrueSystem, corridor_system, suite_system
 from koopman_lqr_controller.training.environments.control_suite import ControlSuite
 from koopman_lqr_controller.training.environments.corridor import Corridor
 
 Array = NDArray[np.float64]
-Policy = KoopmanPolicy | LatentPolicy
+Policy = EdmdPolicy | LatentPolicy
 
 TOLERANCES = tuple(float(10.0**power) for power in np.arange(-16.0, 0.0, 0.25))
 HORIZON = 20
@@ -70,9 +70,9 @@ class Findings:
 def analyse(
     policy: Policy,
     world: Any,
-    recorded: Sequence[Trajectory] = (),
+    recorded: Sequence[EpisodeTrajectory] = (),
     episodes: int = 6,
-    tick: Callable[[str], None] = lambda _: None,
+    on_progress: Callable[[str], None] = lambda _: None,
 ) -> dict[str, Any]:
     """Return what can be said of a policy.
 
@@ -81,32 +81,32 @@ def analyse(
         world: its environment, or an error that says why there is none.
         recorded: drives from bags; where there are some, prediction and observations are judged by them.
         episodes: to live through in the world, the same number again with noise.
-        tick: told what is done.
+        on_progress: told what is done.
     """
-    loop, findings = linear_loop(policy), Findings()
+    loop, findings = closed_loop_model(policy), Findings()
     findings.add("policy", lambda: _policy(policy, loop))
-    tick("poles")
+    on_progress("poles")
     findings.add("poles", lambda: _poles(loop))
     findings.add("true_poles", lambda: _true_poles(policy, loop, _there(world)))
-    tick("controllability")
+    on_progress("controllability")
     findings.add("controllability", lambda: _controllability(loop))
     findings.add("costs", lambda: {"Q": loop.Q.tolist(), "R": loop.R.tolist()})
-    quiet: list[Trajectory] = []
-    noisy: list[Trajectory] = []
+    quiet: list[EpisodeTrajectory] = []
+    noisy: list[EpisodeTrajectory] = []
     if not isinstance(world, CtrlRlError):
         for index in range(episodes):
-            tick(f"episode {index + 1} of {episodes}")
-            quiet.append(live(loop, world, _SEED + index))
-            noisy.append(live(loop, world, _SEED + episodes + index, _NOISE * (index + 1) / episodes))
+            on_progress(f"episode {index + 1} of {episodes}")
+            quiet.append(run_episode(loop, world, _SEED + index))
+            noisy.append(run_episode(loop, world, _SEED + episodes + index, _NOISE * (index + 1) / episodes))
     data = [*recorded] or [*quiet, *noisy]
     findings.add("data", lambda: _data(data, bool(recorded), world))
-    tick("prediction")
+    on_progress("prediction")
     findings.add("prediction", lambda: _prediction(loop, _some(data, world)))
     if isinstance(world, Corridor):
-        findings.add("limits", lambda: _limits(policy, loop, episodes, tick))
+        findings.add("limits", lambda: _limits(policy, loop, episodes, on_progress))
     findings.add("latents", lambda: _latents(loop, _some(data, world)))
     findings.add("observations", lambda: _observations(policy, loop, _some(data, world), world))
-    tick("t-SNE")
+    on_progress("t-SNE")
     findings.add("tsne", lambda: _tsne(loop, _some(data, world)))
     findings.add("closed_loop", lambda: _closed_loop(loop, _some(quiet, world)))
     return findings.as_json()
@@ -118,13 +118,13 @@ def _there(world: Any) -> Any:
     return world
 
 
-def _some(data: Sequence[Trajectory], world: Any) -> Sequence[Trajectory]:
+def _some(data: Sequence[EpisodeTrajectory], world: Any) -> Sequence[EpisodeTrajectory]:
     if not data:
         raise world if isinstance(world, CtrlRlError) else KoopmanError("no episode was lived through")
     return data
 
 
-def _policy(policy: Policy, loop: LinearLoop) -> dict[str, Any]:
+def _policy(policy: Policy, loop: ClosedLoopModel) -> dict[str, Any]:
     n, m = loop.model.B.shape
     plain = loop.model.A - loop.model.B @ loop.K
     return {
@@ -140,11 +140,11 @@ def _policy(policy: Policy, loop: LinearLoop) -> dict[str, Any]:
     }
 
 
-def _poles(loop: LinearLoop) -> dict[str, Any]:
+def _poles(loop: ClosedLoopModel) -> dict[str, Any]:
     return {"open": _pairs(linear_analysis.poles(loop.model.A)), "closed": _pairs(linear_analysis.poles(loop.closed))}
 
 
-def _true_poles(policy: Policy, loop: LinearLoop, world: Any) -> dict[str, Any]:
+def _true_poles(policy: Policy, loop: ClosedLoopModel, world: Any) -> dict[str, Any]:
     true = _true_system(policy, world)
     out = {
         "about": true.about,
@@ -168,14 +168,14 @@ def _true_system(policy: Policy, world: Any) -> TrueSystem:
         width = known.build_world(None).width
         if width is None:
             raise KoopmanError(f"task {task} has no corridor")
-        speed = float(policy.z_ref[-1]) if isinstance(policy, KoopmanPolicy) else 0.2
+        speed = float(policy.z_ref[-1]) if isinstance(policy, EdmdPolicy) else 0.2
         return corridor_system(policy, width, policy.dt or known.episode.time_step, speed)
     if isinstance(world, ControlSuite) and isinstance(policy, LatentPolicy) and task in _EQUILIBRIA:
         return suite_system(world, np.zeros(_EQUILIBRIA[task]), policy)
     raise KoopmanError(f"task {task} has no equilibrium to linearise at")
 
 
-def _controllability(loop: LinearLoop) -> dict[str, Any]:
+def _controllability(loop: ClosedLoopModel) -> dict[str, Any]:
     values = linear_analysis.controllability_values(loop.model)
     usual = len(values) * np.finfo(float).eps
     return {
@@ -189,13 +189,13 @@ def _controllability(loop: LinearLoop) -> dict[str, Any]:
     }
 
 
-def _data(data: Sequence[Trajectory], recorded: bool, world: Any) -> dict[str, Any]:
+def _data(data: Sequence[EpisodeTrajectory], recorded: bool, world: Any) -> dict[str, Any]:
     steps = sum(len(episode.u) for episode in _some(data, world))
     source = "bags" if recorded else f"its own environment, with noise of up to {_NOISE:g} on half of the episodes"
     return {"source": source, "episodes": len(data), "steps": steps}
 
 
-def _prediction(loop: LinearLoop, data: Sequence[Trajectory]) -> dict[str, Any]:
+def _prediction(loop: ClosedLoopModel, data: Sequence[EpisodeTrajectory]) -> dict[str, Any]:
     z, u = [loop.latent(episode.x) for episode in data], [episode.u for episode in data]
     return {
         "over_persistence": horizon_errors(loop.predict, z, u, HORIZON),
@@ -203,12 +203,14 @@ def _prediction(loop: LinearLoop, data: Sequence[Trajectory]) -> dict[str, Any]:
     }
 
 
-def _limits(policy: Policy, loop: LinearLoop, episodes: int, tick: Callable[[str], None]) -> dict[str, Any]:
+def _limits(policy: Policy, loop: ClosedLoopModel, episodes: int, on_progress: Callable[[str], None]) -> dict[str, Any]:
     count = max(1, episodes // 3)
-    return {"rows": prediction_limits(loop, partial(make_corridor, policy), (0.0, _NOISE), count, tick=tick)}
+    return {
+        "rows": ablate_disturbances(loop, partial(make_corridor, policy), (0.0, _NOISE), count, on_progress=on_progress)
+    }
 
 
-def _latents(loop: LinearLoop, data: Sequence[Trajectory]) -> dict[str, Any]:
+def _latents(loop: ClosedLoopModel, data: Sequence[EpisodeTrajectory]) -> dict[str, Any]:
     found = linear_analysis.variances(np.concatenate([loop.latent(episode.x) for episode in data]))
     return {
         "variances": found.tolist(),
@@ -217,7 +219,9 @@ def _latents(loop: LinearLoop, data: Sequence[Trajectory]) -> dict[str, Any]:
     }
 
 
-def _observations(policy: Policy, loop: LinearLoop, data: Sequence[Trajectory], world: Any) -> dict[str, Any]:
+def _observations(
+    policy: Policy, loop: ClosedLoopModel, data: Sequence[EpisodeTrajectory], world: Any
+) -> dict[str, Any]:
     x = np.concatenate([episode.x for episode in data])
     if x.ndim > 2:
         return _patches(loop, x)
@@ -237,7 +241,7 @@ def _observations(policy: Policy, loop: LinearLoop, data: Sequence[Trajectory], 
     }
 
 
-def _patches(loop: LinearLoop, x: NDArray[Any]) -> dict[str, Any]:
+def _patches(loop: ClosedLoopModel, x: NDArray[Any]) -> dict[str, Any]:
     """Return what hiding patches costs in a few pictures, spread over what was seen."""
     chosen = x[np.linspace(0, len(x) - 1, 4).astype(int)].astype(np.float64)
     costs = [linear_analysis.patch_costs(loop.latent, each, loop.Q, _PATCH, float(np.median(each))) for each in chosen]
@@ -245,14 +249,14 @@ def _patches(loop: LinearLoop, x: NDArray[Any]) -> dict[str, Any]:
 
 
 def _names(policy: Policy, world: Any, count: int) -> Sequence[str]:
-    if isinstance(policy, KoopmanPolicy):
+    if isinstance(policy, EdmdPolicy):
         return policy.observables.names
-    if policy.wiring is not None:
-        return policy.wiring.observation.names
+    if policy.robot_interface is not None:
+        return policy.robot_interface.observation.names
     return world.names if isinstance(world, ControlSuite) else [f"x {index}" for index in range(count)]
 
 
-def _tsne(loop: LinearLoop, data: Sequence[Trajectory]) -> dict[str, Any]:
+def _tsne(loop: ClosedLoopModel, data: Sequence[EpisodeTrajectory]) -> dict[str, Any]:
     from sklearn.manifold import TSNE
 
     z = [loop.latent(episode.x) for episode in data]
@@ -266,7 +270,7 @@ def _tsne(loop: LinearLoop, data: Sequence[Trajectory]) -> dict[str, Any]:
     return {"true": points[: len(chosen)].tolist(), "predicted": points[len(chosen) :].tolist()}
 
 
-def _closed_loop(loop: LinearLoop, quiet: Sequence[Trajectory]) -> dict[str, Any]:
+def _closed_loop(loop: ClosedLoopModel, quiet: Sequence[EpisodeTrajectory]) -> dict[str, Any]:
     """Return how the real system fared under the policy, and what the lifted model alone would have promised."""
     real, lifted = [], []
     for episode in quiet:

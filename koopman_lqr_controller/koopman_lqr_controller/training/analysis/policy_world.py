@@ -11,18 +11,18 @@ from ctrl_rl_core.tasks.task import load_navigation_task, task_digest
 from numpy.typing import NDArray
 
 from koopman_lqr_controller.errors import KoopmanError
-from koopman_lqr_controller.policies.closed_loop_model import LinearLoop
-from koopman_lqr_controller.policies.edmd_policy import KoopmanPolicy
-from koopman_lqr_controller.policies.latent_policy import LatentPolicy, LidarWiring
+from koopman_lqr_controller.policies.closed_loop_model import ClosedLoopModel
+from koopman_lqr_controller.policies.edmd_policy import EdmdPolicy
+from koopman_lqr_controller.policies.latent_policy import LatentPolicy, RobotInterface
+from koopman_lqr_controller.training.environments.benchmark_tasks import AnyEnvironment, task_of_manifest
 from koopman_lqr_controller.training.environments.corridor import Conditions, Corridor, Vector
-from koopman_lqr_controller.training.environments.problems import AnyEnvironment, problem_of
 
 Array = NDArray[np.float64]
 _CORRIDOR = "curved_corridor"
 
 
 @dataclass(frozen=True)
-class Trajectory:
+class EpisodeTrajectory:
     """What was seen and done.
 
     Attributes:
@@ -45,20 +45,20 @@ class LiftedCorridor(Corridor):
         KoopmanError: the task is no longer as it was when the policy was made.
     """
 
-    def __init__(self, policy: KoopmanPolicy, conditions: Conditions | None = None) -> None:
+    def __init__(self, policy: EdmdPolicy, conditions: Conditions | None = None) -> None:
         known = task_digest(load_navigation_task(_CORRIDOR))
         if policy.manifest.get("task_digest", known) != known:
             raise KoopmanError(f"task {_CORRIDOR} is another one than when the policy was made: train it again")
         self._policy = policy
         super().__init__(learning=False, conditions=conditions)
-        self.wiring = LidarWiring(self.wiring.observation, policy.u_low, policy.u_high)
+        self.robot_interface = RobotInterface(self.robot_interface.observation, policy.u_low, policy.u_high)
 
     def observe(self) -> Vector:
         """Return Psi of the state as it is, see `Corridor.observe`."""
         return self._policy.observables.observe(*self.scan(), *self.speeds()).astype(np.float32)
 
 
-def make_world(policy: KoopmanPolicy | Any) -> AnyEnvironment:
+def make_world(policy: EdmdPolicy | Any) -> AnyEnvironment:
     """Return the environment that a policy is of.
 
     Raises:
@@ -66,26 +66,26 @@ def make_world(policy: KoopmanPolicy | Any) -> AnyEnvironment:
         ModuleNotFoundError: a simulator is not installed.
     """
     task = str(policy.manifest.get("task"))
-    if isinstance(policy, KoopmanPolicy):
+    if isinstance(policy, EdmdPolicy):
         if task != _CORRIDOR:
             raise KoopmanError(f"there is no environment for the task {task}")
         return LiftedCorridor(policy)
-    return problem_of(policy.manifest).make(False)
+    return task_of_manifest(policy.manifest).make(False)
 
 
-def make_corridor(policy: KoopmanPolicy | LatentPolicy, conditions: Conditions) -> Corridor:
+def make_corridor(policy: EdmdPolicy | LatentPolicy, conditions: Conditions) -> Corridor:
     """Return the corridor of a policy's task, with a robot of such conditions.
 
     Raises:
         KoopmanError: the task has no corridor.
         ModuleNotFoundError: a simulator is not installed.
     """
-    if isinstance(policy, KoopmanPolicy):
+    if isinstance(policy, EdmdPolicy):
         return LiftedCorridor(policy, conditions)
-    return Corridor(False, conditions, problem_of(policy.manifest).task)
+    return Corridor(False, conditions, task_of_manifest(policy.manifest).task)
 
 
-def live(loop: LinearLoop, environment: AnyEnvironment, seed: int, noise: float = 0.0) -> Trajectory:
+def run_episode(loop: ClosedLoopModel, environment: AnyEnvironment, seed: int, noise: float = 0.0) -> EpisodeTrajectory:
     """Return one episode's trajectory.
 
     Args:
@@ -106,4 +106,4 @@ def live(loop: LinearLoop, environment: AnyEnvironment, seed: int, noise: float 
         done.append(u)
         paid.append(float(reward))
         over = terminated or truncated
-    return Trajectory(np.array(seen), np.array(done), np.array(paid), info)
+    return EpisodeTrajectory(np.array(seen), np.array(done), np.array(paid), info)

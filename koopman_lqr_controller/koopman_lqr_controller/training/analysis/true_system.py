@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koopman_lqr_controller.control.linear_analysis import Poles, jacobian, linearise, poles
-from koopman_lqr_controller.policies.edmd_policy import DrivingPolicy
+from koopman_lqr_controller.policies.edmd_policy import KoopmanPolicy
 from koopman_lqr_controller.policies.latent_policy import LatentPolicy
 from koopman_lqr_controller.training.analysis.straight_corridor import StraightCorridor
 from koopman_lqr_controller.training.environments.control_suite import ControlSuite
@@ -72,7 +72,7 @@ def suite_system(environment: ControlSuite, goal: Array, policy: LatentPolicy) -
     return _with_loop(about, poles(found.A), closed, goal)
 
 
-def corridor_system(policy: DrivingPolicy, width: float, dt: float, speed: float) -> TrueSystem:
+def corridor_system(policy: KoopmanPolicy, width: float, dt: float, speed: float) -> TrueSystem:
     """Return the linearisation of a unicycle with a lidar in the middle of a straight corridor.
 
     Args:

@@ -3,15 +3,15 @@
 What learning leaves is a gain after a few Riccati iterations, on a model that serves the gain more than prediction: the
 closed loop of that model is often not even stable. Consolidation keeps what the policy does and makes the rest true. It
 runs noisy episodes and finds coordinates, a model, Q and R in which the infinite-horizon LQR does the same and the
-model predicts (`distillation`); first for a scout, whose episodes hold mistakes that nobody has made before. It then
-takes as few latent dimensions as keep the return and predict. The law is in units of actions, cut off at -1 and 1, so
-that the loop of the proof is the loop that runs, and it proves itself: its gain is computed whenever it is loaded.
+model predicts (`distillation`). First it does so for an exploratory candidate, whose episodes hold new mistakes. It
+then takes as few latent dimensions as keep the return and predict. The law is in units of actions, cut off at -1 and 1,
+so that the loop of the proof is the loop that runs, and it proves itself: its gain is computed whenever it is loaded.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -21,8 +21,8 @@ from koopman_lqr_controller.data.roll_outs import (
     Environment,
     Episode,
     Policy,
+    count_interaction,
     evaluate,
-    interaction,
     noisy_roll_outs,
     outcomes,
     projected,
@@ -32,17 +32,19 @@ from koopman_lqr_controller.data.roll_outs import (
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.identification.regulators import LARGEST_RESIDUAL
 from koopman_lqr_controller.models.prediction import HORIZON, Array, horizon_errors, law_error
-from koopman_lqr_controller.safety.latent_distribution import Region, region_of_episodes
-from koopman_lqr_controller.training.consolidation.distillation import DistillationSettings, Distilled, distil
+from koopman_lqr_controller.safety.latent_distribution import LatentDistribution, fit_distribution_to_episodes
+from koopman_lqr_controller.training.consolidation.distillation import DistillationSettings, DistilledPolicy, distil
 
 REPORT_SEED = 5_000_000
 """Where the seeds of fresh episodes begin that returns are reported on."""
 _SEEDS = {"fit": 3_000_000, "choose": 4_000_000, "report": REPORT_SEED, "measure": 6_000_000}
 """Where the seeds of episodes begin: of those to learn from, to choose by, and to report returns and errors on."""
+_FILE_NAMES = {"max_return_loss": "hopeless", "exploratory_latent": "scout"}
+"""Older names of fields, which the files of finished and unfinished runs hold."""
 
 
 @dataclass(frozen=True)
-class Plan:
+class ConsolidationConfig:
     """How is consolidated.
 
     Attributes:
@@ -50,9 +52,10 @@ class Plan:
         noise: largest standard deviation added to u, the least is none.
         rounds: the first with the learnt policy, the others with a candidate, which the learnt policy tells what it
             would have done.
-        scout: latent dimensions of that candidate.
+        exploratory_latent: Latent dimensions of that candidate.
         sizes: latent dimensions that are tried in the end.
-        hopeless: part of the learnt return; where more is lost, less weight on prediction does not bring it back.
+        max_return_loss: Part of the learnt return; a candidate that loses more is not tried with less weight on
+            prediction.
         tolerance: part of the learnt return that may be lost, with the standard error that the loss is known to, in
             all episodes and in those that are not disturbed.
         error: one-step error over persistence that the model may have; a third is wanted, and what is chosen by is a
@@ -68,9 +71,9 @@ class Plan:
     episodes: int = 30
     noise: float = 0.5
     rounds: int = 3
-    scout: int = 12
+    exploratory_latent: int = 12
     sizes: tuple[int, ...] = (4, 6, 8, 12, 16, 24)
-    hopeless: float = 0.1
+    max_return_loss: float = 0.1
     tolerance: float = 0.02
     error: float = 0.3
     prediction: tuple[float, ...] = (1.0, 0.3, 0.1)
@@ -80,44 +83,48 @@ class Plan:
     distillation: DistillationSettings = field(default_factory=DistillationSettings)
     thorough: DistillationSettings = field(default_factory=lambda: DistillationSettings(hidden=512, updates=8000))
 
+    def as_json(self) -> dict[str, Any]:
+        """Return all fields under the names that the files of runs hold."""
+        return {_FILE_NAMES.get(name, name): value for name, value in asdict(self).items()}
+
     @classmethod
-    def of(cls, episodes: int, report: int, **changes: Any) -> Plan:
+    def of(cls, episodes: int, report: int, **changes: Any) -> ConsolidationConfig:
         """Return a plan of so many episodes in a round, all else in proportion to them, and so many fresh ones."""
         episodes = max(5, episodes)
-        plan = cls(episodes, candidates=episodes, report=report, **changes)
+        config = cls(episodes, candidates=episodes, report=report, **changes)
         share = min(1.0, (episodes / cls.episodes) ** 2)
         usual, thorough = (
-            replace(each, updates=round(share * each.updates)) for each in (plan.distillation, plan.thorough)
+            replace(each, updates=round(share * each.updates)) for each in (config.distillation, config.thorough)
         )
-        return replace(plan, distillation=usual, thorough=thorough)
+        return replace(config, distillation=usual, thorough=thorough)
 
 
 @dataclass(frozen=True)
-class Consolidated:
+class ConsolidationResult:
     """What came of it.
 
     Attributes:
         controller: with the infinite horizon.
-        region: of the noisy episodes that its model was fitted to and chosen by.
+        distribution: of the noisy episodes that its model was fitted to and chosen by.
         figures: learnt and consolidated returns, and what control theory says, as JSON.
     """
 
     controller: LatentController
-    region: Region
+    distribution: LatentDistribution
     figures: dict[str, Any]
 
 
 @dataclass(frozen=True)
 class _Candidate:
-    policy: Distilled
+    policy: DistilledPolicy
     settings: DistillationSettings
     share: float
     score: float
     lost: float
     error: float
 
-    def meets(self, learnt_score: float, plan: Plan) -> dict[str, bool]:
-        return {"return": self.lost <= plan.tolerance * abs(learnt_score), "error": self.error <= plan.error}
+    def meets(self, learnt_score: float, config: ConsolidationConfig) -> dict[str, bool]:
+        return {"return": self.lost <= config.tolerance * abs(learnt_score), "error": self.error <= config.error}
 
     def row(self) -> dict[str, Any]:
         return {
@@ -133,21 +140,21 @@ class _Candidate:
 def consolidate(
     learnt: LatentController,
     environment: Environment,
-    plan: Plan | None = None,
+    config: ConsolidationConfig | None = None,
     goal: bool = True,
     seed: int = 0,
-    tick: Callable[[str], None] = lambda _: None,
+    on_progress: Callable[[str], None] = lambda _: None,
     reported: Sequence[Episode] | None = None,
-) -> Consolidated:
+) -> ConsolidationResult:
     """Return the regulator that does what a learnt controller does.
 
     Args:
         learnt: the controller.
         environment: where it was learnt.
-        plan: how.
+        config: how.
         goal: whether z_ref is a goal; else the middle of what the policy goes through takes its place.
         seed: of all episodes.
-        tick: told what is done: before each part, and after each candidate.
+        on_progress: told what is done: before each part, and after each candidate.
         reported: fresh episodes of the learnt controller from `REPORT_SEED` on, where there are some already; else it
             is evaluated.
 
@@ -156,13 +163,13 @@ def consolidate(
     """
     if learnt.horizon is None:
         raise KoopmanError("this policy is the regulator of its own model already: give the one that `learn` made")
-    plan = plan or Plan()
-    search = _Search(learnt, environment, plan, goal, seed, tick)
+    config = config or ConsolidationConfig()
+    search = _Search(learnt, environment, config, goal, seed, on_progress)
     acting: Policy = learnt
-    for index in range(plan.rounds):
+    for index in range(config.rounds):
         search.run(acting, index)
-        if index < plan.rounds - 1:
-            acting = search.scout() or acting
+        if index < config.rounds - 1:
+            acting = search.exploratory_candidate() or acting
     chosen = search.choose()
     controller = chosen.policy.controller
     measured = search.measure(chosen.policy)
@@ -171,7 +178,7 @@ def consolidate(
     figures = {
         "returns": [episode.total for episode in after],
         "outcomes": outcomes(after),
-        "meets": chosen.meets(search.learnt_score, plan),
+        "meets": chosen.meets(search.learnt_score, config),
         "latent": len(controller.Q),
         "saturated": saturated(after),
         **proof(chosen.policy, measured),
@@ -182,13 +189,13 @@ def consolidate(
             "spectral_radius": learnt.spectral_radius,
             **_errors(learnt, *projected(learnt.project, measured), 1),
         },
-        "interaction": interaction(search.all_episodes),
+        "interaction": count_interaction(search.all_episodes),
         "candidates": [each.row() for each in search.tried],
     }
-    return Consolidated(controller, search.region(chosen.policy), figures)
+    return ConsolidationResult(controller, search.distribution(chosen.policy), figures)
 
 
-def proof(policy: Distilled, episodes: Sequence[Episode]) -> dict[str, Any]:
+def proof(policy: DistilledPolicy, episodes: Sequence[Episode]) -> dict[str, Any]:
     """Return what shows that a policy is the LQR of its own model, and that the model predicts.
 
     Args:
@@ -230,19 +237,19 @@ class _Search:
         self,
         learnt: LatentController,
         environment: Environment,
-        plan: Plan,
+        config: ConsolidationConfig,
         goal: bool,
         seed: int,
-        tick: Callable[[str], None],
+        on_progress: Callable[[str], None],
     ) -> None:
-        self._learnt, self._environment, self._plan, self._tick = learnt, environment, plan, tick
+        self._learnt, self._environment, self._config, self._report_progress = learnt, environment, config, on_progress
         self._goal, self._seed = goal, seed
         self._first = {name: base + 10_000 * seed for name, base in _SEEDS.items()}
         self._episodes: list[Episode] = []
         self.tried: list[_Candidate] = []
         self.all_episodes: list[Episode] = []
         self._problem = "no size to try"
-        tick("the learnt policy")
+        on_progress("the learnt policy")
         self._learnt_returns = self._returns(learnt)
         self.learnt_score = float(self._learnt_returns.mean())
 
@@ -253,15 +260,15 @@ class _Search:
 
     def run(self, acting: Policy, index: int) -> None:
         """Run the episodes of a round."""
-        self._tick(f"{self._plan.episodes} episodes")
-        noises = np.linspace(0.0, self._plan.noise, self._plan.episodes).tolist()
+        self._report_progress(f"{self._config.episodes} episodes")
+        noises = np.linspace(0.0, self._config.noise, self._config.episodes).tolist()
         fresh = noisy_roll_outs(acting, self._environment, noises, self._first["fit"] + 1000 * index)
         self._episodes += fresh
         self.all_episodes += fresh
 
-    def scout(self) -> Policy | None:
+    def exploratory_candidate(self) -> Policy | None:
         """Return a candidate that makes the mistakes that the next round is to learn from, None where there is none."""
-        found = self._try(self._plan.scout, self._plan.distillation, self._plan.prediction[0])
+        found = self._try(self._config.exploratory_latent, self._config.distillation, self._config.prediction[0])
         return found[0].policy if found else None
 
     def choose(self) -> _Candidate:
@@ -273,15 +280,18 @@ class _Search:
         Raises:
             KoopmanError: none of them has a regulator.
         """
-        plan, tried = self._plan, list[_Candidate]()
-        for settings, sizes in ((plan.distillation, plan.sizes), (plan.thorough, plan.sizes[len(plan.sizes) // 2 :])):
+        config, tried = self._config, list[_Candidate]()
+        for settings, sizes in (
+            (config.distillation, config.sizes),
+            (config.thorough, config.sizes[len(config.sizes) // 2 :]),
+        ):
             for latent in sizes:
                 tried += self._try_size(latent, settings)
                 if tried and all(self._meets(tried[-1]).values()):
                     return tried[-1]
-        for share in plan.prediction[1:]:
+        for share in config.prediction[1:]:
             if not any(self._meets(each)["return"] for each in tried):
-                tried += self._try(plan.sizes[-1], plan.thorough, share)
+                tried += self._try(config.sizes[-1], config.thorough, share)
         if not tried:
             raise KoopmanError(f"no regulator: {self._problem}; learn longer")
 
@@ -293,17 +303,17 @@ class _Search:
     def _try_size(self, latent: int, settings: DistillationSettings) -> list[_Candidate]:
         """Return what was tried, that which may do last: less and less prediction may save the return."""
         tried: list[_Candidate] = []
-        for share in self._plan.prediction:
+        for share in self._config.prediction:
             for candidate in self._try(latent, settings, share):
                 tried.append(candidate)
                 meets = self._meets(candidate)
-                hopeless = candidate.lost > self._plan.hopeless * abs(self.learnt_score)
-                if meets["return"] or not meets["error"] or hopeless:
+                max_return_loss = candidate.lost > self._config.max_return_loss * abs(self.learnt_score)
+                if meets["return"] or not meets["error"] or max_return_loss:
                     return tried  # done, or more dimensions are wanted, not less prediction
         return tried
 
     def _meets(self, candidate: _Candidate) -> dict[str, bool]:
-        return candidate.meets(self.learnt_score, self._plan)
+        return candidate.meets(self.learnt_score, self._config)
 
     def _try(self, latent: int, settings: DistillationSettings, share: float) -> list[_Candidate]:
         """Return a candidate, none where it has no regulator: another may have one."""
@@ -313,7 +323,7 @@ class _Search:
             self._problem = str(error)
             return []
         self.tried.append(candidate)
-        self._tick(f"{latent} dimensions: {candidate.score:.4g} of {self.learnt_score:.4g}")
+        self._report_progress(f"{latent} dimensions: {candidate.score:.4g} of {self.learnt_score:.4g}")
         return [candidate]
 
     def _candidate(self, latent: int, settings: DistillationSettings, share: float) -> _Candidate:
@@ -324,10 +334,10 @@ class _Search:
         lost = max(_surely_lost(losses), _surely_lost(losses[::2]))
         return _Candidate(found, settings, share, float(returns.mean()), lost, self._error(found))
 
-    def measure(self, chosen: Distilled) -> list[Episode]:
+    def measure(self, chosen: DistilledPolicy) -> list[Episode]:
         """Return fresh noisy episodes of the learnt and the chosen policy, that nothing was chosen by."""
-        self._tick("the model's error")
-        noises = np.linspace(0.0, self._plan.noise, max(2, self._plan.episodes // 2)).tolist()
+        self._report_progress("the model's error")
+        noises = np.linspace(0.0, self._config.noise, max(2, self._config.episodes // 2)).tolist()
         first = self._first["measure"]
         policies: tuple[Policy, ...] = (self._learnt, chosen)
         return [
@@ -336,14 +346,14 @@ class _Search:
             for episode in noisy_roll_outs(each, self._environment, noises, first + 1000 * index)
         ]
 
-    def region(self, chosen: Distilled) -> Region:
+    def distribution(self, chosen: DistilledPolicy) -> LatentDistribution:
         """Return where a policy may be trusted: what the noisy episodes went through."""
-        return region_of_episodes(chosen.controller.predict, *projected(chosen.project, self._episodes))
+        return fit_distribution_to_episodes(chosen.controller.predict, *projected(chosen.project, self._episodes))
 
     def report(self, controller: LatentController) -> list[Episode]:
         """Return fresh episodes without noise."""
-        self._tick(f"{self._plan.report} fresh episodes")
-        return evaluate(controller, self._environment, self._plan.report, self._first["report"])
+        self._report_progress(f"{self._config.report} fresh episodes")
+        return evaluate(controller, self._environment, self._config.report, self._first["report"])
 
     def _returns(self, policy: Policy) -> Array:
         """Return those of the episodes (N,) that candidates are chosen by, every other one disturbed.
@@ -352,13 +362,13 @@ class _Search:
         """
         first = self._first["choose"]
         episodes = [
-            roll_out(policy, self._environment, first + index, index % 2 * self._plan.disturbance)
-            for index in range(self._plan.candidates)
+            roll_out(policy, self._environment, first + index, index % 2 * self._config.disturbance)
+            for index in range(self._config.candidates)
         ]
         self.all_episodes += episodes
         return np.array([episode.total for episode in episodes])
 
-    def _error(self, policy: Distilled) -> float:
+    def _error(self, policy: DistilledPolicy) -> float:
         return horizon_errors(policy.controller.predict, *projected(policy.project, self._episodes[::5]), 1)[0]
 
 

@@ -73,7 +73,7 @@ class DistillationSettings:
 
 
 @dataclass(frozen=True)
-class Distilled:
+class DistilledPolicy:
     """A regulator in coordinates of its own, as a policy over the features of the learnt encoder.
 
     Attributes:
@@ -106,7 +106,7 @@ def distil(
     goal: bool,
     settings: DistillationSettings | None = None,
     seed: int = 0,
-) -> Distilled:
+) -> DistilledPolicy:
     """Return the regulator that does what a learnt controller does.
 
     Args:
@@ -213,7 +213,7 @@ class _Training:
         lqr = self._lqr
         return doubled_gain(lqr.A, lqr.B, lqr.log_Q.exp(), lqr.log_R.exp())
 
-    def deploy(self, learnt: LatentController, episodes: Sequence[Episode], goal: bool) -> Distilled:
+    def deploy(self, learnt: LatentController, episodes: Sequence[Episode], goal: bool) -> DistilledPolicy:
         """Return what was found, without torch.
 
         Raises:
@@ -234,7 +234,7 @@ class _Training:
         z_ref, a_ref = reference_inside(z_ref, offset - K @ z_ref, K, np.cov(z.T).reshape(len(Q), len(Q)))
         encoder = learnt.encoder.followed_by(phi.layers)
         drift = drift + A @ z_ref + B @ a_ref - z_ref  # of deviations from the reference
-        return Distilled(
+        return DistilledPolicy(
             learnt.encoder,
             phi,
             LatentController(encoder, LinearModel(A, B), Q, R, z_ref, a_ref=a_ref, drift=drift),

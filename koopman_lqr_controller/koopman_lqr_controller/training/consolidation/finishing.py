@@ -10,18 +10,18 @@ from koopman_lqr_controller.data.roll_outs import Environment, Episode
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.policies.latent_policy import LatentPolicy
 from koopman_lqr_controller.policies.policy_file import digest, load_policy
-from koopman_lqr_controller.training.consolidation.consolidation import Plan, consolidate
-from koopman_lqr_controller.training.environments.problems import Problem
+from koopman_lqr_controller.training.consolidation.consolidation import ConsolidationConfig, consolidate
+from koopman_lqr_controller.training.environments.benchmark_tasks import BenchmarkTask
 
 
 def consolidate_policy(
     file: Path,
-    problem: Problem,
+    problem: BenchmarkTask,
     environment: Environment,
-    plan: Plan | None = None,
+    plan: ConsolidationConfig | None = None,
     command: str = "",
     seed: int = 0,
-    tick: Callable[[str], None] = lambda _: None,
+    on_progress: Callable[[str], None] = lambda _: None,
     reported: Sequence[Episode] | None = None,
 ) -> tuple[LatentPolicy, dict[str, Any]]:
     """Return the consolidated form of a learnt policy, and its figures.
@@ -33,21 +33,23 @@ def consolidate_policy(
         plan: how.
         command: that is noted in the policy; the learnt one's where it is left out.
         seed: of all episodes.
-        tick: see `consolidate`.
+        on_progress: see `consolidate`.
         reported: see `consolidate`.
 
     Raises:
         KoopmanError: the file holds no learnt policy, or there is no regulator.
     """
     learnt = load_latent(file)
-    found = consolidate(learnt.controller, environment, plan, problem.goal is not None, seed, tick, reported)
+    found = consolidate(learnt.controller, environment, plan, problem.goal is not None, seed, on_progress, reported)
     manifest = {
         **{name: value for name, value in learnt.manifest.items() if name not in ("returns", "outcomes")},
         "consolidated_from": digest(file),
         "command": command or learnt.manifest.get("command", ""),
         **found.figures,
     }
-    return LatentPolicy(found.controller, learnt.dt, learnt.wiring, manifest, found.region), found.figures
+    return LatentPolicy(
+        found.controller, learnt.dt, learnt.robot_interface, manifest, found.distribution
+    ), found.figures
 
 
 def load_latent(file: Path) -> LatentPolicy:

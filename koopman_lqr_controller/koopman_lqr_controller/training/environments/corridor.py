@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from sim_bridge.simulation.world import SimulatedWorld, SimulationOptions
 
 from koopman_lqr_controller.errors import KoopmanError
-from koopman_lqr_controller.policies.latent_policy import LidarWiring
+from koopman_lqr_controller.policies.latent_policy import RobotInterface
 from koopman_lqr_controller.sensing.lidar import ScanGeometry
 from koopman_lqr_controller.sensing.lidar_observation import LidarObservation
 from koopman_lqr_controller.training.replay import Mirror
@@ -82,7 +82,7 @@ class Corridor(gymnasium.Env[Vector, Vector]):
 
     Attributes:
         task: what is simulated.
-        wiring: of the robot to a policy.
+        robot_interface: of the robot to a policy.
         mirror: what the same drive looks like with left and right swapped.
     """
 
@@ -116,17 +116,17 @@ class Corridor(gymnasium.Env[Vector, Vector]):
         self._steps = round(steps)
         self._conditions = conditions
         self._world = self._make_world(0, conditions or Conditions())
-        self.wiring = LidarWiring(
+        self.robot_interface = RobotInterface(
             LidarObservation(), np.array((speed.low, turn.low)), np.array((speed.high, turn.high))
         )
-        self.mirror = Mirror(*self.wiring.observation.mirror, np.array((1.0, -1.0)))
+        self.mirror = Mirror(*self.robot_interface.observation.mirror, np.array((1.0, -1.0)))
         self._full_step = speed.high * self.task.episode.time_step
         path = self._world.geometry.path
         assert path is not None
         self._path_coordinates = PathCoordinates(path)  # the same at every width
         self._along = self._furthest = 0.0
         self._since = 0
-        size = len(self.wiring.observation.names)
+        size = len(self.robot_interface.observation.names)
         self.observation_space = spaces.Box(-np.inf, np.inf, (size,), np.float32)
         self.action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
 
@@ -143,7 +143,7 @@ class Corridor(gymnasium.Env[Vector, Vector]):
     def step(self, action: Vector) -> tuple[Vector, float, bool, bool, dict[str, Any]]:
         """Hold an action (2,) for the task's time step."""
         u = np.clip(np.asarray(action, dtype=float), -1.0, 1.0)
-        self._world.command(0, self.wiring.command(u))
+        self._world.command(0, self.robot_interface.command(u))
         self._world.step(self._steps)
         episode, before = self._world.episode(0), self._along
         self._along = self._s()
@@ -191,7 +191,7 @@ class Corridor(gymnasium.Env[Vector, Vector]):
 
     def observe(self) -> Vector:
         """Return the observation of the state as it is, with noise and drop-out of its own in each call."""
-        return self.wiring.observation.observe(*self.scan(), *self.speeds()).astype(np.float32)
+        return self.robot_interface.observation.observe(*self.scan(), *self.speeds()).astype(np.float32)
 
     def _stalls(self) -> bool:
         """Return whether the robot has come no further for too long."""

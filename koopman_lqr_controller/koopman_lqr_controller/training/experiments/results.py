@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from ctrl_rl_core.io.results import Result
 
-from koopman_lqr_controller.training.environments.problems import Problem
+from koopman_lqr_controller.training.environments.benchmark_tasks import BenchmarkTask
 
 _LEARNT, _CONSOLIDATED = "task-oriented Koopman", "task-oriented Koopman, consolidated"
 
 
-def collect(problem: Problem, results: Sequence[dict[str, Any]]) -> tuple[list[Result], dict[str, Any]]:
+def collect(problem: BenchmarkTask, results: Sequence[dict[str, Any]]) -> tuple[list[Result], dict[str, Any]]:
     """Return the table of all runs of a problem, one value a seed, and the curves as JSON."""
     learner = results[0]["run"]["learner"]
     rows = _learnt(_LEARNT if learner == "koopman" else learner, problem, results)
@@ -25,7 +25,7 @@ def collect(problem: Problem, results: Sequence[dict[str, Any]]) -> tuple[list[R
     return rows, {"task": problem.name, "curves": curves}
 
 
-def _learnt(method: str, problem: Problem, results: Sequence[dict[str, Any]]) -> list[Result]:
+def _learnt(method: str, problem: BenchmarkTask, results: Sequence[dict[str, Any]]) -> list[Result]:
     rows = [
         Result(method, "return", "1", [float(np.mean(result["returns"])) for result in results], problem.thesis),
         Result(method, "actions to the best", "1", [float(result["best"]["actions"]) for result in results]),

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -20,8 +20,8 @@ from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.policies.policy_file import digest
 from koopman_lqr_controller.training.agents.learner import KoopmanLearner
 from koopman_lqr_controller.training.agents.two_stage_learner import TwoStageLearner
-from koopman_lqr_controller.training.consolidation.consolidation import Plan
-from koopman_lqr_controller.training.environments.problems import Problem, find_problem
+from koopman_lqr_controller.training.consolidation.consolidation import ConsolidationConfig
+from koopman_lqr_controller.training.environments.benchmark_tasks import BenchmarkTask, find_task
 from koopman_lqr_controller.training.experiments.trainer import KoopmanLearning, Learner, should_stop
 
 
@@ -33,7 +33,7 @@ class LearningRun(Run):
     consolidated.safetensors, unless the run wants none. `KoopmanLearning` says what result and curve hold.
 
     Attributes:
-        problem_name: One of `PROBLEMS`, or the .yaml file of a task with a corridor.
+        problem_name: One of `BENCHMARK_TASKS`, or the .yaml file of a task with a corridor.
         seed: Seed of everything random.
         changes: Changed `Settings` of the problem, by name.
         device: Device of the networks: "cpu", whose runs can be repeated exactly, or "cuda".
@@ -58,13 +58,13 @@ class LearningRun(Run):
         return f"{Path(self.problem_name).stem}{learner}{changes}-s{self.seed}"
 
     @property
-    def problem(self) -> Problem:
+    def problem(self) -> BenchmarkTask:
         """Problem with its settings.
 
         Raises:
             KoopmanError: The problem or a setting is unknown.
         """
-        return find_problem(self.problem_name).with_settings(**dict(self.changes))
+        return find_task(self.problem_name).with_settings(**dict(self.changes))
 
     @property
     def description(self) -> dict[str, Any]:
@@ -79,10 +79,14 @@ class LearningRun(Run):
             "settings": problem.settings.as_json(),
         }
 
-    def plan(self, options: RunOptions) -> Plan | None:
+    def plan(self, options: RunOptions) -> ConsolidationConfig | None:
         """Return how the policy is consolidated; None if it is not."""
         regulated = self.learner == "koopman" and self.problem.settings.policy == "lqr"
-        return Plan.of(self.consolidation, options.final_evaluations) if self.consolidation and regulated else None
+        return (
+            ConsolidationConfig.of(self.consolidation, options.final_evaluations)
+            if self.consolidation and regulated
+            else None
+        )
 
     def terms(self, options: RunOptions) -> dict[str, Any]:
         """Return description and settings.
@@ -99,7 +103,7 @@ class LearningRun(Run):
             "samples": options.samples,
             "evaluations": options.evaluations,
             "final_evaluations": options.final_evaluations,
-            "consolidation": None if plan is None else asdict(plan),
+            "consolidation": None if plan is None else plan.as_json(),
         }
 
     @contextmanager

@@ -15,15 +15,15 @@ from ctrl_rl_training.io.learner_state import Arrays
 from pydantic import ConfigDict, Field
 
 from koopman_lqr_controller.control.latent_controller import LatentController
-from koopman_lqr_controller.data.roll_outs import Episode, evaluate, interaction, mean_return, outcomes, projected
+from koopman_lqr_controller.data.roll_outs import Episode, count_interaction, evaluate, mean_return, outcomes, projected
 from koopman_lqr_controller.models.prediction import horizon_errors, squared_error
 from koopman_lqr_controller.policies.latent_policy import LatentPolicy
 from koopman_lqr_controller.policies.policy_file import digest, save_policy
-from koopman_lqr_controller.safety.latent_distribution import Region, region_of
+from koopman_lqr_controller.safety.latent_distribution import LatentDistribution, fit_distribution
 from koopman_lqr_controller.training.agents.network_policy import NetworkPolicy
-from koopman_lqr_controller.training.consolidation.consolidation import REPORT_SEED, Plan
+from koopman_lqr_controller.training.consolidation.consolidation import REPORT_SEED, ConsolidationConfig
 from koopman_lqr_controller.training.consolidation.finishing import consolidate_policy, load_latent
-from koopman_lqr_controller.training.environments.problems import AnyEnvironment, Problem
+from koopman_lqr_controller.training.environments.benchmark_tasks import AnyEnvironment, BenchmarkTask
 from koopman_lqr_controller.training.replay import Replay
 
 POLICY_FILE = "policy.safetensors"
@@ -104,12 +104,12 @@ class KoopmanLearning:
     def __init__(
         self,
         learner: Learner,
-        problem: Problem,
+        problem: BenchmarkTask,
         tested: AnyEnvironment,
         options: RunOptions,
         folder: Path,
         manifest: Mapping[str, Any],
-        plan: Plan | None,
+        plan: ConsolidationConfig | None,
         tell: Tell = lambda *_: None,
     ) -> None:
         self._learner, self._problem, self._tested = learner, problem, tested
@@ -140,7 +140,7 @@ class KoopmanLearning:
             "model_errors": errors,
             "best": self._best["return"],
             "best_actions": self._best["actions"],
-            "evaluated": interaction(evaluated),
+            "evaluated": count_interaction(evaluated),
         }
 
     def _evaluate(self, actions: int) -> tuple[dict[str, float], dict[str, float], list[Episode]]:
@@ -168,14 +168,16 @@ class KoopmanLearning:
         self,
         controller: LatentController | NetworkPolicy,
         manifest: Mapping[str, Any],
-        region: Region | None = None,
+        distribution: LatentDistribution | None = None,
     ) -> None:
         file = self._folder / POLICY_FILE
         if isinstance(controller, NetworkPolicy):
             replace(controller, manifest=manifest).save(file)
         else:
-            wiring = getattr(self._tested, "wiring", None)
-            save_policy(LatentPolicy(controller, self._tested.dt, wiring, manifest, region), file, overwrite=True)
+            robot_interface = getattr(self._tested, "robot_interface", None)
+            save_policy(
+                LatentPolicy(controller, self._tested.dt, robot_interface, manifest, distribution), file, overwrite=True
+            )
 
     def _read(self) -> tuple[LatentController | NetworkPolicy, Mapping[str, Any]]:
         """Return the best policy so far and its manifest."""
@@ -207,15 +209,15 @@ class KoopmanLearning:
         Returns:
             `best` (return, actions, which candidate), `interaction` (episodes and actions that were learnt from, and
             those that the best was chosen by), of fresh episodes `returns`, `outcomes` and, where there is a model,
-            what `model_errors` says, `consolidated` (the figures of `Consolidated`, or None) and `digests` of the
+            what `model_errors` says, `consolidated` (the figures of consolidation, or None) and `digests` of the
             policies.
         """
         file, files, consolidated = folder / POLICY_FILE, [POLICY_FILE], None
         controller, manifest = self._read()
-        self._tick("fresh episodes")
+        self._report_progress("fresh episodes")
         fresh = evaluate(controller, self._tested, self._options.final_evaluations, REPORT_SEED, keep=True)
         last: dict[str, Any] = {"returns": [episode.total for episode in fresh], "outcomes": outcomes(fresh)}
-        self._write(controller, {**manifest, **last}, self._region(controller))
+        self._write(controller, {**manifest, **last}, self._distribution(controller))
         if isinstance(controller, LatentController):
             last |= model_errors(controller, fresh)
             if self._plan is not None and controller.horizon is not None:
@@ -224,7 +226,7 @@ class KoopmanLearning:
                     self._problem,
                     self._tested,
                     self._plan,
-                    tick=lambda what: self._tick(f"consolidating, {what}"),
+                    on_progress=lambda what: self._report_progress(f"consolidating, {what}"),
                     reported=fresh,
                 )
                 save_policy(found, folder / CONSOLIDATED_FILE, overwrite=True)
@@ -240,10 +242,10 @@ class KoopmanLearning:
             "digests": {name: digest(folder / name) for name in files},
         }
 
-    def _tick(self, what: str) -> None:
+    def _report_progress(self, what: str) -> None:
         self._tell(len(self._curve), what)
 
-    def _region(self, controller: LatentController | NetworkPolicy) -> Region | None:
+    def _distribution(self, controller: LatentController | NetworkPolicy) -> LatentDistribution | None:
         """Return what learning saw, as a policy sees it now; None of pictures, and where nothing is latent."""
         replay = self._learner.replay
         if replay is None or self._problem.settings.crop or not isinstance(controller, LatentController):
@@ -251,7 +253,7 @@ class KoopmanLearning:
         steps = replay.draw(_MOST_FOR_REGION, np.random.default_rng(0))
         z, z_next = controller.latent(steps.x), controller.latent(steps.x_next)
         predicted = controller.predict(z, steps.u.astype(np.float64))
-        return region_of(z, np.linalg.norm(z_next - predicted, axis=1))
+        return fit_distribution(z, np.linalg.norm(z_next - predicted, axis=1))
 
 
 def model_errors(controller: LatentController, episodes: Sequence[Episode]) -> dict[str, float]:
@@ -267,7 +269,7 @@ def model_errors(controller: LatentController, episodes: Sequence[Episode]) -> d
     }
 
 
-def should_stop(curve: Sequence[Point], problem: Problem, patience: int) -> bool:
+def should_stop(curve: Sequence[Point], problem: BenchmarkTask, patience: int) -> bool:
     """Return whether a task's episodes are used up, or so many chunks brought no new best; 0 for any number."""
     if not curve:
         return False

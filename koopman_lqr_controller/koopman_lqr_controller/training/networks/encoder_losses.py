@@ -13,7 +13,7 @@ from koopman_lqr_controller.training.networks.networks import Decoder, TorchEnco
 from koopman_lqr_controller.training.settings import Settings
 
 
-class Seen(NamedTuple):
+class EncoderBatch(NamedTuple):
     """A batch, as encoders see it.
 
     Attributes:
@@ -47,7 +47,7 @@ class Contrast(nn.Module):
         super().__init__()
         self.W = nn.Parameter(torch.rand(latent, latent))
 
-    def forward(self, z: Tensor, seen: Seen) -> Tensor:
+    def forward(self, z: Tensor, seen: EncoderBatch) -> Tensor:
         """Return the loss of z, the encoder's of `seen.query`."""
         with torch.no_grad():
             keys = seen.key_encoder(seen.key)
@@ -74,7 +74,7 @@ class Reconstruction(nn.Module):
         self.decoder = Decoder(seen, settings.latent, settings.hidden, settings.depth)
         self._predicts = predicts
 
-    def forward(self, z: Tensor, seen: Seen) -> Tensor:
+    def forward(self, z: Tensor, seen: EncoderBatch) -> Tensor:
         """Return the loss of z, the encoder's of `seen.query`; no prediction is good because all z are alike."""
         loss = nn.functional.mse_loss(self.decoder(z), seen.key_encoder.normalise(seen.query))
         if self._predicts and seen.model is not None:

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from ctrl_rl_bags import EXTRACTORS, AlignedSamples, Extractor, align, bag_info
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.models.edmd import Snapshots
-from koopman_lqr_controller.policies.closed_loop_model import See
-from koopman_lqr_controller.sensing.lidar import SAME_STEP, ScanGeometry
+from koopman_lqr_controller.policies.closed_loop_model import ObservationFn
+from koopman_lqr_controller.sensing.lidar import STEP_TOLERANCE, ScanGeometry
 from koopman_lqr_controller.sensing.lidar_mounting import yaw_of_lidar
 
 Array = NDArray[np.float64]
@@ -25,7 +25,7 @@ _OLDEST = 1.0
 
 
 @dataclass(frozen=True)
-class Drive:
+class TrajectorySegment:
     """A part of a drive without a gap.
 
     Attributes:
@@ -41,12 +41,14 @@ class Drive:
     def __len__(self) -> int:
         return len(self.u)
 
-    def cut(self, begin: int, end: int) -> Drive:
+    def cut(self, begin: int, end: int) -> TrajectorySegment:
         """Return the steps from `begin` to before `end`."""
-        return Drive(self.x[begin : end + 1], self.u[begin:end], self.dt)
+        return TrajectorySegment(self.x[begin : end + 1], self.u[begin:end], self.dt)
 
 
-def drives_of(bag: Path, see: See, robot: str = "", lidar_yaw: float | None = None) -> list[Drive]:
+def load_segments(
+    bag: Path, observe: ObservationFn, robot: str = "", lidar_yaw: float | None = None
+) -> list[TrajectorySegment]:
     """Return what was seen and commanded in one bag, apart for each sequence without a gap.
 
     Where the bag holds ground truth about episodes (a simulator's), what follows a collision or the goal is left out;
@@ -54,7 +56,7 @@ def drives_of(bag: Path, see: See, robot: str = "", lidar_yaw: float | None = No
 
     Args:
         bag: with the topics scan, odom and cmd_vel (Twist or TwistStamped).
-        see: what to take of scan and odometry.
+        observe: what to take of scan and odometry.
         robot: namespace of the topics.
         lidar_yaw: direction of the scan's zero bearing in the robot's frame [rad]; None for what the bag's /tf_static
             says, and 0 where it says nothing.
@@ -75,22 +77,22 @@ def drives_of(bag: Path, see: See, robot: str = "", lidar_yaw: float | None = No
     stamped = info[command].endswith("TwistStamped")
     yaw = yaw_of_lidar(bag, scan, prefix) if lidar_yaw is None else lidar_yaw
     sequences = align(bag, _extractors(topics, info), reference=scan, methods={odom: "linear"})
-    out: list[Drive] = []
+    out: list[TrajectorySegment] = []
     for sequence in sequences:
-        out += _pieces(sequence, see, yaw, (scan, odom, command, episode), stamped)
+        out += _pieces(sequence, observe, yaw, (scan, odom, command, episode), stamped)
     if not out:
         raise KoopmanError(f"{bag}: no two consecutive scans with odometry and a command: was the robot driven?")
     return out
 
 
-def snapshots_of(drives: Sequence[Drive]) -> list[Snapshots]:
+def to_snapshots(segments: Sequence[TrajectorySegment]) -> list[Snapshots]:
     """Return the snapshots of each drive."""
-    return [Snapshots(drive.x[:-1], drive.u, drive.x[1:]) for drive in drives]
+    return [Snapshots(segment.x[:-1], segment.u, segment.x[1:]) for segment in segments]
 
 
-def usual_step(drives: Sequence[Drive]) -> float:
+def mean_time_step(segments: Sequence[TrajectorySegment]) -> float:
     """Return the time between two steps of drives [s], long ones counting more."""
-    return float(np.average([drive.dt for drive in drives], weights=[len(drive) for drive in drives]))
+    return float(np.average([segment.dt for segment in segments], weights=[len(segment) for segment in segments]))
 
 
 def check_held_out(share: float) -> None:
@@ -103,20 +105,22 @@ def check_held_out(share: float) -> None:
         raise KoopmanError(f"--held-out is {share}: must be at least 0 and less than 1")
 
 
-def split(drives: Sequence[Drive], held_out: float) -> tuple[list[Drive], list[Drive]]:
+def split(
+    segments: Sequence[TrajectorySegment], held_out: float
+) -> tuple[list[TrajectorySegment], list[TrajectorySegment]]:
     """Return drives to fit to, and the last part of all steps, to measure on.
 
     Args:
-        drives: in the order of their bags.
+        segments: in the order of their bags.
         held_out: part of the steps, 0 <= held_out < 1.
     """
-    left = sum(len(drive) for drive in drives) - round(held_out * sum(len(drive) for drive in drives))
-    seen: list[Drive] = []
-    unseen: list[Drive] = []
-    for drive in drives:
-        here = min(max(left, 0), len(drive))
-        seen += [drive.cut(0, here)] if here else []
-        unseen += [drive.cut(here, len(drive))] if here < len(drive) else []
+    left = sum(len(segment) for segment in segments) - round(held_out * sum(len(segment) for segment in segments))
+    seen: list[TrajectorySegment] = []
+    unseen: list[TrajectorySegment] = []
+    for segment in segments:
+        here = min(max(left, 0), len(segment))
+        seen += [segment.cut(0, here)] if here else []
+        unseen += [segment.cut(here, len(segment))] if here < len(segment) else []
         left -= here
     return seen, unseen
 
@@ -131,10 +135,12 @@ def _extractors(topics: Mapping[str, Extractor | None], info: Mapping[str, str])
     return out
 
 
-def _pieces(sequence: AlignedSamples, see: See, yaw: float, topics: Sequence[str], stamped: bool) -> list[Drive]:
+def _pieces(
+    sequence: AlignedSamples, observe: ObservationFn, yaw: float, topics: Sequence[str], stamped: bool
+) -> list[TrajectorySegment]:
     scan, odom, command, episode = topics
     odometry, commands = sequence.values[odom], sequence.values[command]
-    seen = [_seen(see, s, yaw, o) for s, o in zip(sequence.values[scan], odometry, strict=True)]
+    seen = [_seen(observe, s, yaw, o) for s, o in zip(sequence.values[scan], odometry, strict=True)]
     width = max((len(x) for x in seen if x is not None), default=0)
     if not width:  # no scan shows anything
         return []
@@ -145,20 +151,24 @@ def _pieces(sequence: AlignedSamples, see: See, yaw: float, topics: Sequence[str
     usable = np.isfinite(x[:-1]).all(axis=1) & np.isfinite(x[1:]).all(axis=1) & np.isfinite(u).all(axis=1)
     usable &= (sequence.ages[command][held] < _OLDEST) & (sequence.ages[odom][:-1] < _OLDEST)
     usual = float(np.median(step)) if len(step) else np.nan
-    usable &= np.abs(step / usual - 1.0) < SAME_STEP
+    usable &= np.abs(step / usual - 1.0) < STEP_TOLERANCE
     if episode in sequence.values:
         number, outcome = sequence.values[episode].T
         usable &= (number[:-1] == number[1:]) & (outcome[1:] == 0)
     cuts = np.flatnonzero(~usable)
     runs = np.split(np.arange(len(usable)), np.unique(np.concatenate((cuts, cuts + 1))))
-    return [Drive(x[rows[0] : rows[-1] + 2], u[rows], usual) for rows in runs if len(rows) and usable[rows].all()]
+    return [
+        TrajectorySegment(x[rows[0] : rows[-1] + 2], u[rows], usual)
+        for rows in runs
+        if len(rows) and usable[rows].all()
+    ]
 
 
-def _seen(see: See, scan: Any, yaw: float, odometry: NDArray[np.float64]) -> Array | None:
+def _seen(observe: ObservationFn, scan: Any, yaw: float, odometry: NDArray[np.float64]) -> Array | None:
     """Return x of one sample, None where the scan shows nothing."""
     bearing = scan.angle_min + yaw
     geometry = ScanGeometry(len(scan.ranges), bearing, scan.angle_increment, scan.range_min, scan.range_max)
     try:
-        return see(scan.ranges, geometry, odometry[3], odometry[4])
+        return observe(scan.ranges, geometry, odometry[3], odometry[4])
     except KoopmanError:
         return None

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from koopman_lqr_controller.data.drives import Drive, drives_of, snapshots_of, split
+from koopman_lqr_controller.data.trajectory_segments import TrajectorySegment, load_segments, split, to_snapshots
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.sensing.observables import CorridorObservables
 from recorded import KINDS, STEP, Bag
@@ -23,7 +23,7 @@ def without(*names: str, **changed: str) -> dict[str, str]:
 def test_each_step_brings_state_command_and_next_state(tmp_path: Path, command: str) -> None:
     with Bag(tmp_path / "bag", without("/episode", cmd_vel=command)) as bag:
         bag.drive(range(6))
-    (snapshots,) = snapshots_of(drives_of(tmp_path / "bag", SEE))
+    (snapshots,) = to_snapshots(load_segments(tmp_path / "bag", SEE))
     turn_rate = OBSERVABLES.names.index("turn rate")
     k = np.arange(5)
     np.testing.assert_allclose(snapshots.z[:, turn_rate], 0.1 * k, atol=1e-6)
@@ -37,7 +37,7 @@ def test_a_lost_scan_and_a_blind_one_part_the_drive(tmp_path: Path) -> None:
         bag.drive(range(5, 9))
         bag.drive(range(9, 10), distance=np.nan)
         bag.drive(range(10, 13))
-    assert [len(piece.u) for piece in snapshots_of(drives_of(tmp_path / "bag", SEE))] == [3, 3, 2]
+    assert [len(piece.u) for piece in to_snapshots(load_segments(tmp_path / "bag", SEE))] == [3, 3, 2]
 
 
 def test_what_follows_an_outcome_is_left_out(tmp_path: Path) -> None:
@@ -46,22 +46,22 @@ def test_what_follows_an_outcome_is_left_out(tmp_path: Path) -> None:
             outcome = 1 if k in (4, 5) else 0
             bag.put("/episode", k * STEP, episode=int(k > 5), outcome={"value": outcome})
             bag.drive(range(k, k + 1))
-    assert [len(piece.u) for piece in snapshots_of(drives_of(tmp_path / "bag", SEE))] == [3, 2]
+    assert [len(piece.u) for piece in to_snapshots(load_segments(tmp_path / "bag", SEE))] == [3, 2]
 
 
 def test_says_which_topic_is_missing_and_when_nothing_is_usable(tmp_path: Path) -> None:
     with Bag(tmp_path / "a", without("/odom", "/episode")) as bag:
         bag.writer.flush()
     with pytest.raises(KoopmanError, match=r"no topic /odom; it has /cmd_vel, /scan"):
-        drives_of(tmp_path / "a", SEE)
+        load_segments(tmp_path / "a", SEE)
     with Bag(tmp_path / "b", without("/episode")) as bag:
         bag.drive(range(1))
     with pytest.raises(KoopmanError, match="was the robot driven"):
-        drives_of(tmp_path / "b", SEE)
+        load_segments(tmp_path / "b", SEE)
     with Bag(tmp_path / "c", without("/episode")) as bag:
         bag.drive(range(5), distance=np.nan)
     with pytest.raises(KoopmanError, match="was the robot driven"):
-        drives_of(tmp_path / "c", SEE)
+        load_segments(tmp_path / "c", SEE)
 
 
 def test_the_lidar_is_taken_as_it_is_mounted(tmp_path: Path) -> None:
@@ -80,11 +80,11 @@ def test_the_lidar_is_taken_as_it_is_mounted(tmp_path: Path) -> None:
                 bag.drive(range(k, k + 1), ranges=ranges, frame="laser")
         if expected is None:
             with pytest.raises(KoopmanError, match="does not lie flat and upright"):
-                drives_of(tmp_path / name, ahead)
+                load_segments(tmp_path / name, ahead)
         else:
-            (drive,) = drives_of(tmp_path / name, ahead)
+            (drive,) = load_segments(tmp_path / name, ahead)
             assert drive.x[0, 0] == expected
-        (drive,) = drives_of(tmp_path / name, ahead, lidar_yaw=0.0)
+        (drive,) = load_segments(tmp_path / name, ahead, lidar_yaw=0.0)
         assert drive.x[0, 0] == 0.0
 
 
@@ -94,21 +94,23 @@ def test_a_lidar_that_hangs_from_nothing_known_is_asked_for(tmp_path: Path) -> N
         bag.mount("laser", {"w": 1.0})
         bag.drive(range(3), frame="front_laser")
     with pytest.raises(KoopmanError, match="from the scan to a base, only to front_laser: --lidar-yaw"):
-        drives_of(tmp_path / "bag", lambda *_: np.zeros(1))
+        load_segments(tmp_path / "bag", lambda *_: np.zeros(1))
 
 
 def test_a_command_of_long_ago_does_not_count(tmp_path: Path) -> None:
     with Bag(tmp_path / "bag", without("/episode", cmd_vel="geometry_msgs/msg/Twist")) as bag:
         bag.drive(range(4))
         bag.drive(range(4, 15), commanded=False)
-    (drive,) = drives_of(tmp_path / "bag", lambda *_: np.zeros(1))
+    (drive,) = load_segments(tmp_path / "bag", lambda *_: np.zeros(1))
     assert len(drive) == 8, "the last command, of step 3, holds for the five steps of a second"
 
 
 @settings(deadline=None)
 @given(st.lists(st.integers(1, 9), min_size=1, max_size=5), st.floats(0.0, 1.0))
 def test_the_last_part_is_held_out(lengths: list[int], held_out: float) -> None:
-    drives = [Drive(np.arange(n + 1.0)[:, None] + 100 * i, np.zeros((n, 2)), 0.2) for i, n in enumerate(lengths)]
+    drives = [
+        TrajectorySegment(np.arange(n + 1.0)[:, None] + 100 * i, np.zeros((n, 2)), 0.2) for i, n in enumerate(lengths)
+    ]
     seen, unseen = split(drives, held_out)
     assert sum(map(len, unseen)) == round(held_out * sum(lengths))
     steps = [(x, after) for part in (*seen, *unseen) for x, after in zip(part.x[:-1, 0], part.x[1:, 0], strict=True)]

@@ -19,7 +19,7 @@ AnyEnvironment = Any
 
 
 @dataclass(frozen=True)
-class Problem:
+class BenchmarkTask:
     """A task to learn.
 
     Attributes:
@@ -67,7 +67,7 @@ class Problem:
         parts = [Path(self.name).stem, self.version, self.repeat, self.goal, self.middle, self.unit, task]
         return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
 
-    def with_settings(self, **changes: Any) -> Problem:
+    def with_settings(self, **changes: Any) -> BenchmarkTask:
         """Return the same task with other numbers.
 
         Raises:
@@ -85,24 +85,24 @@ class Problem:
         return replace(self, settings=settings)
 
 
-def find_problem(name: str) -> Problem:
+def find_task(name: str) -> BenchmarkTask:
     """Return a problem by name, or that of driving through the corridor of a task's .yaml file.
 
     Raises:
         KoopmanError: there is none of that name, or the file's task has no corridor.
         TaskError: the file is no task.
     """
-    if name in PROBLEMS:
-        return PROBLEMS[name]
+    if name in BENCHMARK_TASKS:
+        return BENCHMARK_TASKS[name]
     if not name.endswith(".yaml"):
-        raise KoopmanError(f"no task '{name}': there are {', '.join(PROBLEMS)}, or a .yaml file with a corridor")
+        raise KoopmanError(f"no task '{name}': there are {', '.join(BENCHMARK_TASKS)}, or a .yaml file with a corridor")
     if load_navigation_task(name).corridor is None:
         raise KoopmanError(f"{name}: has no corridor to learn to drive through")
     about = "the corridor of a task file"
-    return replace(PROBLEMS["curved_corridor"], name=name, about=about, make=_corridor(name), task=name)
+    return replace(BENCHMARK_TASKS["curved_corridor"], name=name, about=about, make=_corridor(name), task=name)
 
 
-def problem_of(manifest: Mapping[str, Any]) -> Problem:
+def task_of_manifest(manifest: Mapping[str, Any]) -> BenchmarkTask:
     """Return the problem that a policy's manifest names.
 
     Raises:
@@ -110,7 +110,7 @@ def problem_of(manifest: Mapping[str, Any]) -> Problem:
         TaskError: the task's file is no task.
     """
     name = str(manifest.get("task"))
-    problem = find_problem(name)
+    problem = find_task(name)
     if manifest.get("task_digest", problem.digest) != problem.digest:
         raise KoopmanError(f"task {name} is another one than when the policy was made: learn it again")
     return problem
@@ -135,7 +135,7 @@ def _corridor(task: str) -> Callable[[bool], AnyEnvironment]:
 
 
 _ALL = (
-    Problem(
+    BenchmarkTask(
         name="cartpole_swingup",
         about="DeepMind control suite: swing a pole up and hold it, from position and velocity",
         make=_suite("cartpole", "swingup", 8),
@@ -147,7 +147,7 @@ _ALL = (
         goal=(0.0, 1.0, 0.0, 0.0, 0.0),
         thesis=846.88,
     ),
-    Problem(
+    BenchmarkTask(
         name="cartpole_swingup_pixels",
         about="the same from three grey pictures",
         make=_suite("cartpole", "swingup", 8, 72),
@@ -160,7 +160,7 @@ _ALL = (
         unit=127.5,
         thesis=873.0,
     ),
-    Problem(
+    BenchmarkTask(
         name="cheetah_run",
         about="DeepMind control suite: a planar cheetah runs",
         make=_suite("cheetah", "run", 4),
@@ -172,7 +172,7 @@ _ALL = (
         evaluations=6,
         thesis=464.0,
     ),
-    Problem(
+    BenchmarkTask(
         name="curved_corridor",
         about="a simulated TurtleBot3 drives along a narrow curved path, from lidar and odometry",
         make=_corridor("curved_corridor"),
@@ -187,5 +187,5 @@ _ALL = (
         version=3,
     ),
 )
-PROBLEMS = {problem.name: problem for problem in _ALL}
+BENCHMARK_TASKS = {problem.name: problem for problem in _ALL}
 """By name. The corridor is learnt from 40 episodes, as many as in the thesis, of at most 700 steps."""

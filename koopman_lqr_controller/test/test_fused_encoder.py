@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.models.encoder import CentreCrop, Dense, Encoder, Flatten, LayerNorm
-from koopman_lqr_controller.models.fused_encoder import QuickEncoder
+from koopman_lqr_controller.models.fused_encoder import FusedEncoder
 
 KINDS = st.lists(st.sampled_from(["linear", "rectified", "norm"]), min_size=1, max_size=6)
 
@@ -24,7 +24,7 @@ def test_it_is_the_same_up_to_rounding(seed: int, kinds: list[str], reduced: boo
     ]
     encoder = Encoder(tuple(layers), (6,), some(6), np.exp(some(6)))
     projection = random.normal(size=(2, 6)) if reduced else None
-    quick = QuickEncoder(encoder, projection)
+    quick = FusedEncoder(encoder, projection)
     for x in some(5, 6):
         z = encoder(x) if projection is None else projection @ encoder(x)
         assert quick(x) == pytest.approx(z, rel=2e-3, abs=2e-3 * np.abs(z).max())
@@ -36,7 +36,7 @@ def test_what_is_linear_together_is_one_matrix() -> None:
     one = np.ones(3, np.float32)
     dense = Dense(2.0 * np.eye(3, dtype=np.float32), 0 * one, False)
     encoder = Encoder((dense, dense, LayerNorm(2 * one, one), dense), (3,), one, 2 * one)
-    quick = QuickEncoder(encoder, np.array([[1.0, 0.0, 0.0]]))
+    quick = FusedEncoder(encoder, np.array([[1.0, 0.0, 0.0]]))
     assert [step.matrix.shape for step in quick._steps] == [(4, 4)]
     assert quick._steps[0].matrix[:3, :3] == pytest.approx(2.0 * (np.eye(3) - 1 / 3), abs=1e-6)
     assert quick._last[:, 0] == pytest.approx([4.0, 0.0, 0.0, 2.0])
@@ -52,4 +52,4 @@ def test_what_is_linear_together_is_one_matrix() -> None:
 )
 def test_another_kind_of_encoder_is_refused(encoder: Encoder) -> None:
     with pytest.raises(KoopmanError, match="quick is only an encoder"):
-        QuickEncoder(encoder)
+        FusedEncoder(encoder)
