@@ -20,7 +20,7 @@ SAYS = {
     "time_to_reach_slice": "from [0.0, -3.0, 1.0] it takes",
     "reward_in_gymnasium": "return so far",
     "mpc_trajectory": "ends at",
-    "own_system": "from rest at 1.5 m: 2.3",
+    "own_system": "from rest at 1.5 m: 2.4",
     "align_bag": "sequence 0:",
     "koopman_policy_from_bag": "slowest poles",
     "ask_team_policy": "running: nobody; chosen:",
