@@ -3,7 +3,7 @@
 import os
 
 import pytest
-from ctrl_rl_bringup.cli.drive import run_alone
+from ctrl_rl_bringup.cli.running import run_alone
 from ctrl_rl_bringup.runner.domain import DomainError, claim, own_domain, stay_local
 from rclpy.context import Context
 from rclpy.node import Node

@@ -1,1 +1,5 @@
-"""Grants options to robots that finish at different times (thesis 2.4 and 5)."""
+"""Coordination of robots by options: joint policies, the coordinator and its clients, environments and team files."""
+
+import lazy_loader as lazy
+
+__getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)

@@ -105,7 +105,7 @@ def test_commands_from_training_to_replay(tmp_path, capsys, monkeypatch):
     assert replay(["tool_delivery", "--policy", policy, "--choose", "mode"]) == 0
     assert "decisions" in capsys.readouterr().out
     assert replay(["water_filling", "--policy", policy]) == 1
-    assert "was learnt for another task 'tool_delivery'" in capsys.readouterr().err
+    assert "was learned for task 'tool_delivery'" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

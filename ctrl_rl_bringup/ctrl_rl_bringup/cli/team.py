@@ -2,90 +2,114 @@
 
 from __future__ import annotations
 
-import argparse
 import json
-from datetime import datetime
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
-from ctrl_rl_core.command import CommandError
-from ctrl_rl_core.io.atomic_write import atomic_write
+import tyro
+from ctrl_rl_core.command import CommandError, at_least
 from ctrl_rl_core.tasks.task import load_navigation_task
 from option_coordinator.teams.team_file import Work, load_team
 
-from ctrl_rl_bringup.cli.drive import run_alone, run_here
+from ctrl_rl_bringup.cli.running import own_arguments, run_alone, run_folder, run_here
 from ctrl_rl_bringup.team.plot import draw_team
 from ctrl_rl_bringup.team.report import read_team
 from ctrl_rl_bringup.team.run import follow_running_team, run_team
 from ctrl_rl_bringup.team.stack import TeamConfig
+from ctrl_rl_core import atomic_write, parse_options
 
-_DEFAULT = TeamConfig(Path())
 _FASTEST = 1000.0
 
 
+@dataclass(frozen=True)
+class _TeamOptions:
+    """Options of every command about a team."""
+
+    team: str = TeamConfig.team
+    """Team name or .yaml file."""
+
+
+@dataclass(frozen=True)
+class DemoOptions(_TeamOptions):
+    """Let a team of TurtleBots carry parcels under the coordinator once, record it and report."""
+
+    output: Path | None = None
+    """New folder of the run; runs/options-<date>-<time> unless given."""
+
+    room: str = TeamConfig.room
+    """Navigation task or .yaml file of the room; the team's own if empty."""
+
+    policy: str = TeamConfig.policy
+    """Scripted policy 'spread' or 'uniform', or name or file of a learned one; if empty the team's, else 'spread'."""
+
+    seed: at_least(0) = 0  # type: ignore[valid-type]
+    """Seed of starts, noise and draws."""
+
+    speed: float = 2.0
+    """Simulation time per wall time."""
+
+    gui: bool = False
+    """Show PyBullet's window."""
+
+
+@dataclass(frozen=True)
+class ReportOptions(_TeamOptions):
+    """Report again on the bag of a team's run, and draw it."""
+
+    folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER")] = tyro.MISSING
+    """Folder of the run, with its bag in 'bag'."""
+
+    room: str = TeamConfig.room
+    """Navigation task or .yaml file of the room; the team's own if empty."""
+
+
+@dataclass(frozen=True)
+class MonitorOptions(_TeamOptions):
+    """Wait until a team's nodes listen to each other, start the simulation, and follow the work to its end."""
+
+
 def demo() -> int:
-    """Let a team of TurtleBots carry parcels under the coordinator once, record it, and say what happened."""
-    parser = argparse.ArgumentParser(prog="options_demo", description=demo.__doc__)
-    parser.add_argument("--output", type=Path, help="new folder of the run (default runs/options-<date>-<time>)")
-    _add_team(parser)
-    parser.add_argument(
-        "--policy",
-        default=_DEFAULT.policy,
-        help="'spread' or 'uniform', not learnt, or a learnt one's name or file (default: the team's, else 'spread')",
-    )
-    parser.add_argument("--seed", type=int, default=0, help="of starts, noise and draws (default %(default)s)")
-    parser.add_argument("--speed", type=float, default=2.0, help="times real time (default %(default)s)")
-    parser.add_argument("--gui", action="store_true", help="show PyBullet's window")
-    given = parser.parse_args()
-    folder = given.output or Path("runs") / f"options-{datetime.now():%Y%m%d-%H%M%S}"
-    options = TeamConfig(folder, given.team, given.room, given.policy, given.seed, given.speed, given.gui)
-    return run_alone("options_demo", lambda: _demo(options))
+    """Let a team of TurtleBots carry parcels under the coordinator once, record it and report."""
+    given = parse_options("options_demo", DemoOptions)
+    folder = run_folder(given.output, "options")
+    config = TeamConfig(folder, given.team, given.room, given.policy, given.seed, given.speed, given.gui)
+    return run_alone("options_demo", lambda: _demo(config))
 
 
 def report() -> int:
-    """Say again what the bag of a team's run says, and draw it."""
-    parser = argparse.ArgumentParser(prog="options_report", description=report.__doc__)
-    parser.add_argument("folder", type=Path, help="folder of the run, with its bag in 'bag'")
-    _add_team(parser)
-    given = parser.parse_args()
-    options = TeamConfig(given.folder, given.team, given.room)
-    return run_here("options_report", lambda: _report(options))
+    """Report again on the bag of a team's run, and draw it."""
+    given = parse_options("options_report", ReportOptions)
+    config = TeamConfig(given.folder, given.team, given.room)
+    return run_here("options_report", lambda: _report(config))
 
 
 def monitor() -> int:
-    """Wait until a team's nodes listen to each other, let the simulation go, and follow the work to its end."""
-    parser = argparse.ArgumentParser(prog="options_monitor", description=monitor.__doc__)
-    parser.add_argument("--team", default=_DEFAULT.team, help="name or .yaml file (default %(default)s)")
-    given, _ = parser.parse_known_args()  # launch adds --ros-args
-    return run_here("options_monitor", lambda: follow_running_team(load_team(given.team)))
+    """Start the simulation once a team's nodes listen to each other, and follow the work to its end."""
+    options = parse_options("options_monitor", MonitorOptions, own_arguments())
+    return run_here("options_monitor", lambda: follow_running_team(load_team(options.team)))
 
 
-def _add_team(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--team", default=_DEFAULT.team, help="name or .yaml file (default %(default)s)")
-    parser.add_argument("--room", default=_DEFAULT.room, help="navigation task or .yaml file (default: the team's)")
-
-
-def _demo(options: TeamConfig) -> int:
-    if not 0.0 < options.speed <= _FASTEST:
-        raise CommandError(f"--speed {options.speed:g}: must be more than 0 and at most {_FASTEST:g}")
-    if options.seed < 0:
-        raise CommandError(f"--seed {options.seed}: must be at least 0")
+def _demo(config: TeamConfig) -> int:
+    if not 0.0 < config.speed <= _FASTEST:
+        raise CommandError(f"--speed {config.speed:g}: must be more than 0 and at most {_FASTEST:g}")
     print(
-        f"options_demo: {options.team}, seed {options.seed}, {options.speed:g}x real time, in {options.folder}",
+        f"options_demo: {config.team}, seed {config.seed}, {config.speed:g}x real time, in {config.folder}",
         flush=True,
     )
-    run_team(options)
-    return _report(options)
+    run_team(config)
+    return _report(config)
 
 
-def _report(options: TeamConfig) -> int:
-    team = load_team(options.team)
+def _report(config: TeamConfig) -> int:
+    team = load_team(config.team)
     idle = [name for name, option in team.options.items() if option.work is Work.WAIT]
-    run = read_team(options.drive.bag, idle)
-    file, picture = options.folder / "report.json", options.folder / "timeline.png"
+    run = read_team(config.drive.bag, idle)
+    file, picture = config.folder / "report.json", config.folder / "timeline.png"
     atomic_write(file, json.dumps(run.as_dict(), indent=1) + "\n")
-    draw_team(run, load_navigation_task(options.task), team, picture)
+    draw_team(run, load_navigation_task(config.task), team, picture)
     print(run.text())
-    print(f"bag                 {options.drive.bag}")
+    print(f"bag                 {config.drive.bag}")
     print(f"picture             {picture}")
     print(f"report              {file}")
     return 0 if run.finished else 1

@@ -1,0 +1,12 @@
+from .corridor.drive import drive as drive
+from .corridor.drive import drive_seeds as drive_seeds
+from .corridor.drive import record_scripted as record_scripted
+from .corridor.plot import draw_drive as draw_drive
+from .corridor.report import DriveReport as DriveReport
+from .corridor.report import read_drive as read_drive
+from .runner.stack import DriveConfig as DriveConfig
+from .team.plot import draw_team as draw_team
+from .team.report import TeamRun as TeamRun
+from .team.report import read_team as read_team
+from .team.run import run_team as run_team
+from .team.stack import TeamConfig as TeamConfig

@@ -1,0 +1,39 @@
+"""What the commands of this package share: where their nodes talk, and the folder of a new run."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from datetime import datetime
+from pathlib import Path
+
+from ctrl_rl_core.command import run_command
+from rclpy.utilities import remove_ros_args
+
+from ctrl_rl_bringup.runner.domain import own_domain, stay_local
+
+
+def run_here(program: str, work: Callable[[], int]) -> int:
+    """Run a command whose nodes talk on this machine, and return its exit code."""
+    stay_local()
+    return run_command(program, work, failure=2)
+
+
+def run_alone(program: str, work: Callable[[], int]) -> int:
+    """Run a command that starts nodes, in a ROS domain of its own, and return its exit code."""
+
+    def alone() -> int:
+        with own_domain(program):
+            return work()
+
+    return run_here(program, alone)
+
+
+def run_folder(output: Path | None, name: str) -> Path:
+    """Return the folder of a new run: the given one, or runs/<name>-<date>-<time>."""
+    return output or Path("runs") / f"{name}-{datetime.now():%Y%m%d-%H%M%S}"
+
+
+def own_arguments() -> list[str]:
+    """Return the process's arguments without those that ROS's launch adds after --ros-args."""
+    return list(remove_ros_args(sys.argv)[1:])
