@@ -3,6 +3,7 @@
 import os
 import signal
 import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -83,6 +84,23 @@ def run_node(tmp_path: Path) -> Iterator[Callable[..., NodeProcess]]:
     for node in started:
         node.end()
     time.sleep(_GOODBYE_S)
+
+
+@pytest.fixture
+def start() -> Iterator[Callable[..., subprocess.Popen[str]]]:
+    """Give a function that starts Python with some arguments; the processes that are left end with the test."""
+    processes: list[subprocess.Popen[str]] = []
+
+    def run(*arguments: object) -> subprocess.Popen[str]:
+        pipe = subprocess.PIPE
+        command = [sys.executable, *map(str, arguments)]
+        processes.append(subprocess.Popen(command, text=True, stdin=pipe, stdout=pipe, stderr=pipe))
+        return processes[-1]
+
+    yield run
+    for process in processes:
+        process.kill()
+        process.communicate()
 
 
 class CutOffError(Exception):
