@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from ctrl_rl_core.command import check_least, file_to_write, folder_to_write
 from ctrl_rl_core.io.results import Result, ResultsError, write_results
+from ctrl_rl_core.tasks.schema.parts import TaskHeader
 from ctrl_rl_core.tasks.task import NavigationTask, load_navigation_task, task_digest, task_names
-from ctrl_rl_core.tasks.task_schema import TaskHeader
 
 from ctrl_rl_training.experiments.run import Run, RunOptions
 

@@ -19,7 +19,14 @@ well, in one line that names file and key. [Tasks](../tasks.md) shows a whole ta
 """
 _MODULES = {
     "Task files": (
-        "ctrl_rl_core.tasks.task_schema",
+        "ctrl_rl_core.tasks.schema.parts",
+        "ctrl_rl_core.tasks.schema.system",
+        "ctrl_rl_core.tasks.schema.robot",
+        "ctrl_rl_core.tasks.schema.world",
+        "ctrl_rl_core.tasks.schema.region",
+        "ctrl_rl_core.tasks.schema.episode",
+        "ctrl_rl_core.tasks.schema.lidar",
+        "ctrl_rl_core.tasks.schema.optimal_control",
         "ctrl_rl_core.tasks.task",
         "ctrl_rl_core.tasks.option_tasks",
     ),

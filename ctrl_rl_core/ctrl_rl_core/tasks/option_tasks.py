@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field, Strict, model_validator
 
 from ctrl_rl_core.geometry.units import LengthInterval, Point, PositiveLength, PositiveSpeed, TimeStep
-from ctrl_rl_core.tasks.task_schema import Part, Reward, Samples, Several, Steps, TaskHeader
+from ctrl_rl_core.tasks.schema.parts import Part, Reward, Samples, Several, Steps, TaskHeader
 
 
 class ToolDeliveryAgent(Part):

@@ -10,8 +10,8 @@ from ctrl_rl_core.geometry.shapes import Disc, Shape, signed_distance
 from ctrl_rl_core.geometry.units import Interval
 from ctrl_rl_core.systems.system import System, make_system
 from ctrl_rl_core.tasks.regions import Region, position_indices
+from ctrl_rl_core.tasks.schema.optimal_control import OptimalControlSpec
 from ctrl_rl_core.tasks.task import NavigationTask, task_digest
-from ctrl_rl_core.tasks.task_schema import OptimalControlSpec
 from numpy.typing import ArrayLike, NDArray
 
 from oc_baseline_node.errors import OcError

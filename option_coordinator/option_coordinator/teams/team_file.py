@@ -17,8 +17,8 @@ from ctrl_rl_core.errors import CtrlRlError
 from ctrl_rl_core.geometry.units import Point, PositiveTime, TimeStep
 from ctrl_rl_core.io.checked_yaml import read_yaml
 from ctrl_rl_core.io.file_checks import FileError, raise_as, short_path, short_repr
+from ctrl_rl_core.tasks.schema.parts import Part, Reward, Samples, TaskHeader
 from ctrl_rl_core.tasks.task import NavigationTask, load_navigation_task, task_names
-from ctrl_rl_core.tasks.task_schema import Part, Reward, Samples, TaskHeader
 from pydantic import Field, PrivateAttr, Strict, model_validator
 
 from option_coordinator.errors import OptionError

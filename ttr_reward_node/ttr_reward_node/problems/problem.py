@@ -25,8 +25,9 @@ from ctrl_rl_core.geometry.shapes import World
 from ctrl_rl_core.geometry.units import Interval, parse_interval
 from ctrl_rl_core.systems.system import System
 from ctrl_rl_core.tasks.regions import Region, position_indices
+from ctrl_rl_core.tasks.schema.system import STATE_UNITS
+from ctrl_rl_core.tasks.schema.world import CorridorSpec
 from ctrl_rl_core.tasks.task import NavigationTask, load_navigation_task, task_digest
-from ctrl_rl_core.tasks.task_schema import STATE_UNITS, CorridorSpec
 from ctrl_rl_core.values.grid_axis import Axis
 from numpy.typing import NDArray
 

@@ -18,8 +18,8 @@ import gymnasium
 import numpy as np
 from ctrl_rl_core.geometry.units import Interval
 from ctrl_rl_core.tasks.outcome import Outcome
+from ctrl_rl_core.tasks.schema.world import CorridorSpec
 from ctrl_rl_core.tasks.task import NavigationTask, load_navigation_task
-from ctrl_rl_core.tasks.task_schema import CorridorSpec
 from ctrl_rl_core.tasks.task_sets import PathCoordinates
 from gymnasium import spaces
 from numpy.typing import NDArray

@@ -1,0 +1,1 @@
+"""Schemas of task files, one module a part."""

@@ -1,0 +1,52 @@
+"""The value grid and the optimal control problem of a task file."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+from ctrl_rl_core.geometry.units import Interval, Length, TimeStep
+from ctrl_rl_core.tasks.schema.parts import Part, Steps, Weight, intervals
+from ctrl_rl_core.tasks.schema.region import RegionSpec
+from ctrl_rl_core.tasks.schema.robot import COMMAND_UNITS
+from ctrl_rl_core.tasks.schema.system import STATE_UNITS
+
+
+class GridSpec(Part):
+    """One axis of the published value grid: nodes over an interval."""
+
+    interval: str
+    count: int = Field(gt=1, le=100_000)
+
+
+class OptimalControlSpec(Part):
+    """Constants of the MPC problem (thesis Eq. 3.16, with the trap term of section 3.3.3).
+
+    Attributes:
+        horizon: Number of steps H.
+        time_step: Duration of an MPC step [s].
+        gamma: Growth of the state cost per step.
+        discount: Discount per step of the policy, in the value function (Eq. 3.13) and in learning with it.
+        state_weight: Weight Q of the squared distance to the goal.
+        control_weight: Weight R of the squared controls.
+        trap_weight: Weight W of the squared distance to the trap's middle.
+        clearance: Least distance d_min from the robot's position to an obstacle [m].
+        trajectories: Number of solved trajectories in the value data.
+        controls: Control bounds by name.
+        bounds: State bounds by name.
+        terminal_set: Set of states that a trajectory must end in; the goal where left out.
+    """
+
+    horizon: int = Field(gt=0, le=10_000)
+    time_step: TimeStep
+    gamma: float = Field(gt=0, le=10)
+    discount: float = Field(gt=0, le=1)
+    state_weight: Weight
+    control_weight: Weight
+    trap_weight: float = Field(default=0.0, ge=0, le=1e9)
+    clearance: Length
+    trajectories: Steps
+    controls: Annotated[dict[str, Interval], intervals(COMMAND_UNITS)]
+    bounds: Annotated[dict[str, Interval], intervals(STATE_UNITS)]
+    terminal_set: RegionSpec | None = None

@@ -1,0 +1,69 @@
+"""The base of all parts of a task file, its header, and types that several parts use."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any, TypeVar
+
+from pydantic import BeforeValidator, Field, Strict
+
+from ctrl_rl_core.geometry.units import Interval, parse_interval
+from ctrl_rl_core.io.file_checks import short_repr
+from ctrl_rl_core.io.schema import Schema
+
+Steps = Annotated[int, Field(gt=0, le=10_000_000)]
+Samples = Annotated[int, Field(gt=0, le=10_000_000_000)]
+Reward = Annotated[float, Field(ge=-1e9, le=1e9)]
+Weight = Annotated[float, Field(gt=0.0, le=1e9)]
+_Entry = TypeVar("_Entry")
+Several = Annotated[tuple[_Entry, ...], Strict(False), Field(max_length=10_000)]
+"""A list in the file, which does not change after reading."""
+
+
+class Part(Schema):
+    """A part of a task file: unknown keys are errors, nothing changes after reading."""
+
+
+class TaskHeader(Part):
+    """What every task file starts with.
+
+    Attributes:
+        name: Name of the file without suffix.
+        about: Purpose of the robot, in one sentence.
+        source: Origin of the task (thesis section, published code).
+        differences: Points in which thesis, published code and this file differ, each with the one that is used.
+    """
+
+    name: str = Field(pattern=r"^[a-z][a-z0-9_]*$")
+    about: str
+    source: str
+    differences: Several[str] = ()
+
+
+def intervals(units: Mapping[str, str]) -> BeforeValidator:
+    """Return the validator of a mapping from names to intervals, each in the unit of its name."""
+
+    def parse(value: Any) -> dict[str, Interval]:
+        if not isinstance(value, dict):
+            raise ValueError("must be a mapping from names to intervals, e.g. {x: 0.0 .. 1.0 m}")
+        out = {}
+        for name, text in value.items():
+            unit = unit_of(name, units)
+            try:
+                out[name] = parse_interval(text, unit)
+            except ValueError as error:
+                raise ValueError(f"{short_repr(name)}: {error}") from None
+        return out
+
+    return BeforeValidator(parse)
+
+
+def unit_of(name: str, units: Mapping[str, str]) -> str:
+    """Return the unit of a name.
+
+    Raises:
+        ValueError: There is no such name.
+    """
+    if name not in units:
+        raise ValueError(f"{short_repr(name)}: no such name; there are {', '.join(units) or 'none'}")
+    return units[name]

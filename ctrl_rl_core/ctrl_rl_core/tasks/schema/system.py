@@ -1,0 +1,70 @@
+"""The system model of a task file, for solvers and model predictive control."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from pydantic import Field, model_validator
+
+from ctrl_rl_core.geometry.units import parse_interval, parse_scalar
+from ctrl_rl_core.io.file_checks import short_repr
+from ctrl_rl_core.systems.models import SYSTEM_MODELS
+from ctrl_rl_core.systems.system import System, SystemModelError, make_system
+from ctrl_rl_core.tasks.schema.parts import Part, unit_of
+
+STATE_UNITS: Mapping[str, str] = {
+    **{state.name: state.unit for model in SYSTEM_MODELS.values() for state in model.states},
+    "s": "m",
+    "lateral": "m",
+    "heading": "rad",
+}
+"""Units of the states of all system models, and of the coordinates along a corridor's path."""
+
+
+class SystemSpec(Part):
+    """The model f of the robot for solvers and MPC (thesis Table 3.1).
+
+    Attributes:
+        model: Name of a model in `ctrl_rl_core.SYSTEM_MODELS`.
+        parameters: Parameters by name, with units; the model's defaults where left out.
+        controls: Bounds by control name; the model's defaults where left out.
+    """
+
+    model: str
+    parameters: dict[str, str] = Field(default_factory=dict)
+    controls: dict[str, str] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _known(self) -> SystemSpec:
+        if self.model not in SYSTEM_MODELS:
+            raise ValueError(f"model: no system model {short_repr(self.model)}: there are {', '.join(SYSTEM_MODELS)}")
+        self.build()
+        return self
+
+    def scaled(self, factors: Mapping[str, float]) -> SystemSpec:
+        """Return the same model with some parameters multiplied, by name.
+
+        Raises:
+            ValueError: the model has no such parameter, or it cannot have such a value.
+        """
+        units = {name: unit_of(name, self._parameter_units()) for name in factors}
+        own = self.build().parameters
+        changed = {name: f"{factor * own[name]!r} {units[name]}" for name, factor in factors.items()}
+        return SystemSpec(model=self.model, parameters={**self.parameters, **changed}, controls=self.controls)
+
+    def _parameter_units(self) -> dict[str, str]:
+        return {parameter.name: parameter.unit for parameter in SYSTEM_MODELS[self.model].parameters}
+
+    def build(self) -> System:
+        """Return the system model with this task's parameters and control bounds."""
+        model = SYSTEM_MODELS[self.model]
+        parameter_units = self._parameter_units()
+        control_units = {control.name: control.unit for control in model.controls}
+        parameters = {
+            name: parse_scalar(text, unit_of(name, parameter_units)) for name, text in self.parameters.items()
+        }
+        controls = {name: parse_interval(text, unit_of(name, control_units)) for name, text in self.controls.items()}
+        try:
+            return make_system(self.model, parameters=parameters, control_bounds=controls)
+        except SystemModelError as error:
+            raise ValueError(str(error)) from None

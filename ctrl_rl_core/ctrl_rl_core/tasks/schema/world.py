@@ -1,0 +1,123 @@
+"""Walls and obstacles of a task file."""
+
+from __future__ import annotations
+
+import math
+
+from pydantic import Field, model_validator
+
+from ctrl_rl_core.geometry.shapes import Arc, ArcPath, Box, Disc, Shape, frame_walls
+from ctrl_rl_core.geometry.units import Angle, Interval, LengthInterval, Point, PositiveLength
+from ctrl_rl_core.tasks.schema.parts import Part, Several
+
+
+class ArenaSpec(Part):
+    """The rectangle that the robot stays in: x, and y or z; walls of the given thickness stand around it."""
+
+    x: LengthInterval
+    y: LengthInterval | None = None
+    z: LengthInterval | None = None
+    wall_thickness: PositiveLength
+
+    @model_validator(mode="after")
+    def _two_axes(self) -> ArenaSpec:
+        if (self.y is None) == (self.z is None):
+            raise ValueError("needs 'x' and either 'y' or 'z'")
+        return self
+
+    @property
+    def bounds(self) -> tuple[Interval, Interval]:
+        """The two intervals of the plane [m]."""
+        second = self.y if self.y is not None else self.z
+        assert second is not None
+        return self.x, second
+
+    def walls(self) -> tuple[Box, ...]:
+        """Return the four walls."""
+        return frame_walls(*self.bounds, self.wall_thickness)
+
+
+class StraightSpec(Part):
+    """A straight piece of path."""
+
+    straight: PositiveLength
+
+    def arc(self) -> Arc:
+        """Return the piece."""
+        return Arc(self.straight, 0.0)
+
+
+class TurnSpec(Part):
+    """A turn by an angle, positive to the left, at a radius."""
+
+    turn: Angle
+    radius: PositiveLength
+
+    def arc(self) -> Arc:
+        """Return the piece."""
+        return Arc(abs(self.turn) * self.radius, math.copysign(1.0 / self.radius, self.turn))
+
+
+class CorridorSpec(Part):
+    """Two walls along a path; closed behind the start, open at the end.
+
+    Regions of such a task are in path coordinates: s along it [m], lateral to the left of it [m], heading
+    relative to it [rad].
+    """
+
+    pieces: Several[StraightSpec | TurnSpec] = Field(min_length=1, max_length=1000)
+    width: PositiveLength
+    width_range: LengthInterval
+    wall_thickness: PositiveLength
+
+    @model_validator(mode="after")
+    def _fits(self) -> CorridorSpec:
+        if self.width not in self.width_range:
+            raise ValueError("width: lies outside width_range")
+        self.walls(self.width_range.high)
+        return self
+
+    @property
+    def path(self) -> ArcPath:
+        """The middle line."""
+        return ArcPath(tuple(piece.arc() for piece in self.pieces))
+
+    def walls(self, width: float) -> tuple[Box, ...]:
+        """Return the walls at a free width [m], with the one behind the start."""
+        cap = Box((-0.5 * self.wall_thickness, 0.0), (self.wall_thickness, width + 2 * self.wall_thickness))
+        return (cap, *self.path.walls(width, self.wall_thickness))
+
+
+class BoxSpec(Part):
+    """A box by centre and size."""
+
+    centre: Point
+    size: Point
+
+
+class DiscSpec(Part):
+    """A disc by centre and radius."""
+
+    centre: Point
+    radius: PositiveLength
+
+
+class ObstacleSpec(Part):
+    """A fixed obstacle: a box or a disc."""
+
+    box: BoxSpec | None = None
+    disc: DiscSpec | None = None
+
+    @model_validator(mode="after")
+    def _one(self) -> ObstacleSpec:
+        if (self.box is None) == (self.disc is None):
+            raise ValueError("needs either 'box' or 'disc'")
+        return self
+
+    @property
+    def shape(self) -> Shape:
+        """Its geometry."""
+        if self.box is not None:
+            return Box(self.box.centre, self.box.size)
+        assert self.disc is not None
+        return Disc(self.disc.centre, self.disc.radius)
