@@ -23,8 +23,8 @@ setup(
             "analyse = oc_baseline_node.training.analysis.cli:main",
             "baseline = oc_baseline_node.node:main",
             "oc = oc_baseline_node.cli:main",
-            "train = oc_baseline_node.training.cli:train",
-            "training_figures = oc_baseline_node.training.cli:training_figures",
+            "train = oc_baseline_node.learning:train",
+            "training_figures = oc_baseline_node.learning:training_figures",
         ],
     },
 )

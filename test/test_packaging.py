@@ -1,12 +1,15 @@
 """Each package.xml names what its package imports, by rosdep keys of Ubuntu 24.04, and who keeps it."""
 
 import ast
+import os
 import re
+import subprocess
 import sys
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import pytest
+from ament_index_python.packages import get_package_prefix
 
 ROOT = Path(__file__).resolve().parents[1]
 METHODS = ("ttr_reward_node", "oc_baseline_node", "koopman_lqr_controller", "option_coordinator")
@@ -108,3 +111,31 @@ def test_licence_and_maintainer_are_those_of_the_repository(package: str) -> Non
     if setup.exists():
         assert f'maintainer="{maintainer.text}"' in setup.read_text("utf-8")
         assert f'maintainer_email="{maintainer.get("email")}"' in setup.read_text("utf-8")
+
+
+@pytest.mark.parametrize(
+    ("package", "executable", "arguments"),
+    [
+        ("ttr_reward_node", "train", ("--task", "car_ttr")),
+        ("oc_baseline_node", "train", ("--task", "car_navigation")),
+        ("koopman_lqr_controller", "learn", ("--task", "curved_corridor")),
+    ],
+)
+def test_learning_on_a_robot_says_what_to_install(
+    package: str, executable: str, arguments: tuple[str, ...], tmp_path: Path
+) -> None:
+    absent = re.compile("/(ctrl_rl_training|sim_bridge)(/|$)")
+    kept = [path for path in os.environ["PYTHONPATH"].split(":") if not absent.search(path)]
+    program = Path(get_package_prefix(package)) / "lib" / package / executable
+    answer = subprocess.run(
+        [program, *arguments],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": ":".join(kept)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert answer.returncode == 1, answer.stdout + answer.stderr
+    (line,) = answer.stderr.splitlines()
+    assert line.startswith(f"{executable}: needs the package")
+    assert "build sim_bridge and ctrl_rl_training with colcon" in line

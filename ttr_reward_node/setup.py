@@ -26,8 +26,8 @@ setup(
             "slices = ttr_reward_node.cli.values:slices",
             "solve = ttr_reward_node.cli.values:solve_value",
             "ttr_experiments = ttr_reward_node.cli.experiments:main",
-            "train = ttr_reward_node.training.cli:train",
-            "training_figures = ttr_reward_node.training.cli:training_figures",
+            "train = ttr_reward_node.cli.learning:train",
+            "training_figures = ttr_reward_node.cli.learning:training_figures",
         ],
     },
 )

@@ -10,6 +10,7 @@ import os
 import re
 import sys
 from collections.abc import Callable, Sequence
+from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, overload
 
@@ -27,6 +28,9 @@ from tyro._errors import (
 from tyro.constructors import PrimitiveConstructorSpec
 
 from ctrl_rl_core.errors import CtrlRlError
+
+_NOT_ON_A_ROBOT = ("sim_bridge", "ctrl_rl_training")
+"""Packages of this workspace that only learning needs."""
 
 EXIT_INTERRUPTED = 130
 """As a shell reports SIGINT."""
@@ -187,6 +191,33 @@ FolderToWrite = Annotated[Path, checked(folder_to_write, "FOLDER")]
 """An option that names a folder to write to."""
 
 
+def run_imported(program: str, module: str, function: str) -> int:
+    """Run a command whose module needs packages that a robot's install leaves out, and return its exit code.
+
+    Args:
+        program: Name of the command in messages.
+        module: Module that is imported here, so that what is missing is one line.
+        function: Name of the function in it that runs the command.
+    """
+
+    def work() -> int:
+        return int(getattr(import_module(module), function)())
+
+    return run_command(program, work)
+
+
+def _what_to_install(module: str) -> str:
+    """Say how to get a module that is missing."""
+    package = module.partition(".")[0]
+    if package in _NOT_ON_A_ROBOT:
+        packages = " and ".join(_NOT_ON_A_ROBOT)
+        return (
+            f"needs the package '{package}', which is not installed: build {packages} with colcon, "
+            "and python -m pip install -r requirements/training.txt"
+        )
+    return f"needs '{module}': python -m pip install -r requirements/training.txt"
+
+
 def run_command(program: str, work: Callable[[], int], failure: int = 1) -> int:
     """Run a command and return its exit code.
 
@@ -202,7 +233,7 @@ def run_command(program: str, work: Callable[[], int], failure: int = 1) -> int:
         print(f"{program}: {error}", file=sys.stderr)
         return failure
     except ModuleNotFoundError as error:
-        print(f"{program}: needs '{error.name}': python -m pip install -r requirements/training.txt", file=sys.stderr)
+        print(f"{program}: {_what_to_install(str(error.name))}", file=sys.stderr)
         return failure
     except BrokenPipeError:  # the reader of a pipe (head, less) has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -1,6 +1,6 @@
 """Writes the reference pages of the documentation from the code: commands, parameters, topics, messages, schemas.
 
-python scripts/reference FOLDER
+python scripts/reference FOLDER [PAGE...]
 """
 
 from __future__ import annotations
@@ -24,10 +24,12 @@ PAGES = {
 
 
 def main() -> int:
-    """Write all pages into the folder that is given."""
+    """Write the pages into the folder that is given: those that are named, or all."""
     folder = Path(sys.argv[1])
     folder.mkdir(parents=True, exist_ok=True)
     for name, page in PAGES.items():
+        if sys.argv[2:] and name not in sys.argv[2:]:
+            continue
         print(f"reference: {folder / name}", flush=True)
         (folder / name).write_text(page(), encoding="utf-8")
     for name, text in package_pages().items():
