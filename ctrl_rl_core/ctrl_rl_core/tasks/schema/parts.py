@@ -40,7 +40,7 @@ class TaskHeader(Part):
     differences: Several[str] = ()
 
 
-def intervals(units: Mapping[str, str]) -> BeforeValidator:
+def interval_map(units: Mapping[str, str]) -> BeforeValidator:
     """Return the validator of a mapping from names to intervals, each in the unit of its name."""
 
     def parse(value: Any) -> dict[str, Interval]:

@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 from ctrl_rl_core.geometry.shapes import Disc
 from ctrl_rl_core.geometry.units import Interval
 from ctrl_rl_core.tasks.regions import Region
-from ctrl_rl_core.tasks.schema.parts import Part, intervals
+from ctrl_rl_core.tasks.schema.parts import Part, interval_map
 from ctrl_rl_core.tasks.schema.system import STATE_UNITS
 from ctrl_rl_core.tasks.schema.world import DiscSpec
 
@@ -18,7 +18,7 @@ class RegionSpec(Part):
     """A set of states: intervals by state name, and optionally a disc of positions."""
 
     disc: DiscSpec | None = None
-    intervals: Annotated[dict[str, Interval], intervals(STATE_UNITS)] = Field(default_factory=dict)
+    intervals: Annotated[dict[str, Interval], interval_map(STATE_UNITS)] = Field(default_factory=dict)
 
     @model_validator(mode="before")
     @classmethod

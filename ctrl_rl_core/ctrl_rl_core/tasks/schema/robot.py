@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 from pydantic import model_validator
 
 from ctrl_rl_core.geometry.units import Angle, Interval
-from ctrl_rl_core.tasks.schema.parts import Part, intervals
+from ctrl_rl_core.tasks.schema.parts import Part, interval_map
 
 COMMAND_UNITS: Mapping[str, str] = {"v": "m/s", "omega": "rad/s", "T_1": "N", "T_2": "N"}
 """Commands of the bodies: speeds of a differential drive, thrusts of a planar quadrotor."""
@@ -46,7 +46,7 @@ class RobotSpec(Part):
     """
 
     body: Literal["turtlebot3_burger", "turtlebot2", "planar_quadrotor"]
-    commands: Annotated[dict[str, Interval], intervals(COMMAND_UNITS)]
+    commands: Annotated[dict[str, Interval], interval_map(COMMAND_UNITS)]
     tilt_limit: Angle | None = None
 
     @model_validator(mode="after")
