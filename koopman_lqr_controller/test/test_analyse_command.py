@@ -10,7 +10,6 @@ from koopman_lqr_controller.cli.analyse import analyse
 from koopman_lqr_controller.control.latent_controller import LatentController
 from koopman_lqr_controller.models.edmd import LinearModel
 from koopman_lqr_controller.models.encoder import Dense, Encoder
-from koopman_lqr_controller.policies.closed_loop_model import closed_loop_model
 from koopman_lqr_controller.policies.latent_policy import LatentPolicy
 from koopman_lqr_controller.policies.policy_file import find_policy, load_policy, save_policy
 from koopman_lqr_controller.training.analysis.page import page
@@ -96,7 +95,7 @@ def test_the_shipped_policy_comes_to_rest_in_the_middle_of_a_corridor() -> None:
     assert found.closed_poles is not None
     assert np.abs(found.closed_poles).max() < 1.0
     assert found.rest[:2] == pytest.approx([0.0, 0.0], abs=1e-3)
-    loop = closed_loop_model(policy)
+    loop = policy.closed_loop_model()
     weights = policy.manifest["weights"]
     wanted = policy.observables.state_cost(weights["side"], weights["ahead"], weights["speed"])
     assert pytest.approx(wanted, abs=1e-8) == loop.Q

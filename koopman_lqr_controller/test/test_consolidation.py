@@ -7,12 +7,10 @@ import pytest
 from koopman_lqr_controller.data.roll_outs import evaluate, noisy_roll_outs, projected
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.models.prediction import horizon_errors
-from koopman_lqr_controller.training.consolidation.consolidation import (
-    ConsolidationConfig,
-    _surely_lost,
-    consolidate,
-    proof,
-)
+from koopman_lqr_controller.training.consolidation.candidate_search import loss_bound
+from koopman_lqr_controller.training.consolidation.consolidation import consolidate
+from koopman_lqr_controller.training.consolidation.consolidation_config import ConsolidationConfig
+from koopman_lqr_controller.training.consolidation.consolidation_report import regulator_figures
 from koopman_lqr_controller.training.consolidation.distillation import DistillationSettings, DistilledPolicy
 from line import Line, learnt_controller
 
@@ -94,9 +92,9 @@ def test_it_says_what_it_was_chosen_by_and_what_it_met(consolidated) -> None:
 
 def test_a_return_is_kept_only_where_it_surely_is() -> None:
     same, falls_once = np.zeros(30), np.eye(30)[0] * 300.0
-    assert _surely_lost(same) == 0.0
-    assert _surely_lost(same - 3.0) == pytest.approx(-3.0), "more than the learnt one is no loss"
-    assert _surely_lost(falls_once) == pytest.approx(10.0 + 300.0 / 30.0)
+    assert loss_bound(same) == 0.0
+    assert loss_bound(same - 3.0) == pytest.approx(-3.0), "more than the learnt one is no loss"
+    assert loss_bound(falls_once) == pytest.approx(10.0 + 300.0 / 30.0)
 
 
 def test_what_is_missed_is_said() -> None:
@@ -137,7 +135,7 @@ def test_the_same_seed_gives_the_same_and_what_takes_long_is_told(consolidated) 
 def test_a_learnt_controller_is_no_proof_of_itself() -> None:
     learnt = learnt_controller()
     with pytest.raises(KoopmanError, match="not the regulator of its own model"):
-        proof(DistilledPolicy(learnt.encoder, learnt.encoder, learnt), [])
+        regulator_figures(DistilledPolicy(learnt.encoder, learnt.encoder, learnt), [])
 
 
 def test_the_sizes_are_those_that_were_asked_for() -> None:

@@ -21,7 +21,7 @@ from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.policies.policy_file import load_policy
 from koopman_lqr_controller.training.agents.actor import AgentInterface
 from koopman_lqr_controller.training.agents.agent import Agent
-from koopman_lqr_controller.training.consolidation.consolidation import REPORT_SEED
+from koopman_lqr_controller.training.consolidation.consolidation_config import REPORT_SEED
 from koopman_lqr_controller.training.environments.benchmark_tasks import BENCHMARK_TASKS
 from koopman_lqr_controller.training.experiments.runs import LearningRun
 from koopman_lqr_controller.training.experiments.trainer import POLICY_FILE

@@ -14,7 +14,8 @@ from dataclasses import replace
 import numpy as np
 from _common import Row, row
 from koopman_lqr_controller.models.encoder import Dense
-from koopman_lqr_controller.policies.edmd_policy import EdmdPolicy, KoopmanPolicy
+from koopman_lqr_controller.policies.edmd_policy import EdmdPolicy
+from koopman_lqr_controller.policies.koopman_policy import KoopmanPolicy
 from koopman_lqr_controller.policies.latent_policy import LatentPolicy
 from koopman_lqr_controller.policies.policy_file import DEFAULT_POLICY, find_policy, load_policy
 from koopman_lqr_controller.sensing.lidar import ScanGeometry

@@ -15,7 +15,6 @@ from ctrl_rl_core.io.atomic_write import atomic_write
 from koopman_lqr_controller.cli.drive_options import add_topics, read_segments
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.identification.evaluation import time_step_mismatch
-from koopman_lqr_controller.policies.closed_loop_model import controls_of, observation_fn
 from koopman_lqr_controller.policies.policy_file import digest, find_policy, load_policy
 
 _PAGE, _DATA = "analysis.md", "analysis.json"
@@ -51,9 +50,9 @@ def _analyse(options: argparse.Namespace) -> int:
     from koopman_lqr_controller.training.analysis.policy_analysis import analyse as find
     from koopman_lqr_controller.training.analysis.policy_world import EpisodeTrajectory, make_world
 
-    segments = read_segments(options, observation_fn(policy)) if options.bags else []
+    segments = read_segments(options, policy.observation_fn) if options.bags else []
     recorded = [
-        EpisodeTrajectory(segment.x, controls_of(policy, segment.u), segment.u[:, 0] * 0.0, {}) for segment in segments
+        EpisodeTrajectory(segment.x, policy.to_controls(segment.u), segment.u[:, 0] * 0.0, {}) for segment in segments
     ]
     world: Any = None
     try:

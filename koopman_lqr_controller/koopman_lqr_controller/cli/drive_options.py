@@ -10,7 +10,7 @@ from ctrl_rl_core.command import file_to_write
 from tqdm import tqdm
 
 from koopman_lqr_controller.data.trajectory_segments import TrajectorySegment, load_segments
-from koopman_lqr_controller.policies.closed_loop_model import ObservationFn
+from koopman_lqr_controller.policies.koopman_policy import ObservationFn
 
 
 def add_drives(parser: argparse.ArgumentParser) -> None:

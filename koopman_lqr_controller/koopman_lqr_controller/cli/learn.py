@@ -113,7 +113,7 @@ def _consolidate(options: argparse.Namespace, words: Sequence[str]) -> int:
     from tqdm import tqdm
 
     from koopman_lqr_controller.policies.policy_file import refuse_existing, save_policy
-    from koopman_lqr_controller.training.consolidation.consolidation import ConsolidationConfig
+    from koopman_lqr_controller.training.consolidation.consolidation_config import ConsolidationConfig
     from koopman_lqr_controller.training.consolidation.finishing import consolidate_policy, load_latent
 
     check_least(options, episodes=1, live=5, seed=0)

@@ -24,8 +24,8 @@ from koopman_lqr_controller.data.trajectory_segments import (
 from koopman_lqr_controller.identification.evaluation import evaluate_policy, time_step_mismatch
 from koopman_lqr_controller.identification.offline import refit
 from koopman_lqr_controller.identification.two_stage import Weights, train
-from koopman_lqr_controller.policies.closed_loop_model import ObservationFn, observation_fn
 from koopman_lqr_controller.policies.edmd_policy import EdmdPolicy
+from koopman_lqr_controller.policies.koopman_policy import ObservationFn
 from koopman_lqr_controller.policies.latent_policy import LatentPolicy
 from koopman_lqr_controller.policies.policy_file import digest, find_policy, load_policy, refuse_existing, save_policy
 from koopman_lqr_controller.sensing.lidar_observation import LidarObservation
@@ -72,7 +72,7 @@ def _fit(options: argparse.Namespace) -> int:
     refuse_existing(options.output, options.overwrite)
     file = find_policy(options.policy)
     policy = load_policy(file)
-    seen, unseen = _parts(options, observation_fn(policy))
+    seen, unseen = _parts(options, policy.observation_fn)
     manifest = {"fitted_from": digest(file), **_source(options)}
     fitted: EdmdPolicy | LatentPolicy
     if isinstance(policy, LatentPolicy):
@@ -96,7 +96,7 @@ def _fit(options: argparse.Namespace) -> int:
 
 def _evaluate(options: argparse.Namespace) -> int:
     policy = load_policy(find_policy(options.policy))
-    parts = dict(zip((_FITTED, _HELD_OUT), _parts(options, observation_fn(policy)), strict=True))
+    parts = dict(zip((_FITTED, _HELD_OUT), _parts(options, policy.observation_fn), strict=True))
     figures = {name: evaluate_policy(policy, segments) for name, segments in parts.items() if segments}
     _print(figures)
     told = time_step_mismatch(policy, [*parts[_FITTED], *parts[_HELD_OUT]])

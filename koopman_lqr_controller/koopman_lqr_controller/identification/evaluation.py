@@ -10,15 +10,13 @@ import numpy as np
 from koopman_lqr_controller.data.trajectory_segments import TrajectorySegment, mean_time_step
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.models.prediction import HORIZON, horizon_errors
-from koopman_lqr_controller.policies.closed_loop_model import closed_loop_model, commands_of, controls_of
-from koopman_lqr_controller.policies.edmd_policy import EdmdPolicy
-from koopman_lqr_controller.policies.latent_policy import LatentPolicy
+from koopman_lqr_controller.policies.koopman_policy import KoopmanPolicy
 from koopman_lqr_controller.sensing.lidar import STEP_TOLERANCE
 
 _COMMANDS = ("speed [m/s]", "turn rate [rad/s]")
 
 
-def evaluate_policy(policy: EdmdPolicy | LatentPolicy, segments: Sequence[TrajectorySegment]) -> dict[str, Any]:
+def evaluate_policy(policy: KoopmanPolicy, segments: Sequence[TrajectorySegment]) -> dict[str, Any]:
     """Return figures of a policy on drives, as JSON.
 
     Returns:
@@ -31,11 +29,11 @@ def evaluate_policy(policy: EdmdPolicy | LatentPolicy, segments: Sequence[Trajec
     """
     if not segments:
         raise KoopmanError("no steps to evaluate on")
-    loop = closed_loop_model(policy)
+    loop = policy.closed_loop_model()
     z = [loop.latent(segment.x) for segment in segments]
-    errors = horizon_errors(loop.predict, z, [controls_of(policy, segment.u) for segment in segments], HORIZON)
+    errors = horizon_errors(loop.predict, z, [policy.to_controls(segment.u) for segment in segments], HORIZON)
     given = np.concatenate([segment.u for segment in segments])
-    own = np.concatenate([commands_of(policy, loop.control(each[:-1])) for each in z])
+    own = np.concatenate([policy.to_commands(loop.control(each[:-1])) for each in z])
     missed = np.sqrt(np.mean((own - given) ** 2, axis=0))
     spread = given.std(axis=0)
     return {
@@ -52,7 +50,7 @@ def evaluate_policy(policy: EdmdPolicy | LatentPolicy, segments: Sequence[Trajec
     }
 
 
-def time_step_mismatch(policy: EdmdPolicy | LatentPolicy, segments: Sequence[TrajectorySegment]) -> str:
+def time_step_mismatch(policy: KoopmanPolicy, segments: Sequence[TrajectorySegment]) -> str:
     """Return that a policy's model steps at another pace than drives, empty where it does not or nobody knows."""
     step = mean_time_step(segments)
     if policy.dt is None or abs(step / policy.dt - 1.0) < STEP_TOLERANCE:

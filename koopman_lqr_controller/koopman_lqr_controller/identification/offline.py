@@ -15,7 +15,6 @@ from koopman_lqr_controller.data.trajectory_segments import TrajectorySegment, m
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.identification.regulators import RegulatorFitter
 from koopman_lqr_controller.models.encoder import Dense
-from koopman_lqr_controller.policies.closed_loop_model import controls_of
 from koopman_lqr_controller.policies.latent_policy import LatentPolicy
 from koopman_lqr_controller.safety.latent_distribution import fit_distribution_to_episodes
 
@@ -80,7 +79,7 @@ def refit(policy: LatentPolicy, segments: Sequence[TrajectorySegment], sizes: Se
 
 def _episode(learnt: LatentController, policy: LatentPolicy, segment: TrajectorySegment) -> Episode:
     """Return a drive as an episode; nobody paid for it."""
-    actions = controls_of(policy, segment.u)
+    actions = policy.to_controls(segment.u)
     none: dict[str, Any] = {}
     return Episode(learnt.encoder(segment.x), actions, float("nan"), len(actions), 0.0, none)
 

@@ -16,8 +16,8 @@ from std_msgs.msg import Header
 from ctrl_rl_msgs.msg import EpisodeStatus, LatentState
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.nodes.arrival import ENDED, Arrival
-from koopman_lqr_controller.nodes.lidar_driver import DRIVER_PARAMETERS, LidarDriver, SensorReading
-from koopman_lqr_controller.policies.edmd_policy import Decision, KoopmanPolicy
+from koopman_lqr_controller.nodes.lidar_driver import DRIVER_PARAMETERS, LidarDriver, PendingDecision, SensorReading
+from koopman_lqr_controller.policies.koopman_policy import Decision, KoopmanPolicy
 from koopman_lqr_controller.policies.policy_file import DEFAULT_POLICY, digest, find_policy, load_policy
 from koopman_lqr_controller.safety.guards import Guard
 from koopman_lqr_controller.sensing.lidar import STEP_TOLERANCE, ScanGeometry
@@ -29,16 +29,25 @@ _GUARDS = ("largest_distance", "largest_error", "error_patience")
 _RETRIES = ("retry_after", "most_retries")
 
 
-class _Thought(NamedTuple):
-    """What was thought of one scan, until its answer is out."""
+class _LatentDetails(NamedTuple):
+    """Facts of one decision in the latent space.
+
+    Attributes:
+        decision: Command, control and latent of the policy.
+        predicted: Latent that the model predicted for this scan (n,); None where it predicted none.
+        error: |z - z_predicted|; NaN without a prediction.
+        distance: Distance of the latent over that of the border; NaN without a distribution.
+        measured: Speed [m/s] and turn rate [rad/s] by odometry.
+    """
 
     decision: Decision
     predicted: NDArray[np.float64] | None
     error: float
+    distance: float
     measured: tuple[float, float]
 
 
-class Controller(LidarDriver):
+class Controller(LidarDriver[_LatentDetails]):
     """Drives a robot from its lidar with a Koopman-LQR policy.
 
     Subscribes to scan and odom, publishes cmd_vel and ~/latent. Each cmd_vel carries the stamp of the scan that it
@@ -95,7 +104,6 @@ class Controller(LidarDriver):
         super().__init__("koopman_lqr_controller")
         self._latent = self.create_publisher(LatentState, "~/latent", RESULT)
         self._policy: KoopmanPolicy
-        self._thought: _Thought | None = None
         self._next: NDArray[np.float64] | None = None
         self._next_since = math.nan
         self._arrival = Arrival(self.settings["max_distance"])
@@ -129,11 +137,11 @@ class Controller(LidarDriver):
             level = DiagnosticStatus.OK
         return level, message, {**figures, **self._served, **watched}
 
-    def decide(self, reading: SensorReading) -> NDArray[np.float64]:
-        """Return the policy's command.
+    def decide(self, reading: SensorReading) -> PendingDecision[_LatentDetails]:
+        """Return the policy's command, and why the robot must stand where the latent is not as in training.
 
         Raises:
-            KoopmanError: it cannot be made, or would not be as in training.
+            KoopmanError: there is no command, or the drive is over.
         """
         now, predicted, error = seconds(reading.header.stamp), None, math.nan
         self._arrival.moved(now, reading.v)
@@ -145,29 +153,28 @@ class Controller(LidarDriver):
             predicted = self._next
             missed = decision.z - predicted
             error = math.sqrt(missed.dot(missed))
-        self._thought = _Thought(decision, predicted, error, (reading.v, reading.omega))
-        reason = self._guard.update(now, decision.z, error)
-        if reason:
-            raise KoopmanError(reason)
-        return self._guard.speed_scale * decision.command
+        stop = self._guard.update(now, decision.z, error)
+        details = _LatentDetails(decision, predicted, error, self._guard.distance, (reading.v, reading.omega))
+        return PendingDecision(self._guard.speed_scale * decision.command, details, stop)
 
-    def on_command_sent(self, header: Header, command: NDArray[np.float64], problem: str) -> None:
-        """Publish how the answer came about, and predict what comes of it."""
-        dry, thought, self._thought = self.settings["dry_run"], self._thought, None
-        nan = math.nan
+    def on_command_sent(
+        self, header: Header, command: NDArray[np.float64], problem: str, details: _LatentDetails | None
+    ) -> None:
+        """Publish how the command came about, and predict the latent that follows from it."""
+        dry, nan = self.settings["dry_run"], math.nan
         out = LatentState(header=header, prediction_error=nan, cost_to_go=nan, distance=nan, stop=problem, dry_run=dry)
         out.command = _doubles(command)
-        self._next = None  # not for a robot of which something is not known
-        if thought is None:
+        self._next = None  # without a decision there is nothing to predict from
+        if details is None:
             out.z, out.control = _doubles(np.full_like(self._policy.z_ref, nan)), _doubles(np.full(2, nan))
         else:
-            z = thought.decision.z
-            out.z, out.control = _doubles(z), _doubles(thought.decision.control)
-            out.cost_to_go, out.distance = self._policy.cost_to_go(z), self._guard.distance
-            if thought.predicted is not None:
-                out.z_predicted, out.prediction_error = _doubles(thought.predicted), thought.error
+            z = details.decision.z
+            out.z, out.control = _doubles(z), _doubles(details.decision.control)
+            out.cost_to_go, out.distance = self._policy.cost_to_go(z), details.distance
+            if details.predicted is not None:
+                out.z_predicted, out.prediction_error = _doubles(details.predicted), details.error
             # In a dry run somebody else drives, or nobody: what the robot does is what it does by odometry.
-            self._next = self._policy.predict(z, np.array(thought.measured) if dry else command)
+            self._next = self._policy.predict(z, np.array(details.measured) if dry else command)
             self._next_since = seconds(header.stamp)
         self._latent.publish(out)
 

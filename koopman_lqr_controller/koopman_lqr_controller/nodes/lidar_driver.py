@@ -1,11 +1,11 @@
-"""What every node does that answers each scan of a lidar with a command."""
+"""The base of nodes that answer each scan of a lidar with one velocity command."""
 
 from __future__ import annotations
 
 import time
 from abc import abstractmethod
 from collections import deque
-from typing import ClassVar, NamedTuple
+from typing import ClassVar, Generic, NamedTuple, TypeVar
 
 import numpy as np
 from ctrl_rl_core.driving.lidar_velocity_node import LIDAR_PARAMETERS, LidarVelocityNode
@@ -26,8 +26,19 @@ _RECENT = 1000
 _STAND = np.zeros(2)
 
 
+_Details = TypeVar("_Details")
+
+
 class SensorReading(NamedTuple):
-    """What a driver knows when it decides: ranges (beams,) [m] and their geometry, speed [m/s], turn rate [rad/s]."""
+    """Input of one decision.
+
+    Attributes:
+        ranges: Distances of the scan's beams (beams,) [m].
+        scan: Geometry of the scan.
+        v: Speed by odometry [m/s].
+        omega: Turn rate by odometry [rad/s].
+        header: Header of the scan.
+    """
 
     ranges: NDArray[np.float32]
     scan: ScanGeometry
@@ -36,7 +47,21 @@ class SensorReading(NamedTuple):
     header: Header
 
 
-class LidarDriver(LidarVelocityNode):
+class PendingDecision(NamedTuple, Generic[_Details]):
+    """Decision about one scan, until its command is sent.
+
+    Attributes:
+        command: Speed [m/s] and turn rate [rad/s] (2,).
+        details: Facts of the decision that `on_command_sent` gets back.
+        stop: Reason why the robot must stand in spite of the command; empty where it may drive.
+    """
+
+    command: NDArray[np.float64]
+    details: _Details
+    stop: str = ""
+
+
+class LidarDriver(LidarVelocityNode, Generic[_Details]):
     """Publishes one cmd_vel for each scan, zero velocity where the scan, the odometry or the decision is unfit."""
 
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = DRIVER_PARAMETERS
@@ -46,20 +71,23 @@ class LidarDriver(LidarVelocityNode):
         self._latencies: deque[float] = deque(maxlen=_RECENT)
 
     @abstractmethod
-    def decide(self, reading: SensorReading) -> NDArray[np.float64]:
-        """Return speed [m/s] and turn rate [rad/s] (2,) for one scan.
+    def decide(self, reading: SensorReading) -> PendingDecision[_Details]:
+        """Return the decision about one scan.
 
         Raises:
             CtrlRlError: there is no command; the robot then stops, for the reason that the error says.
         """
 
-    def on_command_sent(self, header: Header, command: NDArray[np.float64], problem: str) -> None:
-        """Take note of what was sent, or in a dry run would have been; nobody waits for it any more.
+    def on_command_sent(
+        self, header: Header, command: NDArray[np.float64], problem: str, details: _Details | None
+    ) -> None:
+        """Note a command after it was sent, or would have been in a dry run; nobody waits for it any more.
 
         Args:
-            header: header of the scan; where scans stay away, of now.
-            command: speed [m/s], turn rate [rad/s] (2,).
-            problem: why the robot stands, empty while it drives.
+            header: Header of the scan; without scans, one with the present time.
+            command: Speed [m/s] and turn rate [rad/s] (2,).
+            problem: Reason why the robot stands; empty while it drives.
+            details: Details of the decision; None where nothing was decided.
         """
 
     def status(self) -> Status:
@@ -73,20 +101,24 @@ class LidarDriver(LidarVelocityNode):
     def on_stale_input(self, problem: str) -> None:
         """Say that there was nothing to answer."""
         header = Header(stamp=self.get_clock().now().to_msg(), frame_id=self.frame)
-        self.on_command_sent(header, _STAND, problem)
+        self.on_command_sent(header, _STAND, problem, None)
 
     def on_scan(self, message: LaserScan, ranges: NDArray[np.float32], scan: ScanGeometry) -> None:
-        """Answer it."""
+        """Answer the scan with a command."""
         begin = time.perf_counter()
+        details: _Details | None = None
         try:
-            problem = self.input_fault()
-            if problem:
-                raise VelocityError(problem)
-            reading = SensorReading(ranges, scan, *self.motion, message.header)
-            command = self.drive(self.decide(reading), message.header.stamp)
+            fault = self.input_fault()
+            if fault:
+                raise VelocityError(fault)
+            pending = self.decide(SensorReading(ranges, scan, *self.motion, message.header))
+            details = pending.details
+            if pending.stop:
+                raise VelocityError(pending.stop)
+            command = self.drive(pending.command, message.header.stamp)
         except CtrlRlError as error:
             self.halt(str(error), message.header.stamp)
-            self.on_command_sent(message.header, _STAND, str(error))
+            self.on_command_sent(message.header, _STAND, str(error), details)
             return
         self._latencies.append(time.perf_counter() - begin)
-        self.on_command_sent(message.header, command, self.problem)
+        self.on_command_sent(message.header, command, self.problem, details)

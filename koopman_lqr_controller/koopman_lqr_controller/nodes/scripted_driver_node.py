@@ -7,13 +7,12 @@ from typing import ClassVar
 import numpy as np
 from ctrl_rl_core.ros.node import run_node
 from ctrl_rl_core.ros.parameters import Parameter
-from numpy.typing import NDArray
 
-from koopman_lqr_controller.nodes.lidar_driver import DRIVER_PARAMETERS, LidarDriver, SensorReading
+from koopman_lqr_controller.nodes.lidar_driver import DRIVER_PARAMETERS, LidarDriver, PendingDecision, SensorReading
 from koopman_lqr_controller.nodes.scripted_driver import ScriptedDriver
 
 
-class ScriptedDriverNode(LidarDriver):
+class ScriptedDriverNode(LidarDriver[None]):
     """Drives a robot between walls with a shaking hand, to record drives that a model can be learned from.
 
     Subscribes to scan and odom, publishes cmd_vel.
@@ -38,9 +37,10 @@ class ScriptedDriverNode(LidarDriver):
         limits = np.array([self.settings["largest_speed"], self.settings["largest_turn_rate"]])
         self.set_limits(-limits, limits)
 
-    def decide(self, reading: SensorReading) -> NDArray[np.float64]:
+    def decide(self, reading: SensorReading) -> PendingDecision[None]:
         """Return the scripted command."""
-        return self._driver.command(self._driver.sectors.distances(reading.ranges, reading.scan))
+        distances = self._driver.sectors.distances(reading.ranges, reading.scan)
+        return PendingDecision(self._driver.command(distances), None)
 
 
 def main() -> int:

@@ -1,76 +1,24 @@
-"""A Koopman-LQR controller as it runs on the robot: lift, multiply, clamp. NumPy only."""
+"""The two-stage policy (thesis 2.3.1) as it runs on the robot: lift, multiply, clamp. NumPy only."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from koopman_lqr_controller.control.linear_analysis import costs_of
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.models.edmd import LinearModel
+from koopman_lqr_controller.policies.closed_loop_model import TWO_STAGES, ClosedLoopModel
+from koopman_lqr_controller.policies.koopman_policy import Decision, ObservationFn
 from koopman_lqr_controller.safety.latent_distribution import LatentDistribution, check_distribution
 from koopman_lqr_controller.sensing.lidar import ScanGeometry, Sectors
 from koopman_lqr_controller.sensing.observables import CorridorObservables
 
 Array = NDArray[np.float64]
-
-
-class Decision(NamedTuple):
-    """One command and how it came about.
-
-    Attributes:
-        command: u clamped to the limits (2,): speed [m/s], turn rate [rad/s].
-        control: u before clamping (2,).
-        z: lifted state (n,).
-    """
-
-    command: Array
-    control: Array
-    z: Array
-
-
-class KoopmanPolicy(Protocol):
-    """What a node needs of a policy, however it was learnt."""
-
-    @property
-    def manifest(self) -> Mapping[str, Any]:
-        """What was learned from, and how well: plain JSON values."""
-
-    @property
-    def dt(self) -> float | None:
-        """Time for which the model predicts [s]; None where the file does not say."""
-
-    @property
-    def z_ref(self) -> Array:
-        """Where to be (n,)."""
-
-    @property
-    def sectors(self) -> Sectors:
-        """What the policy takes from a scan."""
-
-    @property
-    def limits(self) -> tuple[Array, Array]:
-        """Least and largest command (2,), (2,): speed [m/s], turn rate [rad/s]."""
-
-    @property
-    def distribution(self) -> LatentDistribution | None:
-        """What training saw; None where the file does not say."""
-
-    @property
-    def loop(self) -> Array:
-        """A - B K (n, n)."""
-
-    def decide(self, ranges: NDArray[np.float32], scan: ScanGeometry, v: float, omega: float) -> Decision:
-        """Return the command for one scan and the odometry's speed [m/s] and turn rate [rad/s]."""
-
-    def predict(self, z: Array, command: Array) -> Array:
-        """Return the model's next z (n,) under a command (2,), which counts as the nearest within the limits."""
-
-    def cost_to_go(self, z: Array) -> float:
-        """Return (z - z_ref)^T P (z - z_ref)."""
 
 
 @dataclass(frozen=True)
@@ -165,3 +113,36 @@ class EdmdPolicy:
         """Return (z - z_ref)^T P (z - z_ref)."""
         deviation = z - self.z_ref
         return float(deviation @ self.P @ deviation)
+
+    def closed_loop_model(self) -> ClosedLoopModel:
+        """Return the policy as control theory sees it; its controls are commands, and z is x."""
+        z_ref, u_ref = self.z_ref, self.u_ref
+        Q, R = costs_of(self.model, self.K, self.P)
+        return ClosedLoopModel(
+            kind=TWO_STAGES,
+            model=self.model,
+            K=self.K,
+            P=self.P,
+            Q=np.maximum(np.diag(Q), 0.0),  # an entry of 0 comes back as rounding
+            R=np.diag(R).copy(),
+            z_ref=z_ref,
+            slope=np.ones(len(u_ref)),
+            latent=lambda x: np.asarray(x, dtype=np.float64),
+            control=lambda z: np.clip(u_ref - (z - z_ref) @ self.K.T, self.u_low, self.u_high),
+            predict=lambda z, u: z_ref + self.model.predict(z - z_ref, u - u_ref),
+            low=self.u_low,
+            high=self.u_high,
+        )
+
+    @property
+    def observation_fn(self) -> ObservationFn:
+        """Psi of a scan and odometry."""
+        return self.observables.observe
+
+    def to_controls(self, commands: Array) -> Array:
+        """Return the commands (N, 2) themselves: they are the model's controls."""
+        return commands
+
+    def to_commands(self, controls: Array) -> Array:
+        """Return the controls (N, 2) themselves: they are commands."""
+        return controls

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from koopman_lqr_controller.control.latent_controller import LatentController
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.models.fused_encoder import FusedEncoder
-from koopman_lqr_controller.policies.edmd_policy import Decision
+from koopman_lqr_controller.policies.closed_loop_model import CONSOLIDATED, LEARNT, ClosedLoopModel
+from koopman_lqr_controller.policies.koopman_policy import Decision, ObservationFn
 from koopman_lqr_controller.safety.latent_distribution import LatentDistribution, check_distribution
 from koopman_lqr_controller.sensing.lidar import ScanGeometry, Sectors
 from koopman_lqr_controller.sensing.lidar_observation import LidarObservation
@@ -166,3 +167,49 @@ class LatentPolicy:
     def cost_to_go(self, z: Array) -> float:
         """Return (z - z_ref)^T P (z - z_ref)."""
         return self.controller.cost_to_go(z)
+
+    def closed_loop_model(self) -> ClosedLoopModel:
+        """Return the policy as control theory sees it; its controls are actions in [-1, 1]."""
+        controller = self.controller
+        controls, learnt = len(controller.R), controller.horizon is not None
+        slope = 1.0 - np.tanh(controller.control(controller.z_ref)) ** 2 if learnt else np.ones(controls)
+        return ClosedLoopModel(
+            kind=LEARNT if learnt else CONSOLIDATED,
+            model=controller.model,
+            K=controller.K,
+            P=controller.P,
+            Q=controller.Q,
+            R=controller.R,
+            z_ref=controller.z_ref,
+            slope=slope,
+            latent=controller.latent,
+            control=lambda z: controller.saturate(controller.control(z)),
+            predict=controller.predict,
+            low=-np.ones(controls),
+            high=np.ones(controls),
+        )
+
+    @property
+    def observation_fn(self) -> ObservationFn:
+        """Function from a scan and odometry to x.
+
+        Raises:
+            KoopmanError: the policy is of a task without a lidar.
+        """
+        return self.required_interface.observation.observe
+
+    def to_controls(self, commands: Array) -> Array:
+        """Return the actions (N, 2), in [-1, 1], whose commands are nearest to these (N, 2).
+
+        Raises:
+            KoopmanError: the policy is of a task without a lidar.
+        """
+        return self.required_interface.action(commands)
+
+    def to_commands(self, controls: Array) -> Array:
+        """Return the commands (N, 2) of actions (N, 2).
+
+        Raises:
+            KoopmanError: the policy is of a task without a lidar.
+        """
+        return self.required_interface.command(controls)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from koopman_lqr_controller.control import linear_analysis
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.models.prediction import horizon_errors, law_error
-from koopman_lqr_controller.policies.closed_loop_model import LEARNT, TWO_STAGES, ClosedLoopModel, closed_loop_model
+from koopman_lqr_controller.policies.closed_loop_model import LEARNT, TWO_STAGES, ClosedLoopModel
 from koopman_lqr_controller.policies.edmd_policy import EdmdPolicy
 from koopman_lqr_controller.policies.latent_policy import LatentPolicy
 from koopman_lqr_controller.training.analysis.disturbance_ablation import ablate_disturbances
@@ -83,7 +83,7 @@ def analyse(
         episodes: to live through in the world, the same number again with noise.
         on_progress: told what is done.
     """
-    loop, findings = closed_loop_model(policy), Findings()
+    loop, findings = policy.closed_loop_model(), Findings()
     findings.add("policy", lambda: _policy(policy, loop))
     on_progress("poles")
     findings.add("poles", lambda: _poles(loop))

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koopman_lqr_controller.control.linear_analysis import Poles, jacobian, linearise, poles
-from koopman_lqr_controller.policies.edmd_policy import KoopmanPolicy
+from koopman_lqr_controller.policies.koopman_policy import KoopmanPolicy
 from koopman_lqr_controller.policies.latent_policy import LatentPolicy
 from koopman_lqr_controller.training.analysis.straight_corridor import StraightCorridor
 from koopman_lqr_controller.training.environments.control_suite import ControlSuite

@@ -10,7 +10,8 @@ from koopman_lqr_controller.data.roll_outs import Environment, Episode
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.policies.latent_policy import LatentPolicy
 from koopman_lqr_controller.policies.policy_file import digest, load_policy
-from koopman_lqr_controller.training.consolidation.consolidation import ConsolidationConfig, consolidate
+from koopman_lqr_controller.training.consolidation.consolidation import consolidate
+from koopman_lqr_controller.training.consolidation.consolidation_config import ConsolidationConfig
 from koopman_lqr_controller.training.environments.benchmark_tasks import BenchmarkTask
 
 

@@ -20,7 +20,7 @@ from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.policies.policy_file import digest
 from koopman_lqr_controller.training.agents.learner import KoopmanLearner
 from koopman_lqr_controller.training.agents.two_stage_learner import TwoStageLearner
-from koopman_lqr_controller.training.consolidation.consolidation import ConsolidationConfig
+from koopman_lqr_controller.training.consolidation.consolidation_config import ConsolidationConfig
 from koopman_lqr_controller.training.environments.benchmark_tasks import BenchmarkTask, find_task
 from koopman_lqr_controller.training.experiments.trainer import KoopmanLearning, Learner, should_stop
 

@@ -21,7 +21,7 @@ from koopman_lqr_controller.policies.latent_policy import LatentPolicy
 from koopman_lqr_controller.policies.policy_file import digest, save_policy
 from koopman_lqr_controller.safety.latent_distribution import LatentDistribution, fit_distribution
 from koopman_lqr_controller.training.agents.network_policy import NetworkPolicy
-from koopman_lqr_controller.training.consolidation.consolidation import REPORT_SEED, ConsolidationConfig
+from koopman_lqr_controller.training.consolidation.consolidation_config import REPORT_SEED, ConsolidationConfig
 from koopman_lqr_controller.training.consolidation.finishing import consolidate_policy, load_latent
 from koopman_lqr_controller.training.environments.benchmark_tasks import AnyEnvironment, BenchmarkTask
 from koopman_lqr_controller.training.replay import Replay
