@@ -63,7 +63,7 @@ def parse_options(program: str, kind: Any, arguments: Sequence[str] | None = Non
         epilog: Text below the description in `--help`; for a union the whole description.
 
     Raises:
-        SystemExit: with 2 after one line that says what is wrong, or with 0 after `--help`.
+        SystemExit: With 2 after one line that says what is wrong, or with 0 after `--help`.
     """
     own = (kind.__doc__ or "").strip() if isinstance(kind, type) else ""
     description = "\n\n".join(filter(None, (own, epilog)))
@@ -147,7 +147,7 @@ def check_least(options: argparse.Namespace, **least: int) -> None:
     """Refuse options, by name, that are less than this; one that was left out, None, passes.
 
     Raises:
-        CommandError: names the option.
+        CommandError: Names the option.
     """
     for name, limit in least.items():
         value = getattr(options, name)
@@ -159,7 +159,7 @@ def file_to_write(text: str) -> Path:
     """Return an option's file that will be written.
 
     Raises:
-        PathError: it is a folder, or its folder cannot be there or be written to.
+        PathError: It is a folder, or its folder cannot be there or be written to.
     """
     path = Path(text)
     if path.is_dir():
@@ -172,7 +172,7 @@ def folder_to_write(text: str) -> Path:
     """Return an option's folder that files will be written to; it need not be there yet.
 
     Raises:
-        PathError: it cannot be there or be written to.
+        PathError: It cannot be there or be written to.
     """
     path = Path(text)
     nearest = next(each for each in (path, *path.parents) if each.exists())
@@ -222,9 +222,9 @@ def run_command(program: str, work: Callable[[], int], failure: int = 1) -> int:
     """Run a command and return its exit code.
 
     Args:
-        program: name that its errors begin with.
-        work: returns the exit code.
-        failure: exit code of an error that the suite explains.
+        program: Name that its errors begin with.
+        work: Returns the exit code.
+        failure: Exit code of an error that the suite explains.
     """
     try:
         code = work()

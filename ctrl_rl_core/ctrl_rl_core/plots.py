@@ -28,9 +28,9 @@ def draw_world(axes: Axes, task: NavigationTask, width: float | None = None) -> 
     """Draw walls, obstacles and goal in the task's plane [m].
 
     Args:
-        axes: to draw on.
-        task: the task.
-        width: of its corridor [m], None for the task's own.
+        axes: To draw on.
+        task: Task whose world is drawn.
+        width: Free width of its corridor [m]; None for the task's own.
     """
     world = task.build_world(width)
     for shape in (*world.walls, *world.obstacles):

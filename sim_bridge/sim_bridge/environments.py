@@ -42,9 +42,9 @@ class NavigationEnv(gymnasium.Env[Vector, Vector]):
     a corridor, `progress` from 0 to 1.
 
     Attributes:
-        task: the task.
-        world: its simulated world.
-        observation_names: of the observation's components; beams as beam_0 and so on.
+        task: Task of the environment.
+        world: Its simulated world.
+        observation_names: Names of the observation's components; beams are beam_0, beam_1 and so on.
     """
 
     metadata = {"render_modes": []}  # noqa: RUF012 - gymnasium's own form
@@ -59,14 +59,14 @@ class NavigationEnv(gymnasium.Env[Vector, Vector]):
         """Build the world.
 
         Args:
-            task: a task, its name, or its file.
-            width: free width of a corridor [m], None for the task's (or the options' random one).
-            options: how to simulate it.
+            task: A task, its name, or its file.
+            width: Free width of a corridor [m], None for the task's (or the options' random one).
+            options: Settings of the simulation.
             render_mode: None; PyBullet's window is an option.
 
         Raises:
-            SimulationError: the time step of the task is not a whole number of physics steps.
-            TaskError: there is no such task, or the width does not suit it.
+            SimulationError: The time step of the task is not a whole number of physics steps.
+            TaskError: There is no such task, or the width does not suit it.
         """
         self.render_mode = render_mode
         self.task = task if isinstance(task, NavigationTask) else load_navigation_task(task)

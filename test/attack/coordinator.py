@@ -141,7 +141,7 @@ class Hail:
 
     Args:
         rig: the processes, and publishers of their topics.
-        random: what is sent is drawn from it.
+        random: Generator that the messages are drawn from.
         lives: Incarnations of the robots in whose very lives some are sent, by name.
     """
 

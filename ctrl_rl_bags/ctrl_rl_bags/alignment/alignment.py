@@ -26,9 +26,9 @@ class AlignedSamples:
     """One sequence without a gap.
 
     Attributes:
-        times: (n,) [ns], rising.
-        values: by topic, (n, columns) of float64, or (n,) objects; NaN or None where there is no sample yet.
-        ages: by topic, (n,) [s]: how far away the sample is that was used (linear: the farther of two);
+        times: Times of the rows (n,) [ns], rising.
+        values: Samples by topic (n, columns), or objects (n,); NaN or None where there is no sample yet.
+        ages: Distance in time to the sample that was used, by topic (n,) [s]; for `linear` to the farther of two,
             infinite where there is none. Mask stale data by it.
     """
 
@@ -76,20 +76,20 @@ def align(
     """Sample several topics of one or more bags at common times.
 
     Args:
-        bags: one bag or several; no sequence reaches across two.
-        topics: names, or names with what to take out of each message (default: `EXTRACTORS` by type).
-        reference: the topic at whose times all others are sampled, or a rate [Hz].
-        methods: by topic: `previous` sample held (the default), `nearest`, or `linear` (numbers only).
-        clock: `header`: the messages' own stamps; a topic without them has its log time, brought onto the clock of
-            the stamps where that is another one, simulation time say. `log`: when the recorder received them.
-        max_step: a longer step [s] between two rows starts a new sequence.
-        max_age: rows with a sample older than this [s] are left out; infinite keeps them, NaN where there is none.
+        bags: Bags or paths of bags; no sequence reaches across two.
+        topics: Names, or names with the extractors of their messages (default: `EXTRACTORS` by type).
+        reference: Topic at whose times all others are sampled, or a rate [Hz].
+        methods: Method by topic: `previous` sample held (the default), `nearest`, or `linear` (numbers only).
+        clock: `header` for the messages' own stamps; the log times of a topic without stamps are brought onto their
+            clock where that differs, as in simulation. `log` for the times of reception.
+        max_step: Largest step between two rows of a sequence [s]; a longer one starts a new sequence.
+        max_age: Largest age of a sample [s]; rows with an older one are left out. Infinite keeps all rows.
 
     Returns:
         The sequences in the order of the bags, each without a gap or a reset of the clock.
 
     Raises:
-        BagError: a bag cannot be read, lacks a topic, or a topic's type has no extractor.
+        BagError: A bag cannot be read, lacks a topic, or a topic's type has no extractor.
     """
     if isinstance(bags, str | Path | Bag):
         bags = [bags]

@@ -30,7 +30,7 @@ def clock_runs(bag: Bag, topics: Topics, reference: str | None, clock: Clock) ->
     """Return the topics of a bag on one clock, one mapping for each run between two resets of it.
 
     Args:
-        bag: Open bag.
+        bag: Bag that is open.
         topics: Names of topics, or names with their extractors.
         reference: Topic whose stamps are the clock where it has any.
         clock: `header` for the messages' stamps, `log` for the times of reception.

@@ -1,4 +1,4 @@
-"""The door that bags come through: their errors, regular files only, and YAML of a bounded size and depth.
+"""Checks of bags that may be hostile: errors, regular files only, and YAML of a bounded size and depth.
 
 A bag's YAML may be longer than what people write, `checked_yaml`: it holds the parameters of all nodes.
 """
@@ -41,7 +41,7 @@ def fields_of(what: str) -> Iterator[None]:
     """Refuse a message whose fields are not those of its type's name: a bag defines its types itself.
 
     Raises:
-        BagError: begins with `what`.
+        BagError: Begins with `what`.
     """
     try:
         yield
@@ -59,8 +59,8 @@ def open_regular(path: Path, largest: float = math.inf) -> Iterator[tuple[Binary
     """Open a regular file and give it and its size [bytes].
 
     Raises:
-        DamagedError: it is no regular file, or larger than `largest` [bytes].
-        OSError: it cannot be opened.
+        DamagedError: It is no regular file, or larger than `largest` [bytes].
+        OSError: It cannot be opened.
     """
     try:
         with open_file(path, largest) as opened:
@@ -73,8 +73,8 @@ def read_yaml(path: Path) -> Any:
     """Return the content of a YAML file.
 
     Raises:
-        DamagedError: it is too large, or no plain YAML.
-        OSError: it cannot be read.
+        DamagedError: It is too large, or no plain YAML.
+        OSError: It cannot be read.
     """
     with open_regular(path, _LARGEST_YAML) as (stream, size):
         return parse_yaml(stream.read(size))
@@ -84,7 +84,7 @@ def parse_yaml(text: str | bytes) -> Any:
     """Return the content of a YAML text.
 
     Raises:
-        DamagedError: it is no YAML, too large or too deep, or has aliases, which let a short text unfold without end.
+        DamagedError: It is no YAML, too large or too deep, or has aliases, which let a short text unfold without end.
     """
     if len(text) > _LARGEST_YAML:
         raise DamagedError(f"it has {len(text):,} characters, where at most {_LARGEST_YAML:,} are read")

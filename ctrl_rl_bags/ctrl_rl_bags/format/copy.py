@@ -23,7 +23,7 @@ def read_serialized(bag: Path | str) -> Iterator[SerializedMessage]:
     An sqlite3 bag knows neither publication times nor counts: there they are the log time and 0.
 
     Raises:
-        BagError: the bag cannot be read, or a checksum in it is wrong.
+        BagError: The bag cannot be read, or a checksum in it is wrong.
     """
     with open_bag(bag) as opened:
         opened.check()
@@ -34,7 +34,7 @@ def bag_topics(bag: Path | str) -> list[Topic]:
     """Return the topics of a bag with their definitions and quality of service.
 
     Raises:
-        BagError: the bag cannot be read, or it neither defines a type nor is the type one of ROS 2 Jazzy.
+        BagError: The bag cannot be read, or it neither defines a type nor is the type one of ROS 2 Jazzy.
     """
     out = []
     with open_bag(bag) as opened:
@@ -59,19 +59,19 @@ def copy_bag(
     """Write a bag again with more topics in it; the messages kept stay as they are, byte for byte.
 
     Args:
-        bag: folder or file.
-        output: folder of the new bag; it must not exist.
-        added: the new topics.
-        add: returns, for each message copied, the messages (topic, CDR bytes) that follow it, at its times.
-        left_out: topics of the old bag that the new one shall not have.
-        custom_data: texts that the new bag keeps beside the old one's.
-        progress: what a bar on a terminal is called; empty for none.
+        bag: Folder or file.
+        output: Folder of the new bag; it must not exist.
+        added: The new topics.
+        add: Returns, for each message copied, the messages (topic, CDR bytes) that follow it, at its times.
+        left_out: Topics of the old bag that the new one shall not have.
+        custom_data: Texts that the new bag keeps beside the old one's.
+        progress: Label of a progress bar on a terminal; empty for no bar.
 
     Returns:
-        How many messages were added.
+        Number of messages that were added.
 
     Raises:
-        BagError: the bag cannot be read, it has one of the topics already, or the output exists.
+        BagError: The bag cannot be read, it has one of the topics already, or the output exists.
     """
     topics, info = [topic for topic in bag_topics(bag) if topic.name not in left_out], bag_info(bag)
     twice = {topic.name for topic in topics} & {topic.name for topic in added}

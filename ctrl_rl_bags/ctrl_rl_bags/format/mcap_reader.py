@@ -64,7 +64,7 @@ class McapReader:
             stop: Last log time [ns], excluded.
 
         Raises:
-            DamagedError: a chunk or a message is damaged, or some are missing.
+            DamagedError: A chunk or a message is damaged, or some are missing.
         """
         chosen = frozenset(self.index.channels if channels is None else channels)
         first, last = start or 0, (1 << 64) - 1 if stop is None else stop - 1
@@ -80,7 +80,7 @@ class McapReader:
         """Read the file once, and check all of it that precedes the summary.
 
         Raises:
-            DamagedError: the checksum is wrong, or a record is damaged.
+            DamagedError: The checksum is wrong, or a record is damaged.
         """
         for _ in self.index.data_section():
             pass

@@ -73,7 +73,7 @@ def read_exactly(stream: BinaryIO, size: int, limit: int) -> bytes:
     """Return the next bytes of a file.
 
     Raises:
-        DamagedError: there are fewer, or more than the limit are asked for.
+        DamagedError: There are fewer, or more than the limit are asked for.
     """
     if size > limit:
         raise DamagedError(f"a record of {size:,} bytes, where at most {limit:,} are read")
@@ -87,7 +87,7 @@ def parse(opcode: int, content: bytes) -> Schema | Channel | Metadata | None:
     """Return a schema, a channel or a metadata record; None for any other.
 
     Raises:
-        DamagedError: its content is not what its kind has.
+        DamagedError: Its content is not what its kind has.
     """
     kind = _KINDS.get(opcode)
     try:
@@ -104,7 +104,7 @@ def chunk_head(content: bytes, whole: bool = True) -> ChunkHead:
         whole: Whether all of it is there; of a torn one the data ends early.
 
     Raises:
-        DamagedError: the chunk is too short to have it.
+        DamagedError: The chunk is too short to have it.
     """
     try:
         start, end, size, crc = _CHUNK.unpack_from(content)
@@ -126,7 +126,7 @@ def decompress(content: bytes, limit: int) -> bytes:
     """Return the records of a whole chunk.
 
     Raises:
-        DamagedError: it is larger than the limit, cannot be decompressed, or is not what its size and checksum say.
+        DamagedError: It is larger than the limit, cannot be decompressed, or is not what its size and checksum say.
     """
     head = chunk_head(content)
     if head.size > limit:
@@ -143,7 +143,7 @@ def decompress_some(compression: str, data: bytes, size: int) -> bytes:
     """Return at most `size + 1` bytes of compressed data; of data that was cut off, what its compression lets through.
 
     Raises:
-        DamagedError: the data is broken, or its compression unknown.
+        DamagedError: The data is broken, or its compression unknown.
     """
     try:
         if compression == "zstd":

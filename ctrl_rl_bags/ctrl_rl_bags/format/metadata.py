@@ -67,12 +67,12 @@ class Topic:
     """One recorded topic.
 
     Attributes:
-        name: full name, `/scan`.
-        type: `sensor_msgs/msg/LaserScan`.
-        definition: the message definition with all nested ones, as in a `ros2msg` schema.
+        name: Full name, `/scan`.
+        type: Name of the message type, e.g. `sensor_msgs/msg/LaserScan`.
+        definition: The message definition with all nested ones, as in a `ros2msg` schema.
         type_hash: `RIHS01_...` (REP-2011), empty if unknown.
-        qos: what the publishers offered; it decides whether a replay is latched.
-        encoding: of the definition, `ros2msg` or `ros2idl`.
+        qos: QoS profiles of the publishers, which decide whether a replay is latched.
+        encoding: Language of the definition, `ros2msg` or `ros2idl`.
     """
 
     name: str
@@ -155,7 +155,7 @@ def write_metadata(folder: Path, information: Mapping[str, Any]) -> None:
     """Write metadata.yaml whole or not at all.
 
     Raises:
-        OSError: the disk refuses.
+        OSError: The disk refuses.
     """
     content = {"rosbag2_bagfile_information": information}
     atomic_write(folder / METADATA_FILE, yaml.safe_dump(content, sort_keys=False, allow_unicode=True))
@@ -165,7 +165,7 @@ def read_metadata(folder: Path) -> BagMetadata:
     """Return what stands in a bag's metadata.yaml below `rosbag2_bagfile_information`.
 
     Raises:
-        BagError: there is no such file, or it is not a bag's.
+        BagError: There is no such file, or it is not a bag's.
     """
     path = folder / METADATA_FILE
     try:

@@ -31,10 +31,10 @@ class BagMessage:
     """One message of a bag.
 
     Attributes:
-        topic: full name.
-        type: `sensor_msgs/msg/LaserScan`.
-        log_time: when it was received [ns since the epoch].
-        data: the message, with NumPy arrays for arrays of numbers.
+        topic: Full name of the topic.
+        type: Name of the message type, e.g. `sensor_msgs/msg/LaserScan`.
+        log_time: When it was received [ns since the epoch].
+        data: The message, with NumPy arrays for arrays of numbers.
     """
 
     topic: str
@@ -81,9 +81,9 @@ class Bag:
     """An open bag.
 
     Attributes:
-        path: Its folder or file.
-        info: What it holds.
-        topics: Its topics by name, with their definitions.
+        path: Folder or file of the bag.
+        info: Files, times, topics and counts of the bag.
+        topics: Topics by name, with their definitions.
     """
 
     def __init__(self, path: Path, limits: Limits, stack: ExitStack) -> None:
@@ -113,12 +113,12 @@ class Bag:
         """Yield messages as they were on the wire, file by file in the order of their log time.
 
         Args:
-            topics: names to read; all if empty.
-            start: first log time [ns], included.
-            stop: last log time [ns], excluded.
+            topics: Names to read; all if empty.
+            start: First log time [ns], included.
+            stop: Last log time [ns], excluded.
 
         Raises:
-            BagError: the bag has no such topic, or is damaged.
+            BagError: The bag has no such topic, or is damaged.
         """
         wanted = set(topics)
         if missing := wanted - set(self.topics):
@@ -153,7 +153,7 @@ class Bag:
         """Check all of the bag that has a checksum and that `messages` does not check.
 
         Raises:
-            BagError: the bag is damaged.
+            BagError: The bag is damaged.
         """
         for file in self._files:
             with self._open(file) as source:
@@ -163,7 +163,7 @@ class Bag:
         """Return what decodes the messages of some topics, all if empty.
 
         Raises:
-            BagError: a definition is missing or wrong.
+            BagError: A definition is missing or wrong.
         """
         chosen = [self.topics[name] for name in topics or self.topics]
         kinds = {
@@ -279,13 +279,13 @@ def read_messages(
     """Yield the messages of a bag in the order of their log time.
 
     Args:
-        bag: folder or file.
-        topics: names to read; all if empty.
-        start: first log time [ns], included.
-        stop: last log time [ns], excluded.
+        bag: Folder or file.
+        topics: Names to read; all if empty.
+        start: First log time [ns], included.
+        stop: Last log time [ns], excluded.
 
     Raises:
-        BagError: the bag has no such topic, or cannot be read.
+        BagError: The bag has no such topic, or cannot be read.
     """
     with open_bag(bag) as opened:
         yield from opened.decoded(topics, start, stop)
@@ -305,10 +305,10 @@ def read_raw(
 
 
 def bag_info(bag: Path | str | Bag, limits: Limits = DEFAULT_LIMITS) -> BagInfo:
-    """Return what a bag holds.
+    """Return the files, times, topics and counts of a bag.
 
     Raises:
-        BagError: there is no such bag, it was cut off, or it is damaged.
+        BagError: There is no such bag, it was cut off, or it is damaged.
     """
     with open_bag(bag, limits) as opened:
         return opened.info

@@ -1,4 +1,4 @@
-"""Mends bags that were cut off by a SIGKILL, a power cut or a full disk.
+"""Recovers bags that were cut off by a SIGKILL, a power cut or a full disk.
 
 An MCAP file is a row of records, each with its length in front. All whole records are read, messages are written to a
 new bag, and the bag's metadata is rebuilt from them. The cut-off bag itself is only read. What asks for more memory
@@ -42,17 +42,17 @@ _READ = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.METADATA)
 
 @dataclass
 class Recovery:
-    """What was found in a bag.
+    """Content of a bag, as far as it could be read.
 
     Attributes:
-        source: the bag that was read.
-        folder: the mended bag, None if the bag was whole and nothing was written.
-        messages: number of messages by topic.
-        start: first log time [ns], None without messages.
-        end: last log time [ns].
-        dropped_bytes: what could not be read, of all files together.
-        unfinished: names of the files that were cut off or damaged.
-        too_large: number of chunks and records that were dropped because they take more memory than is allowed.
+        source: Path of the bag that was read.
+        folder: Folder of the recovered bag; None if the bag is complete and nothing was written.
+        messages: Number of messages by topic.
+        start: First log time [ns], None without messages.
+        end: Last log time [ns].
+        dropped_bytes: Bytes that could not be read, of all files together.
+        unfinished: Names of the files that were cut off or damaged.
+        too_large: Number of chunks and records that were dropped because they take more memory than is allowed.
     """
 
     source: Path
@@ -68,16 +68,16 @@ class Recovery:
 def recover(
     bag: Path | str, output: Path | str | None = None, *, progress: bool = False, limits: Limits = DEFAULT_LIMITS
 ) -> Recovery:
-    """Write what can be read of a cut-off bag as a new, whole bag.
+    """Write the readable part of a cut-off bag as a new bag.
 
     Args:
-        bag: the folder of the bag, or one .mcap file.
-        output: the new folder, `<bag>_recovered` if None; it must not exist.
-        progress: show a bar on a terminal.
-        limits: the most that the bag may take of the memory.
+        bag: The folder of the bag, or one .mcap file.
+        output: The new folder, `<bag>_recovered` if None; it must not exist.
+        progress: Show a bar on a terminal.
+        limits: Memory that the bag may take at most.
 
     Raises:
-        BagError: no MCAP bag, nothing readable in it, or the output exists or cannot be written.
+        BagError: No MCAP bag, nothing readable in it, or the output exists or cannot be written.
     """
     source = Path(bag).absolute()
     if not source.exists():
@@ -272,7 +272,7 @@ class _Scan:
 
 
 def _whole(source: Path, files: list[Path], limits: Limits) -> Recovery | None:
-    """Return what a bag holds if all of it can be read, None if it has to be mended."""
+    """Return the content of a bag if all of it can be read; None if it must be recovered."""
     if source.is_dir() and not (source / METADATA_FILE).exists():
         return None
     try:

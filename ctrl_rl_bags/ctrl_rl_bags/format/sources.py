@@ -63,13 +63,13 @@ def open_source(path: Path, storage: str, limits: Limits) -> Source:
     """Open one file of a bag.
 
     Args:
-        path: The file.
+        path: Path of the file.
         storage: `mcap` or `sqlite3`.
-        limits: The most that it may take of the memory.
+        limits: Memory that the file may take at most.
 
     Raises:
-        DamagedError: it is no such file, or damaged.
-        OSError: it cannot be read.
+        DamagedError: The file is of another kind, or damaged.
+        OSError: It cannot be read.
     """
     return McapSource(path, limits) if storage == "mcap" else Sqlite3Source(path, limits)
 

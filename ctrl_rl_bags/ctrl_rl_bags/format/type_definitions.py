@@ -48,7 +48,7 @@ class BagTypes:
         """Take the definitions of the types.
 
         Raises:
-            DamagedError: a definition is none, too large, or not the one of its hash.
+            DamagedError: A definition is none, too large, or not the one of its hash.
         """
         definitions = list(definitions)
         jazzy = get_typestore(Stores.ROS2_JAZZY).fielddefs
@@ -76,7 +76,7 @@ class BagTypes:
         """Return a message, with NumPy arrays for arrays of numbers.
 
         Raises:
-            DamagedError: the bytes are no such message, or would take too much memory.
+            DamagedError: The bytes are no such message, or would take too much memory.
         """
         cost = self._costs[kind]
         if cost.objects + len(data) * cost.objects_per_byte > MOST_OBJECTS:

@@ -28,15 +28,15 @@ class BagWriter:
     """Writes one bag; a context manager that finishes the bag however its block is left.
 
     Args:
-        folder: the bag, created with its parents; it must not exist.
-        max_file_bytes: start the next file at about this size; 0 for one file.
-        max_file_s: start the next file after this span of log time [s]; 0 for one file.
-        chunk_bytes: uncompressed size of a chunk, the unit in which messages are compressed.
-        flush_s: longest time [s] that a message waits in this process, as long as `flush_if_due` is called as often.
-        min_free_bytes: stop with a BagError, bag whole, when the disk has less free space than this.
+        folder: The bag, created with its parents; it must not exist.
+        max_file_bytes: Start the next file at about this size; 0 for one file.
+        max_file_s: Start the next file after this span of log time [s]; 0 for one file.
+        chunk_bytes: Uncompressed size of a chunk, the unit in which messages are compressed.
+        flush_s: Longest time [s] that a message waits in this process, as long as `flush_if_due` is called as often.
+        min_free_bytes: Stop with a BagError, bag whole, when the disk has less free space than this.
 
     Raises:
-        BagError: the folder exists or cannot be made.
+        BagError: The folder exists or cannot be made.
     """
 
     def __init__(
@@ -106,7 +106,7 @@ class BagWriter:
         """Make a topic known; once, before its first message.
 
         Raises:
-            BagError: the topic is known already, or the disk refuses.
+            BagError: The topic is known already, or the disk refuses.
         """
         if topic.name in self._topics:
             raise BagError(f"{self.folder}: topic {topic.name} was added twice")
@@ -128,14 +128,14 @@ class BagWriter:
         """Write one message.
 
         Args:
-            topic: a name given to `add_topic`.
+            topic: A name given to `add_topic`.
             data: CDR bytes with their 4-byte header; stored as they are.
-            log_time: when it was received [ns since the epoch].
-            publish_time: when it was sent [ns since the epoch]; the log time if None.
-            sequence: number given by the publisher, below 2**32; 0 if there is none.
+            log_time: When it was received [ns since the epoch].
+            publish_time: When it was sent [ns since the epoch]; the log time if None.
+            sequence: Number given by the publisher, below 2**32; 0 if there is none.
 
         Raises:
-            BagError: the topic is unknown, a time is negative, or the disk refuses.
+            BagError: The topic is unknown, a time is negative, or the disk refuses.
         """
         try:
             channel = self._channels[topic]
@@ -179,7 +179,7 @@ class BagWriter:
         """Hand everything to the operating system and have a thread tell the disk.
 
         Raises:
-            BagError: the disk refuses, or less than `min_free_bytes` are left on it.
+            BagError: The disk refuses, or less than `min_free_bytes` are left on it.
         """
         self._flush_due = time.monotonic() + self._flush_s
         try:
@@ -200,7 +200,7 @@ class BagWriter:
         """Finish the bag; a second call does nothing.
 
         Raises:
-            BagError: the disk refuses; `bag recover` then finds all that reached it.
+            BagError: The disk refuses; `bag recover` then finds all that reached it.
         """
         if self._closed:
             return

@@ -38,7 +38,7 @@ def check_type(name: str) -> None:
     """Refuse a type name that is not valid, or that no installed interface package has; nothing is imported.
 
     Raises:
-        UnknownTypeError: says which of the two it is.
+        UnknownTypeError: Says which of the two it is.
     """
     if not is_type_name(name):
         shown = name if len(name) <= _LONGEST_SHOWN else f"{name[:_LONGEST_SHOWN]}..."
@@ -56,7 +56,7 @@ def message_class(name: str) -> Any:
     """Return the class of a type such as `sensor_msgs/msg/LaserScan`.
 
     Raises:
-        UnknownTypeError: it is not installed here.
+        UnknownTypeError: It is not installed here.
     """
     check_type(name)
     package, _, short = name.partition("/msg/")
@@ -70,7 +70,7 @@ def message_definition(name: str) -> str:
     """Return the definition of a type followed by those of all nested types, as in a `ros2msg` schema.
 
     Raises:
-        UnknownTypeError: a definition is not installed here.
+        UnknownTypeError: A definition is not installed here.
     """
     texts = {name: _text(name)}
     waiting = [name]

@@ -36,17 +36,17 @@ _ACKNOWLEDGE_S = 2.0
 
 @dataclass(frozen=True)
 class PlaybackOptions:
-    """How to play a bag.
+    """Settings of a replay.
 
     Attributes:
-        rate: speed, 1 is that of the recording.
-        topics: what to play; all if empty.
-        remap: other names for topics.
-        loop: begin again at the end, until stopped.
-        clock: publish the bag's time on /clock at 100 Hz, in place of a recorded one.
-        start_offset: part of the bag [s] that is left out at its beginning.
-        wait: longest time [s] to wait for a subscriber on every topic before the first message.
-        limits: the most that the bag may take of the memory.
+        rate: Speed as a multiple of the recording's.
+        topics: Names of the topics to play; all if empty.
+        remap: New topic names by the old ones.
+        loop: Begin again at the end, until stopped.
+        clock: Publish the bag's time on /clock at 100 Hz, in place of a recorded one.
+        start_offset: Part of the bag [s] that is left out at its beginning.
+        wait: Longest time [s] to wait for a subscriber on every topic before the first message.
+        limits: Memory that the bag may take at most.
     """
 
     rate: float = 1.0
@@ -63,13 +63,13 @@ def play(bag: Path | str, how: PlaybackOptions, warn: Callable[[str], None], *, 
     """Play a bag until its end, SIGINT or SIGTERM, and return the number of messages published.
 
     Args:
-        bag: folder or file.
-        how: speed, topics and the like.
-        warn: gets one line for each topic that cannot be played.
-        progress: show a bar on a terminal.
+        bag: Folder or file.
+        how: Speed, topics and the like.
+        warn: Gets one line for each topic that cannot be played.
+        progress: Show a bar on a terminal.
 
     Raises:
-        BagError: the bag cannot be read, a value is out of range, or nothing in it can be played.
+        BagError: The bag cannot be read, a value is out of range, or nothing in it can be played.
     """
     info = bag_info(bag, how.limits)
     _check(info, how)

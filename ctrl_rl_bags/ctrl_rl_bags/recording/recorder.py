@@ -52,9 +52,9 @@ class TopicRecorder:
     a bag has one type for each topic.
 
     Attributes:
-        lost: messages that the middleware reports as lost on the way here.
-        skipped: why a topic is not recorded, by name.
-        retyped: name in the bag of the topics whose type has changed.
+        lost: Messages that the middleware reports as lost on the way here.
+        skipped: Why a topic is not recorded, by name.
+        retyped: Name in the bag of the topics whose type has changed.
     """
 
     def __init__(self, node: Node, queue: BagQueue, selected: Callable[[str], bool], queue_depth: int) -> None:

@@ -22,7 +22,7 @@ class BagQueue:
     """Hands messages over to a `BagWriter`, which nobody else may use from then on, but to read its counts.
 
     Args:
-        writer: The bag.
+        writer: Writer of the bag, used by one thread.
         max_bytes: Memory of everything that waits.
         on_drop: Called with a topic's name when its first message is dropped.
 
@@ -66,7 +66,7 @@ class BagQueue:
         """Say what went wrong with the bag.
 
         Raises:
-            BagError: the disk refuses.
+            BagError: The disk refuses.
         """
         if self._error is not None:
             raise self._error
@@ -78,7 +78,7 @@ class BagQueue:
             Whether the bag is finished; if the disk does not answer for twice as long, it is not.
 
         Raises:
-            BagError: the disk refuses.
+            BagError: The disk refuses.
         """
         with self._changed:
             self._closing, self._deadline = True, time.monotonic() + patience

@@ -1,4 +1,4 @@
-"""What a robot may do by its last scan: the scan's health, the gaps in it and the obstacles, taken together."""
+"""Limits a command by the last scan: by its health, its gaps, and the obstacles in it."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ Array = NDArray[np.float64]
 
 
 class DriveSafety:
-    """Takes scans, and says which part of a command is safe.
+    """Checks each scan, and limits commands to their safe part.
 
     Args:
-        health: checks of the scans.
-        obstacles: room that the robot needs.
-        forward: where the lidar sits, ahead of the robot's middle [m].
-        reach: echoes that are farther from the lidar cannot stop the robot [m].
+        health: Checks of the scans.
+        obstacles: Braking distance and size of the robot.
+        forward: Position of the lidar ahead of the robot's middle [m].
+        reach: Distance from the lidar beyond which echoes are ignored [m].
 
     Attributes:
-        reach: echoes that are farther from the lidar cannot stop the robot [m].
-        view: the last scan, None where it is none.
-        unfit: why the last scan allows no command at all, empty where it does.
+        reach: Distance from the lidar beyond which echoes are ignored [m].
+        view: Echoes of the last scan; None where it is unusable.
+        fault: Reason why the last scan allows no motion; empty where it does.
     """
 
     def __init__(self, health: ScanHealth, obstacles: ObstacleStop, forward: float, reach: float) -> None:
@@ -34,7 +34,7 @@ class DriveSafety:
         self._forward, self.reach = forward, reach
 
     def set_checks(self, health: ScanHealth, obstacles: ObstacleStop, reach: float) -> None:
-        """Check otherwise from the next scan on."""
+        """Replace the checks from the next scan on."""
         self._health, self._obstacles, self.reach = health, obstacles, reach
 
     def update(
@@ -49,12 +49,12 @@ class DriveSafety:
         """Take a scan.
 
         Args:
-            now: steady time [s].
-            stamp: time stamp of the scan [ns].
-            frame: frame of the scan.
-            ranges: ranges (scan.beams,) [m].
-            scan: their geometry in the robot's frame.
-            motion: speed [m/s] and turn rate [rad/s] by odometry.
+            now: Steady time [s].
+            stamp: Time stamp of the scan [ns].
+            frame: Frame of the scan.
+            ranges: Ranges (scan.beams,) [m].
+            scan: Bearings and limits of the beams in the robot's frame.
+            motion: Speed [m/s] and turn rate [rad/s] by odometry.
         """
         try:
             self.view = view_scan(ranges, scan, self.reach, self._forward)
@@ -65,15 +65,15 @@ class DriveSafety:
         self.fault = self._health.update(now, self.view, ranges.tobytes(), stamp, identity, motion)
 
     def limit(self, command: Array, v: float, age: float) -> tuple[Array, str]:
-        """Return what is safe of a command (2,), and why that is not all of it, empty where it is.
+        """Return the safe part of a command (2,), and the reason where it is less than the whole.
 
         Args:
-            command: speed [m/s] and turn rate [rad/s] (2,).
-            v: speed by odometry [m/s].
-            age: age of the last scan [s].
+            command: Speed [m/s] and turn rate [rad/s] (2,).
+            v: Speed by odometry [m/s].
+            age: Age of the last scan [s].
 
         Raises:
-            ScanError: the last scan says nothing of where the command leads: the robot must stand.
+            ScanError: The last scan does not cover the direction of the command, so the robot must stop.
         """
         if not command.any():
             return command, ""

@@ -1,6 +1,6 @@
-"""The base of every node that drives by a lidar: it stands on scans that are no knowledge, and before obstacles.
+"""Base class of nodes that drive a robot by lidar: it stops the robot on unusable scans and in front of obstacles.
 
-Whatever a policy wants, `drive` sends only what the last scan shows to be safe.
+Whatever a policy commands, `drive` sends only the part that is safe by the last scan.
 """
 
 from __future__ import annotations
@@ -57,12 +57,12 @@ _OBSTACLE_STOP = (
         2.0,
         live=True,
     ),
-    Parameter("obstacle_margin", 0.02, "Distance to obstacles that is kept besides [m].", 0.0, 2.0, live=True),
+    Parameter("obstacle_margin", 0.02, "Additional distance to obstacles [m].", 0.0, 2.0, live=True),
     Parameter("deceleration", 0.5, "Deceleration of the robot when it brakes [m/s^2].", 0.05, 20.0, live=True),
     Parameter(
         "reaction_time",
         0.3,
-        "From a scan to the effect of the command that answers the next one [s].",
+        "Time from a scan to the effect of the command that answers the next scan [s].",
         0.0,
         5.0,
         live=True,
@@ -70,7 +70,7 @@ _OBSTACLE_STOP = (
 )
 LIDAR_PARAMETERS = (
     *VELOCITY_PARAMETERS,
-    Parameter("lidar_x", -0.032, "Where the lidar sits, ahead of the robot's middle [m].", -1.0, 1.0),
+    Parameter("lidar_x", -0.032, "Position of the lidar ahead of base_link [m].", -1.0, 1.0),
     Parameter("lidar_yaw", 0.0, "Direction of the scan's zero bearing in the robot's frame [rad].", -3.1416, 3.1416),
     *_SCAN_CHECKS,
     *_OBSTACLE_STOP,
@@ -79,7 +79,7 @@ _CHECKED = {parameter.name for parameter in (*_SCAN_CHECKS, *_OBSTACLE_STOP)}
 _FASTER = 1.5
 """A robot may be faster than its commands by this factor."""
 _LOOK_AROUND_S = 1.0
-"""Between two looks at who publishes scans: a question to the graph takes a fraction of a millisecond."""
+"""Time between two checks of the scan's publishers [s]; a query of the graph takes a fraction of a millisecond."""
 
 
 class LidarVelocityNode(VelocityNode):
@@ -106,23 +106,23 @@ class LidarVelocityNode(VelocityNode):
         """Act on odometry, whose twist is finite; override it where it matters."""
 
     def on_scan(self, message: LaserScan, ranges: NDArray[np.float32], scan: ScanGeometry) -> None:
-        """Act on a scan, fit or not: `drive` knows; override it where it matters.
+        """Act on a scan, usable or not; `drive` refuses to move by an unusable one. Override it where it matters.
 
         Args:
-            message: the scan.
-            ranges: its ranges (scan.beams,) [m].
-            scan: its geometry in the robot's frame.
+            message: Scan as it was received.
+            ranges: Ranges of the beams (scan.beams,) [m].
+            scan: Bearings and limits of the beams in the robot's frame.
         """
 
     def input_fault(self) -> str:
-        """Return why scan and odometry allow no command at all, empty where they do."""
+        """Return why scan or odometry allow no motion; empty where they do."""
         return self.stale_input() or self._odometry_fault or self._crowd or self._safety.fault
 
     def make_safe(self, command: NDArray[np.float64]) -> tuple[NDArray[np.float64], str]:
-        """Return what is safe of a command (2,) by the last scan, and why that is not all.
+        """Return the safe part of a command (2,) by the last scan, and the reason where it is less than the whole.
 
         Raises:
-            VelocityError: there is no recent scan that says anything of where the command leads.
+            VelocityError: No recent scan covers the direction of the command.
         """
         problem = self.input_fault() if command.any() else ""
         if problem:
@@ -133,7 +133,7 @@ class LidarVelocityNode(VelocityNode):
             raise VelocityError(str(error)) from None
 
     def on_parameter_changed(self, name: str) -> None:
-        """Check otherwise from the next scan on."""
+        """Apply changed checks from the next scan on."""
         if name in _CHECKED:
             self._safety.set_checks(*self._checks(), reach=self._reach())
         else:
@@ -147,7 +147,7 @@ class LidarVelocityNode(VelocityNode):
         return level, message, {"scans": self._received, **figures, "beams with an echo [%]": share}
 
     def set_limits(self, low: ArrayLike, high: ArrayLike) -> None:
-        """Set the limits of the commands, and look as far as the fastest of them needs."""
+        """Set the limits of the commands, and the range of echoes that the fastest of them needs."""
         super().set_limits(low, high)
         self._safety.reach = self._reach()
 
@@ -191,6 +191,6 @@ class LidarVelocityNode(VelocityNode):
         self.on_scan(message, ranges, scan)
 
     def _look_around(self) -> None:
-        """Look for further lidars on the topic."""
+        """Check that one lidar alone publishes scans."""
         count = self.count_publishers(self._scans.topic_name)
         self._crowd = f"{count} publishers on {self._scans.topic_name}: there must be one lidar" if count > 1 else ""

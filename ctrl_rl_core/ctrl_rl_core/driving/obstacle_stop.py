@@ -1,4 +1,4 @@
-"""No robot drives where it cannot stop: pure geometry on the echoes of a scan, whatever wants to drive there.
+"""Slows and stops a robot in front of obstacles: geometry on the echoes of a scan, without ROS.
 
 A command (v, omega) sweeps the robot's disc along an arc. On the arc lie the way that the robot goes before anything
 can change, and the way that it brakes. Where an echo lies within the disc and its margin there, and nearer than it is
@@ -18,9 +18,9 @@ Array = NDArray[np.float64]
 _PACES = (1.0, 0.7, 0.4)
 """Parts of a command's speed that are tried; a slower robot needs less room."""
 _STEP = 0.04
-"""Between two places of the robot on its arc [m]."""
+"""Distance between two checked places on the arc [m]."""
 _FARTHEST = 4.0
-"""No robot of this suite needs more room than that to stop [m], whatever its odometry says."""
+"""Upper bound of the stopping distance [m], whatever odometry says."""
 _NEARER = 1e-3
 """Distance by which an echo must come nearer to count [m]: a robot beside a wall may go along it."""
 _STANDS = 1e-3
@@ -29,13 +29,13 @@ _STANDS = 1e-3
 
 @dataclass(frozen=True)
 class ObstacleStop:
-    """The room that a robot needs.
+    """Size and braking of a robot, which give the room that it needs.
 
     Attributes:
-        radius: radius of the disc around the robot's middle that holds all of it [m]; 0 for no obstacle stop.
-        margin: distance to keep besides [m].
-        deceleration: deceleration of its brakes [m/s^2].
-        delay: time from a command to its effect, and until the next command [s].
+        radius: Radius of the disc around the robot's middle that holds all of it [m]; 0 for no obstacle stop.
+        margin: Additional distance to obstacles [m].
+        deceleration: Deceleration of its brakes [m/s^2].
+        delay: Time from a command to its effect, plus the time until the next command [s].
     """
 
     radius: float
@@ -44,18 +44,18 @@ class ObstacleStop:
     delay: float
 
     def reach(self, speed: float, age: float) -> float:
-        """Return how far a robot gets at a speed [m/s] before it stands [m], after a scan of some age [s]."""
+        """Return the stopping distance [m] at a speed [m/s], for a scan of some age [s]."""
         room = speed * (self.delay + age) + 0.5 * speed * speed / self.deceleration
         return room if room < _FARTHEST else _FARTHEST  # of NaN, too
 
     def limit(self, command: Array, points: Array, v: float, age: float) -> tuple[Array, str]:
-        """Return what is safe of a command (2,), and why that is not all of it, empty where it is.
+        """Return the safe part of a command (2,), and the reason where it is less than the whole.
 
         Args:
-            command: speed [m/s] and turn rate [rad/s] (2,).
-            points: echoes in the robot's frame (n, 2) [m].
-            v: speed by odometry [m/s].
-            age: age of the scan [s].
+            command: Speed [m/s] and turn rate [rad/s] (2,).
+            points: Echoes in the robot's frame (n, 2) [m].
+            v: Speed by odometry [m/s].
+            age: Age of the scan [s].
         """
         wanted, omega = command.tolist()
         if self.radius <= 0.0 or abs(wanted) < _STANDS or len(points) == 0:

@@ -25,19 +25,19 @@ _BEARINGS = np.arange(DIRECTIONS) * (_TURN / DIRECTIONS)
 
 
 class ScanError(CtrlRlError):
-    """A scan from which nothing can be known: the message says why."""
+    """An unusable scan; the message is the reason."""
 
 
 @dataclass(frozen=True)
 class ScanGeometry:
-    """Where the beams of a scan point and what they can measure, as sensor_msgs/LaserScan says it.
+    """Bearings and limits of a scan's beams, as in sensor_msgs/LaserScan.
 
     Attributes:
-        beams: number of ranges.
-        angle_min: bearing of the first beam in the robot's frame, counter-clockwise from ahead [rad].
-        angle_increment: from beam to beam [rad].
-        range_min: least distance measured [m].
-        range_max: largest distance measured [m].
+        beams: Number of ranges.
+        angle_min: Bearing of the first beam in the robot's frame, counter-clockwise from ahead [rad].
+        angle_increment: Angle from beam to beam [rad].
+        range_min: Least distance measured [m].
+        range_max: Largest distance measured [m].
     """
 
     beams: int
@@ -50,7 +50,7 @@ class ScanGeometry:
         """Refuse a geometry that no lidar has.
 
         Raises:
-            ScanError: no beams, too many, or numbers that are not finite or contradict each other.
+            ScanError: No beams, too many, or numbers that are not finite or contradict each other.
         """
         if not 0 < self.beams <= MOST_BEAMS:
             raise ScanError(f"scan with {self.beams} ranges: must be 1 to {MOST_BEAMS}")
@@ -61,13 +61,13 @@ class ScanGeometry:
 
 
 class ScanView(NamedTuple):
-    """One scan, as far as standing or driving goes.
+    """Echoes of one scan, as the checks of a drive need them.
 
     Attributes:
-        share: part of the beams that have an echo, 0 to 1.
-        points: places of the echoes within reach in the robot's frame (n, 2) [m].
-        seen: whether the beam nearest to each direction has an echo, counter-clockwise from ahead (DIRECTIONS,).
-        field: whether there is a beam in each direction at all (DIRECTIONS,).
+        share: Part of the beams that have an echo, 0 to 1.
+        points: Places of the echoes within reach in the robot's frame (n, 2) [m].
+        seen: Whether the beam nearest to each direction has an echo, counter-clockwise from ahead (DIRECTIONS,).
+        field: Whether there is a beam in each direction at all (DIRECTIONS,).
     """
 
     share: float
@@ -77,16 +77,16 @@ class ScanView(NamedTuple):
 
 
 def view_scan(ranges: NDArray[np.float32], scan: ScanGeometry, reach: float, forward: float = 0.0) -> ScanView:
-    """Return what a scan shows.
+    """Return the echoes of a scan.
 
     Args:
-        ranges: ranges (scan.beams,) [m].
-        scan: their geometry.
-        reach: farther echoes are no points [m], from the lidar.
-        forward: where the lidar sits, ahead of the robot's middle [m].
+        ranges: Ranges (scan.beams,) [m].
+        scan: Bearings and limits of the beams.
+        reach: Distance from the lidar beyond which echoes are left out [m].
+        forward: Position of the lidar ahead of the robot's middle [m].
 
     Raises:
-        ScanError: the geometry is none, or another count of ranges.
+        ScanError: The geometry is impossible, or there is another number of ranges.
     """
     scan.check()
     if len(ranges) != scan.beams:

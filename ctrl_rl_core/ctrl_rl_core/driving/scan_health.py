@@ -1,7 +1,7 @@
-"""Whether scans are knowledge: pure logic, time is passed in.
+"""Tells usable scans from those of a dead, covered, frozen or doubled lidar, without ROS.
 
-A lidar that is dead, covered, frozen or not alone says something all the same: zeros, infinities, the scan of a minute
-ago, another robot's. A robot must not drive on that.
+Such a lidar still sends scans: zeros, infinities, the scan of a minute ago, or another robot's. A robot must not drive
+by them.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ctrl_rl_core.driving.scan import DIRECTIONS, ScanGeometry, ScanView
 
 MIXED = 2.0
-"""How long a robot stands after scans of two kinds came in turn [s]: a lidar may be exchanged, once."""
+"""Time that a robot stands after scans of two lidars came in turn [s]; a lidar may be exchanged once."""
 _STILL = (0.02, 0.05)
 """Speed [m/s] and turn rate [rad/s] by odometry up to which a robot counts as standing."""
 _SPECKLES = 0.05
@@ -26,7 +26,7 @@ _AHEAD = math.radians(100.0)
 
 
 class LidarIdentity(NamedTuple):
-    """What tells scans of two lidars apart."""
+    """Properties by which scans of two lidars differ."""
 
     frame: str
     range_min: float
@@ -41,12 +41,12 @@ class LidarIdentity(NamedTuple):
 
 @dataclass
 class ScanHealth:
-    """Looks at scan after scan.
+    """Checks scan after scan.
 
     Attributes:
-        min_echo_share: least part of the beams that must have an echo; 0 for none.
-        largest_gap: widest angle without echoes that may lie ahead [rad]; 2 pi and more for any.
-        frozen_scans: repetitions of the same ranges, while the robot moves, that mean a frozen lidar; 0 for never.
+        min_echo_share: Least part of the beams that must have an echo; 0 for none.
+        largest_gap: Widest angle without echoes that may lie ahead [rad]; 2 pi and more for any.
+        frozen_scans: Repetitions of the same ranges, while the robot moves, that mean a frozen lidar; 0 for never.
     """
 
     min_echo_share: float
@@ -68,15 +68,15 @@ class ScanHealth:
         identity: LidarIdentity,
         motion: tuple[float, float],
     ) -> str:
-        """Take a scan and return why the robot must stand, empty where it need not.
+        """Check a scan and return why the robot must stop; empty where it need not.
 
         Args:
-            now: steady time [s].
-            view: the scan.
-            content: its ranges as they came.
-            stamp: its time stamp [ns].
-            identity: what kind of lidar it is of.
-            motion: speed [m/s] and turn rate [rad/s] by odometry.
+            now: Steady time [s].
+            view: Echoes of the scan.
+            content: Ranges as they were received, for comparison with the last ones.
+            stamp: Time stamp of the scan [ns].
+            identity: Properties of the lidar that sent it.
+            motion: Speed [m/s] and turn rate [rad/s] by odometry.
         """
         frozen, mixed = self._frozen(content, stamp, motion), self._mixed(now, identity)
         if view.share < self.min_echo_share:
@@ -89,7 +89,7 @@ class ScanHealth:
         return mixed
 
     def blind(self, view: ScanView, v: float) -> str:
-        """Return why the robot must not go where a speed v [m/s] leads, empty where it may."""
+        """Return why the scan does not cover the direction of a speed v [m/s]; empty where it does."""
         if v == 0.0 or self.largest_gap >= 2.0 * math.pi:
             return ""
         seen = view.seen if v > 0.0 else np.roll(view.seen, DIRECTIONS // 2)
@@ -106,7 +106,7 @@ class ScanHealth:
         return ""
 
     def _frozen(self, content: bytes, stamp: int, motion: tuple[float, float]) -> bool:
-        """Count repetitions while the robot moves: one that stands in a simulation without noise sees the same."""
+        """Count repetitions while the robot moves; one that stands in a simulation without noise sees the same scan."""
         if content != self._last:
             self._repeated = 0
         elif stamp != self._stamp and (abs(motion[0]) > _STILL[0] or abs(motion[1]) > _STILL[1]):
@@ -132,8 +132,8 @@ def _emptiest(seen: NDArray[np.bool_], width: int) -> int:
     """Return the least count of echoes in `width` directions side by side whose middle lies ahead.
 
     Args:
-        seen: directions with an echo, counter-clockwise from ahead (DIRECTIONS,).
-        width: number of directions, up to DIRECTIONS.
+        seen: Directions with an echo, counter-clockwise from ahead (DIRECTIONS,).
+        width: Number of directions, up to DIRECTIONS.
     """
     span = math.floor(_AHEAD * DIRECTIONS / (2.0 * math.pi))
     begin = -span - width // 2
@@ -143,5 +143,5 @@ def _emptiest(seen: NDArray[np.bool_], width: int) -> int:
 
 
 def lidar_identity(frame: str, scan: ScanGeometry) -> LidarIdentity:
-    """Return what tells a scan's lidar from another."""
+    """Return the properties of the lidar that sent a scan."""
     return LidarIdentity(frame, scan.range_min, scan.range_max, scan.angle_min, scan.angle_increment > 0.0)

@@ -1,4 +1,4 @@
-"""The base of every node that drives a robot: one way out for velocities, and the robot stands when in doubt.
+"""Base class of nodes that drive a robot: one publisher of velocities, and a stop when an input is missing or wrong.
 
 class Driver(VelocityNode):
     def __init__(self) -> None:
@@ -47,21 +47,21 @@ _STAND.flags.writeable = False
 
 
 class VelocityError(CtrlRlError):
-    """There is no velocity to send: the robot must stand; the message is the reason."""
+    """No velocity may be sent, so the robot must stop; the message is the reason."""
 
 
 class VelocityNode(SuiteNode):
     """Publishes cmd_vel for one robot: finite, within limits, zero without recent input and when the node stops.
 
-    In a dry run all is as ever, but nothing is sent.
+    In a dry run everything happens but the sending.
 
     Attributes:
-        TIMEOUT: name of the parameter that holds the age of an input that stops the robot [s].
-        low: least speed [m/s] and turn rate [rad/s] that are sent (2,).
-        high: the largest ones (2,).
-        problem: the reason why the robot stands; empty while it drives.
-        counts: number of commands, of stops, and of looks at the inputs that found one too old.
-        moving: whether the last command that was sent moves the robot.
+        TIMEOUT: Name of the parameter with the age of an input that stops the robot [s].
+        low: Lower limits of speed [m/s] and turn rate [rad/s] (2,).
+        high: Upper limits of speed [m/s] and turn rate [rad/s] (2,).
+        problem: The reason why the robot stands; empty while it drives.
+        counts: Numbers of commands, of stops, and of checks that found a stale input.
+        moving: Whether the last command that was sent moves the robot.
     """
 
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = VELOCITY_PARAMETERS
@@ -69,22 +69,22 @@ class VelocityNode(SuiteNode):
     TIMEOUT: ClassVar[str] = "scan_timeout"
 
     def __init__(self, name: str, needs: Sequence[str]) -> None:
-        """Set up the way out; the limits are zero until `set_limits`.
+        """Create the publisher; the limits are zero until `set_limits`.
 
         Args:
-            name: name of the node.
-            needs: inputs without which the robot stands, as they are called in "no recent ...".
+            name: Name of the node.
+            needs: Names of the inputs without which the robot stops, as in "no recent NAME".
         """
         super().__init__(name)
         stamped: bool = self.settings["enable_stamped_cmd_vel"]
-        # One message for all commands: to make one takes as long as to decide.
+        # One message object for all commands, because making one takes as long as a decision.
         self._out = TwistStamped() if stamped else Twist()
         self._header, self._twist = (self._out.header, self._out.twist) if stamped else (Header(), self._out)
         self._header.frame_id = self.settings["base_frame"] or _SOME_BASE
         self._publisher = self.create_publisher(type(self._out), "cmd_vel", COMMAND)
         self.low, self.high = _STAND, _STAND
-        # The age of things is no matter of the system's clock, which may be set while the robot drives; a simulation's
-        # clock may stand still, and then things get old in wall time only.
+        # Ages are measured on a steady clock, because the system clock may be set while the robot drives. The clock of
+        # a simulation may stand still: then `WallClockTimeout` counts.
         simulated = self.get_parameter("use_sim_time").value
         self._ages = self.get_clock() if simulated else Clock(clock_type=ClockType.STEADY_TIME)
         self._heard: dict[str, Time | None] = dict.fromkeys(needs)
@@ -97,10 +97,10 @@ class VelocityNode(SuiteNode):
         self.create_timer(0.5 * self.timeout, self._watch, clock=self._ages)
 
     def set_limits(self, low: ArrayLike, high: ArrayLike) -> None:
-        """Set the least and the largest speed [m/s] and turn rate [rad/s] that are ever sent, (2,) each.
+        """Set lower and upper limits of speed [m/s] and turn rate [rad/s], (2,) each.
 
         Raises:
-            VelocityError: they are not finite, or no limits.
+            VelocityError: A limit is not finite, or a lower one exceeds the upper one.
         """
         least, largest = np.array(low, np.float64), np.array(high, np.float64)
         shapes = least.shape == largest.shape == (2,)
@@ -119,13 +119,13 @@ class VelocityNode(SuiteNode):
         return str(self._header.frame_id)
 
     def note_input(self, what: str) -> None:
-        """Note that an input has just come, and is fit for use."""
+        """Note that a usable input has just arrived."""
         self._heard[what] = self._ages.now()
         if self._wall is not None:
             self._wall.note_input(what)
 
     def age(self, what: str) -> float:
-        """Return how long ago an input came [s], infinite where it never did, or wall time says that it stays away."""
+        """Return the age of an input [s]; infinite before the first, and where it is overdue in wall time."""
         at = self._heard[what]
         if at is None or (self._wall is not None and self._wall.overdue(what)):
             return math.inf
@@ -139,7 +139,7 @@ class VelocityNode(SuiteNode):
         """Return a command (2,), cut off at the limits.
 
         Raises:
-            VelocityError: it is not finite.
+            VelocityError: It is not finite.
         """
         v, omega = command.tolist()
         if not (math.isfinite(v) and math.isfinite(omega)):
@@ -149,14 +149,14 @@ class VelocityNode(SuiteNode):
     def drive(self, command: NDArray[np.float64], stamp: Stamp | None = None) -> NDArray[np.float64]:
         """Send speed [m/s] and turn rate [rad/s] (2,), cut off at the limits, and return what was sent.
 
-        While a callback of an input or a timer fails, the robot stands: something is not known, or not watched.
+        While a callback fails, the robot stands: an input may be unknown, or a timer not watched.
 
         Args:
-            command: the command; zeros for a robot that has nothing to do.
-            stamp: time of what it answers; now where left out.
+            command: The command; zeros for a robot that has nothing to do.
+            stamp: Time of what it answers; now where left out.
 
         Raises:
-            VelocityError: it is not finite, or not safe; nothing was sent, and the robot must stand.
+            VelocityError: It is not finite, or not safe; nothing was sent, and the robot must stand.
         """
         if self.faults.failing:
             self.halt(f"callback failed: {self.faults.last}", stamp)
@@ -172,7 +172,7 @@ class VelocityNode(SuiteNode):
         """Return what is safe of a command (2,) within the limits, and why that is not all; override it.
 
         Raises:
-            VelocityError: the robot must stand.
+            VelocityError: The robot must stand.
         """
         return command, ""
 
@@ -180,8 +180,8 @@ class VelocityNode(SuiteNode):
         """Send zero velocity, and say why where it is news.
 
         Args:
-            problem: the reason, for the log and for `diagnostics`.
-            stamp: time of what it answers; now where left out.
+            problem: The reason, for the log and for `diagnostics`.
+            stamp: Time of what it answers; now where left out.
         """
         if not self.settings["dry_run"]:
             self._send(_STAND, stamp)

@@ -1,4 +1,4 @@
-"""Ages of inputs in wall time, for nodes whose own clock is simulated and may stand still."""
+"""Time-outs of inputs in wall time, for nodes whose own clock is simulated and may stand still."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ WALL_TIMEOUT = Parameter(
 
 
 class WallClockTimeout:
-    """Looks at the ages of inputs on a steady clock.
+    """Watches the ages of inputs on a steady clock.
 
     It waits longer than the node's own time-out, since a simulation may run slower than real time. In a paused one it
     lets the robot stand, which a robot does anyway where no time passes.
     """
 
     def __init__(self, node: SuiteNode, look: Callable[[], None]) -> None:
-        """Begin.
+        """Start the watch.
 
         Args:
-            node: A node with the parameter WALL_TIMEOUT.
-            look: Called several times in each time-out.
+            node: Node with the parameter WALL_TIMEOUT.
+            look: Callback that runs four times in each time-out.
         """
         self._limit: float = node.settings[WALL_TIMEOUT.name]
         self._heard: dict[str, float] = {}

@@ -1,4 +1,4 @@
-"""When the robot gets a command and when it gets zero: pure logic, steady time is passed in."""
+"""Decides when a robot gets its commands and when it gets zero, without ROS; steady time is an argument."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ class Watchdog:
 
     Attributes:
         silent: Whether zeros took the place of commands.
-        overslept: How often this process was frozen for longer than the time-out.
+        overslept: Number of times that this process was frozen for longer than the time-out.
     """
 
     def __init__(self, now: float, timeout: float, period: float, repeat_for: float) -> None:
@@ -22,7 +22,7 @@ class Watchdog:
             now: Steady time [s].
             timeout: Age of the last command that stops the robot [s].
             period: Time between two calls of `tick` [s].
-            repeat_for: How long zeros repeat [s]; 0 for as long as the input is silent.
+            repeat_for: Time that zeros repeat [s]; 0 for as long as the input is silent.
         """
         self._timeout, self._period, self._repeat_for = timeout, period, repeat_for
         self._passed_at: float | None = None

@@ -39,7 +39,7 @@ class WatchdogNode(SuiteNode):
         Parameter(
             "repeat_for",
             5.0,
-            "How long zeros repeat after commands stopped coming [s]; 0.0 for as long as none come.",
+            "Time that zeros repeat after commands stopped coming [s]; 0.0 for as long as none come.",
             0.0,
             3600.0,
         ),
@@ -172,7 +172,7 @@ def refusal(twist: Twist, largest_speed: float, largest_turn_rate: float) -> str
     """Return why a command may not go to the robot, empty where it may.
 
     Args:
-        twist: The command.
+        twist: Command to check.
         largest_speed: Limit of each linear component [m/s].
         largest_turn_rate: Limit of each angular component [rad/s].
     """

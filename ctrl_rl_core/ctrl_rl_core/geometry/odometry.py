@@ -41,10 +41,10 @@ class OdometryReader:
     """Reads the state of one kind of robot from odometry messages.
 
     Args:
-        names: the state's components, in order: those of a model in the x-y or the x-z plane.
+        names: The state's components, in order: those of a model in the x-y or the x-z plane.
 
     Raises:
-        OdometryError: odometry does not tell one of them.
+        OdometryError: Odometry does not tell one of them.
     """
 
     def __init__(self, names: Sequence[str]) -> None:

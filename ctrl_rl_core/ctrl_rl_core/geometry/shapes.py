@@ -20,9 +20,9 @@ class Box:
     """A rectangle.
 
     Attributes:
-        centre: (2,) [m].
-        size: full side lengths along its own axes (2,) [m].
-        angle: rotation of its own axes, counter-clockwise [rad].
+        centre: Position of the middle (2,) [m].
+        size: Full side lengths along its own axes (2,) [m].
+        angle: Rotation of its own axes, counter-clockwise [rad].
     """
 
     centre: tuple[float, float]
@@ -115,8 +115,8 @@ class Arc:
     """A piece of a path with constant curvature.
 
     Attributes:
-        length: [m].
-        curvature: turn per length, positive to the left [rad/m]; 0 for a straight piece.
+        length: Length along the arc [m].
+        curvature: Turn per length, positive to the left [rad/m]; 0 for a straight piece.
     """
 
     length: float
@@ -128,9 +128,9 @@ class ArcPath:
     """A smooth plane path of arcs, from `start` in direction `heading`.
 
     Attributes:
-        arcs: the pieces, in order; tangents are continuous.
-        start: first point (2,) [m].
-        heading: direction at the first point [rad].
+        arcs: The pieces, in order; tangents are continuous.
+        start: First point (2,) [m].
+        heading: Direction at the first point [rad].
     """
 
     arcs: tuple[Arc, ...]
@@ -161,8 +161,8 @@ class ArcPath:
         """Return arc length [m] and signed lateral offset [m], positive to the left, of the nearest path point.
 
         Args:
-            points: (..., 2) [m].
-            step: resolution of the search [m]; the result is refined within it by projection on the tangent.
+            points: Positions (..., 2) [m].
+            step: Resolution of the search [m]; the result is refined within it by projection on the tangent.
         """
         points = np.asarray(points, dtype=float)
         s = np.linspace(0.0, self.length, max(2, int(np.ceil(self.length / step)) + 1))
@@ -179,12 +179,12 @@ class ArcPath:
         """Return boxes that line both sides of the path at distance width / 2, without gaps.
 
         Args:
-            width: free width between the walls [m].
-            thickness: of the walls, outwards [m].
-            largest_sag: how far a straight box may cut into the free width at its middle or ends [m].
+            width: Free width between the walls [m].
+            thickness: Thickness of the walls, outwards [m].
+            largest_sag: Largest cut of a straight box into the free width, at its middle or ends [m].
 
         Raises:
-            ValueError: the path turns tighter than half the width.
+            ValueError: The path turns tighter than half the width.
         """
         boxes: list[Box] = []
         begin = 0.0
@@ -204,13 +204,13 @@ class ArcPath:
 
 @dataclass(frozen=True)
 class World:
-    """The solid things of one episode.
+    """Walls and obstacles of one episode.
 
     Attributes:
-        walls: around the arena or along the corridor.
-        obstacles: inside it.
-        path: the corridor's middle line, None in an arena.
-        width: the corridor's free width [m], None in an arena.
+        walls: Boxes around the arena or along the corridor.
+        obstacles: Fixed obstacles within the walls.
+        path: The corridor's middle line, None in an arena.
+        width: The corridor's free width [m], None in an arena.
     """
 
     walls: tuple[Box, ...]

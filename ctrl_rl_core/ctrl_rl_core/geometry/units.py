@@ -66,11 +66,11 @@ def parse_scalar(text: object, unit: str) -> float:
     """Return `0.7 m` in SI units.
 
     Args:
-        text: a number and a unit of the same kind as `unit`; for the unit "1" the number alone.
-        unit: the SI unit wanted, a key of the table above.
+        text: A number and a unit of the same kind as `unit`; for the unit "1" the number alone.
+        unit: The SI unit wanted, a key of the table above.
 
     Raises:
-        ValueError: no number, no unit or a unit of another kind.
+        ValueError: No number, no unit or a unit of another kind.
     """
     number, factor = _split(text, unit)
     return _number(number, text, factor, unit)
@@ -80,7 +80,7 @@ def parse_interval(text: object, unit: str) -> Interval:
     """Return `low .. high unit` in SI units; a single quantity is an interval of length zero.
 
     Raises:
-        ValueError: as `parse_scalar`, or low > high.
+        ValueError: As `parse_scalar`, or low > high.
     """
     body, factor = _split(text, unit)
     low, dots, high = body.partition("..")
@@ -97,7 +97,7 @@ def parse_vector(text: object, unit: str, size: int) -> tuple[float, ...]:
     """Return `(a, b) unit` in SI units.
 
     Raises:
-        ValueError: as `parse_scalar`, or not `size` numbers in parentheses.
+        ValueError: As `parse_scalar`, or not `size` numbers in parentheses.
     """
     body, factor = _split(text, unit)
     if not (body.startswith("(") and body.endswith(")")):

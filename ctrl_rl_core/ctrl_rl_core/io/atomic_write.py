@@ -1,4 +1,4 @@
-"""Files that are there whole or not at all."""
+"""Writes files atomically: a reader never sees half a file."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from pathlib import Path
 
 
 def atomic_write(path: Path, content: bytes | str) -> None:
-    """Write a file through a temporary one beside it; text as UTF-8. A reader or a crash never meets half of it.
+    """Write a file through a temporary one beside it; text as UTF-8. A crash leaves the old file or the new one.
 
     Raises:
-        OSError: the disk refuses; it names the file, and what was there before still is.
+        OSError: The file cannot be written; the error names it, and the old file is still there.
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
@@ -28,5 +28,5 @@ def atomic_write(path: Path, content: bytes | str) -> None:
 
 
 def is_temporary(path: Path) -> bool:
-    """Whether a file is one that `atomic_write` writes through, or was killed over."""
+    """Tell whether a file is a temporary one of `atomic_write`, left by a run that was killed."""
     return re.fullmatch(r"\..+\.\d+\.tmp", path.name) is not None

@@ -37,11 +37,11 @@ def read_arrays(path: str | os.PathLike[str], names: Sequence[str], largest: int
     Args:
         path: The file to read.
         names: Names of all arrays in the file.
-        largest: bytes that they may have unpacked, all together.
+        largest: Bytes that they may have unpacked, all together.
 
     Raises:
-        FileError: it is no such archive, too large, or damaged.
-        OSError: it cannot be read.
+        FileError: It is no such archive, too large, or damaged.
+        OSError: It cannot be read.
     """
     content = io.BytesIO(read_bytes(path, largest))
     try:

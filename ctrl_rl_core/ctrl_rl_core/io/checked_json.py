@@ -29,7 +29,7 @@ def parse_json(text: str) -> Any:
     """Return the content of a JSON text; NaN and infinity, which Python writes, are for the schema to refuse.
 
     Raises:
-        FileError: it is not JSON, nested too deeply, or has a key twice.
+        FileError: It is not JSON, nested too deeply, or has a key twice.
     """
     _check_depth(text)
     try:
@@ -47,8 +47,8 @@ def read_json(path: str | os.PathLike[str], largest: float = LARGEST) -> Any:
     """Return the content of a JSON file, without its digest, which is checked.
 
     Raises:
-        FileError: as `parse_json`, the file is none or too large, or it is damaged.
-        OSError: it cannot be read.
+        FileError: As `parse_json`, the file is none or too large, or it is damaged.
+        OSError: It cannot be read.
     """
     content = parse_json(as_text(read_bytes(path, largest)))
     if not isinstance(content, dict):

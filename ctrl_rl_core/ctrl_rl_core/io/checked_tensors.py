@@ -69,7 +69,7 @@ def encode_tensors(tensors: Mapping[str, NDArray[Any]], key: str, header: Mappin
     """Return the bytes of a file, the same for the same tensors and header.
 
     Args:
-        tensors: by name.
+        tensors: Arrays by the name of the tensor.
         key: Metadata key that marks the kind of file.
         header: JSON, without the digest.
     """
@@ -84,7 +84,7 @@ def kind_of(path: str | os.PathLike[str]) -> tuple[str, ...]:
     """Return the keys of a file's metadata, which say what kind of file it is.
 
     Raises:
-        FileError, OSError: as `read_tensors`.
+        FileError, OSError: As `read_tensors`.
     """
     with open_file(path, math.inf) as (file, size):
         return tuple(_parse_head(file.read(8 + min(size, LARGEST_HEADER)), size)[0])
@@ -103,14 +103,14 @@ def read_tensors(
     Args:
         path: The file to read.
         key: Metadata key that marks the kind of file.
-        largest: bytes that it may have; None for as many as the memory takes.
+        largest: Bytes that it may have; None for as many as the memory takes.
         types: Allowed types of the tensors.
-        finite: whether NaN and infinity are refused.
-        with_digest: whether the file's own SHA-256 is wanted, for which it is gone through once more.
+        finite: Whether NaN and infinity are refused.
+        with_digest: Whether the file's own SHA-256 is wanted, for which it is gone through once more.
 
     Raises:
-        FileError: it is no such file, too large, damaged, or holds other tensors.
-        OSError: it cannot be read.
+        FileError: It is no such file, too large, damaged, or holds other tensors.
+        OSError: It cannot be read.
     """
     with open_file(path, available() if largest is None else largest) as (file, size):
         head = file.read(min(size, 8))

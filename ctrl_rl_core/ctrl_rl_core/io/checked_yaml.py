@@ -21,8 +21,8 @@ def read_yaml(path: str | os.PathLike[str]) -> Any:
     """Return the content of a YAML file that people write.
 
     Raises:
-        FileError: as `parse_yaml`, or the file is none or too large.
-        OSError: it cannot be read.
+        FileError: As `parse_yaml`, or the file is none or too large.
+        OSError: It cannot be read.
     """
     return parse_yaml(read_bytes(path, LARGEST))
 
@@ -31,7 +31,7 @@ def parse_yaml(content: bytes) -> Any:
     """Return the content of a YAML file.
 
     Raises:
-        FileError: it is not YAML, nested too deeply, has a key twice, or names parts of itself.
+        FileError: It is not YAML, nested too deeply, has a key twice, or names parts of itself.
     """
     try:
         return yaml.load(as_text(content), _Loader)

@@ -1,9 +1,9 @@
-"""The door that every file of others comes through: regular files of a bounded size, and errors of one line.
+"""Opens files that may be hostile: regular ones of a bounded size only, with errors of one line.
 
     with raise_as(TaskError, path):
         content = parse_yaml(read_bytes(path, 1_000_000))
 
-Whatever is wrong in there is a `TaskError` that names the file.
+Any fault within the block becomes a `TaskError` that names the file.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _LONGEST_NAME = 200
 
 
 class FileError(CtrlRlError):
-    """A file cannot be taken; the message does not name it, see `raise_as`."""
+    """A file is refused; the message does not name it, `raise_as` adds the name."""
 
 
 def one_line(text: object, longest: int = LONGEST_ERROR) -> str:
@@ -40,7 +40,7 @@ def one_line(text: object, longest: int = LONGEST_ERROR) -> str:
 
 
 def short_repr(value: object) -> str:
-    """Return a wrong value as an error shows it."""
+    """Return a wrong value as one short piece of an error message."""
     if isinstance(value, int) and not isinstance(value, bool) and abs(value) >= 10**LONGEST_VALUE:
         return "a number of more than 60 digits"
     if isinstance(value, str):
@@ -51,19 +51,19 @@ def short_repr(value: object) -> str:
 
 
 def short_path(path: str | os.PathLike[str]) -> str:
-    """Return a path as an error shows it: of a long one the end."""
+    """Return a path as one short piece of an error message; of a long one the end."""
     said = os.fspath(path)
     return one_line(said if len(said) <= _LONGEST_NAME else f"...{said[-_LONGEST_NAME:]}", 2 * _LONGEST_NAME)
 
 
 @contextmanager
 def raise_as(kind: type[CtrlRlError], path: str | os.PathLike[str], advice: str = "") -> Iterator[None]:
-    """Turn whatever is wrong with a file into an error of the package's own, of one line that begins with its name.
+    """Turn any fault of a file into one class of error, with one line that begins with the file's name.
 
     Args:
-        kind: class of the error.
-        path: file that is read.
-        advice: Sentence that tells the user how to mend a bad file.
+        kind: Class of the error to raise.
+        path: Path of the file that is read.
+        advice: Sentence that tells the user how to repair a bad file.
     """
     try:
         yield
@@ -87,8 +87,8 @@ def open_file(path: str | os.PathLike[str], largest: float) -> Iterator[tuple[Bi
     """Open a regular file of at most `largest` bytes; give it and its size [bytes].
 
     Raises:
-        FileError: there is no such file, it is a folder, a pipe or a device, or it is too large.
-        OSError: it cannot be read.
+        FileError: There is no such file, it is a folder, a pipe or a device, or it is too large.
+        OSError: It cannot be read.
     """
     try:
         # A pipe would keep us waiting for somebody to write into it.
@@ -113,7 +113,7 @@ def read_bytes(path: str | os.PathLike[str], largest: float) -> bytes:
     """Return the content of a regular file of at most `largest` bytes.
 
     Raises:
-        FileError, OSError: as `open_file`.
+        FileError, OSError: As `open_file`.
     """
     with open_file(path, largest) as (file, size):
         return file.read(size)
@@ -123,7 +123,7 @@ def as_text(content: bytes) -> str:
     """Return the text of a file.
 
     Raises:
-        FileError: it is not UTF-8.
+        FileError: It is not UTF-8.
     """
     try:
         return content.decode()
@@ -135,8 +135,8 @@ def first_error(error: ValidationError, hidden: tuple[str, ...] = ()) -> str:
     """Return the first of a schema's complaints as `key.key: what is wrong`, and how many more there are.
 
     Args:
-        error: what the schema raised.
-        hidden: parts of keys that are the schema's own and not the file's.
+        error: Error that the schema raised.
+        hidden: Parts of keys that belong to the schema and not to the file.
     """
     errors = error.errors(include_url=False, include_context=False)
     first: Any = errors[0]

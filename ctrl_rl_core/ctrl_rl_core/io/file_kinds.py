@@ -1,4 +1,4 @@
-"""The suite's safetensors files by the key of their header: what each is, and what takes it."""
+"""Descriptions of the suite's safetensors files, by the key of their header."""
 
 from __future__ import annotations
 
@@ -15,5 +15,5 @@ KINDS = {
 
 
 def describe_kind(key: str) -> str:
-    """Return what a file with this key in its header is, and what takes it; for unknown keys the key itself."""
+    """Return the description of a file with this key in its header; for an unknown key the key itself."""
     return KINDS.get(key, f"'{key}'")

@@ -91,11 +91,11 @@ def write_results(
     """Write an experiment's rows, with the command and commit that gave them; the file is there whole or not at all.
 
     Args:
-        path: of the file; replaced if it exists.
-        experiment: its name.
-        seeds: that it ran with.
-        rows: the table.
-        figures: what its pictures are drawn from, as JSON.
+        path: Path of the file, which is replaced if it exists.
+        experiment: Name of the experiment.
+        seeds: That it ran with.
+        rows: Rows of the results table.
+        figures: Data of its plots, as JSON.
     """
     content: dict[str, Any] = {
         "experiment": experiment,
@@ -125,7 +125,7 @@ def read_results(folder: Path) -> list[Experiment]:
     """Return every experiment of a folder; benchmark rows, a list, are not one.
 
     Raises:
-        ResultsError: a file is damaged, or not what `write_results` wrote.
+        ResultsError: A file is damaged, or not what `write_results` wrote.
     """
     out = []
     for file in sorted(folder.glob("*.json")):
@@ -140,7 +140,7 @@ def read_benchmarks(file: Path) -> list[Benchmark]:
     """Return the rows that `make bench` wrote; none where it has not run.
 
     Raises:
-        ResultsError: the file holds something else.
+        ResultsError: The file holds something else.
     """
     if not file.exists():
         return []

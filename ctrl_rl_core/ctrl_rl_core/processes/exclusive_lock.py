@@ -1,4 +1,4 @@
-"""Work in a folder that one process at a time may do."""
+"""A lock on a folder that one process at a time holds."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ class LockError(CtrlRlError):
 
 @contextmanager
 def exclusive_lock(lock: Path) -> Iterator[None]:
-    """Keep others that ask for the same lock out meanwhile; it ends with the process, however that ends.
+    """Hold a lock within the block; it ends with the process, however that ends.
 
     Args:
-        lock: empty file in the folder of the work, made here and left there.
+        lock: Path of an empty file in the folder, which is created and left there.
 
     Raises:
-        LockError: another process has it.
-        OSError: the folder is missing or cannot be written to.
+        LockError: Another process holds it.
+        OSError: The folder is missing or cannot be written to.
     """
     with lock.open("w") as file:
         try:

@@ -1,4 +1,4 @@
-"""What answers the signals that end a command, for a while."""
+"""Temporary handlers of the signals that end a command."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from contextlib import contextmanager
 from types import FrameType
 
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
-"""What a terminal's Ctrl-C and whoever supervises a process send to end it."""
+"""Signals of a terminal's Ctrl-C and of a supervisor that ends a process."""
 
 Handler = Callable[[int, FrameType | None], object] | signal.Handlers
 
 
 @contextmanager
 def handle_signals(handler: Handler, numbers: Sequence[int] = STOP_SIGNALS) -> Iterator[None]:
-    """Let `handler` answer these signals within the block. It works in the main thread alone."""
+    """Handle signals by `handler` within the block. It works in the main thread only."""
     before = {number: signal.signal(number, handler) for number in numbers}
     try:
         yield

@@ -1,4 +1,4 @@
-"""Work in several processes that ends when told to: Ctrl-C is for the main one, a dead parent leaves no orphan."""
+"""Maps a function over items in several processes, which end with their parent and leave Ctrl-C to it."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Answer = TypeVar("Answer")
 _TICK = 1.0
 
 CONTEXT = multiprocessing.get_context("spawn")
-"""A forked copy of threads and of a library's state is no safe place to work in."""
+"""Spawned, because a forked copy of threads and of libraries' state is unsafe."""
 
 
 class WorkersError(CtrlRlError):
@@ -36,19 +36,19 @@ def map_in_processes(
     terms: tuple[Any, ...] = (),
     tick: Callable[[], None] | None = None,
 ) -> Iterator[Answer]:
-    """Yield the answers as they come, not in the order of the items.
+    """Yield the results as they are ready, not in the order of the items.
 
     Args:
-        work: importable by name; called in a worker, one item at a time.
-        items: begun in this order.
-        workers: how many processes.
-        prepare: importable by name; called once in each worker with `terms`.
-        terms: see `prepare`.
-        tick: called here about once a second, e.g. to show progress.
+        work: Function of one item; importable by name, called in a worker.
+        items: Arguments of `work`, begun in this order.
+        workers: Number of processes.
+        prepare: Function that runs once in each worker before the first item; importable by name.
+        terms: Arguments of `prepare`.
+        tick: Function that is called in this process about once a second, e.g. to show progress.
 
     Raises:
-        WorkersError: a worker was killed.
-        Exception: whatever `work` raises; what has not begun then is dropped.
+        WorkersError: A worker was killed.
+        Exception: Whatever `work` raises; what has not begun then is dropped.
     """
     with ProcessPoolExecutor(workers, CONTEXT, _begin, (prepare, terms)) as pool:
         with _deaf_to_interrupts():

@@ -21,9 +21,9 @@ class Faults:
     """The failures of one node's callbacks.
 
     Args:
-        react: called with the error after each failure; what it raises is counted too.
-        logger: returns the node's logger.
-        fatal: errors that say that the node cannot do its work any more.
+        react: Called with the error after each failure; what it raises is counted too.
+        logger: Returns the node's logger.
+        fatal: Errors that say that the node cannot do its work any more.
 
     Attributes:
         count: Failures so far.
@@ -54,7 +54,7 @@ class Faults:
 
         Args:
             callback: The function that a timer or a topic calls.
-            source: the topic, or "timer".
+            source: The topic, or "timer".
         """
         name = f"{_name_of(callback)} ({source})"
 

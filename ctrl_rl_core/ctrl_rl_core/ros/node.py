@@ -57,16 +57,16 @@ class SuiteNode(Node):
     `on_callback_error`. Log level debug shows the traceback.
 
     Attributes:
-        PARAMETERS: the table of the node's parameters.
+        PARAMETERS: The table of the node's parameters.
         FATAL: Errors of a callback that end the node, as it cannot do its work any more.
         faults: The failures of its callbacks.
-        executor_name: the kind of the executor that serves it.
-        QUICK: whether to use the events executor: half the latency and CPU of the usual one, whose cost grows with
+        executor_name: The kind of the executor that serves it.
+        QUICK: Whether to use the events executor: half the latency and CPU of the usual one, whose cost grows with
             every timer and service; it knows neither raw subscriptions nor guard conditions.
-        SHARED_MEMORY: whether Fast DDS may use shared memory. What drives a robot does not: a process that is killed
+        SHARED_MEMORY: Whether Fast DDS may use shared memory. What drives a robot does not: a process that is killed
             while it holds a lock there freezes the others. The user's own choice of transports counts, and with
             ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST rmw_fastrtps uses shared memory whatever is chosen.
-        settings: their values by name; kept up to date where `ros2 param set` changes them.
+        settings: Their values by name; kept up to date where `ros2 param set` changes them.
     """
 
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = ()
@@ -102,7 +102,7 @@ class SuiteNode(Node):
         """Act on a live parameter that now has another value; override it where it matters.
 
         Raises:
-            CtrlRlError: the value does not serve; the parameter keeps the one it had.
+            CtrlRlError: The value does not serve; the parameter keeps the one it had.
         """
 
     def stop(self) -> None:

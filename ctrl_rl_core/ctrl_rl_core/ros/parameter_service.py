@@ -21,8 +21,8 @@ class CheckedParameterService(ParameterService):
     """The six parameter services of a node; a bad request is answered and counted, and never raises.
 
     Args:
-        node: whose parameters are served.
-        refused: called with the reason for each request that makes no sense.
+        node: Whose parameters are served.
+        refused: Called with the reason for each request that makes no sense.
     """
 
     def __init__(self, node: Node, refused: Callable[[str], None]) -> None:

@@ -36,14 +36,14 @@ class Parameter:
     """One parameter of a node; its type is that of the default.
 
     Attributes:
-        name: as on the command line, `-p name:=value`.
-        default: the one default.
-        description: meaning, with the unit in brackets.
-        minimum: least value allowed, None for no bound.
-        maximum: largest value allowed, None for no bound.
-        choices: the texts allowed; empty for any.
-        live: whether `ros2 param set` may change it while the node runs.
-        kind: what a text is: any; the name or path of a file, `~` at its start for the home folder; a name of ROS.
+        name: As on the command line, `-p name:=value`.
+        default: The one default.
+        description: Meaning, with the unit in brackets.
+        minimum: Least value allowed, None for no bound.
+        maximum: Largest value allowed, None for no bound.
+        choices: The texts allowed; empty for any.
+        live: Whether `ros2 param set` may change it while the node runs.
+        kind: Meaning of a text: any; the name or path of a file, with `~` for the home folder; or a ROS name.
     """
 
     name: str
@@ -89,7 +89,7 @@ class Parameter:
         """Return `value` as the node works with it.
 
         Raises:
-            ParameterError: it is of another type, no finite number, not one of the choices, too long, or no name or
+            ParameterError: It is of another type, no finite number, not one of the choices, too long, or no name or
                 path.
         """
         kind = type(self.default)
@@ -146,7 +146,7 @@ def check_all(table: Iterable[Parameter], values: Mapping[str, Any]) -> dict[str
     """Return those `values` that are in the table, as the node works with them.
 
     Raises:
-        ParameterError: one is not allowed.
+        ParameterError: One is not allowed.
     """
     return {each.name: each.check(values[each.name]) for each in table if each.name in values}
 
@@ -155,7 +155,7 @@ def declare(node: Node, table: Iterable[Parameter]) -> dict[str, Any]:
     """Declare a table of parameters on a node and return their values by name.
 
     Raises:
-        ParameterError: a value given at start has a wrong type or is not allowed.
+        ParameterError: A value given at start has a wrong type or is not allowed.
     """
     values: dict[str, Any] = {}
     overrides = node._parameter_overrides

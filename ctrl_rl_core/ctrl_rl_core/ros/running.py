@@ -48,7 +48,7 @@ class _Stop:
     """What SIGINT and SIGTERM do: they ask for the end, and cut off what says that it may be.
 
     Attributes:
-        asked: whether one has come.
+        asked: Whether one has come.
     """
 
     def __init__(self) -> None:
@@ -141,7 +141,7 @@ def _check_open_files() -> None:
     """Raise the limit of open files as far as it may be where it is too low for a node.
 
     Raises:
-        ParameterError: it may not be raised that far; the middleware would fail anywhere, or serve half of its topics.
+        ParameterError: It may not be raised that far; the middleware would fail anywhere, or serve half of its topics.
     """
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     if soft >= _LEAST_FILES or soft == resource.RLIM_INFINITY:
@@ -155,7 +155,7 @@ def _check_log_folder() -> None:
     """Find out whether ROS can write its log, before it says so in many lines.
 
     Raises:
-        ParameterError: it cannot.
+        ParameterError: It cannot.
     """
     given, home = os.environ.get("ROS_LOG_DIR"), os.environ.get("HOME")
     ros_home = os.environ.get("ROS_HOME") or (f"{home}/.ros" if home else "")

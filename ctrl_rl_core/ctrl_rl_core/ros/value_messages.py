@@ -52,13 +52,13 @@ def slice_message(function: ValueFunction, at: Mapping[str, float], stamp: Time,
     """Return the values over the plane of positions, as a map: 0 the least, 100 the largest, -1 unreachable.
 
     Args:
-        function: over positions x, y or x, z and more.
-        at: the other components [their unit]; 0 where left out.
-        stamp: of the message.
-        frame: of the positions; a map lies in x-y, an x-z plane is shown lying down.
+        function: Over positions x, y or x, z and more.
+        at: The other components [their unit]; 0 where left out.
+        stamp: Time stamp of the message.
+        frame: Frame of the positions; a map lies in x-y, so an x-z plane is shown lying down.
 
     Raises:
-        ValueFunctionError: there is no plane of positions, or `at` names what the state lacks.
+        ValueFunctionError: There is no plane of positions, or `at` names what the state lacks.
     """
     plane = plane_of(function)
     first, second = plane.first, plane.second

@@ -47,8 +47,8 @@ class ValueServer(SuiteNode):
     """Publishes one StateValue for each odometry message, ~/grid and ~/slice latched; answers ~/query and ~/reload.
 
     Attributes:
-        TOPIC: where the StateValue goes.
-        KIND: of the value functions that the node serves.
+        TOPIC: Where the StateValue goes.
+        KIND: Kind of value function that the node serves.
     """
 
     TOPIC: ClassVar[str]
@@ -73,7 +73,7 @@ class ValueServer(SuiteNode):
         """Read a file.
 
         Raises:
-            CtrlRlError: it is missing or wrong.
+            CtrlRlError: It is missing or wrong.
         """
 
     @abstractmethod
@@ -81,7 +81,7 @@ class ValueServer(SuiteNode):
         """Return what is called with each odometry message, its state (n,) and value, before the StateValue goes out.
 
         Raises:
-            CtrlRlError: the function does not serve; what is served stays.
+            CtrlRlError: The function does not serve; what is served stays.
         """
 
     def status(self) -> Status:

@@ -74,16 +74,16 @@ class System:
         """State derivative f(x, u, d) in units per second.
 
         Args:
-            x: states, shape (..., n); for CasADi (n, N), one state a column.
-            u: controls, shape (..., m) or (m, N); broadcast against x.
-            d: disturbances shaped like x, or None for zero.
-            math: the namespace of cos, sin, tan: numpy, or the casadi module.
+            x: States, shape (..., n); for CasADi (n, N), one state a column.
+            u: Controls, shape (..., m) or (m, N); broadcast against x.
+            d: Disturbances shaped like x, or None for zero.
+            math: The namespace of cos, sin, tan: numpy, or the casadi module.
 
         Returns:
             An array (..., n), or for CasADi an (n, N) expression.
 
         Raises:
-            SystemModelError: a number of components that is not the system's.
+            SystemModelError: A number of components that is not the system's.
         """
         n, m = len(self.states), len(self.controls)
         disturbance = (0.0,) * n if d is None else _components(d, n, f"{self.name}: d", math)
@@ -136,14 +136,14 @@ def make_system(
     """Make the system `name` of thesis Table 3.1 with some numbers replaced.
 
     Args:
-        name: dubins_car, extended_dubins_car, bicycle, planar_quadrotor, quadrotor_rotation or point_mass.
-        parameters: constants by name, in the units that the model declares.
+        name: Dubins_car, extended_dubins_car, bicycle, planar_quadrotor, quadrotor_rotation or point_mass.
+        parameters: Constants by name, in the units that the model declares.
         state_bounds: (lower, upper) by state name; may be infinite. A periodic state keeps the length of its period.
         control_bounds: (lower, upper) by control name; equal bounds hold the control at that number.
         disturbance_bounds: (lower, upper) by name, "d_" and the state's name; zero unless given.
 
     Raises:
-        SystemModelError: an unknown name, or numbers that are not finite, not in order or not positive.
+        SystemModelError: An unknown name, or numbers that are not finite, not in order or not positive.
     """
     if name not in SYSTEM_MODELS:
         raise SystemModelError(f"unknown system '{name}'; choose one of {', '.join(SYSTEM_MODELS)}")

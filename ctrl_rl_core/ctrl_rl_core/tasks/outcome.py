@@ -1,4 +1,4 @@
-"""How an episode stands."""
+"""Outcomes of an episode."""
 
 from enum import IntEnum
 
@@ -14,5 +14,5 @@ class Outcome(IntEnum):
 
     @property
     def words(self) -> str:
-        """The outcome as people say it."""
+        """The outcome in words, for people."""
         return {"GOAL": "goal reached", "TRAP": "trapped", "TIMEOUT": "time-out"}.get(self.name, self.name.lower())

@@ -20,8 +20,8 @@ class Region:
     """Intervals of some state components, and optionally a disc of positions; other components are free.
 
     Attributes:
-        intervals: by state name, in SI units.
-        disc: of positions [m], None for none.
+        intervals: By state name, in SI units.
+        disc: Disc of positions [m]; None for no such bound.
     """
 
     intervals: Mapping[str, Interval] = field(default_factory=dict)
@@ -31,11 +31,11 @@ class Region:
         """Return which states lie in the region.
 
         Args:
-            names: components of a state; the first two that are positions (x, y or x, z) meet the disc.
+            names: Components of a state; the first two that are positions (x, y or x, z) meet the disc.
             states: (..., n) in SI units.
 
         Raises:
-            KeyError: the region bounds a component that `names` lacks.
+            KeyError: The region bounds a component that `names` lacks.
         """
         states = np.asarray(states, dtype=float)
         inside = np.ones(states.shape[:-1], dtype=bool)

@@ -28,15 +28,15 @@ def draw_starts(
     In a corridor each further robot is set so much further along the path that two cannot touch.
 
     Args:
-        task: the task whose start set is drawn from.
-        system: the task's system model.
-        world: walls and obstacles.
-        count: the number of robots.
-        radius: the radius of a circle that holds a robot [m].
-        random: the generator that the states are drawn from.
+        task: The task whose start set is drawn from.
+        system: The task's system model.
+        world: Walls and obstacles.
+        count: The number of robots.
+        radius: The radius of a circle that holds a robot [m].
+        random: The generator that the states are drawn from.
 
     Raises:
-        TaskError: the start set has no room for so many robots.
+        TaskError: The start set has no room for so many robots.
     """
     most = 0
     for _ in range(_LAYOUTS):

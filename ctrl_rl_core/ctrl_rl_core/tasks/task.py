@@ -95,7 +95,7 @@ class NavigationTask(TaskHeader):
         """Return walls and obstacles; `width` [m] replaces the corridor's nominal one.
 
         Raises:
-            TaskError: there is no corridor, or its width range does not hold `width`.
+            TaskError: There is no corridor, or its width range does not hold `width`.
         """
         shapes = tuple(obstacle.shape for obstacle in self.obstacles)
         if self.corridor is None:
@@ -124,7 +124,7 @@ def task_file(name_or_path: str | FilePath) -> FilePath:
     """Return the file of a task by name, or the path itself.
 
     Raises:
-        TaskError: the suite has no task of that name.
+        TaskError: The suite has no task of that name.
     """
     path = FilePath(name_or_path)
     if path.suffix in (".yaml", ".yml"):
@@ -141,7 +141,7 @@ def load_task(name_or_path: str | FilePath) -> Task:
     """Read a task by name, or from a file.
 
     Raises:
-        TaskError: no such task, or the file is wrong; the message names file and key.
+        TaskError: No such task, or the file is wrong; the message names file and key.
     """
     path = task_file(name_or_path)
     with raise_as(TaskError, path):
@@ -159,7 +159,7 @@ def load_navigation_task(name_or_path: str | FilePath) -> NavigationTask:
     """Read a task that must be a navigation task.
 
     Raises:
-        TaskError: as `load_task`, or the task is of another kind.
+        TaskError: As `load_task`, or the task is of another kind.
     """
     task = load_task(name_or_path)
     if not isinstance(task, NavigationTask):

@@ -44,11 +44,11 @@ class TaskSets:
     """The sets of one navigation task, over states of its system.
 
     Args:
-        task: the task.
-        width: of its corridor [m], None for the task's own.
+        task: Task whose sets are meant.
+        width: Free width of its corridor [m]; None for the task's own.
 
     Raises:
-        TaskError: the width does not suit the task.
+        TaskError: The width does not suit the task.
     """
 
     def __init__(self, task: NavigationTask, width: float | None = None) -> None:

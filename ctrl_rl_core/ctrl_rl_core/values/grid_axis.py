@@ -21,7 +21,7 @@ class Axis:
     is the same point as `lower` and is not stored.
 
     Raises:
-        GridError: bounds that are not finite or not in order, or fewer than two nodes.
+        GridError: Bounds that are not finite or not in order, or fewer than two nodes.
     """
 
     name: str

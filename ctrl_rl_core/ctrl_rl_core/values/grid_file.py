@@ -52,7 +52,7 @@ class GridText(Schema):
         """Refuse numbers that the file's writer did not write.
 
         Raises:
-            FileError: they have another checksum.
+            FileError: They have another checksum.
         """
         if self.values_sha256 not in (None, values_digest(values)):
             raise FileError("has values that do not match their checksum; copy or compute it again")
@@ -73,7 +73,7 @@ def write(path: Path, content: bytes, *, overwrite: bool) -> None:
     """Write the file, whole or not at all.
 
     Raises:
-        GridError: the file exists and `overwrite` is false, or it cannot be written.
+        GridError: The file exists and `overwrite` is false, or it cannot be written.
     """
     if path.exists() and not overwrite:
         raise GridError(f"{path}: exists already; give another name or ask to overwrite it")
@@ -87,7 +87,7 @@ def read(path: Path) -> tuple[NDArray[Any], tuple[Axis, ...], dict[str, Any]]:
     """Values, axes and the rest of the description of a file.
 
     Raises:
-        FileError, ValidationError, OSError: it is not a whole grid, see `file_checks.raise_as`.
+        FileError, ValidationError, OSError: It is not a whole grid, see `file_checks.raise_as`.
     """
     header, tensors, _ = checked_tensors.read_tensors(path, HEADER_KEY, largest=None, finite=False)
     told = _GridHeader.model_validate(header)

@@ -18,9 +18,9 @@ class Plane:
     """x-y or x-z.
 
     Attributes:
-        names: of the whole state.
-        first: axis drawn to the right.
-        second: axis drawn upwards.
+        names: Names of all states, in the system's order.
+        first: Axis drawn to the right.
+        second: Axis drawn upwards.
     """
 
     names: tuple[str, ...]
@@ -38,9 +38,9 @@ class Plane:
         """Return the states (len(second), len(first), n) over the plane.
 
         Args:
-            first: positions along the first axis [m].
-            second: positions along the second axis [m].
-            at: the other components [their unit]; 0 where left out.
+            first: Positions along the first axis [m].
+            second: Positions along the second axis [m].
+            at: The other components [their unit]; 0 where left out.
 
         Raises:
             ValueFunctionError: `at` names something else.
@@ -62,7 +62,7 @@ def plane_of(function: ValueFunction) -> Plane:
     """Return the plane of a function's positions.
 
     Raises:
-        ValueFunctionError: its state has no two positions.
+        ValueFunctionError: Its state has no two positions.
     """
     names = function.state_names
     indices = position_indices(names)

@@ -67,7 +67,7 @@ def check_function(function: ValueFunction, task: NavigationTask, kind: str) -> 
     """Return whether a function was made for this very version of its task.
 
     Raises:
-        ValueFunctionError: it is of another kind, of another task, or of another state.
+        ValueFunctionError: It is of another kind, of another task, or of another state.
     """
     names = task.system.build().state_names
     if function.kind != kind:

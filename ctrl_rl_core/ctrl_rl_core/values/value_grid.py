@@ -37,19 +37,19 @@ class ValueGrid:
     """A value function on a regular grid of one to six dimensions; immutable.
 
     Attributes:
-        values: shape (count of axis 0, ...), float32 or float64, read-only. A time to reach is not negative and may be
+        values: Shape (count of axis 0, ...), float32 or float64, read-only. A time to reach is not negative and may be
             +inf (cannot reach); an optimal control value is finite.
-        axes: one an index of `values`, in the order of the state's components.
+        axes: One an index of `values`, in the order of the state's components.
         kind: "time_to_reach" (thesis Eq. 2.18) or "oc_value" (thesis Eq. 3.13).
-        task: name of the task that the values belong to.
+        task: Name of the task that the values belong to.
         task_digest: SHA-256 of that task, 64 hexadecimal digits.
-        solver: what computed the values.
-        residual: the solver's last residual [unit of the values], zero or more.
-        notes: anything else worth keeping, text by name.
-        at: value at one state, a C-contiguous float64 array (n,), the quickest way; GridError for another size.
+        solver: Name of the solver that computed the values.
+        residual: The solver's last residual [unit of the values], zero or more.
+        notes: Anything else worth keeping, text by name.
+        at: Value at one state, a C-contiguous float64 array (n,), the quickest way; GridError for another size.
 
     Raises:
-        GridError: anything that contradicts the above.
+        GridError: Anything that contradicts the above.
     """
 
     values: NDArray[np.float32] | NDArray[np.float64]
@@ -107,13 +107,13 @@ class ValueGrid:
         """Values at the states.
 
         Args:
-            states: shape (n,) or (..., n), in the order and units of the axes.
+            states: Shape (n,) or (..., n), in the order and units of the axes.
 
         Returns:
             Shape (...), NaN outside the domain, +inf where the goal cannot be reached [unit of the values].
 
         Raises:
-            GridError: states whose last dimension is not n.
+            GridError: States whose last dimension is not n.
         """
         rows, shape = self._rows(states)
         out = np.empty(len(rows))
@@ -143,7 +143,7 @@ class ValueGrid:
         """Write the grid as one safetensors file, whole or not at all.
 
         Raises:
-            GridError: the file exists and `overwrite` is false, or it cannot be written.
+            GridError: The file exists and `overwrite` is false, or it cannot be written.
         """
         grid_file.write(Path(path), self._encode(), overwrite=overwrite)
 
@@ -152,7 +152,7 @@ class ValueGrid:
         """Read and check a grid.
 
         Raises:
-            GridError: names the file and what is wrong with it.
+            GridError: Names the file and what is wrong with it.
         """
         with raise_as(GridError, path):
             values, axes, text = grid_file.read(Path(path))

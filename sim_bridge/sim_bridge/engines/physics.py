@@ -48,7 +48,7 @@ class Physics:
 
     Attributes:
         client: PyBullet's number of it.
-        rate: physics steps per second [Hz].
+        rate: Physics steps per second [Hz].
         fixed: PyBullet bodies of walls and obstacles.
     """
 
@@ -66,7 +66,7 @@ class Physics:
         """Empty the world, contact caches included, and set the engine up.
 
         Args:
-            gravity: downwards [m/s^2].
+            gravity: Gravity, positive downwards [m/s^2].
         """
         pybullet.resetSimulation(physicsClientId=self.client)
         pybullet.setGravity(0.0, 0.0, -gravity, physicsClientId=self.client)
@@ -105,13 +105,13 @@ class Physics:
         """Load a robot without any damping and return its PyBullet body and the ray mask that overlooks it.
 
         Args:
-            urdf: file name in `urdf/`.
-            position: of its root link [m].
-            yaw: about z [rad].
-            rooted: whether the root link is fixed in space.
+            urdf: File name in `urdf/`.
+            position: Position of the root link (3,) [m].
+            yaw: About z [rad].
+            rooted: Whether the root link is fixed in space.
 
         Raises:
-            SimulationError: too many robots.
+            SimulationError: Too many robots.
         """
         if self._robots == MOST_ROBOTS:
             raise SimulationError(f"a world holds at most {MOST_ROBOTS} robots")
@@ -153,9 +153,9 @@ class Physics:
         """Return the distance of a body to the nearest of `others` [m], negative where they overlap; inf for none.
 
         Args:
-            body: PyBullet body.
-            others: PyBullet bodies.
-            guess: where to begin the search [m]; costs least when a little more than the answer.
+            body: PyBullet's number of the body.
+            others: PyBullet's numbers of the other bodies.
+            guess: Where to begin the search [m]; costs least when a little more than the answer.
         """
         reach = max(guess, 0.05)
         while reach < _SEARCH_LIMIT:

@@ -25,7 +25,7 @@ class Frames:
     """Topics and frames of one robot: `scan` and `base_link`, or `robot1/scan` and `robot1/base_link`.
 
     Attributes:
-        namespace: of the robot, empty for none.
+        namespace: Namespace of the robot; empty for none.
         plane: "xy" or "xz".
     """
 

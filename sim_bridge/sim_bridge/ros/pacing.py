@@ -21,8 +21,8 @@ class Pacer:
         """Return the whole steps due.
 
         Args:
-            now: steady wall time [s].
-            factor: simulation time per wall time.
+            now: Steady wall time [s].
+            factor: Simulation time per wall time.
         """
         gap = 0.0 if self._last is None else min(now - self._last, LONGEST_GAP)
         self._last = now
@@ -46,8 +46,8 @@ class SpeedMeter:
         """Return the factor since the last reading; NaN for the first.
 
         Args:
-            now: steady wall time [s].
-            simulated: simulation time [s].
+            now: Steady wall time [s].
+            simulated: Simulation time [s].
         """
         begin, self._begin = self._begin, (now, simulated)
         if begin is None or now <= begin[0]:
@@ -63,7 +63,7 @@ class Schedule:
 
         Args:
             frequency: [Hz]; at most `rate`.
-            rate: physics steps per second [Hz].
+            rate: Physics steps per second [Hz].
         """
         self._period = max(1.0, rate / frequency)
         self._count = 0

@@ -60,7 +60,7 @@ def simulation_options(settings: Mapping[str, Any]) -> SimulationOptions:
     """Return the options that the parameters ask for.
 
     Raises:
-        ParameterError: two of them contradict each other.
+        ParameterError: Two of them contradict each other.
     """
     if settings["randomise_width"] and settings["corridor_width"] > 0.0:
         raise ParameterError("parameters 'corridor_width' and 'randomise_width' contradict each other: set one of them")

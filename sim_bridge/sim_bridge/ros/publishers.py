@@ -26,8 +26,8 @@ class CountedPublisher:
     """A publisher that knows how many messages it sent.
 
     Attributes:
-        topic: its resolved name.
-        count: messages sent.
+        topic: Its resolved name.
+        count: Number of messages sent.
     """
 
     def __init__(self, node: Node, kind: type, topic: str, qos: Any) -> None:
@@ -45,7 +45,7 @@ class RobotPublisher:
     """Scan, odometry, ground truth and episode status of one robot of a world.
 
     Attributes:
-        publishers: one for each topic.
+        publishers: One for each topic.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""Bodies that carry out commands in a physics world, behind one small seam.
+"""Robot bodies that carry out commands in a physics world, behind one protocol.
 
 A body takes two commands, which it limits to what it can do, and says where it is in the task's plane.
 """
@@ -24,14 +24,14 @@ Array = NDArray[np.float64]
 
 
 class Body(Protocol):
-    """What a world needs of a robot.
+    """A robot's body in the physics world.
 
     Attributes:
-        id: PyBullet's number.
-        mask: of rays that overlook it.
-        radius: of a circle around its origin that holds all of it [m].
-        bounds: least and largest commands (2, 2): [v, omega] [m/s, rad/s] or [t1, t2] [N].
-        idle: the command of a robot that nobody commands (2,).
+        id: PyBullet's number of the body.
+        mask: Collision mask of rays that pass through it.
+        radius: Radius of a circle around its origin that holds all of it [m].
+        bounds: Least and largest commands (2, 2): [v, omega] [m/s, rad/s] or [t1, t2] [N].
+        idle: Command of a robot that gets none (2,).
     """
 
     id: int
@@ -61,17 +61,17 @@ class Body(Protocol):
 
 @dataclass(frozen=True)
 class DriveParameters:
-    """What distinguishes one differential drive from another.
+    """Parameters of a differential drive.
 
     Attributes:
-        urdf: its file in `urdf/`; wheels turn about `wheel_left_joint` and `wheel_right_joint`.
-        wheel_radius: [m].
-        wheel_separation: [m].
-        torque: largest of one wheel [N m].
-        lag: time constant of the wheel speed [s].
-        bounds: least and largest v and omega, None for the task's command bounds.
-        base_height: of base_link above base_footprint [m].
-        lidar: position in base_footprint [m].
+        urdf: Name of the file in `urdf/`; wheels turn about `wheel_left_joint` and `wheel_right_joint`.
+        wheel_radius: Radius of the wheels [m].
+        wheel_separation: Distance between the wheels [m].
+        torque: Largest torque of one wheel [N m].
+        lag: Time constant of the wheel speed [s].
+        bounds: Least and largest v [m/s] and omega [rad/s]; None for the task's command bounds.
+        base_height: Height of base_link above base_footprint [m].
+        lidar: Position of the lidar in base_footprint (3,) [m].
     """
 
     urdf: str
@@ -258,7 +258,7 @@ def make_body(physics: Physics, task: NavigationTask, system: System, state: Arr
     """Put the task's robot into the world at a start state (n,), ordered as its system names it.
 
     Raises:
-        SimulationError: the body cannot have such a state.
+        SimulationError: The body cannot have such a state.
     """
     names = system.state_names
     named = dict(zip(names, state.tolist(), strict=True))

@@ -1,4 +1,4 @@
-"""What happens to a command between the network and the motors: limits, and what real firmware does to it."""
+"""The channel of a command from the network to the motors: limits, truncation, delay and time-out."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ class CommandChannel:
     """The last command of one robot, as its motors see it. Times are counted in physics steps.
 
     Attributes:
-        refused: how many commands were not finite numbers.
+        refused: Number of commands that were not finite.
     """
 
     def __init__(self, bounds: Array, idle: Array, truncation: bool = False, delay: int = 0, timeout: int = 0) -> None:
-        """Begin with nobody commanding.
+        """Start without a command.
 
         Args:
-            bounds: least and largest commands (2, 2).
-            idle: what the motors get before the first command and after a time-out (2,).
-            truncation: cut to whole hundredths towards zero, as the TurtleBot3 firmware does.
-            delay: steps from arrival to effect.
-            timeout: steps after which a command no longer holds; 0 for never.
+            bounds: Least and largest commands (2, 2).
+            idle: Command before the first one and after a time-out (2,).
+            truncation: Whether commands are cut to whole hundredths towards zero, as the TurtleBot3 firmware does.
+            delay: Physics steps from arrival to effect.
+            timeout: Physics steps after which a command no longer holds; 0 for never.
         """
         self._bounds, self._idle = bounds, idle
         self._truncation, self._delay, self._timeout = truncation, delay, timeout

@@ -1,4 +1,4 @@
-"""Ground truth about one robot's episode: how it stands, how near it came, how far it got."""
+"""Ground truth about one robot's episode: outcome, clearance and progress."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ Array = NDArray[np.float64]
 
 @dataclass
 class EpisodeState:
-    """One robot's episode.
+    """Outcome, clearance and progress of one robot.
 
     Attributes:
-        outcome: latched by the first terminal event.
-        tilted: whether the collision is a tilt beyond the task's limit.
-        clearance: distance to the nearest wall, obstacle or robot when it was last measured [m].
-        smallest_clearance: the least of it [m].
-        progress: part of the path from start to goal that is done; NaN without a path.
+        outcome: Outcome, latched by the first terminal event.
+        tilted: Whether the collision is a tilt beyond the task's limit.
+        clearance: Distance to the nearest wall, obstacle or robot when it was last measured [m].
+        smallest_clearance: Smallest clearance of the episode [m].
+        progress: Part of the path from start to goal that is done; NaN without a path.
     """
 
     outcome: Outcome = Outcome.RUNNING
@@ -54,7 +54,7 @@ class EpisodeState:
 
 
 class TerminationChecker:
-    """Decides by a task's sets how a robot's episode stands."""
+    """Decides the outcome of an episode by the task's sets."""
 
     def __init__(self, task: NavigationTask, system: System, path: ArcPath | None) -> None:
         self._names = system.state_names if path is None else PATH_NAMES
@@ -73,11 +73,11 @@ class TerminationChecker:
         """Bring an episode up to date.
 
         Args:
-            episode: changed in place.
-            state: as the system names it (n,).
-            pose: x, y, theta or x, z, psi (3,).
-            elapsed: simulation time since the start [s].
-            start_s: where on the path the robot started [m].
+            episode: State of the episode, which is changed in place.
+            state: State in the system's order (n,).
+            pose: Pose x, y, theta or x, z, psi (3,) [m, m, rad].
+            elapsed: Simulation time since the start [s].
+            start_s: Arc length at which the robot started [m].
         """
         if self._path is not None:
             state = self._path(pose)

@@ -29,7 +29,7 @@ class SensorPose:
     """Where a lidar is, and the plane it turns in.
 
     Attributes:
-        origin: (3,) [m].
+        origin: Position of the lidar (3,) [m].
         axes: (2, 3) unit vectors: bearing 0, and bearing 90 deg.
     """
 
@@ -42,11 +42,11 @@ class LidarScan:
     """One turn of a lidar, as sensor_msgs/LaserScan says it.
 
     Attributes:
-        ranges: (beams,) [m].
-        angle_min: bearing of the first beam [rad].
-        angle_increment: from beam to beam [rad].
-        range_min: least distance that the driver claims to measure [m].
-        range_max: largest distance that it claims [m].
+        ranges: Measured distances (beams,) [m].
+        angle_min: Bearing of the first beam [rad].
+        angle_increment: From beam to beam [rad].
+        range_min: Least distance that the driver claims to measure [m].
+        range_max: Largest distance that it claims [m].
     """
 
     ranges: NDArray[np.float32]
@@ -60,11 +60,11 @@ class Lidar:
     """The beams of a task's lidar, or of a real one in its place.
 
     Attributes:
-        spec: the task's.
-        kind: one of `LIDARS`.
-        noise: standard deviation of a range [m].
-        dropout: probability that a beam is lost.
-        bearings: of the task's beams (n,) [rad].
+        spec: Lidar of the task.
+        kind: One of `LIDARS`.
+        noise: Standard deviation of a range [m].
+        dropout: Probability that a beam is lost.
+        bearings: Bearings of the task's beams (n,) [rad].
     """
 
     def __init__(
@@ -88,11 +88,11 @@ class Lidar:
         """Return one turn.
 
         Args:
-            physics: the world to look at.
-            frame: where the sensor is.
-            mask: overlooks the robot that carries it.
-            random: noise, drop-out, and the count of beams where it varies.
-            buried: the sensor is inside a shape, where rays meet no surface: all beams are too close.
+            physics: The world to look at.
+            frame: Where the sensor is.
+            mask: Overlooks the robot that carries it.
+            random: Noise, drop-out, and the count of beams where it varies.
+            buried: The sensor is inside a shape, where rays meet no surface: all beams are too close.
         """
         bearings, increment, (least, largest) = self._beams(random)
         if buried:

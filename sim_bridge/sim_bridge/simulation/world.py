@@ -48,21 +48,21 @@ class _Purpose(IntEnum):
 
 @dataclass(frozen=True)
 class SimulationOptions:
-    """How a world is simulated.
+    """Settings of a simulation.
 
     Attributes:
-        rate: physics steps per second [Hz].
-        gui: show PyBullet's window.
-        scan_noise: standard deviation of a range [m], None for the task's.
-        scan_dropout: probability that a beam is lost, None for the task's.
-        scan_rate: scans per second [Hz], None for the task's.
-        lost_beam: what a lost beam of the task's lidar reads: "nan", "inf" or "zero".
-        lidar: one of `sim_bridge.simulation.lidar.LIDARS`.
-        odom_drift: standard deviation of odometry's relative errors, see `Odometry`.
-        command_truncation: cut commands of a drive to hundredths, as the TurtleBot3 firmware does.
-        command_delay: from arrival of a command to its effect [s].
-        command_timeout: after which a robot goes idle [s]; 0 for never.
-        randomise_width: draw the corridor's width from the task's range at each reset that names none.
+        rate: Physics steps per second [Hz].
+        gui: Whether PyBullet's window is shown.
+        scan_noise: Standard deviation of a range [m]; None for the task's.
+        scan_dropout: Probability that a beam is lost, None for the task's.
+        scan_rate: Scans per second [Hz], None for the task's.
+        lost_beam: Reading of a lost beam of the task's lidar: "nan", "inf" or "zero".
+        lidar: Name of a lidar in `sim_bridge.LIDARS`.
+        odom_drift: Standard deviation of odometry's relative errors.
+        command_truncation: Whether commands of a drive are cut to hundredths, as the TurtleBot3 firmware does.
+        command_delay: Time from the arrival of a command to its effect [s].
+        command_timeout: Age of a command after which the robot goes idle [s]; 0 for never.
+        randomise_width: Whether the corridor's width is drawn from the task's range at each reset that names none.
     """
 
     rate: int = 240
@@ -84,8 +84,8 @@ class OdometryReading:
     """Measured motion.
 
     Attributes:
-        pose: x, y, theta or x, z, psi (3,) [m, m, rad], in a frame that was `map` at the start.
-        velocity: along the body's first and second axis in the plane, and its turn rate (3,) [m/s, m/s, rad/s].
+        pose: Pose x, y, theta or x, z, psi (3,) [m, m, rad], in a frame that was `map` at the start.
+        velocity: Velocity along the body's first and second axis, and its turn rate (3,) [m/s, m/s, rad/s].
     """
 
     pose: Array
@@ -110,14 +110,14 @@ class SimulatedWorld:
     The same seed, options and commands give the same numbers, bit by bit, on the same machine.
 
     Attributes:
-        task: what is simulated.
-        plane: "xy" or "xz".
-        system: the task's model; it names and orders states.
-        options: how it is simulated.
-        geometry: walls and obstacles of this episode.
-        seed: of this episode.
-        lidar: what each robot carries.
-        steps: physics steps since the reset.
+        task: Task that is simulated.
+        plane: Plane of the task, "xy" or "xz".
+        system: Model of the task, which names and orders the states.
+        options: Settings of the simulation.
+        geometry: Walls and obstacles of this episode.
+        seed: Seed of this episode.
+        lidar: Lidar of each robot.
+        steps: Physics steps since the reset.
     """
 
     def __init__(
@@ -131,15 +131,15 @@ class SimulatedWorld:
         """Build a world and its first episode.
 
         Args:
-            task: what to simulate.
-            seed: of the first episode.
-            robots: how many.
-            width: free width of a corridor in every episode [m], None for the task's.
-            options: how to simulate it.
+            task: Task to simulate.
+            seed: Seed of the first episode.
+            robots: Number of robots.
+            width: Free width of a corridor in every episode [m], None for the task's.
+            options: Settings of the simulation; the defaults unless given.
 
         Raises:
-            SimulationError: the robots find no room, or PyBullet gives no client.
-            TaskError: the width does not suit the task.
+            SimulationError: The robots find no room, or PyBullet gives no client.
+            TaskError: The width does not suit the task.
         """
         self.options = options or SimulationOptions()
         self.task = task
@@ -163,7 +163,7 @@ class SimulatedWorld:
         """Build everything anew for an episode; on an error the old one goes on.
 
         Raises:
-            SimulationError, TaskError: as for a new world.
+            SimulationError, TaskError: As for a new world.
         """
         geometry = self.task.build_world(self._draw_width(seed))
         random = np.random.default_rng((seed, 0, _Purpose.START))
@@ -302,7 +302,7 @@ class SimulatedWorld:
         return entry.episode.clearance
 
     def episode(self, robot: int = 0) -> EpisodeState:
-        """Return how the robot's episode stands now."""
+        """Return the state of the robot's episode now."""
         self._bring_up_to_date(robot)
         return self._robots[robot].episode
 
@@ -311,7 +311,7 @@ class SimulatedWorld:
         self._physics.close()
 
     def _check(self) -> None:
-        """Judge all robots and set when to look again: at 30 Hz, or sooner where one could touch something before."""
+        """Check all robots, and set the time of the next check: at 30 Hz, or sooner where one could touch something."""
         for robot in range(self._count):
             self._bring_up_to_date(robot)
         horizon = self._judge_every / self.options.rate

@@ -45,7 +45,7 @@ class SystemSpec(Part):
         """Return the same model with some parameters multiplied, by name.
 
         Raises:
-            ValueError: the model has no such parameter, or it cannot have such a value.
+            ValueError: The model has no such parameter, or it cannot have such a value.
         """
         units = {name: unit_of(name, self._parameter_units()) for name in factors}
         own = self.build().parameters
