@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from ctrl_rl_core.values.jit_cache import cached_njit
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from ttr_reward_node.jit_cache import cached_njit
 from ttr_reward_node.verification.dubins import to_box
 from ttr_reward_node.verification.dubins_words import distance, end_of
 

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 from ctrl_rl_core.io.memory import available
+from ctrl_rl_core.values.jit_cache import cached_njit
 from numba.core.caching import NullCache
 from numba.core.dispatcher import Dispatcher
 from ttr_reward_node.errors import TimeToReachError
-from ttr_reward_node.jit_cache import cached_njit
 from ttr_reward_node.kernels.entry_points import KERNEL_FILES
 from ttr_reward_node.problems.problem import problem_from_task
 from ttr_reward_node.solvers.solver import METHODS, memory_needed, solve

@@ -14,13 +14,14 @@ States outside, and those that are not finite, give NaN. Nothing is extrapolated
 """
 
 from collections.abc import Callable, Sequence
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from ctrl_rl_core.values.grid_axis import Axis, GridError
+from ctrl_rl_core.values.jit_cache import cached_njit
 
 Values = NDArray[np.float32] | NDArray[np.float64]
 Axes = NDArray[np.float64]
@@ -57,10 +58,7 @@ def axis_table(axes: Sequence[Axis]) -> NDArray[np.float64]:
 
 def _compiled(function: Function) -> Function:
     """Compile lazily; keep the machine code on disk (a Raspberry Pi compiles for seconds) where that is possible."""
-    try:
-        return njit(cache=True, **_OPTIONS)(function)
-    except RuntimeError:  # no writable cache folder: a read-only installation without a home
-        return njit(**_OPTIONS)(function)
+    return cast("Function", cached_njit(function, **_OPTIONS))
 
 
 def _inlined(function: Function) -> Function:

@@ -13,7 +13,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ttr_reward_node.jit_cache import cached_njit
+from ctrl_rl_core.values.jit_cache import cached_njit
+
 from ttr_reward_node.kernels import boundary_conditions, lax_friedrichs_sweep, sweep
 
 KERNEL_FILES = ("stencil.py", "row_interpolation.py", "boundary_conditions.py", "sweep.py", "lax_friedrichs_sweep.py")
