@@ -290,16 +290,19 @@ def test_a_request_of_a_higher_epoch_is_not_granted_in_a_lower_one():
     assert core.counts["requests of higher epochs"] == 1
 
 
-def test_a_thawed_coordinator_that_nobody_has_replaced_goes_on_in_its_epoch():
+@pytest.mark.parametrize(("leases", "same_epoch"), [(0.6, True), (0.9, False), (3.0, False)])
+def test_a_thawed_coordinator_that_nobody_has_replaced_goes_on_with_what_it_knows(leases, same_epoch):
     team = Team(7)
     team.advance(1.5)
     alone = team.coordinators[0]
-    old = alone.core.epoch
+    old, ledger = alone.core.epoch, alone.core.ledger
     alone.frozen = True
-    team.advance(3 * TIMES.lease)
+    team.advance(leases * TIMES.lease)
     alone.frozen = False
-    team.advance(1.0)
-    assert alone.core.epoch == old
+    team.advance(1.0 + TIMES.lease)
+    assert (alone.core.epoch == old) is same_epoch
+    assert alone.core.epoch >= old
+    assert alone.core.ledger is ledger
     team.settle()
 
 

@@ -1,7 +1,8 @@
 """A coordinator as one of a team: whom it hears, and whether it is the one that decides. Pure: no ROS, and no clock.
 
 A coordinator that has not run for half a lease, because it was frozen or the machine was busy, is silent for a while:
-another one may have taken over, and what that says is heard first.
+another one may have taken over, and what that says is heard first. After most of a lease its epoch is over for good: it
+listens for a lease as any other does, and decides again in a new epoch only.
 """
 
 from __future__ import annotations
@@ -17,9 +18,13 @@ from option_coordinator.protocol.protocol_types import CoordinatorHeartbeat, Req
 from option_coordinator.protocol.team_settings import CoordinatorTimeouts
 
 LATE = 0.5
+"""Time without a tick after which a coordinator listens before it goes on [leases]."""
 _QUIET = 0.4
+"""How long it then listens [leases]."""
+_REPLACED = 0.8
+"""Time without a tick after which another one may have taken over: the last heartbeat may have been older [leases]."""
 _FROZEN = 8.0
-"""Leases without a tick after which it listens before it goes on, how long it listens, and when it begins anew."""
+"""Time without a tick after which what is known of the robots is too old to start from [leases]."""
 
 
 class Replica:
@@ -101,9 +106,11 @@ class Replica:
         if now.steady >= self._quiet_until:
             self.counts["late ticks"] += 1
         self._quiet_until = now.steady + _QUIET * self._timeouts.lease
-        if self.epoch and gap > _FROZEN:
+        if self.epoch and gap > _REPLACED:
+            self.counts["epochs given up"] += 1
             self._election.listen(now.steady)
-            self._step_down(now)
+            if gap > _FROZEN:
+                self._step_down(now)
 
     def _decides(self, now: ClockReading) -> bool:
         """Whether this coordinator decides, and is sure of it."""
