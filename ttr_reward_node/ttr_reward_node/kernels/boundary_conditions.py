@@ -1,4 +1,4 @@
-"""What becomes of steps near target and obstacles, between the nodes; found once, before the sweeps; compiled."""
+"""Outcomes of the steps near target and obstacles, between the nodes; found once, before the sweeps; compiled."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from ttr_reward_node.kernels.stencil import Grid
+from ttr_reward_node.kernels.stencil import Grid, StepTable
 
 FREE, NEAR, FIXED = 0, 1, 2
 """Flags of nodes: far from everything; within reach of target or obstacle; in one of them."""
@@ -23,9 +23,11 @@ class BoundaryConditions(NamedTuple):
     """Target and obstacles for compiled code, axes in the layout's order.
 
     Attributes:
-        box: intervals of the target (n, 2) [cells], infinite where it is free.
-        disc: centre (2) from the first node, radius [m], spacings (2) [m]; disc_axes: its axes, -1 for none.
-        clearance: at the nodes (count, count) [m]; clearance_axes: its axes, twice the same for one, -1 for none.
+        box: Intervals of the target (n, 2) [cells], infinite where it is free.
+        disc: Centre (2) from the first node and radius [m], then spacings (2) [m] of the target's disc.
+        disc_axes: Indices of the disc's two axes, -1 for no disc.
+        clearance: Distance to the nearest obstacle at the nodes (count, count) [m].
+        clearance_axes: Indices of the clearance's axes, twice the same for one axis, -1 for no obstacles.
     """
 
     box: NDArray[np.float64]
@@ -39,19 +41,18 @@ class BoundaryConditions(NamedTuple):
 def find_outcomes(
     flags: NDArray[np.uint8],
     grid: Grid,
-    durations: NDArray[np.float64],
-    moves: NDArray[np.float32],
-    controls: int,
-    rate: float,
+    steps: StepTable,
     boundary: BoundaryConditions,
+    rate: float,
     outcomes: NDArray[np.float32],
 ) -> None:
-    """Fill outcomes (near nodes in order, pairs): the discount exp(-rate t) of hitting the target, or one of the codes.
+    """Fill `outcomes` (near nodes in order, pairs): the discount exp(-rate t) of a hit of the target, or a code.
 
     A step that ends in a cell which the target's edge cuts is followed by a second one to find the hit: interpolating
     there would lengthen every path by a part of a cell.
     """
-    n = grid.counts.size
+    n = grid.n
+    durations, moves, _ = steps
     slabs, pairs = durations.shape
     inner_size = flags.size // slabs
     start, end = np.zeros(n), np.zeros(n)
@@ -63,7 +64,7 @@ def find_outcomes(
             start[k] = node // grid.strides[k] % grid.counts[k]
         slab = node // inner_size
         for p in range(pairs):
-            t = _classify_step(start, slab, p, grid, durations, moves, boundary)
+            t = _classify_step(start, slab, p, grid, steps, boundary)
             if 0.0 <= t <= 1.0:
                 outcomes[near, p] = np.exp(-rate * t * durations[slab, p])
                 continue
@@ -73,22 +74,17 @@ def find_outcomes(
             for k in range(n):
                 end[k] = start[k] + moves[slab, p, 1, k]
             if _within_cell_of_target(end, grid, boundary):
-                then = _best_target_hit(end, grid, durations, moves, controls, rate, boundary)
+                then = _best_target_hit(end, grid, steps, boundary, rate)
                 outcomes[near, p] = then * np.exp(-rate * durations[slab, p]) if then > 0.0 else PASSES_TARGET
         near += 1
 
 
 @njit(**_OPTIONS)
 def _best_target_hit(
-    start: NDArray[np.float64],
-    grid: Grid,
-    durations: NDArray[np.float64],
-    moves: NDArray[np.float32],
-    controls: int,
-    rate: float,
-    boundary: BoundaryConditions,
+    start: NDArray[np.float64], grid: Grid, steps: StepTable, boundary: BoundaryConditions, rate: float
 ) -> float:
     """Discount of hitting the target within a step from between nodes; 0 if none does, whatever the disturbance."""
+    durations, _, controls = steps
     slab, stride = 0, 1
     for k in range(grid.n_outer - 1, -1, -1):
         i = int(np.round(start[k]))
@@ -99,7 +95,7 @@ def _best_target_hit(
     for first in range(0, durations.shape[1], controls):
         best = 0.0
         for p in range(first, first + controls):
-            t = _classify_step(start, slab, p, grid, durations, moves, boundary)
+            t = _classify_step(start, slab, p, grid, steps, boundary)
             if 0.0 <= t <= 1.0:
                 best = max(best, np.exp(-rate * t * durations[slab, p]))
         worst = min(worst, best)
@@ -108,20 +104,15 @@ def _best_target_hit(
 
 @njit(**_OPTIONS)
 def _classify_step(
-    start: NDArray[np.float64],
-    slab: int,
-    p: int,
-    grid: Grid,
-    durations: NDArray[np.float64],
-    moves: NDArray[np.float32],
-    boundary: BoundaryConditions,
+    start: NDArray[np.float64], slab: int, p: int, grid: Grid, steps: StepTable, boundary: BoundaryConditions
 ) -> float:
-    """Fraction of the step after which the target is hit; 2 if it is missed, -1 if an obstacle is in the way."""
-    if durations[slab, p] == 0.0:
+    """Fraction of the step after which the target is hit; 2 if it is missed, -1 if an obstacle blocks the path."""
+    if steps.durations[slab, p] == 0.0:
         return 2.0
+    move = steps.moves[slab, p]
     for half in range(2):
-        t = _target_entry(start, moves, slab, p, half, grid, boundary)
-        if _obstacle_ahead(start, moves, slab, p, half, min(t, 1.0), boundary):
+        t = _target_entry(start, move, half, grid, boundary)
+        if _obstacle_ahead(start, move, half, min(t, 1.0), boundary):
             return -1.0
         if t <= 1.0:
             return 0.5 * (half + t)
@@ -130,26 +121,20 @@ def _classify_step(
 
 @njit(**_OPTIONS)
 def _obstacle_ahead(
-    start: NDArray[np.float64],
-    moves: NDArray[np.float32],
-    slab: int,
-    p: int,
-    half: int,
-    end: float,
-    boundary: BoundaryConditions,
+    start: NDArray[np.float64], move: NDArray[np.float32], half: int, end: float, boundary: BoundaryConditions
 ) -> bool:
-    """Whether an obstacle is in the way on a half of the step, taken as straight, up to the fraction `end` of it.
+    """Whether an obstacle blocks a half of the step, taken as straight, up to the fraction `end` of it.
 
-    The clearance is looked at every half cell or closer: obstacles are a cell thick or more (see `problem`).
+    The clearance is sampled every half cell or closer: obstacles are at least a cell thick (see `problems.obstacles`).
     """
     i, j = boundary.clearance_axes[0], boundary.clearance_axes[1]
     if i < 0:
         return False
     from_i, from_j = start[i], start[j]
-    by_i, by_j = moves[slab, p, half, i], moves[slab, p, half, j]
+    by_i, by_j = move[half, i], move[half, j]
     if half == 1:
-        from_i, from_j = from_i + moves[slab, p, 0, i], from_j + moves[slab, p, 0, j]
-        by_i, by_j = by_i - moves[slab, p, 0, i], by_j - moves[slab, p, 0, j]
+        from_i, from_j = from_i + move[0, i], from_j + move[0, j]
+        by_i, by_j = by_i - move[0, i], by_j - move[0, j]
     count = max(1, int(np.ceil(2.0 * end * max(abs(by_i), abs(by_j)) - 1e-3)))
     for k in range(1, count + 1):
         part = end * k / count
@@ -160,26 +145,20 @@ def _obstacle_ahead(
 
 @njit(**_OPTIONS)
 def _target_entry(
-    start: NDArray[np.float64],
-    moves: NDArray[np.float32],
-    slab: int,
-    p: int,
-    half: int,
-    grid: Grid,
-    boundary: BoundaryConditions,
+    start: NDArray[np.float64], move: NDArray[np.float32], half: int, grid: Grid, boundary: BoundaryConditions
 ) -> float:
     """Fraction of a half of the step, taken as straight, at which it enters the target; 2 if it does not."""
     box = boundary.box
     enter, leave = 0.0, 1.0
-    for k in range(grid.counts.size):
+    for k in range(grid.n):
         low, high = box[k, 0], box[k, 1]
         if high - low == np.inf:
             continue
-        before = moves[slab, p, 0, k] if half == 1 else np.float32(0.0)
+        before = move[0, k] if half == 1 else np.float32(0.0)
         a = start[k] + before
         if grid.periodic[k]:
             a -= np.round((a - 0.5 * (low + high)) / grid.counts[k]) * grid.counts[k]
-        b = moves[slab, p, half, k] - before
+        b = move[half, k] - before
         if b == 0.0:
             if a < low - 1e-6 or a > high + 1e-6:
                 return 2.0
@@ -192,9 +171,9 @@ def _target_entry(
         x, y, radius, dx, dy = disc[0], disc[1], disc[2], disc[3], disc[4]
         before_i, before_j = np.float32(0.0), np.float32(0.0)
         if half == 1:
-            before_i, before_j = moves[slab, p, 0, i], moves[slab, p, 0, j]
+            before_i, before_j = move[0, i], move[0, j]
         ax, ay = (start[i] + before_i) * dx - x, (start[j] + before_j) * dy - y
-        bx, by = (moves[slab, p, half, i] - before_i) * dx, (moves[slab, p, half, j] - before_j) * dy
+        bx, by = (move[half, i] - before_i) * dx, (move[half, j] - before_j) * dy
         aa, ab, bb = ax * ax + ay * ay - radius * radius, ax * bx + ay * by, bx * bx + by * by
         square = ab * ab - aa * bb
         if square < 0.0 or (bb == 0.0 and aa > 0.0):
@@ -209,7 +188,7 @@ def _target_entry(
 def _within_cell_of_target(end: NDArray[np.float64], grid: Grid, boundary: BoundaryConditions) -> bool:
     """Whether a point outside the target lies less than a cell from it along every axis."""
     box = boundary.box
-    for k in range(grid.counts.size):
+    for k in range(grid.n):
         low, high = box[k, 0], box[k, 1]
         if high - low < np.inf:
             at = end[k]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -11,18 +13,26 @@ from ttr_reward_node.kernels.stencil import Grid
 _OPTIONS = {"error_model": "numpy"}
 
 
+class Hamiltonian(NamedTuple):
+    """Tables of the Hamiltonian max over d, min over u of p . f, axes in the layout's order.
+
+    Attributes:
+        rates: Derivatives f in each slab under each pair (slabs, pairs, n).
+        controls: Number of controls, the faster index of the pairs.
+        viscosity: Largest speed s along each axis in each slab (slabs, n): local Lax-Friedrichs.
+        spacings: Spacing dx of the nodes (n,) [unit of the axis].
+        rate: Rate lambda of the transform [1/s].
+    """
+
+    rates: NDArray[np.float32]
+    controls: int
+    viscosity: NDArray[np.float64]
+    spacings: NDArray[np.float64]
+    rate: float
+
+
 @njit(**_OPTIONS)
-def sweep(
-    v: NDArray[np.float64],
-    fixed: NDArray[np.bool_],
-    grid: Grid,
-    spacings: NDArray[np.float64],
-    rates: NDArray[np.float32],
-    controls: int,
-    viscosity: NDArray[np.float64],
-    rate: float,
-    bits: int,
-) -> float:
+def sweep(v: NDArray[np.float64], fixed: NDArray[np.bool_], grid: Grid, hamiltonian: Hamiltonian, bits: int) -> float:
     """Update every node once.
 
     v = 1 - exp(-lambda phi) (Kruzhkov) lies between 0 and 1 and solves max over d, min over u of
@@ -33,21 +43,17 @@ def sweep(
         v = (sum of s/dx m + lambda + max_d min_u p . f) / (sum of s/dx + lambda).
 
     Args:
-        v: flat, in the layout's order.
-        grid: the axes.
-        fixed: nodes that stay, in target and obstacles.
-        spacings: dx (n,) [unit of the axis].
-        rates: f in each slab under each pair (slabs, pairs, n), controls the faster index.
-        controls: how many of them there are.
-        viscosity: s, the largest speed along each axis in each slab (slabs, n): local Lax-Friedrichs.
-        rate: lambda [1/s].
-        bits: bit k: go down axis k.
+        v: Values at the nodes, flat, in the layout's order; changed by the sweep.
+        fixed: Whether each node keeps its value, in target and obstacles.
+        grid: Axes in the layout's order.
+        hamiltonian: Tables of the Hamiltonian.
+        bits: Direction of the sweep: bit k says to go down axis k.
 
     Returns:
         The largest change of v.
     """
-    counts, periodic, strides = grid.counts, grid.periodic, grid.strides
-    n = counts.size
+    rates, controls, viscosity, spacings, rate = hamiltonian
+    counts, periodic, strides, n = grid.counts, grid.periodic, grid.strides, grid.n
     slabs, pairs, _ = rates.shape
     inner_size = v.size // slabs
     index, p = np.zeros(n, np.int64), np.zeros(n)

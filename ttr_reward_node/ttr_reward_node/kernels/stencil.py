@@ -1,86 +1,113 @@
-"""The nodes that a step ends between, their weights, and the curvature that linear interpolation misses; compiled.
+"""The nodes around the end of each step, their weights, and the curvature that linear interpolation misses; compiled.
 
-All nodes of a slab (see `steps`) take the same steps, so a step's end lies the same way between the nodes for all of
-them: corners and weights are found once a slab, and the sweep only adds up products.
+All nodes of a slab (see `solvers.steps`) take the same steps, so a step ends at the same place between the nodes for
+all of them: offsets and weights are found once per slab, and the sweep only adds up products.
+
+The tables are NumPy records, because Numba counts references for every array that it takes out of a tuple, which costs
+more than the arithmetic; fields of a record are plain memory.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 _OPTIONS = {"error_model": "numpy"}
+MOST_CORNERS, MOST_AXES = 64, 7
+"""Most corners of a cell, in six dimensions; most axes, with the dummy axis of a system without inner ones."""
+
+GRID = np.dtype(
+    [
+        ("n", np.int64),
+        ("n_outer", np.int64),
+        ("counts", np.int64, MOST_AXES),
+        ("strides", np.int64, MOST_AXES),
+        ("periodic", np.uint8, MOST_AXES),
+    ],
+    align=True,
+)
+"""The n axes in the layout's order, n_outer outer ones first; strides are in nodes, and
+periodic is 0 or 1. The last axis is an inner one."""
+
+OFFSETS = np.dtype(
+    [
+        ("number", np.int64),
+        ("outer", np.int64, MOST_CORNERS),
+        ("shift", np.int64, (MOST_CORNERS, MOST_AXES)),
+        ("weight", np.float32, MOST_CORNERS),
+    ],
+    align=True,
+)
+"""Nodes around the end of one pair's step from a slab.
+
+Fields:
+    number: Number of corners, or of curves; 0 where the step leaves the grid.
+    outer: Offset of each node's slab, in nodes.
+    shift: Cells from the start to each node along each inner axis.
+    weight: Weight of each corner, or of each curve.
+"""
+
+Grid = Any
+"""Record of the dtype `GRID`."""
+Offsets = Any
+"""Record, or array of records, of the dtype `OFFSETS`."""
+Integers = NDArray[np.int64]
+Floats = NDArray[np.float32]
 
 
-class Grid(NamedTuple):
-    """Axes in the layout's order, for compiled code; strides are in nodes. The last axis is an inner one."""
+class StepTable(NamedTuple):
+    """Steps of each slab under each pair of disturbance and control, as in `solvers.steps.Steps`.
 
-    counts: NDArray[np.int64]
-    periodic: NDArray[np.bool_]
-    strides: NDArray[np.int64]
-    n_outer: int
-
-
-class Corners(NamedTuple):
-    """The 2^n or fewer nodes around the end of each pair's step from a slab: where they are and what they weigh.
-
-    `outer` (pairs, c) is the offset of the corner's slab, `shift` (pairs, c, inner axes) its cells along each inner
-    axis, `weight` (pairs, c), `number` (pairs,); 0 where the step leaves the grid. Corners come in an order in which
-    the second half repeats the first, a cell further along the last axis, wherever that axis is interpolated.
+    Attributes:
+        durations: Durations of the steps (slabs, pairs) [s].
+        moves: Displacements after half a step and after a whole one (slabs, pairs, 2, n) [cells].
+        controls: Number of controls, the faster index of the pairs.
     """
 
-    number: NDArray[np.int64]
-    outer: NDArray[np.int64]
-    shift: NDArray[np.int64]
-    weight: NDArray[np.float32]
+    durations: NDArray[np.float64]
+    moves: Floats
+    controls: int
 
 
-class Curves(NamedTuple):
-    """Four nodes in a line around the end of the step, along each axis on which it ends between nodes.
+class SlabOffsets(NamedTuple):
+    """Nodes around the steps' ends from one slab, one record a pair.
 
-    `outer` (pairs, 4 q), `shift` (pairs, 4 q, inner axes), `weight` (pairs, q), `number` (pairs,).
+    Attributes:
+        corners: The 2^n or fewer corners (pairs,) of the cell in which each step ends. The second half repeats the
+            first, a cell further along the last axis, wherever that axis is interpolated.
+        curves: Four nodes in a line (pairs,) along each axis on which the step ends between nodes: nodes 4 q to 4 q + 3
+            belong to curve q.
     """
 
-    number: NDArray[np.int64]
-    outer: NDArray[np.int64]
-    shift: NDArray[np.int64]
-    weight: NDArray[np.float32]
+    corners: Offsets
+    curves: Offsets
+
+
+def make_grid(counts: Integers, periodic: NDArray[np.bool_], n_outer: int) -> Grid:
+    """Return the record of a grid.
+
+    Args:
+        counts: Number of nodes on each axis (n,), in the layout's order.
+        periodic: Whether each axis is periodic (n,).
+        n_outer: Number of outer axes.
+    """
+    record = np.zeros(1, GRID)
+    n = len(counts)
+    record["n"], record["n_outer"] = n, n_outer
+    record["counts"][0, :n], record["periodic"][0, :n] = counts, periodic
+    record["strides"][0, :n] = np.concatenate((np.cumprod(counts[:0:-1])[::-1], [1]))
+    return record[0]
 
 
 @njit(**_OPTIONS)
-def make_corners(pairs: int, n: int, n_outer: int) -> Corners:
-    """Room for the corners of one slab."""
-    most = 1 << n
-    return Corners(
-        np.zeros(pairs, np.int64),
-        np.zeros((pairs, most), np.int64),
-        np.zeros((pairs, most, n - n_outer), np.int64),
-        np.zeros((pairs, most), np.float32),
-    )
-
-
-@njit(**_OPTIONS)
-def make_curves(pairs: int, n: int, n_outer: int) -> Curves:
-    """Room for the curves of one slab."""
-    return Curves(
-        np.zeros(pairs, np.int64),
-        np.zeros((pairs, 4 * n), np.int64),
-        np.zeros((pairs, 4 * n, n - n_outer), np.int64),
-        np.zeros((pairs, n), np.float32),
-    )
-
-
-@njit(**_OPTIONS)
-def place_corners(grid: Grid, index: NDArray[np.int64], move: NDArray[np.float32], p: int, corners: Corners) -> None:
-    """Fill in pair p's corners for the slab at `index` (n,) and its move (n,) [cells]."""
-    number, outer, shift, weight = corners
-    n = grid.counts.size
+def place_corners(grid: Grid, index: Integers, move: Floats, corners: Offsets) -> None:
+    """Fill in one pair's corners for the slab at `index` (n,) and its displacement `move` (n,) [cells]."""
     size = 1
-    number[p], outer[p, 0], weight[p, 0] = 0, 0, 1.0
-    for k in range(n):
+    corners.number, corners.outer[0], corners.weight[0] = 0, 0, 1.0
+    for k in range(grid.n):
         position = np.float64(move[k])
         if k < grid.n_outer:
             position += index[k]
@@ -101,30 +128,29 @@ def place_corners(grid: Grid, index: NDArray[np.int64], move: NDArray[np.float32
         between = upper_weight > 0.0
         for c in range(size):
             if between:
-                weight[p, size + c] = weight[p, c] * upper_weight
-                weight[p, c] *= 1.0 - upper_weight
-                outer[p, size + c] = outer[p, c]
-                for j in range(grid.counts.size - grid.n_outer):
-                    shift[p, size + c, j] = shift[p, c, j]
+                corners.weight[size + c] = corners.weight[c] * upper_weight
+                corners.weight[c] *= 1.0 - upper_weight
+                corners.outer[size + c] = corners.outer[c]
+                for j in range(grid.n - grid.n_outer):
+                    corners.shift[size + c, j] = corners.shift[c, j]
             if k < grid.n_outer:
                 if between:
-                    outer[p, size + c] += upper * grid.strides[k]
-                outer[p, c] += lower * grid.strides[k]
+                    corners.outer[size + c] += upper * grid.strides[k]
+                corners.outer[c] += lower * grid.strides[k]
             else:
                 if between:
-                    shift[p, size + c, k - grid.n_outer] = upper
-                shift[p, c, k - grid.n_outer] = lower
+                    corners.shift[size + c, k - grid.n_outer] = upper
+                corners.shift[c, k - grid.n_outer] = lower
         if between:
             size *= 2
-    number[p] = size
+    corners.number = size
 
 
 @njit(**_OPTIONS)
-def place_curves(grid: Grid, index: NDArray[np.int64], move: NDArray[np.float32], p: int, curves: Curves) -> None:
-    """Fill in pair p's curves, as `place_corners`; an axis on which four nodes do not fit has none."""
-    number, outer, shift, weight = curves
-    n = grid.counts.size
-    number[p] = 0
+def place_curves(grid: Grid, index: Integers, move: Floats, curves: Offsets) -> None:
+    """Fill in one pair's curves, as `place_corners`; an axis on which four nodes do not fit has none."""
+    n = grid.n
+    curves.number = 0
     for k in range(n):
         position = np.float64(move[k])
         if k < grid.n_outer:
@@ -134,16 +160,16 @@ def place_curves(grid: Grid, index: NDArray[np.int64], move: NDArray[np.float32]
         outside = k < grid.n_outer and not grid.periodic[k] and (lower < 1 or lower + 2 >= grid.counts[k])
         if part < 1e-3 or part > 1.0 - 1e-3 or outside:
             continue
-        q = number[p]
-        number[p] += 1
-        # What linear interpolation between the middle two leaves out is the second difference times this.
-        weight[p, q] = -0.5 * part * (1.0 - part)
+        q = curves.number
+        curves.number += 1
+        # Linear interpolation between the middle two leaves out the second difference times this weight.
+        curves.weight[q] = -0.5 * part * (1.0 - part)
         for i in range(4):
-            outer[p, 4 * q + i] = 0
+            curves.outer[4 * q + i] = 0
             for m in range(n):
                 if m < grid.n_outer:
                     at = lower - 1 + i if m == k else int(np.round(index[m] + move[m]))
                     at = at % grid.counts[m] if grid.periodic[m] else min(max(at, 0), grid.counts[m] - 1)
-                    outer[p, 4 * q + i] += at * grid.strides[m]
+                    curves.outer[4 * q + i] += at * grid.strides[m]
                 else:
-                    shift[p, 4 * q + i, m - grid.n_outer] = lower - 1 + i if m == k else int(np.round(move[m]))
+                    curves.shift[4 * q + i, m - grid.n_outer] = lower - 1 + i if m == k else int(np.round(move[m]))

@@ -10,50 +10,69 @@ the lower value of thesis Eq. 2.18-2.20, in which the control knows the disturba
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from ttr_reward_node.kernels.boundary_conditions import BLOCKED, FIXED, NEAR, PASSES_TARGET
-from ttr_reward_node.kernels.row_interpolation import (
-    DISCOUNT,
-    OWN,
-    PLAN,
-    SIZE,
-    WEIGHTS,
-    interpolate_node,
-    interpolate_row,
-    place_row,
+from ttr_reward_node.kernels.row_interpolation import STENCIL, RowRule, interpolate_node, interpolate_row, place_row
+from ttr_reward_node.kernels.stencil import (
+    OFFSETS,
+    Floats,
+    Grid,
+    Integers,
+    Offsets,
+    SlabOffsets,
+    StepTable,
+    place_corners,
+    place_curves,
 )
-from ttr_reward_node.kernels.stencil import Corners, Grid, make_corners, make_curves, place_corners, place_curves
 
 _OPTIONS = {"error_model": "numpy"}
-Floats = NDArray[np.float32]
 _TINY = np.float32(1e-30)  # numbers below are slow, and mean unreachable
 
 
-class RowHistory(NamedTuple):
-    """What one sweep leaves to the next, so that a row is done again only when a row it looks at has changed.
+class Nodes(NamedTuple):
+    """All nodes of the grid, flat, in the layout's order.
 
-    `changed` and `seen` (rows,) hold when a row changed and when it was done last; `clock` (1,) counts the rows done.
+    Attributes:
+        values: w at the nodes (nodes,), changed by the sweep.
+        flags: FREE, NEAR or FIXED at the nodes (nodes,).
+        outcomes: Outcome of each pair's step from the near nodes (near nodes, pairs), from `find_outcomes`.
+        row_near: Number of near nodes before each row (rows + 1,).
     """
 
-    changed: NDArray[np.int64]
-    seen: NDArray[np.int64]
-    clock: NDArray[np.int64]
+    values: Floats
+    flags: NDArray[np.uint8]
+    outcomes: Floats
+    row_near: Integers
+
+
+class RowHistory(NamedTuple):
+    """Times at which rows were done and changed: a row is done again only when a row it looks at has changed.
+
+    Attributes:
+        changed: Last change of each row (rows,), in ticks of the clock.
+        seen: Last update of each row (rows,), in ticks of the clock; 0 for none.
+        clock: Number of updates and changes so far (1,).
+    """
+
+    changed: Integers
+    seen: Integers
+    clock: Integers
 
 
 class SweepSettings(NamedTuple):
-    """How to interpolate.
+    """Settings of the interpolation in one phase of the solver.
 
     Attributes:
-        rate: lambda [1/s].
-        jump: a difference of phi [s] across a cell that no slope makes: the corners on the heavier side count alone.
-            Infinite: unreachable corners count as what they are, w = 0.
-        quiet: the largest change of phi [s] that does not count as one.
-        curved: whether to add the curvature.
+        rate: Rate lambda of the transform [1/s].
+        jump: Difference of phi across a cell that no slope makes [s]: the corners on the heavier side count alone.
+            Infinite: unreachable corners count as w = 0.
+        quiet: Largest change of phi that does not wake the rows that look at this one [s].
+        curved: Whether the curvature is added.
     """
 
     rate: float
@@ -62,41 +81,82 @@ class SweepSettings(NamedTuple):
     curved: bool
 
 
+class _Row(NamedTuple):
+    """One row to update.
+
+    Attributes:
+        offset: Index of its first node.
+        near: Index of the near node before the first one that is met.
+        down: Whether it is done from its last node to its first.
+    """
+
+    offset: int
+    near: int
+    down: bool
+
+
+class _Game(NamedTuple):
+    """How a node's new value follows from those of the pairs.
+
+    Attributes:
+        controls: Number of controls, the faster index of the pairs.
+        grow: Whether w never falls, except to 0.
+    """
+
+    controls: int
+    grow: bool
+
+
+class _Workspace(NamedTuple):
+    """Tables and buffers of one row, allocated once a sweep.
+
+    Attributes:
+        stencils: Nodes that the row looks at (pairs,), records of the dtype `STENCIL`.
+        buffers: Scratch rows (3, count).
+        found: Discounted w at the end of each step (pairs, count).
+        own: Pairs whose steps end on the row itself (pairs,).
+    """
+
+    stencils: NDArray[Any]
+    buffers: Floats
+    found: Floats
+    own: Integers
+
+
 @njit(**_OPTIONS)
 def sweep(
-    values: Floats,
-    flags: NDArray[np.uint8],
-    grid: Grid,
-    durations: NDArray[np.float64],
-    moves: Floats,
-    controls: int,
-    outcomes: Floats,
-    row_near: NDArray[np.int64],
-    memory: RowHistory,
-    rule: SweepSettings,
-    bits: int,
+    nodes: Nodes, grid: Grid, steps: StepTable, history: RowHistory, settings: SweepSettings, bits: int
 ) -> tuple[np.float32, int]:
-    """Do every row (the nodes along the last axis) whose surroundings have changed.
+    """Update every row (the nodes along the last axis) that looks at a row which has changed.
 
-    `values`, `flags`: all nodes, flat, in the layout's order; values are changed. `durations`, `moves`, `controls`: see
-    `steps.Steps`. `outcomes`, `row_near`: see `find_outcomes`; row_near (rows + 1,) counts the near nodes
-    before each row. `bits`: bit k says to go down axis k, where the motion does not say which way to go.
+    Args:
+        nodes: All nodes; their values are changed.
+        grid: Axes in the layout's order.
+        steps: Steps of each slab under each pair.
+        history: Times of the rows' updates and changes, brought up to date.
+        settings: Settings of the interpolation.
+        bits: Direction of the sweep: bit k says to go down axis k, where the motion does not say which way to go.
 
     Returns:
-        The largest change of phi [s], infinite where a node became reachable or unreachable; how many rows were done.
+        The largest change of phi [s], infinite where a node became reachable or unreachable; and the number of rows
+        that were updated.
     """
-    n = grid.counts.size
+    n, last = grid.n, grid.counts[grid.n - 1]
+    durations, moves, controls = steps
     slabs, pairs = durations.shape
-    inner_size = values.size // slabs
-    last = grid.counts[n - 1]
+    inner_size = nodes.values.size // slabs
     index, down = np.zeros(n, np.int64), np.zeros(n, np.bool_)
-    corners, curves = make_corners(pairs, n, grid.n_outer), make_curves(pairs, n, grid.n_outer)
-    plan, weights = np.zeros((pairs, PLAN), np.int64), np.zeros((pairs, WEIGHTS), np.float32)
+    corners, curves = np.zeros(pairs, OFFSETS), np.zeros(pairs, OFFSETS)
+    slab_offsets = SlabOffsets(corners, curves)
     rows = np.zeros(pairs * ((1 << n) + 2 * n), np.int64)
-    own = np.zeros(pairs, np.int64)
+    stencils = np.zeros(pairs, STENCIL)
     buffers, found = np.zeros((3, last), np.float32), np.zeros((pairs, last), np.float32)
-    jump, quiet = np.float32(rule.jump * rule.rate), np.float32(rule.quiet * rule.rate)
-    changed, seen, clock = memory
+    work = _Workspace(stencils, buffers, found, np.zeros(pairs, np.int64))
+    quiet = np.float32(settings.quiet * settings.rate)
+    rule = RowRule(np.float32(settings.jump * settings.rate), grid.periodic[n - 1] == 1, last)
+    game = _Game(controls, settings.curved or settings.jump == np.inf)
+    row_near = nodes.row_near
+    changed, seen, clock = history
     largest, done = np.float32(0.0), 0
     for turn in range(slabs):
         rest, offset = turn, 0
@@ -107,12 +167,12 @@ def sweep(
             offset += index[k] * grid.strides[k]
         slab, slab_offset = offset // inner_size, offset
         for p in range(pairs):
-            corners.number[p], curves.number[p] = 0, 0
+            corners[p].number, curves[p].number = 0, 0
             if durations[slab, p] > 0.0:
-                weights[p, DISCOUNT] = np.exp(-rule.rate * durations[slab, p])
-                place_corners(grid, index, moves[slab, p, 1], p, corners)
-                if rule.curved and corners.number[p] > 0:
-                    place_curves(grid, index, moves[slab, p, 1], p, curves)
+                stencils[p].discount = np.exp(-settings.rate * durations[slab, p])
+                place_corners(grid, index, moves[slab, p, 1], corners[p])
+                if settings.curved and corners[p].number > 0:
+                    place_curves(grid, index, moves[slab, p, 1], curves[p])
         _directions(grid, moves[slab], corners, bits, down)
         for row_turn in range(inner_size // last):
             rest, offset = row_turn, slab_offset
@@ -121,7 +181,7 @@ def sweep(
                 rest //= grid.counts[k]
                 index[k] = grid.counts[k] - 1 - i if down[k] else i
                 offset += index[k] * grid.strides[k]
-            n_rows = place_row(grid, index, offset, corners, curves, plan, weights, rows)
+            n_rows = place_row(grid, index, offset, slab_offsets, stencils, rows)
             here = offset // last
             fresh = seen[here] == 0
             for i in range(n_rows):
@@ -132,75 +192,46 @@ def sweep(
             clock[0] += 1
             seen[here] = clock[0]
             near = row_near[here + 1] if down[n - 1] else row_near[here] - 1
-            change = _update_row(
-                values,
-                flags,
-                controls,
-                outcomes,
-                near,
-                plan,
-                weights,
-                offset,
-                down[n - 1],
-                jump,
-                rule.curved or rule.jump == np.inf,
-                grid.periodic[n - 1],
-                buffers,
-                found,
-                own,
-            )
+            change = _update_row(nodes, _Row(offset, near, down[n - 1]), work, rule, game)
             largest = max(largest, change)
             if change > quiet:
                 clock[0] += 1  # later than `seen`: a row that looks at itself is done again
                 changed[here] = clock[0]
-    return largest / rule.rate, done
+    return largest / settings.rate, done
 
 
 @njit(**_OPTIONS)
-def _directions(grid: Grid, moves: Floats, corners: Corners, bits: int, down: NDArray[np.bool_]) -> None:
-    """Go along each inner axis against the motion, so that what a node depends on is done before it."""
-    for k in range(grid.n_outer, grid.counts.size):
+def _directions(grid: Grid, moves: Floats, corners: Offsets, bits: int, down: NDArray[np.bool_]) -> None:
+    """Go along each inner axis against the motion, so that a node is done after those it depends on."""
+    for k in range(grid.n_outer, grid.n):
         ahead, way = np.float32(0.0), np.float32(0.0)
         for p in range(len(moves)):
-            if corners.number[p] > 0:
+            if corners[p].number > 0:
                 ahead += moves[p, 1, k]
                 way += abs(moves[p, 1, k])
         down[k] = ahead > 0.0 if abs(ahead) > 0.5 * way else ((bits >> k) & 1) == 1
 
 
 @njit(**_OPTIONS)
-def _update_row(
-    values: Floats,
-    flags: NDArray[np.uint8],
-    controls: int,
-    outcomes: Floats,
-    near: int,
-    plan: NDArray[np.int64],
-    weights: Floats,
-    offset: int,
-    down: bool,
-    jump: float,
-    grow: bool,
-    periodic: bool,
-    buffers: Floats,
-    found: Floats,
-    own: NDArray[np.int64],
-) -> np.float32:
-    """Update the nodes of a row and return the largest relative change; with `grow`, w never falls, except to 0."""
+def _update_row(nodes: Nodes, row: _Row, work: _Workspace, rule: RowRule, game: _Game) -> np.float32:
+    """Update the nodes of a row and return the largest relative change."""
+    values, flags, _, _ = nodes
+    stencils, buffers, found, own = work
+    offset, near, down = row
     pairs, last = found.shape
-    # Steps along the row use what has just been found there. In a game all pairs are needed at once: that takes longer.
+    # Steps along the row use the values just found there. A game needs all pairs at once, which takes longer.
     n_own = 0
     for p in range(pairs):
-        if plan[p, SIZE] == 0:
+        if stencils[p].size == 0:
             found[p, :] = 0.0
-        elif plan[p, OWN] == 1 and pairs == controls:
+        elif stencils[p].on_own_row == 1 and pairs == game.controls:
             found[p, :] = 0.0
             own[n_own] = p
             n_own += 1
         else:
-            interpolate_row(values, plan, weights, p, jump, periodic, buffers, found)
+            interpolate_row(values, stencils[p], rule, buffers, found[p])
     news = buffers[0]
-    _min_max_row(found, controls, news, buffers[1])
+    _min_max_row(found, game.controls, news, buffers[1])
     largest = np.float32(0.0)
     step = -1 if down else 1
     for turn in range(last):
@@ -210,17 +241,15 @@ def _update_row(
             continue
         new = news[j]
         for i in range(n_own):
-            p = own[i]
-            found[p, j] = weights[p, DISCOUNT] * interpolate_node(
-                values, plan, weights, p, j, jump, periodic, last, False
-            )
-            new = max(new, found[p, j])
+            stencil = stencils[own[i]]
+            found[own[i], j] = stencil.discount * interpolate_node(values, stencil, rule, j, False)
+            new = max(new, found[own[i], j])
         if flag == NEAR:
             near += step
-            new = _near_value(values, plan, weights, found, outcomes, near, controls, j, jump, periodic)
+            new = _near_value(nodes, work, near, j, rule, game.controls)
         if new < _TINY:
             new = np.float32(0.0)
-        elif grow and new < values[offset + j]:
+        elif game.grow and new < values[offset + j]:
             continue
         old = values[offset + j]
         if new != old:
@@ -232,7 +261,7 @@ def _update_row(
 
 @njit(**_OPTIONS)
 def _min_max_row(found: Floats, controls: int, news: Floats, best: Floats) -> None:
-    """Fill news with the least over the disturbances of the most over the controls, along a row."""
+    """Fill `news` with the least over the disturbances of the most over the controls, along a row."""
     pairs, last = found.shape
     news[:] = 1.0
     for first in range(0, pairs, controls):
@@ -246,30 +275,20 @@ def _min_max_row(found: Floats, controls: int, news: Floats, best: Floats) -> No
 
 
 @njit(**_OPTIONS)
-def _near_value(
-    values: Floats,
-    plan: NDArray[np.int64],
-    weights: Floats,
-    found: Floats,
-    outcomes: Floats,
-    near: int,
-    controls: int,
-    j: int,
-    jump: float,
-    periodic: bool,
-) -> np.float32:
-    """Return the new value of a node near target or obstacles."""
-    pairs, last = found.shape
+def _near_value(nodes: Nodes, work: _Workspace, near: int, j: int, rule: RowRule, controls: int) -> np.float32:
+    """Return the new value of node j of the row, which is near node number `near`."""
+    values, outcomes = nodes.values, nodes.outcomes
+    stencils, found = work.stencils, work.found
     worst = np.float32(1.0)
-    for first in range(0, pairs, controls):
+    for first in range(0, len(found), controls):
         best = np.float32(0.0)
         for p in range(first, first + controls):
             outcome = outcomes[near, p]
             if outcome > 0.0:
                 best = max(best, outcome)
-            elif outcome == PASSES_TARGET and plan[p, SIZE] > 0:
-                w = interpolate_node(values, plan, weights, p, j, jump, periodic, last, True)
-                best = max(best, weights[p, DISCOUNT] * w)
+            elif outcome == PASSES_TARGET and stencils[p].size > 0:
+                w = interpolate_node(values, stencils[p], rule, j, True)
+                best = max(best, stencils[p].discount * w)
             elif outcome != BLOCKED:
                 best = max(best, found[p, j])
         worst = min(worst, best)

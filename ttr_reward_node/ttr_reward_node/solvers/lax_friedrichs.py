@@ -11,10 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ttr_reward_node.kernels.entry_points import kernels
+from ttr_reward_node.kernels.lax_friedrichs_sweep import Hamiltonian
+from ttr_reward_node.kernels.stencil import make_grid
 from ttr_reward_node.problems.dependence import check_affine_controls
 from ttr_reward_node.problems.problem import TimeToReachProblem
 from ttr_reward_node.solvers.memory import require_memory
-from ttr_reward_node.solvers.semi_lagrangian import flat, make_grid
+from ttr_reward_node.solvers.semi_lagrangian import flat
 from ttr_reward_node.solvers.solution import Progress, SweepResult
 from ttr_reward_node.solvers.steps import Layout, make_layout, pairs, rates_under_all_pairs, slab_states
 
@@ -57,11 +59,12 @@ def solve(
     v = np.where(flat(target, layout), 0.0, 1.0)
     fixed = flat(target | problem.blocked(), layout)
     n = len(layout.order)
-    grid = make_grid(layout)
+    grid = make_grid(layout.counts, layout.periodic, len(layout.outer))
+    hamiltonian = Hamiltonian(rates, controls, viscosity, spacings, rate)
     residual, number = math.inf, 0
     while number < max_sweeps and residual > tolerance:
         bits = number % (1 << n)
-        change = kernels().lax_friedrichs(v, fixed, grid, spacings, rates, controls, viscosity, rate, bits)
+        change = kernels().lax_friedrichs(v, fixed, grid, hamiltonian, bits)
         residual, number = change / rate, number + 1
         if progress is not None:
             progress(number, residual)

@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 
 from ttr_reward_node.kernels.boundary_conditions import FIXED, NEAR, BoundaryConditions
 from ttr_reward_node.kernels.entry_points import kernels
-from ttr_reward_node.kernels.stencil import Grid
-from ttr_reward_node.kernels.sweep import RowHistory, SweepSettings
+from ttr_reward_node.kernels.stencil import StepTable, make_grid
+from ttr_reward_node.kernels.sweep import Nodes, RowHistory, SweepSettings
 from ttr_reward_node.problems.problem import TimeToReachProblem
 from ttr_reward_node.solvers.memory import require_memory
 from ttr_reward_node.solvers.solution import Progress, SweepResult
@@ -78,37 +78,25 @@ def solve(
     tolerance = _TOLERANCE * unit if tolerance is None else tolerance
     crossing = unit * max(layout.counts)
     rate = 1.0 / (_CROSSINGS * crossing) if crossing > 0.0 else 1.0
-    grid = make_grid(layout)
+    grid = make_grid(layout.counts, layout.periodic, len(layout.outer))
     shaped = _flags(problem, layout, steps)
     values = flat((shaped == FIXED) & ~problem.blocked(), layout).astype(np.float32)
     flags = flat(shaped, layout)
     last = int(layout.counts[-1])
     row_near = np.concatenate(([0], np.cumsum(np.count_nonzero((flags == NEAR).reshape(-1, last), axis=1))))
     outcomes = np.empty((int(row_near[-1]), steps.durations.shape[1]), np.float32)
-    kernels().find_outcomes(
-        flags, grid, steps.durations, steps.moves, steps.controls, rate, _boundary_conditions(problem, layout), outcomes
-    )
+    table = StepTable(steps.durations, steps.moves, steps.controls)
+    kernels().find_outcomes(flags, grid, table, _boundary_conditions(problem, layout), rate, outcomes)
+    nodes = Nodes(values, flags, outcomes, row_near)
     n_rows = len(row_near) - 1
-    memory = RowHistory(np.zeros(n_rows, np.int64), np.zeros(n_rows, np.int64), np.zeros(1, np.int64))
+    history = RowHistory(np.zeros(n_rows, np.int64), np.zeros(n_rows, np.int64), np.zeros(1, np.int64))
     quiet = [q * unit for q in _QUIET[:2]] + [min(_QUIET[2] * unit, 0.1 * tolerance)]
     phases = [SweepSettings(rate, math.inf, quiet[0], False)]
     phases += [SweepSettings(rate, crossing, q, curved) for q, curved in zip(quiet[1:], (False, True), strict=True)]
     residual, number, in_phase = math.inf, 0, 0
     while number < max_sweeps:
         bits = in_phase % (1 << len(layout.counts))
-        residual, _ = kernels().sweep(
-            values,
-            flags,
-            grid,
-            steps.durations,
-            steps.moves,
-            steps.controls,
-            outcomes,
-            row_near,
-            memory,
-            phases[0],
-            bits,
-        )
+        residual, _ = kernels().sweep(nodes, grid, table, history, phases[0], bits)
         number, in_phase = number + 1, in_phase + 1
         if progress is not None:
             progress(number, residual)
@@ -117,7 +105,7 @@ def solve(
             if math.isinf(phases[0].jump):
                 values[values < _CUT] = 0.0
             phases.pop(0)
-            memory.seen[:] = 0
+            history.seen[:] = 0
             in_phase = 0
         elif len(phases) == 1 and residual <= tolerance:
             break
@@ -128,12 +116,6 @@ def solve(
     values *= np.float32(-1.0 / rate)
     phi = np.abs(values).reshape([problem.counts[k] for k in layout.order]).transpose(np.argsort(layout.order))
     return SweepResult(np.ascontiguousarray(phi), number, residual, len(phases) == 1 and residual <= tolerance)
-
-
-def make_grid(layout: Layout) -> Grid:
-    """Return the axes for compiled code."""
-    strides = np.concatenate((np.cumprod(layout.counts[:0:-1])[::-1], [1])).astype(np.int64)
-    return Grid(layout.counts, layout.periodic, strides, len(layout.outer))
 
 
 def flat(shaped: NDArray[Any], layout: Layout) -> NDArray[Any]:
