@@ -127,8 +127,8 @@ def checked_list(
     )
 
 
-def at_least(least: int) -> Any:
-    """Return the type of an option that is a whole number of at least `least`."""
+def at_least(least: int, *, optional: bool = False) -> Any:
+    """Return the type of an option that is a whole number of at least `least`, or None where it is `optional`."""
 
     def parse(text: str) -> int:
         value = int(text) if re.fullmatch(r"[+-]?\d{1,18}", text) else None
@@ -136,7 +136,8 @@ def at_least(least: int) -> Any:
             raise ValueError(f"must be a whole number of at least {least}, not {text}")
         return value
 
-    return Annotated[int, checked(parse, "INT")]
+    spec = checked(parse, "INT")
+    return Annotated[int | None, spec] if optional else Annotated[int, spec]
 
 
 class PathError(argparse.ArgumentTypeError, ValueError):

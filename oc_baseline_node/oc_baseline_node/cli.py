@@ -1,6 +1,6 @@
 """`ros2 run oc_baseline_node oc`: from a task to its optimal control values, step by step.
 
-oc extract car_navigation                       what the optimal control problem is, and why
+oc extract car_navigation                       the optimal control problem, and why it is the one
 oc solve car_navigation --output one.png        one trajectory
 oc data car_navigation --output runs/car        hundreds of them, in parallel; run it again after a kill
 oc fit runs/car --output runs/car.safetensors   V_oc as a network, and as a grid where asked
@@ -9,13 +9,16 @@ oc map runs/car.safetensors --output map.png    its heat map
 
 from __future__ import annotations
 
-import argparse
+import math
 import os
-from collections.abc import Callable
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
-from ctrl_rl_core.command import check_least, file_to_write, run_command
+import tyro
+from ctrl_rl_core.command import OptionalFileToWrite, at_least, checked, checked_list, parse_options, run_command
 from ctrl_rl_core.io.results import write_results
 from ctrl_rl_core.tasks.task import NavigationTask, load_navigation_task
 from ctrl_rl_core.values.value_function import ValueFunction
@@ -23,101 +26,193 @@ from numpy.typing import NDArray
 
 from oc_baseline_node.errors import OcError
 from oc_baseline_node.problems.extraction import extract
-from oc_baseline_node.problems.problem import FORMS, Form, OptimalControlProblem, formulate
+from oc_baseline_node.problems.problem import Form, OptimalControlProblem, formulate
 from oc_baseline_node.problems.start_states import draw_episode_start, draw_start
 from oc_baseline_node.value_data.dataset import DataSettings, ValueData, load_data, read_description
 from oc_baseline_node.value_data.results import value_rows
 from oc_baseline_node.values.value_file import find_value, load_value, save_value
 
+_SUMMARY = "Take a task to its optimal control values: extract the problem, make value data, fit V_oc, draw it."
 _EPISODES = 10
 """Starts of an episode that `oc data` tries."""
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Run the command and return its exit code."""
-    options = _parser().parse_args(arguments)
-    work: Callable[[argparse.Namespace], int] = options.work
-    return run_command("oc", lambda: work(options))
+def _state(text: str) -> NDArray[np.float64]:
+    try:
+        return np.array([float(part) for part in text.split(",")])
+    except ValueError:
+        raise ValueError(f"'{text}' must be numbers with commas between") from None
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="oc", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
-    command = _command(commands, "extract", _extract, "say which problem follows from a task, and which models do not")
-    _add_problem(command)
-    command = _command(commands, "solve", _solve, "solve one trajectory; exit code 1 and the solver's reason if none")
-    _add_problem(command)
-    command.add_argument("--start", type=_numbers, help="x_0, e.g. 0,-3.5,1.57 (default: a random one)")
-    command.add_argument("--seed", type=int, default=0, help="of the random start (default %(default)s)")
-    command.add_argument("--solver", choices=("ipopt", "fatrop"), help="one only (default: fatrop, else ipopt)")
-    command.add_argument("--output", type=Path, help="picture to write")
-    command = _command(commands, "data", _data, "solve many trajectories from random starts, goes on where it ended")
-    _add_problem(command)
-    command.add_argument("--output", type=Path, required=True, help="folder, one file a chunk of trajectories")
-    command.add_argument("--trajectories", type=int, help="how many solved ones (default: the task's)")
-    command.add_argument("--seed", type=int, default=0, help="of the starts (default %(default)s)")
-    command.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes (default %(default)s)")
-    command.add_argument("--ray", metavar="ADDRESS", help="Ray cluster that solves instead, auto for this machine's")
-    command = _command(commands, "fit", _fit, "fit V_oc to value data: a 64 x 64 tanh network")
-    command.add_argument("data", type=Path, help="folder that 'oc data' made")
-    command.add_argument("--task", help="its task file, where the task is not one of the suite's")
-    command.add_argument("--output", type=Path, required=True, help="network to write (.safetensors)")
-    command.add_argument("--grid", type=Path, help="value grid to write as well (.safetensors)")
-    command.add_argument("--discount", type=float, help="of a policy's step (default: the task's)")
-    command.add_argument("--whole-horizon", action="store_true", help="sum Eq. 3.13 on after arrival")
-    command.add_argument("--epochs", type=int, default=200, help="passes over the data (default %(default)s)")
-    command.add_argument("--seed", type=int, default=0, help="of split, weights, order (default %(default)s)")
-    command.add_argument("--overwrite", action="store_true", help="replace existing files")
-    command.add_argument("--results", type=file_to_write, help="JSON file for the figures of data and fit")
-    command = _command(commands, "map", _map, "draw a value's heat map (thesis Fig. 3.11)")
-    command.add_argument("value", type=Path, help="file of a network or a value grid, or the task of a shipped one")
-    command.add_argument("--task", help="its task file, where the task is not one of the suite's")
-    command.add_argument("--output", type=Path, required=True, help="picture to write")
-    command.add_argument("--at", nargs="*", default=[], metavar="NAME=VALUE", help="other components (default 0)")
-    return parser
+def _setting(text: str) -> tuple[str, float]:
+    name, _, number = text.partition("=")
+    try:
+        return name, float(number)
+    except ValueError:
+        raise ValueError(f"'{text}' must be NAME=VALUE with a number") from None
 
 
-def _command(
-    commands: argparse._SubParsersAction[argparse.ArgumentParser],
-    name: str,
-    work: Callable[[argparse.Namespace], int],
-    text: str,
-) -> argparse.ArgumentParser:
-    parser = commands.add_parser(name, help=text, description=text)
-    parser.set_defaults(work=work)
-    return parser
+def _distance(text: str) -> float:
+    value = _finite(text)
+    if value < 0.0:
+        raise ValueError(f"is {value:g}: give metres, zero or more")
+    return value
 
 
-def _add_problem(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("task", help="a task of the suite (car_navigation, curved_corridor ...) or its file")
-    parser.add_argument(
-        "--form",
-        choices=FORMS,
-        default=FORMS[0],
-        help="free_speed: speed is a control; free_time: constant speed, free time step; letter: Eq. 3.16 as printed, "
-        "constant speed and fixed horizon, infeasible from most starts (default %(default)s)",
-    )
-    parser.add_argument("--clearance", type=float, help="d_min [m] (default: the task's, more than the body's radius)")
+def _discount(text: str) -> float:
+    value = _finite(text)
+    if not 0.0 < value <= 1.0:
+        raise ValueError(f"must lie in (0, 1], not {value:g}")
+    return value
 
 
-def _terms(options: argparse.Namespace) -> tuple[NavigationTask, Form, float | None]:
-    """Return what a problem is made from."""
-    if options.clearance is not None and not 0.0 <= options.clearance < np.inf:
-        raise OcError(f"--clearance is {options.clearance:g}: give metres, zero or more")
+def _finite(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise ValueError(f"'{text}' is not a finite number")
+    return value
+
+
+if TYPE_CHECKING:
+    _Positive = int
+    _NotNegative = int
+    _OptionalPositive = int | None
+else:
+    _Positive, _NotNegative = at_least(1), at_least(0)
+    _OptionalPositive = at_least(1, optional=True)
+_Task = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TASK")]
+_Clearance = Annotated[float | None, checked(_distance, "METRES")]
+_Settings = Annotated[tuple[tuple[str, float], ...], checked_list(_setting, "NAME=VALUE")]
+
+
+@dataclass(frozen=True)
+class Extract:
+    """Show the optimal control problem that follows from a task, and the models that do not suit it."""
+
+    task: _Task
+    """Name of a task of the suite (car_navigation, curved_corridor ...), or its file."""
+    form: Form = "free_speed"
+    """free_speed: speed is a control; free_time: constant speed, free time step; letter: Eq. 3.16 as printed, with
+    constant speed and fixed horizon, infeasible from most starts."""
+    clearance: _Clearance = None
+    """Least distance d_min from obstacles [m]; the task's, but more than the body's radius, where none is given."""
+
+
+@dataclass(frozen=True)
+class Solve(Extract):
+    """Solve one trajectory; exit code 1 and the solver's reason where there is none."""
+
+    start: Annotated[NDArray[np.float64] | None, checked(_state, "X,Y,...")] = None
+    """Start state x_0, such as 0,-3.5,1.57; a random one where none is given."""
+    seed: _NotNegative = 0
+    """Seed of the random start."""
+    solver: Literal["ipopt", "fatrop"] | None = None
+    """The only solver to ask; fatrop, then ipopt where none is given."""
+    output: Path | None = None
+    """Picture to write; none is drawn where it is left out."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Data(Extract):
+    """Solve many trajectories from random starts; a call that was stopped goes on where it ended."""
+
+    output: Path
+    """Folder of the data, one file for each chunk of trajectories."""
+    trajectories: _OptionalPositive = None
+    """Number of solved trajectories; the task's where none is given."""
+    seed: _NotNegative = 0
+    """Seed of the random starts."""
+    workers: _Positive = os.cpu_count() or 1
+    """Number of processes."""
+    ray: str | None = None
+    """Address of a Ray cluster that solves, auto for this machine's; processes of this machine where none is given."""
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Fit V_oc, a 64 x 64 tanh network, to value data."""
+
+    data: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DATA")]
+    """Folder that 'oc data' made."""
+    output: Path
+    """Network to write (.safetensors)."""
+    task: str | None = None
+    """Task file, where the task is not one of the suite's."""
+    grid: Path | None = None
+    """Value grid to write as well (.safetensors)."""
+    discount: Annotated[float | None, checked(_discount, "FRACTION")] = None
+    """Discount of a policy's step; the task's where none is given."""
+    whole_horizon: bool = False
+    """Sum Eq. 3.13 on after arrival, to the end of the horizon."""
+    epochs: _Positive = 200
+    """Number of passes over the data."""
+    seed: _NotNegative = 0
+    """Seed of the split, the weights and the order of the samples."""
+    overwrite: bool = False
+    """Replace existing files."""
+    results: OptionalFileToWrite = None
+    """JSON file for the results of data and fit."""
+
+
+@dataclass(frozen=True)
+class Map:
+    """Draw a value's heat map (thesis Fig. 3.11)."""
+
+    value: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="VALUE")]
+    """File of a network or a value grid, or the task of a network that comes with the package."""
+    output: Path
+    """Picture to write."""
+    task: str | None = None
+    """Task file, where the task is not one of the suite's."""
+    at: _Settings = ()
+    """Values of the other state components; 0 for those left out."""
+
+
+_Command = (
+    Annotated[Extract, tyro.conf.subcommand("extract")]
+    | Annotated[Solve, tyro.conf.subcommand("solve")]
+    | Annotated[Data, tyro.conf.subcommand("data")]
+    | Annotated[Fit, tyro.conf.subcommand("fit")]
+    | Annotated[Map, tyro.conf.subcommand("map")]
+)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command and return its exit code: 0 done, 1 failed, 2 wrong usage."""
+    options: Extract | Fit | Map = parse_options("oc", _Command, arguments, _SUMMARY)
+    return run_command("oc", lambda: _run(options))
+
+
+def _run(options: Extract | Fit | Map) -> int:
+    match options:
+        case Solve():
+            return _solve(options)
+        case Data():
+            return _data(options)
+        case Extract():
+            return _extract(options)
+        case Fit():
+            return _fit(options)
+        case Map():
+            return _map(options)
+
+
+def _terms(options: Extract) -> tuple[NavigationTask, Form, float | None]:
+    """Return the task, form and clearance that a problem is formulated from."""
     return load_navigation_task(options.task), options.form, options.clearance
 
 
-def _extract(options: argparse.Namespace) -> int:
+def _extract(options: Extract) -> int:
     print(extract(*_terms(options)).report())
     return 0
 
 
-def _solve(options: argparse.Namespace) -> int:
+def _solve(options: Solve) -> int:
     from oc_baseline_node.mpc.mpc import Mpc
 
-    check_least(options, seed=0)
     problem = formulate(*_terms(options))
     mpc = Mpc(problem) if options.solver is None else Mpc(problem, (options.solver,))
     start = draw_start(problem, np.random.default_rng(options.seed)) if options.start is None else options.start
@@ -139,10 +234,9 @@ def _solve(options: argparse.Namespace) -> int:
     return 0
 
 
-def _data(options: argparse.Namespace) -> int:
+def _data(options: Data) -> int:
     from oc_baseline_node.value_data.workers import make_data
 
-    check_least(options, trajectories=1, seed=0, workers=1)
     problem = formulate(*_terms(options))
     assert problem.task.optimal_control is not None  # without it there is no problem
     wanted = problem.task.optimal_control.trajectories if options.trajectories is None else options.trajectories
@@ -185,12 +279,9 @@ def _report(data: ValueData) -> str:
     return "\n".join(lines)
 
 
-def _fit(options: argparse.Namespace) -> int:
+def _fit(options: Fit) -> int:
     from oc_baseline_node.value_data.value_fit import FitSettings, fit
 
-    check_least(options, epochs=1, seed=0)
-    if options.discount is not None and not 0.0 < options.discount <= 1.0:
-        raise OcError(f"--discount must lie in (0, 1], not {options.discount:g}")
     for path in (options.output, options.grid):
         if path is not None and path.exists() and not options.overwrite:
             raise OcError(f"{path} exists: give another name, or --overwrite")
@@ -220,11 +311,11 @@ def _fit(options: argparse.Namespace) -> int:
     return 0
 
 
-def _map(options: argparse.Namespace) -> int:
+def _map(options: Map) -> int:
     from oc_baseline_node.plots import draw_heat_map
 
     value = load_value(find_value(options.value))
-    values = draw_heat_map(value, _task_of(value, options.task), options.output, dict(map(_setting, options.at)))
+    values = draw_heat_map(value, _task_of(value, options.task), options.output, dict(options.at))
     free = values[np.isfinite(values)]
     print(f"values        {free.min():.4g} .. {free.max():.4g}")
     print(f"picture       {options.output}")
@@ -238,18 +329,3 @@ def _task_of(value: ValueFunction, given: str | None) -> NavigationTask:
 def _named(problem: OptimalControlProblem, state: NDArray[np.float64]) -> str:
     names = problem.system.state_names
     return ", ".join(f"{name} = {x:.3g}" for name, x in zip(names, state, strict=False))
-
-
-def _numbers(text: str) -> NDArray[np.float64]:
-    try:
-        return np.array([float(part) for part in text.split(",")])
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"'{text}' must be numbers with commas between") from None
-
-
-def _setting(text: str) -> tuple[str, float]:
-    name, _, number = text.partition("=")
-    try:
-        return name, float(number)
-    except ValueError:
-        raise OcError(f"--at: '{text}' must be NAME=VALUE with a number") from None

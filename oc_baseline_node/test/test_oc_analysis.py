@@ -80,17 +80,29 @@ def test_the_mismatch_command_writes_the_table(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["mismatch", "--roll-outs", "0"], "--roll-outs must be at least 1, not 0"),
+        (["mismatch", "--roll-outs", "0"], "--roll-outs must be a whole number of at least 1, not 0"),
         (["mismatch", "--heavier", "-100"], "--heavier is -100 per cent: nothing can be that heavy"),
-        (["mpc", "--episodes", "0"], "--episodes must be at least 1, not 0"),
-        (["mpc", "--learnt", str(MPC)], "is not a file that `train --results` wrote, it lacks curves"),
-        (["gradient", "--samples", "0"], "--samples must be at least 1, not 0"),
-        (["mismatch", "--seed", "-1"], "--seed must be at least 0, not -1"),
+        (["mpc", "--episodes", "0"], "--episodes must be a whole number of at least 1, not 0"),
+        (["gradient", "--samples", "0"], "--samples must be a whole number of at least 1, not 0"),
+        (["mismatch", "--seed", "-1"], "--seed must be a whole number of at least 0, not -1"),
+        (["gradients"], "unknown option gradients"),
+        ([], "give one of: mismatch, mpc, gradient"),
     ],
 )
-def test_what_cannot_be_analysed_is_said_in_one_line(arguments, words, tmp_path, capsys):
-    assert main([*arguments, "--results", str(tmp_path), "--images", str(tmp_path)]) == 1
+def test_wrong_usage_is_said_in_one_line(arguments, words, tmp_path, capsys):
+    with pytest.raises(SystemExit) as ended:
+        main([*arguments, "--results", str(tmp_path), "--images", str(tmp_path)] if len(arguments) > 1 else arguments)
+    assert ended.value.code == 2
     error = capsys.readouterr().err
+    assert words in error
+    assert error.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_file_of_other_results_is_refused_in_one_line(tmp_path, capsys):
+    assert main(["mpc", "--learnt", str(MPC), "--results", str(tmp_path), "--images", str(tmp_path)]) == 1
+    error = capsys.readouterr().err
+    words = "is not a file that `train --results` wrote, it lacks curves"
     assert words in error
     assert error.count("\n") == 1
     assert not list(tmp_path.iterdir())

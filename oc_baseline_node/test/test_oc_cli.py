@@ -47,15 +47,7 @@ def test_a_trajectory_is_solved_and_drawn(tmp_path: Path, capsys: pytest.Capture
         (["solve", "quad_trap", "--start=0,0,0.6,-2,0,0"], "ipopt: "),
         (["extract", "car_ttr"], "oc: task 'car_ttr' has no part 'optimal_control'"),
         (["extract", "nowhere"], "oc: no task 'nowhere'"),
-        (["extract", "car_navigation", "--clearance", "-1"], "oc: --clearance is -1"),
-        (["data", "car_navigation", "--output", "x", "--trajectories", "0"], "oc: --trajectories must be at least 1"),
-        (["data", "car_navigation", "--output", "x", "--workers", "0"], "oc: --workers must be at least 1, not 0"),
-        (["data", "car_navigation", "--output", "x", "--seed", "-1"], "oc: --seed must be at least 0, not -1"),
-        (["solve", "car_navigation", "--seed", "-1"], "oc: --seed must be at least 0, not -1"),
-        (["fit", "nowhere", "--output", "x", "--epochs", "0"], "oc: --epochs must be at least 1, not 0"),
-        (["fit", "nowhere", "--output", "x", "--seed", "-1"], "oc: --seed must be at least 0, not -1"),
         (["fit", "nowhere", "--output", "x"], "oc: nowhere holds no value data"),
-        (["fit", "nowhere", "--output", "x", "--discount", "1.5"], "oc: --discount must lie in"),
         (
             ["map", "nowhere.safetensors", "--output", "x.png"],
             "oc: no value 'nowhere.safetensors': there are",
@@ -70,6 +62,47 @@ def test_what_it_cannot_do_it_says_in_one_line(
     assert words in out + err
     assert "Traceback" not in err
     assert len(err.splitlines()) <= 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["extract", "car_navigation", "--clearance", "-1"], "--clearance is -1"),
+        (
+            ["data", "car_navigation", "--output", "x", "--trajectories", "0"],
+            "--trajectories must be a whole number of at least 1",
+        ),
+        (
+            ["data", "car_navigation", "--output", "x", "--workers", "0"],
+            "--workers must be a whole number of at least 1",
+        ),
+        (
+            ["data", "car_navigation", "--output", "x", "--seed", "-1"],
+            "--seed must be a whole number of at least 0",
+        ),
+        (["solve", "car_navigation", "--seed", "-1"], "--seed must be a whole number of at least 0"),
+        (
+            ["fit", "nowhere", "--output", "x", "--epochs", "0"],
+            "--epochs must be a whole number of at least 1",
+        ),
+        (
+            ["fit", "nowhere", "--output", "x", "--seed", "-1"],
+            "--seed must be a whole number of at least 0",
+        ),
+        (["fit", "nowhere", "--output", "x", "--discount", "1.5"], "--discount must lie in"),
+        (["solve", "car_navigation", "--start", "1,a"], "--start '1,a' must be numbers with commas between"),
+        (["map", "car_navigation", "--output", "x.png", "--at", "theta"], "--at 'theta' must be NAME=VALUE"),
+        (["data", "car_navigation"], "oc: missing --output"),
+        ([], "oc: give one of: extract, solve, data, fit, map"),
+    ],
+)
+def test_wrong_usage_is_said_in_one_line(arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(arguments)
+    assert ended.value.code == 2
+    err = capsys.readouterr().err
+    assert words in err
+    assert len(err.splitlines()) == 1
 
 
 @pytest.mark.parametrize(

@@ -45,8 +45,10 @@ def test_what_has_not_converged_says_so(tmp_path, capsys):
         (["--task", "nowhere"], "no task 'nowhere'"),
         (["--task", "tool_delivery"], "a navigation task is needed here"),
         (["--task", "car_ttr", "--decomposition", "4d+4d"], "dubins_car has no decomposition '4d+4d'; there is none"),
-        (["--task", "car_ttr", "--count", "x=many"], "'many' is not a whole number"),
-        (["--task", "car_ttr", "--count", "x"], "'x' must be NAME=VALUE"),
+        (
+            ["--task", "car_ttr", "--robot-size", "--inflation", "0.1"],
+            "--inflation and --robot-size exclude",
+        ),
         (["--task", "car_ttr", "--disturbance", "d_q=0:1"], "disturbance 'd_q' in [0, 1]: choose from"),
         (["--task", "car_ttr", "--output", "no/such/folder/x.safetensors"], "there is no folder no/such/folder"),
         (["--task", "quad_ttr"], "split the system (decomposition)"),
@@ -59,6 +61,27 @@ def test_what_is_wrong_is_said_in_one_line(arguments, words, capsys, tmp_path, m
     assert words in error
     assert error.count("\n") == 1
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--task", "car_ttr", "--count", "x=many"], "--count 'many' is not a whole number"),
+        (["--task", "car_ttr", "--count", "x"], "--count 'x' must be NAME=VALUE"),
+        (["--task", "car_ttr", "--disturbance", "d_x=1"], "--disturbance '1' must be LOW:HIGH"),
+        (["--task", "car_ttr", "--tolerance", "nan"], "--tolerance 'nan' is not a finite number"),
+        (["--task", "car_ttr", "--max-sweeps", "0"], "--max-sweeps must be a whole number of at least 1"),
+        (["--task", "car_ttr", "--method", "magic"], "--method magic: choose from semi_lagrangian, lax_friedrichs"),
+        ([], "missing --task"),
+    ],
+)
+def test_wrong_usage_is_said_in_one_line(arguments, words, capsys):
+    with pytest.raises(SystemExit) as ended:
+        solve_value(arguments)
+    assert ended.value.code == 2
+    error = capsys.readouterr().err
+    assert words in error
+    assert error.count("\n") == 1
 
 
 def test_an_existing_file_stays_unless_told(tmp_path, capsys):
@@ -85,7 +108,6 @@ def test_a_function_is_checked_in_its_own_task(tmp_path, capsys):
     capsys.readouterr()
     for arguments, words in (
         ([str(file), "--task", "car_ttr"], "is of task 'narrow', not of 'car_ttr'"),
-        ([*driven, "--starts", "0"], "--starts must be at least 1"),
         ([str(file)], "no task 'narrow'"),
     ):
         assert check(arguments) == 1

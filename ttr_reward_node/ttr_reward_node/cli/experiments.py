@@ -1,18 +1,18 @@
-"""The command `ttr_experiments`: figures about the solvers, printed, and written as JSON and pictures.
+"""The command `ttr_experiments`: measurements of the solvers, printed, and written as JSON and pictures.
 
 ttr_experiments convergence | check | gap | cost [--output FILE.json] [--picture FILE.png]
 """
 
 from __future__ import annotations
 
-import argparse
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
-from ctrl_rl_core.command import run_command
+import tyro
+from ctrl_rl_core.command import parse_options, run_command
 from ctrl_rl_core.io.results import Result, write_results
 from ctrl_rl_core.tasks.task import load_navigation_task
 from tqdm import tqdm
@@ -28,20 +28,30 @@ _FINER = {"x": 17, "v_x": 11, "z": 17, "v_z": 11, "psi": 17, "omega": 5}
 _STARTS = 1000
 
 Measured = tuple[list[Result], Callable[[Path], None] | None]
-"""Figures, and what draws them; None where there is no picture."""
+"""Results, and the function that draws them; None where there is no picture."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """Measure the time-to-reach solvers: convergence, greedy roll-outs, decomposition error or cost."""
+
+    experiment: Annotated[
+        Literal["convergence", "check", "gap", "cost"], tyro.conf.Positional, tyro.conf.arg(metavar="EXPERIMENT")
+    ]
+    """Name of the experiment."""
+    output: Path | None = None
+    """JSON file for the results; none is written where it is left out."""
+    picture: Path | None = None
+    """Picture to draw (gap and cost); none is drawn where it is left out."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one of the experiments."""
-    parser = argparse.ArgumentParser(prog="ttr_experiments", description="Figures about the time-to-reach solvers.")
-    parser.add_argument("experiment", choices=tuple(_EXPERIMENTS))
-    parser.add_argument("--output", type=Path, help="JSON file for the figures")
-    parser.add_argument("--picture", type=Path, help="picture to draw (gap and cost)")
-    options = parser.parse_args(arguments)
+    options = parse_options("ttr_experiments", Options, arguments)
     return run_command("ttr_experiments", lambda: _run(options))
 
 
-def _run(options: argparse.Namespace) -> int:
+def _run(options: Options) -> int:
     title, measure, draws = _EXPERIMENTS[options.experiment]
     _check_files(options, draws)
     with tqdm(desc=options.experiment, unit=" steps", disable=None) as bar:
@@ -60,16 +70,15 @@ def _run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _check_files(options: argparse.Namespace, draws: bool) -> None:
-    """Refuse what cannot be written, before hours of measuring.
+def _check_files(options: Options, draws: bool) -> None:
+    """Refuse files that cannot be written, before hours of measuring.
 
     Raises:
-        TimeToReachError: names the option.
+        TimeToReachError: An option names a file that cannot be written.
     """
     if options.picture is not None and not draws:
         raise TimeToReachError(f"{options.experiment} draws no picture: leave --picture out")
-    for option in ("output", "picture"):
-        path = getattr(options, option)
+    for option, path in (("output", options.output), ("picture", options.picture)):
         if path is not None and not (path.parent.is_dir() and os.access(path.parent, os.W_OK)):
             raise TimeToReachError(
                 f"--{option} {path}: {path.parent} is no folder to write to: make it, or name another"
@@ -184,7 +193,13 @@ def _cost(show: Callable[..., None]) -> Measured:
 
 
 class Experiment(NamedTuple):
-    """A title; what measures, given a function to call with each step's name; whether it draws."""
+    """One experiment of the command.
+
+    Attributes:
+        title: Title of the results file.
+        measure: Function that measures; it is given a function to call with each step's name.
+        draws: Whether the experiment has a picture.
+    """
 
     title: str
     measure: Callable[[Callable[..., None]], Measured]

@@ -1,22 +1,23 @@
-"""`ros2 run oc_baseline_node analyse`: what separates model from simulator, and how well gradients are estimated.
+"""`ros2 run oc_baseline_node analyse`: model against simulator, MPC in the simulator, accuracy of gradient estimates.
 
 analyse mismatch      Table 3.5: distance of model and simulator after 1, 5 and 10 steps
 analyse mpc           Fig. 3.17: MPC with a receding horizon in the simulator, beside the learnt policy
 analyse gradient      Table 3.7: cosine similarity of estimated and true policy gradient
 
-What comes from learning (advantages, noise, entropy, other baselines) is `train --compare ...`.
+Comparisons of learning (advantages, noise, entropy, other baselines) come from `train --compare ...`.
 """
 
 from __future__ import annotations
 
-import argparse
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
-from ctrl_rl_core.command import check_least, folder_to_write, run_command
+import tyro
+from ctrl_rl_core.command import FolderToWrite, at_least, checked_list, parse_options, run_command
 from ctrl_rl_core.io.results import Result, ResultsError, write_results
 from ctrl_rl_core.tasks.task import NavigationTask, load_navigation_task
 from tqdm import tqdm
@@ -34,52 +35,97 @@ THESIS_COSINE = {
 """Table 3.7, at `gradients.SIZES`."""
 
 
+def _per_cent(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not -100.0 < value < math.inf:
+        raise ValueError(f"is {text} per cent: nothing can be that heavy")
+    return value
+
+
+if TYPE_CHECKING:
+    _Positive = int
+    _NotNegative = int
+    _OptionalPositive = int | None
+else:
+    _Positive, _NotNegative = at_least(1), at_least(0)
+    _OptionalPositive = at_least(1, optional=True)
+_PerCents = Annotated[tuple[float, ...], checked_list(_per_cent, "PER_CENT", show="{:g}".format)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Analysis:
+    """Options that every analysis has."""
+
+    seed: _NotNegative = 0
+    """Seed of everything random."""
+    results: FolderToWrite = _RESULTS
+    """Folder of the JSON files."""
+    images: FolderToWrite = _IMAGES
+    """Folder of the pictures."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mismatch(_Analysis):
+    """Measure the distance of model and simulator after 1, 5 and 10 steps (Table 3.5)."""
+
+    roll_outs: _Positive = 50
+    """Number of roll-outs of each row; the thesis has 10."""
+    heavier: _PerCents = (10.0,)
+    """Percentages of mass and inertia by which the simulated quadrotor also exceeds its model."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MpcDrives(_Analysis):
+    """Run MPC with a receding horizon in the simulator, and draw it beside the learned policy (Fig. 3.17)."""
+
+    task: str = "quad_navigation"
+    """Name or .yaml file of the task."""
+    episodes: _Positive = 5
+    """Number of episodes of MPC."""
+    learnt: Path | None = None
+    """JSON file of `train --results` with a learned path to draw; none is drawn where it is left out."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gradient(_Analysis):
+    """Compare estimates of the policy gradient with the true one by cosine similarity (Table 3.7)."""
+
+    task: str = "quad_trap"
+    """Name or .yaml file of the task."""
+    value: Path | None = None
+    """File of V_oc; the network that comes with the package where none is given."""
+    samples: _OptionalPositive = None
+    """Number of samples of the true gradient; the thesis's 102400 where none is given."""
+
+
+_Command = (
+    Annotated[Mismatch, tyro.conf.subcommand("mismatch")]
+    | Annotated[MpcDrives, tyro.conf.subcommand("mpc")]
+    | Annotated[Gradient, tyro.conf.subcommand("gradient")]
+)
+_SUMMARY = "Analyse the optimal control model, its MPC, and the policy gradients that V_oc improves (thesis 3.3)."
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one of the analyses."""
-    parser = argparse.ArgumentParser(
-        prog="analyse", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    commands = parser.add_subparsers(title="analyses", required=True, metavar="ANALYSIS")
-    command = commands.add_parser("mismatch", help="Table 3.5")
-    command.add_argument("--roll-outs", type=int, default=50, help="of each row (default %(default)s, thesis: 10)")
-    command.add_argument(
-        "--heavier",
-        type=float,
-        nargs="*",
-        default=[10.0],
-        metavar="PER_CENT",
-        help="simulate the quadrotor also with so much more mass and inertia than its model has (default 10)",
-    )
-    command.set_defaults(work=_mismatch, least={"roll_outs": 1})
-    command = commands.add_parser("mpc", help="Fig. 3.17")
-    command.add_argument("--task", default="quad_navigation", help="(default %(default)s)")
-    command.add_argument("--episodes", type=int, default=5, help="of MPC (default %(default)s)")
-    command.add_argument("--learnt", type=Path, help="JSON file of `train --results` with a learnt path to draw")
-    command.set_defaults(work=_mpc, least={"episodes": 1})
-    command = commands.add_parser("gradient", help="Table 3.7")
-    command.add_argument("--task", default="quad_trap", help="(default %(default)s)")
-    command.add_argument("--value", type=Path, help="file of V_oc (default: what comes with the package)")
-    command.add_argument("--samples", type=int, help="for the true gradient (default: the thesis's 102400)")
-    command.set_defaults(work=_gradient, least={"samples": 1})
-    for command in commands.choices.values():
-        command.add_argument("--seed", type=int, default=0, help="(default %(default)s)")
-        command.add_argument(
-            "--results", type=folder_to_write, default=_RESULTS, help="folder of JSON files (default %(default)s)"
-        )
-        command.add_argument(
-            "--images", type=folder_to_write, default=_IMAGES, help="folder of pictures (default %(default)s)"
-        )
-    options = parser.parse_args(arguments)
-    return run_command("analyse", lambda: _analyse(options))
+    """Run one of the analyses and return the exit code: 0 done, 1 failed, 2 wrong usage."""
+    options: Mismatch | MpcDrives | Gradient = parse_options("analyse", _Command, arguments, _SUMMARY)
+    return run_command("analyse", lambda: _run(options))
 
 
-def _analyse(options: argparse.Namespace) -> int:
-    check_least(options, seed=0, **options.least)
-    work: Callable[[argparse.Namespace], int] = options.work
-    return work(options)
+def _run(options: Mismatch | MpcDrives | Gradient) -> int:
+    match options:
+        case Mismatch():
+            return _mismatch(options)
+        case MpcDrives():
+            return _mpc(options)
+        case Gradient():
+            return _gradient(options)
 
 
-def _mismatch(options: argparse.Namespace) -> int:
+def _mismatch(options: Mismatch) -> int:
     from oc_baseline_node.training.analysis.mismatch import STEPS, transition_errors, with_extra_mass
 
     pairs: dict[str, tuple[NavigationTask, NavigationTask]] = {}
@@ -87,8 +133,6 @@ def _mismatch(options: argparse.Namespace) -> int:
         task = load_navigation_task(name)
         pairs[name] = task, task
         for per_cent in options.heavier if task.robot.body == "planar_quadrotor" else ():
-            if not -100.0 < per_cent < math.inf:
-                raise OcError(f"--heavier is {per_cent:g} per cent: nothing can be that heavy")
             pairs[f"{name}, mass and inertia {per_cent:+g} %"] = task, with_extra_mass(task, per_cent)
     rows = []
     for label, (task, plant) in pairs.items():
@@ -104,7 +148,7 @@ def _mismatch(options: argparse.Namespace) -> int:
     return _write(options, "oc_mismatch", rows)
 
 
-def _mpc(options: argparse.Namespace) -> int:
+def _mpc(options: MpcDrives) -> int:
     from oc_baseline_node.training.analysis.mismatch import run_mpc_episodes
     from oc_baseline_node.training.analysis.plots import draw_paths
 
@@ -144,7 +188,7 @@ def _learnt_paths(file: Path, task: NavigationTask) -> Sequence[Mapping[str, Any
     return paths
 
 
-def _gradient(options: argparse.Namespace) -> int:
+def _gradient(options: Gradient) -> int:
     from oc_baseline_node.training.analysis import gradients
     from oc_baseline_node.training.analysis.early_policy import find_early_policy
     from oc_baseline_node.training.experiments.runs import OcRun
@@ -182,9 +226,7 @@ def _gradient(options: argparse.Namespace) -> int:
     return _write(options, "oc_gradient", rows)
 
 
-def _write(
-    options: argparse.Namespace, name: str, rows: Sequence[Result], figures: dict[str, object] | None = None
-) -> int:
+def _write(options: _Analysis, name: str, rows: Sequence[Result], figures: dict[str, object] | None = None) -> int:
     file = options.results / f"{name}.json"
     write_results(file, name, [options.seed], rows, figures)
     print(f"results    {file}")
