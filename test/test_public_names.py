@@ -43,4 +43,10 @@ def test_the_package_alone_loads_none_of_its_modules(stub: Path) -> None:
 
 
 def test_there_are_public_names() -> None:
-    assert {stub.parent.name for stub in STUBS} >= {"ctrl_rl_core", "ctrl_rl_bags", "sim_bridge"}
+    assert {stub.parent.name for stub in STUBS} >= {
+        "ctrl_rl_core",
+        "ctrl_rl_bags",
+        "sim_bridge",
+        "ttr_reward_node",
+        "oc_baseline_node",
+    }
