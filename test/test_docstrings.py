@@ -19,10 +19,10 @@ ALLOWED = {
     "ctrl_rl_core": 0,
     "ctrl_rl_training": 23,
     "koopman_lqr_controller": 217,
-    "oc_baseline_node": 54,
+    "oc_baseline_node": 0,
     "option_coordinator": 101,
     "sim_bridge": 0,
-    "ttr_reward_node": 68,
+    "ttr_reward_node": 0,
     "test/attack": 0,
     "test/benchmarks": 0,
 }

@@ -32,11 +32,11 @@ def draw_heat_map(
     Colours span the values of the free space; where the body collides the map is pale.
 
     Args:
-        value: over the states of the task's system.
-        task: whose arena, goal and obstacles are drawn.
-        path: of the picture, PNG.
-        at: the other state components [their unit]; 0 where left out.
-        cells: a side.
+        value: Value function over the states of the task's system.
+        task: Task with the arena, goal and obstacles to draw.
+        path: File of the picture, PNG.
+        at: Values of the other state components [their unit]; 0 for those left out.
+        cells: Number of cells along each side of the map.
 
     Raises:
         OcError: the value belongs to another kind of state.

@@ -19,7 +19,7 @@ class InitialGuesses:
     """What solvers begin with, for one problem.
 
     Args:
-        problem: to be solved.
+        problem: Optimal control problem to be solved.
     """
 
     def __init__(self, problem: OptimalControlProblem) -> None:

@@ -27,14 +27,14 @@ class MpcSolution:
     """What a solver made of a start.
 
     Attributes:
-        states: x_0 .. x_H (H+1, n); not to be used where not `solved`.
-        controls: u_0 .. u_{H-1} (H, m).
-        time_step: [s].
-        solved: whether it keeps every constraint.
-        reason: the solver's last word (CasADi's return_status), or why no solver was asked.
-        cost: Eq. 3.16, NaN where not solved.
-        iterations: of all solvers asked.
-        cpu_seconds: they took, without setting up their programs.
+        states: States x_0 .. x_H (H+1, n); not to be used where not `solved`.
+        controls: Controls u_0 .. u_{H-1} (H, m).
+        time_step: Duration of a step [s].
+        solved: Whether the trajectory keeps every constraint.
+        reason: Status of the last solver (CasADi's return_status), or why no solver was asked.
+        cost: Cost of Eq. 3.16, NaN where not solved.
+        iterations: Number of iterations of all solvers asked.
+        cpu_seconds: Processor time of all solvers asked [s], without setting up their programs.
     """
 
     states: Array
@@ -58,9 +58,9 @@ class Mpc:
     a solver nothing to hold on to at the beginning.
 
     Args:
-        problem: to solve.
-        solvers: asked in this order, with each guess, until one succeeds; fatrop is the faster, ipopt the more robust.
-        max_iterations: of each.
+        problem: Optimal control problem to solve.
+        solvers: Solvers, asked in this order with each guess until one succeeds; fatrop is faster, ipopt more robust.
+        max_iterations: Largest number of iterations of each solver.
     """
 
     def __init__(
@@ -83,9 +83,9 @@ class Mpc:
         """Return the trajectory from `start` (n,).
 
         Args:
-            start: x_0.
-            guess: states (H+1, n) and controls (H, m) to begin with, e.g. of a trajectory nearby (a warm start).
-            check_start: whether a start that breaks the constraints is refused without asking a solver.
+            start: Start state x_0 (n,).
+            guess: States (H+1, n) and controls (H, m) to begin with, such as a trajectory nearby (a warm start).
+            check_start: Whether a start that breaks the constraints is refused without asking a solver.
         """
         start = np.asarray(start, dtype=float)
         refusal = self.problem.refusal(start) if check_start else ""
@@ -183,8 +183,8 @@ class RecedingHorizon:
     Where no solver finds a trajectory it carries on with the plan that it has.
 
     Attributes:
-        plan: the last solved trajectory, None before the first.
-        reason: the last solver's word; differs from success where `plan` is an older one.
+        plan: Last solved trajectory, None before the first.
+        reason: Status of the last solver; not a success where `plan` is an older one.
     """
 
     def __init__(self, mpc: Mpc) -> None:

@@ -30,10 +30,10 @@ class Superellipse:
     """The set |a / semi_axes[0]|^p + |b / semi_axes[1]|^p < 1, with (a, b) along its own axes.
 
     Attributes:
-        centre: (2,) [m].
-        semi_axes: (2,) [m].
+        centre: Centre of the superellipse (2,) [m].
+        semi_axes: Lengths of the semi-axes (2,) [m].
         exponent: p, an even number.
-        angle: of its own axes, counter-clockwise [rad].
+        angle: Angle of its own axes, counter-clockwise [rad].
     """
 
     centre: tuple[float, float]

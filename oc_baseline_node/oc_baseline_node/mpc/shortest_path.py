@@ -23,7 +23,7 @@ class ShortestPathPlanner:
     """Shortest paths to a problem's goal that keep d_min, over a grid of positions.
 
     Args:
-        problem: with bounded positions.
+        problem: Optimal control problem with bounded positions.
     """
 
     def __init__(self, problem: OptimalControlProblem) -> None:

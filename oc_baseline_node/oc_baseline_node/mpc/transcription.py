@@ -65,9 +65,9 @@ class NonlinearProgram:
     """A nonlinear program with its solver.
 
     Attributes:
-        layout: of its variables.
-        solver: the CasADi function; its parameter is the start x_0.
-        bounds: lbx, ubx, lbg, ubg.
+        layout: Places of states and controls in the vector of variables.
+        solver: CasADi function of the solver; its parameter is the start x_0.
+        bounds: Bounds of variables and constraints: lbx, ubx, lbg, ubg.
     """
 
     layout: Layout

@@ -30,10 +30,10 @@ class RlInfo:
     """The four components of a task that an optimal control problem is made from.
 
     Attributes:
-        robot_type: "car" or "quadrotor".
-        state: components of the full RL state s, beams last.
-        reward: what each set pays, and the state components that tell whether a state lies in it.
-        constraints: of the environment, in words.
+        robot_type: Type of the robot, "car" or "quadrotor".
+        state: Components of the full RL state s, beams last.
+        reward: Reward of each set, and the state components that tell whether a state lies in it.
+        constraints: Constraints of the environment, in words.
     """
 
     robot_type: str
@@ -55,10 +55,10 @@ class Extraction:
     """What follows from a task.
 
     Attributes:
-        info: the RL info.
-        candidates: the models of the robot's type.
-        chosen: the task's own model, which meets both criteria.
-        problem: the optimal control problem.
+        info: RL info of the task.
+        candidates: Models of the robot's type, assessed by the two criteria.
+        chosen: Name of the task's own model, which meets both criteria.
+        problem: Optimal control problem that is formed.
     """
 
     info: RlInfo
@@ -80,9 +80,10 @@ def extract(task: NavigationTask, form: Form = "free_speed", clearance: float | 
     """Return the RL info of a task, the assessed candidate models and the problem that is formed.
 
     Args:
-        task: to read.
-        form: of the problem, see `oc_baseline_node.problems.problem.FORMS`.
-        clearance: d_min [m], see `formulate`.
+        task: Task that the problem is extracted from.
+        form: Form of the problem, one of `FORMS`.
+        clearance: Least distance d_min from obstacles [m]; the task's, but more than the body's radius, where it is
+            None.
 
     Raises:
         OcError: no candidate meets the criteria, or the task's own model does not, or see `formulate`.

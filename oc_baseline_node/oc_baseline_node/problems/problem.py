@@ -38,22 +38,22 @@ class OptimalControlProblem:
     within bounds. The W term is the trap form of section 3.3.3. In a corridor x and p are coordinates of its path.
 
     Attributes:
-        task: the task it belongs to.
-        system: f, with the bounds of u that the problem uses; the task's own, or in a corridor `path_car`.
-        form: see `FORMS`.
-        horizon: H, steps.
-        time_step: [s].
-        gamma: growth of the state cost per step; not the discount of Eq. 3.13.
-        discount: of a step of the task's policy, in Eq. 3.13.
-        state_weight: Q.
-        control_weight: R.
-        trap_weight: W.
-        goal: p* (2,) [m].
-        trap: the trap's middle (2,) [m], None for no trap.
-        terminal: the set that x_H lies in: the goal, within the task's terminal set.
-        obstacles: what a position keeps d_min from.
-        clearance: d_min [m].
-        state_bounds: least and largest x (2, n); infinite where free.
+        task: Task that the problem belongs to.
+        system: Dynamics f with the bounds of u that the problem uses; the task's own, or in a corridor `path_car`.
+        form: Form of the problem, one of `FORMS`.
+        horizon: Number H of steps.
+        time_step: Duration of a step [s].
+        gamma: Growth of the state cost per step; not the discount of Eq. 3.13.
+        discount: Discount of one step of the task's policy, in Eq. 3.13.
+        state_weight: Weight Q of the squared distance to the goal [1/m^2].
+        control_weight: Weight R of the squared controls.
+        trap_weight: Weight W of the squared distance to the trap [1/m^2].
+        goal: Middle p* of the goal (2,) [m].
+        trap: Middle of the trap (2,) [m], None for no trap.
+        terminal: Set in which x_H lies: the goal, within the task's terminal set.
+        obstacles: Shapes from which a position keeps d_min.
+        clearance: Least distance d_min from obstacles [m].
+        state_bounds: Least and largest states (2, n); infinite where free.
     """
 
     task: NavigationTask
@@ -131,9 +131,10 @@ def formulate(task: NavigationTask, form: Form = "free_speed", clearance: float 
     """Return a task's problem.
 
     Args:
-        task: with a part `optimal_control`; obstacles only in an arena.
-        form: see `FORMS`.
-        clearance: d_min [m]; where left out the task's, but more than the body's radius: nearer, the body collides.
+        task: Task with a part `optimal_control`; obstacles only in an arena.
+        form: Form of the problem, one of `FORMS`.
+        clearance: Least distance d_min from obstacles [m]. Where left out the task's, but more than the body's radius:
+            nearer, the body collides.
 
     Raises:
         OcError: the task lacks what the problem needs, or its terminal set is empty within the bounds.

@@ -53,9 +53,9 @@ class DataSettings:
     """What value data depend on.
 
     Attributes:
-        trajectories: how many solved ones.
-        chunk: of them to a file.
-        seed: of the starts, zero or more.
+        trajectories: Number of solved trajectories.
+        chunk: Number of trajectories in a file.
+        seed: Seed of the starts, zero or more.
 
     Raises:
         OcError: there would be nothing to make.
@@ -87,14 +87,14 @@ class ValueData:
     """Solved trajectories and the starts from which there was none.
 
     Attributes:
-        states: (N, H+1, n).
-        controls: (N, H, m).
-        time_steps: (N,) [s].
-        cpu_seconds: of each solved trajectory (N,).
-        unsolved: starts without a trajectory (K, n).
-        reasons: the solver's, for each of them.
-        doomed: whether such a start cannot even keep clear of obstacles and bounds for a second, goal or not (K,).
-        wasted_seconds: CPU seconds spent on them (K,).
+        states: States of the solved trajectories (N, H+1, n).
+        controls: Controls of the solved trajectories (N, H, m).
+        time_steps: Durations of their steps (N,) [s].
+        cpu_seconds: Processor time of each solved trajectory (N,) [s].
+        unsolved: Starts without a trajectory (K, n).
+        reasons: Status of the solver for each start without a trajectory.
+        doomed: Whether such a start cannot even keep clear of obstacles and bounds for a second, goal or not (K,).
+        wasted_seconds: Processor time spent on the starts without a trajectory (K,) [s].
     """
 
     states: Array
@@ -124,9 +124,9 @@ class ValueData:
         After its first goal, trap or collision an episode is over: what a trajectory does then is no state of it.
 
         Args:
-            problem: whose task pays the rewards.
-            discount: of a step of the task's policy; the task's own unless given.
-            whole_horizon: whether the sum goes on after arrival, to the horizon's end, as the thesis may be read; every
+            problem: Optimal control problem of the task that pays the rewards.
+            discount: Discount of one step of the task's policy; the task's own unless given.
+            whole_horizon: Whether the sum goes on after arrival, to the horizon's end, as the thesis may be read; every
                 state counts then.
         """
         states = problem.task_states(self.states)

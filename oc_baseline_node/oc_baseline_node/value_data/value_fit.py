@@ -35,14 +35,14 @@ class FitSettings:
     """How to fit.
 
     Attributes:
-        discount: of a step of the task's policy, in Eq. 3.13; the task's own unless given.
+        discount: Discount of one step of the task's policy, in Eq. 3.13; the task's own unless given.
         whole_horizon: whether Eq. 3.13 sums on after arrival.
         hidden: units of each hidden layer.
         epochs: passes over the data.
         batch: samples to a step.
         learning_rate: the largest; it falls along a cosine.
         held_out: part of the trajectories kept for the test.
-        seed: of split, weights and order.
+        seed: Seed of the split, the weights and the order of the samples.
     """
 
     discount: float | None = None
@@ -66,7 +66,7 @@ def fit(
     Args:
         problem: that the data solve.
         data: trajectories; the states of each that an episode would meet are samples.
-        settings: how.
+        settings: Settings of the fit; the defaults unless given.
         progress: whether to show a bar.
 
     Raises:

@@ -43,7 +43,7 @@ def make_data(
 
     Args:
         problem: to solve, as `formulate` made it.
-        settings: how many, from which seed.
+        settings: Number of trajectories, size of a chunk and seed.
         folder: holds one file a chunk; what lies there is not made again.
         workers: processes; with one everything happens in this one.
         progress: whether to show a bar.

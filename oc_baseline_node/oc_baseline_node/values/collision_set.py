@@ -61,7 +61,7 @@ class CollisionSet:
 
     Attributes:
         shapes: walls and obstacles.
-        radius: of the body [m].
+        radius: Radius of the robot's body [m].
         reward: paid for a collision.
         tilt_limit: largest |psi| [rad], infinite for none.
         tilt_reward: paid beyond it.

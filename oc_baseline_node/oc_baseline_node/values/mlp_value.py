@@ -35,11 +35,11 @@ class MlpValue:
         layers: weights (out, in) and biases (out,) of each layer, the last with one output.
         axes: name, unit and domain of each state component, and how finely `grids` samples it.
         offset: added to the scaled output [reward].
-        scale: of the output [reward].
+        scale: Scale of the network's output [reward].
         task: name of the task.
         task_digest: SHA-256 of the task.
         collisions: where the value is known without the network, None for the network alone.
-        manifest: what it was fitted to and how well, plain JSON values.
+        manifest: Description of the data and the quality of the fit, plain JSON values.
 
     Raises:
         OcError: shapes that do not fit together, or numbers that are not finite.

@@ -38,7 +38,7 @@ def returns(paid: ArrayLike, ended: ArrayLike, discount: ArrayLike) -> Array:
     Args:
         paid: r(x_0) .. r(x_H) (..., H+1).
         ended: whether the episode ends there (..., H+1); all false for the sum over the whole horizon.
-        discount: of a step (...), or one for all.
+        discount: Discount of each step (...), or one for all.
     """
     paid, goes_on = np.asarray(paid, dtype=float), ~np.asarray(ended, dtype=bool)
     out = paid.copy()

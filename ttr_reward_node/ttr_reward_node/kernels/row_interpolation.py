@@ -64,12 +64,12 @@ class RowRule(NamedTuple):
         jump: Largest relative difference of w across a cell that a slope can make; infinite: unreachable corners count
             as w = 0.
         periodic: Whether the rows are periodic.
-        count: Number of nodes in a row.
+        length: Number of nodes in a row.
     """
 
     jump: np.float32
     periodic: bool
-    count: int
+    length: int
 
 
 @njit(**_OPTIONS)
@@ -190,7 +190,7 @@ def interpolate_row(values: Floats, stencil: Stencil, rule: RowRule, buffers: Fl
 def _fill_periodic(values: Floats, stencil: Stencil, rule: RowRule, out: Floats) -> None:
     """Fill in the nodes of a periodic row from which the step crosses the row's ends."""
     if rule.periodic:
-        for j in range(rule.count):
+        for j in range(rule.length):
             if j < stencil.begin or j >= stencil.end:
                 out[j] = stencil.discount * interpolate_node(values, stencil, rule, j, False)
 
@@ -247,7 +247,7 @@ def interpolate_node(values: Floats, stencil: Stencil, rule: RowRule, j: int, pa
 def _corner(values: Floats, stencil: Stencil, rule: RowRule, c: int, j: int) -> np.float32:
     if rule.periodic:
         s = stencil.corner_shift[c]
-        return values[stencil.corner[c] - s + (j + s) % rule.count]
+        return values[stencil.corner[c] - s + (j + s) % rule.length]
     return values[stencil.corner[c] + j]
 
 

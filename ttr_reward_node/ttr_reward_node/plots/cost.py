@@ -17,8 +17,8 @@ def draw_cost(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
     """Draw CPU seconds over points for each system, with both axes logarithmic, beside a line of slope one.
 
     Args:
-        rows: of `measure_cost`, of one method.
-        path: of the picture; replaced if it exists.
+        rows: Rows of `measure_cost` for one method.
+        path: File of the picture; replaced if it exists.
     """
     figure, axes = plt.subplots(figsize=(7.6, 4.8), layout="constrained")
     for name in dict.fromkeys(row["system"] for row in rows):

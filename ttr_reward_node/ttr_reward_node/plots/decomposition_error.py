@@ -22,9 +22,9 @@ def draw_decomposition_errors(gaps: Sequence[DecompositionErrors], task: Navigat
     """Draw the distribution of each gap, and each gap over the plane at the other components' middle.
 
     Args:
-        gaps: of one problem, at least one.
-        task: whose goal and obstacles are drawn too.
-        path: of the picture; replaced if it exists.
+        gaps: Errors of one or more decompositions of one problem.
+        task: Task with the goal and obstacles to draw.
+        path: File of the picture; replaced if it exists.
 
     Raises:
         TimeToReachError: there is no plane of positions, or there are no nodes to compare.

@@ -31,11 +31,11 @@ def draw_slices(
     """Draw the time to reach over the plane, one picture for each value of one other component, as Fig. 3.1 does.
 
     Args:
-        function: time to reach over x, y or x, z and more.
-        task: whose goal and obstacles are drawn too.
-        path: of the picture; replaced if it exists.
-        at: values of the other components by name [their unit]; the one with more than one value makes the panels.
-            The thesis's four headings for the robot's angle, and 0 for the rest, unless given.
+        function: Time to reach over x, y or x, z and more states.
+        task: Task with the goal and obstacles to draw.
+        path: File of the picture; replaced if it exists.
+        at: Values of the other components by name [their unit]; the one with more than one value makes the panels.
+            Unless given, the thesis's four headings for the robot's angle, and 0 for the rest.
 
     Raises:
         TimeToReachError: two components have several values.

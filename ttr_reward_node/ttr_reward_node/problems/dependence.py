@@ -48,7 +48,7 @@ def dependences(system: System, *, hold: bool = True) -> tuple[Dependence, ...]:
 
     Args:
         system: the system, with its bounds and parameters.
-        hold: whether controls and disturbances whose bounds coincide are constants. If not, controls are free, and
+        hold: Whether controls and disturbances whose bounds coincide are constants. If not, controls are free, and
             disturbances are absent.
     """
     n = len(system.states)

@@ -23,10 +23,10 @@ def make_clearance(
     """Return the distance to the nearest obstacle at the nodes of two axes, shape (count, count) [m].
 
     Args:
-        shapes: walls and obstacles that paths must not leak through.
-        arena: intervals outside of which all is solid [m], so that its walls need no thickness; None for no arena.
-        axes: of the plane.
-        inflation: by how much all of that is widened [m].
+        shapes: Walls and obstacles that paths must not leak through.
+        arena: Intervals outside of which all is solid [m], so that its walls need no thickness; None for no arena.
+        axes: Two axes of the plane of positions.
+        inflation: Distance by which walls and obstacles are widened [m].
 
     Raises:
         TimeToReachError: a shape is thinner than a cell, so that nodes on either side of it can be neighbours.

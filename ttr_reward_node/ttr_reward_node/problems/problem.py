@@ -61,13 +61,13 @@ class TimeToReachProblem:
         system: x' = f(x, u, d); u shortens the time, d prolongs it.
         axes: one for each state of the system, in its order.
         target: Gamma of Eq. 2.17; state components that it does not bound are free.
-        clearance: of the obstacles, None for none.
+        clearance: Distance to the obstacles at the nodes; None for no obstacles.
         control_counts: samples of each control between its bounds. Two are enough for the Hamiltonian of a system that
             is affine in u; the third, the middle, saves switching to and fro between the bounds.
-        name: of the task.
-        digest: SHA-256 of the task; empty where there is no task file, see `content_digest`.
-        inflation: by how much the clearance has been reduced [m], for the record.
-        corridor_width: of the task's corridor [m], for the record; None without one.
+        name: Name of the task, for the value file.
+        digest: SHA-256 of the task; empty where there is no task file, and `content_digest` then stands for it.
+        inflation: Distance by which the clearance has been reduced [m], for the record.
+        corridor_width: Width of the task's corridor [m], for the record; None without a corridor.
 
     Raises:
         TimeToReachError: anything that contradicts the above.
@@ -184,13 +184,13 @@ def problem_from_task(
     """Make the problem that a navigation task describes.
 
     Args:
-        task: a task, its name or its file; it must say which `grid` it wants.
-        counts: nodes by state name, or one for each state, in place of the task's.
-        inflation: by how much walls and obstacles are widened [m], e.g. the robot's radius; 0 for a point. Thin walls
-            need it: see `obstacles.make_clearance`.
-        width: of the task's corridor [m]; None for the task's own.
-        disturbances: bounds by name ("d_" and the state's name); none unless given.
-        control_counts: see `TimeToReachProblem`.
+        task: Navigation task with a `grid`, its name or its file.
+        counts: Number of nodes by state name, or one for each state, in place of the task's.
+        inflation: Distance by which walls and obstacles are widened [m], such as the robot's radius; 0 for a point
+            robot. Walls thinner than a cell need it.
+        width: Width of the task's corridor [m]; None for the task's own.
+        disturbances: Bounds by name ("d_" and the state's name); no disturbance unless given.
+        control_counts: Number of samples of each control that the solver tries, one for all or one for each.
 
     Raises:
         TimeToReachError: the task has no grid, or its corridor's goal is not a box along the axes; unknown states in

@@ -65,9 +65,9 @@ def check_clearance(spanned: Sequence[int], values: NDArray[Any], axes: Sequence
     """Refuse a clearance that does not fit the grid or is no distance.
 
     Args:
-        spanned: indices of the axes that it spans.
-        values: distances at their nodes [m].
-        axes: of the grid.
+        spanned: Indices of the axes that the clearance spans.
+        values: Distances at the nodes of these axes [m].
+        axes: Axes of the grid, one for each state.
 
     Raises:
         TimeToReachError: says what is wrong.

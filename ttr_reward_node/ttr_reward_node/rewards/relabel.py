@@ -44,17 +44,17 @@ def relabel(
     The topics have the type hash and the quality of service of those that the reward node publishes.
 
     Args:
-        bag: with odometry in the frame of the value function.
-        output: the new bag; it must not exist.
-        function: the time to reach.
-        label: what a state pays.
-        robot: namespace of the topics.
-        frame: of the function's positions, in which values and rewards are given, as the node does.
-        replace: leave out the rewards and values that the bag has already.
-        progress: show a bar on a terminal.
+        bag: Bag with odometry in the frame of the value function.
+        output: Folder of the new bag, which must not exist.
+        function: Time to reach of the task.
+        label: Evaluator that gives the reward of a state.
+        robot: Namespace of the topics; none where it is empty.
+        frame: Frame of the function's positions, in which values and rewards are given, as the node does.
+        replace: Whether rewards and values that the bag already has are left out.
+        progress: Whether a progress bar is shown on a terminal.
 
     Returns:
-        How many odometry messages were labelled.
+        Number of odometry messages that were labelled.
 
     Raises:
         TimeToReachError: the bag has no odometry, or has rewards that are not to be replaced.

@@ -27,9 +27,9 @@ class RewardEvaluator:
     """Labels states of one task.
 
     Args:
-        task: what is paid, and the sets G and C.
-        function: the task's time to reach.
-        width: of the task's corridor [m], None for its own.
+        task: Task with the rewards and the sets G and C.
+        function: Time to reach of the task.
+        width: Width of the task's corridor [m], None for its own.
 
     Attributes:
         up_to_date: whether the function was made for this very version of the task.

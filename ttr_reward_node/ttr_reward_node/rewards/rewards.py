@@ -39,8 +39,8 @@ def time_to_reach_reward(phi: ArrayLike, longest: float) -> Array:
     """Return -phi (Eq. 3.9, s in I).
 
     Args:
-        phi: times to reach (N,) [s], +inf where the goal cannot be reached, NaN where it is not known.
-        longest: where phi is cut, and what +inf and NaN count as [s].
+        phi: Times to reach (N,) [s], +inf where the goal cannot be reached, NaN where it is not known.
+        longest: Largest time to reach [s], at which phi is cut, and for which +inf and NaN count.
 
     Returns:
         (N,) from -longest to 0.
@@ -53,10 +53,10 @@ def distance_reward(states: ArrayLike, names: Sequence[str], goal: Region, weigh
     """Return -d (Table 3.3): minus the Euclidean distance to the middle of the goal, its angle weighted.
 
     Args:
-        states: (N, n) in SI units.
-        names: of the state's components.
-        goal: a disc, or intervals of two positions; and, where `weight` is not 0, an interval of one angle.
-        weight: lambda [m^2/rad^2].
+        states: States (N, n) in SI units.
+        names: Names of the state's components.
+        goal: Region with a disc or intervals of two positions and, where `weight` is not 0, an interval of one angle.
+        weight: Weight lambda of the squared angle [m^2/rad^2].
 
     Raises:
         TimeToReachError: the goal has no such middle.
@@ -93,11 +93,11 @@ class Reward:
     """One of the rewards of a task, see `make_reward`.
 
     Attributes:
-        name: one of `REWARDS`.
-        task: what it is paid for.
-        value: of the time to reach; None for the others.
-        domain: least and largest states (2, n) that the value is asked for, infinite where there is no bound.
-        longest: the largest time to reach that there is [s].
+        name: Name of the reward, one of `REWARDS`.
+        task: Task that the reward belongs to.
+        value: Time-to-reach function of the task; None for the other rewards.
+        domain: Least and largest states (2, n) at which the value is looked up, infinite where there is no bound.
+        longest: Largest finite time to reach of the function [s].
     """
 
     name: str
@@ -126,9 +126,9 @@ def make_reward(name: str, task: NavigationTask, value: ValueFunction | None = N
     """Return a reward of Table 3.3.
 
     Args:
-        name: one of `REWARDS`.
-        task: it is paid for.
-        value: the task's time to reach; needed for "ttr" alone.
+        name: Name of the reward, one of `REWARDS`.
+        task: Task that the reward belongs to.
+        value: Time to reach of the task; only "ttr" needs it.
 
     Raises:
         TimeToReachError: there is no such reward; "ttr" without a value, or with one that says nothing; a distance to

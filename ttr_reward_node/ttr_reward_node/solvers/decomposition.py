@@ -58,9 +58,9 @@ class Subsystem:
     """A part of a problem.
 
     Attributes:
-        problem: of the kept states.
-        free: what it chooses for itself though in the whole something else decides: states that it needs but does not
-            keep, and controls that it shares with another subsystem.
+        problem: Problem over the kept states.
+        free: States and controls that the subsystem chooses for itself, though in the whole system something else
+            decides them: states that it needs but does not keep, and controls that it shares with another subsystem.
     """
 
     problem: TimeToReachProblem
@@ -117,11 +117,11 @@ def solve_decomposed(
     """Solve each subsystem; the maximum of the solutions is a lower bound of the time to reach.
 
     Args:
-        problem: a problem, or a task.
-        decomposition: the subsystems.
-        method: see `solve`.
-        counts: of a task's nodes, see `problem_from_task`.
-        progress: see `solve`.
+        problem: Problem, or a navigation task, its name or its file.
+        decomposition: States that each subsystem keeps.
+        method: Name of the solver, one of `solver.METHODS`.
+        counts: Number of nodes by state name, or one for each state, in place of the task's.
+        progress: Function called after each sweep with its number and the largest change [s].
 
     Raises:
         TimeToReachError: see `split` and `solve`.

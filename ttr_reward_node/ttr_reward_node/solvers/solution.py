@@ -28,13 +28,13 @@ class Solution:
     """A time-to-reach function and how it was found.
 
     Attributes:
-        grid: the function; +inf where the target cannot be reached.
-        sweeps: how many sweeps it took.
-        residual: largest change of phi in the last sweep [s]; inf where nodes still became reachable.
-        converged: whether the residual is within the tolerance.
-        cpu_seconds: processor time, without compilation where the kernels were compiled before.
-        reachable: fraction of the nodes from which the target can be reached.
-        memory: bytes that the solver stated beforehand.
+        grid: Time-to-reach function; +inf where the target cannot be reached.
+        sweeps: Number of sweeps until the solver stopped.
+        residual: Largest change of phi in the last sweep [s]; inf where nodes still became reachable.
+        converged: Whether the residual is within the tolerance.
+        cpu_seconds: Processor time [s], without compilation where the kernels were compiled before.
+        reachable: Fraction of the nodes from which the target can be reached.
+        memory: Estimate of the memory that the solver made beforehand [bytes].
     """
 
     grid: ValueGrid

@@ -46,13 +46,13 @@ def solve(
     """Compute phi of thesis Eq. 2.18 on the grid.
 
     Args:
-        problem: what to solve.
+        problem: Time-to-reach problem to solve.
         method: "semi_lagrangian", or "lax_friedrichs" as the thesis does (section 3.2), which is less exact.
-        tolerance: largest change of phi in a sweep at which it stops [s]; unless given a tenth of the time to
-            cross a cell, and a thousandth for Lax-Friedrichs, which creeps.
-        max_sweeps: after how many sweeps it gives up; the result then says that it has not converged, and is +inf where
-            the semi-Lagrangian method has not yet found a time of the right size.
-        progress: called after each sweep with its number and the largest change [s].
+        tolerance: Largest change of phi in a sweep at which it stops [s]; unless given a tenth of the time to cross a
+            cell, and a thousandth for Lax-Friedrichs, which converges slowly.
+        max_sweeps: Number of sweeps after which it gives up; the result then says that it has not converged, and is
+            +inf where the semi-Lagrangian method has not yet found a time of the right size.
+        progress: Function called after each sweep with its number and the largest change [s].
 
     Raises:
         TimeToReachError: an unknown method, a tolerance or number of sweeps that is not positive, or the problem does

@@ -31,9 +31,9 @@ class Layout:
     """The order of the axes in memory: first those that f depends on (`outer`), then the others (`inner`).
 
     Attributes:
-        outer, inner: indices of the problem's axes.
-        counts: nodes on each axis in this order.
-        periodic: whether each of them is.
+        outer, inner: Indices of the problem's axes on which f depends, and of the others.
+        counts: Number of nodes on each axis in this order.
+        periodic: Whether each axis is periodic, in this order.
     """
 
     outer: tuple[int, ...]
@@ -57,10 +57,10 @@ class Steps:
     """Steps of each slab under each pair of disturbance and control, axes in the layout's order.
 
     Attributes:
-        durations: shape (slabs, pairs) [s]; disturbances are the slower index of the pairs; 0 where nothing moves.
-        moves: shape (slabs, pairs, 2, n) [cells]: after half of the duration and after all of it.
-        controls: number of controls, each with each length of step; pairs is a multiple of it.
-        longest: time to cross a cell along the slowest axis at its top speed [s].
+        durations: Durations (slabs, pairs) [s]; disturbances are the slower index of the pairs; 0 where nothing moves.
+        moves: Displacements (slabs, pairs, 2, n) [cells] after half of the duration and after all of it.
+        controls: Number of controls, each with each length of step; the number of pairs is a multiple of it.
+        longest: Time to cross a cell along the slowest axis at its top speed [s].
     """
 
     durations: NDArray[np.float64]

@@ -19,8 +19,8 @@ class RewardWrapper(gymnasium.Wrapper[Vector, Vector, Vector, Vector]):
     """Pays one of the rewards of Table 3.3 instead of the task's own.
 
     Args:
-        environment: of a task of the suite.
-        reward: what is paid, for the true state.
+        environment: Environment of a task of the suite.
+        reward: Reward that is paid for the true state.
     """
 
     def __init__(self, environment: Environment, reward: Reward) -> None:

@@ -52,9 +52,9 @@ class DecomposedValue:
     """phi(x) >= max over the subsystems of phi_i(x_i): a lower bound of the time to reach.
 
     Attributes:
-        grids: of the subsystems; their axes are named after the states that they keep.
-        axes: of the whole state, in order.
-        name: of the decomposition.
+        grids: Value grids of the subsystems; their axes are named after the states that they keep.
+        axes: Axes of the whole state, in order.
+        name: Name of the decomposition.
         free: for each subsystem, the states and controls that it treats as its own to choose.
 
     Raises:

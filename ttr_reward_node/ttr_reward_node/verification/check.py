@@ -44,15 +44,15 @@ def check_task(
     """Solve a task, drive from random states by its value function, and compare the executed with the predicted time.
 
     Args:
-        task: a task with a grid, of a system whose controls need no finer look than a cell (a car).
-        obstacles: with the task's walls and obstacles, or without any.
-        margin: by how much the solver widens them [m]; half a cell unless given. Shortest paths graze corners, and a
-            path between nodes is known to a part of a cell: without a margin a quarter of the roll-outs touch a corner.
-            Collisions are with the true obstacles.
-        states: how many starts.
-        seed: of the random starts.
-        method: see `solve`.
-        progress: see `solve`.
+        task: Task with a grid, of a system whose controls need no finer steps than a cell (a car).
+        obstacles: Whether the task's walls and obstacles are there.
+        margin: Distance by which the solver widens obstacles [m]; half a cell unless given. Shortest paths graze
+            corners, and a path between nodes is known to a part of a cell: without a margin a quarter of the roll-outs
+            touch a corner. Collisions are with the true obstacles.
+        states: Number of random start states.
+        seed: Seed of the random start states.
+        method: Name of the solver, one of `solver.METHODS`.
+        progress: Function called after each sweep with its number and the largest change [s].
 
     Returns:
         Figures for JSON: fractions of 1, times in s; `ratio_...` is executed over predicted time of those that arrived.
@@ -88,11 +88,11 @@ def check_value(
     Figures are those of `check_task`.
 
     Args:
-        value: to be checked.
-        task: that it was made for.
-        width: of the task's corridor [m], None for its own.
-        states: how many starts.
-        seed: of the random starts.
+        value: Time-to-reach function to check.
+        task: Task that the function was made for.
+        width: Width of the task's corridor [m], None for its own.
+        states: Number of random start states.
+        seed: Seed of the random start states.
 
     Raises:
         ValueFunctionError: the function does not belong to the task.
@@ -149,9 +149,9 @@ def advice(figures: Mapping[str, float], problem: TimeToReachProblem, radius: fl
     """Return why roll-outs collide and what to do about it; empty where they hardly do, or with a margin.
 
     Args:
-        figures: of the roll-outs.
-        problem: whose clearance was used, with its inflation.
-        radius: of the robot [m].
+        figures: Figures of the roll-outs, from `check_value`.
+        problem: Problem with the clearance and its inflation.
+        radius: Radius of the robot [m].
     """
     if problem.clearance is None:
         return ""

@@ -30,8 +30,8 @@ class Errors:
     """Errors of a value function at states whose exact time to reach is known.
 
     Attributes:
-        states: how many there are.
-        median, mean, p95: of the absolute error where there is a value [s].
+        states: Number of compared states.
+        median, mean, p95: Median, mean and 95th percentile of the absolute error where there is a value [s].
         relative: mean of the relative error there.
         bias: median of the signed error [s].
         missed: fraction of the states that it holds to be unreachable.
@@ -63,12 +63,12 @@ def convergence_table(
     """Solve a Dubins car's task, without its obstacles, on finer and finer grids with each method.
 
     Args:
-        task: of a Dubins car with a box as its goal.
+        task: Task of a Dubins car with a box as its goal.
         counts: nodes of each grid, the finest last.
-        methods: to compare.
-        states: how many random states there are to compare at.
-        seed: of those.
-        progress: see `Progress`.
+        methods: Names of the solvers to compare.
+        states: Number of random states to compare at.
+        seed: Seed of the random states.
+        progress: Function called after each solution with its name.
 
     Returns:
         Rows for JSON: method, counts, points, sweeps, converged, CPU seconds, errors against the exact times, and as

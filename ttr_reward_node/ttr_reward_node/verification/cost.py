@@ -131,10 +131,10 @@ def measure_cost(
     """Solve each case on each size of grid.
 
     Args:
-        names: of `CASES`.
+        names: Names of systems, keys of `CASES`.
         sizes: numbers of points, about. Cases end at their `most`.
-        methods: see `solve`.
-        progress: see `Progress`.
+        methods: Names of the solvers, of `solver.METHODS`.
+        progress: Function called after each solution with its name.
 
     Returns:
         Rows for JSON: system, dimension, method, counts, points, cpu_s, sweeps, converged, memory_bytes.

@@ -35,12 +35,12 @@ class DecompositionErrors:
     """The time to reach of the whole and its lower bound from one decomposition.
 
     Attributes:
-        problem: the whole.
-        decomposition: its name.
-        whole, bound: at the nodes, shape of the grid [s]; +inf where unreachable.
-        tolerance: differences up to this count as none [s]: a tenth of the time to cross a cell.
-        whole_seconds, parts_seconds: processor time of either [s].
-        converged: whether all solutions did.
+        problem: Problem of the whole system.
+        decomposition: Name of the decomposition.
+        whole, bound: Times at the nodes, shape of the grid [s]; +inf where unreachable.
+        tolerance: Largest difference that counts as none [s]: a tenth of the time to cross a cell.
+        whole_seconds, parts_seconds: Processor times of the whole and of its parts [s].
+        converged: Whether all solutions converged.
     """
 
     problem: TimeToReachProblem
@@ -100,10 +100,11 @@ def measure_decomposition_errors(
     """Solve the whole and its decompositions on the same axes.
 
     Args:
-        problem: the whole.
-        decompositions: what to compare with it.
-        method: see `solve`; of all solutions.
-        progress: see `Progress`.
+        problem: Problem of the whole system.
+        decompositions: Decompositions to compare with the whole.
+        method: Name of the solver of all solutions, one of `solver.METHODS`.
+        progress: Function called after each sweep with the name of the solution, the sweep's number and the largest
+            change [s].
 
     Raises:
         TimeToReachError: the whole does not fit into memory, or see `split`.

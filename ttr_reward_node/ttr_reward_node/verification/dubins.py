@@ -42,8 +42,8 @@ def reference(problem: TimeToReachProblem, count: int = 5000, seed: int = 0) -> 
 
     Args:
         problem: a Dubins car at 1 m/s and up to 1 rad/s, a box as the target; obstacles do not count.
-        count: how many states.
-        seed: of the random states.
+        count: Number of random states.
+        seed: Seed of the random states.
 
     Raises:
         TimeToReachError: another system or target.

@@ -32,7 +32,8 @@ class RollOuts:
     Attributes:
         predicted: the value at the start (N,) [s].
         executed: time until the target (N,) [s], NaN where it was not reached.
-        reached, collided, left: how it ended (N,); none of them: out of time. `left` is leaving the grid.
+        reached, collided, left: Whether each roll-out reached the target, collided, or left the grid (N,); none of them
+            where it ran out of time.
         last: the last state (N, n).
     """
 
@@ -85,9 +86,9 @@ def roll_out(
         problem: whose system, target and domain are simulated.
         states: where to start.
         world: collisions are with its true walls and obstacles, not with the grid's; none where left out.
-        time_step: how long a control is held [s]; a fifth of the time to cross a cell unless given.
-        look_ahead: how far ahead it looks [s]; one and a half times that time unless given.
-        patience: gives up after this many times the predicted time, and the time to cross ten cells.
+        time_step: Time for which a control is held [s]; a fifth of the time to cross a cell unless given.
+        look_ahead: Time that the policy looks ahead [s]; one and a half times the time to cross a cell unless given.
+        patience: Multiple of the predicted time after which it gives up, beyond the time to cross ten cells.
 
     Raises:
         TimeToReachError: a state at which there is no finite prediction.

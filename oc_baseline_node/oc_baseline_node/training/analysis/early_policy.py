@@ -28,8 +28,8 @@ def find_early_policy(
     """Learn until a roll-out meets the goal about every second time.
 
     Args:
-        run: what learns.
-        progress: called after each roll-out.
+        run: Run that is trained.
+        progress: Function called after each roll-out.
 
     Returns:
         The algorithm, as it then is, and how the last roll-out's episodes ended.

@@ -32,10 +32,10 @@ class Samples(NamedTuple):
     """Samples of one policy, whole episodes only.
 
     Attributes:
-        observations: (N, d).
-        actions: (N, m).
-        returns: discounted return from each on to its episode's end (N,): G at lambda = 1.
-        outcomes: how the episodes ended.
+        observations: Observations of the policy (N, d).
+        actions: Actions of the policy (N, m).
+        returns: Discounted return from each sample to the end of its episode (N,): G at lambda = 1.
+        outcomes: Outcome of each episode, by name.
     """
 
     observations: Array

@@ -23,10 +23,10 @@ class EpisodeResult(NamedTuple):
     """An episode of a controller in the simulator.
 
     Attributes:
-        outcome: how it ended.
-        states: (steps + 1, n).
-        total: undiscounted return.
-        solved: part of the steps in which the solver found a trajectory.
+        outcome: Name of the outcome.
+        states: States of the robot (steps + 1, n).
+        total: Undiscounted return of the episode.
+        solved: Fraction of the steps in which the solver found a trajectory.
     """
 
     outcome: str
@@ -54,10 +54,10 @@ def transition_errors(
     does every other plant. NaN where the episode has ended before.
 
     Args:
-        task: whose model predicts.
-        roll_outs: how many.
-        seed: of starts and commands.
-        plant: the task as it is simulated; the same one unless given.
+        task: Task with the model that predicts.
+        roll_outs: Number of roll-outs.
+        seed: Seed of the starts and commands.
+        plant: Task as it is simulated; the same one unless given.
     """
     problem = formulate(task)
     environment = NavigationEnv(plant or task)
@@ -114,10 +114,10 @@ def run_mpc_episodes(
     """Run MPC with a receding horizon in the simulator, as Fig. 3.17 does: it plans with the model alone.
 
     Args:
-        task: its arena, rewards and problem.
-        episodes: how many, from the seeds `seed`, `seed` + 1 and so on.
-        seed: of the first.
-        progress: called after each step.
+        task: Task with the arena, the rewards and the problem.
+        episodes: Number of episodes, from the seeds `seed`, `seed` + 1 and so on.
+        seed: Seed of the first episode.
+        progress: Function called after each step.
     """
     problem = formulate(task)
     mpc = Mpc(problem)

@@ -29,7 +29,7 @@ class OcBaseline:
     """V_oc of the state that is part of an observation (x_k of s_k), in units of the learner's reward.
 
     Args:
-        value: of the task, with the task's states.
+        value: Optimal control value V_oc of the task, over the task's states.
         task: whose observations are given, as `ctrl_rl_training.sb3.environment` scales them.
         noise: standard deviation of what is added to each component of x_k before V_oc is asked, in SI units
             (thesis Fig. 3.16); drawn from torch's generator, which a run seeds.

@@ -29,7 +29,7 @@ class ControlVariatePpo(PPO):
 
     Attributes:
         critic: network of c.
-        critic_optimizer: its optimiser.
+        critic_optimizer: Optimizer of the critic's weights.
         through_noise: whether f_theta goes through sigma_theta xi too, or through mu_theta alone.
     """
 

@@ -63,7 +63,7 @@ class BaselinePolicy(ActorCriticPolicy):
     """A policy whose value is a given function, never learnt: both baseline and end of G^lambda.
 
     Args:
-        baseline: that function.
+        baseline: Baseline function b of the observations.
     """
 
     def __init__(self, *arguments: Any, baseline: Baseline, **others: Any) -> None:
@@ -93,7 +93,7 @@ class CorrectedPolicy(BaselinePolicy):
     Russell 1999; a value that begins as b does the same: Wiewiora 2003), and V becomes the value of the policy.
 
     Args:
-        baseline: b.
+        baseline: Baseline function b of the observations.
     """
 
     def __init__(self, *arguments: Any, **others: Any) -> None:

@@ -22,7 +22,7 @@ class Method:
         algorithm: "ppo" or "trpo".
         baseline: b of Eq. 3.14: "value", the on-policy V; "oc", V_oc; "corrected", an on-policy V that is V_oc and a
             learnt correction; with a part that depends on the action, "stein" and "q_prop".
-        end: what the n-step returns in G^lambda end on: V_oc ("oc") or the on-policy V ("value").
+        end: Value at the end of the n-step returns in G^lambda: V_oc ("oc") or the on-policy V ("value").
         gae_lambda: lambda of G^lambda.
         entropy: coefficient of the entropy bonus.
         noise: standard deviation of what is added to the state before V_oc is asked.
