@@ -73,11 +73,17 @@ def test_a_policy_of_another_corridor_is_judged_without_it(tmp_path: Path) -> No
 
 
 def test_a_policy_that_is_none_is_refused_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for given, words in ((["none"], "no policy 'none'"), (["curved_corridor_edmd", "--episodes", "0"], "--episodes")):
-        assert analyse([*given, "--output", str(tmp_path / "page")]) == 1
-        error = capsys.readouterr().err
-        assert words in error
-        assert error.count("\n") == 1
+    page = ["--output", str(tmp_path / "page")]
+    assert analyse(["none", *page]) == 1
+    error = capsys.readouterr().err
+    assert "no policy 'none'" in error
+    assert error.count("\n") == 1
+    with pytest.raises(SystemExit) as ended:
+        analyse(["curved_corridor_edmd", "--episodes", "0", *page])
+    assert ended.value.code == 2
+    error = capsys.readouterr().err
+    assert "--episodes must be a whole number of at least 1" in error
+    assert error.count("\n") == 1
     assert not (tmp_path / "page").exists()
 
 

@@ -147,8 +147,11 @@ def test_two_stages_are_fitted_and_evaluated_by_command(
     assert np.array_equal(fitted.u_high, load_policy(find_policy("curved_corridor_edmd")).u_high)
     assert fit(given) == 1
     assert "exists: give another name" in capsys.readouterr().err
-    assert evaluate([str(output), *map(str, bags), "--json", str(tmp_path / "figures.json")]) == 0
+    assert evaluate([str(output), *map(str, bags), "--results", str(tmp_path / "figures.json")]) == 0
     out = capsys.readouterr().out
+    assert evaluate([str(output), *map(str, bags), f"--json={tmp_path / 'again.json'}"]) == 0
+    assert "evaluate: --json is now --results\n" in capsys.readouterr().err
+    assert (tmp_path / "again.json").read_text("utf-8") == (tmp_path / "figures.json").read_text("utf-8")
     assert "held out      60 steps: error 0." in out
     figures = json.loads((tmp_path / "figures.json").read_text(encoding="utf-8"))
     assert figures == json.loads(json.dumps(fitted.manifest["drives"]))
@@ -220,12 +223,22 @@ def test_what_cannot_be_is_said_in_one_line(
         (fit, ["nothing", str(bags[0]), *out], "no policy 'nothing'"),
         (fit, ["curved_corridor_edmd", str(tmp_path / "none"), *out], "none"),
         (learn_offline, [str(bags[0]), *out, "--held-out", "0.9"], "steps are too few to learn from"),
-        (learn_offline, [str(bags[0]), *out, "--latent", "1"], "--latent must be at least 2"),
     ):
         assert command(given) == 1
         error = capsys.readouterr().err
         assert words in error
         assert "Traceback" not in error
+    for command, given, words in (
+        (learn_offline, [str(bags[0]), *out, "--latent", "1"], "--latent must be a whole number of at least 2"),
+        (fit, ["curved_corridor_edmd", *out], "missing BAG"),
+        (fit, ["curved_corridor_edmd", str(bags[0])], "missing --output"),
+    ):
+        with pytest.raises(SystemExit) as ended:
+            command(given)
+        assert ended.value.code == 2
+        error = capsys.readouterr().err
+        assert words in error
+        assert error.count("\n") == 1
     assert not (tmp_path / "out.safetensors").exists()
 
 

@@ -1,46 +1,55 @@
-"""The command `analyse`: what control theory says of a policy file, as a page with pictures."""
+"""The command `analyse`: a page with pictures of what control theory says of a policy file."""
 
 from __future__ import annotations
 
-import argparse
 import json
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from ctrl_rl_core.command import check_least, folder_to_write, run_command
+from ctrl_rl_core.command import at_least, checked, folder_to_write, parse_options, run_command
 from ctrl_rl_core.errors import CtrlRlError
 from ctrl_rl_core.io.atomic_write import atomic_write
 
-from koopman_lqr_controller.cli.drive_options import add_topics, read_segments
+from koopman_lqr_controller.cli.bag_options import PolicyOption, TopicOptions, read_segments
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.identification.evaluation import time_step_mismatch
 from koopman_lqr_controller.policies.policy_file import digest, find_policy, load_policy
 
+OptionalFolderToWrite = Annotated[Path | None, checked(folder_to_write, "FOLDER")]
+"""Option that names a folder to write to, and may be left out."""
 _PAGE, _DATA = "analysis.md", "analysis.json"
 
 
+_MORE = """The folder then holds analysis.md, its pictures, and analysis.json, which they are made from.
+Parts that need an environment or a bag are left out where there is none, with a line that says so.
+
+Example:
+  analyse runs/koopman/cartpole_swingup-s0/policy.safetensors"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class AnalyseOptions(TopicOptions, PolicyOption):
+    """Write what control theory says of a policy: poles, controllability, costs, prediction, the closed loop."""
+
+    output: OptionalFolderToWrite = None
+    """Folder to write to; the policy's name and "-analysis" unless given."""
+
+    bags: tuple[Path, ...] = ()
+    """Folders of rosbag2 whose drives measure the prediction; episodes in the environment do it unless given."""
+
+    episodes: at_least(1) = 6  # type: ignore[valid-type]
+    """Number of episodes in the environment."""
+
+
 def analyse(arguments: Sequence[str] | None = None) -> int:
-    """Say what control theory says of a policy: poles, controllability, costs, prediction, the closed loop."""
-    parser = argparse.ArgumentParser(
-        prog="analyse",
-        description=analyse.__doc__,
-        epilog="The folder then holds analysis.md, its pictures, and analysis.json, which they are made from.\n"
-        "Parts that need an environment or a bag are left out where there is none, with a line that says so.\n\n"
-        "example:\n  analyse runs/koopman/cartpole_swingup-s0/policy.safetensors",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("policy", help="policy file of either kind, or the name of one that comes with the package")
-    parser.add_argument("--output", type=folder_to_write, help="folder to write to (default: the policy's name, here)")
-    parser.add_argument("--bags", nargs="+", type=Path, default=[], help="judge prediction by these drives instead")
-    add_topics(parser)
-    parser.add_argument("--episodes", type=int, default=6, help="in the environment (default %(default)s)")
-    options = parser.parse_args(arguments)
+    """Run the command and return its exit code."""
+    options = parse_options("analyse", AnalyseOptions, arguments, _MORE)
     return run_command("analyse", lambda: _analyse(options))
 
 
-def _analyse(options: argparse.Namespace) -> int:
-    check_least(options, episodes=1)
+def _analyse(options: AnalyseOptions) -> int:
     file = find_policy(options.policy)
     policy = load_policy(file)
     from tqdm import tqdm
@@ -50,7 +59,7 @@ def _analyse(options: argparse.Namespace) -> int:
     from koopman_lqr_controller.training.analysis.policy_analysis import analyse as find
     from koopman_lqr_controller.training.analysis.policy_world import EpisodeTrajectory, make_world
 
-    segments = read_segments(options, policy.observation_fn) if options.bags else []
+    segments = read_segments(options.bags, options, policy.observation_fn) if options.bags else []
     recorded = [
         EpisodeTrajectory(segment.x, policy.to_controls(segment.u), segment.u[:, 0] * 0.0, {}) for segment in segments
     ]

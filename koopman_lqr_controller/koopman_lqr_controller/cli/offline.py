@@ -1,19 +1,24 @@
-"""The commands `fit`, `evaluate` and `learn_offline`: policies and recorded drives, no environment."""
+"""The commands `fit`, `evaluate` and `learn_offline`: policies from recorded drives, without an environment."""
 
 from __future__ import annotations
 
-import argparse
 import json
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
-from ctrl_rl_core.command import check_least, file_to_write, run_command
+from ctrl_rl_core.command import OptionalFileToWrite, at_least, parse_options, run_command
 from ctrl_rl_core.geometry.units import Interval
 from ctrl_rl_core.io.atomic_write import atomic_write
 from tqdm import tqdm
 
-from koopman_lqr_controller.cli.drive_options import add_drives, add_output, read_segments
+from koopman_lqr_controller.cli.bag_options import (
+    BagOptions,
+    OutputOptions,
+    PolicyOption,
+    read_segments,
+    with_new_names,
+)
 from koopman_lqr_controller.data.trajectory_segments import (
     TrajectorySegment,
     check_held_out,
@@ -31,44 +36,60 @@ from koopman_lqr_controller.policies.policy_file import digest, find_policy, loa
 from koopman_lqr_controller.sensing.lidar_observation import LidarObservation
 
 _FITTED, _HELD_OUT = "fitted", "held out"
-_OF_NOTHING_HELD_OUT = ("snapshots", "one_step_error", "persistence_error")
-"""What `train` says of its data, here all of what is fitted; `_save` says more, and of both parts."""
+_FIGURES_OF_TRAIN = ("snapshots", "one_step_error", "persistence_error")
+"""Figures of `train` about the fitted part alone; `_save` adds those of both parts."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FitOptions(OutputOptions, BagOptions, PolicyOption):
+    """Fit a policy's model anew to recorded drives: its coordinates and what it does stay, its regulator follows."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvaluateOptions(BagOptions, PolicyOption):
+    """Tell how well a policy predicts recorded drives, against "nothing changes", and whether it commands the same."""
+
+    results: OptionalFileToWrite = None
+    """JSON file to write the figures to."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LearnOfflineOptions(OutputOptions, BagOptions):
+    """Learn encoder, model and LQR from recorded drives alone: a driver's commands take the place of a reward."""
+
+    latent: at_least(2) = 16  # type: ignore[valid-type]
+    """Dimensions of the encoder."""
+
+    updates: at_least(1) = 1500  # type: ignore[valid-type]
+    """Number of updates of the networks."""
+
+    far: float = 3.5
+    """Distance beyond which a scan shows nothing [m]."""
+
+    seed: int = 0
+    """Seed of weights and batches."""
 
 
 def fit(arguments: Sequence[str] | None = None) -> int:
-    """Fit a policy's model anew to recorded drives: its coordinates and what it does stay, its regulator follows."""
-    parser = argparse.ArgumentParser(prog="fit", description=fit.__doc__)
-    parser.add_argument("policy", help="policy file of either kind, or the name of one that comes with the package")
-    add_drives(parser)
-    add_output(parser)
-    options = parser.parse_args(arguments)
+    """Run the command `fit` and return its exit code."""
+    options = parse_options("fit", FitOptions, arguments)
     return run_command("fit", lambda: _fit(options))
 
 
 def evaluate(arguments: Sequence[str] | None = None) -> int:
-    """Say how well a policy predicts recorded drives, against "nothing changes", and whether it commands the same."""
-    parser = argparse.ArgumentParser(prog="evaluate", description=evaluate.__doc__)
-    parser.add_argument("policy", help="policy file of either kind, or the name of one that comes with the package")
-    add_drives(parser)
-    parser.add_argument("--json", type=file_to_write, help="file to write the figures to")
-    options = parser.parse_args(arguments)
+    """Run the command `evaluate` and return its exit code."""
+    words = with_new_names("evaluate", arguments, {"--json": "--results"})
+    options = parse_options("evaluate", EvaluateOptions, words)
     return run_command("evaluate", lambda: _evaluate(options))
 
 
 def learn_offline(arguments: Sequence[str] | None = None) -> int:
-    """Learn encoder, model and LQR from recorded drives alone: a driver's commands take the place of a reward."""
-    parser = argparse.ArgumentParser(prog="learn_offline", description=learn_offline.__doc__)
-    add_drives(parser)
-    add_output(parser)
-    parser.add_argument("--latent", type=int, default=16, help="dimensions of the encoder (default %(default)s)")
-    parser.add_argument("--updates", type=int, default=1500, help="of the networks (default %(default)s)")
-    parser.add_argument("--far", type=float, default=3.5, help="distance beyond which nothing counts [m]")
-    parser.add_argument("--seed", type=int, default=0, help="of weights and batches (default %(default)s)")
-    options = parser.parse_args(arguments)
+    """Run the command `learn_offline` and return its exit code."""
+    options = parse_options("learn_offline", LearnOfflineOptions, arguments)
     return run_command("learn_offline", lambda: _learn_offline(options))
 
 
-def _fit(options: argparse.Namespace) -> int:
+def _fit(options: FitOptions) -> int:
     refuse_existing(options.output, options.overwrite)
     file = find_policy(options.policy)
     policy = load_policy(file)
@@ -90,11 +111,11 @@ def _fit(options: argparse.Namespace) -> int:
             manifest={"task": policy.manifest.get("task"), "dt": mean_time_step(seen)},
             shrunk=True,
         )
-        fitted = replace(fitted, manifest={k: v for k, v in fitted.manifest.items() if k not in _OF_NOTHING_HELD_OUT})
+        fitted = replace(fitted, manifest={k: v for k, v in fitted.manifest.items() if k not in _FIGURES_OF_TRAIN})
     return _save(options, fitted, seen, unseen, manifest)
 
 
-def _evaluate(options: argparse.Namespace) -> int:
+def _evaluate(options: EvaluateOptions) -> int:
     policy = load_policy(find_policy(options.policy))
     parts = dict(zip((_FITTED, _HELD_OUT), _parts(options, policy.observation_fn), strict=True))
     figures = {name: evaluate_policy(policy, segments) for name, segments in parts.items() if segments}
@@ -102,13 +123,12 @@ def _evaluate(options: argparse.Namespace) -> int:
     told = time_step_mismatch(policy, [*parts[_FITTED], *parts[_HELD_OUT]])
     if told:
         print(told)
-    if options.json is not None:
-        atomic_write(options.json, json.dumps(figures) + "\n")
+    if options.results is not None:
+        atomic_write(options.results, json.dumps(figures) + "\n")
     return 0
 
 
-def _learn_offline(options: argparse.Namespace) -> int:
-    check_least(options, latent=2, updates=1)
+def _learn_offline(options: LearnOfflineOptions) -> int:
     refuse_existing(options.output, options.overwrite)
     observation = LidarObservation(far=options.far)
     seen, unseen = _parts(options, observation.observe)
@@ -125,19 +145,17 @@ def _learn_offline(options: argparse.Namespace) -> int:
     return _save(options, refit(learnt, seen), seen, unseen, manifest)
 
 
-def _parts(
-    options: argparse.Namespace, observe: ObservationFn
-) -> tuple[list[TrajectorySegment], list[TrajectorySegment]]:
+def _parts(options: BagOptions, observe: ObservationFn) -> tuple[list[TrajectorySegment], list[TrajectorySegment]]:
     check_held_out(options.held_out)
-    return split(read_segments(options, observe), options.held_out)
+    return split(read_segments(options.bags, options, observe), options.held_out)
 
 
-def _source(options: argparse.Namespace) -> dict[str, Any]:
+def _source(options: BagOptions) -> dict[str, Any]:
     return {"bags": [bag.name for bag in options.bags], "held_out": options.held_out}
 
 
 def _save(
-    options: argparse.Namespace,
+    options: OutputOptions,
     policy: EdmdPolicy | LatentPolicy,
     seen: Sequence[TrajectorySegment],
     unseen: Sequence[TrajectorySegment],

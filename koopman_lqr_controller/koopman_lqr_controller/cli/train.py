@@ -1,14 +1,15 @@
-"""`ros2 run koopman_lqr_controller train`: from bags of a drive to a policy file."""
+"""The command `train`: a two-stage policy from bags of a drive."""
 
 from __future__ import annotations
 
-import argparse
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
-from ctrl_rl_core.command import run_command
+from ctrl_rl_core.command import parse_options, run_command
 from ctrl_rl_core.tasks.task import load_navigation_task, task_digest
 
-from koopman_lqr_controller.cli.drive_options import add_drives, add_output, read_segments
+from koopman_lqr_controller.cli.bag_options import BagOptions, OutputOptions, read_segments
 from koopman_lqr_controller.data.trajectory_segments import check_held_out, mean_time_step, to_snapshots
 from koopman_lqr_controller.identification.two_stage import train
 from koopman_lqr_controller.policies.edmd_policy import EdmdPolicy
@@ -16,9 +17,20 @@ from koopman_lqr_controller.policies.policy_file import refuse_existing, save_po
 from koopman_lqr_controller.sensing.observables import CorridorObservables
 
 
-def main(arguments: list[str] | None = None) -> int:
+@dataclass(frozen=True, kw_only=True)
+class TrainOptions(OutputOptions, BagOptions):
+    """Learn the two-stage Koopman controller (thesis 2.3.1): EDMD on recorded drives, then its LQR."""
+
+    task: str = "curved_corridor"
+    """Task that sets the limits of commands: a name or a .yaml file."""
+
+    speed: float = 0.18
+    """Speed to drive at [m/s]."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
-    options = _parser().parse_args(arguments)
+    options = parse_options("train", TrainOptions, arguments)
 
     def work() -> int:
         refuse_existing(options.output, options.overwrite)
@@ -30,26 +42,12 @@ def main(arguments: list[str] | None = None) -> int:
     return run_command("train", work)
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="train",
-        description="Learn the two-stage Koopman controller (thesis 2.3.1): EDMD on recorded drives, then its LQR.",
-    )
-    add_drives(parser)
-    add_output(parser)
-    parser.add_argument(
-        "--task", default="curved_corridor", help="task that sets the command limits (default %(default)s)"
-    )
-    parser.add_argument("--speed", type=float, default=0.18, help="speed to drive at [m/s] (default %(default)s)")
-    return parser
-
-
-def _train(options: argparse.Namespace) -> EdmdPolicy:
+def _train(options: TrainOptions) -> EdmdPolicy:
     check_held_out(options.held_out)
     task = load_navigation_task(options.task)
     limits = (task.robot.commands["v"], task.robot.commands["omega"])
     observables = CorridorObservables()
-    segments = read_segments(options, observables.observe)
+    segments = read_segments(options.bags, options, observables.observe)
     manifest = {
         "task": task.name,
         "task_digest": task_digest(task),
