@@ -33,18 +33,18 @@ trials: build ## drive 100 corridors of random width from random starts, then wi
 train: build ## record drives of the scripted driver and learn the corridor's policy from them
 	@$(RUN) run=runs/train-$$(date +%Y%m%d-%H%M%S); \
 	ros2 run ctrl_rl_bringup record_drives --output $$run $(ARGS); \
-	ros2 run koopman_lqr_controller train $$run/bag --output $$run/policy.safetensors; \
+	ros2 run koopman_lqr_controller edmd $$run/bag --output $$run/policy.safetensors; \
 	echo "try it:              make demo ARGS=\"--policy $$run/policy.safetensors\""
 
 ttr: build ## learn TASK=car_ttr (or quad_ttr) with every reward and algorithm; hours, may be cut off
 	@$(RUN) mkdir -p runs; task=$${TASK:-car_ttr}; how="--robot-size"; [[ $$task != quad_ttr ]] || how="--decomposition 4d+4d"; \
 	[[ -e runs/$$task.safetensors ]] || ros2 run ttr_reward_node solve --task $$task $$how --output runs/$$task.safetensors; \
 	ros2 run ttr_reward_node train --task $$task --grid runs/$$task.safetensors --results docs/results/ttr_training_$$task.json $(ARGS); \
-	ros2 run ttr_reward_node training_figures docs/results/ttr_training_$$task.json
+	ros2 run ttr_reward_node plot docs/results/ttr_training_$$task.json
 
 oc: build ## learn with every baseline of thesis 3.3 and analyse; hours, may be cut off
 	@$(RUN) learn() { ros2 run oc_baseline_node train --task $$1 $${@:2} --results docs/results/oc_training_$$1.json $(ARGS); \
-	ros2 run oc_baseline_node training_figures docs/results/oc_training_$$1.json; }; \
+	ros2 run oc_baseline_node plot docs/results/oc_training_$$1.json; }; \
 	learn car_navigation --compare ablation baselines noise entropy; learn quad_trap --compare ablation entropy; \
 	learn quad_navigation --compare ends --seeds 10; \
 	ros2 run oc_baseline_node analyse mismatch; \
@@ -54,25 +54,25 @@ oc: build ## learn with every baseline of thesis 3.3 and analyse; hours, may be 
 options: build ## learn joint options with every method of thesis 5.3, and a policy of the demo's team; hours, may be cut off
 	@$(RUN) learn() { ros2 run option_coordinator train --task $$1 --seeds $$2 --methods $${@:3} \
 	--results docs/results/options_$$1.json $(ARGS); \
-	ros2 run option_coordinator training_figures docs/results/options_$$1.json; }; \
+	ros2 run option_coordinator plot docs/results/options_$$1.json; }; \
 	learn tool_delivery 10 all; learn water_filling 5 all; learn delivery_team 3 async sync_wait; \
 	ros2 run option_coordinator train --task water_filling --methods async async_autoregressive sync_wait --seeds 5 \
 	--samples 600000 --folder runs/options_long --results docs/results/options_water_filling_long.json
 
 koopman: build ## learn the tasks of thesis 4.3, every method and ablation, and draw; many hours, may be cut off
 	@$(RUN) koopman() { ros2 run koopman_lqr_controller "$$@"; }; \
-	learn() { koopman learn --task $$1 --seeds $$2 --results docs/results/koopman_$$1.json $(ARGS); }; \
+	learn() { koopman train --task $$1 --seeds $$2 --results docs/results/koopman_$$1.json $(ARGS); }; \
 	learn cartpole_swingup 5; learn curved_corridor 3; learn cheetah_run 3; learn cartpole_swingup_pixels 2; \
 	compare() { koopman compare "$$@" $(ARGS); }; \
 	for number in 4.1 4.2 4.3; do compare --table $$number; done; \
-	cheetah() { compare "$$@" --tasks cheetah_run --seeds 1 --chunks 12 --folder runs/koopman_short; }; \
-	pixels() { compare "$$@" --tasks cartpole_swingup_pixels --seeds 1 --chunks 16 --folder runs/koopman_short; }; \
+	cheetah() { compare "$$@" --tasks cheetah_run --seeds 1 --samples 30000 --folder runs/koopman_short; }; \
+	pixels() { compare "$$@" --tasks cartpole_swingup_pixels --seeds 1 --samples 16000 --folder runs/koopman_short; }; \
 	compare --table 4.4 --tasks cartpole_swingup; cheetah --table 4.4; pixels --table 4.4; \
 	gaps() { compare --figure 4.3 --tasks $$1 --seeds $$2; }; \
 	gaps cartpole_swingup 5; gaps cheetah_run 3; gaps cartpole_swingup_pixels 2; \
 	for number in 4.8 4.9; do compare --figure $$number --tasks cartpole_swingup; pixels --figure $$number; done; \
 	cheetah --figure 4.8; compare --figure 4.9 --tasks cheetah_run --seeds 2; \
-	koopman comparison_figures docs/results/koopman_figure_*.json
+	koopman plot docs/results/koopman_figure_*.json
 
 test: build lint ## the tests, in about a quarter of an hour
 	@$(RUN) python -m pytest -m "not slow" $(ARGS)

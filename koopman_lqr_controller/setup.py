@@ -21,16 +21,18 @@ setup(
     entry_points={
         "console_scripts": [
             "analyse = koopman_lqr_controller.cli.analyse:analyse",
-            "compare = koopman_lqr_controller.cli.compare:compare",
-            "comparison_figures = koopman_lqr_controller.cli.compare:comparison_figures",
-            "consolidate = koopman_lqr_controller.cli.learn:consolidate",
+            "compare = koopman_lqr_controller.cli.learning:compare",
+            "comparison_figures = koopman_lqr_controller.cli.learning:comparison_figures",
+            "consolidate = koopman_lqr_controller.cli.learning:consolidate",
             "controller = koopman_lqr_controller.nodes.controller_node:main",
+            "edmd = koopman_lqr_controller.cli.train:main",
             "evaluate = koopman_lqr_controller.cli.offline:evaluate",
             "fit = koopman_lqr_controller.cli.offline:fit",
-            "learn = koopman_lqr_controller.cli.learn:learn",
+            "learn = koopman_lqr_controller.cli.learning:learn",
             "learn_offline = koopman_lqr_controller.cli.offline:learn_offline",
+            "plot = koopman_lqr_controller.cli.learning:plot",
             "scripted_driver = koopman_lqr_controller.nodes.scripted_driver_node:main",
-            "train = koopman_lqr_controller.cli.train:main",
+            "train = koopman_lqr_controller.cli.learning:train",
         ],
     },
 )

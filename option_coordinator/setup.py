@@ -23,8 +23,9 @@ setup(
             "coordinator = option_coordinator.nodes.coordinator_node:main",
             "navigation_agent = option_coordinator.nodes.navigation_agent:main",
             "replay = option_coordinator.cli:replay",
-            "train = option_coordinator.training.cli:train",
-            "training_figures = option_coordinator.training.cli:training_figures",
+            "train = option_coordinator.learning:train",
+            "plot = option_coordinator.learning:plot",
+            "training_figures = option_coordinator.learning:training_figures",
         ],
     },
 )

@@ -1,14 +1,24 @@
-"""What the commands `train` and `training_figures` of several packages share; torch is imported when work begins."""
+"""The dialect of the commands `train` and `plot` of every package; torch is imported when work begins."""
 
 from __future__ import annotations
 
-import argparse
+import math
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, TypeVar
 
-from ctrl_rl_core.command import check_least, file_to_write, folder_to_write
+import tyro
+from ctrl_rl_core.command import (
+    FolderToWrite,
+    OptionalFileToWrite,
+    at_least,
+    checked,
+    checked_list,
+    parse_options,
+    run_command,
+)
 from ctrl_rl_core.io.results import Result, ResultsError, write_results
 from ctrl_rl_core.tasks.schema.parts import TaskHeader
 from ctrl_rl_core.tasks.task import NavigationTask, load_navigation_task, task_digest, task_names
@@ -18,60 +28,132 @@ from ctrl_rl_training.experiments.run import Run, RunOptions
 if TYPE_CHECKING:
     from ctrl_rl_training.experiments.figure_data import Figures
 
+    Positive: TypeAlias = int
+    NotNegative: TypeAlias = int
+else:
+    Positive, NotNegative = at_least(1), at_least(0)
 
 AnyRun = TypeVar("AnyRun", bound=Run)
+_Options = TypeVar("_Options")
+ITERATION = 10_240
+"""Samples of an iteration with Stable-Baselines3."""
+_EVALUATIONS, _FINAL_EVALUATIONS = 20, 50
 
 
-def add_run_options(parser: argparse.ArgumentParser, folder: Path, iterations: int) -> None:
-    """Give a `train` what says where, how many runs and how long; the arguments are its defaults."""
-    parser.add_argument("--folder", type=folder_to_write, default=folder, help="of the runs (default %(default)s)")
-    parser.add_argument("--seeds", type=int, default=5, help="how many, from 0 (default %(default)s)")
-    parser.add_argument("--iterations", type=int, default=iterations, help="of 10240 samples (default %(default)s)")
-    parser.add_argument("--workers", type=int, default=0, help="runs at a time (default: 0, one for each core)")
-    parser.add_argument("--results", type=file_to_write, help="JSON file to write table and curves to")
-    add_ray_option(parser)
+def one_of(names: Collection[str]) -> Any:
+    """Return how an option is read that takes one of these words, for use in `Annotated`."""
+    return checked(_choice(names), f"{{{','.join(names)}}}")
 
 
-def add_ray_option(parser: argparse.ArgumentParser) -> None:
-    """Give a command `--ray`."""
-    parser.add_argument("--ray", metavar="ADDRESS", help="Ray cluster that runs them, auto for this machine's")
+def some_of(names: Collection[str]) -> Any:
+    """Return how an option is read that takes any number of these words, for use in `Annotated`."""
+    return checked_list(_choice(names), f"{{{','.join(names)}}}")
 
 
-def check_run_options(options: argparse.Namespace) -> None:
-    """Refuse counts that are too small.
+def _choice(names: Collection[str]) -> Callable[[str], str]:
+    def parse(text: str) -> str:
+        if text not in names:
+            raise ValueError(f"{text}: choose from {', '.join(names)}")
+        return text
 
-    Raises:
-        CommandError: names the option.
+    return parse
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExperimentOptions:
+    """Options that mean the same in every command that trains many runs."""
+
+    folder: FolderToWrite
+    """Folder of the runs; each has one of its own, and goes on there where it was cut off."""
+    seeds: Positive = 5
+    """Number of seeds, counted from 0."""
+    samples: Positive | None = None
+    """Samples of a run (default: the task's)."""
+    workers: NotNegative = 0
+    """Runs at a time; 0 for one for each core."""
+    ray: str | None = None
+    """Address of the Ray cluster that trains, auto for this machine's (default: processes of this machine)."""
+    results: OptionalFileToWrite = None
+    """JSON file to write table and curves to."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimulatedOptions(ExperimentOptions):
+    """Options of a command that trains with Stable-Baselines3."""
+
+    task: str
+    """Task to learn: one of the suite, or a task file."""
+    samples: Positive = 10 * ITERATION
+    """Samples of a run; whole iterations of 10240 are done."""
+    iterations: Positive | None = None
+    """Old name of --samples, in units of 10240."""
+
+    def run_options(self) -> RunOptions:
+        """Return the settings of the runs."""
+        iterations = self.iterations or math.ceil(self.samples / ITERATION)
+        return RunOptions(self.folder, iterations, ITERATION, _EVALUATIONS, _FINAL_EVALUATIONS)
+
+
+def make_command(
+    program: str, kind: type[_Options], work: Callable[[_Options], int], epilog: str = ""
+) -> Callable[..., int]:
+    """Return a command: a function of the words of its line (the process's unless given) that returns the exit code.
+
+    Args:
+        program: Name of the command in messages.
+        kind: Dataclass of its options, see `parse_options`.
+        work: Does the work and returns the exit code.
+        epilog: Text below the description in `--help`.
     """
-    check_least(options, seeds=1, iterations=1, workers=0)
+
+    def command(arguments: Sequence[str] | None = None) -> int:
+        options = parse_options(program, kind, arguments, epilog)
+        return run_command(program, lambda: work(options))
+
+    return command
+
+
+def make_old_command(program: str, new: str, command: Callable[..., int]) -> Callable[..., int]:
+    """Return a command under an old name, which says the new one."""
+
+    def old_command(arguments: Sequence[str] | None = None) -> int:
+        note_old_name(program, program, new)
+        return command(arguments)
+
+    return old_command
+
+
+def note_old_name(program: str, old: str, new: str) -> None:
+    """Say that an old name was used, and what to use now."""
+    print(f"{program}: {old} still works; its new name is {new}", file=sys.stderr)
 
 
 def train_and_collect(
-    options: argparse.Namespace,
+    options: ExperimentOptions,
     task: TaskHeader,
     runs: Sequence[AnyRun],
     title: str,
     collect: Callable[[Sequence[AnyRun], Path], tuple[list[Result], dict[str, Any]]],
     as_text: Callable[[list[Result]], str],
-    how: RunOptions | None = None,
+    how: RunOptions,
 ) -> None:
     """Run what is not finished yet, print the table, and write it and the figures' data if asked to.
 
     Args:
-        options: Options of `add_run_options`.
+        options: Options of the command.
         task: Task of the runs.
         runs: Runs in the order in which they begin.
         title: Begins the name of the experiment, which ends with the task's.
         collect: Returns the rows and the figures' data of the runs that are finished in a folder.
         as_text: Returns the printed form of the rows.
-        how: Settings of the runs; those of Stable-Baselines3 unless given.
+        how: Settings of the runs.
 
     Raises:
         CtrlRlError: See `run_experiments`.
     """
     from ctrl_rl_training.experiments.matrix import run_experiments
 
-    run_experiments(runs, how or _usual(options), options.workers, task.name, options.ray)
+    run_experiments(runs, how, options.workers, task.name, options.ray)
     rows, figures = collect(runs, options.folder)
     print(as_text(rows))
     if options.results is not None:
@@ -80,29 +162,34 @@ def train_and_collect(
         print(f"results    {options.results}")
 
 
-def _usual(options: argparse.Namespace) -> RunOptions:
-    from ctrl_rl_training.sb3.training import EVALUATIONS, FINAL_EVALUATIONS, ITERATION  # not every run needs them
+@dataclass(frozen=True, kw_only=True)
+class PlotOptions:
+    """Draw the curves of learning from the results that `train` wrote."""
 
-    return RunOptions(options.folder, options.iterations, ITERATION, EVALUATIONS, FINAL_EVALUATIONS)
-
-
-def add_figure_options(parser: argparse.ArgumentParser) -> None:
-    """Give a `training_figures` what says from what, of which task and where."""
-    parser.add_argument("results", type=Path, help="JSON file of `train --results`")
-    parser.add_argument("--task", help="its task file, where the task is not one of the suite's")
-    parser.add_argument("--output", type=Path, default=Path("docs/images"), help="folder (default %(default)s)")
+    results: Annotated[Path, tyro.conf.Positional]
+    """JSON file of `train --results`."""
+    output: FolderToWrite = Path("docs/images")
+    """Folder of the pictures."""
 
 
-def read_training(options: argparse.Namespace, kind: type[Figures]) -> tuple[dict[str, Any], NavigationTask]:
+@dataclass(frozen=True, kw_only=True)
+class TaskPlotOptions(PlotOptions):
+    """Draw curves and paths of learning from the results that `train` wrote."""
+
+    task: str | None = None
+    """Task file, where the task is not one of the suite's."""
+
+
+def read_training(options: TaskPlotOptions, kind: type[Figures]) -> tuple[dict[str, Any], NavigationTask]:
     """Return the figures' data of a results file and the task that they belong to, and make the folder of pictures.
 
     Args:
-        options: of `add_figure_options`.
-        kind: what the data must be.
+        options: Options of the command.
+        kind: Schema of the data.
 
     Raises:
-        ResultsError: they are not such results, or of another task.
-        TaskError: there is no such task.
+        ResultsError: The file holds no such results, or those of another task.
+        TaskError: There is no such task.
     """
     from ctrl_rl_training.experiments.results import read_figures
 

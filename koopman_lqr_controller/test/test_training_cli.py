@@ -1,13 +1,14 @@
-"""The commands `learn` and `consolidate` from beginning to end, and their errors in one line."""
+"""The commands `train` and `consolidate` from beginning to end, and their errors in one line."""
 
 import json
 import shutil
 import subprocess
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
-from koopman_lqr_controller.cli.learn import consolidate, learn
+from koopman_lqr_controller.cli.learn import consolidate, learn, train
 from koopman_lqr_controller.policies.latent_policy import LatentPolicy
 from koopman_lqr_controller.policies.policy_file import find_policy, load_policy
 from koopman_lqr_controller.training.experiments.trainer import CONSOLIDATED_FILE, POLICY_FILE
@@ -55,12 +56,15 @@ def test_a_finished_run_is_taken_only_as_it_was_left(
     again = ["--task", "cartpole_swingup", "--folder", str(folder), *TINY]
     before = (run / "result.json").stat().st_mtime_ns
     assert learn(again) == 0
+    said = capsys.readouterr().err
+    assert "learn still works; its new name is train" in said
+    assert "--chunks still works; its new name is --samples" in said
     assert (run / "result.json").stat().st_mtime_ns == before
     (run / CONSOLIDATED_FILE).write_bytes(b"another")
     capsys.readouterr()
     assert learn(again) == 1
     assert "result.json: was made with consolidated.safetensors " in capsys.readouterr().err
-    assert learn([*again, "--consolidation", "6"]) == 1
+    assert train([*again, "--consolidation", "6"]) == 1
     assert "result.json: was made with consolidation " in capsys.readouterr().err
 
 
@@ -81,26 +85,27 @@ def test_consolidating_again_by_command(learnt: Path, tmp_path: Path, capsys: py
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--set", "latnt=3"], "learn: no setting latnt: there are latent, "),
-        (["--set", "latnt=3", "--set", "latent=4"], "learn: no setting latnt: there are latent, "),
-        (["--set", "latent"], "learn: --set latent: must be NAME=VALUE"),
-        (["--set", "latent=many"], "learn: latent is 'many': must be a whole number"),
-        (["--set", "policy=best"], "learn: policy is best: must be lqr or network"),
-        (["--set", "latent=3.5"], "learn: latent is 3.5: must be a whole number"),
-        (["--set", "discount=2"], "learn: discount is 2.0: must be at most 1"),
-        (["--set", "noise=nan"], "learn: noise is nan: must be positive"),
-        (["--set", "learning_rate=1e999"], "learn: learning_rate is inf: must be positive"),
-        (["--set", "first_steps=0"], "learn: first_steps is 0: must be positive"),
-        (["--set", "replay=1"], "learn: replay is 1: must be at least 100"),
-        (["--set", "crop=64"], "learn: crop is 64: must be 0, this task shows none"),
-        (["--seeds", "0"], "learn: --seeds must be at least 1, not 0"),
-        (["--chunks", "-1"], "learn: --chunks must be at least 0, not -1"),
+        (["--set", "latnt=3"], "train: no setting latnt: there are latent, "),
+        (["--set", "latnt=3", "--set", "latent=4"], "train: no setting latnt: there are latent, "),
+        (["--set", "latent"], "train: --set latent: must be NAME=VALUE"),
+        (["--set", "latent=many"], "train: latent is 'many': must be a whole number"),
+        (["--set", "policy=best"], "train: policy is best: must be lqr or network"),
+        (["--set", "latent=3.5"], "train: latent is 3.5: must be a whole number"),
+        (["--set", "discount=2"], "train: discount is 2.0: must be at most 1"),
+        (["--set", "noise=nan"], "train: noise is nan: must be positive"),
+        (["--set", "learning_rate=1e999"], "train: learning_rate is inf: must be positive"),
+        (["--set", "first_steps=0"], "train: first_steps is 0: must be positive"),
+        (["--set", "replay=1"], "train: replay is 1: must be at least 100"),
+        (["--set", "crop=64"], "train: crop is 64: must be 0, this task shows none"),
+        (["--seeds", "0"], "train: --seeds must be a whole number of at least 1, not 0"),
+        (["--chunks", "-1"], "train: --chunks must be a whole number of at least 0, not -1"),
     ],
 )
 def test_what_is_wrong_is_said_in_one_line(
     arguments: list[str], words: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    assert learn(["--task", "cheetah_run", "--folder", str(tmp_path), *arguments]) == 1
+    with suppress(SystemExit):  # a command line that is refused
+        assert train(["--task", "cheetah_run", "--folder", str(tmp_path), *arguments]) == 1
     error = capsys.readouterr().err
     assert error.startswith(words)
     assert error.count("\n") == 1
@@ -118,14 +123,15 @@ def test_a_policy_that_was_not_learnt_here_cannot_be_consolidated(
         (str(find_policy("curved_corridor")), "--noise", "inf"),
         (str(find_policy("curved_corridor")), "--latent", "0"),
     ):
-        assert consolidate([str(tmp_path / policy), *output, *more]) == 1
+        with suppress(SystemExit):
+            assert consolidate([str(tmp_path / policy), *output, *more]) == 1
         assert capsys.readouterr().err.count("\n") == 1
 
 
 def test_help_comes_without_torch() -> None:
     program = (
-        "import sys\nfrom koopman_lqr_controller.cli.learn import learn\n"
-        "try: learn(['--help'])\nexcept SystemExit: sys.exit('torch' in sys.modules)"
+        "import sys\nfrom koopman_lqr_controller.cli.learn import train\n"
+        "try: train(['--help'])\nexcept SystemExit: sys.exit('torch' in sys.modules)"
     )
     answer = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
     assert answer.returncode == 0

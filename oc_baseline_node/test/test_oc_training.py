@@ -1,6 +1,7 @@
 """Learning with each baseline in the real simulator: resumes exactly, becomes tables and pictures."""
 
 import json
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from ctrl_rl_training.experiments.run import RunOptions
 from ctrl_rl_training.experiments.trainer import train as train_run
 from ctrl_rl_training.sb3.algorithms import ROLL_OUT
 from oc_baseline_node.errors import OcError
-from oc_baseline_node.training.cli import train, training_figures
+from oc_baseline_node.training.cli import plot, train
 from oc_baseline_node.training.experiments.environment import PaidTimeOut
 from oc_baseline_node.training.experiments.methods import GROUPS, METHODS
 from oc_baseline_node.training.experiments.results import collect
@@ -51,11 +52,11 @@ def test_runs_become_a_table_and_pictures(tmp_path, capsys):
     assert np.array(figures["curves"]["ppo"]["total"]).shape == (2, 2)
     assert np.array(figures["advantages"]["oc_ppo"]).shape == (2, 2, 1, 3)
     results = tmp_path / "results.json"
-    known = ["--methods", "oc_ppo", "ppo", "entropy_0.05", "--seeds", "2", "--iterations", "2"]
+    known = ["--methods", "oc_ppo", "ppo", "entropy_0.05", "--seeds", "2", "--samples", "20480"]
     assert train(["--task", "quad_trap", "--folder", str(tmp_path), *known, "--results", str(results)]) == 0
     assert "PPO, OC baseline" in capsys.readouterr().out
     pictures = tmp_path / "pictures"
-    assert training_figures([str(results), "--output", str(pictures)]) == 0
+    assert plot([str(results), "--output", str(pictures)]) == 0
     assert {"quad_trap_oc_ablation.png", "quad_trap_oc_advantages.png", "quad_trap_oc_entropy.png"} < {
         file.name for file in pictures.iterdir()
     }
@@ -68,21 +69,21 @@ def test_pictures_show_the_world_of_the_task_that_was_learnt(tmp_path, capsys):
     terms = {"task": "my_trap", "task_digest": task_digest(load_navigation_task(own))}
     results, where = tmp_path / "results.json", ["--output", str(tmp_path)]
     results.write_text(json.dumps({"figures": {**terms, **figures}}), encoding="utf-8")
-    assert training_figures([str(results), "--task", str(own), *where]) == 0
+    assert plot([str(results), "--task", str(own), *where]) == 0
     assert (tmp_path / "my_trap_oc_ppo_paths.png").is_file()
     assert not capsys.readouterr().err
-    assert training_figures([str(results), *where]) == 1
+    assert plot([str(results), *where]) == 1
     assert "is of task 'my_trap', none of the suite's: give its file with --task" in capsys.readouterr().err
-    assert training_figures([str(results), "--task", "quad_trap", *where]) == 1
+    assert plot([str(results), "--task", "quad_trap", *where]) == 1
     assert "is of task 'my_trap', not of 'quad_trap'" in capsys.readouterr().err
     results.write_text(json.dumps({"figures": {**terms, "task": "quad_trap", **figures}}), encoding="utf-8")
-    assert training_figures([str(results), *where]) == 0
+    assert plot([str(results), *where]) == 0
     assert "is of another version of its task" in capsys.readouterr().err
 
 
 def test_results_of_something_else_are_not_drawn(capsys, tmp_path):
     other = RESULTS / "oc_mpc_quad_navigation.json"
-    assert training_figures([str(other), "--output", str(tmp_path)]) == 1
+    assert plot([str(other), "--output", str(tmp_path)]) == 1
     error = capsys.readouterr().err
     assert "is not a file that `train --results` wrote, it lacks curves, advantages: give one" in error
     assert error.count("\n") == 1
@@ -110,15 +111,16 @@ def test_groups_name_methods():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--task", "quad_trap", "--seeds", "0"], "--seeds must be at least 1, not 0"),
-        (["--task", "quad_trap", "--workers", "-1"], "--workers must be at least 0, not -1"),
+        (["--task", "quad_trap", "--seeds", "0"], "--seeds must be a whole number of at least 1, not 0"),
+        (["--task", "quad_trap", "--workers", "-1"], "--workers must be a whole number of at least 0, not -1"),
         (["--task", "nowhere"], "nowhere"),
         (["--task", "quad_trap", "--value", "no.safetensors"], "no value 'no.safetensors'"),
         (["--task", "car_ttr"], "no value 'car_ttr'"),
     ],
 )
 def test_what_is_wrong_is_said_in_one_line(arguments, message, capsys, tmp_path):
-    assert train([*arguments, "--folder", str(tmp_path)]) == 1
+    with suppress(SystemExit):  # a command line that is refused
+        assert train([*arguments, "--folder", str(tmp_path)]) == 1
     error = capsys.readouterr().err
     assert message in error
     assert error.count("\n") == 1

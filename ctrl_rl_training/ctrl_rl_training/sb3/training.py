@@ -1,6 +1,6 @@
 """Learning with Stable-Baselines3: iterations of fresh episodes, an evaluation after each, and the deployed policy.
 
-result = train(run, RunOptions(Path("runs/mine"), 10, ITERATION, 20, 50))        # run: a `SimulatedRun`
+result = train(run, RunOptions(Path("runs/mine"), 10, 10240, 20, 50))        # run: a `SimulatedRun`
 """
 
 from __future__ import annotations
@@ -21,15 +21,11 @@ from stable_baselines3.common.callbacks import BaseCallback
 
 from ctrl_rl_training.experiments.run import Point, Run, RunOptions, Tell
 from ctrl_rl_training.io.actor import Actor
-from ctrl_rl_training.sb3.algorithms import ROLL_OUT, extract_actor
+from ctrl_rl_training.sb3.algorithms import extract_actor
 from ctrl_rl_training.sb3.checkpoint import load_checkpoint, save_checkpoint
 from ctrl_rl_training.sb3.environment import DEPLOYED_RATE, Environment, observation_names
 from ctrl_rl_training.sb3.state_visitation import Visits
 
-ITERATION = 5 * ROLL_OUT
-"""Samples of an iteration."""
-EVALUATIONS, FINAL_EVALUATIONS = 20, 50
-"""Episodes after each iteration, and after the last one."""
 _EVALUATION_SEED = 1_000_000
 _SUCCESS = Outcome.GOAL.name
 

@@ -1,87 +1,86 @@
-"""The commands `learn` and `consolidate`: task-oriented Koopman control (thesis chapter 4) from interaction."""
+"""The commands `train` and `consolidate`: task-oriented Koopman control (thesis chapter 4) from interaction."""
 
 from __future__ import annotations
 
-import argparse
 import math
-from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
-from ctrl_rl_core.command import check_least, file_to_write, run_command
+import tyro
+from ctrl_rl_core.command import FileToWrite, at_least
 from ctrl_rl_core.io.results import write_results
+from ctrl_rl_training.cli import NotNegative, Positive, make_command, make_old_command, one_of
 
-from koopman_lqr_controller.cli.run_options import add_learning_options, as_command, check_learning_options, given_words
+from koopman_lqr_controller.cli.run_options import LearningOptions, as_command, given_words
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.training.environments.benchmark_tasks import BENCHMARK_TASKS, find_task, task_of_manifest
 from koopman_lqr_controller.training.experiments.methods import LEARNERS
 
-_LEARN_WORDS = ("learner", "chunks", "actions", "episodes", "consolidation", "device")
+_LEARN_WORDS = ("learner", "samples", "chunks", "actions", "episodes", "consolidation", "device")
 _CONSOLIDATE_WORDS = ("latent", "episodes", "live", "noise", "seed")
-"""Options that say what comes out: a policy's file tells them."""
-_TASKS = "\n".join(
-    f"  {problem.name:<24} {problem.about}; {problem.chunks} chunks of {problem.chunk} actions"
-    for problem in BENCHMARK_TASKS.values()
+"""Options that a policy's file records, because they decide what it holds."""
+_EPILOG = (
+    "tasks:\n"
+    + "\n".join(
+        f"  {task.name:<24} {task.about}; {task.chunks} times {task.chunk} actions" for task in BENCHMARK_TASKS.values()
+    )
+    + "\n\nThe same command goes on where an earlier one was cut off. Each run leaves policy.safetensors (as learnt)\n"
+    "and consolidated.safetensors (the LQR of its own model, to be deployed) in a folder of its own.\n\n"
+    "example:\n  train --task cartpole_swingup --seeds 5 --set latent=30"
 )
+if TYPE_CHECKING:
+    _AtLeast5: TypeAlias = int
+else:
+    _AtLeast5 = at_least(5)
 
 
-def learn(arguments: Sequence[str] | None = None) -> int:
+@dataclass(frozen=True, kw_only=True)
+class Train(LearningOptions):
     """Learn a latent linear model and its LQR from interaction (thesis Algorithm 2), then consolidate it."""
-    parser = argparse.ArgumentParser(
-        prog="learn",
-        description=learn.__doc__,
-        epilog=f"tasks:\n{_TASKS}\n\nThe same command goes on where an earlier one was cut off. Each run leaves "
-        "policy.safetensors (as learnt)\nand consolidated.safetensors (the LQR of its own model, to be deployed) in a "
-        "folder of its own.\n\nexample:\n  learn --task cartpole_swingup --seeds 5 --set latent=30",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("--task", required=True, help="one of the tasks below, or a .yaml file with a corridor")
-    parser.add_argument("--learner", default="koopman", choices=LEARNERS, help="default %(default)s")
-    add_learning_options(parser, seeds=1)
-    parser.add_argument("--results", type=file_to_write, help="JSON file to write table and curves to")
-    options = parser.parse_args(arguments)
-    return run_command(
-        "learn",
-        lambda: _learn(options, given_words(parser, options, _LEARN_WORDS)),
-    )
+
+    task: str
+    """Task to learn: one of those below, or a .yaml file with a corridor."""
+    seeds: Positive = 1
+    """Number of seeds, counted from 0."""
+    learner: Annotated[str, one_of(LEARNERS)] = "koopman"
+    """Learner."""
 
 
-def consolidate(arguments: Sequence[str] | None = None) -> int:
+@dataclass(frozen=True, kw_only=True)
+class Consolidate:
     """Turn a learnt policy into the true LQR of its own model: inverse LQR in fewer latent dimensions that predict."""
-    parser = argparse.ArgumentParser(prog="consolidate", description=consolidate.__doc__)
-    parser.add_argument("policy", type=Path, help="policy.safetensors that `learn` made")
-    parser.add_argument("--output", type=file_to_write, required=True, help="policy file to write (.safetensors)")
-    parser.add_argument("--latent", type=int, nargs="+", help="latent dimensions to try (default: 4 to 24)")
-    parser.add_argument(
-        "--episodes",
-        type=int,
-        default=20,
-        help="fresh ones at the end, for each policy (default %(default)s)",
-    )
-    parser.add_argument("--live", type=int, default=30, help="episodes of each round (default %(default)s)")
-    parser.add_argument("--noise", type=float, default=0.5, help="most that is added to u (default %(default)s)")
-    parser.add_argument("--seed", type=int, default=0, help="of all episodes (default %(default)s)")
-    parser.add_argument("--overwrite", action="store_true", help="replace an existing policy file")
-    options = parser.parse_args(arguments)
-    return run_command(
-        "consolidate",
-        lambda: _consolidate(options, given_words(parser, options, _CONSOLIDATE_WORDS)),
-    )
+
+    policy: Annotated[Path, tyro.conf.Positional]
+    """Policy that `train` learnt (policy.safetensors)."""
+    output: FileToWrite
+    """Policy file to write (.safetensors)."""
+    latent: tuple[Positive, ...] = ()
+    """Latent dimensions to try (default: 4 to 24)."""
+    episodes: Positive = 20
+    """Fresh episodes at the end, for each policy."""
+    live: _AtLeast5 = 30
+    """Episodes of each round."""
+    noise: float = 0.5
+    """Largest noise that is added to u."""
+    seed: NotNegative = 0
+    """Seed of all episodes."""
+    overwrite: bool = False
+    """Replace an existing policy file."""
 
 
-def _learn(options: argparse.Namespace, words: Sequence[str]) -> int:
+def _learn(options: Train) -> int:
     problem = find_task(options.task)
-    chunks, actions = options.chunks or problem.chunks, options.actions or problem.chunk
-    changes = check_learning_options(options)
+    changes = options.changes()
     problem = problem.with_settings(**dict(changes))  # refuses what is wrong before torch, which takes seconds, is here
     from ctrl_rl_training.experiments.matrix import run_experiments
-    from ctrl_rl_training.experiments.run import RunOptions
     from ctrl_rl_training.experiments.run_folder import result_file
 
     from koopman_lqr_controller.training.experiments.results import collect
     from koopman_lqr_controller.training.experiments.runs import LearningRun
 
-    command = as_command("learn", "--task", options.task, *(["--set", *options.set] if options.set else []), *words)
+    settings = ["--set", *options.set_words] if options.set else []
+    command = as_command("learn", "--task", options.task, *settings, *given_words(options, _LEARN_WORDS))
     runs = [
         LearningRun(
             problem.name,
@@ -94,9 +93,8 @@ def _learn(options: argparse.Namespace, words: Sequence[str]) -> int:
         )
         for seed in range(options.seeds)
     ]
-    how = RunOptions(options.folder, chunks, actions, problem.evaluations, options.episodes)
     title = Path(problem.name).stem
-    results = run_experiments(runs, how, options.workers, title, options.ray)
+    results = run_experiments(runs, options.run_options(problem), options.workers, title, options.ray)
     rows, figures = collect(problem, results)
     for row in rows:
         print(f"{row.method:<38} {row.metric:<32} {' '.join(f'{value:8.4g}' for value in row.values)}")
@@ -108,7 +106,7 @@ def _learn(options: argparse.Namespace, words: Sequence[str]) -> int:
     return 0
 
 
-def _consolidate(options: argparse.Namespace, words: Sequence[str]) -> int:
+def _consolidate(options: Consolidate) -> int:
     import torch
     from tqdm import tqdm
 
@@ -116,16 +114,17 @@ def _consolidate(options: argparse.Namespace, words: Sequence[str]) -> int:
     from koopman_lqr_controller.training.consolidation.consolidation_config import ConsolidationConfig
     from koopman_lqr_controller.training.consolidation.finishing import consolidate_policy, load_latent
 
-    check_least(options, episodes=1, live=5, seed=0)
-    if min(options.latent or [1]) < 1 or not 0.0 < options.noise < math.inf:
-        raise KoopmanError("--latent must be at least 1, and --noise positive")
+    if not 0.0 < options.noise < math.inf:
+        raise KoopmanError(f"--noise must be positive, not {options.noise}")
     refuse_existing(options.output, options.overwrite)
     problem = task_of_manifest(load_latent(options.policy).manifest)
     torch.set_num_threads(1)  # more only get into each other's way
     environment = problem.make(False)
     sizes = {"sizes": tuple(sorted(set(options.latent)))} if options.latent else {}
     plan = ConsolidationConfig.of(options.live, options.episodes, noise=options.noise, **sizes)
-    command = as_command("consolidate", options.policy.name, "--output", options.output.name, *words)
+    command = as_command(
+        "consolidate", options.policy.name, "--output", options.output.name, *given_words(options, _CONSOLIDATE_WORDS)
+    )
     try:
         with tqdm(desc="consolidating", unit="part", disable=None) as bar:
 
@@ -162,3 +161,8 @@ def _report(found: dict[str, Any], path: Path) -> None:
     missed = [name for name, met in found["meets"].items() if not met]
     print(f"targets              {'met' if not missed else 'missed: ' + ', '.join(missed)}")
     print(f"policy               {path}")
+
+
+train = make_command("train", Train, _learn, _EPILOG)
+learn = make_old_command("learn", "train", train)
+consolidate = make_command("consolidate", Consolidate, _consolidate)

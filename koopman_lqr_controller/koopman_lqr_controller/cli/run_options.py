@@ -1,64 +1,74 @@
-"""What the commands `learn` and `compare` share: how long runs go, and where. Imports no torch."""
+"""Options that `train` and `compare` share: how long runs go, and where. Imports no torch."""
 
 from __future__ import annotations
 
-import argparse
+import math
 import shlex
 from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Annotated, Any, Literal
 
-from ctrl_rl_core.command import check_least, folder_to_write
+import tyro
+from ctrl_rl_core.command import FolderToWrite
+from ctrl_rl_training.cli import ExperimentOptions, NotNegative, Positive, note_old_name
+from ctrl_rl_training.experiments.run import RunOptions
 
 from koopman_lqr_controller.errors import KoopmanError
+from koopman_lqr_controller.training.environments.benchmark_tasks import BenchmarkTask
 from koopman_lqr_controller.training.experiments.methods import Changes
 
-FOLDER = Path("runs/koopman")
 CONSOLIDATION = 30
-"""Episodes of each round of it, unless asked otherwise."""
+"""Default number of episodes of each round of consolidation."""
 
 
-def add_learning_options(parser: argparse.ArgumentParser, seeds: int) -> None:
-    """Give a command what says where, how many runs and how long; `seeds` is a default."""
-    parser.add_argument("--folder", type=folder_to_write, default=FOLDER, help="of the runs (default %(default)s)")
-    parser.add_argument("--seeds", type=int, default=seeds, help="how many, from 0 (default %(default)s)")
-    parser.add_argument("--workers", type=int, default=0, help="runs at a time (default: one for each core)")
-    parser.add_argument("--chunks", type=int, default=0, help="between two evaluations each (default: the task's)")
-    parser.add_argument("--actions", type=int, default=0, help="in a chunk (default: the task's)")
-    parser.add_argument(
-        "--set",
-        nargs="+",
-        action="extend",
-        default=[],
-        metavar="NAME=VALUE",
-        help="settings of the learner, e.g. riccati_iterations=3",
-    )
-    parser.add_argument(
-        "--episodes", type=int, default=20, help="fresh ones at the end, for each policy (default %(default)s)"
-    )
-    parser.add_argument(
-        "--consolidation",
-        type=int,
-        default=CONSOLIDATION,
-        help="episodes of each round of it, 0 for none (default %(default)s)",
-    )
-    parser.add_argument("--ray", metavar="ADDRESS", help="Ray cluster that runs them, auto for this machine's")
-    parser.add_argument("--device", default="cpu", choices=("cpu", "cuda"), help="of the networks (default cpu)")
+@dataclass(frozen=True, kw_only=True)
+class LearningOptions(ExperimentOptions):
+    """Options of a command that learns from interaction."""
 
+    folder: FolderToWrite = Path("runs/koopman")
+    """Folder of the runs; each has one of its own, and goes on there where it was cut off."""
+    samples: Positive | None = None
+    """Actions of a run, at most (default: the task's)."""
+    chunks: NotNegative = 0
+    """Old name of --samples, in units of --actions."""
+    actions: NotNegative = 0
+    """Actions between two evaluations; 0 for the task's."""
+    set: Annotated[tuple[tuple[str, ...], ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="NAME=VALUE")] = ()
+    """Settings of the learner, such as riccati_iterations=3."""
+    episodes: Positive = 20
+    """Fresh episodes at the end, for each policy."""
+    consolidation: NotNegative = CONSOLIDATION
+    """Episodes of each round of consolidation; 0 for none."""
+    device: Literal["cpu", "cuda"] = "cpu"
+    """Device of the networks."""
 
-def check_learning_options(options: argparse.Namespace) -> Changes:
-    """Return the settings that are to be changed, and refuse counts that are too small.
+    @property
+    def set_words(self) -> list[str]:
+        """Words of all --set."""
+        return [word for words in self.set for word in words]
 
-    Raises:
-        CommandError, KoopmanError: names the option.
-    """
-    check_least(options, seeds=1, workers=0, chunks=0, actions=0, episodes=1, consolidation=0)
-    out: dict[str, int | float | str] = {}
-    for text in options.set:
-        name, separator, value = text.partition("=")
-        if not (separator and value):
-            raise KoopmanError(f"--set {text}: must be NAME=VALUE")
-        out[name] = _value(value)
-    return tuple(sorted(out.items()))
+    def changes(self) -> Changes:
+        """Return the changed settings.
+
+        Raises:
+            KoopmanError: A word is no setting.
+        """
+        out: dict[str, int | float | str] = {}
+        for text in self.set_words:
+            name, separator, value = text.partition("=")
+            if not (separator and value):
+                raise KoopmanError(f"--set {text}: must be NAME=VALUE")
+            out[name] = _value(value)
+        return tuple(sorted(out.items()))
+
+    def run_options(self, task: BenchmarkTask) -> RunOptions:
+        """Return the settings of the runs on a task."""
+        if self.chunks:
+            note_old_name("koopman_lqr_controller", "--chunks", "--samples")
+        actions = self.actions or task.chunk
+        chunks = math.ceil(self.samples / actions) if self.samples else self.chunks or task.chunks
+        return RunOptions(self.folder, chunks, actions, task.evaluations, self.episodes)
 
 
 def _value(text: str) -> int | float | str:
@@ -70,16 +80,17 @@ def _value(text: str) -> int | float | str:
     return text
 
 
-def given_words(parser: argparse.ArgumentParser, options: argparse.Namespace, names: Sequence[str]) -> list[str]:
-    """Return those of the named options that are not as they are unless asked otherwise."""
+def given_words(options: Any, names: Sequence[str]) -> list[str]:
+    """Return the named options of a dataclass that differ from their defaults, as words of a command line."""
+    defaults = {field.name: field.default for field in fields(options)}
     out: list[str] = []
     for name in names:
         value = getattr(options, name)
-        if value != parser.get_default(name):
-            out += [f"--{name}", *(str(each) for each in (value if isinstance(value, list) else [value]))]
+        if value != defaults[name]:
+            out += [f"--{name}", *map(str, value if isinstance(value, tuple) else [value])]
     return out
 
 
 def as_command(*words: str) -> str:
-    """Return what makes the same again."""
+    """Return the command line that makes the same again."""
     return shlex.join(["ros2", "run", "koopman_lqr_controller", *words])

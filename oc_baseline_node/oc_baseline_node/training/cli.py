@@ -1,73 +1,75 @@
-"""The commands `train` and `training_figures`: learning with every baseline, and what comes of it."""
+"""The commands `train` and `plot`: learning with every baseline, and pictures of it."""
 
 from __future__ import annotations
 
-import argparse
-from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
-from ctrl_rl_core.command import run_command
+from ctrl_rl_core.command import CommandError, FolderToWrite
 from ctrl_rl_core.tasks.task import load_navigation_task
 from ctrl_rl_training.cli import (
-    add_figure_options,
-    add_run_options,
-    check_run_options,
+    SimulatedOptions,
+    TaskPlotOptions,
+    make_command,
+    make_old_command,
+    note_old_name,
     read_training,
+    some_of,
     train_and_collect,
 )
 
 from oc_baseline_node.training.experiments.methods import GROUPS, METHODS
 
-FOLDER = Path("runs/oc_training")
-ITERATIONS = 10
 _MAIN = ("oc_ppo", "ppo", "oc_corrected")
 
 
-def train(arguments: Sequence[str] | None = None) -> int:
+@dataclass(frozen=True, kw_only=True)
+class Train(SimulatedOptions):
     """Learn a task's sparse reward with policy gradients, from several seeds; go on where it was cut off."""
-    parser = argparse.ArgumentParser(prog="train", description=train.__doc__)
-    parser.add_argument("--task", required=True, help="car_navigation, quad_navigation, quad_trap, or a task file")
-    which = parser.add_mutually_exclusive_group()
-    which.add_argument("--methods", nargs="+", choices=METHODS, help="default: oc_ppo ppo oc_corrected")
-    which.add_argument("--compare", nargs="+", choices=[*GROUPS, "all"], help="the methods of a figure or table")
-    parser.add_argument("--value", type=Path, help="file of V_oc ('oc fit'); default: what comes with the package")
-    add_run_options(parser, FOLDER, ITERATIONS)
-    options = parser.parse_args(arguments)
-    return run_command("train", lambda: _train(options))
+
+    folder: FolderToWrite = Path("runs/oc_training")
+    """Folder of the runs; each has one of its own, and goes on there where it was cut off."""
+    methods: Annotated[tuple[str, ...], some_of(METHODS)] = ()
+    """Methods to learn with (default: oc_ppo ppo oc_corrected)."""
+    compare: Annotated[tuple[str, ...], some_of([*GROUPS, "all"])] = ()
+    """Figures or tables of the thesis whose methods learn, instead of --methods."""
+    value: Path | None = None
+    """Network of V_oc that `oc fit` wrote (default: the one that comes with the package)."""
 
 
-def training_figures(arguments: Sequence[str] | None = None) -> int:
+@dataclass(frozen=True, kw_only=True)
+class Plot(TaskPlotOptions):
     """Draw success, return, advantages and paths (thesis Fig. 3.9 to 3.16) from the results that `train` wrote."""
-    parser = argparse.ArgumentParser(prog="training_figures", description=training_figures.__doc__)
-    add_figure_options(parser)
-    options = parser.parse_args(arguments)
-    return run_command("training_figures", lambda: _figures(options))
 
 
-def _train(options: argparse.Namespace) -> int:
-    check_run_options(options)
+def _train(options: Train) -> int:
+    if options.methods and options.compare:
+        raise CommandError("give --methods or --compare, not both")
+    if options.iterations:
+        note_old_name("train", "--iterations", "--samples")
     task = load_navigation_task(options.task)
     from oc_baseline_node.training.experiments.results import collect, table
     from oc_baseline_node.training.experiments.runs import oc_runs
 
-    runs = oc_runs(task, _methods(options), options.seeds, options.value)
+    groups = GROUPS if "all" in options.compare else options.compare
+    methods = options.methods or tuple(dict.fromkeys(name for group in groups for name in GROUPS[group])) or _MAIN
+    runs = oc_runs(task, methods, options.seeds, options.value)
     for run in runs:
         run.description  # noqa: B018 - refuses a missing or wrong V_oc before workers start
-    train_and_collect(options, task, runs, "oc_training", collect, table)
+    train_and_collect(options, task, runs, "oc_training", collect, table, options.run_options())
     return 0
 
 
-def _methods(options: argparse.Namespace) -> Sequence[str]:
-    if options.compare is None:
-        return options.methods or _MAIN
-    groups = GROUPS if "all" in options.compare else options.compare
-    return list(dict.fromkeys(name for group in groups for name in GROUPS[group]))
-
-
-def _figures(options: argparse.Namespace) -> int:
+def _figures(options: TaskPlotOptions) -> int:
     from oc_baseline_node.training.plots import Learning, draw_all  # matplotlib is not for robots
 
     figures, task = read_training(options, Learning)
     for picture in draw_all(figures, task, options.output):
         print(f"picture    {picture}")
     return 0
+
+
+train = make_command("train", Train, _train)
+plot = make_command("plot", Plot, _figures)
+training_figures = make_old_command("training_figures", "plot", plot)

@@ -1,85 +1,81 @@
-"""The commands `train` and `training_figures`: learning joint options, in simulation or from bags."""
+"""The commands `train` and `plot`: learning joint options, in simulation or from bags."""
 
 from __future__ import annotations
 
-import argparse
-from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated, Literal
 
-from ctrl_rl_core.command import CommandError, check_least, file_to_write, folder_to_write, run_command
+import tyro
+from ctrl_rl_core.command import CommandError, FolderToWrite
+from ctrl_rl_training.cli import (
+    ExperimentOptions,
+    PlotOptions,
+    Positive,
+    make_command,
+    make_old_command,
+    one_of,
+    some_of,
+    train_and_collect,
+)
 
 from option_coordinator.environments.tasks import load_option_task, make_environment
 from option_coordinator.policies.policy_file import HEADS
 from option_coordinator.training.experiments.methods import METHODS
 
-FOLDER = Path("runs/options")
 ITERATIONS = 25
 _MAIN = ("async", "sync_wait")
+_METHODS = (
+    "methods:\n"
+    + "\n".join(f"  {name:<22} {method.label}" for name, method in METHODS.items())
+    + "\n\nfrom bags: train --bags runs/*/bag --from policy.safetensors --task tool_delivery"
+)
 
 
-def train(arguments: Sequence[str] | None = None) -> int:
+@dataclass(frozen=True, kw_only=True)
+class Train(ExperimentOptions):
     """Learn joint options (thesis 5.3) from several seeds; go on where it was cut off."""
-    parser = argparse.ArgumentParser(
-        prog="train",
-        description=train.__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        epilog="methods:\n"
-        + "\n".join(f"  {name:<22} {method.label}" for name, method in METHODS.items())
-        + "\nfrom bags: train --bags runs/*/bag --from policy.safetensors --task tool_delivery",
-    )
-    parser.add_argument(
-        "--task", help="tool_delivery, water_filling, delivery_team or a file; with --bags: to judge in"
-    )
-    parser.add_argument(
-        "--bags", nargs="+", type=Path, help="to learn from: a policy's own decisions by MAPPO, others by imitation"
-    )
-    parser.add_argument("--from", dest="start", type=Path, help="policy to go on from, with --bags")
-    parser.add_argument("--head", choices=tuple(HEADS), default="table", help="of a policy learnt from bags alone")
-    parser.add_argument(
-        "--methods", nargs="+", choices=[*METHODS, "all"], default=_MAIN, help="default: async sync_wait"
-    )
-    parser.add_argument("--sight", choices=("features", "image"), default="features", help="of Water Filling's robots")
-    parser.add_argument(
-        "--drop", type=float, default=0.0, help="chance that a robot vanishes in an episode (default 0, as compared)"
-    )
-    parser.add_argument("--folder", type=folder_to_write, default=FOLDER, help="of the runs (default %(default)s)")
-    parser.add_argument("--seeds", type=int, default=5, help="how many, from 0 (default %(default)s)")
-    parser.add_argument("--samples", type=int, help="low-level samples of a run (default: the task's)")
-    parser.add_argument("--evaluations", type=int, default=50, help="episodes at the end (default %(default)s)")
-    parser.add_argument("--workers", type=int, default=0, help="runs at a time (default: 0, one for each core)")
-    parser.add_argument("--results", type=file_to_write, help="JSON file to write table and curves to")
-    parser.add_argument("--ray", metavar="ADDRESS", help="Ray cluster that runs them, auto for this machine's")
-    options = parser.parse_args(arguments)
-    return run_command("train", lambda: _train(options) if options.bags is None else _train_on_bags(options))
+
+    folder: FolderToWrite = Path("runs/options")
+    """Folder of the runs; each has one of its own, and goes on there where it was cut off."""
+    task: str | None = None
+    """Task to learn (tool_delivery, water_filling, delivery_team or a file); with --bags, to evaluate in."""
+    bags: tuple[Path, ...] = ()
+    """Bags to learn from: a policy's own decisions by MAPPO, others by imitation."""
+    start: Annotated[Path | None, tyro.conf.arg(name="from")] = None
+    """Policy to go on from, with --bags."""
+    head: Annotated[str, one_of(HEADS)] = "table"
+    """Head of a policy learnt from bags alone."""
+    methods: Annotated[tuple[str, ...], some_of([*METHODS, "all"])] = _MAIN
+    """Methods to learn with."""
+    sight: Literal["features", "image"] = "features"
+    """Observation of Water Filling's robots."""
+    drop: float = 0.0
+    """Probability that a robot vanishes in an episode; 0 where methods are compared."""
+    evaluations: Positive = 50
+    """Number of episodes at the end."""
 
 
-def training_figures(arguments: Sequence[str] | None = None) -> int:
-    """Draw the curves of learning (thesis Fig. 5.4) from the results that `train` wrote."""
-    parser = argparse.ArgumentParser(prog="training_figures", description=training_figures.__doc__)
-    parser.add_argument("results", type=Path, help="JSON file of `train --results`")
-    parser.add_argument("--output", type=Path, default=Path("docs/images"), help="folder (default %(default)s)")
-    options = parser.parse_args(arguments)
-    return run_command("training_figures", lambda: _figures(options))
-
-
-def _train(options: argparse.Namespace) -> int:
+def _train(options: Train) -> int:
+    if options.bags:
+        return _train_on_bags(options)
     if options.task is None or options.start is not None:
         raise CommandError("give a --task to learn in, or --bags to learn from; --from goes with --bags")
     task = load_option_task(options.task)  # refuses an unknown one before torch is imported and workers start
     longest = make_environment(options.task).simulation.step_limit
     least = 2 * longest * ITERATIONS  # so that an episode ends in every iteration, whatever the one before overshot
-    check_least(options, seeds=1, evaluations=1, workers=0, samples=least)
+    samples = task.training_samples if options.samples is None else options.samples
+    if samples < least:
+        raise CommandError(f"--samples must be at least {least}, not {samples}")
     if not 0.0 <= options.drop <= 1.0:
         raise CommandError(f"--drop must be a probability, 0 to 1, not {options.drop:g}")
-    samples = task.training_samples if options.samples is None else options.samples
-    from ctrl_rl_training.cli import train_and_collect
     from ctrl_rl_training.experiments.run import RunOptions
 
     from option_coordinator.training.experiments.results import collect, table
     from option_coordinator.training.experiments.runs import option_runs
 
     every = [name for name, method in METHODS.items() if task.kind in method.kinds]
-    methods = every if "all" in options.methods else options.methods
+    methods = every if "all" in options.methods else options.methods or _MAIN
     if wrong := set(methods) - set(every):
         raise CommandError(f"task '{task.name}' has no method {', '.join(sorted(wrong))}: there are {', '.join(every)}")
     runs = option_runs(options.task, methods, options.seeds, options.sight, options.drop)
@@ -90,14 +86,13 @@ def _train(options: argparse.Namespace) -> int:
     return 0
 
 
-def _train_on_bags(options: argparse.Namespace) -> int:
-    check_least(options, evaluations=1)
+def _train_on_bags(options: Train) -> int:
     from ctrl_rl_training.experiments.matrix import run_experiments
     from ctrl_rl_training.experiments.run import RunOptions
 
     from option_coordinator.training.experiments.bag_runs import ROUNDS, BagRun
 
-    run = BagRun(tuple(options.bags), options.start, options.task, options.head)
+    run = BagRun(options.bags, options.start, options.task, options.head)
     run.environment()  # refuses a task of other robots, as `way` and `name` refuse what cannot be learnt from
     whose = f"this policy's own, {run.left_out} others are left out" if run.way == "mappo" else "imitated"
     print(f"learning   {len(run.trajectory)} decisions, {whose}", flush=True)
@@ -111,7 +106,7 @@ def _train_on_bags(options: argparse.Namespace) -> int:
     return 0
 
 
-def _figures(options: argparse.Namespace) -> int:
+def _figures(options: PlotOptions) -> int:
     from ctrl_rl_training.experiments.results import read_figures
 
     from option_coordinator.training.plots import Learning, draw_curves  # matplotlib is not for robots
@@ -122,3 +117,8 @@ def _figures(options: argparse.Namespace) -> int:
     draw_curves(figures, file)
     print(f"picture    {file}")
     return 0
+
+
+train = make_command("train", Train, _train, _METHODS)
+plot = make_command("plot", PlotOptions, _figures)
+training_figures = make_old_command("training_figures", "plot", plot)

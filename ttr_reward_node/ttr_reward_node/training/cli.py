@@ -1,18 +1,21 @@
-"""The commands `train` and `training_figures`: learning with every reward, and what comes of it."""
+"""The commands `train` and `plot`: learning with every reward, and pictures of it."""
 
 from __future__ import annotations
 
-import argparse
-from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
-from ctrl_rl_core.command import run_command
+from ctrl_rl_core.command import FolderToWrite
 from ctrl_rl_core.io.results import ResultsError
 from ctrl_rl_training.cli import (
-    add_figure_options,
-    add_run_options,
-    check_run_options,
+    SimulatedOptions,
+    TaskPlotOptions,
+    make_command,
+    make_old_command,
+    note_old_name,
     read_training,
+    some_of,
     train_and_collect,
 )
 from ctrl_rl_training.sb3.algorithm_names import ALGORITHMS
@@ -20,47 +23,47 @@ from ctrl_rl_training.sb3.algorithm_names import ALGORITHMS
 from ttr_reward_node.errors import TimeToReachError
 from ttr_reward_node.rewards.rewards import REWARDS
 
-_FOLDER = Path("runs/ttr_training")
-_ITERATIONS = 10
 
-
-def train(arguments: Sequence[str] | None = None) -> int:
+@dataclass(frozen=True, kw_only=True)
+class Train(SimulatedOptions):
     """Learn a task with rewards and algorithms, from several seeds; go on where an earlier call was cut off."""
-    parser = argparse.ArgumentParser(prog="train", description=train.__doc__)
-    parser.add_argument("--task", required=True, help="car_ttr, quad_ttr, or a task file")
-    parser.add_argument("--grid", type=Path, help="its time-to-reach function (.safetensors), for the reward ttr")
-    parser.add_argument("--algorithms", nargs="+", choices=ALGORITHMS, default=ALGORITHMS, help="default: all")
-    parser.add_argument("--rewards", nargs="+", choices=REWARDS, default=REWARDS, help="default: all")
-    add_run_options(parser, _FOLDER, _ITERATIONS)
-    options = parser.parse_args(arguments)
-    return run_command("train", lambda: _train(options))
+
+    folder: FolderToWrite = Path("runs/ttr_training")
+    """Folder of the runs; each has one of its own, and goes on there where it was cut off."""
+    grid: Path | None = None
+    """Time-to-reach function of the task (.safetensors), for the reward ttr."""
+    algorithms: Annotated[tuple[str, ...], some_of(ALGORITHMS)] = tuple(ALGORITHMS)
+    """Algorithms to learn with."""
+    rewards: Annotated[tuple[str, ...], some_of(REWARDS)] = tuple(REWARDS)
+    """Rewards to learn with."""
 
 
-def training_figures(arguments: Sequence[str] | None = None) -> int:
+@dataclass(frozen=True, kw_only=True)
+class Plot(TaskPlotOptions):
     """Draw success, visits and paths (thesis Fig. 3.4 to 3.7) from the results that `train` wrote."""
-    parser = argparse.ArgumentParser(prog="training_figures", description=training_figures.__doc__)
-    add_figure_options(parser)
-    parser.add_argument("--algorithm", choices=ALGORITHMS, help="of visits and paths (default: the first)")
-    options = parser.parse_args(arguments)
-    return run_command("training_figures", lambda: _figures(options))
+
+    algorithm: str | None = None
+    """Algorithm of visits and paths (default: the first)."""
 
 
-def _train(options: argparse.Namespace) -> int:
-    check_run_options(options)
-    if "ttr" in options.rewards and options.grid is None:
+def _train(options: Train) -> int:
+    if options.iterations:
+        note_old_name("train", "--iterations", "--samples")
+    rewards = options.rewards or tuple(REWARDS)
+    if "ttr" in rewards and options.grid is None:
         raise TimeToReachError(f"the reward ttr needs --grid: make it with `solve --task {options.task}`")
     # Torch takes seconds to import: not before the arguments are right.
     from ttr_reward_node.training.results import collect, success_table
     from ttr_reward_node.training.training import reward_runs
 
-    runs = reward_runs(options.task, options.algorithms, options.rewards, options.seeds, options.grid)
+    runs = reward_runs(options.task, options.algorithms or tuple(ALGORITHMS), rewards, options.seeds, options.grid)
     for run in {run.reward: run for run in runs}.values():
         run.environment().close()  # refuses what is wrong before workers start
-    train_and_collect(options, runs[0].task, runs, "ttr_training", collect, success_table)
+    train_and_collect(options, runs[0].task, runs, "ttr_training", collect, success_table, options.run_options())
     return 0
 
 
-def _figures(options: argparse.Namespace) -> int:
+def _figures(options: Plot) -> int:
     from ctrl_rl_training.plots import draw_paths  # matplotlib is not for robots
 
     from ttr_reward_node.training.plots import Learning, draw_curves, draw_visits
@@ -82,3 +85,8 @@ def _figures(options: argparse.Namespace) -> int:
     for picture in pictures.values():
         print(f"picture    {picture}")
     return 0
+
+
+train = make_command("train", Train, _train)
+plot = make_command("plot", Plot, _figures)
+training_figures = make_old_command("training_figures", "plot", plot)

@@ -1,0 +1,10 @@
+"""Doors to the learning commands: where the packages that they need are missing, one line says what to install."""
+
+from functools import partial
+
+from ctrl_rl_core.command import run_imported
+
+_MODULE = "option_coordinator.training.cli"
+train, plot, training_figures = (
+    partial(run_imported, name, _MODULE, name) for name in ("train", "plot", "training_figures")
+)
