@@ -1,8 +1,9 @@
-"""What finished runs amount to: tables, curves and paths, as JSON, from which pictures are drawn."""
+"""Tables of finished runs, from the metrics that a package declares, and curves to draw."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -16,20 +17,20 @@ from ctrl_rl_training.experiments.run import Run
 from ctrl_rl_training.experiments.run_folder import read_result, result_file
 
 AnyRun = TypeVar("AnyRun", bound=Run)
+Finished = dict[str, list[tuple[AnyRun, dict[str, Any]]]]
+"""Runs and their results by method."""
 GOOD = 0.9
 """Success that counts as learnt (thesis 3.2.3)."""
 
 
-def finished_runs(
-    todo: Sequence[AnyRun], folder: Path, label: Callable[[AnyRun], str]
-) -> dict[str, list[tuple[AnyRun, dict[str, Any]]]]:
+def finished_runs(runs: Sequence[AnyRun], folder: Path, label: Callable[[AnyRun], str]) -> Finished[AnyRun]:
     """Return the runs that are finished and their results (see `trainer.train`), by method."""
-    runs: dict[str, list[tuple[AnyRun, dict[str, Any]]]] = {}
-    for run in todo:
+    out: Finished[AnyRun] = {}
+    for run in runs:
         file = result_file(folder, run)
         if file.is_file():
-            runs.setdefault(label(run), []).append((run, read_result(file)))
-    return runs
+            out.setdefault(label(run), []).append((run, read_result(file)))
+    return out
 
 
 def samples_to(curve: Sequence[Mapping[str, Any]], key: str = "evaluation", least: float = GOOD) -> float | None:
@@ -39,6 +40,72 @@ def samples_to(curve: Sequence[Mapping[str, Any]], key: str = "evaluation", leas
         if good[index] and (index + 1 == len(curve) or good[index + 1]):
             return float(point["samples"])
     return None
+
+
+@dataclass(frozen=True)
+class Metric:
+    """A column of a table.
+
+    Attributes:
+        name: Name of the metric.
+        unit: Its unit, "1" for none.
+        values: Returns its values for the results of a method's seeds, usually one for each.
+    """
+
+    name: str
+    unit: str
+    values: Callable[[Sequence[Mapping[str, Any]]], list[float]]
+
+
+def metric(name: str, unit: str, value: Callable[[Mapping[str, Any]], float]) -> Metric:
+    """Return a metric with one value for each seed."""
+    return Metric(name, unit, lambda results: [float(value(result)) for result in results])
+
+
+def metrics_of_speed(
+    key: str = "evaluation", least: float = GOOD, words: str = f"{GOOD:.0%}", more: str = ""
+) -> list[Metric]:
+    """Return how many seeds reach a level of the curve's figure `key`, and after how many samples; see `samples_to`.
+
+    Args:
+        key: Name of the figure in the curve.
+        least: The level.
+        words: The level, as the metrics' names say it.
+        more: Ends the name of the first metric.
+    """
+
+    def reached(results: Sequence[Mapping[str, Any]]) -> list[float]:
+        return [samples for each in results if (samples := samples_to(each["curve"], key, least)) is not None]
+
+    return [
+        Metric(f"seeds that reach {words}{more}", "1", lambda results: [float(len(reached(results)))]),
+        Metric(f"samples to {words}", "1", reached),
+    ]
+
+
+def collect_rows(
+    finished: Finished[AnyRun],
+    metrics: Sequence[Metric],
+    reference: Callable[[AnyRun, str], float | None] = lambda *_: None,
+) -> list[Result]:
+    """Return a row for each method and metric, but for those without a value.
+
+    Args:
+        finished: Runs and results by method.
+        metrics: Columns of the table.
+        reference: Returns the thesis's figure for a run's method and a metric's name, None where it gives none.
+    """
+    return [
+        Result(method, metric.name, metric.unit, values, reference(runs[0][0], metric.name))
+        for method, runs in finished.items()
+        for metric in metrics
+        if (values := metric.values([result for _, result in runs]))
+    ]
+
+
+def curves_of(finished: Finished[AnyRun], **names: str) -> dict[str, dict[str, list[Any]]]:
+    """Return the `curves` of each method."""
+    return {method: curves([result for _, result in runs], **names) for method, runs in finished.items()}
 
 
 def curves(results: Sequence[Mapping[str, Any]], **names: str) -> dict[str, list[Any]]:

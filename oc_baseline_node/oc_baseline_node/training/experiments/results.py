@@ -1,17 +1,24 @@
-"""What the runs of a task amount to: one table with the thesis's figures beside ours, and what pictures are drawn from.
+"""The table of a task's runs, with the thesis's figures beside ours, and the data of the pictures.
 
 rows, figures = collect(oc_runs(load_navigation_task("car_navigation")), Path("runs/oc_training"))
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from ctrl_rl_core.io.results import Result
-from ctrl_rl_training.experiments.results import GOOD, as_table, curves, finished_runs, samples_to
+from ctrl_rl_training.experiments.results import (
+    as_table,
+    collect_rows,
+    curves_of,
+    finished_runs,
+    metric,
+    metrics_of_speed,
+)
 
 from oc_baseline_node.training.experiments.methods import METHODS
 from oc_baseline_node.training.experiments.runs import OcRun
@@ -45,32 +52,23 @@ def collect(todo: Sequence[OcRun], folder: Path) -> tuple[list[Result], dict[str
         undiscounted return; and the samples to `GOOD` (seeds that never get there are left out and counted). And
         `curves`, `advantages` (see `BaselineBuffer.ranges`) and `paths` by method.
     """
-    found = {
-        name: (runs[0][0], [result for _, result in runs])
-        for name, runs in finished_runs(todo, folder, lambda run: run.method_name).items()
-    }
-    rows: list[Result] = []
-    for name, (run, results) in found.items():
-
-        def add(metric: str, unit: str, values: list[float], name: str = name, run: OcRun = run) -> None:
-            rows.append(Result(name, metric, unit, values, THESIS.get((run.task.name, name, metric))))
-
-        add("success", "1", [result["success"] for result in results])
-        if run.task.trap is not None:
-            add("trap rate", "1", [_rate(result, "TRAP") for result in results])
-        add("collision rate", "1", [_rate(result, "COLLISION") for result in results])
-        add("return", "1", [float(np.mean(result["returns"])) for result in results])
-        learnt = [samples for result in results if (samples := samples_to(result["curve"])) is not None]
-        add(f"seeds that reach {GOOD:.0%}", "1", [float(len(learnt))])
-        if learnt:
-            add(f"samples to {GOOD:.0%}", "1", learnt)
+    task = todo[0].task
+    found = finished_runs(todo, folder, lambda run: run.method_name)
+    metrics = [
+        metric("success", "1", lambda result: result["success"]),
+        *([metric("trap rate", "1", lambda result: _rate(result, "TRAP"))] if task.trap is not None else []),
+        metric("collision rate", "1", lambda result: _rate(result, "COLLISION")),
+        metric("return", "1", lambda result: float(np.mean(result["returns"]))),
+        *metrics_of_speed(),
+    ]
+    rows = collect_rows(found, metrics, lambda run, name: THESIS.get((task.name, run.method_name, name)))
     figures = {
-        "curves": {name: curves(results, success="evaluation", total="return") for name, (_, results) in found.items()},
+        "curves": curves_of(found, success="evaluation", total="return"),
         "advantages": {
-            name: [[point["notes"]["advantages"] for point in result["curve"]] for result in results]
-            for name, (_, results) in found.items()
+            name: [[point["notes"]["advantages"] for point in result["curve"]] for _, result in runs]
+            for name, runs in found.items()
         },
-        "paths": {name: results[0]["paths"] for name, (_, results) in found.items()},
+        "paths": {name: runs[0][1]["paths"] for name, runs in found.items()},
     }
     return rows, figures
 
@@ -80,5 +78,5 @@ def table(rows: Sequence[Result]) -> str:
     return as_table(rows, {name: method.label for name, method in METHODS.items()})
 
 
-def _rate(result: dict[str, Any], outcome: str) -> float:
+def _rate(result: Mapping[str, Any], outcome: str) -> float:
     return float(result["ended"][outcome] / sum(result["ended"].values()))

@@ -1,4 +1,4 @@
-"""What the runs of a task amount to: one table with the thesis's figures beside ours, and curves to draw.
+"""The table of a task's runs, with the thesis's figures beside ours, and curves to draw.
 
 rows, figures = collect(option_runs("tool_delivery", ["async"], 10), Path("runs/options"))
 """
@@ -10,7 +10,15 @@ from pathlib import Path
 from typing import Any
 
 from ctrl_rl_core.io.results import Result
-from ctrl_rl_training.experiments.results import as_table, curves, finished_runs, samples_to
+from ctrl_rl_training.experiments.results import (
+    Metric,
+    as_table,
+    collect_rows,
+    curves_of,
+    finished_runs,
+    metric,
+    metrics_of_speed,
+)
 
 from option_coordinator.environments.roll_out import play_episodes
 from option_coordinator.environments.tasks import make_environment
@@ -67,35 +75,38 @@ def collect(todo: Sequence[OptionRun], folder: Path) -> tuple[list[Result], dict
         the main metric.
     """
     task = todo[0].task
-    metrics, main = METRICS[task.kind], MAIN[task.kind]
-    found = finished_runs(todo, folder, lambda run: run.method_name)
-    flat = {name: [_flat(result, main) for _, result in runs] for name, runs in found.items()}
+    names, main = METRICS[task.kind], MAIN[task.kind]
+    title, unit = names[main]
     beside = reference_summaries(todo[0].task_name)
     scripted = beside["scripted"][main]
     enough = ENOUGH.get(task.kind, scripted)
-    rows: list[Result] = []
-    for name, runs in found.items():
-        results = [result for _, result in runs]
-        for key, (metric, unit) in metrics.items():
-            values = [float(result["final"][result["used"]][key]) for result in results]
-            rows.append(Result(name, metric, unit, values, THESIS.get((task.kind, name, key))))
-        metric, unit = metrics[main]
-        for use, words in ((DRAWS, "draws"), (MODE, "most likely options")):
-            values = [float(result["final"][use][main]) for result in results]
-            rows.append(Result(name, f"{metric}, {words}", unit, values))
-        reached = [s for result in flat[name] if (s := samples_to(result["curve"], main, enough)) is not None]
-        rows.append(Result(name, f"seeds that reach {enough:.4g} in learning", "1", [float(len(reached))]))
-        if reached:
-            rows.append(Result(name, f"samples to {enough:.4g}", "1", reached))
-    for name, found_beside in beside.items():
-        rows += [Result(name, metric, unit, [found_beside[key]]) for key, (metric, unit) in metrics.items()]
+    found = finished_runs(todo, folder, lambda run: run.method_name)
+    for runs in found.values():
+        for _, result in runs:
+            for point in result["curve"]:
+                point["main"] = point["learning"][main]
+    metrics = [
+        *(_metric(name, unit, None, key) for key, (name, unit) in names.items()),
+        _metric(f"{title}, draws", unit, DRAWS, main),
+        _metric(f"{title}, most likely options", unit, MODE, main),
+        *metrics_of_speed("main", enough, f"{enough:.4g}", " in learning"),
+    ]
+    thesis = {(kind, method, METRICS[kind][key][0]): figure for (kind, method, key), figure in THESIS.items()}
+    rows = collect_rows(found, metrics, lambda run, name: thesis.get((task.kind, run.method_name, name)))
+    for name, summary_beside in beside.items():
+        rows += [Result(name, title, unit, [summary_beside[key]]) for key, (title, unit) in names.items()]
     figures = {
         "task": task.name,
-        "metric": metrics[main][0],
+        "metric": title,
         "scripted": scripted,
-        "curves": {name: curves(results, values=main) for name, results in flat.items()},
+        "curves": curves_of(found, values="main"),
     }
     return rows, figures
+
+
+def _metric(name: str, unit: str, use: str | None, key: str) -> Metric:
+    """Return a metric of a use of the policy; None for the use that it was learnt for."""
+    return metric(name, unit, lambda result: result["final"][use or result["used"]][key])
 
 
 def reference_summaries(task_name: str) -> dict[str, dict[str, float]]:
@@ -108,9 +119,3 @@ def reference_summaries(task_name: str) -> dict[str, dict[str, float]]:
 def table(rows: Sequence[Result]) -> str:
     """Return the rows as text."""
     return as_table(rows, {name: method.label for name, method in METHODS.items()})
-
-
-def _flat(result: Mapping[str, Any], key: str) -> dict[str, Any]:
-    """Return a result whose curve says the main metric directly."""
-    points = [{"samples": point["samples"], key: point["learning"][key]} for point in result["curve"]]
-    return {"curve": points}
