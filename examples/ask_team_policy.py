@@ -4,8 +4,8 @@ python examples/ask_team_policy.py
 """
 
 import numpy as np
-from option_coordinator.environments.tasks import make_environment
-from option_coordinator.policies.policy_file import OptionPolicy
+
+from option_coordinator import OptionPolicy, make_environment
 
 environment = make_environment("delivery_team")
 policy = OptionPolicy.load_for("delivery_team", environment.agents)

@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from koopman_lqr_controller.data.drives import drives_of, snapshots_of, usual_step
+from koopman_lqr_controller.data.trajectory_segments import load_segments, mean_time_step, to_snapshots
 from koopman_lqr_controller.identification.two_stage import train
 from koopman_lqr_controller.policies.policy_file import save_policy
 from koopman_lqr_controller.sensing.observables import CorridorObservables
@@ -20,15 +20,15 @@ bag = Path(sys.argv[1])
 output = Path(sys.argv[2] if len(sys.argv) > 2 else "policy.safetensors")
 commands = load_navigation_task("curved_corridor").robot.commands
 observables = CorridorObservables()
-drives = drives_of(bag, observables.observe)
-print(f"{sum(map(len, drives))} steps in {len(drives)} sequences")
+segments = load_segments(bag, observables.observe)
+print(f"{sum(map(len, segments))} steps in {len(segments)} segments")
 
 policy = train(
-    snapshots_of(drives),
+    to_snapshots(segments),
     observables,
     speed=0.18,  # m/s
     limits=(commands["v"], commands["omega"]),
-    manifest={"dt": usual_step(drives)},
+    manifest={"dt": mean_time_step(segments)},
 )
 poles = np.linalg.eigvals(policy.loop)
 print(f"one-step error {policy.manifest['error_over_persistence']:.2f} of that of 'nothing changes'")

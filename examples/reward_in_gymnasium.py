@@ -19,7 +19,8 @@ print(f"{len(observation)} numbers observed, true state {info['state'].round(2)}
 total = 0.0
 for step in range(20):
     action = environment.action_space.sample()
-    observation, reward, terminated, truncated, info = environment.step(action)
+    observation, paid, terminated, truncated, info = environment.step(action)
+    reward = float(paid)
     total += reward
     if step % 5 == 0:
         print(f"step {step}: reward {reward:.2f}, {-reward:.2f} s from the goal at best")

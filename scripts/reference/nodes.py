@@ -139,7 +139,8 @@ def _wait_for_node(observer: Any, process: subprocess.Popen[bytes], log: Any) ->
             end = time.monotonic() + _SETTLE_S
             while time.monotonic() < end:
                 rclpy.spin_once(observer, timeout_sec=0.1)
-            return found[0]
+            if found[0] in _others(observer):
+                return found[0]
     log.seek(0)
     raise NodeError(f"{process.args}: no node seen. It said: {log.read().decode(errors='replace')}")
 

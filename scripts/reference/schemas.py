@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import re
 from importlib import import_module
+from pkgutil import iter_modules
 from typing import Any
 
 from docstring_parser import parse
@@ -44,10 +45,16 @@ def schema_page() -> str:
     parts = [_HEAD]
     for title, modules in _MODULES.items():
         parts.append(f"## {title}\n")
-        for name in modules:
+        for name in (module for given in modules for module in _with_parts(given)):
             kinds = [each for each in vars(import_module(name)).values() if isinstance(each, type)]
             parts += [_section(kind) for kind in kinds if issubclass(kind, BaseModel) and kind.__module__ == name]
     return "\n".join(parts)
+
+
+def _with_parts(name: str) -> list[str]:
+    """Return the names of a module and, where it is a package, of the modules in it."""
+    folders = getattr(import_module(name), "__path__", [])
+    return [name, *(f"{name}.{each.name}" for each in iter_modules(folders))]
 
 
 def _section(kind: type[BaseModel]) -> str:
