@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 from concurrent.futures import ThreadPoolExecutor
-from itertools import groupby
+from itertools import groupby, pairwise
 
 from ament_index_python.packages import get_package_prefix
 from workspace import Executable, executables
@@ -57,9 +57,9 @@ def _run(executable: Executable, *arguments: str) -> str:
 
 
 def _subcommands(text: str) -> list[str]:
-    """Return the names in the first `{a,b,c}` that stands for a subcommand in a usage, or none."""
-    usage = text.split("\n\n", 1)[0]
-    start, end = usage.find(" {"), usage.find("}")
-    words = usage[start + 2 : end].replace("\n", " ").split(",") if 0 <= start < end else []
-    chosen = usage[end + 1 :].lstrip()[:1] if words else ""
-    return [word.strip() for word in words] if chosen in {"", ".", "["} else []
+    """Return the names in the `{a,b,c}` of a usage that stands for a subcommand, and not for an option's value."""
+    words = text.split("\n\n", 1)[0].replace(",\n", ",").split()
+    for before, word in pairwise(words):
+        if word.startswith("{") and not before.lstrip("[(").startswith("-"):
+            return word.strip("{}").split(",")
+    return []

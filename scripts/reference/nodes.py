@@ -54,7 +54,7 @@ _RUNNING = (
     RunningNode("ttr_reward_node", "reward", ("grid:={grid}",)),
     RunningNode("oc_baseline_node", "baseline", ("grid:=curved_corridor",)),
     RunningNode("option_coordinator", "coordinator", ("team:=delivery_team", "policy:=delivery_team")),
-    RunningNode("option_coordinator", "navigation_agent", ("team:=delivery_team",)),
+    RunningNode("option_coordinator", "navigation_agent", ("team:=delivery_team", "robot:=robot_1")),
 )
 
 
