@@ -5,7 +5,7 @@ SHELL := /bin/bash
 RUN := set -eo pipefail; source scripts/workspace.bash;
 LINKED := ctrl_rl_core ctrl_rl_bags sim_bridge ctrl_rl_training ttr_reward_node oc_baseline_node koopman_lqr_controller option_coordinator ctrl_rl_bringup
 
-.PHONY: help setup build demo demo-options trials train ttr oc options koopman test test-all lint bench attack behaviour results lock clean
+.PHONY: help setup build demo demo-options trials train ttr oc options koopman test test-all tests lint bench attack behaviour results lock clean
 
 help: ## say what there is
 	@grep -E '^[a-z-]+:.*##' Makefile | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 18
@@ -74,11 +74,14 @@ koopman: build ## learn the tasks of thesis 4.3, every method and ablation, and 
 	cheetah --figure 4.8; compare --figure 4.9 --tasks cheetah_run --seeds 2; \
 	koopman plot docs/results/koopman_figure_*.json
 
-test: build lint ## the tests, in about a quarter of an hour
-	@$(RUN) python -m pytest -m "not slow" $(ARGS)
+test: build ## lint and the tests, side by side (ARGS="-k demo" for some of them)
+	@$(MAKE) --no-print-directory -j2 lint tests
 
-test-all: build lint ## the tests, slow ones too
-	@$(RUN) python -m pytest $(ARGS)
+test-all: build ## the same, slow tests too
+	@$(MAKE) --no-print-directory -j2 lint tests SLOW=1
+
+tests: build
+	@$(RUN) python -m pytest -n $$(nproc) --dist loadfile --no-loadscope-reorder $(if $(SLOW),,-m "not slow") $(ARGS)
 
 lint: setup ## ruff and mypy
 	@.venv/bin/ruff check . && .venv/bin/ruff format --check . && .venv/bin/mypy $(LINKED)
