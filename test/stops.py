@@ -24,11 +24,10 @@ from ctrl_rl_core.errors import CtrlRlError
 from ctrl_rl_core.geometry.shapes import Box, Disc, Shape
 from ctrl_rl_core.tasks.outcome import Outcome
 from ctrl_rl_core.tasks.task import load_navigation_task
-from koopman_lqr_controller.policies.koopman_policy import KoopmanPolicy
-from koopman_lqr_controller.policies.policy_file import find_policy, load_policy
-from koopman_lqr_controller.safety.guards import Guard
 from sim_bridge.simulation.lidar import LidarScan
 from sim_bridge.simulation.world import SimulatedWorld, SimulationOptions
+
+from koopman_lqr_controller import Guard, KoopmanPolicy, find_policy, load_policy
 
 TASK = load_navigation_task("curved_corridor")
 DEFAULTS = {parameter.name: parameter.default for parameter in LIDAR_PARAMETERS}

@@ -6,8 +6,9 @@ from ctrl_rl_bringup.runner.launching import Launch, description
 from ctrl_rl_bringup.runner.prepare import new_run, value_files
 from ctrl_rl_bringup.runner.stack import DriveConfig, controller, recorder, simulator, value_nodes, watchdog
 from ctrl_rl_core.tasks.task import task_file
-from koopman_lqr_controller.policies.policy_file import find_policy
 from launch import LaunchDescription
+
+from koopman_lqr_controller import find_policy
 
 ARGUMENTS = {
     "task": (DriveConfig.task, "task name or .yaml file"),

@@ -3,12 +3,13 @@
 The watchdog stops the robot when the controller dies. It is started again when it dies itself, and begins with zeros.
 """
 
-from koopman_lqr_controller.policies.policy_file import DEFAULT_POLICY
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
+
+from koopman_lqr_controller import DEFAULT_POLICY
 
 
 def generate_launch_description() -> LaunchDescription:

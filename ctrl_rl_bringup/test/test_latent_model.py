@@ -8,11 +8,11 @@ import pytest
 from ctrl_rl_bags.recording.message_types import message_definition
 from ctrl_rl_bringup.corridor.latent_model import LatentModel, read_latent_model
 from ctrl_rl_core.ros.node import to_stamp
-from koopman_lqr_controller.policies.policy_file import digest, find_policy, load_policy
 from rclpy.serialization import serialize_message
 
 from ctrl_rl_bags import BagWriter, Topic
 from ctrl_rl_msgs.msg import LatentState
+from koopman_lqr_controller import digest, find_policy, load_policy
 
 KIND = "ctrl_rl_msgs/msg/LatentState"
 POLICY = find_policy("curved_corridor_edmd")

@@ -14,11 +14,9 @@ from dataclasses import replace
 import numpy as np
 from _common import Row, row
 from koopman_lqr_controller.models.encoder import Dense
-from koopman_lqr_controller.policies.edmd_policy import EdmdPolicy
-from koopman_lqr_controller.policies.koopman_policy import KoopmanPolicy
-from koopman_lqr_controller.policies.latent_policy import LatentPolicy
-from koopman_lqr_controller.policies.policy_file import DEFAULT_POLICY, find_policy, load_policy
 from koopman_lqr_controller.sensing.lidar import ScanGeometry
+
+from koopman_lqr_controller import DEFAULT_POLICY, EdmdPolicy, KoopmanPolicy, LatentPolicy, find_policy, load_policy
 
 STRETCH = 1000
 STRETCHES = 10

@@ -10,7 +10,6 @@ from pathlib import Path
 
 from ctrl_rl_core.io.atomic_write import atomic_write
 from ctrl_rl_core.tasks.task import task_file
-from koopman_lqr_controller.policies.policy_file import find_policy
 
 from ctrl_rl_bringup.corridor.plot import draw_drive
 from ctrl_rl_bringup.corridor.report import DriveReport, read_drive
@@ -29,6 +28,7 @@ from ctrl_rl_bringup.runner.stack import (
     watchdog,
 )
 from ctrl_rl_msgs.msg import TaskOutcome
+from koopman_lqr_controller import find_policy
 
 
 @dataclass(frozen=True)

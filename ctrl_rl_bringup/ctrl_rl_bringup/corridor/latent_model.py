@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 from ctrl_rl_core.errors import CtrlRlError
 from koopman_lqr_controller.nodes.arrival import ENDED
-from koopman_lqr_controller.policies.policy_file import digest, find_policy, load_policy
 from numpy.typing import NDArray
 
 from ctrl_rl_bags import bag_info, read_messages
 from ctrl_rl_bringup.runner.recorded_parameters import recorded_parameters
+from koopman_lqr_controller import digest, find_policy, load_policy
 
 Array = NDArray[np.float64]
 

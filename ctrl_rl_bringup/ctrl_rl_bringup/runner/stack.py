@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from koopman_lqr_controller.policies.policy_file import DEFAULT_POLICY
+from koopman_lqr_controller import DEFAULT_POLICY
 
 RAW = "cmd_vel_raw"
 """What the driver says; the watchdog hears it, and passes it on to the robot as cmd_vel."""
