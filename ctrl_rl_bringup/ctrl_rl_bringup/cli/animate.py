@@ -9,7 +9,6 @@ from typing import Annotated
 import tyro
 from ctrl_rl_core.command import FileToWrite, parse_options, run_command
 
-from ctrl_rl_bringup.corridor.animation import animate_drive
 from ctrl_rl_bringup.corridor.report import read_drive
 
 
@@ -32,6 +31,8 @@ def animate() -> int:
 
 def _animate(options: AnimateOptions) -> int:
     bag = options.folder / "bag"
+    from ctrl_rl_bringup.corridor.animation import animate_drive  # matplotlib takes long to load
+
     animate_drive(bag, read_drive(bag), options.output)
     print(f"animation           {options.output}, {options.output.stat().st_size / 1000:.0f} kB")
     return 0

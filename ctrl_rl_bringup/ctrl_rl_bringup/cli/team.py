@@ -13,7 +13,6 @@ from ctrl_rl_core.tasks.task import load_navigation_task
 from option_coordinator.teams.team_file import Work, load_team
 
 from ctrl_rl_bringup.cli.running import own_arguments, run_alone, run_folder, run_here
-from ctrl_rl_bringup.team.plot import draw_team
 from ctrl_rl_bringup.team.report import read_team
 from ctrl_rl_bringup.team.run import follow_running_team, run_team
 from ctrl_rl_bringup.team.stack import TeamConfig
@@ -107,6 +106,8 @@ def _report(config: TeamConfig) -> int:
     run = read_team(config.drive.bag, idle)
     file, picture = config.folder / "report.json", config.folder / "timeline.png"
     atomic_write(file, json.dumps(run.as_dict(), indent=1) + "\n")
+    from ctrl_rl_bringup.team.plot import draw_team  # matplotlib takes long to load
+
     draw_team(run, load_navigation_task(config.task), team, picture)
     print(run.text())
     print(f"bag                 {config.drive.bag}")

@@ -11,7 +11,6 @@ from pathlib import Path
 from ctrl_rl_core.io.atomic_write import atomic_write
 from ctrl_rl_core.tasks.task import task_file
 
-from ctrl_rl_bringup.corridor.plot import draw_drive
 from ctrl_rl_bringup.corridor.report import DriveReport, read_drive
 from ctrl_rl_bringup.runner.monitor import EpisodeProgress, Monitor
 from ctrl_rl_bringup.runner.prepare import new_run, value_files
@@ -55,6 +54,8 @@ def write_artifacts(result: DriveReport, folder: Path) -> Artifacts:
     """Write report and picture of a drive into a folder."""
     out = Artifacts(folder / "report.json", folder / "path.png")
     atomic_write(out.report, json.dumps(result.as_dict(), indent=2) + "\n")
+    from ctrl_rl_bringup.corridor.plot import draw_drive  # matplotlib takes long to load
+
     draw_drive(result, out.picture)
     return out
 

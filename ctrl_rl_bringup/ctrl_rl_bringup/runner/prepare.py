@@ -7,8 +7,6 @@ from pathlib import Path
 
 from ctrl_rl_core.errors import CtrlRlError
 from ctrl_rl_core.tasks.task import load_navigation_task
-from oc_baseline_node.values.value_file import find_value, shipped_values
-from ttr_reward_node.solvers.solver import solve_task
 
 from ctrl_rl_bringup.runner.stack import DriveConfig
 
@@ -34,6 +32,9 @@ def value_files(options: DriveConfig) -> dict[str, Path]:
     `time_to_reach` is solved now, for the robot's own size, and written beside the bag; `oc_value` comes with its
     package.
     """
+    from oc_baseline_node.values.value_file import find_value, shipped_values  # Numba takes long to load
+    from ttr_reward_node.solvers.solver import solve_task
+
     task, out = load_navigation_task(options.task), {}
     if not task.grid:
         _say(f"no reward and no time to reach: task '{task.name}' has no 'grid'")
