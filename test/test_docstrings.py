@@ -18,7 +18,7 @@ ALLOWED = {
     "ctrl_rl_bringup": 24,
     "ctrl_rl_core": 0,
     "ctrl_rl_training": 23,
-    "koopman_lqr_controller": 217,
+    "koopman_lqr_controller": 14,
     "oc_baseline_node": 0,
     "option_coordinator": 101,
     "sim_bridge": 0,

@@ -27,9 +27,9 @@ class LinearLaw:
     """A linear law u = -K z by what it does on data, weighted: E[w u u^T], E[w u z^T], E[w z z^T].
 
     Attributes:
-        uu: trace of the first.
-        uz: (m, n).
-        zz: (n, n).
+        uu: Trace of E[w u u^T].
+        uz: Matrix E[w u z^T] (m, n).
+        zz: Matrix E[w z z^T] (n, n).
     """
 
     uu: float
@@ -57,9 +57,9 @@ def mismatch_and_gradient(logs: Array, model: LinearModel, law: LinearLaw) -> tu
     The cost-to-go P moves with the costs by the closed loop's Lyapunov equation; its adjoint is solved once.
 
     Args:
-        logs: logarithms of Q's and R's diagonals (n + m,).
-        model: A (n, n), B (n, m).
-        law: to come near to.
+        logs: Logarithms of Q's and R's diagonals (n + m,).
+        model: Linear model with A (n, n) and B (n, m).
+        law: Law to come near to.
 
     Raises:
         KoopmanError: there is no regulator.
@@ -84,11 +84,11 @@ def fit_costs(
     """Return Q (n,), R (m,) and the mismatch that is left.
 
     Args:
-        model: A, B.
-        law: what the regulator shall do.
-        Q: to begin with (n,), positive.
-        R: to begin with (m,), positive.
-        iterations: at most.
+        model: Linear model with A (n, n) and B (n, m).
+        law: Law that the regulator is to match.
+        Q: To begin with (n,), positive.
+        R: To begin with (m,), positive.
+        iterations: Largest number of iterations of the search.
 
     Raises:
         KoopmanError: the model has no regulator for the costs to begin with.

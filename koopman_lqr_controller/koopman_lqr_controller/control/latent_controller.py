@@ -29,20 +29,20 @@ class LatentController:
     consolidation makes. The drift moves the loop's fixed point, not its poles.
 
     Attributes:
-        encoder: psi.
-        model: A (n, n), B (n, m).
-        Q: diagonal of the state cost (n,).
-        R: diagonal of the control cost (m,).
-        z_ref: goal (n,); zeros where there is none.
-        a_ref: action at z_ref (m,), inside (-1, 1); zeros unless given. Only for the infinite horizon.
-        drift: what the model adds to z in a step at the reference (n,); zeros unless given, as for a_ref.
+        encoder: Embedding psi of observations.
+        model: Linear model with A (n, n) and B (n, m).
+        Q: Diagonal of the state cost (n,).
+        R: Diagonal of the control cost (m,).
+        z_ref: Goal (n,); zeros where there is none.
+        a_ref: Action at z_ref (m,), inside (-1, 1); zeros unless given. Only for the infinite horizon.
+        drift: Step of the model's z at the reference (n,); zeros unless given. Only for the infinite horizon.
         horizon: Riccati iterations; None for infinitely many.
         projection: C (n, encoder's n), None for the identity: a reduced latent space.
-        K: gain (m, n).
-        k: offset (m,).
+        K: Gain (m, n).
+        k: Offset of the law (m,).
         P: cost-to-go (n, n).
-        spectral_radius: of A - B K.
-        residual: of the algebraic Riccati equation, relative; infinite with a finite horizon.
+        spectral_radius: Spectral radius of A - B K.
+        residual: Relative residual of the algebraic Riccati equation; infinite with a finite horizon.
     """
 
     encoder: Encoder

@@ -28,9 +28,9 @@ def jacobian(f: Callable[[Array], Array], x: Array, step: float = 1e-5) -> Array
     """Return df/dx (outputs, inputs) by central differences.
 
     Args:
-        f: of many points: (N, inputs) to (N, outputs).
-        x: where (inputs,).
-        step: to either side.
+        f: Function of many points, from (N, inputs) to (N, outputs).
+        x: Point of the derivative (inputs,).
+        step: Difference to either side.
     """
     moves = step * np.eye(len(x))
     return np.asarray((f(x + moves) - f(x - moves)).T / (2.0 * step), dtype=np.float64)
@@ -40,10 +40,10 @@ def linearise(step: Callable[[Array, Array], Array], x: Array, u: Array, size: f
     """Return A (n, n) and B (n, m) of a system x_{k+1} = step(x_k, u_k) around (x, u), by central differences.
 
     Args:
-        step: of one state (n,) and control (m,).
-        x: state (n,).
-        u: control (m,).
-        size: of the differences.
+        step: Function from one state (n,) and control (m,) to the next state.
+        x: State to linearise at (n,).
+        u: Control to linearise at (m,).
+        size: Size of the differences.
     """
 
     def moved(both: Array) -> Array:
@@ -117,7 +117,7 @@ def observation_cost(jacobians: Array, Q: Array) -> Array:
 
     Args:
         jacobians: dz/dx at each of some observations (N, n, k).
-        Q: diagonal (n,).
+        Q: Diagonal of the state cost (n,).
     """
     return np.asarray(np.einsum("tia,i,tib->ab", jacobians, Q, jacobians) / len(jacobians), dtype=np.float64)
 
@@ -128,11 +128,11 @@ def patch_costs(encode: Callable[[Array], Array], image: Array, Q: Array, size: 
     For images: one row of a Jacobian says little about a single pixel, and there are too many of them.
 
     Args:
-        encode: of many images (N, channels, height, width) to z (N, n).
+        encode: Function from images (N, channels, height, width) to z (N, n).
         image: (channels, height, width).
-        Q: diagonal (n,).
-        size: rows and columns of a patch; what is left over at the borders is not looked at.
-        fill: what a hidden patch shows.
+        Q: Diagonal of the state cost (n,).
+        size: Rows and columns of a patch; what is left over at the borders is not looked at.
+        fill: Value of the pixels of a hidden patch.
     """
     rows, columns = (length // size for length in image.shape[1:])
     hidden = np.repeat(image[None], rows * columns, axis=0)

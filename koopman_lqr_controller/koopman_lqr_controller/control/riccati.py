@@ -19,10 +19,10 @@ class Regulator:
     """u = -K z, with what proves it.
 
     Attributes:
-        K: gain (m, n).
+        K: Gain (m, n).
         P: cost-to-go z^T P z (n, n).
-        spectral_radius: largest modulus of the poles of A - B K; below 1.
-        residual: largest entry of the discrete algebraic Riccati equation's residual, relative to that of P.
+        spectral_radius: Largest modulus of the poles of A - B K; below 1.
+        residual: Largest entry of the discrete algebraic Riccati equation's residual, relative to that of P.
     """
 
     K: Array
@@ -35,7 +35,7 @@ def solve_lqr(model: LinearModel, Q: Array, R: Array) -> Regulator:
     """Return the stabilising regulator that minimises sum z^T Q z + u^T R u.
 
     Args:
-        model: A (n, n), B (n, m).
+        model: Linear model with A (n, n) and B (n, m).
         Q: (n, n), symmetric, positive semi-definite.
         R: (m, m), symmetric, positive definite.
 
@@ -67,11 +67,11 @@ def finite_horizon(model: LinearModel, Q: Array, R: Array, z_ref: Array, iterati
     recursion begins with Q z_ref.
 
     Args:
-        model: A (n, n), B (n, m).
-        Q: diagonal (n,), not negative.
-        R: diagonal (m,), positive.
-        z_ref: goal (n,).
-        iterations: M of Algorithm 1.
+        model: Linear model with A (n, n) and B (n, m).
+        Q: Diagonal (n,), not negative.
+        R: Diagonal (m,), positive.
+        z_ref: Goal of z (n,).
+        iterations: Number M of iterations of Algorithm 1.
 
     Returns:
         K (m, n), k (m,), P (n, n).

@@ -45,12 +45,12 @@ class Episode:
 
     Attributes:
         features: psi(x) of each observation, before any projection (T + 1, n).
-        actions: what was done (T, m).
-        total: undiscounted return.
-        steps: how many actions were done, T.
-        saturated: share of these that the law wanted beyond -1 or 1, over all controls.
-        info: the environment's last word.
-        noise: standard deviation of what was added to u.
+        actions: Actions that were done (T, m).
+        total: Undiscounted return of the episode.
+        steps: Number of actions, T.
+        saturated: Share of these that the law wanted beyond -1 or 1, over all controls.
+        info: The environment's last word.
+        noise: Standard deviation of what was added to u.
     """
 
     features: Array
@@ -77,11 +77,11 @@ def roll_out(
     """Return one episode.
 
     Args:
-        controller: what acts.
-        environment: where.
-        seed: of the episode and of the noise.
-        noise: standard deviation of what is added to u before saturation: it excites the model.
-        keep: whether features and actions are wanted; else they are empty.
+        controller: Policy that acts.
+        environment: Environment to act in.
+        seed: Seed of the episode and of the noise.
+        noise: Standard deviation of what is added to u before saturation: it excites the model.
+        keep: Whether features and actions are wanted; else they are empty.
     """
     random = np.random.default_rng(seed)
     x, info = environment.reset(seed=seed)

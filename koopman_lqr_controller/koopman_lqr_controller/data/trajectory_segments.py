@@ -29,9 +29,9 @@ class TrajectorySegment:
     """A part of a drive without a gap.
 
     Attributes:
-        x: what was seen at each scan (T + 1, n).
-        u: commands from each scan to the next (T, 2): speed [m/s], turn rate [rad/s].
-        dt: from scan to scan, the usual one [s].
+        x: Observation of each scan (T + 1, n).
+        u: Commands from each scan to the next (T, 2): speed [m/s], turn rate [rad/s].
+        dt: Median time from scan to scan [s].
     """
 
     x: Array
@@ -55,10 +55,10 @@ def load_segments(
     so is what has no command or odometry of the last second.
 
     Args:
-        bag: with the topics scan, odom and cmd_vel (Twist or TwistStamped).
-        observe: what to take of scan and odometry.
-        robot: namespace of the topics.
-        lidar_yaw: direction of the scan's zero bearing in the robot's frame [rad]; None for what the bag's /tf_static
+        bag: With the topics scan, odom and cmd_vel (Twist or TwistStamped).
+        observe: Function from a scan and odometry to an observation.
+        robot: Namespace of the topics.
+        lidar_yaw: Direction of the scan's zero bearing in the robot's frame [rad]; None for what the bag's /tf_static
             says, and 0 where it says nothing.
 
     Raises:
@@ -111,8 +111,8 @@ def split(
     """Return drives to fit to, and the last part of all steps, to measure on.
 
     Args:
-        segments: in the order of their bags.
-        held_out: part of the steps, 0 <= held_out < 1.
+        segments: In the order of their bags.
+        held_out: Part of the steps, 0 <= held_out < 1.
     """
     left = sum(len(segment) for segment in segments) - round(held_out * sum(len(segment) for segment in segments))
     seen: list[TrajectorySegment] = []

@@ -35,9 +35,9 @@ def refit(policy: LatentPolicy, segments: Sequence[TrajectorySegment], sizes: Se
     Of the projections whose regulator does the same, the one that predicts best in cross-validation is taken.
 
     Args:
-        policy: a latent one that drives from a lidar.
+        policy: A latent one that drives from a lidar.
         segments: x as the policy sees it, and commands.
-        sizes: latent dimensions to try.
+        sizes: Latent dimensions to try.
 
     Raises:
         KoopmanError: the policy is of another task, the drives are too short, or no model has a regulator.

@@ -32,11 +32,11 @@ class RegulatorCandidate:
     """A candidate.
 
     Attributes:
-        controller: of the infinite horizon.
-        family: how its dimensions were found: "observed" or "principal", see `reduction`.
-        mismatch: what is left of the difference to the law, see `LinearLaw.mismatch`.
-        contraction: what the refitted A was multiplied by, 1 for nothing: see `RegulatorFitter.regulator`.
-        shrunk: how its model was chosen.
+        controller: Controller with the infinite horizon.
+        family: Family of its projection: "observed" or "principal".
+        mismatch: Remaining difference to the law: 0 for the same, 1 for a regulator that does nothing.
+        contraction: Factor on the refitted A; 1 where A has a regulator as it is.
+        shrunk: Fit of its model.
     """
 
     controller: LatentController
@@ -52,10 +52,10 @@ def reference_inside(z_ref: Array, u_ref: Array, K: Array, spread: Array) -> tup
     Where u_ref is beyond them the reference moves: to the nearest z, by the spread of what is met, that has such a u.
 
     Args:
-        z_ref: reference (n,).
-        u_ref: what the law asks for there (m,).
-        K: gain (m, n).
-        spread: covariance of what is met (n, n).
+        z_ref: Reference of z (n,).
+        u_ref: Control that the law asks for at the reference (m,).
+        K: Gain (m, n).
+        spread: Covariance of the latents that are met (n, n).
     """
     a_ref = np.clip(u_ref, -_INSIDE, _INSIDE)
     along = spread @ K.T
@@ -68,14 +68,14 @@ class RegulatorFitter:
     The models are shrunk towards "nothing changes": drives are short.
 
     Args:
-        learnt: the controller.
-        episodes: the drives.
-        mirrored: the same with left and right swapped, as true as they are.
-        goal: whether z_ref is a goal, else the middle of what is met takes its place.
+        learnt: Learnt controller, with a finite horizon.
+        episodes: Recorded drives as episodes.
+        mirrored: The same with left and right swapped, as true as they are.
+        goal: Whether z_ref is a goal; else the mean of the latents that are met takes its place.
 
     Attributes:
-        learnt: the controller.
-        directions: of psi that vary, those that vary most first (r, n).
+        learnt: Learnt controller, with a finite horizon.
+        directions: Directions in which psi varies, the strongest first (r, n).
     """
 
     def __init__(

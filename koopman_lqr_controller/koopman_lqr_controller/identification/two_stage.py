@@ -25,11 +25,11 @@ class Weights:
     """The quadratic cost, chosen by hand: the step that task-oriented learning replaces.
 
     Attributes:
-        side: on being off the middle (see `CorridorObservables.state_cost`).
-        ahead: on facing a wall.
-        speed: on the squared speed error [s^2/m^2].
-        acceleration: on the squared deviation of the commanded speed [s^2/m^2].
-        turning: on the squared turn rate [s^2/rad^2].
+        side: Weight on being off the middle.
+        ahead: Weight on facing a wall.
+        speed: Weight on the squared speed error [s^2/m^2].
+        acceleration: Weight on the squared deviation of the commanded speed [s^2/m^2].
+        turning: Weight on the squared turn rate [s^2/rad^2].
     """
 
     side: float = 1.0
@@ -52,14 +52,14 @@ def train(
     """Fit model and regulator and return the policy, with its figures in the manifest.
 
     Args:
-        sequences: of one or more drives; the last part of them measures the model and is not fitted.
-        observables: Psi.
-        speed: to drive at [m/s].
-        limits: of the speed [m/s] and the turn rate [rad/s].
-        weights: of the cost; the defaults where left out.
-        held_out: part of the snapshots that is kept for the measure, 0 <= held_out < 1.
-        manifest: more to be kept in the policy.
-        shrunk: towards "nothing changes", for little and noisy data; see `shrinkage`.
+        sequences: Snapshots of one or more drives; their last part measures the model and is not fitted.
+        observables: Observables Psi of a scan and odometry.
+        speed: To drive at [m/s].
+        limits: Limits of the speed [m/s] and the turn rate [rad/s].
+        weights: Weights of the cost; the defaults where left out.
+        held_out: Part of the snapshots that is kept for the measure, 0 <= held_out < 1.
+        manifest: More to be kept in the policy.
+        shrunk: Towards "nothing changes", for little and noisy data; see `shrinkage`.
 
     Raises:
         KoopmanError: the speed is beyond the limits, too little data, or no stabilising regulator.

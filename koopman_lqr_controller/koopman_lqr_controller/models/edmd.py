@@ -21,7 +21,7 @@ class Snapshots:
 
     Attributes:
         z: Psi(x_k) (N, n).
-        u: controls held from k to k + 1 (N, m).
+        u: Controls held from k to k + 1 (N, m).
         z_next: Psi(x_{k+1}) (N, n).
     """
 
@@ -51,8 +51,8 @@ class LinearModel:
     """z_{k+1} = A z_k + B u_k.
 
     Attributes:
-        A: (n, n).
-        B: (n, m).
+        A: State matrix (n, n).
+        B: Control matrix (n, m).
     """
 
     A: Array
@@ -81,8 +81,8 @@ def fit(data: Snapshots, regularisation: float = 1e-3) -> LinearModel:
     """Return the least-squares model, K = G^+ M of Eq. 2.34 with Psi(x, u) = [Psi(x), u].
 
     Args:
-        data: at least as many rows as n + m.
-        regularisation: ridge, relative to each regressor's variance; 0 is Eq. 2.34 to the letter.
+        data: At least as many rows as n + m.
+        regularisation: Ridge, relative to each regressor's variance; 0 is Eq. 2.34 to the letter.
 
     Raises:
         KoopmanError: too few rows, or values that are not finite.

@@ -33,9 +33,9 @@ class Dense:
     """W x + b, with what is negative cut off where `rectified`.
 
     Attributes:
-        weight: (out, in).
-        bias: (out,).
-        rectified: whether a ReLU follows.
+        weight: Weights of the layer (out, in).
+        bias: Bias of each output (out,).
+        rectified: Whether a ReLU follows.
     """
 
     NAME: ClassVar[str] = "dense"
@@ -55,9 +55,9 @@ class Convolution:
     """A convolution without padding and its ReLU; its outputs keep the image's rows and columns.
 
     Attributes:
-        weight: (out, in, k, k).
-        bias: (out,).
-        stride: of both axes.
+        weight: Weights of the filters (out, in, k, k).
+        bias: Bias of each output (out,).
+        stride: Stride along both axes.
     """
 
     NAME: ClassVar[str] = "convolution"
@@ -78,7 +78,7 @@ class CentreCrop:
     """The middle of an image.
 
     Attributes:
-        size: rows and columns that are left.
+        size: Rows and columns that are left.
     """
 
     NAME: ClassVar[str] = "centre_crop"
@@ -106,8 +106,8 @@ class LayerNorm:
     """Brings a vector to mean 0 and variance 1 over its entries, then scales and shifts each of them.
 
     Attributes:
-        weight: (n,).
-        bias: (n,).
+        weight: Scale of each entry (n,).
+        bias: Shift of each entry (n,).
     """
 
     NAME: ClassVar[str] = "layer_norm"
@@ -134,11 +134,11 @@ class Encoder:
     """psi(x): normalise, then one layer after the other.
 
     Attributes:
-        layers: in their order; the last gives z.
-        shape: of one observation.
-        middle: what becomes 0, in the observation's units; broadcasts to `shape`.
-        unit: what becomes 1 above it.
-        inclusive: whether the normalised observation, a vector, comes first in z and the layers' outputs after it.
+        layers: Layers in their order; the last gives z.
+        shape: Shape of one observation.
+        middle: Value of the observation that becomes 0, in its units; broadcasts to `shape`.
+        unit: Distance above the middle that becomes 1.
+        inclusive: Whether the normalised observation, a vector, comes first in z and the layers' outputs after it.
     """
 
     layers: Sequence[Layer]

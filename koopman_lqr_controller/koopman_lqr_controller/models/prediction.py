@@ -20,9 +20,9 @@ def squared_error(predict: Predict, z: Sequence[Array], actions: Sequence[Array]
     """Return the mean squared error of one step, over all components: the thesis's model error.
 
     Args:
-        predict: next z (N, n) of z (N, n) and actions (N, m).
-        z: of each episode (T + 1, n).
-        actions: of each episode (T, m).
+        predict: Next z (N, n) of z (N, n) and actions (N, m).
+        z: Latents of each episode (T + 1, n).
+        actions: Actions of each episode (T, m).
     """
     missed = [here[1:] - predict(here[:-1], done) for here, done in zip(z, actions, strict=True)]
     return float(np.mean(np.concatenate(missed) ** 2))
@@ -34,10 +34,10 @@ def horizon_errors(predict: Predict, z: Sequence[Array], actions: Sequence[Array
     The model goes on from its own prediction, under the actions that were done.
 
     Args:
-        predict: next z (N, n) of z (N, n) and actions (N, m).
-        z: of each episode (T + 1, n).
-        actions: of each episode (T, m).
-        steps: how many; errors beyond the longest episode are left out.
+        predict: Next z (N, n) of z (N, n) and actions (N, m).
+        z: Latents of each episode (T + 1, n).
+        actions: Actions of each episode (T, m).
+        steps: Number of steps; errors beyond the longest episode are left out.
 
     Raises:
         KoopmanError: there is not one step.
@@ -62,10 +62,10 @@ def law_error(predict: Predict, K: Array, z: Sequence[Array], actions: Sequence[
     make up for those that the law looks at by being large.
 
     Args:
-        predict: next z (N, n) of z (N, n) and actions (N, m).
-        K: gain (m, n), its rows in like units.
-        z: of each episode (T + 1, n).
-        actions: of each episode (T, m).
+        predict: Next z (N, n) of z (N, n) and actions (N, m).
+        K: Gain (m, n), its rows in like units.
+        z: Latents of each episode (T + 1, n).
+        actions: Actions of each episode (T, m).
     """
     missed = [(here[1:] - predict(here[:-1], done)) @ K.T for here, done in zip(z, actions, strict=True)]
     return _over_persistence(missed, [each @ K.T for each in z])
@@ -78,8 +78,8 @@ def noise_floor(z: Sequence[Array], again: Sequence[Array]) -> float:
     model, linear or not, misses less.
 
     Args:
-        z: of each episode (T + 1, n).
-        again: the same states looked at once more.
+        z: Latents of each episode (T + 1, n).
+        again: The same states looked at once more.
     """
     return _over_persistence([np.sqrt(0.5) * (one - two)[1:] for one, two in zip(z, again, strict=True)], z)
 
@@ -91,8 +91,8 @@ def linear_floor(z: Sequence[Array], actions: Sequence[Array]) -> float:
     linear in z and u. With a tenth as many regressors as there are steps it is 5 % too low.
 
     Args:
-        z: of each episode (T + 1, n).
-        actions: of each episode (T, m).
+        z: Latents of each episode (T + 1, n).
+        actions: Actions of each episode (T, m).
     """
     here = np.hstack((np.concatenate([each[:-1] for each in z]), np.concatenate(actions)))
     regressors = np.hstack((here, np.ones((len(here), 1))))

@@ -20,9 +20,9 @@ def observed(K: Array, A: Array, size: int) -> Array:
     """Return the first `size` directions of the rows of K, K A, K A^2, ... (at most size, n), by Arnoldi's process.
 
     Args:
-        K: gain (m, n).
-        A: of the model (n, n).
-        size: at most so many; fewer where the rows span no more.
+        K: Gain (m, n).
+        A: State matrix of the model (n, n).
+        size: At most so many; fewer where the rows span no more.
     """
     found = np.zeros((0, A.shape[0]))
     rows = list(K)
@@ -42,8 +42,8 @@ def principal(deviations: Array, least: float) -> Array:
     """Return the directions of deviations (N, n), those that vary most first (at most n, n).
 
     Args:
-        deviations: from a reference.
-        least: a direction that varies by less than this part of the first says nothing, and is left out.
+        deviations: Deviations from a reference (N, n).
+        least: A direction that varies by less than this part of the first says nothing, and is left out.
     """
     _, spread, directions = np.linalg.svd(deviations, full_matrices=False)
     return np.ascontiguousarray(directions[spread > least * spread[0]])

@@ -28,10 +28,10 @@ class ShrinkageFit:
     """A model and how it was chosen: z_{k+1} = drift + A z_k + B u_k.
 
     Attributes:
-        model: A (n, n), B (n, m).
-        drift: (n,).
-        ridge: its strength.
-        cross_validation_error: error over persistence in cross-validation, on parts that were not fitted.
+        model: Linear model with A (n, n) and B (n, m).
+        drift: Drift of the model (n,).
+        ridge: Strength of the shrinkage.
+        cross_validation_error: Error over persistence in cross-validation, on parts that were not fitted.
     """
 
     model: LinearModel
@@ -44,9 +44,9 @@ def fit_with_shrinkage(data: Snapshots, twin: Snapshots | None = None, drift: bo
     """Return the model of snapshots in the order of time; neighbours stay together when parts are left out.
 
     Args:
-        data: the snapshots.
-        twin: as many more, e.g. the same mirrored; each is left out together with its own.
-        drift: whether there may be one; else the model is of deviations from a fixed point.
+        data: Snapshots in the order of time.
+        twin: As many more, e.g. the same mirrored; each is left out together with its own.
+        drift: Whether there may be one; else the model is of deviations from a fixed point.
 
     Raises:
         KoopmanError: fewer than two rows for each part, values that are not finite, or nothing moves.

@@ -25,10 +25,10 @@ class ScriptedDriver:
         """Set it up.
 
         Args:
-            random: source of the noise.
-            speed: mean speed [m/s].
-            turn_noise: standard deviation of the noise on the turn rate [rad/s].
-            speed_noise: standard deviation of the noise on the speed [m/s].
+            random: Source of the noise.
+            speed: Mean speed [m/s].
+            turn_noise: Standard deviation of the noise on the turn rate [rad/s].
+            speed_noise: Standard deviation of the noise on the speed [m/s].
         """
         self.sectors = CorridorObservables().sectors
         self._random = random

@@ -26,16 +26,16 @@ class EdmdPolicy:
     """u = u_ref - K (z - z_ref), z = Psi(x).
 
     Attributes:
-        observables: Psi.
-        model: of deviations from the reference.
-        K: gain (2, n).
+        observables: Observables Psi of a scan and odometry.
+        model: Model of deviations from the reference.
+        K: Gain (2, n).
         P: cost-to-go (n, n).
-        z_ref: where to be (n,).
-        u_ref: what holds it there (2,): speed [m/s], turn rate [rad/s].
-        u_low: least command (2,).
-        u_high: largest command (2,).
-        manifest: what was learned from, and how well: plain JSON values.
-        distribution: what training saw; None where it was not written down.
+        z_ref: Reference of the lifted state (n,).
+        u_ref: Command that holds the reference (2,): speed [m/s], turn rate [rad/s].
+        u_low: Least command (2,).
+        u_high: Largest command (2,).
+        manifest: Origin and figures of the policy: plain JSON values.
+        distribution: Distribution of the latents in training; None where the file has none.
     """
 
     observables: CorridorObservables

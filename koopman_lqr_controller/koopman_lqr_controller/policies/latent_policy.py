@@ -27,9 +27,9 @@ class RobotInterface:
     """How a robot with a lidar is wired to a controller.
 
     Attributes:
-        observation: from scan and odometry to x.
-        u_low: commands of action -1 (2,): speed [m/s], turn rate [rad/s].
-        u_high: commands of action 1 (2,).
+        observation: Observation x of a scan and odometry.
+        u_low: Command of action -1 (2,): speed [m/s], turn rate [rad/s].
+        u_high: Command of action 1 (2,): speed [m/s], turn rate [rad/s].
     """
 
     observation: LidarObservation
@@ -61,12 +61,12 @@ class LatentPolicy:
     """A controller, and where it may be used.
 
     Attributes:
-        controller: the latent controller.
-        dt: from one decision to the next, for which the model predicts [s].
+        controller: The latent controller.
+        dt: Time from one decision to the next, for which the model predicts [s].
         robot_interface: Connection to a robot with a lidar; None for tasks without one, e.g. those of the DeepMind
             control suite.
-        manifest: what was learnt from, how, and how well: plain JSON values.
-        distribution: what training saw; None where it was not written down.
+        manifest: Origin, method and figures of the policy: plain JSON values.
+        distribution: Distribution of the latents in training; None where the file has none.
     """
 
     controller: LatentController

@@ -34,9 +34,9 @@ class Alarm:
     """A limit with patience and hysteresis.
 
     Attributes:
-        limit: of what is watched; 0 for none.
-        patience: how long it may stay above the limit, and must stay below RELEASE of it again [s].
-        raised: whether it stayed above for too long.
+        limit: Limit of the watched value; 0 for none.
+        patience: Time that the value may stay above the limit, and must stay below RELEASE of it again [s].
+        raised: Whether it stayed above for too long.
     """
 
     limit: float
@@ -73,9 +73,9 @@ class Retries:
     """A way out of an alarm that only driving can end: stand, then try again slowly, a bounded number of times.
 
     Attributes:
-        wait: how long the robot stands before it tries again [s].
-        most: how many times it does; 0 for never.
-        used: how many times it has, since all was well for `FORGET_SECONDS`.
+        wait: Time that the robot stands before it tries again [s].
+        most: Largest number of retries; 0 for none.
+        used: Number of retries since all was well for `FORGET_SECONDS`.
     """
 
     wait: float
@@ -89,8 +89,8 @@ class Retries:
         """Return the part of a command that is to be carried out: 1 without an alarm, 0 to stand, CREEP to try again.
 
         Args:
-            now: time [s].
-            alarm: whether the alarm is raised.
+            now: Present time [s].
+            alarm: Whether the alarm is raised.
         """
         if not alarm:
             self._creeping, self._since = False, math.nan
@@ -114,10 +114,10 @@ class Guard:
     """Holds a policy's latents and prediction errors against what training saw.
 
     Attributes:
-        distribution: of the policy; None where its file has none: then nothing is watched.
+        distribution: Latent distribution of the policy; None where its file has none: then nothing is watched.
         distance: Distance of the last latent over that of the border; NaN without a distribution.
         speed_scale: Part of the command to carry out where nothing stops the robot; below 1 on a retry.
-        retries: how often it has tried again.
+        retries: Retries of an alarm that only driving can end.
     """
 
     def __init__(
@@ -130,10 +130,10 @@ class Guard:
         """Set it up.
 
         Args:
-            distribution: of the policy.
-            largest_distance: that is allowed, in those of the region's border; 0 for any.
-            largest_error: that may stay, in the region's own; 0 for any.
-            error_patience: how long it may stay [s].
+            distribution: Latent distribution of the policy; None to watch nothing.
+            largest_distance: Largest distance of a latent, over that of the border; 0 for any.
+            largest_error: Largest prediction error that may stay, over that of training; 0 for any.
+            error_patience: Time that the error may stay above its limit [s].
         """
         self.distribution, self.distance = distribution, math.nan
         self.speed_scale, self.retries = 1.0, Retries(math.inf, 0)
@@ -157,8 +157,8 @@ class Guard:
         """Return why the robot must stop, empty where it need not.
 
         Args:
-            now: time of the scan [s].
-            z: its latent (n,).
+            now: Time of the scan [s].
+            z: Its latent (n,).
             error: |z - z_predicted|; NaN where nothing was predicted.
         """
         if self.distribution is None:

@@ -25,8 +25,8 @@ class LatentDistribution:
     """Where latents are usual, and which prediction errors are.
 
     Attributes:
-        mean: of the latents (n,).
-        covariance: of the latents (n, n), symmetric.
+        mean: Mean of the latents (n,).
+        covariance: Covariance of the latents (n, n), symmetric.
         distance: Mahalanobis distance of the border.
         error: |z - z_predicted| above which a prediction error is high.
     """
@@ -99,9 +99,9 @@ def fit_distribution_to_episodes(
     """Return the region of episodes that were lived through.
 
     Args:
-        predict: next z (N, n) of z (N, n) and actions (N, m).
-        z: of each episode (T + 1, n).
-        actions: of each episode (T, m).
+        predict: Next z (N, n) of z (N, n) and actions (N, m).
+        z: Latents of each episode (T + 1, n).
+        actions: Actions of each episode (T, m).
 
     Raises:
         KoopmanError: as `fit_distribution`.

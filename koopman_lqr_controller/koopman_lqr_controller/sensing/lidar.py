@@ -57,7 +57,7 @@ class _Beams(NamedTuple):
 
     Attributes:
         places: (sectors, most beams in one + 1); each row is filled up with the NaN at the end, at least once.
-        begins: twice where each row begins, less one, and itself (2, sectors). (count + begins) / 2 are the two middle
+        begins: Twice where each row begins, less one, and itself (2, sectors). (count + begins) / 2 are the two middle
             ones of a row's `count` smallest; of none, the first is the NaN that ends the row before.
     """
 
@@ -95,9 +95,9 @@ class Sectors:
     """The fixed bearings that a policy sees.
 
     Attributes:
-        bearings: middle of each sector, in order around the robot [rad].
-        half_width: half the opening of a sector [rad].
-        far: distance that stands for "nothing there", and cap of all others [m].
+        bearings: Middle of each sector, in order around the robot [rad].
+        half_width: Half the opening of a sector [rad].
+        far: Distance that stands for "nothing there", and cap of all others [m].
     """
 
     bearings: tuple[float, ...]
@@ -112,8 +112,8 @@ class Sectors:
         mean of its two neighbours, and `far` where these have none either.
 
         Args:
-            ranges: (scan.beams,) [m].
-            scan: the scan's geometry.
+            ranges: Distances of the scan's beams (scan.beams,) [m].
+            scan: The scan's geometry.
 
         Raises:
             KoopmanError: the scan holds no measurement, or its geometry is none.

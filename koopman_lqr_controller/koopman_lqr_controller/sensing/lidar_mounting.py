@@ -21,9 +21,9 @@ def yaw_of_lidar(bag: Path, scan: str, prefix: str = "") -> float:
     """Return the direction of a scan's zero bearing in the robot's frame [rad], 0 where the bag has no tf_static.
 
     Args:
-        bag: with or without the topic tf_static.
-        scan: topic of the scans.
-        prefix: namespace of the robot, for its own tf_static.
+        bag: With or without the topic tf_static.
+        scan: Topic of the scans.
+        prefix: Namespace of the robot, for its own tf_static.
 
     Raises:
         KoopmanError: the lidar hangs upside down or is tilted, or tf_static does not say how it hangs.

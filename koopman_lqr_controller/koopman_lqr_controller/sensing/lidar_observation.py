@@ -21,12 +21,12 @@ class LidarObservation:
     Nearness, `near` over distance, tells 0.1 m from 0.2 m well and 3.0 m from 3.1 m hardly, as driving needs it.
 
     Attributes:
-        count: sectors all around, the first ahead, counter-clockwise; half their spacing is half their opening.
-        near: distance that has nearness one [m].
-        closest: distances below this count as this [m].
-        far: distances above this, and nothing there, count as this [m].
-        speed: what counts as 1 of the speed [m/s].
-        turn: what counts as 1 of the turn rate [rad/s].
+        count: Sectors all around, the first ahead, counter-clockwise; half their spacing is half their opening.
+        near: Distance that has nearness one [m].
+        closest: Distances below this count as this [m].
+        far: Distances above this, and nothing there, count as this [m].
+        speed: Speed that counts as 1 [m/s].
+        turn: Turn rate that counts as 1 [rad/s].
     """
 
     count: int = 36

@@ -25,11 +25,11 @@ class CorridorObservables:
     """Left minus right nearness at mirrored bearings, then turn rate and speed.
 
     Attributes:
-        bearings_deg: of the left beams, counter-clockwise from ahead, inside (0, 180) [deg].
-        half_width_deg: half the opening of a sector [deg].
-        near: distance that has nearness one [m].
-        closest: distances below this count as this [m].
-        far: distances above this count as this [m].
+        bearings_deg: Bearings of the left beams, counter-clockwise from ahead, inside (0, 180) [deg].
+        half_width_deg: Half the opening of a sector [deg].
+        near: Distance that has nearness one [m].
+        closest: Distances below this count as this [m].
+        far: Distances above this count as this [m].
     """
 
     bearings_deg: tuple[float, ...] = tuple(float(angle) for angle in range(10, 180, 10))
@@ -71,9 +71,9 @@ class CorridorObservables:
         """Return the diagonal of Q (n,): how much it costs to be off the middle, to face a wall, to miss the speed.
 
         Args:
-            side: on the nearness differences at 60 to 120 deg, together.
-            ahead: on those below 60 deg, together.
-            speed: on the squared speed error [s^2/m^2].
+            side: Weight on the nearness differences at 60 to 120 deg, together.
+            ahead: Weight on the nearness differences below 60 deg, together.
+            speed: Weight on the squared speed error [s^2/m^2].
         """
         angle = np.array(self.bearings_deg)
         beside, before = (angle >= 60) & (angle <= 120), angle < 60

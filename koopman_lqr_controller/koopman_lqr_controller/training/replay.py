@@ -15,11 +15,11 @@ class Transitions(NamedTuple):
     """Steps drawn from a replay.
 
     Attributes:
-        x: observations (N, *shape).
-        u: actions in [-1, 1] (N, m).
-        reward: (N,).
-        x_next: observations that followed (N, *shape).
-        terminated: whether nothing comes after these, 0 or 1 (N,).
+        x: Observations (N, *shape).
+        u: Actions in [-1, 1] (N, m).
+        reward: Reward of each step (N,).
+        x_next: Observations that followed (N, *shape).
+        terminated: Whether nothing comes after these, 0 or 1 (N,).
     """
 
     x: NDArray[np.generic]
@@ -33,9 +33,9 @@ class Mirror(NamedTuple):
     """The symmetry of a task whose left and right are alike.
 
     Attributes:
-        order: of an observation's components when they are swapped (n,).
-        sign: of these (n,).
-        control_sign: of the controls (m,).
+        order: Order of an observation's components when left and right are swapped (n,).
+        sign: Sign of these components (n,).
+        control_sign: Sign of the controls (m,).
     """
 
     order: NDArray[np.intp]
@@ -64,11 +64,11 @@ class Replay:
         """Make an empty one.
 
         Args:
-            capacity: observations.
-            shape: of one: (n,) of a vector, or (pictures, height, width), oldest first, the first one of an episode
-                repeated where there is none before it.
-            controls: how many.
-            kind: of an observation's entries.
+            capacity: Number of observations that fit.
+            shape: Shape of one observation: (n,) of a vector, or (pictures, height, width), oldest first, the first one
+                of an episode repeated where there is none before it.
+            controls: Number of controls.
+            kind: Type of an observation's entries.
         """
         self._pictures = shape[0] if len(shape) == 3 else 0
         self._arrays: dict[str, NDArray[np.generic]] = {

@@ -26,31 +26,31 @@ class Settings:
     """How is learnt.
 
     Attributes:
-        latent: dimension of z.
-        riccati_iterations: M of Algorithm 1.
-        hidden: units of each hidden layer.
-        depth: hidden layers of an encoder of vectors, convolutions of one of images.
-        crop: rows and columns of an image that the encoder looks at; 0 for vectors.
-        learning_rate: of all networks.
-        batch: steps in an update.
-        discount: gamma.
-        first_steps: actions at random before learning begins.
-        replay: steps that are remembered.
-        temperature: alpha to begin with.
-        deviation: standard deviation of the controls to begin with, before tanh.
-        critic_rate: at which the target critic follows.
-        encoder_rate: at which the key encoder follows.
-        update_every: actions before updates.
-        updates: how many then.
-        actor_every: updates of the critic for one of actor and targets.
-        noise: eta of Eq. 4.5.
-        average_rate: at which the averaged actor follows.
-        encoder_loss: of the encoder besides the task's: "contrastive" (Eq. 4.4), or that of an autoencoder,
+        latent: Dimensions of z.
+        riccati_iterations: Number M of iterations of Algorithm 1.
+        hidden: Units of each hidden layer.
+        depth: Hidden layers of an encoder of vectors, convolutions of one of images.
+        crop: Rows and columns of an image that the encoder looks at; 0 for vectors.
+        learning_rate: Learning rate of all networks.
+        batch: Steps in an update.
+        discount: Discount gamma of rewards.
+        first_steps: Actions at random before learning begins.
+        replay: Steps that are remembered.
+        temperature: Temperature alpha to begin with.
+        deviation: Standard deviation of the controls to begin with, before tanh.
+        critic_rate: Rate at which the target critic follows.
+        encoder_rate: Rate at which the key encoder follows.
+        update_every: Actions before updates.
+        updates: Number of updates at a time.
+        actor_every: Updates of the critic for one of actor and targets.
+        noise: Noise eta of Eq. 4.5.
+        average_rate: Rate at which the averaged actor follows.
+        encoder_loss: Loss of the encoder besides the task's: "contrastive" (Eq. 4.4), or that of an autoencoder,
             "reconstruction", or "reconstruction_prediction", which decodes the model's next z as well (4.3.5).
         policy: "lqr", or "network" as in CURL.
         critic: "plain" hidden layers, or each with a "layer_norm": values cannot run away, and policies oscillate less.
         bfloat16: "all" hidden layers are computed so while learning, or "nothing": a third quicker, if processors can.
-        cost: that a hand has tuned for the two stages, see `two_stage_learner`; of no effect elsewhere.
+        cost: That a hand has tuned for the two stages, see `two_stage_learner`; of no effect elsewhere.
     """
 
     latent: int = 50

@@ -28,11 +28,11 @@ class AgentInterface(NamedTuple):
     """What an agent observes and controls.
 
     Attributes:
-        shape: of an observation.
-        controls: how many.
-        middle: what becomes 0 in an observation; broadcasts to `shape`.
-        unit: what becomes 1 above it.
-        goal: observation of the goal, x_ref; None for z_ref = 0.
+        shape: Shape of one observation.
+        controls: Number of controls.
+        middle: Value of an observation that becomes 0; broadcasts to `shape`.
+        unit: Distance above the middle that becomes 1.
+        goal: Observation of the goal, x_ref; None for z_ref = 0.
     """
 
     shape: tuple[int, ...]
@@ -52,8 +52,8 @@ class Actor(nn.Module, ABC):
     """A squashed Gaussian policy on z; its deterministic part is deployed.
 
     Attributes:
-        encoder: psi.
-        raw_deviation: what tanh makes the logarithm of the controls' deviation from, one for all (1,).
+        encoder: Embedding psi of observations.
+        raw_deviation: Input of the tanh that bounds the logarithm of the controls' deviation, one for all (1,).
     """
 
     def __init__(self, interface: AgentInterface, settings: Settings) -> None:
@@ -133,7 +133,7 @@ class NetworkActor(Actor):
     """Two hidden layers, as large as the critics': there is no model, and nothing that control theory could say.
 
     Attributes:
-        layers: of the policy.
+        layers: Layers of the policy.
     """
 
     def __init__(self, interface: AgentInterface, settings: Settings) -> None:

@@ -33,11 +33,11 @@ class Agent(nn.Module):
     """All that is learnt, and how.
 
     Attributes:
-        actor: what acts now.
-        averaged: the exponential average of `actor` over updates.
-        encoder_loss: the encoder's own.
-        key_encoder: momentum encoder of contrastive keys and of the target critic.
-        updates: how many there were.
+        actor: Actor as it is now.
+        averaged: The exponential average of `actor` over updates.
+        encoder_loss: The encoder's own.
+        key_encoder: Momentum encoder of contrastive keys and of the target critic.
+        updates: Number of updates so far.
     """
 
     def __init__(self, interface: AgentInterface, settings: Settings, seed: int, device: str = "cpu") -> None:
@@ -81,8 +81,8 @@ class Agent(nn.Module):
         """Learn from a batch of steps.
 
         Args:
-            data: the batch.
-            generator: of all noise, on the CPU.
+            data: Batch of steps.
+            generator: Generator of all noise, on the CPU.
         """
         x, u, reward, x_next, terminated = (torch.from_numpy(it).to(self._device) for it in data)
         if self._images:  # as in CURL all losses see a window at random

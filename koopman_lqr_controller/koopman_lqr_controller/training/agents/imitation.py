@@ -35,16 +35,16 @@ class ImitationSettings:
     """How is learnt.
 
     Attributes:
-        latent: dimension of z.
-        hidden: units of each of the two hidden layers.
-        riccati_iterations: M of Algorithm 1.
-        updates: how many.
-        batch: steps in one.
-        learning_rate: of everything.
-        noise: eta of Eq. 4.5, in all losses: a recording is short, and its scans are noisy themselves.
-        model_weight: of the model loss, which reaches the encoder too; small, it would make all latents equal.
-        key_rate: at which the key encoder follows.
-        seed: of weights and batches.
+        latent: Dimensions of z.
+        hidden: Units of each of the two hidden layers.
+        riccati_iterations: Number M of iterations of Algorithm 1.
+        updates: Number of updates.
+        batch: Steps in one.
+        learning_rate: Learning rate of all parameters.
+        noise: Noise eta of Eq. 4.5, in all losses: a recording is short, and its scans are noisy themselves.
+        model_weight: Weight of the model loss, which reaches the encoder too; a large one would make all latents equal.
+        key_rate: Rate at which the key encoder follows.
+        seed: Seed of weights and batches.
     """
 
     latent: int = 16
@@ -71,9 +71,9 @@ def imitate(
 
     Args:
         segments: x by `observation`, and commands.
-        observation: what is seen.
-        settings: how; the defaults where left out.
-        on_progress: called after each update.
+        observation: Observation of a scan and odometry.
+        settings: Settings of learning; the defaults where left out.
+        on_progress: Called after each update.
 
     Raises:
         KoopmanError: there are fewer steps than in a batch, or a command never changes.

@@ -25,13 +25,13 @@ def collect_transitions(
     """Act, beginning with a fresh episode, and return how many actions and episodes it was.
 
     Args:
-        environment: to act in.
-        replay: gets all steps.
-        random: gives the seeds of episodes.
-        actions: to do; the last one ends its episode.
-        episodes: to end with; 0 for any number.
-        act: returns the action for the number of it, from 1, and an observation.
-        update: called after each action with its number.
+        environment: To act in.
+        replay: Gets all steps.
+        random: Gives the seeds of episodes.
+        actions: To do; the last one ends its episode.
+        episodes: To end with; 0 for any number.
+        act: Returns the action for the number of it, from 1, and an observation.
+        update: Called after each action with its number.
     """
     begun = 0
     x, _ = environment.reset(seed=int(random.integers(2**31)))

@@ -22,11 +22,11 @@ class KoopmanLearner:
     """An agent, what it has met, and where it acts.
 
     Args:
-        problem: that it learns.
-        environment: to act in.
-        seed: of everything random.
-        capacity: places of the replay, at most those of the settings.
-        device: of the networks.
+        problem: Task to learn.
+        environment: To act in.
+        seed: Seed of all random numbers.
+        capacity: Places of the replay, at most those of the settings.
+        device: Device of the networks: "cpu" or "cuda".
     """
 
     method = "task-oriented Koopman control with contrastive encoder (thesis 4.2)"

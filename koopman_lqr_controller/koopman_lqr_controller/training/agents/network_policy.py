@@ -30,8 +30,8 @@ class NetworkPolicy:
     """The action is tanh(u), u = network(x); in a roll-out u itself takes the place of z.
 
     Attributes:
-        encoder: the network, from x to u.
-        manifest: what was learnt, how, and how well: plain JSON values.
+        encoder: The network, from x to u.
+        manifest: Origin, method and figures of the policy: plain JSON values.
     """
 
     encoder: Encoder

@@ -23,11 +23,11 @@ class SacLearner:
     """See `course.Learner`; the numbers are those of the task's settings, where the library has them.
 
     Args:
-        problem: that it learns, from vectors.
-        environment: to act in.
-        seed: of everything random.
-        capacity: of the replay, for all actions of a run.
-        device: of the networks.
+        problem: Task to learn, seen as a vector.
+        environment: To act in.
+        seed: Seed of all random numbers.
+        capacity: Capacity of the replay buffer, for all actions of a run.
+        device: Device of the networks: "cpu" or "cuda".
 
     Raises:
         KoopmanError: the task shows pictures.
@@ -93,7 +93,7 @@ class _Counter(BaseCallback):
         episodes: 0 for any number.
 
     Attributes:
-        begun: how many episodes there were, the one under way included.
+        begun: Number of episodes, the one under way included.
     """
 
     def __init__(self, episodes: int) -> None:

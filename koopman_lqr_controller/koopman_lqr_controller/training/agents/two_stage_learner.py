@@ -34,7 +34,7 @@ class LiftedModel(nn.Module):
     """z = [x, psi(x)] and A, B.
 
     Attributes:
-        encoder: psi.
+        encoder: Embedding psi of observations.
         linear: A and B; its costs are not used.
     """
 
@@ -56,12 +56,12 @@ class TwoStageLearner:
     """See `course.Learner`.
 
     Args:
-        problem: with a goal, seen as a vector.
-        environment: to act in.
-        seed: of everything random.
-        capacity: of the replay, for all actions of a run.
-        device: of the network.
-        learnt: whether psi is trained; else it stays as random as it begins.
+        problem: Task with a goal, seen as a vector.
+        environment: To act in.
+        seed: Seed of all random numbers.
+        capacity: Capacity of the replay buffer, for all actions of a run.
+        device: Device of the network: "cpu" or "cuda".
+        learnt: Whether psi is trained; else it stays as random as it begins.
 
     Raises:
         KoopmanError: the task shows pictures, has no goal, or no hand has tuned costs for it.

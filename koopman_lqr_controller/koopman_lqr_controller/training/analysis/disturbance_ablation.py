@@ -36,12 +36,12 @@ def ablate_disturbances(
     """Return what a policy's model misses.
 
     Args:
-        loop: the policy.
-        make: makes the corridor of a robot.
-        noises: in the actions, see `run_episode`; judged apart, as how much changes in a step depends on them.
-        episodes: for each of them, the same starts under all disturbances.
-        disturbances: by name.
-        on_progress: told what is done.
+        loop: Closed loop of the policy.
+        make: Makes the corridor of a robot.
+        noises: In the actions, see `run_episode`; judged apart, as how much changes in a step depends on them.
+        episodes: For each of them, the same starts under all disturbances.
+        disturbances: Conditions of the robot by name.
+        on_progress: Called with the name of each part before it begins.
 
     Returns:
         For each disturbance and noise `name`, `noise`, `steps` and, all of them errors of one step over that of

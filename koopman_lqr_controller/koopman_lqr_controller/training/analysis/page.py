@@ -26,9 +26,9 @@ def page(found: Found, name: str, pictures: Mapping[str, str]) -> str:
     """Return the page as Markdown.
 
     Args:
-        found: what `analyse` returned.
-        name: of the policy's file.
-        pictures: their names, by that of their part.
+        found: Findings of `analyse`.
+        name: Name of the policy's file.
+        pictures: Their names, by that of their part.
     """
     out = [f"# {name}", _about(found)]
     for part, title in _TITLES.items():

@@ -45,8 +45,8 @@ class Findings:
     """What is found, and what is left out and why.
 
     Attributes:
-        parts: by name, as JSON.
-        left_out: reasons by name.
+        parts: By name, as JSON.
+        left_out: Reasons by name.
     """
 
     def __init__(self) -> None:
@@ -77,11 +77,11 @@ def analyse(
     """Return what can be said of a policy.
 
     Args:
-        policy: of either kind.
-        world: its environment, or an error that says why there is none.
-        recorded: drives from bags; where there are some, prediction and observations are judged by them.
-        episodes: to live through in the world, the same number again with noise.
-        on_progress: told what is done.
+        policy: Policy of either kind.
+        world: Its environment, or an error that says why there is none.
+        recorded: Drives from bags; where there are some, prediction and observations are judged by them.
+        episodes: To live through in the world, the same number again with noise.
+        on_progress: Called with the name of each part before it begins.
     """
     loop, findings = policy.closed_loop_model(), Findings()
     findings.add("policy", lambda: _policy(policy, loop))

@@ -26,10 +26,10 @@ class EpisodeTrajectory:
     """What was seen and done.
 
     Attributes:
-        x: observations (T + 1, *shape).
-        u: the model's controls (T, m).
+        x: Observations (T + 1, *shape).
+        u: The model's controls (T, m).
         rewards: (T,); none where nobody pays.
-        info: the environment's last word.
+        info: The environment's last word.
     """
 
     x: NDArray[Any]
@@ -89,10 +89,10 @@ def run_episode(loop: ClosedLoopModel, environment: AnyEnvironment, seed: int, n
     """Return one episode's trajectory.
 
     Args:
-        loop: what acts.
-        environment: where.
-        seed: of the episode and of the noise.
-        noise: standard deviation of what is added to the action, which spans -1 to 1: it excites the model.
+        loop: Closed loop that acts.
+        environment: Environment to act in.
+        seed: Seed of the episode and of the noise.
+        noise: Standard deviation of what is added to the action, which spans -1 to 1: it excites the model.
     """
     random = np.random.default_rng(seed)
     x, info = environment.reset(seed=seed)

@@ -21,9 +21,9 @@ class StraightCorridor:
     Where it is along the corridor changes nothing and is left out.
 
     Attributes:
-        width: between the walls [m].
-        dt: for which a command is held [s].
-        range_max: of the lidar, in the robot's middle [m].
+        width: Between the walls [m].
+        dt: Time for which a command is held [s].
+        range_max: Longest range of the lidar, which sits in the robot's middle [m].
     """
 
     width: float

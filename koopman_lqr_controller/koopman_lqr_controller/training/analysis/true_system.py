@@ -32,11 +32,11 @@ class TrueSystem:
     """A linearisation.
 
     Attributes:
-        about: what it is of.
-        open_poles: without the policy (n,).
-        closed_poles: with it, around where it comes to rest (n,); None where there are none.
-        rest: that state (n,); None where there is none.
-        why: there are none with it, in a sentence; empty where there are.
+        about: Name of the system that was linearised.
+        open_poles: Without the policy (n,).
+        closed_poles: With it, around where it comes to rest (n,); None where there are none.
+        rest: That state (n,); None where there is none.
+        why: There are none with it, in a sentence; empty where there are.
     """
 
     about: str
@@ -50,9 +50,9 @@ def suite_system(environment: ControlSuite, goal: Array, policy: LatentPolicy) -
     """Return the linearisation of a task of the control suite at its goal, and with a policy that sees states.
 
     Args:
-        environment: the task.
-        goal: positions and velocities (n,); an equilibrium.
-        policy: that acts.
+        environment: Environment of the task.
+        goal: Positions and velocities (n,); an equilibrium.
+        policy: Policy that acts.
     """
 
     def held(state: Array, action: Array) -> Array:
@@ -76,10 +76,10 @@ def corridor_system(policy: KoopmanPolicy, width: float, dt: float, speed: float
     """Return the linearisation of a unicycle with a lidar in the middle of a straight corridor.
 
     Args:
-        policy: that drives.
-        width: of the corridor [m].
-        dt: for which a command is held [s].
-        speed: of the linearisation without the policy [m/s].
+        policy: Policy that drives.
+        width: Width of the corridor [m].
+        dt: Time for which a command is held [s].
+        speed: Speed of the linearisation without the policy [m/s].
     """
     corridor = StraightCorridor(width, dt)
 

@@ -82,7 +82,7 @@ class CandidateSearch:
     """Episodes and candidates of a search.
 
     Attributes:
-        learnt: Learnt controller.
+        learnt: Learnt controller, with a finite horizon.
         config: Settings of the search.
         learnt_score: Mean return of the learnt controller in the episodes that candidates are chosen by.
         tried: Candidates so far.

@@ -32,9 +32,9 @@ class ConsolidationResult:
     """What came of it.
 
     Attributes:
-        controller: with the infinite horizon.
-        distribution: of the noisy episodes that its model was fitted to and chosen by.
-        figures: learnt and consolidated returns, and what control theory says, as JSON.
+        controller: With the infinite horizon.
+        distribution: Distribution of the latents in the noisy episodes that its model was fitted to and chosen by.
+        figures: Learnt and consolidated returns, and what control theory says, as JSON.
     """
 
     controller: LatentController
@@ -54,13 +54,13 @@ def consolidate(
     """Return the regulator that does what a learnt controller does.
 
     Args:
-        learnt: the controller.
-        environment: where it was learnt.
-        config: how.
-        goal: whether z_ref is a goal; else the middle of what the policy goes through takes its place.
-        seed: of all episodes.
-        on_progress: told what is done: before each part, and after each candidate.
-        reported: fresh episodes of the learnt controller from `REPORT_SEED` on, where there are some already; else it
+        learnt: Learnt controller, with a finite horizon.
+        environment: Environment that it was learnt in.
+        config: Settings of consolidation; the defaults where left out.
+        goal: Whether z_ref is a goal; else the mean of the latents that are met takes its place.
+        seed: Seed of all episodes.
+        on_progress: Called with a line before each part and after each candidate.
+        reported: Fresh episodes of the learnt controller from `REPORT_SEED` on, where there are some already; else it
             is evaluated.
 
     Raises:

@@ -20,24 +20,24 @@ class ConsolidationConfig:
     """How is consolidated.
 
     Attributes:
-        episodes: of each round; a fifth is kept from the fit, to choose by the model's error.
-        noise: largest standard deviation added to u, the least is none.
-        rounds: the first with the learnt policy, the others with a candidate, which the learnt policy tells what it
+        episodes: Number of episodes of each round; a fifth is kept from the fit, to choose by the model's error.
+        noise: Largest standard deviation added to u, the least is none.
+        rounds: The first with the learnt policy, the others with a candidate, which the learnt policy tells what it
             would have done.
         exploratory_latent: Latent dimensions of that candidate.
-        sizes: latent dimensions that are tried in the end.
+        sizes: Latent dimensions that are tried in the end.
         max_return_loss: Part of the learnt return; a candidate that loses more is not tried with less weight on
             prediction.
-        tolerance: part of the learnt return that may be lost, with the standard error that the loss is known to, in
-            all episodes and in those that are not disturbed.
+        tolerance: Part of the learnt return that may be lost, with the standard error that the loss is known to, in all
+            episodes and in those that are not disturbed.
         error: one-step error over persistence that the model may have; a third is wanted, and what is chosen by is a
             little better than what is fresh.
-        candidates: episodes of each candidate.
-        disturbance: standard deviation added to u in every other one of them: what walks on an edge falls.
-        prediction: what the weights of prediction are multiplied by, one after the other until the return is kept.
-        report: fresh episodes, the same for the learnt policy and for what comes of it.
-        distillation: how candidates are trained.
-        thorough: how those of the larger half of the sizes are, where none of the others does all that is wanted.
+        candidates: Episodes of each candidate.
+        disturbance: Standard deviation added to u in every other one of them: what walks on an edge falls.
+        prediction: Factors on the weights of prediction, tried one after the other until the return is kept.
+        report: Fresh episodes, the same for the learnt policy and for what comes of it.
+        distillation: Settings of the candidates' training.
+        thorough: Settings for the larger half of the sizes, where no other candidate does all that is wanted.
     """
 
     episodes: int = 30

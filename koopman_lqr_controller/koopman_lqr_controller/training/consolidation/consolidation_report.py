@@ -24,7 +24,7 @@ def report_figures(
     """Return the figures of the chosen candidate beside those of the learnt controller, as JSON.
 
     Args:
-        search: Finished search.
+        search: Search that is finished.
         chosen: Candidate that the search chose.
         reported: Fresh episodes of the learnt controller from `REPORT_SEED` on; it is evaluated where this is None.
 
@@ -58,8 +58,8 @@ def regulator_figures(policy: DistilledPolicy, episodes: Sequence[Episode]) -> d
     """Return what shows that a policy is the LQR of its own model, and that the model predicts.
 
     Args:
-        policy: as it was found.
-        episodes: with the features of the learnt policy.
+        policy: As it was found.
+        episodes: With the features of the learnt policy.
 
     Raises:
         KoopmanError: it is not.

@@ -48,14 +48,14 @@ class DistillationSettings:
     """How is trained.
 
     Attributes:
-        hidden: units of phi's hidden layer.
-        updates: how many.
-        batch: stretches of an episode in one.
-        steps: that are predicted in each.
-        learning_rate: largest one; it rises at first and then falls to nothing.
-        model_weight: of the error of z.
-        law_weight: of the error of what the law asks for.
-        groups: of episodes by their noise, as many steps in each, that count the same for both.
+        hidden: Units of phi's hidden layer.
+        updates: Number of updates.
+        batch: Stretches of an episode in one.
+        steps: Number of steps that are predicted in each stretch.
+        learning_rate: Largest one; it rises at first and then falls to nothing.
+        model_weight: Weight of the error of z.
+        law_weight: Weight of the error of what the law asks for.
+        groups: Number of groups of episodes by their noise, with as many steps in each, that count the same for both.
     """
 
     hidden: int = 256
@@ -78,8 +78,8 @@ class DistilledPolicy:
 
     Attributes:
         encoder: psi, the learnt one.
-        coordinates: phi.
-        controller: of the infinite horizon, with phi after psi as its encoder.
+        coordinates: Coordinates phi of the features.
+        controller: Controller with the infinite horizon, and phi after psi as its encoder.
     """
 
     encoder: Encoder
@@ -110,12 +110,12 @@ def distil(
     """Return the regulator that does what a learnt controller does.
 
     Args:
-        learnt: the controller.
-        episodes: what it or others did, with its features; it says what it would have done.
-        latent: how many coordinates.
-        goal: whether its z_ref is a goal; else the middle of what is met takes its place.
-        settings: how; the defaults where left out.
-        seed: of weights and batches.
+        learnt: Learnt controller, with a finite horizon.
+        episodes: Episodes of this or other policies with its features, for which it tells its own actions.
+        latent: Number of coordinates.
+        goal: Whether z_ref is a goal; else the mean of the latents that are met takes its place.
+        settings: Settings of learning; the defaults where left out.
+        seed: Seed of weights and batches.
 
     Raises:
         KoopmanError: no episode is as long as a stretch, or no regulator was found.
@@ -134,10 +134,10 @@ class _Data:
     """Stretches of episodes: features (N, steps + 1, n), actions done and wanted (N, steps + 1, m), one more of these.
 
     Attributes:
-        psi: features.
-        done: actions, all but the last one.
-        wanted: what the learnt policy would have done.
-        groups: one column for each level of noise that they are counted by, 1 in one of them (N, groups).
+        psi: Features of the learnt encoder.
+        done: Actions, all but the last one.
+        wanted: Actions of the learnt policy.
+        groups: One column for each level of noise that they are counted by, 1 in one of them (N, groups).
     """
 
     psi: Tensor

@@ -23,23 +23,23 @@ class BenchmarkTask:
     """A task to learn.
 
     Attributes:
-        name: of it.
-        about: in a line.
-        make: makes an environment, to learn in (True) or to evaluate in (False).
-        settings: that suit it.
-        repeat: steps of the simulated system for one action.
-        chunk: actions between two evaluations, whole episodes where these have one length.
-        chunks: how many, unless asked otherwise.
-        evaluations: episodes of an evaluation.
-        chunk_episodes: that end a chunk before its actions do; 0 for any number.
-        episodes: largest number to learn from, those that end with a chunk included; 0 for any.
-        patience: chunks without a new best after which learning ends; 0 for any.
-        goal: observation of the goal; None for z_ref = 0.
-        middle: of the observation, becomes 0 in the encoder.
-        unit: becomes 1 above it.
-        thesis: return that the thesis reached; None where it names none.
-        task: with a corridor, its name or file; empty for tasks of other kinds.
-        version: of the environment's own code, what it shows and pays; a new one for each change of it.
+        name: Name of the task.
+        about: Description in one line.
+        make: Makes an environment, to learn in (True) or to evaluate in (False).
+        settings: Settings that suit the task.
+        repeat: Steps of the simulated system for one action.
+        chunk: Actions between two evaluations, whole episodes where these have one length.
+        chunks: Number of chunks, unless asked otherwise.
+        evaluations: Episodes of an evaluation.
+        chunk_episodes: Number of episodes that end a chunk before its actions do; 0 for any number.
+        episodes: Largest number to learn from, those that end with a chunk included; 0 for any.
+        patience: Chunks without a new best after which learning ends; 0 for any.
+        goal: Observation of the goal; None for z_ref = 0.
+        middle: Value of the observation that becomes 0 in the encoder.
+        unit: Distance above the middle that becomes 1.
+        thesis: Return that the thesis reached; None where it names none.
+        task: Name or file of a task with a corridor; empty for tasks of other kinds.
+        version: Version of the environment's observations and rewards; a new one for each change of them.
     """
 
     name: str

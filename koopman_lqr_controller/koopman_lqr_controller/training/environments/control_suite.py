@@ -30,13 +30,13 @@ class ControlSuite(gymnasium.Env[Observation, NDArray[np.float32]]):
     (FRAMES, size, size) uint8. Action: [-1, 1] for each actuator. Reward: the sum over the repeated steps.
 
     Args:
-        domain: of the suite, e.g. "cartpole".
-        task: of the domain, e.g. "swingup".
-        repeat: steps of the suite that an action is held.
-        pixels: rows and columns of a picture; 0 for states.
+        domain: Domain of the suite, e.g. "cartpole".
+        task: Task of the domain, e.g. "swingup".
+        repeat: Steps of the suite that an action is held.
+        pixels: Rows and columns of a picture; 0 for states.
 
     Attributes:
-        dt: for which an action is held [s].
+        dt: Time for which an action is held [s].
 
     Raises:
         KoopmanError: pictures are wanted, and there is no OpenGL to draw them.

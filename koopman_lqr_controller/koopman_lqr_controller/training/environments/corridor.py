@@ -57,10 +57,10 @@ class Conditions:
     """What is hard about a robot.
 
     Attributes:
-        lidar: one of `sim_bridge.simulation.lidar.LIDARS`.
-        dropout: probability that a beam is lost.
-        delay: from a command to its effect [s].
-        noise: standard deviation of a range [m], None for the task's.
+        lidar: One of `sim_bridge.simulation.lidar.LIDARS`.
+        dropout: Probability that a beam is lost.
+        delay: From a command to its effect [s].
+        noise: Standard deviation of a range [m], None for the task's.
     """
 
     lidar: str = "lds01"
@@ -81,9 +81,9 @@ class Corridor(gymnasium.Env[Vector, Vector]):
     `outcome`, `progress` and `clearance` [m].
 
     Attributes:
-        task: what is simulated.
-        robot_interface: of the robot to a policy.
-        mirror: what the same drive looks like with left and right swapped.
+        task: Task that is simulated.
+        robot_interface: Connection of the robot to a policy.
+        mirror: Symmetry of left and right.
     """
 
     metadata = {"render_modes": []}  # noqa: RUF012 - gymnasium's own form
@@ -94,9 +94,9 @@ class Corridor(gymnasium.Env[Vector, Vector]):
         """Build the world.
 
         Args:
-            learning: several corridors in a row, begun anywhere in the first; else the task as it is.
-            conditions: of all episodes; None for others in each.
-            task: with a corridor, its name or file.
+            learning: Several corridors in a row, begun anywhere in the first; else the task as it is.
+            conditions: Conditions of all episodes; None to draw others for each.
+            task: Name or file of a task with a corridor.
 
         Raises:
             KoopmanError: the task has no corridor, allows too little to drive there, or the physics are not as quick as

@@ -12,7 +12,7 @@ def info_nce(queries: Tensor, keys: Tensor, W: Tensor) -> Tensor:
     Args:
         queries: z^q (N, n).
         keys: z^k (N, n); row i belongs to query i, all others are its negatives.
-        W: of the bilinear similarity z^q^T W z^k (n, n).
+        W: Matrix of the bilinear similarity z^q^T W z^k (n, n).
     """
     similarity = queries @ W @ keys.T
     return torch.nn.functional.cross_entropy(similarity, torch.arange(len(queries), device=queries.device))
@@ -22,9 +22,9 @@ def noisy(x: Tensor, eta: float, generator: torch.Generator) -> Tensor:
     """Return x + dx, dx uniform in -eta |x| .. eta |x| (Eq. 4.5).
 
     Args:
-        x: observations (N, ...).
-        eta: relative size of the noise.
-        generator: on the CPU.
+        x: Observations (N, ...).
+        eta: Relative size of the noise.
+        generator: On the CPU.
     """
     share = torch.rand(x.shape, generator=generator).to(x.device)
     return x + eta * x.abs() * (2.0 * share - 1.0)
@@ -35,8 +35,8 @@ def random_crop(images: Tensor, size: int, generator: torch.Generator) -> Tensor
 
     Args:
         images: (N, channels, height, width).
-        size: rows and columns of a window.
-        generator: on the CPU.
+        size: Rows and columns of a window.
+        generator: On the CPU.
     """
     count, _, height, width = images.shape
     tops = torch.randint(height - size + 1, (count,), generator=generator).tolist()

@@ -14,12 +14,12 @@ def riccati_gain(A: Tensor, B: Tensor, Q: Tensor, R: Tensor, z_ref: Tensor, iter
     """Return K (m, n) and k (m,) of u = k - K z after so many iterations; `riccati.finite_horizon` without gradients.
 
     Args:
-        A: (n, n).
-        B: (n, m).
-        Q: diagonal (n,).
-        R: diagonal (m,).
-        z_ref: goal (n,).
-        iterations: M of Algorithm 1.
+        A: State matrix (n, n).
+        B: Control matrix (n, m).
+        Q: Diagonal of the state cost (n,).
+        R: Diagonal of the control cost (m,).
+        z_ref: Goal of z (n,).
+        iterations: Number M of iterations of Algorithm 1.
     """
     P, v = torch.diag(Q), Q * z_ref
     R_full, Q_full = torch.diag(R), torch.diag(Q)
@@ -40,11 +40,11 @@ def doubled_gain(A: Tensor, B: Tensor, Q: Tensor, R: Tensor, doublings: int = 6)
     Structure-preserving doubling (Chu, Fan, Lin 2005): of each step's map over one stretch of time comes that over two.
 
     Args:
-        A: (n, n).
-        B: (n, m).
-        Q: diagonal (n,).
-        R: diagonal (m,).
-        doublings: how often.
+        A: State matrix (n, n).
+        B: Control matrix (n, m).
+        Q: Diagonal of the state cost (n,).
+        R: Diagonal of the control cost (m,).
+        doublings: Number of doublings.
     """
     stretch, P = A, torch.diag(Q)
     G, eye = (B / R) @ B.T, torch.eye(len(Q), dtype=A.dtype, device=A.device)
@@ -62,11 +62,11 @@ class LatentLqr(nn.Module):
     """The Koopman operator A, B (Eq. 4.6) and the cost Q, R of its regulator (Eq. 4.8), all learnt.
 
     Attributes:
-        A: (n, n).
-        B: (n, m).
-        log_Q: logarithm of Q's diagonal (n,).
-        log_R: logarithm of R's diagonal (m,).
-        iterations: M.
+        A: State matrix (n, n).
+        B: Control matrix (n, m).
+        log_Q: Logarithm of Q's diagonal (n,).
+        log_R: Logarithm of R's diagonal (m,).
+        iterations: Number M of Riccati iterations.
     """
 
     def __init__(self, n: int, m: int, iterations: int) -> None:

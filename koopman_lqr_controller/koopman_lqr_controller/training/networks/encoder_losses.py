@@ -17,11 +17,11 @@ class EncoderBatch(NamedTuple):
     """A batch, as encoders see it.
 
     Attributes:
-        query: observations, augmented where the loss contrasts or they are images (N, ...).
-        key: the same observations, augmented in another way.
-        u: actions (N, m).
-        x_next: observations that followed.
-        key_encoder: the momentum encoder.
+        query: Observations, augmented where the loss contrasts or they are images (N, ...).
+        key: The same observations, augmented in another way.
+        u: Actions (N, m).
+        x_next: Observations that followed.
+        key_encoder: The momentum encoder.
         model: A and B, where there is a model.
     """
 
@@ -37,8 +37,8 @@ class Contrast(nn.Module):
     """InfoNCE (Eq. 4.4) against the momentum encoder's keys.
 
     Attributes:
-        augments: whether it wants its observations with noise, where they are vectors.
-        W: of the bilinear similarity (n, n).
+        augments: Whether observations that are vectors get noise.
+        W: Matrix of the bilinear similarity (n, n).
     """
 
     augments = True
@@ -58,13 +58,13 @@ class Reconstruction(nn.Module):
     """An autoencoder's: the mean squared error of what a decoder makes of z.
 
     Args:
-        seen: shape of what an encoder looks at.
-        settings: sizes.
-        predicts: whether the model's next z has to give the next observation as well.
+        seen: Shape of what an encoder looks at.
+        settings: Settings with the sizes of the layers.
+        predicts: Whether the model's next z has to give the next observation as well.
 
     Attributes:
-        augments: see `Contrast`.
-        decoder: from z back to the observation, normalised as the encoder does.
+        augments: Whether observations that are vectors get noise.
+        decoder: From z back to the observation, normalised as the encoder does.
     """
 
     augments = False

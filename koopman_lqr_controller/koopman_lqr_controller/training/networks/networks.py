@@ -20,9 +20,9 @@ class TorchEncoder(nn.Module):
     """psi: normalise, hidden layers with ReLU, a linear layer, LayerNorm.
 
     Attributes:
-        shape: of an observation.
-        crop: rows and columns of an image that are looked at, its middle; None for all, and for vectors.
-        layers: in their order.
+        shape: Shape of one observation.
+        crop: Rows and columns of an image that are looked at, its middle; None for all, and for vectors.
+        layers: Layers in their order.
     """
 
     middle: Tensor
@@ -43,13 +43,13 @@ class TorchEncoder(nn.Module):
 
         Args:
             shape: (n,) of a vector or (channels, height, width) of an image.
-            latent: dimension of z.
-            hidden: units of each hidden layer; of filters see `_filters`.
-            depth: hidden layers, or convolutions of an image.
-            middle: what becomes 0; broadcasts to `shape`.
-            unit: what becomes 1 above it.
-            crop: see above.
-            halved: whether all but the last layer is computed in bfloat16 while it trains.
+            latent: Dimensions of z.
+            hidden: Units of each hidden layer; of filters see `_filters`.
+            depth: Hidden layers, or convolutions of an image.
+            middle: Value that becomes 0; broadcasts to `shape`.
+            unit: Distance above the middle that becomes 1.
+            crop: Rows and columns of an image that are looked at; None for all, and for vectors.
+            halved: Whether all but the last layer is computed in bfloat16 while it trains.
         """
         super().__init__()
         if len(shape) == 3:
@@ -140,7 +140,7 @@ class Decoder(nn.Module):
     """From z back to what an encoder looks at, normalised: its layers, turned around.
 
     Attributes:
-        layers: in their order.
+        layers: Layers in their order.
     """
 
     def __init__(self, seen: tuple[int, ...], latent: int, hidden: int, depth: int) -> None:
@@ -213,11 +213,11 @@ class TwinCritic(nn.Module):
     """Q_1 and Q_2 of Eq. 4.10, computed together.
 
     Args:
-        latent: dimension of z.
-        controls: how many.
-        hidden: units of each of the two hidden layers.
-        normalised: whether these have a LayerNorm, without parameters, before their ReLU.
-        halved: whether these are computed in bfloat16.
+        latent: Dimensions of z.
+        controls: Number of controls.
+        hidden: Units of each of the two hidden layers.
+        normalised: Whether these have a LayerNorm, without parameters, before their ReLU.
+        halved: Whether these are computed in bfloat16.
     """
 
     def __init__(self, latent: int, controls: int, hidden: int, normalised: bool = False, halved: bool = False) -> None:
