@@ -292,7 +292,7 @@ def test_two_types_on_a_topic_are_told_apart(tmp_path):
             schema = writer.register_schema(f"std_msgs/msg/{kind}", "ros2msg", [b"string data\n", b""][i])
             writer.add_message(writer.register_channel("/talk", "cdr", schema), i, text(str(i)), i)
         writer.finish()
-    with pytest.raises(BagError, match=r"two types, std_msgs/msg/String and std_msgs/msg/Empty; mend it with"):
+    with pytest.raises(BagError, match=r"two types, std_msgs/msg/String and std_msgs/msg/Empty; recover it with"):
         list(read_serialized(tmp_path / "bag.mcap"))
     found = recover(tmp_path / "bag.mcap")
     assert found.messages == {"/talk": 1, "/talk/as/std_msgs/Empty": 1}

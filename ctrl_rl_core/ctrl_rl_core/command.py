@@ -78,7 +78,7 @@ def parse_options(program: str, kind: Any, arguments: Sequence[str] | None = Non
 
 
 def _refuse(event: ParseErrorEvent) -> None:
-    """Say in one line why a command line is refused; tyro itself prints a box of several."""
+    """Raise the reason of a refused command line as one line; tyro itself prints a box of several."""
     match event:
         case MissingArgs(missing_arguments=missing, unrecognized_tokens=[]):
             raise CommandError(f"missing {', '.join(each.arg.display_name() for each in missing)}")
@@ -98,10 +98,10 @@ def _refuse(event: ParseErrorEvent) -> None:
 def checked(
     parse: Callable[[str], Any], metavar: str, show: Callable[[Any], str] = str
 ) -> PrimitiveConstructorSpec[Any]:
-    """Return how an option is read from one word, for use in `Annotated`.
+    """Return the reader of an option's one word, for use in `Annotated`.
 
     Args:
-        parse: Returns the value of a word, or raises ValueError that says what is wrong with it.
+        parse: Returns the value of a word, or raises ValueError with the reason of a refusal.
         metavar: Placeholder of the word in `--help`.
         show: Returns the word of a default, for `--help`.
     """
@@ -117,7 +117,7 @@ def checked(
 def checked_list(
     parse: Callable[[str], Any], metavar: str, show: Callable[[Any], str] = str
 ) -> PrimitiveConstructorSpec[Any]:
-    """Return how an option is read from any number of words, as a tuple; the arguments are those of `checked`."""
+    """Return the reader of an option's words as a tuple; the arguments are those of `checked`."""
     return PrimitiveConstructorSpec(
         nargs="*",
         metavar=f"[{metavar} ...]",

@@ -4,7 +4,7 @@ _LONGEST = 300
 
 
 class CtrlRlError(Exception):
-    """Something a user can mend: the message names the file, key or value and says what to do.
+    """An error that a user can fix: the message names the file, key or value, and says what to do.
 
     Commands and nodes print the message alone, without a traceback, and exit with a non-zero code.
     """

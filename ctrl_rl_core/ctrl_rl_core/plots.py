@@ -41,7 +41,7 @@ def draw_world(axes: Axes, task: NavigationTask, width: float | None = None) -> 
 
 
 def draw_map(axes: Axes, task: NavigationTask) -> None:
-    """Draw the task's world, and let the axes show what its walls enclose [m]."""
+    """Draw the task's world, with axes [m] over the space within its walls."""
     draw_world(axes, task)
     (across, width), (up, height) = task.plane_bounds.items()
     axes.set_xlim(width)
@@ -51,7 +51,7 @@ def draw_map(axes: Axes, task: NavigationTask) -> None:
 
 
 def save_figure(figure: Figure, path: FilePath, dpi: int = 110) -> None:
-    """Write a figure as PNG and close it; the file is there whole or not at all."""
+    """Write a figure as PNG, atomically, and close it."""
     picture = BytesIO()
     figure.savefig(picture, format="png", dpi=dpi)
     plt.close(figure)

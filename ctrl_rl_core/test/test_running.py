@@ -38,7 +38,7 @@ def wait_for(log: Path, words: str, process: subprocess.Popen) -> None:
 @pytest.mark.parametrize(
     ("shell", "environment", "words"),
     [
-        ("ulimit -n 12", {}, "only 12 files may be open at once: a node needs 64, see ulimit -n"),
+        ("ulimit -n 12", {}, "only 12 files may be open at once: a node needs 64, raise it with ulimit -n"),
         ("", {"HOME": None, "ROS_LOG_DIR": None, "ROS_HOME": None}, "HOME is not set"),
         ("", {"ROS_LOG_DIR": "/dev/null/log"}, "ROS cannot write its log to /dev/null/log"),
     ],

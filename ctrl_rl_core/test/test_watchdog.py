@@ -285,7 +285,7 @@ def test_a_watchdog_that_fails_itself_lets_the_robot_stand(base: Base) -> None:
 
 def test_a_source_of_the_wrong_type_is_named(base: Base, run_node: Callable) -> None:
     run_node("ctrl_rl_core", "watchdog", "enable_stamped_cmd_vel:=false")
-    base.until(base.says("/base (geometry_msgs/msg/TwistStamped) is not heard, see enable_stamped_cmd_vel"))
+    base.until(base.says("/base (geometry_msgs/msg/TwistStamped) is ignored: set enable_stamped_cmd_vel to match it"))
 
 
 def test_plain_twists_pass_where_the_robot_is_older(run_node: Callable) -> None:

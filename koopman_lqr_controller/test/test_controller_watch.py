@@ -45,7 +45,7 @@ def test_it_names_whoever_else_drives_the_robot(robot: Robot, run_node: Callable
     warned = next(each for each in said if "publishes on" in each.message)
     assert warned.level == DiagnosticStatus.WARN
     assert {value.key: value.value for value in warned.values}["other publishers"] == "/robot"
-    assert "/robot publishes on /cmd_vel too: the robot obeys whoever spoke last" in controller.output
+    assert "/robot publishes on /cmd_vel too: the robot follows the latest command of any" in controller.output
     robot.node.destroy_publisher(rival)
     said.clear()
     assert robot.spin(20.0, lambda: bool(said) and "publishes" not in said[-1].message)

@@ -26,7 +26,7 @@ from sim_bridge.simulation.world import SimulatedWorld, SimulationOptions
 _FLIGHT_SPEED = 20.0
 _FLIGHT_TURN = 60.0
 _MARGIN = 5.0
-"""How far outside the arena or corridor a position may still be observed [m]."""
+"""Margin around the arena or corridor in which positions are still observed [m]."""
 _LARGEST_SEED = 2**32
 
 Vector = NDArray[np.float32]

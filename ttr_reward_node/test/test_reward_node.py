@@ -148,7 +148,7 @@ def test_latecomers_get_grid_and_slice_and_many_states_are_answered_at_once(
     assert answer.in_domain == [True, True, False]
     answer = peer.call(QueryValues, "query", states=[1.0, 2.0])
     assert not answer.success
-    assert answer.message == "2 numbers are no whole states of 3: x, y, theta"
+    assert answer.message == "2 numbers are not a multiple of 3: x, y, theta"
 
 
 def test_another_grid_is_loaded_while_it_runs_and_a_wrong_one_refused(

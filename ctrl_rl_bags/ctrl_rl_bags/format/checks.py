@@ -22,11 +22,11 @@ _LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
 class BagError(CtrlRlError):
-    """A bag cannot be written, read or mended; the message names the file and says what to do."""
+    """A bag cannot be written, read or recovered; the message names the file and says what to do."""
 
 
 class DamagedError(BagError):
-    """A file is not what it says, or asks for more than the limits allow; the message does not name it."""
+    """A file is damaged, or asks for more than the limits allow; the message does not name it."""
 
 
 def reason(error: Exception) -> str:

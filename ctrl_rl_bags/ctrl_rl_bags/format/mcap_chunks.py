@@ -39,7 +39,7 @@ class ChunkTable:
     length: array[int] = field(default_factory=lambda: array("Q"))
     size: array[int] = field(default_factory=lambda: array("Q"))
     channels: list[frozenset[int] | None] = field(default_factory=list)
-    """Channels of its messages; None where the index does not say."""
+    """Channels of its messages; None where the index does not name them."""
 
     def add(self, start: int, end: int, offset: int, length: int, size: int, channels: frozenset[int] | None) -> None:
         """Append a chunk."""

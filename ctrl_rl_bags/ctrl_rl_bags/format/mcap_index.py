@@ -162,7 +162,7 @@ class McapIndex:
         self.chunks.add(start, end, offset, size_of_record, uncompressed, self._same(channels) if channels else None)
 
     def _same(self, channels: frozenset[int]) -> frozenset[int] | None:
-        """Return the one object that stands for equal sets; None, for any channel, when there are too many of them."""
+        """Return one shared object for equal sets; None, for any channel, when there are too many sets."""
         if channels not in self._channel_sets:
             self._channel_set_items += len(channels)
             if self._channel_set_items > _MOST_CHANNEL_SETS:
@@ -219,7 +219,7 @@ class McapIndex:
         self.counts, self.start, self.end = dict(counts), *(first or [0]), *(last or [0])
 
     def data_section(self) -> Iterator[tuple[int, bytes]]:
-        """Yield all records before the summary; what is not needed, empty."""
+        """Yield all records before the summary; those that are not needed have empty content."""
         self._stream.seek(0)
         crc = zlib.crc32(self._stream.read(self._data_at))
         position = self._data_at

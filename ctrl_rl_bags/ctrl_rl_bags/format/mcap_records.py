@@ -1,4 +1,4 @@
-"""Records and chunks of MCAP files that nobody vouches for: every size is checked before anything of it is read.
+"""Records and chunks of MCAP files that may be hostile: each size is checked before the content is read.
 
 The layouts are those of https://mcap.dev/spec.
 """
@@ -40,7 +40,7 @@ _BROKEN = (McapError, struct.error, ValueError, zstandard.ZstdError, RuntimeErro
 
 @dataclass(frozen=True)
 class Limits:
-    """The most that a bag may take of the memory, whatever it claims.
+    """Memory that a bag may take at most.
 
     Attributes:
         chunk_bytes: Size of a chunk, uncompressed, and of a message.
@@ -59,7 +59,7 @@ DEFAULT_LIMITS = Limits()
 
 
 class ChunkHead(NamedTuple):
-    """What stands before a chunk's data: log times [ns], sizes [bytes], checksum (0: none), compression."""
+    """The fields before a chunk's data: log times [ns], sizes [bytes], checksum (0: none), compression."""
 
     start: int
     end: int
@@ -87,7 +87,7 @@ def parse(opcode: int, content: bytes) -> Schema | Channel | Metadata | None:
     """Return a schema, a channel or a metadata record; None for any other.
 
     Raises:
-        DamagedError: Its content is not what its kind has.
+        DamagedError: The content does not fit the kind of record.
     """
     kind = _KINDS.get(opcode)
     try:
@@ -97,11 +97,11 @@ def parse(opcode: int, content: bytes) -> Schema | Channel | Metadata | None:
 
 
 def chunk_head(content: bytes, whole: bool = True) -> ChunkHead:
-    """Return what stands before the data of a chunk.
+    """Return the fields before the data of a chunk.
 
     Args:
         content: Content of the chunk's record.
-        whole: Whether all of it is there; of a torn one the data ends early.
+        whole: Whether the chunk is complete; the data of a torn one ends early.
 
     Raises:
         DamagedError: The chunk is too short to have it.
@@ -123,10 +123,10 @@ def chunk_head(content: bytes, whole: bool = True) -> ChunkHead:
 
 
 def decompress(content: bytes, limit: int) -> bytes:
-    """Return the records of a whole chunk.
+    """Return the records of a complete chunk.
 
     Raises:
-        DamagedError: It is larger than the limit, cannot be decompressed, or is not what its size and checksum say.
+        DamagedError: It is larger than the limit, cannot be decompressed, or contradicts its size or checksum.
     """
     head = chunk_head(content)
     if head.size > limit:
@@ -140,7 +140,7 @@ def decompress(content: bytes, limit: int) -> bytes:
 
 
 def decompress_some(compression: str, data: bytes, size: int) -> bytes:
-    """Return at most `size + 1` bytes of compressed data; of data that was cut off, what its compression lets through.
+    """Return at most `size + 1` bytes of compressed data; of data that was cut off, the part that can be decompressed.
 
     Raises:
         DamagedError: The data is broken, or its compression unknown.

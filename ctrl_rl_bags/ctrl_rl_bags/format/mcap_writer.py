@@ -1,7 +1,7 @@
-"""One MCAP file being written: small compressed chunks that reach the operating system when the caller says so.
+"""One MCAP file being written: small compressed chunks that reach the operating system when the caller flushes.
 
 The record layouts other than the two on the hot path (message, message index) are the mcap library's. Its own writer
-takes 3-6 us of Python a message and 1 MiB chunks; see test/benchmarks/recorder_throughput.py.
+takes 3-6 us of Python a message and 1 MiB chunks (test/benchmarks/recorder_throughput.py).
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ _INDEX = struct.Struct("<BQHI")
 class McapFile:
     """Writes one .mcap file, profile `ros2`. Nothing is closed by itself: call `close` or `abort`.
 
-    After an OSError the file is cut back to its last whole record; `close` may then still succeed.
+    After an OSError the file is cut back to its last complete record; `close` may then still succeed.
     """
 
     def __init__(self, path: Path, chunk_bytes: int = CHUNK_BYTES) -> None:
@@ -69,7 +69,7 @@ class McapFile:
 
     @property
     def message_count(self) -> int:
-        """Messages in whole chunks: those that a reader of the file will find."""
+        """Messages in complete chunks, which a reader of the file will find."""
         return sum(self._counts.values())
 
     @property
@@ -168,7 +168,7 @@ class McapFile:
         return self._file.fileno()
 
     def finish(self) -> None:
-        """Write the open chunk and the summary; the file is then whole, and only `close` may follow."""
+        """Write the open chunk and the summary; the file is then complete, and only `close` may follow."""
         self.flush()
         data_end = _bytes(DataEnd(self._crc))
         start = self.size + len(data_end)
@@ -190,7 +190,7 @@ class McapFile:
         self._append(data_end + summary + offsets + _bytes(Footer(start, offsets_start, crc)) + MAGIC)
 
     def close(self) -> None:
-        """Let the disk confirm what was written and close the file."""
+        """Flush the file to the disk and close it."""
         try:
             os.fsync(self.fileno())
         finally:

@@ -1,4 +1,4 @@
-"""What a bag says about itself: topics with their quality of service, and rosbag2's metadata.yaml (version 9)."""
+"""Metadata of a bag: topics with their quality of service, and rosbag2's metadata.yaml (version 9)."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class _TopicCount(BaseModel):
 
 
 class BagMetadata(BaseModel):
-    """What is read of metadata.yaml, versions 1 to 9; the names are rosbag2's."""
+    """The keys of metadata.yaml, versions 1 to 9, that are read; the names are rosbag2's."""
 
     version: Annotated[int, Field(ge=1, le=METADATA_VERSION)]
     storage_identifier: Literal["mcap", "sqlite3"]
@@ -84,7 +84,7 @@ class Topic:
 
     @property
     def qos_text(self) -> str:
-        """The offered profiles as YAML, as they stand in the MCAP channel; empty where none is known."""
+        """The offered profiles as YAML, as in the MCAP channel; empty where none is known."""
         return yaml.safe_dump(_plain(self.qos), sort_keys=False).strip() if self.qos else ""
 
 
@@ -112,7 +112,7 @@ def bag_information(
     counts: Mapping[str, int],
     custom_data: Mapping[str, str],
 ) -> dict[str, Any]:
-    """Return what stands in metadata.yaml below `rosbag2_bagfile_information`."""
+    """Return the content of metadata.yaml below `rosbag2_bagfile_information`."""
     starts = [file.start for file in files if file.start is not None]
     ends = [file.end for file in files if file.end is not None]
     return {
@@ -152,7 +152,7 @@ def bag_information(
 
 
 def write_metadata(folder: Path, information: Mapping[str, Any]) -> None:
-    """Write metadata.yaml whole or not at all.
+    """Write metadata.yaml atomically.
 
     Raises:
         OSError: The disk refuses.
@@ -162,7 +162,7 @@ def write_metadata(folder: Path, information: Mapping[str, Any]) -> None:
 
 
 def read_metadata(folder: Path) -> BagMetadata:
-    """Return what stands in a bag's metadata.yaml below `rosbag2_bagfile_information`.
+    """Return the content of a bag's metadata.yaml below `rosbag2_bagfile_information`.
 
     Raises:
         BagError: There is no such file, or it is not a bag's.

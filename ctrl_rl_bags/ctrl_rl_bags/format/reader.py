@@ -1,7 +1,7 @@
 """Reads rosbag2 folders, MCAP or the older sqlite3, without an installed ROS: the bag's own definitions are used.
 
 What a bag says is checked before it is believed: the memory it takes is bounded (`Limits`), each checksum that it has
-is checked, and `metadata.yaml` must say what the files say.
+is checked, and `metadata.yaml` must agree with the files.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ class TopicInfo:
 
 @dataclass(frozen=True)
 class BagInfo:
-    """What a bag holds: log times [ns], files, topics by name, custom data, and what no checksum covers."""
+    """Content of a bag: log times [ns], files, topics by name, custom data, and the parts without a checksum."""
 
     folder: Path
     start: int
@@ -160,7 +160,7 @@ class Bag:
                 source.check()
 
     def types(self, topics: Iterable[str] = ()) -> BagTypes:
-        """Return what decodes the messages of some topics, all if empty.
+        """Return the decoder of the messages of some topics, all if empty.
 
         Raises:
             BagError: A definition is missing or wrong.
@@ -227,7 +227,7 @@ class Bag:
         )
 
     def _uncompress(self, metadata: BagMetadata, stack: ExitStack) -> None:
-        """Make ready for a bag that rosbag2 compressed as a whole, file by file or message by message."""
+        """Prepare a bag that rosbag2 compressed file by file or message by message."""
         if metadata.compression_format != "zstd":
             raise BagError(
                 f"{self.path}: its compression {printable(str(metadata.compression_format))!r} is unknown: use zstd"
@@ -315,14 +315,14 @@ def bag_info(bag: Path | str | Bag, limits: Limits = DEFAULT_LIMITS) -> BagInfo:
 
 
 def recover_hint(bag: Path | str) -> str:
-    """Return what an error says of `bag recover`: nothing where it cannot help."""
+    """Return the advice of an error to use `bag recover`; empty where that cannot help."""
     path = Path(bag)
     mendable = any(path.glob("*.mcap")) if path.is_dir() else path.suffix == ".mcap"
-    return f"; mend it with ros2 run ctrl_rl_bags bag recover {path}" if mendable else ""
+    return f"; recover it with ros2 run ctrl_rl_bags bag recover {path}" if mendable else ""
 
 
 def _storage_of(path: Path) -> str:
-    """Return the storage of a single file, by how it begins."""
+    """Return the storage of a single file, by its first bytes."""
     try:
         with open_regular(path) as (stream, _):
             begin = stream.read(len(_ROS1_MAGIC))
@@ -335,7 +335,7 @@ def _storage_of(path: Path) -> str:
 
 
 def _completed(topic: Topic, offered: Mapping[str, Any]) -> Topic:
-    """Take from metadata.yaml what a file of another writer does not say."""
+    """Complete a file of another writer from metadata.yaml."""
     also = offered.get(topic.name)
     if also is None:
         return topic
@@ -353,7 +353,7 @@ def _unchecked(source: Source) -> set[str]:
 
 
 def _compare(metadata: BagMetadata, info: BagInfo, mixed: Mapping[str, str]) -> None:
-    """Refuse a metadata.yaml that says something else than the files, which have checksums where it has none."""
+    """Refuse a metadata.yaml that contradicts the files, which have checksums where it has none."""
     said = {
         it.topic_metadata.name: (it.topic_metadata.type, it.message_count) for it in metadata.topics_with_message_count
     }

@@ -1,8 +1,8 @@
 """Recovers bags that were cut off by a SIGKILL, a power cut or a full disk.
 
-An MCAP file is a row of records, each with its length in front. All whole records are read, messages are written to a
-new bag, and the bag's metadata is rebuilt from them. The cut-off bag itself is only read. What asks for more memory
-than the limits allow is dropped and counted, as is what cannot be read.
+An MCAP file is a row of records, each with its length in front. All complete records are read, messages are written to
+a new bag, and the bag's metadata is rebuilt from them. The cut-off bag itself is only read. Records that cannot be
+read, or that ask for more memory than the limits allow, are dropped and counted.
 """
 
 from __future__ import annotations
@@ -251,7 +251,7 @@ class _Scan:
             self._drop(len(content))
 
     def _decompress(self, chunk: bytes, whole: bool) -> tuple[bytes, bool]:
-        """Return a chunk's records, and whether that is all; of a torn chunk, what its compression lets through."""
+        """Return a chunk's records, and whether that is all; of a torn chunk, the part that can be decompressed."""
         try:
             head = chunk_head(chunk, whole)
             if head.size > self._limits.chunk_bytes:

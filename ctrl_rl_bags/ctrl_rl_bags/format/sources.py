@@ -96,7 +96,7 @@ class McapSource:
         self.topics = list(counts.values())
 
     def messages(self, topics: Collection[str], start: int | None, stop: int | None) -> Iterator[SerializedMessage]:
-        """See `Source.messages`."""
+        """Yield the messages of some topics, as `Source.messages`."""
         chosen = {number: (topic.name, topic.type) for number, topic in self._topics.items() if topic.name in topics}
         for number in chosen:
             encoding = self._reader.index.channels[number].message_encoding
@@ -106,15 +106,15 @@ class McapSource:
             yield SerializedMessage(*chosen[channel], log_time, publish_time, sequence, data)
 
     def check(self) -> None:
-        """See `Source.check`."""
+        """Check the checksum of the data."""
         self._reader.check_data()
 
     def checksums(self) -> tuple[bool, bool]:
-        """See `McapReader.checksums`."""
+        """Return whether the summary has a checksum, and whether all messages have one."""
         return self._reader.checksums()
 
     def close(self) -> None:
-        """See `Source.close`."""
+        """Close the file."""
         self._reader.close()
 
 
@@ -141,7 +141,7 @@ class Sqlite3Source:
             raise DamagedError(reason(error)) from None
 
     def messages(self, topics: Collection[str], start: int | None, stop: int | None) -> Iterator[SerializedMessage]:
-        """See `Source.messages`."""
+        """Yield the messages of some topics, as `Source.messages`."""
         chosen = [connection for connection in self._reader.connections if connection.topic in topics]
         if not chosen:
             return
@@ -160,10 +160,10 @@ class Sqlite3Source:
             raise DamagedError(reason(error)) from None
 
     def check(self) -> None:
-        """See `Source.check`: there is no checksum."""
+        """Do nothing: the format has no checksum."""
 
     def close(self) -> None:
-        """See `Source.close`."""
+        """Close the file."""
         with suppress(Exception):
             self._reader.close()
 

@@ -40,5 +40,5 @@ def parsed_qos(profiles: Any) -> tuple[Qos, ...]:
     """
     try:
         return tuple(dump_qos_v9(parse_qos(parse_yaml(profiles) if isinstance(profiles, str) else profiles)))
-    except Exception:  # what a bag says of quality of service is not worth a bag that cannot be read
+    except Exception:  # a bag with wrong QoS profiles can still be read
         return ()

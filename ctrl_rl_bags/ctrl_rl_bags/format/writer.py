@@ -1,8 +1,8 @@
 """Writes rosbag2 folders: metadata.yaml beside .mcap files, raw CDR bytes untouched.
 
-A bag that is being written has no metadata.yaml yet: that file says that the bag is whole. Until then everything older
+A bag that is being written has no metadata.yaml yet: that file marks the bag as complete. Until then everything older
 than `flush_s` is in the hands of the operating system and survives a SIGKILL; the disk is told to keep it by a thread,
-so that a slow card does not hold up the messages. See `bag_recovery` for mending what was cut off.
+so that a slow card does not hold up the messages. `recovery` reads a bag that was cut off.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class BagWriter:
         max_file_s: Start the next file after this span of log time [s]; 0 for one file.
         chunk_bytes: Uncompressed size of a chunk, the unit in which messages are compressed.
         flush_s: Longest time [s] that a message waits in this process, as long as `flush_if_due` is called as often.
-        min_free_bytes: Stop with a BagError, bag whole, when the disk has less free space than this.
+        min_free_bytes: Free space on the disk below which writing ends with a BagError and a complete bag [bytes].
 
     Raises:
         BagError: The folder exists or cannot be made.
@@ -262,5 +262,5 @@ class BagWriter:
     def _disk_error(self, error: OSError) -> BagError:
         return BagError(
             f"{self.file}: cannot be written ({error.strerror}); free some space. If the folder has no metadata.yaml, "
-            f"mend it: ros2 run ctrl_rl_bags bag recover {self.folder}"
+            f"recover it: ros2 run ctrl_rl_bags bag recover {self.folder}"
         )

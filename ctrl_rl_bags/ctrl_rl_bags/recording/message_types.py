@@ -38,7 +38,7 @@ def check_type(name: str) -> None:
     """Refuse a type name that is not valid, or that no installed interface package has; nothing is imported.
 
     Raises:
-        UnknownTypeError: Says which of the two it is.
+        UnknownTypeError: The type is not installed, or the name is none; the message says which.
     """
     if not is_type_name(name):
         shown = name if len(name) <= _LONGEST_SHOWN else f"{name[:_LONGEST_SHOWN]}..."

@@ -1,4 +1,4 @@
-"""Publishes a bag again: the recorded bytes, in the recorded rhythm, latched what was latched."""
+"""Publishes a bag again: the recorded bytes at the recorded times, with latched topics latched."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from ctrl_rl_bags.recording.qos import is_latched, publisher_qos
 
 _DEPTH = 1000
 _LATCHED_DEPTH = 100
-"""The middleware does not tell how many messages a latched topic kept: enough for every node's /tf_static."""
+"""Depth of latched topics, enough for every node's /tf_static; the middleware does not tell the recorded one."""
 _CLOCK_HZ = 100.0
 _SETTLE_S = 0.2
 _ACKNOWLEDGE_S = 2.0
@@ -64,7 +64,7 @@ def play(bag: Path | str, how: PlaybackOptions, warn: Callable[[str], None], *, 
 
     Args:
         bag: Folder or file.
-        how: Speed, topics and the like.
+        how: Settings of the replay.
         warn: Gets one line for each topic that cannot be played.
         progress: Show a bar on a terminal.
 
@@ -120,7 +120,7 @@ class _Player:
         return self._info.start + int(self._how.start_offset * 1e9)
 
     def _messages(self) -> Iterator[RawMessage]:
-        """Yield what is to be played; first, what was latched before the start, as a late subscriber would get it."""
+        """Yield the messages to play; first those latched before the start, as a late subscriber gets them."""
         if self._how.start_offset > 0.0:
             latched = [name for name in self._publishers if is_latched(self._info.topics[name].qos)]
             if latched:

@@ -1,4 +1,4 @@
-"""Quality of service between rclpy and a bag: what was offered, what to ask for, what to offer again.
+"""Quality of service between rclpy and a bag: profiles to record, to subscribe with, and to publish with again.
 
 After rosbag2's rules: a request must match every publisher, an offer every subscriber.
 """
@@ -37,7 +37,7 @@ def subscription_qos(offered: Sequence[QoSProfile], depth: int) -> QoSProfile:
 
 
 def publisher_qos(recorded: Sequence[Qos], depth: int) -> QoSProfile:
-    """Return the offer that satisfies whom any of the recorded ones satisfied; reliable if none was recorded."""
+    """Return a profile that fits every subscriber that a recorded one fitted; reliable if none was recorded."""
     reliable = not recorded or any(profile["reliability"] != "best_effort" for profile in recorded)
     return _profile(reliable, is_latched(recorded), depth)
 

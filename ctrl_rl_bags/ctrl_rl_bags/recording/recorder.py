@@ -1,4 +1,4 @@
-"""Follows the ROS graph and writes what is published to a bag.
+"""Follows the ROS graph and writes all published messages to a bag.
 
 `TopicRecorder` subscribes to topics as they appear; `ParameterCollector` asks every node for its parameters.
 Both are driven by calling `discover` a few times a second.
@@ -30,7 +30,7 @@ from ctrl_rl_bags.recording.write_queue import BagQueue
 _TAKE_AT_ONCE = 200
 """Messages taken of one topic before the others get their turn."""
 _PATIENCE_S = 1.0
-"""How long a node has to say its parameters before it is asked again."""
+"""Time that a node has to answer with its parameters before it is asked again."""
 
 
 @dataclass
@@ -79,7 +79,7 @@ class TopicRecorder:
                 self._add(name, self._node.get_publishers_info_by_topic(name))
 
     def drain(self) -> None:
-        """Hand over what has arrived and was not yet looked at."""
+        """Write the messages that have arrived and were not yet taken."""
         for recorded in self._recorded.values():
             self._take(recorded, limit=self._queue_depth)
 
@@ -222,7 +222,7 @@ class ParameterCollector:
 class _ParameterQuestion:
     """One node's parameters, asked for until they are there.
 
-    A node may answer before it has discovered who asks: the answer is lost then, and only asking again helps.
+    A node may answer before it has discovered this one: the answer is lost then, and the question is repeated.
     """
 
     def __init__(self, node: Node, name: str, keep: Callable[[dict[str, Any]], None]) -> None:

@@ -20,7 +20,7 @@ from ctrl_rl_bags.recording.write_queue import BagQueue
 
 _DISCOVERY_S = 0.2
 _PATIENCE_S = 4.0
-"""How long what waits is still written when the recorder stops [s]."""
+"""Time to write the waiting messages when the recorder stops [s]."""
 
 
 class RecorderNode(SuiteNode):
@@ -35,7 +35,9 @@ class RecorderNode(SuiteNode):
         Parameter("include_hidden", False, "Record topics with a name part that begins with _ too."),
         Parameter("max_file_mb", 1000, "Size at which the next file begins [MB]; 0: one file.", 0, 1_000_000),
         Parameter("max_file_s", 0.0, "Time after which the next file begins [s]; 0: one file.", 0.0, 1e6),
-        Parameter("min_free_mb", 64, "Stop, bag whole, when the disk has less space left [MB].", 0, 1_000_000),
+        Parameter(
+            "min_free_mb", 64, "Free disk space below which the recorder stops with a complete bag [MB].", 0, 1_000_000
+        ),
         Parameter("queue_depth", 2000, "Messages of a topic that the middleware may keep for it.", 1, 1_000_000),
         Parameter("max_queue_mb", 128, "Memory of all messages that wait to be written [MB].", 1, 1_000_000),
         Parameter("digest_files", [""], "NAME=PATH: files (task, grid, policy) whose SHA-256 the bag keeps."),
@@ -67,7 +69,7 @@ class RecorderNode(SuiteNode):
         self.get_logger().info(f"recording to {self._writer.folder}")
 
     def status(self) -> Status:
-        """Say what has been written, and what could not be."""
+        """Return the counts of written, lost and dropped messages."""
         skipped = ", ".join(self._topics.skipped)
         values = {
             "messages": self._writer.message_count,
@@ -88,7 +90,7 @@ class RecorderNode(SuiteNode):
         return ok("recording", **values)
 
     def stop(self) -> None:
-        """Finish the bag and say in one line what it holds."""
+        """Finish the bag and log its content in one line."""
         self._topics.drain()
         finished = True
         try:
@@ -96,7 +98,7 @@ class RecorderNode(SuiteNode):
         except BagError as error:
             self.get_logger().error(str(error))
         if not finished:
-            self.get_logger().error(f"the disk does not answer: mend {self._writer.folder} with bag recover")
+            self.get_logger().error(f"the disk does not answer: recover {self._writer.folder} with bag recover")
         count, used = self._writer.message_count, sum(count > 0 for count in self._writer.message_counts.values())
         dropped = f", {self._queue.dropped.total()} dropped" if self._queue.dropped else ""
         lost = f"{self._topics.lost} lost{dropped}"

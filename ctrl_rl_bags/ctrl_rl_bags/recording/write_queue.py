@@ -1,6 +1,6 @@
-"""A queue in front of a bag, emptied by a thread, so that a slow disk holds up nobody and takes no memory.
+"""A queue in front of a bag, emptied by a thread, so that a slow disk delays no callback and takes no memory.
 
-What does not fit is dropped and counted. The queue is counted in messages and weighed in bytes.
+Messages that do not fit are dropped and counted. The queue is limited in messages and in bytes.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _OVERHEAD = 200
 
 
 class BagQueue:
-    """Hands messages over to a `BagWriter`, which nobody else may use from then on, but to read its counts.
+    """Hands messages over to a `BagWriter`, of which others may only read the counts from then on.
 
     Args:
         writer: Writer of the bag, used by one thread.
@@ -47,7 +47,7 @@ class BagQueue:
 
     @property
     def waiting_bytes(self) -> int:
-        """Memory of what waits."""
+        """Memory of the waiting messages [bytes]."""
         return self._bytes
 
     def add_topic(self, topic: Topic) -> None:
@@ -63,7 +63,7 @@ class BagQueue:
         self._put(topic, len(data), lambda: self._writer.write(topic, data, log_time, publish_time, sequence))
 
     def check(self) -> None:
-        """Say what went wrong with the bag.
+        """Raise the error of the bag, if there is one.
 
         Raises:
             BagError: The disk refuses.
@@ -72,7 +72,7 @@ class BagQueue:
             raise self._error
 
     def close(self, patience: float) -> bool:
-        """Write what waits for at most `patience` [s], drop the rest, and finish the bag.
+        """Write waiting messages for at most `patience` [s], drop the rest, and finish the bag.
 
         Returns:
             Whether the bag is finished; if the disk does not answer for twice as long, it is not.
@@ -104,7 +104,7 @@ class BagQueue:
             self._on_drop(name)
 
     def _work(self) -> None:
-        """Write what comes, flush in between, and finish the bag at the end; the first error ends it."""
+        """Write messages as they come, flush in between, and finish the bag at the end; the first error ends it."""
         try:
             while self._step():
                 pass

@@ -26,7 +26,7 @@ _SCAN_CHECKS = (
     Parameter(
         "min_echo_share",
         0.3,
-        "Least part of a scan's beams with an echo; below, the robot stands; 0.0 to drive in the open.",
+        "Least share of beams with an echo; the robot stops below it; 0.0 to drive in the open.",
         0.0,
         1.0,
         live=True,
@@ -34,7 +34,7 @@ _SCAN_CHECKS = (
     Parameter(
         "largest_gap",
         2.1,
-        "Widest angle without echoes in the direction of travel; beyond, the robot stands; 6.3 for any [rad].",
+        "Widest angle without echoes in the direction of travel; the robot stops beyond it; 6.3 for any [rad].",
         0.1,
         6.3,
         live=True,
@@ -42,7 +42,7 @@ _SCAN_CHECKS = (
     Parameter(
         "frozen_scans",
         2,
-        "Repetitions of the same ranges, while odometry says that the robot moves, that stop it; 0 for never.",
+        "Number of identical scans in a row that stop a moving robot; 0 for never.",
         0,
         1000,
         live=True,
@@ -140,7 +140,7 @@ class LidarVelocityNode(VelocityNode):
             super().on_parameter_changed(name)
 
     def status(self) -> Status:
-        """Say whether commands flow, and how much the last scan shows."""
+        """Return whether commands are sent, and the share of beams with an echo."""
         level, message, figures = super().status()
         view = self._safety.view
         share = "none" if view is None else f"{100 * view.share:.0f}"
@@ -161,7 +161,7 @@ class LidarVelocityNode(VelocityNode):
         )
 
     def _reach(self) -> float:
-        """Return how far from the lidar an echo may stop the robot [m]."""
+        """Return the distance from the lidar at which an echo may stop the robot [m]."""
         _, obstacles = self._checks()
         top = float(np.abs((self.low[0], self.high[0])).max())
         wide = obstacles.radius + obstacles.margin + abs(self.settings["lidar_x"])

@@ -72,7 +72,7 @@ class ObstacleStop:
         return np.array((0.0, omega)), f"obstacle {distance:.2f} m {where}"
 
     def _hit(self, points: Array, room: float, curvature: float) -> float:
-        """Return how far the robot gets on an arc of some length [m] before its disc meets an echo [m], else inf."""
+        """Return the way [m] on an arc of some length [m] until the disc meets an echo; inf where it meets none."""
         wide = self.radius + self.margin
         x, y = points[:, 0], points[:, 1]
         now = x * x + y * y

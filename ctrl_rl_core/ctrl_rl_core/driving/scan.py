@@ -1,8 +1,8 @@
-"""What a laser scan says of the space around a robot: echoes as points, and the directions in which there were any.
+"""The content of a laser scan: echoes as points, and the directions that have any.
 
 By REP-117 a range within range_min .. range_max is an echo, +inf nothing there, -inf something too close, NaN no
-measurement; an LDS-01 writes 0 for a miss. What a single beam without an echo means is for the policy to say; many of
-them side by side say nothing of what is there.
+measurement; an LDS-01 writes 0 for a miss. The meaning of a single beam without an echo is up to the policy; many of
+them side by side leave the space there unknown.
 """
 
 from __future__ import annotations

@@ -36,7 +36,7 @@ from ctrl_rl_core.ros.publishers import other_publishers
 VELOCITY_PARAMETERS = (
     Parameter("enable_stamped_cmd_vel", True, "Publish cmd_vel as TwistStamped (Jazzy) instead of Twist (Humble)."),
     Parameter("base_frame", "", "Frame of the commands; empty for the child frame of the odometry."),
-    Parameter("dry_run", False, "Decide and say so, but send nothing on cmd_vel.", live=True),
+    Parameter("dry_run", False, "Compute and log commands, but send nothing on cmd_vel.", live=True),
     WALL_TIMEOUT,
 )
 _SOME_BASE = "base_link"
@@ -153,10 +153,10 @@ class VelocityNode(SuiteNode):
 
         Args:
             command: The command; zeros for a robot that has nothing to do.
-            stamp: Time of what it answers; now where left out.
+            stamp: Time of the input that it answers; now unless given.
 
         Raises:
-            VelocityError: It is not finite, or not safe; nothing was sent, and the robot must stand.
+            VelocityError: The command is not finite, or not safe; nothing was sent, and the robot must stop.
         """
         if self.faults.failing:
             self.halt(f"callback failed: {self.faults.last}", stamp)
@@ -169,33 +169,33 @@ class VelocityNode(SuiteNode):
         return command
 
     def make_safe(self, command: NDArray[np.float64]) -> tuple[NDArray[np.float64], str]:
-        """Return what is safe of a command (2,) within the limits, and why that is not all; override it.
+        """Return the safe part of a command (2,), and the reason where it is less than the whole; override it.
 
         Raises:
-            VelocityError: The robot must stand.
+            VelocityError: The robot must stop.
         """
         return command, ""
 
     def halt(self, problem: str, stamp: Stamp | None = None) -> None:
-        """Send zero velocity, and say why where it is news.
+        """Send zero velocity, and log the reason when it changes.
 
         Args:
             problem: The reason, for the log and for `diagnostics`.
-            stamp: Time of what it answers; now where left out.
+            stamp: Time of the input that it answers; now unless given.
         """
         if not self.settings["dry_run"]:
             self._send(_STAND, stamp)
         self._say(problem)
 
     def on_callback_error(self, _error: Exception) -> None:
-        """Let the robot stand until each callback that failed has done its work again."""
+        """Stop the robot until each callback that failed has run again."""
         self.halt(f"callback failed: {self.faults.last}")
 
     def on_stale_input(self, problem: str) -> None:
-        """Act on an input that stays away; the robot stands already. Override it to say so elsewhere."""
+        """React to a stale input; the robot has been stopped already. Override it to report the input elsewhere."""
 
     def on_parameter_changed(self, name: str) -> None:
-        """Let the robot stand when a dry run begins: it must not go on with the last command."""
+        """Stop the robot when a dry run begins; it must not keep the last command."""
         if name == "dry_run" and self.settings["dry_run"] and self.moving:
             self._send(_STAND, None)
 
@@ -206,7 +206,7 @@ class VelocityNode(SuiteNode):
             self._publisher.wait_for_all_acked(_LAST_WORD)
 
     def status(self) -> Status:
-        """Say whether commands flow, and who else sends some."""
+        """Return whether commands are sent, and the names of other publishers."""
         dry = "dry run, nothing is sent: " if self.settings["dry_run"] else ""
         figures: dict[str, object] = {**self.counts, "other publishers": ", ".join(self._look_for_rivals())}
         if self._rivals:
@@ -222,7 +222,7 @@ class VelocityNode(SuiteNode):
     def _watch(self) -> None:
         """Stop the robot when an input stays away."""
         if self._elapsed(self._begun) <= self.timeout:
-            return  # what starts has a moment to be heard
+            return  # the inputs of a node that starts have some time to arrive
         problem = self.stale_input()
         if problem:
             self.counts["stale"] += 1
@@ -230,7 +230,7 @@ class VelocityNode(SuiteNode):
             self.on_stale_input(problem)
 
     def _say(self, problem: str) -> None:
-        """Take a reason to stand, empty for none; figures in it may change without being news."""
+        """Set the reason to stop, empty for none; a change of its figures alone is not logged."""
         if problem:
             self.counts["stopped"] += 1
             if _kind(problem) != _kind(self.problem):
@@ -238,14 +238,14 @@ class VelocityNode(SuiteNode):
         self.problem = problem
 
     def _watch_wall(self) -> None:
-        """Stop a moving robot when an input stays away while the simulated clock stands still."""
+        """Stop a moving robot when an input is overdue while the simulated clock stands still."""
         problem = self.stale_input() if self.moving else ""
         if problem:
             self.counts["stale"] += 1
             self.halt(f"{problem} in {self.settings[WALL_TIMEOUT.name]:g} s of wall time: is the simulation paused?")
 
     def _look_for_rivals(self) -> tuple[str, ...]:
-        """Return who else publishes on this node's cmd_vel; say so where it is news."""
+        """Return the other publishers of cmd_vel; log them when they change."""
         before, self._rivals = self._rivals, other_publishers(self, self._publisher.topic_name)
         if self._rivals and self._rivals != before:
             self.get_logger().warning(self._rivalry())
@@ -253,7 +253,7 @@ class VelocityNode(SuiteNode):
 
     def _rivalry(self) -> str:
         names, topic = ", ".join(self._rivals), self._publisher.topic_name
-        return f"{names} publishes on {topic} too: the robot obeys whoever spoke last"
+        return f"{names} publishes on {topic} too: the robot follows the latest command of any"
 
     def _elapsed(self, then: Time) -> float:
         return float((self._ages.now() - then).nanoseconds) * 1e-9

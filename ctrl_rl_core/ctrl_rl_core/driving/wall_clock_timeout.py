@@ -13,7 +13,7 @@ from ctrl_rl_core.ros.parameters import Parameter
 WALL_TIMEOUT = Parameter(
     "wall_timeout",
     5.0,
-    "Age in wall time of an input that stops the robot though the clock of use_sim_time stands still [s].",
+    "Age of an input in wall time that stops the robot even while the simulated clock stands still [s].",
     0.1,
     3600.0,
 )
@@ -22,8 +22,7 @@ WALL_TIMEOUT = Parameter(
 class WallClockTimeout:
     """Watches the ages of inputs on a steady clock.
 
-    It waits longer than the node's own time-out, since a simulation may run slower than real time. In a paused one it
-    lets the robot stand, which a robot does anyway where no time passes.
+    It waits longer than the node's own time-out, since a simulation may run slower than real time.
     """
 
     def __init__(self, node: SuiteNode, look: Callable[[], None]) -> None:

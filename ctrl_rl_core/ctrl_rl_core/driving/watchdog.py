@@ -31,7 +31,7 @@ class Watchdog:
         self.silent, self.overslept = True, 0
 
     def passes(self, now: float) -> bool:
-        """Return whether a sound command that arrives now may go to the robot; otherwise zero does."""
+        """Return whether a valid command that arrives now may go to the robot; if not, zero is due."""
         self._notice_freeze(now)
         if now < self._deaf_until:
             return False

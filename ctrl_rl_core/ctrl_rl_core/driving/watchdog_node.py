@@ -27,9 +27,9 @@ _LATEST_NS = 2**31 * 10**9 - 1
 class WatchdogNode(SuiteNode):
     """Passes velocity commands on, and sends zeros to the robot when they stop coming.
 
-    Subscribes to cmd_vel_raw, publishes cmd_vel. Time is wall time, whatever use_sim_time says. It must run as a
+    Subscribes to cmd_vel_raw, publishes cmd_vel. Time is wall time, even with use_sim_time. It must run as a
     process of its own, on the robot's own computer where there is one: remap the driver's cmd_vel to cmd_vel_raw. If
-    this process itself dies, nobody stops the robot but its base.
+    this process itself dies, only the robot's base can stop it.
     """
 
     SHARED_MEMORY = False
@@ -68,11 +68,11 @@ class WatchdogNode(SuiteNode):
         self._send_zero()
 
     def on_callback_error(self, _error: Exception) -> None:
-        """Stop the robot: what was to be passed on, or to be noticed, may be lost."""
+        """Stop the robot, because a command or a time-out may have been lost."""
         self._send_zero()
 
     def status(self) -> Status:
-        """Say whether commands pass, since when none come, and who else drives the robot."""
+        """Return whether commands pass, the age of the last one, and other publishers of the output."""
         age = self._watchdog.silent_for(time.monotonic())
         figures: dict[str, object] = {
             **self._counts,
@@ -139,7 +139,7 @@ class WatchdogNode(SuiteNode):
         self._output.publish(zero)
 
     def _lag_of(self, stamp: Stamp) -> int:
-        """Return how far a command's stamp lies behind this node's clock [ns]; zero where it has no stamp."""
+        """Return the lag of a command's stamp behind this node's clock [ns]; zero without a stamp."""
         sent = Time.from_msg(stamp).nanoseconds
         return self.get_clock().now().nanoseconds - sent if sent > 0 else 0
 
@@ -153,7 +153,7 @@ class WatchdogNode(SuiteNode):
         return Time(nanoseconds=min(max(now, 0), _LATEST_NS)).to_msg()
 
     def _look_around(self) -> tuple[str, ...]:
-        """Return who else publishes on the output; say so once for each change."""
+        """Return the other publishers of the output; log them when they change."""
         rivals = other_publishers(self, self._output.topic_name)
         if rivals != self._rivals and rivals:
             self.get_logger().warning(
@@ -165,7 +165,7 @@ class WatchdogNode(SuiteNode):
 
     def _wrong_type(self) -> str:
         wrong = publishers_of_other_types(self, self._input.topic_name, self._kind)
-        return f": {', '.join(wrong)} is not heard, see enable_stamped_cmd_vel" if wrong else ""
+        return f": {', '.join(wrong)} is ignored: set enable_stamped_cmd_vel to match it" if wrong else ""
 
 
 def refusal(twist: Twist, largest_speed: float, largest_turn_rate: float) -> str:

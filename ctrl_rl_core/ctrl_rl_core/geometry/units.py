@@ -36,7 +36,7 @@ _FACTORS: dict[str, dict[str, float]] = {
 _LARGEST: dict[str, float] = {"m": 1e5, "s": 1e6, "rad": 1e3, "m/s": 1e3, "rad/s": 1e4, "Hz": 1e5}
 """Of a robot's world, in SI units; of the others 1e9."""
 _LEAST = 1e-6
-"""Of what must be positive, in SI units: less is nothing."""
+"""Least value of a positive quantity, in SI units."""
 _LONGEST = 200
 _NUMBER = r"[-+]?(?:\d+(?:\.\d+)?|\.\d+)(?:[eE][-+]?\d+)?"
 _QUANTITY = re.compile(rf"(\(.*\)|{_NUMBER}(?:\s*\.\.\s*{_NUMBER})?)\s*(.*)")
@@ -55,7 +55,7 @@ class Interval(NamedTuple):
 
     @property
     def length(self) -> float:
-        """How long it is."""
+        """Difference between the bounds."""
         return self.high - self.low
 
     def __contains__(self, value: object) -> bool:

@@ -20,7 +20,7 @@ from ctrl_rl_core.io.file_checks import FileError, read_bytes, short_repr
 
 Arrays = dict[str, NDArray[Any]]
 _DAMAGE = (zipfile.BadZipFile, zlib.error, ValueError, EOFError, NotImplementedError, RuntimeError, KeyError, TypeError)
-"""What zipfile and NumPy raise about a damaged archive."""
+"""Exceptions of zipfile and NumPy for a damaged archive."""
 
 
 def encode_arrays(arrays: Mapping[str, NDArray[Any]]) -> bytes:
@@ -32,7 +32,7 @@ def encode_arrays(arrays: Mapping[str, NDArray[Any]]) -> bytes:
 
 
 def read_arrays(path: str | os.PathLike[str], names: Sequence[str], largest: int) -> Arrays:
-    """Return the arrays of an archive: booleans, whole and finite numbers, and texts.
+    """Return the arrays of an archive: booleans, integers, finite numbers, and texts.
 
     Args:
         path: The file to read.

@@ -68,12 +68,12 @@ def with_digest(content: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def digest(content: Mapping[str, Any]) -> str:
-    """Return the SHA-256 (hex) of what an object says; its layout and the order of its keys do not count."""
+    """Return the SHA-256 (hex) of an object's content; layout and order of keys do not count."""
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 def warn_missing_digest(path: str | os.PathLike[str]) -> None:
-    """Say, once a file, that it has no digest."""
+    """Warn, once for each file, that it has no digest."""
     name = short_path(path)
     if name not in _told:
         _told.add(name)

@@ -81,7 +81,7 @@ def encode_tensors(tensors: Mapping[str, NDArray[Any]], key: str, header: Mappin
 
 
 def kind_of(path: str | os.PathLike[str]) -> tuple[str, ...]:
-    """Return the keys of a file's metadata, which say what kind of file it is.
+    """Return the keys of a file's metadata, by which kinds of files differ.
 
     Raises:
         FileError, OSError: As `read_tensors`.

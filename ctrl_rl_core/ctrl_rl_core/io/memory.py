@@ -1,4 +1,4 @@
-"""How much memory there is."""
+"""Memory that can be allocated."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from pathlib import Path
 
 
 def available() -> float:
-    """Bytes that can be allocated: what the system has to give, or less where this process's group may take less."""
+    """Return the bytes that can be allocated: those of the system, or fewer where this process's group is limited."""
     bytes_ = float("inf")
     try:
         for line in Path("/proc/meminfo").read_text(encoding="ascii").splitlines():

@@ -88,7 +88,7 @@ def write_results(
     rows: Sequence[Result],
     figures: Mapping[str, Any] | None = None,
 ) -> None:
-    """Write an experiment's rows, with the command and commit that gave them; the file is there whole or not at all.
+    """Write an experiment's rows, with the command and commit that produced them; the file is written atomically.
 
     Args:
         path: Path of the file, which is replaced if it exists.
@@ -125,7 +125,7 @@ def read_results(folder: Path) -> list[Experiment]:
     """Return every experiment of a folder; benchmark rows, a list, are not one.
 
     Raises:
-        ResultsError: A file is damaged, or not what `write_results` wrote.
+        ResultsError: A file is damaged, or was not written by `write_results`.
     """
     out = []
     for file in sorted(folder.glob("*.json")):

@@ -1,4 +1,4 @@
-"""What the headers of files are checked against: exact types, no unknown keys, finite numbers."""
+"""The base of the schemas of files: exact types, no unknown keys, finite numbers."""
 
 from __future__ import annotations
 
@@ -20,4 +20,4 @@ Number = Annotated[float, Field(ge=-1e30, le=1e30)]
 """A quantity of the physical world, in SI units."""
 Positive = Annotated[float, Field(gt=0.0, le=1e30)]
 Anything = dict[str, Any]
-"""What is kept for people to read: no code asks it for more than it checks itself."""
+"""Content that is kept for people to read; code that uses it checks it first."""

@@ -48,7 +48,7 @@ def map_in_processes(
 
     Raises:
         WorkersError: A worker was killed.
-        Exception: Whatever `work` raises; what has not begun then is dropped.
+        Exception: Any error of `work`; items that have not begun are dropped.
     """
     with ProcessPoolExecutor(workers, CONTEXT, _begin, (prepare, terms)) as pool:
         with _deaf_to_interrupts():
@@ -64,7 +64,7 @@ def map_in_processes(
                 "a worker process was killed: run the same command again, it goes on where this ended"
             ) from None
         except BaseException:
-            # What is under way is not waited for: it may take minutes, and may be taken up again.
+            # Items under way are not waited for: they may take minutes, and may be continued by another run.
             for process in list((pool._processes or {}).values()):
                 process.terminate()
             raise

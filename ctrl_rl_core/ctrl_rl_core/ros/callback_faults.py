@@ -1,4 +1,4 @@
-"""Callbacks that fail: caught, counted, said at most every few seconds, and survived."""
+"""Guards of callbacks: errors are caught, counted, and logged at most every few seconds."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ class Faults:
     """The failures of one node's callbacks.
 
     Args:
-        react: Called with the error after each failure; what it raises is counted too.
+        react: Function that is called with each error; its own errors are counted too.
         logger: Returns the node's logger.
-        fatal: Errors that say that the node cannot do its work any more.
+        fatal: Classes of errors that end the node.
 
     Attributes:
         count: Failures so far.
@@ -64,7 +64,7 @@ class Faults:
                 callback(*arguments)
             except ExternalShutdownException:
                 raise
-            except Exception as error:  # whatever it is, the node's other callbacks are still needed
+            except Exception as error:  # the node's other callbacks are still needed
                 self.failing.add(name)
                 self.note(name, error)
             else:
@@ -96,7 +96,7 @@ class Faults:
         return guarded
 
     def note(self, name: str, error: Exception) -> None:
-        """Count a failure, say it, and react to it."""
+        """Count a failure, log it, and react to it."""
         if isinstance(error, self._fatal):
             self.ended_by = self.ended_by or error
             return

@@ -53,7 +53,7 @@ Status = tuple[bytes, str, Mapping[str, object]]
 class SuiteNode(Node):
     """A node with checked settings, diagnostics at 1 Hz of wall time, and a last word before it stops.
 
-    No callback ends it: what one raises is counted, said in the log and in diagnostics, and handed to
+    No callback ends it: an error of one is counted, shown in the log and in diagnostics, and handed to
     `on_callback_error`. Log level debug shows the traceback.
 
     Attributes:
@@ -63,10 +63,10 @@ class SuiteNode(Node):
         executor_name: The kind of the executor that serves it.
         QUICK: Whether to use the events executor: half the latency and CPU of the usual one, whose cost grows with
             every timer and service; it knows neither raw subscriptions nor guard conditions.
-        SHARED_MEMORY: Whether Fast DDS may use shared memory. What drives a robot does not: a process that is killed
-            while it holds a lock there freezes the others. The user's own choice of transports counts, and with
+        SHARED_MEMORY: Whether Fast DDS may use shared memory. A node that drives a robot must not: a process that is
+            killed while it holds a lock there freezes the others. The user's own choice of transports counts, and with
             ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST rmw_fastrtps uses shared memory whatever is chosen.
-        settings: Their values by name; kept up to date where `ros2 param set` changes them.
+        settings: Values of the parameters by name, updated by `ros2 param set`.
     """
 
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = ()
@@ -85,13 +85,15 @@ class SuiteNode(Node):
         self.settings = declare(self, self.PARAMETERS)
         for given in self._parameter_overrides:
             if not self.has_parameter(given):
-                self.get_logger().warning(f"parameter '{given}' is unknown to this node and has no effect: see --help")
+                self.get_logger().warning(
+                    f"parameter '{given}' is unknown to this node and has no effect: --help lists the parameters"
+                )
         self.add_on_set_parameters_callback(self._set_parameters)
         self._diagnostics = self.create_publisher(DiagnosticArray, DIAGNOSTICS, 10)
         self.create_timer(1.0, self._publish_diagnostics, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def status(self) -> Status:
-        """Return what `diagnostics` says; override it."""
+        """Return the status for `diagnostics`; override it."""
         return ok("running")
 
     def diagnostics_stamp(self) -> TimeMsg:
@@ -106,12 +108,12 @@ class SuiteNode(Node):
         """
 
     def stop(self) -> None:
-        """Say the last word (zero velocity, a finished file) while publishers still work; called once, override it."""
+        """Finish the work (send zero velocity, close a file) while publishers still work; called once, override it."""
 
     def on_callback_error(self, error: Exception) -> None:
-        """React to a callback that raised, which is counted and said already; override it in a node that drives.
+        """React to a callback that raised; it is counted and logged already. Override it in a node that drives.
 
-        There the robot stands, and goes on standing while `faults.failing` names an input.
+        Such a node stops the robot, and keeps it stopped while `faults.failing` names an input.
         """
 
     def create_timer(self, timer_period_sec: float, callback: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
@@ -144,10 +146,10 @@ class SuiteNode(Node):
         self.get_logger().warning(f"parameter request refused: {reason}", throttle_duration_sec=5.0)
 
     def _status(self) -> Status:
-        """Return the node's status with what failed in it."""
+        """Return the node's status with the failures of its callbacks."""
         try:
             level, message, values = self.status()
-        except Exception as error:  # a node that cannot say how it is must say at least that
+        except Exception as error:  # a failing status is itself a status
             self.faults.note("status", error)
             level, message, values = DiagnosticStatus.ERROR, "no status", {}
         values = {**values, "executor": self.executor_name}
@@ -214,7 +216,7 @@ def to_stamp(nanoseconds: int) -> TimeMsg:
 
 
 def float32_array(values: NDArray[np.floating]) -> array[float]:
-    """Return `values` as the array that a float32[] field takes whole; an ndarray is copied element by element."""
+    """Return `values` as the array that a float32[] field takes at once; an ndarray is copied by element."""
     out = array("f")
     out.frombytes(np.ascontiguousarray(values, dtype=np.float32).tobytes())
     return out

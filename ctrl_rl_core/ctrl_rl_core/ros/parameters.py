@@ -57,7 +57,7 @@ class Parameter:
 
     @property
     def limits(self) -> str:
-        """What is allowed, in words; empty where everything of the type is."""
+        """The allowed values in words; empty where all of the type are."""
         if self.choices:
             return "one of: " + ", ".join(self.choices)
         match self.minimum, self.maximum:
@@ -71,7 +71,7 @@ class Parameter:
                 return f"{low:g} to {high:g}"
 
     def descriptor(self) -> ParameterDescriptor:
-        """Return what `ros2 param describe` shows."""
+        """Return the descriptor that `ros2 param describe` shows."""
         out = ParameterDescriptor(name=self.name, description=self.description, read_only=not self.live)
         out.additional_constraints = self.limits
         if self.minimum is None and self.maximum is None:
@@ -132,7 +132,7 @@ class Parameter:
         return ParameterError(f"parameter '{self.name}' is {given}: must be {kind}: {self.description}")
 
     def _given(self, value: Any) -> Any:
-        """Return what was given at start, where YAML took a text for a number, or cannot tell the type of a list."""
+        """Return the value given at the start, where YAML took a text for a number or has no type for a list."""
         if isinstance(self.default, list) and value in (None, []):
             return [""]
         if isinstance(self.default, str) and isinstance(value, float) and not math.isfinite(value):
@@ -181,7 +181,7 @@ def _shown(value: Any) -> str:
 
 
 def help_text(program: str, description: str, table: Iterable[Parameter]) -> str:
-    """Return what --help prints for a node."""
+    """Return the text of a node's --help."""
     lines = [
         f"usage: {program} [--ros-args -p NAME:=VALUE ... -r FROM:=TO ...]",
         "",

@@ -1,4 +1,4 @@
-"""Who else publishes on a topic: read from the ROS graph, which costs a fraction of a millisecond a question."""
+"""Other publishers of a topic, from the ROS graph; a query takes a fraction of a millisecond."""
 
 from __future__ import annotations
 

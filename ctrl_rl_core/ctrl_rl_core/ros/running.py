@@ -1,4 +1,4 @@
-"""The life of a node's process: what it needs to start, its executor, signals, and how it ends."""
+"""The life of a node's process: checks at the start, executor, signals, and a clean end."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ EXIT_FAILURE = 1
 EXIT_USAGE = 2
 _POLL_S = 0.1
 _BREATH_S = 0.001
-"""After a failure outside of all callbacks, so that one that repeats for ever leaves the processor to others [s]."""
+"""Pause after a failure outside of all callbacks [s], so that a repeated one leaves the processor to others."""
 _LEAST_FILES = 64
 """Files and sockets that a node may have open; the middleware alone takes some 30."""
 
@@ -45,7 +45,7 @@ class _InterruptedError(BaseException):
 
 
 class _Stop:
-    """What SIGINT and SIGTERM do: they ask for the end, and cut off what says that it may be.
+    """Handling of SIGINT and SIGTERM: they request the end, and interrupt blocks that allow it.
 
     Attributes:
         asked: Whether one has come.
@@ -107,7 +107,7 @@ def run_node(kind: type[SuiteNode], arguments: list[str] | None = None) -> int:
         _say(f"{program}: {error}", sys.stderr)
         return EXIT_USAGE if isinstance(error, ParameterError) else EXIT_FAILURE
     except Exception as error:
-        if _stop.asked:  # what was cut off says so in its own way
+        if _stop.asked:  # an interrupted block reports that itself
             return 0
         _say(f"{program}: {'could not start' if node is None else 'failed'}: {one_line(error)}", sys.stderr)
         _explain(program)
@@ -147,12 +147,14 @@ def _check_open_files() -> None:
     if soft >= _LEAST_FILES or soft == resource.RLIM_INFINITY:
         return
     if hard != resource.RLIM_INFINITY and hard < _LEAST_FILES:
-        raise ParameterError(f"only {hard} files may be open at once: a node needs {_LEAST_FILES}, see ulimit -n")
+        raise ParameterError(
+            f"only {hard} files may be open at once: a node needs {_LEAST_FILES}, raise it with ulimit -n"
+        )
     resource.setrlimit(resource.RLIMIT_NOFILE, (_LEAST_FILES, hard))
 
 
 def _check_log_folder() -> None:
-    """Find out whether ROS can write its log, before it says so in many lines.
+    """Check whether ROS can write its log, before it complains in many lines.
 
     Raises:
         ParameterError: It cannot.
@@ -182,7 +184,7 @@ def _executor(node: SuiteNode) -> Any:
 
 
 def _spin(node: SuiteNode) -> None:
-    """Serve the node's callbacks until a signal or the middleware says stop."""
+    """Serve the node's callbacks until a signal or the middleware ends it."""
     executor = _executor(node)
     node.executor_name = type(executor).__name__
     executor.add_node(node)

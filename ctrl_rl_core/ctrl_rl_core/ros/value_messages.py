@@ -1,4 +1,4 @@
-"""A value function as messages: the whole grid, a slice of it, answers to queries."""
+"""Value functions as messages: the grid, a slice of it, answers to queries."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _UNKNOWN, _HIGHEST = -1, 100
 
 
 def grid_message(grid: ValueGrid, stamp: Time, frame: str) -> ValueGridMsg:
-    """Return the whole grid."""
+    """Return a grid as a message."""
     out = ValueGridMsg(
         header=Header(stamp=stamp, frame_id=frame),
         kind=grid.kind,
@@ -58,7 +58,7 @@ def slice_message(function: ValueFunction, at: Mapping[str, float], stamp: Time,
         frame: Frame of the positions; a map lies in x-y, so an x-z plane is shown lying down.
 
     Raises:
-        ValueFunctionError: There is no plane of positions, or `at` names what the state lacks.
+        ValueFunctionError: There is no plane of positions, or `at` names no state.
     """
     plane = plane_of(function)
     first, second = plane.first, plane.second
@@ -89,12 +89,12 @@ def as_percent(values: NDArray[np.float64]) -> NDArray[np.int8]:
 
 
 def answer(function: ValueFunction, request: QueryValues.Request, response: QueryValues.Response) -> None:
-    """Fill the answer to a query, of any size: what looking up takes besides the answer does not grow with it."""
+    """Fill the answer to a query; the additional memory does not grow with its size."""
     n = len(function.state_names)
     states = np.asarray(request.states, dtype=float)
     if len(states) % n:
         response.success = False
-        response.message = f"{len(states)} numbers are no whole states of {n}: {', '.join(function.state_names)}"
+        response.message = f"{len(states)} numbers are not a multiple of {n}: {', '.join(function.state_names)}"
         return
     states = states.reshape(-1, n)
     for part in batches(len(states)):

@@ -1,6 +1,6 @@
-"""What the nodes that serve a value function share: a value for each odometry message, grid, slice, queries, reload.
+"""Base class of nodes that serve a value function: a value for each odometry message, grid, slice, queries, reload.
 
-The time-to-reach node and the optimal-control node each derive from `ValueServer` and say how their file is read.
+The time-to-reach node and the optimal-control node each derive from `ValueServer` and read their own files.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class ValueServer(SuiteNode):
         self._slice = self.create_publisher(OccupancyGrid, "~/slice", LATCHED)
         self._load(self.settings["grid"])
         self.create_subscription(Odometry, "odom", self._on_odometry, _EVERY_MESSAGE)
-        # Last: who sees this publisher knows that the function is loaded and that odometry is heard.
+        # Last, so that this publisher shows that the function is loaded and odometry is subscribed to.
         self._values = self.create_publisher(StateValue, self.TOPIC, RESULT)
         self.create_service(QueryValues, "~/query", self._on_query)
         self.create_service(Trigger, "~/reload", self._on_reload)
@@ -78,14 +78,14 @@ class ValueServer(SuiteNode):
 
     @abstractmethod
     def prepare(self, function: ValueFunction) -> Valued:
-        """Return what is called with each odometry message, its state (n,) and value, before the StateValue goes out.
+        """Return the function that gets each odometry message, its state (n,) and value, before the StateValue is sent.
 
         Raises:
-            CtrlRlError: The function does not serve; what is served stays.
+            CtrlRlError: The function is refused; the present one stays.
         """
 
     def status(self) -> Status:
-        """Say what is served, and how much of the odometry lies where the function says nothing."""
+        """Return the function that is served, and the share of odometry outside its domain."""
         figures: dict[str, object] = {**self._counts, "file": self.settings["grid"], "digest": self._function.digest}
         if not self._counts["odometry"]:
             return warn("waiting for odometry", **figures)
@@ -125,7 +125,7 @@ class ValueServer(SuiteNode):
         return function, reader, valued, slice_
 
     def _serve(self, function: ValueFunction, reader: OdometryReader, valued: Valued, slice_: OccupancyGrid) -> None:
-        """Let what is right in every respect take the place of what is served."""
+        """Replace the present function after all checks have passed."""
         self._function, self._reader, self._valued = function, reader, valued
         self._publish_grids()
         self._slice.publish(slice_)

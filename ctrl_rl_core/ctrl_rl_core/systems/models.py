@@ -53,7 +53,7 @@ class SystemModel:
 
 
 def dubins_car(math: Any, p: Mapping[str, float]) -> Dynamics:
-    """3D car (x, y, theta), controls (v, omega): thesis Eq. 3.7. See `DUBINS_CAR` for its constant speed."""
+    """3D car (x, y, theta), controls (v, omega): thesis Eq. 3.7. `DUBINS_CAR` has its constant speed."""
     del p
     cos, sin = math.cos, math.sin
 

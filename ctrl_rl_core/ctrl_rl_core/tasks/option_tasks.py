@@ -19,7 +19,7 @@ class ToolDeliveryAgent(Part):
 
 
 class ToolDeliveryRewards(Part):
-    """What each event pays."""
+    """Reward of each event."""
 
     step: Reward
     failed_pass: Reward

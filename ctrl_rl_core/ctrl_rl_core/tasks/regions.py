@@ -68,7 +68,7 @@ class Region:
 
 
 def position_indices(names: Sequence[str]) -> list[int]:
-    """Return where the two position components stand: x and y, or x and z."""
+    """Return the indices of the two positions: x and y, or x and z."""
     return [index for index, name in enumerate(names) if name in ("x", "y", "z")][:2]
 
 

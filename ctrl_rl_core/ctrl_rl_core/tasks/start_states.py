@@ -14,8 +14,8 @@ Array = NDArray[np.float64]
 _TRIES = 200
 """Draws of one robot's state before its layout is given up."""
 _LAYOUTS = 50
-"""Layouts that are begun before the start set counts as too small. One that fails says little: the first robots may
-happen to stand where no other finds room."""
+"""Number of layouts that are tried before the start set counts as too small. One failure proves little: the first
+robots may happen to leave no room for another."""
 _GAP = 0.1
 """Free space between two robots at the start [m]."""
 
@@ -60,7 +60,8 @@ def _draw_layout(
             if state is None:
                 state = task.start.region.sample(system.state_names, random)
             apart = all(np.linalg.norm(state[place] - other[place]) >= distance for other in layout)
-            # The first robot starts where the task says: a long thin body may be nearer to a wall than its radius.
+            # The first robot may start anywhere in the start set: a long thin body may come nearer to a wall than its
+            # radius.
             if apart and (index == 0 or world.signed_distance(state[place]) >= radius):
                 layout.append(state)
                 break

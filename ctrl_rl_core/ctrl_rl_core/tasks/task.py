@@ -1,4 +1,4 @@
-"""Tasks as validated YAML: one file says what solver, MPC, simulator, rewards and reports all need to know.
+"""Tasks as validated YAML: one file for solver, MPC, simulator, rewards and reports.
 
     task = load_task("curved_corridor")     # a task of the suite, or a path to a file of your own
     world = task.build_world(width=0.65)
@@ -71,18 +71,18 @@ class NavigationTask(TaskHeader):
 
     @property
     def plane(self) -> str:
-        """The coordinates of the plane: "xz" for a quadrotor, "xy" for what drives."""
+        """The coordinates of the plane: "xz" for a quadrotor, "xy" for a ground robot."""
         return "xz" if "z" in (state.name for state in SYSTEM_MODELS[self.system.model].states) else "xy"
 
     @property
     def observed_states(self) -> tuple[str, ...]:
-        """What a learner is told of the robot's own motion: the system's state, in a corridor the speeds too."""
+        """Observation of the robot's own motion: the system's state, and in a corridor the speeds."""
         own = self.system.build().state_names
         return own if self.corridor is None else (*own, "v", "omega")
 
     @property
     def plane_bounds(self) -> dict[str, Interval]:
-        """What the walls enclose, by the plane's coordinates [m]; around a corridor at its widest."""
+        """Bounds of the space within the walls, by coordinate [m]; around a corridor at its widest."""
         if self.arena is not None:
             return dict(zip(self.plane, self.arena.bounds, strict=True))
         assert self.corridor is not None
@@ -168,5 +168,5 @@ def load_navigation_task(name_or_path: str | FilePath) -> NavigationTask:
 
 
 def task_digest(task: TaskHeader) -> str:
-    """Return the SHA-256 (hex) of what the task says in SI units; prose and layout of the file do not count."""
+    """Return the SHA-256 (hex) of the task's content in SI units; prose and layout of the file do not count."""
     return hashlib.sha256(task.model_dump_json(exclude=_PROSE).encode()).hexdigest()

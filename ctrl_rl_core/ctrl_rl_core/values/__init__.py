@@ -1,1 +1,1 @@
-"""Value functions on regular grids: interpolation, files, and what users of a value may ask."""
+"""Value functions on regular grids: interpolation, files, and the protocol of their users."""

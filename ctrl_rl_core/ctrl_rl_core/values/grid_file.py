@@ -1,4 +1,4 @@
-"""One array and its JSON description in a safetensors file, written whole or not at all."""
+"""One array and its JSON description in a safetensors file, written atomically."""
 
 import hashlib
 from collections.abc import Mapping
@@ -37,7 +37,7 @@ class AxisHeader(Schema):
 
 
 class GridText(Schema):
-    """What a file says of a grid besides its axes, see `ValueGrid`."""
+    """Description of a grid besides its axes; its fields are those of `ValueGrid`."""
 
     kind: Literal["time_to_reach", "oc_value"]
     task: Name
@@ -70,7 +70,7 @@ def encode(values: NDArray[Any], description: Mapping[str, Any]) -> bytes:
 
 
 def write(path: Path, content: bytes, *, overwrite: bool) -> None:
-    """Write the file, whole or not at all.
+    """Write the file atomically.
 
     Raises:
         GridError: The file exists and `overwrite` is false, or it cannot be written.
@@ -87,7 +87,7 @@ def read(path: Path) -> tuple[NDArray[Any], tuple[Axis, ...], dict[str, Any]]:
     """Values, axes and the rest of the description of a file.
 
     Raises:
-        FileError, ValidationError, OSError: It is not a whole grid, see `file_checks.raise_as`.
+        FileError, ValidationError, OSError: The file holds no complete grid; `raise_as` turns each into one error.
     """
     header, tensors, _ = checked_tensors.read_tensors(path, HEADER_KEY, largest=None, finite=False)
     told = _GridHeader.model_validate(header)

@@ -42,7 +42,7 @@ _OPTIONS = {"error_model": "numpy"}
 
 
 def axis_table(axes: Sequence[Axis]) -> NDArray[np.float64]:
-    """Tabulate what the kernels need of the axes, shape (n, 9): no bounds on a periodic axis, period 0 on any other."""
+    """Return the axes as the table (n, 9) of the kernels: no bounds on a periodic axis, period 0 on any other."""
     table = np.zeros((len(axes), 9))
     stride = 1
     for row, axis in reversed(list(zip(table, axes, strict=True))):

@@ -1,4 +1,4 @@
-"""What a value function is to those that use one: rewards, baselines, the nodes that serve it."""
+"""The protocol of value functions for rewards, baselines and the nodes that serve them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ ROWS = 8192
 
 
 class ValueFunctionError(CtrlRlError):
-    """A value function and what is to be done with it do not belong together."""
+    """A value function does not fit the task or the purpose."""
 
 
 class ValueFunction(Protocol):
@@ -25,7 +25,7 @@ class ValueFunction(Protocol):
 
     @property
     def kind(self) -> str:
-        """What it is: "time_to_reach" or "oc_value"."""
+        """Kind of the values: "time_to_reach" or "oc_value"."""
 
     @property
     def task(self) -> str:

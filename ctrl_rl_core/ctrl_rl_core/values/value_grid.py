@@ -1,4 +1,4 @@
-"""A value function on a regular grid: what it is, its file, and its value and gradient at any state.
+"""A value function on a regular grid: its description, its file, and its value and gradient at any state.
 
     grid = ValueGrid.load("car_ttr.safetensors")
     phi = grid.at(np.array([0.0, 1.0, 0.5]))       # one state, the quick way
@@ -140,7 +140,7 @@ class ValueGrid:
         return ~np.isnan(self.value(states))
 
     def save(self, path: str | PathLike[str], *, overwrite: bool = False) -> None:
-        """Write the grid as one safetensors file, whole or not at all.
+        """Write the grid as one safetensors file, atomically.
 
         Raises:
             GridError: The file exists and `overwrite` is false, or it cannot be written.
@@ -152,7 +152,7 @@ class ValueGrid:
         """Read and check a grid.
 
         Raises:
-            GridError: Names the file and what is wrong with it.
+            GridError: The file cannot be read or is no grid; the message names it and the fault.
         """
         with raise_as(GridError, path):
             values, axes, text = grid_file.read(Path(path))

@@ -30,7 +30,7 @@ from sim_bridge.simulation.world import SimulatedWorld
 TICK = 0.005
 """Wall time between two slices of simulation [s]."""
 LONGEST_SLICE = 0.02
-"""Wall time that a slice may take [s]; what it then has not done is let go, so that signals and services never wait."""
+"""Wall time that a slice may take [s]; steps beyond it are skipped, so that signals and services never wait."""
 FREE_SLICE = 0.01
 """The same for a world that runs as fast as it goes [s]."""
 LONGEST_STEP = 10.0
@@ -98,7 +98,7 @@ class Bridge(SuiteNode):
         self._clock_publisher.publish(time.monotonic(), self._time)
 
     def _advance(self, steps: int, deadline: float = math.inf) -> None:
-        """Do physics steps, at most until a steady wall time [s], and publish what falls due on the way."""
+        """Do physics steps, at most until a steady wall time [s], and publish the messages that are due."""
         world = self._world
         end = world.steps + steps
         while world.steps < end and time.monotonic() < deadline:
@@ -220,7 +220,7 @@ def _checked_namespaces(names: list[str]) -> list[str]:
         if name and not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
             raise ParameterError(f"parameter 'robots': '{name}' is no namespace: use letters, digits and _")
     if len(set(names)) < len(names):
-        raise ParameterError("parameter 'robots': each namespace may stand there once")
+        raise ParameterError("parameter 'robots': each namespace may be named once")
     return names
 
 

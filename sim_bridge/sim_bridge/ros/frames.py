@@ -43,7 +43,7 @@ class Frames:
 
     @property
     def base(self) -> str:
-        """Frame that odometry moves: on the floor for what drives, in the middle of what flies."""
+        """Frame that odometry moves: on the floor below a ground robot, in the middle of a flying one."""
         return self.topic("base_footprint" if self.plane == "xy" else "base_link")
 
     @property
@@ -53,7 +53,7 @@ class Frames:
 
 
 def fixed_transforms(frames: Frames, task: NavigationTask) -> list[TransformStamped]:
-    """Return what never moves between base and lidar."""
+    """Return the static transforms between base and lidar."""
     if frames.plane == "xz":
         # The lidar turns about its own z, which points along -y of the body: bearings run from x to z.
         scan = _transform(frames.base, frames.scan, (0.0, 0.0, 0.0))

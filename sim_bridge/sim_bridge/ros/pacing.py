@@ -1,4 +1,4 @@
-"""Wall time and simulation time: how many physics steps are due now, and how fast the world really runs."""
+"""Wall time and simulation time: the physics steps that are due, and the real-time factor that is reached."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ LONGEST_GAP = 0.1
 
 
 class Pacer:
-    """Tells how many physics steps to do so that the world keeps a factor of wall time; it never rushes to catch up."""
+    """Counts the physics steps that keep the world at a factor of wall time; lost time is not made up."""
 
     def __init__(self, rate: int) -> None:
         """Pace a world of `rate` physics steps per second [Hz]."""
@@ -18,7 +18,7 @@ class Pacer:
         self._owed = 0.0
 
     def due(self, now: float, factor: float) -> int:
-        """Return the whole steps due.
+        """Return the number of steps due.
 
         Args:
             now: Steady wall time [s].
@@ -32,7 +32,7 @@ class Pacer:
         return steps
 
     def rest(self) -> None:
-        """Forget what is owed: the world is paused."""
+        """Forget the steps due, since the world is paused."""
         self._last, self._owed = None, 0.0
 
 

@@ -29,11 +29,16 @@ PARAMETERS = (
         "odom_rate", 30.0, "Odometry, ground truth and episode states per second [Hz].", minimum=1.0, maximum=240.0
     ),
     Parameter("clock_rate", 100.0, "Most messages on /clock per second [Hz].", minimum=1.0, maximum=100.0),
-    Parameter("lidar", "task", "The task's own, or what reads like a TurtleBot3's LDS-01 or LDS-02.", choices=LIDARS),
+    Parameter(
+        "lidar",
+        "task",
+        "Lidar: the task's own, or one with the readings of a TurtleBot3's LDS-01 or LDS-02.",
+        choices=LIDARS,
+    ),
     Parameter("scan_noise", -1.0, "Standard deviation of a range [m]; -1.0 for the task's.", minimum=-1.0, maximum=1.0),
     Parameter("scan_dropout", -1.0, "Probability that a beam is lost; -1.0 for the task's.", minimum=-1.0, maximum=1.0),
     Parameter("scan_rate", 0.0, "Scans per second [Hz]; 0.0 for the task's.", minimum=0.0, maximum=60.0),
-    Parameter("dropout_value", "nan", "What a lost beam of the task's lidar reads.", choices=("nan", "inf", "zero")),
+    Parameter("dropout_value", "nan", "Reading of a lost beam of the task's lidar.", choices=("nan", "inf", "zero")),
     Parameter(
         "odom_drift",
         0.0,

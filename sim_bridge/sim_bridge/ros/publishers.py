@@ -1,4 +1,4 @@
-"""States of a world as ROS messages, with a count of what went out on each topic."""
+"""States of a world as ROS messages, with a count for each topic."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _LATE_JOINER_S = 1.0
 
 
 class CountedPublisher:
-    """A publisher that knows how many messages it sent.
+    """A publisher that counts its messages.
 
     Attributes:
         topic: Its resolved name.
@@ -88,7 +88,7 @@ class RobotPublisher:
         self._truth.publish(self._truth_message)
 
     def publish_episode(self, time: int, number: int) -> None:
-        """Send how episode `number` stands at simulation time `time` [ns]."""
+        """Send the state of episode `number` at simulation time `time` [ns]."""
         episode, message = self._world.episode(self._robot), self._episode_message
         message.header.stamp = to_stamp(time)
         message.episode, message.seed = number, self._world.seed

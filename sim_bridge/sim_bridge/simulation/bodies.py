@@ -1,6 +1,6 @@
 """Robot bodies that carry out commands in a physics world, behind one protocol.
 
-A body takes two commands, which it limits to what it can do, and says where it is in the task's plane.
+A body takes two commands within its limits, and has a pose in the task's plane.
 """
 
 from __future__ import annotations
@@ -109,7 +109,7 @@ DRIVES: Mapping[str, DriveParameters] = {
 
 
 class DifferentialDrive:
-    """Two wheels on velocity motors with a first-order lag and limited torque, standing on a floor; see `Body`."""
+    """Two wheels on velocity motors with a first-order lag and limited torque, standing on a floor; a `Body`."""
 
     def __init__(self, physics: Physics, drive: DriveParameters, bounds: Array, radius: float, pose: Array) -> None:
         self._client, self._drive = physics.client, drive
@@ -171,7 +171,7 @@ class DifferentialDrive:
 
 
 class PlanarQuadrotor:
-    """Two rotor pairs in the x-z plane, thesis Eq. 3.10; see `Body`.
+    """Two rotor pairs in the x-z plane, thesis Eq. 3.10; a `Body`.
 
     PyBullet's step alone is first order. Here its joint speeds are those of half a step ago (leapfrog, second
     order): the first push lasts half a step, and where the command changes, old and new push for half a step each.

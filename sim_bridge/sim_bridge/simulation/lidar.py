@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from sim_bridge.engines.physics import Physics
 
 LOST_BEAM = {"nan": np.nan, "inf": np.inf, "zero": 0.0}
-"""What a driver may write for a lost beam; the LDS-01 of the burger writes 0."""
+"""Readings of a lost beam by name; the LDS-01 of the burger writes 0."""
 LIDARS = ("task", "lds01", "lds02")
 """The task's own by REP-117; an LDS-01: zero for whatever is not measured; an LDS-02: NaN for it, a count of beams that
 varies with the motor's speed, and a claim to measure from 0 to 100 m."""
@@ -39,7 +39,7 @@ class SensorPose:
 
 @dataclass(frozen=True)
 class LidarScan:
-    """One turn of a lidar, as sensor_msgs/LaserScan says it.
+    """One turn of a lidar, with the fields of sensor_msgs/LaserScan.
 
     Attributes:
         ranges: Measured distances (beams,) [m].
@@ -116,7 +116,7 @@ class Lidar:
         return LidarScan(ranges.astype(np.float32), float(bearings[0]), increment, *claim)
 
     def _beams(self, random: np.random.Generator) -> tuple[NDArray[np.float64], float, tuple[float, float]]:
-        """Return the bearings of this turn, their increment, and between what it measures."""
+        """Return the bearings of this turn, their increment, and the limits of its range."""
         if self.kind != "lds02":
             return self.bearings, self.spec.angle_increment, (self.spec.range.low, self.spec.range.high)
         count = random.uniform(*_LDS02_BEAMS)  # the increment follows the motor's speed, the count the increment

@@ -1,4 +1,4 @@
-"""Odometry that drifts as that of wheels does: what was driven and turned is measured with small constant errors."""
+"""Odometry that drifts like that of wheels: distances and turns are measured with small constant errors."""
 
 from __future__ import annotations
 

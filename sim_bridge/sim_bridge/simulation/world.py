@@ -210,7 +210,7 @@ class SimulatedWorld:
         )
 
     def __len__(self) -> int:
-        """Return how many robots there are."""
+        """Return the number of robots."""
         return self._count
 
     @property
@@ -225,7 +225,7 @@ class SimulatedWorld:
 
     @property
     def refused_commands(self) -> int:
-        """How many commands of this episode were not finite numbers."""
+        """Number of commands of this episode that were not finite."""
         return sum(robot.channel.refused for robot in self._robots)
 
     def command(self, robot: int, command: ArrayLike) -> bool:
@@ -277,7 +277,7 @@ class SimulatedWorld:
         return OdometryReading(pose, np.array((forward, sideways, turn)))
 
     def scan(self, robot: int = 0) -> NDArray[np.float32]:
-        """Return ranges (beams,) [m], see `laser_scan`."""
+        """Return the ranges (beams,) [m] of `laser_scan`."""
         return self.laser_scan(robot).ranges
 
     def laser_scan(self, robot: int = 0) -> LidarScan:

@@ -25,7 +25,7 @@ class Part(Schema):
 
 
 class TaskHeader(Part):
-    """What every task file starts with.
+    """Header of every task file.
 
     Attributes:
         name: Name of the file without suffix.
