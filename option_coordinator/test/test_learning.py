@@ -8,6 +8,7 @@ import pytest
 import torch
 from ctrl_rl_core.errors import CtrlRlError
 from ctrl_rl_training.experiments.matrix import run_experiments
+from ctrl_rl_training.experiments.replay_buffer import ReplayBuffer
 from ctrl_rl_training.experiments.run import RunOptions
 from ctrl_rl_training.experiments.run_folder import result_file
 from ctrl_rl_training.experiments.trainer import train
@@ -29,7 +30,6 @@ from option_coordinator.training.learners.epsilon_greedy import EpsilonGreedy
 from option_coordinator.training.learners.learner import decision_batch
 from option_coordinator.training.learners.mac_dqn import MacDqn
 from option_coordinator.training.learners.mappo import Mappo, MappoSettings
-from option_coordinator.training.learners.replay import Replay
 
 SHORT = {"iterations": 2, "samples": 200, "final_evaluations": 1}
 
@@ -175,17 +175,17 @@ def test_mac_dqn_learns_values_as_large_as_returns_in_a_few_hundred_steps(discou
 def test_the_replay_keeps_the_latest():
     _, trajectory, _ = gathered(200)
     count = len(trajectory)
-    replay = Replay(count + 5)
+    replay = ReplayBuffer(count + 5)
     for number in range(3):
-        replay.add(replace(trajectory, reward=np.full(count, float(number))))
+        replay.add(vars(replace(trajectory, reward=np.full(count, float(number)))))
     assert len(replay) == count + 5
     drawn = replay.draw(2000, np.random.default_rng(0))
-    assert set(drawn.reward) == {1.0, 2.0}
-    assert np.mean(drawn.reward == 2.0) == pytest.approx(count / (count + 5), abs=0.03)
-    other = Replay(count + 5)
-    other.recall(replay.arrays())
+    assert set(drawn["reward"]) == {1.0, 2.0}
+    assert np.mean(drawn["reward"] == 2.0) == pytest.approx(count / (count + 5), abs=0.03)
+    other = ReplayBuffer(count + 5)
+    other.restore(replay.arrays())
     again = other.draw(2000, np.random.default_rng(0))
-    assert all(np.array_equal(getattr(again, f.name), getattr(drawn, f.name)) for f in fields(drawn))
+    assert all(np.array_equal(again[name], drawn[name]) for name in drawn)
 
 
 def test_large_batches_are_learnt_in_parts():

@@ -1,11 +1,12 @@
-"""What was met, to learn from again and again."""
+"""The replay of Koopman learning: observations in their order, each kept once."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from ctrl_rl_training.experiments.replay_buffer import ReplayBuffer
 from numpy.typing import NDArray
 
 _PREFIX = "replay."
@@ -64,14 +65,14 @@ class Replay:
         """Make an empty one.
 
         Args:
-            capacity: Number of observations that fit.
-            shape: Shape of one observation: (n,) of a vector, or (pictures, height, width), oldest first, the first one
-                of an episode repeated where there is none before it.
+            capacity: Largest number of observations.
+            shape: Shape of an observation: (n,) for a vector, or (pictures, height, width), oldest first, the first
+                one of an episode repeated where there is none before it.
             controls: Number of controls.
             kind: Type of an observation's entries.
         """
         self._pictures = shape[0] if len(shape) == 3 else 0
-        self._arrays: dict[str, NDArray[np.generic]] = {
+        columns: dict[str, NDArray[Any]] = {
             "x": np.zeros((capacity, *(shape[1:] if self._pictures else shape)), kind),
             "u": np.zeros((capacity, controls), np.float32),
             "reward": np.zeros(capacity, np.float32),
@@ -79,7 +80,7 @@ class Replay:
             "begins": np.zeros(capacity, np.bool_),
             "age": np.zeros(capacity, np.int32),
         }
-        self._capacity, self._end, self._full, self._age = capacity, 0, False, 0
+        self._ring, self._age = ReplayBuffer(capacity, columns), 0
 
     def add(self, x: NDArray[np.generic], u: NDArray[np.float32], reward: float, terminated: bool) -> None:
         """Add a step that begins at x; what follows it is what is added next."""
@@ -92,41 +93,38 @@ class Replay:
 
     def _put(self, x: NDArray[np.generic], u: NDArray[np.float32] | np.float32, *rest: float) -> None:
         values = (x[-1] if self._pictures else x, u, *rest, self._age)
-        for array, value in zip(self._arrays.values(), values, strict=True):
-            array[self._end] = value
+        self._ring.add({name: np.asarray(value)[None] for name, value in zip(self._ring.columns, values, strict=True)})
         self._age += 1
-        self._end += 1
-        if self._end == self._capacity:
-            self._end, self._full = 0, True
 
     def draw(self, count: int, random: np.random.Generator) -> Transitions:
         """Return so many steps, drawn uniformly with replacement; at least one must be complete."""
         chosen = np.zeros(0, np.intp)
         while len(chosen) < count:
-            index = random.integers(self.filled, size=count)
+            index = random.integers(len(self._ring), size=count)
             chosen = np.concatenate((chosen, index[self._complete(index)]))
         return self._take(chosen[:count])
 
     def _complete(self, index: NDArray[np.intp]) -> NDArray[np.bool_]:
         """Return whether a step begins there whose next observation is there, and so are the pictures before it."""
-        newest = (self._end - 1) % self._capacity
-        kept = (index - self._end) % self._capacity if self._full else index
+        capacity, seen = self._ring.capacity, self._ring.seen
+        newest = (seen - 1) % capacity
+        kept = (index - seen) % capacity if seen >= capacity else index
         whole = kept >= self._before(index, self._pictures - 1)
-        return self._arrays["begins"][index].astype(np.bool_) & (index != newest) & whole
+        return self._ring.columns["begins"][index].astype(np.bool_) & (index != newest) & whole
 
     def _before(self, index: NDArray[np.intp], most: int) -> NDArray[np.intp]:
         """Return how many places an observation's oldest picture is before its newest, at most so many."""
-        return np.minimum(self._arrays["age"][index].astype(np.intp), max(0, most))
+        return np.minimum(self._ring.columns["age"][index].astype(np.intp), max(0, most))
 
     def _observation(self, index: NDArray[np.intp]) -> NDArray[np.generic]:
-        x = self._arrays["x"]
+        x = self._ring.columns["x"]
         if not self._pictures:
             return x[index]
         steps = range(self._pictures - 1, -1, -1)
-        return np.stack([x[(index - self._before(index, most)) % self._capacity] for most in steps], axis=1)
+        return np.stack([x[(index - self._before(index, most)) % len(x)] for most in steps], axis=1)
 
     def _take(self, index: NDArray[np.intp]) -> Transitions:
-        a, after = self._arrays, (index + 1) % self._capacity
+        a, after = self._ring.columns, (index + 1) % self._ring.capacity
         return Transitions(
             x=self._observation(index),
             u=a["u"][index].astype(np.float32, copy=False),
@@ -137,23 +135,19 @@ class Replay:
 
     def everything(self) -> Transitions:
         """Return all complete steps, oldest episodes first unless it has turned around."""
-        index = np.arange(self.filled)
+        index = np.arange(len(self._ring))
         return self._take(index[self._complete(index)])
 
-    @property
-    def filled(self) -> int:
-        """Places in use."""
-        return self._capacity if self._full else self._end
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Return everything, for a checkpoint: columns, and the next place, whether it has turned around, and age."""
+        out = {_PREFIX + name: column for name, column in self._ring.arrays().items() if name in self._ring.columns}
+        full, end = divmod(self._ring.seen, self._ring.capacity)
+        return {**out, _PREFIX + "end": np.array([end, full > 0, self._age], np.int64)}
 
-    def arrays(self) -> dict[str, NDArray[np.generic]]:
-        """Return all that is in it, and where its end is, as arrays whose names say that they are a replay's."""
-        out = {_PREFIX + name: array[: self.filled] for name, array in self._arrays.items()}
-        return {**out, _PREFIX + "end": np.array([self._end, self._full, self._age], np.int64)}
-
-    def restore(self, arrays: Mapping[str, NDArray[np.generic]]) -> None:
-        """Take what `arrays` gave; others may lie among them."""
-        for name, array in self._arrays.items():
+    def restore(self, arrays: Mapping[str, NDArray[Any]]) -> None:
+        """Take up what `arrays` returned; others may lie among them."""
+        for name, column in self._ring.columns.items():
             kept = arrays[_PREFIX + name]
-            array[: len(kept)] = kept
-        self._end, full, self._age = (int(value) for value in arrays[_PREFIX + "end"])
-        self._full = bool(full)
+            column[: len(kept)] = kept
+        end, full, self._age = (int(value) for value in arrays[_PREFIX + "end"])
+        self._ring.seen = end + full * self._ring.capacity

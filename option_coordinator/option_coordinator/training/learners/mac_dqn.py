@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from ctrl_rl_training.experiments.replay_buffer import ReplayBuffer
 from ctrl_rl_training.io.learner_state import Arrays
 from numpy.typing import NDArray
 from torch import Tensor, nn
@@ -26,7 +27,6 @@ from option_coordinator.training.heads.table_head import TableHead
 from option_coordinator.training.heads.value_norm import ValueNorm
 from option_coordinator.training.learners.epsilon_greedy import EpsilonGreedy
 from option_coordinator.training.learners.learner import Learner, as_tensor, decision_batch
-from option_coordinator.training.learners.replay import Replay
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ class MacDqn(Learner):
         self.scale, self.target_scale = ValueNorm(), ValueNorm()
         self._optimizer = torch.optim.Adam(self.network.parameters(), self.settings.learning_rate, fused=True)
         self._best = make_policy("table", as_numpy(self.network), counts, False)
-        self._replay = Replay(self.settings.replay)
+        self._replay = ReplayBuffer(self.settings.replay)
         self._samples = self._copied = 0
 
     def behaviour(self, progress: float) -> JointPolicy:
@@ -107,7 +107,7 @@ class MacDqn(Learner):
     def recall(self, arrays: Mapping[str, NDArray[np.generic]]) -> None:
         """Take up what `memory` returned."""
         self._samples, self._copied = (int(count) for count in arrays["counts"])
-        self._replay.recall({n.removeprefix("replay."): a for n, a in arrays.items() if n.startswith("replay.")})
+        self._replay.restore({n.removeprefix("replay."): a for n, a in arrays.items() if n.startswith("replay.")})
 
     def learn(self, trajectory: OptionTrajectory, generator: np.random.Generator) -> dict[str, float]:
         """Keep what was gathered and take one step on a batch of what is kept.
@@ -115,13 +115,14 @@ class MacDqn(Learner):
         Returns:
             `value_loss`, on the learnt scale.
         """
-        self._replay.add(trajectory)
+        self._replay.add(vars(trajectory))
         self._samples += int(trajectory.duration.sum())
         if self._samples - self._copied >= self.settings.target_samples:
             self._copied = self._samples
             self.target.load_state_dict(self.network.state_dict())
             self.target_scale.load_state_dict(self.scale.state_dict())
-        batch = self._replay.draw(self.settings.batch, generator)
+        rows = self._replay.draw(self.settings.batch, generator)
+        batch = OptionTrajectory(**{**rows, "last": np.ones(self.settings.batch, dtype=bool)})  # each by itself
         decisions = decision_batch(batch)
         with torch.no_grad():
             onward = as_tensor(batch.discount * ~batch.terminated)

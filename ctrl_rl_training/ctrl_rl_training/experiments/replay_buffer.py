@@ -1,0 +1,55 @@
+"""A ring of samples that are learnt from again and again."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Arrays = dict[str, NDArray[Any]]
+
+
+class ReplayBuffer:
+    """The latest rows of named columns; the oldest go where there is no room.
+
+    Args:
+        capacity: Largest number of rows.
+        columns: Columns of `capacity` rows; made from the first rows unless given.
+    """
+
+    def __init__(self, capacity: int, columns: Arrays | None = None) -> None:
+        self.capacity = capacity
+        self.columns = columns or {}
+        self.seen = 0
+
+    def __len__(self) -> int:
+        return min(self.seen, self.capacity)
+
+    def add(self, rows: Mapping[str, NDArray[Any]]) -> None:
+        """Keep rows (N, ...), by column."""
+        count = len(next(iter(rows.values())))
+        places = (self.seen + np.arange(count)) % self.capacity
+        for name, part in rows.items():
+            if name not in self.columns:
+                self.columns[name] = np.empty((self.capacity, *part.shape[1:]), part.dtype)
+            self.columns[name][places] = part
+        self.seen += count
+
+    def draw(self, count: int, generator: np.random.Generator) -> Arrays:
+        """Return rows (count, ...) by column, each as likely as any other."""
+        places = generator.integers(len(self), size=count)
+        return {name: column[places] for name, column in self.columns.items()}
+
+    def arrays(self) -> Arrays:
+        """Return everything, for a checkpoint."""
+        return {"seen": np.array([self.seen])} | {name: column[: len(self)] for name, column in self.columns.items()}
+
+    def restore(self, arrays: Mapping[str, NDArray[Any]]) -> None:
+        """Take up what `arrays` returned."""
+        self.seen = int(arrays["seen"][0])
+        for name, part in arrays.items():
+            if name != "seen":
+                self.columns[name] = np.empty((self.capacity, *part.shape[1:]), part.dtype)
+                self.columns[name][: len(part)] = part
