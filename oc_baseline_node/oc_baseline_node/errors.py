@@ -1,4 +1,4 @@
-"""The errors of this package."""
+"""Error class of the package."""
 
 from ctrl_rl_core.errors import CtrlRlError
 

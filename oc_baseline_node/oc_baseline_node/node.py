@@ -47,7 +47,7 @@ class OcBaselineNode(ValueServer):
         return load_value(find_value(path))
 
     def prepare(self, function: ValueFunction) -> Valued:
-        """Return what says nothing more: the StateValue tells all; warn of a function of another version of its task.
+        """Warn of a value made for another version of its task; return a function that publishes nothing more.
 
         Raises:
             CtrlRlError: there is no such task, or the function is of another one.

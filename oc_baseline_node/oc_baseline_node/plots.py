@@ -1,4 +1,4 @@
-"""Pictures: the value heat map (thesis Fig. 3.11) and trajectories among obstacles."""
+"""Plots: the value heat map (thesis Fig. 3.11) and trajectories among obstacles."""
 
 from __future__ import annotations
 

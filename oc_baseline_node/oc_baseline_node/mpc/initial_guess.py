@@ -1,4 +1,4 @@
-"""Where a solver begins: a line to the goal, straight or round obstacles, or an earlier trajectory moved on."""
+"""Initial guesses of the solvers: a line to the goal, straight or round obstacles, or a shifted trajectory."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from oc_baseline_node.problems.problem import OptimalControlProblem
 
 Array = NDArray[np.float64]
 _SMOOTH = 9
-"""Points of a way over which its direction is averaged: it leads over a lattice."""
+"""Number of points over which the direction of a path is averaged, because it leads over a lattice."""
 
 
 class InitialGuesses:
-    """What solvers begin with, for one problem.
+    """Initial guesses for one problem.
 
     Args:
         problem: Optimal control problem to be solved.
@@ -29,7 +29,7 @@ class InitialGuesses:
     def __call__(self, start: Array) -> list[tuple[Array, Array]]:
         """Return states (H+1, n) and controls (H, m) to begin with from `start` (n,), the likeliest first.
 
-        A straight line to the goal; where that runs through an obstacle, before it a way round.
+        A straight line to the goal; where that runs through an obstacle, a path round it comes first.
         """
         count = self._problem.horizon + 1
         position = start[self._problem.positions]
@@ -56,7 +56,7 @@ def straight_line_guess(problem: OptimalControlProblem, start: Array, line: Arra
 def path_following_guess(problem: OptimalControlProblem, start: Array, line: Array) -> tuple[Array, Array]:
     """Return states (H+1, n) of a car that drives along `line` (H+1, 2), and its controls (H, m) within their bounds.
 
-    The line of what has no heading, or flies, slides: see `sliding`.
+    A system without heading, or one that flies, gets `straight_line_guess` instead.
     """
     states, controls = straight_line_guess(problem, start, line)
     names, wanted = problem.system.state_names, problem.system.control_names

@@ -1,4 +1,4 @@
-"""Solving a problem: whole trajectories, and a controller with a receding horizon (thesis Eq. 3.16)."""
+"""MPC: trajectories of the optimal control problem, and a receding-horizon controller (thesis Eq. 3.16)."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from oc_baseline_node.problems.problem import OptimalControlProblem
 
 Array = NDArray[np.float64]
 _CHECKED_FRACTIONS = (0.25, 0.5, 0.75)
-"""Parts of a step at which the clearance is looked at."""
+"""Fractions of a step at which the clearance is checked."""
 TOLERANCE = 1e-4
-"""By how much a solved trajectory may miss a constraint [m, rad, ...]."""
+"""Largest violation of a constraint by a solved trajectory [m, rad, ...]."""
 
 
 @dataclass(frozen=True)
 class MpcSolution:
-    """What a solver made of a start.
+    """Result of the solvers for one start.
 
     Attributes:
         states: States x_0 .. x_H (H+1, n); not to be used where not `solved`.
@@ -120,7 +120,7 @@ class Mpc:
         return found
 
     def _attempt(self, rung: int, name: SolverName, start: Array, states: Array, controls: Array) -> MpcSolution:
-        """Return what one solver makes of one of the problems."""
+        """Return the result of one solver for one of the problems."""
         program = self._program(rung, name)
         begin = time.process_time()
         variables = program.layout.pack(states, controls, self.problem.time_step)

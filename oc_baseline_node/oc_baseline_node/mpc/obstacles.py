@@ -18,9 +18,9 @@ import numpy as np
 from ctrl_rl_core.geometry.shapes import Box, Shape
 
 EXPONENT = 6
-"""Of the superellipse around a box: the higher, the closer to the box and the slower to solve."""
+"""Exponent of the superellipse around a box: the higher, the closer to the box and the slower to solve."""
 _OVERSHOOT = 0.1
-"""How far a superellipse may reach beyond what it covers [m], before a box is covered by three."""
+"""Largest distance by which a superellipse may exceed the shape it covers [m], before a box is covered by three."""
 _ROUNDED = 1e-9
 """Rounds the norm's tip off, so that its derivative is finite in the middle of an obstacle."""
 

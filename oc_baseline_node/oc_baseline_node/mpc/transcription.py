@@ -1,4 +1,4 @@
-"""A problem as a nonlinear program: multiple shooting, stage by stage, the order that fatrop needs and ipopt takes.
+"""Transcription to a nonlinear program by multiple shooting, in the order by stages that fatrop needs and ipopt takes.
 
 Variables x_0, u_0, x_1, ..., u_{H-1}, x_H; controls that are held are no variables, a free time step is one more state.
 Constraints of a stage: the next state, then (at k = 0) the start, the obstacles, (at k = H) the terminal disc.

@@ -1,4 +1,4 @@
-"""A corridor's problem is posed in the coordinates of its path: walls are bounds there, and the way to the goal a line.
+"""A corridor's problem in the coordinates of its path: walls become bounds there, and the path to the goal a line.
 
     s' = v cos(h) / (1 - kappa(s) l),    l' = v sin(h),    h' = omega - kappa(s) s'
 
@@ -26,7 +26,7 @@ NAMES = ("s", "lateral", "heading")
 _ROUNDED = 0.05
 """Length over which a step of the curvature is rounded off [m]."""
 _LARGEST_HEADING = pi / 3
-"""Of a start [rad]: a burger that stands across a narrow corridor is not met."""
+"""Largest heading of a start [rad]: a burger does not stand across a narrow corridor."""
 
 
 def path_car(car: System, path: ArcPath) -> System:

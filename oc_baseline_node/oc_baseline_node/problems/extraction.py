@@ -52,7 +52,7 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Extraction:
-    """What follows from a task.
+    """Optimal control problem extracted from a task, with the reasons.
 
     Attributes:
         info: RL info of the task.
@@ -67,7 +67,7 @@ class Extraction:
     problem: OptimalControlProblem
 
     def report(self) -> str:
-        """Return all of it for people."""
+        """Return the extraction as text, for reading."""
         lines = [f"robot type    {self.info.robot_type}", f"RL state s    {_run_together(self.info.state)}"]
         for index, (name, (pays, parts)) in enumerate(self.info.reward.items()):
             lines.append(f"{'reward' if index == 0 else '':13} {pays:+g} {name} ({', '.join(parts) or 'elsewhere'})")
@@ -86,7 +86,7 @@ def extract(task: NavigationTask, form: Form = "free_speed", clearance: float | 
             None.
 
     Raises:
-        OcError: no candidate meets the criteria, or the task's own model does not, or see `formulate`.
+        OcError: No candidate meets the criteria, the task's own model does not, or `formulate` refuses the task.
     """
     info = rl_info(task)
     candidates = tuple(assess(name, info) for name in CANDIDATES[info.robot_type])

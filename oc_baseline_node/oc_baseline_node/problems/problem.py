@@ -20,14 +20,14 @@ from oc_baseline_node.problems.corridor import in_plane, path_car
 Array = NDArray[np.float64]
 Form = Literal["free_speed", "free_time", "letter"]
 FORMS: tuple[Form, ...] = get_args(Form)
-"""What makes Eq. 3.16 feasible from most starts: every control free within its bounds (`free_speed`, the default), or
+"""Forms that make Eq. 3.16 feasible from most starts: every control free within its bounds (`free_speed`), or
 the constant speed kept and the time step free, one for the whole trajectory (`free_time`); `letter` frees neither."""
 TIME_STEP_RANGE = (0.2, 4.0)
-"""Of a free time step, in multiples of the task's."""
+"""Range of a free time step, in multiples of the task's."""
 _ROOM = 0.02
 """Kept from what ends an episode, a touching body or the tilt limit, where the task's constants leave none [m, rad]."""
 _INSIDE = 1e-3
-"""How far inside the goal's bounds a trajectory must end, so that a solver's tolerance leaves none outside [m, rad]."""
+"""Distance inside the goal's bounds at which a trajectory must end, beyond a solver's tolerance [m, rad]."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Random starts, drawn uniformly from the optimal control state space (thesis 3.3.2)."""
+"""Random start states, drawn uniformly from the optimal control state space (thesis 3.3.2)."""
 
 from __future__ import annotations
 

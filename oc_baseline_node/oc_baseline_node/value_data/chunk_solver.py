@@ -1,4 +1,4 @@
-"""Making a chunk of value data from random starts (thesis 3.3.2).
+"""A chunk of value data from random starts (thesis 3.3.2).
 
 A chunk draws starts from its own generator until it has its share of solved trajectories, so that the data depend on
 seed and chunk size alone, not on how many processes made them or how often they were stopped.

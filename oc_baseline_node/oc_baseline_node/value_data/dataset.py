@@ -36,7 +36,7 @@ _KINDS = dict.fromkeys(("states", "controls", "time_steps", "cpu_seconds", "unso
 
 
 class _Description(Schema):
-    """What a folder of value data says about itself."""
+    """Description in a folder of value data, its settings.json."""
 
     format: Literal["oc-value-data-1"]
     task: Name
@@ -50,7 +50,7 @@ class _Description(Schema):
 
 @dataclass(frozen=True)
 class DataSettings:
-    """What value data depend on.
+    """Settings that determine the value data.
 
     Attributes:
         trajectories: Number of solved trajectories.
@@ -74,11 +74,11 @@ class DataSettings:
 
     @property
     def chunks(self) -> int:
-        """How many files."""
+        """Number of chunks, one file each."""
         return -(-self.trajectories // self.chunk)
 
     def size(self, index: int) -> int:
-        """How many trajectories chunk `index` holds."""
+        """Return the number of trajectories in chunk `index`."""
         return min(self.chunk, self.trajectories - index * self.chunk)
 
 
@@ -108,12 +108,12 @@ class ValueData:
 
     @property
     def success_rate(self) -> float:
-        """Part of the random starts from which a trajectory was found."""
+        """Fraction of the random starts from which a trajectory was found."""
         return len(self.states) / (len(self.states) + len(self.unsolved))
 
     @property
     def success_rate_of_viable(self) -> float:
-        """The same without the starts that are doomed."""
+        """Fraction of the starts that are not doomed from which a trajectory was found."""
         return len(self.states) / (len(self.states) + int(np.sum(~self.doomed)))
 
     def samples(
@@ -139,7 +139,7 @@ class ValueData:
 
 
 def description(problem: OptimalControlProblem, settings: DataSettings) -> dict[str, Any]:
-    """Return what a folder of value data says about itself: other settings need another folder."""
+    """Return the description of a folder of value data: other settings need another folder."""
     return {
         "format": FORMAT,
         "task": problem.task.name,
@@ -212,7 +212,7 @@ def _lacking(folder: Path, settings: DataSettings) -> list[int]:
 
 
 def read_description(folder: Path) -> dict[str, Any]:
-    """Return what a folder of value data says about itself.
+    """Return the description of a folder of value data.
 
     Raises:
         OcError: there is none, or it is wrong.

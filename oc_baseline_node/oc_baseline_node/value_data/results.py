@@ -1,4 +1,4 @@
-"""The figures of value data and of a fit, as rows of a results file."""
+"""Statistics of value data and of a fit, as rows of a results file."""
 
 from __future__ import annotations
 

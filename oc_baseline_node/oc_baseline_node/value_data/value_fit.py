@@ -32,7 +32,7 @@ _LARGE = 3
 
 @dataclass(frozen=True)
 class FitSettings:
-    """How to fit.
+    """Settings of the fit.
 
     Attributes:
         discount: Discount of one step of the task's policy, in Eq. 3.13; the task's own unless given.

@@ -1,4 +1,4 @@
-"""Making value data with several processes, with a progress bar; what is done stays done when it is stopped."""
+"""Making value data in several processes, with a progress bar; finished chunks are kept when it is stopped."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def make_data(
         ray: Address of a Ray cluster that solves as many chunks at a time as it can; None for processes.
 
     Raises:
-        OcError: see `make_folder`, `open_folder` and `ChunkSolver.solve`.
+        OcError: The folder holds something else, or hardly any start has a trajectory.
         LockError: another call works in the folder.
         WorkersError: a worker was killed.
     """

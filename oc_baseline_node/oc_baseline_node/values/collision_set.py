@@ -1,4 +1,4 @@
-"""Where V_oc needs no regression: in collision the episode ends, and Eq. 3.13 is what the task pays for it.
+"""States in which V_oc needs no regression: a collision ends the episode, and Eq. 3.13 is the task's reward for it.
 
 A network that had to learn these steps of 1400 between neighbouring states would be wrong by hundreds everywhere else,
 where values differ by tens. NumPy only; a file of values carries its collision set.

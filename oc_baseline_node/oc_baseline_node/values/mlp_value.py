@@ -82,7 +82,7 @@ class MlpValue:
 
     @property
     def encoded(self) -> bytes:
-        """Its file, which `value_file.load_value` reads: the same for the same network."""
+        """Bytes of the network's file, which `value_file.load_value` reads: the same for the same network."""
         tensors = {}
         for index, (weight, bias) in enumerate(self.layers):
             tensors[f"weight_{index}"] = np.ascontiguousarray(weight, dtype=np.float32)
@@ -102,7 +102,7 @@ class MlpValue:
 
     @cached_property
     def grids(self) -> tuple[ValueGrid, ...]:
-        """Its values at the nodes of the axes, as one grid."""
+        """Values at the nodes of the axes, as one grid."""
         figures = self.manifest.get("held_out", {})
         notes = {"discount": str(self.manifest.get("discount", "")), "network": self.digest}
         return (

@@ -26,7 +26,7 @@ _Error = Annotated[float, Field(ge=0.0, le=1e30)]
 
 
 class _Errors(Schema):
-    """How well the network fits values [reward]."""
+    """Errors of the network on some values [reward]."""
 
     model_config = ConfigDict(extra="allow")
 
@@ -36,7 +36,7 @@ class _Errors(Schema):
 
 
 class _Manifest(Schema):
-    """What the network was fitted to; other keys are for people."""
+    """Data and settings that the network was fitted to; further keys are for readers."""
 
     model_config = ConfigDict(extra="allow")
 

@@ -125,7 +125,8 @@ def _obstacle_ahead(
 ) -> bool:
     """Whether an obstacle blocks a half of the step, taken as straight, up to the fraction `end` of it.
 
-    The clearance is sampled every half cell or closer: obstacles are at least a cell thick (see `problems.obstacles`).
+    The clearance is sampled every half cell or closer: `problems.obstacles` makes sure that obstacles are at least a
+    cell thick.
     """
     i, j = boundary.clearance_axes[0], boundary.clearance_axes[1]
     if i < 0:

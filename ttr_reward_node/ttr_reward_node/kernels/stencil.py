@@ -1,7 +1,8 @@
 """The nodes around the end of each step, their weights, and the curvature that linear interpolation misses; compiled.
 
-All nodes of a slab (see `solvers.steps`) take the same steps, so a step ends at the same place between the nodes for
-all of them: offsets and weights are found once per slab, and the sweep only adds up products.
+All nodes of a slab, which have the same outer state of `solvers.steps`, take the same steps. So a step ends at the
+same place between the nodes for all of them: offsets and weights are found once per slab, and the sweep only adds up
+products.
 
 The tables are NumPy records, because Numba counts references for every array that it takes out of a tuple, which costs
 more than the arithmetic; fields of a record are plain memory.

@@ -96,7 +96,7 @@ class _Row(NamedTuple):
 
 
 class _Game(NamedTuple):
-    """How a node's new value follows from those of the pairs.
+    """Rule by which a node's new value follows from those of the pairs.
 
     Attributes:
         controls: Number of controls, the faster index of the pairs.

@@ -33,7 +33,7 @@ class RewardNode(ValueServer):
         Parameter(
             "task", "", "Name or .yaml file of the task; empty for the one that the grid was made for.", kind="path"
         ),
-        Parameter("corridor_width", 0.0, "Of the task's corridor [m]; 0.0 for the task's own.", 0.0, 100.0),
+        Parameter("corridor_width", 0.0, "Width of the task's corridor [m]; 0.0 for the task's own.", 0.0, 100.0),
     )
 
     def __init__(self) -> None:
@@ -45,7 +45,7 @@ class RewardNode(ValueServer):
         return load_value(path)
 
     def prepare(self, function: ValueFunction) -> Valued:
-        """Return what publishes the reward of each state."""
+        """Return the function that publishes the reward of each state."""
         task = load_navigation_task(self.settings["task"] or function.task)
         label = RewardEvaluator(task, function, self.settings["corridor_width"] or None)
         if not label.up_to_date:

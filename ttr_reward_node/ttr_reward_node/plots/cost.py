@@ -1,4 +1,4 @@
-"""A picture of what solutions cost as the grid grows."""
+"""Plot of the cost of solutions as the grid grows."""
 
 from __future__ import annotations
 

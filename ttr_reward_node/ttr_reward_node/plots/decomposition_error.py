@@ -1,4 +1,4 @@
-"""A picture of a decomposition's gap: how large it is, and where in the plane."""
+"""Plot of a decomposition's error: its distribution, and its place in the plane."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _BINS = 60
 
 
 def draw_decomposition_errors(gaps: Sequence[DecompositionErrors], task: NavigationTask, path: Path) -> None:
-    """Draw the distribution of each gap, and each gap over the plane at the other components' middle.
+    """Draw the distribution of each error, and each error over the plane at the other components' middle.
 
     Args:
         gaps: Errors of one or more decompositions of one problem.
@@ -65,7 +65,7 @@ def draw_decomposition_errors(gaps: Sequence[DecompositionErrors], task: Navigat
 
 
 def _slice(gap: DecompositionErrors, plane: Sequence[int]) -> tuple[NDArray[np.float32], str]:
-    """Return the gap over the plane (first, second), NaN where it is not defined, and what the slice is at."""
+    """Return the error over the plane (first, second), NaN where it is not defined, and the place of the slice."""
     index: list[slice | int] = []
     at = []
     for k, axis in enumerate(gap.problem.axes):

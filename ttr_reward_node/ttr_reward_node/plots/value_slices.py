@@ -1,4 +1,4 @@
-"""Pictures of a time-to-reach function: slices through it (thesis Fig. 3.1)."""
+"""Plots of a time-to-reach function: slices through it (thesis Fig. 3.1)."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def draw_slices(
 
 
 def _panels(others: Sequence[str], at: Mapping[str, Sequence[float]]) -> list[dict[str, float]]:
-    """Return what each panel fixes."""
+    """Return the values that each panel fixes, by component."""
     angle = next((name for name in others if name in ANGLES), None)
     defaults = {name: _THESIS_HEADINGS if name == angle and not at else (0.0,) for name in others}
     fixed = {**defaults, **at}

@@ -1,4 +1,4 @@
-"""Which states, controls and disturbances each derivative of a system depends on, and how.
+"""Dependence of each derivative of a system on states, controls and disturbances.
 
 The equations of a system are arithmetic and functions like sin and cos, so they are run once on numbers that remember
 where they came from. That is exact, whereas changing the states one at a time at random finds only what shows at the
@@ -24,7 +24,7 @@ _NONLINEAR = 2
 
 @dataclass(frozen=True)
 class Dependence:
-    """What one derivative depends on.
+    """Dependence of one derivative.
 
     Attributes:
         states, controls, disturbances: indices of the components that it depends on.
@@ -41,7 +41,7 @@ class Dependence:
 
 
 def dependences(system: System, *, hold: bool = True) -> tuple[Dependence, ...]:
-    """Return what each derivative of a system depends on; more than it does where terms cancel.
+    """Return the dependence of each derivative of a system; more than the true one where terms cancel.
 
     Equations that ask for the value of a number (`if x[0] > 1`) cannot be followed: all of them then depend on
     everything.
@@ -89,7 +89,7 @@ def check_game(system: System) -> None:
     affine in the disturbance and its effect does not depend on the control.
 
     Raises:
-        TimeToReachError: names the state whose derivative is not like that.
+        TimeToReachError: The derivative of a state, which is named, depends on the disturbance otherwise.
     """
     for state, rate in zip(system.states, dependences(system), strict=True):
         wrong = "control and disturbance together" if rate.coupled else "more than linearly"
@@ -104,7 +104,7 @@ def check_affine_controls(system: System) -> None:
     """Refuse a system whose best control may lie inside its bounds.
 
     Raises:
-        TimeToReachError: names the state whose derivative is not affine in the controls.
+        TimeToReachError: The derivative of a state, which is named, is not affine in the controls.
     """
     for state, rate in zip(system.states, dependences(system), strict=True):
         if rate.control_degree > AFFINE:
@@ -187,7 +187,7 @@ def _function(real: Callable[..., Any] | None) -> Callable[..., Any]:
 
 
 def _apply(*arguments: Any) -> _TracedNumber:
-    """Return what a function that need not be linear makes of numbers, some of them traced."""
+    """Return the result of a function that need not be linear, of numbers some of which are traced."""
     known = _TracedNumber(Dependence())
     for argument in arguments:
         known = _join(known, argument, max)

@@ -1,4 +1,4 @@
-"""A time-to-reach problem (thesis Eq. 2.17-2.20): a system on a grid, a target, and what is in the way.
+"""A time-to-reach problem (thesis Eq. 2.17-2.20): a system on a grid, a target, and obstacles.
 
     problem = problem_from_task("car_ttr")
     problem = TimeToReachProblem(system, axes, target=Region({"x": Interval(-0.1, 0.1)}))
@@ -133,7 +133,7 @@ class TimeToReachProblem:
         return values.reshape(shape)
 
     def in_target(self) -> NDArray[np.bool_]:
-        """Which nodes lie in the target, shape of the grid."""
+        """Whether each node lies in the target, shape of the grid."""
         names = self.system.state_names
         inside = np.ones((1,) * len(names), dtype=bool)
         for k, axis in enumerate(self.axes):
@@ -148,7 +148,7 @@ class TimeToReachProblem:
         return np.broadcast_to(inside, self.counts)
 
     def blocked(self) -> NDArray[np.bool_]:
-        """Which nodes lie in an obstacle, shape of the grid."""
+        """Whether each node lies in an obstacle, shape of the grid."""
         if self.clearance is None:
             return np.broadcast_to(np.False_, self.counts)
         return np.broadcast_to(self.spread(self.clearance.values) <= 0.0, self.counts)

@@ -1,4 +1,4 @@
-"""What a time-to-reach problem may not be: checked where it is made, in Python or from a task."""
+"""Checks of a time-to-reach problem, run where it is made, in Python or from a task."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def check_system(system: System) -> None:
     """Refuse bounds that are not finite or not in order.
 
     Raises:
-        TimeToReachError: names the control or disturbance.
+        TimeToReachError: The bounds of a control or disturbance, which is named, are wrong.
     """
     for quantity in (*system.controls, *system.disturbances):
         if not (math.isfinite(quantity.lower) and math.isfinite(quantity.upper) and quantity.lower <= quantity.upper):
@@ -33,7 +33,7 @@ def check_target(target: Region, axes: Sequence[Axis]) -> None:
     """Refuse a target that is no set, or that lies outside the grid.
 
     Raises:
-        TimeToReachError: names the interval.
+        TimeToReachError: An interval or the disc, which is named, is wrong.
     """
     by_name = {axis.name: axis for axis in axes}
     for name, (low, high) in target.intervals.items():
@@ -70,7 +70,7 @@ def check_clearance(spanned: Sequence[int], values: NDArray[Any], axes: Sequence
         axes: Axes of the grid, one for each state.
 
     Raises:
-        TimeToReachError: says what is wrong.
+        TimeToReachError: The clearance has other axes or another shape, or is not finite.
     """
     if not 1 <= len(spanned) <= 2 or list(spanned) != sorted(set(spanned)):
         raise TimeToReachError(f"the clearance spans axes {spanned}; give one or two, ascending")

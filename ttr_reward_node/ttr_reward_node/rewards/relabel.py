@@ -1,4 +1,4 @@
-"""Adds the time-to-reach reward to a recorded bag, so that it can be learned from offline."""
+"""Relabelling of a recorded bag with time-to-reach rewards, for offline learning."""
 
 from __future__ import annotations
 

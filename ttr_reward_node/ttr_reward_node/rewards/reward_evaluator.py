@@ -1,4 +1,4 @@
-"""The reward of one state of a robot (thesis Eq. 3.9), from where it is alone: for the node, and for recorded bags."""
+"""The reward of a robot's state (thesis Eq. 3.9), from that state alone: for the node, and for recorded bags."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from ttr_reward_node.rewards.rewards import KIND, check_informative, longest_tim
 
 
 class EvaluatedReward(NamedTuple):
-    """The set that a state lies in, and what it pays; NaN for an intermediate state outside the value function."""
+    """Set that a state lies in, and its reward; NaN for an intermediate state outside the value function."""
 
     outcome: Outcome
     reward: float
 
 
 class RewardEvaluator:
-    """Labels states of one task.
+    """Evaluates the rewards of one task's states.
 
     Args:
         task: Task with the rewards and the sets G and C.
@@ -48,7 +48,7 @@ class RewardEvaluator:
         self._longest = longest_time(function)
 
     def __call__(self, state: NDArray[np.float64], phi: float) -> EvaluatedReward:
-        """Return the label of a state (n,) whose time to reach is phi [s], +inf or NaN."""
+        """Return outcome and reward of a state (n,) whose time to reach is phi [s], +inf or NaN."""
         outcome = Outcome(int(self._sets.outcomes(state)))
         if outcome is not Outcome.RUNNING:
             return EvaluatedReward(outcome, float(terminal_reward(outcome, self._rewards)))

@@ -29,7 +29,7 @@ from ttr_reward_node.errors import TimeToReachError
 Array = NDArray[np.float64]
 
 KIND = "time_to_reach"
-"""Of the value functions that rewards are made of."""
+"""Kind of the value functions that rewards are made from."""
 DISTANCE_WEIGHTS = {"distance_0": 0.0, "distance_0.1": 0.1, "distance_1": 1.0, "distance_10": 10.0}
 """lambda, the weight of the squared angle [m^2/rad^2], by the reward's name."""
 REWARDS = ("sparse", *DISTANCE_WEIGHTS, "ttr")
@@ -90,7 +90,7 @@ def _middle(names: Sequence[str], goal: Region, weight: float) -> tuple[dict[str
 
 @dataclass(frozen=True)
 class Reward:
-    """One of the rewards of a task, see `make_reward`.
+    """One of the rewards of a task, made by `make_reward`.
 
     Attributes:
         name: Name of the reward, one of `REWARDS`.

@@ -6,7 +6,7 @@
 A subsystem keeps some states. Another state that its dynamics need but that it does not keep becomes one more control,
 within that state's grid axis; and each subsystem chooses controls that others share as if it were alone. Each has thus
 more freedom than the whole, and its target and obstacles are the shadows of the whole's. So every sub-value, and their
-maximum, is a lower bound of the true time to reach; `gap` measures by how much.
+maximum, is a lower bound of the true time to reach; `verification.decomposition_error` measures by how much.
 """
 
 from __future__ import annotations
@@ -43,10 +43,10 @@ class Decomposition:
 
 
 PLANAR_QUADROTOR_4D = Decomposition("4d+4d", (("x", "v_x", "psi", "omega"), ("z", "v_z", "psi", "omega")))
-"""The thesis's: both halves have pitch and pitch rate."""
+"""Decomposition of the thesis: both halves have pitch and pitch rate."""
 
 PLANAR_QUADROTOR_FIVE = Decomposition("five", (("x",), ("z",), ("omega",), ("v_x", "psi"), ("v_z", "psi")))
-"""That of the published code."""
+"""Decomposition of the published code."""
 
 DECOMPOSITIONS = {
     "planar_quadrotor": {d.name: d for d in (PLANAR_QUADROTOR_4D, PLANAR_QUADROTOR_FIVE)},
@@ -124,7 +124,7 @@ def solve_decomposed(
         progress: Function called after each sweep with its number and the largest change [s].
 
     Raises:
-        TimeToReachError: see `split` and `solve`.
+        TimeToReachError: The decomposition does not suit the problem, or `solve` refuses a subsystem.
     """
     return join(decomposition, *solve_parts(problem, decomposition, method, counts=counts, progress=progress))
 
@@ -137,7 +137,7 @@ def solve_parts(
     counts: Sequence[int] | Mapping[str, int] | None = None,
     progress: Progress | None = None,
 ) -> tuple[TimeToReachProblem, tuple[Subsystem, ...], tuple[Solution, ...]]:
-    """Do the same, and return the problem, its subsystems and their solutions."""
+    """Solve each subsystem, as `solve_decomposed`, and return the problem, its subsystems and their solutions."""
     if not isinstance(problem, TimeToReachProblem):
         problem = problem_from_task(problem, counts=counts)
     subsystems = split(problem, decomposition)

@@ -1,6 +1,6 @@
 """Lax-Friedrichs fast sweeping, the thesis's method (section 3.2.2): simple, robust, more diffusive than ours.
 
-Target and obstacles are what nodes lie in them: unlike in `semi_lagrangian`, both are snapped to the grid.
+Target and obstacles are the nodes that lie in them: unlike in `semi_lagrangian`, both are snapped to the grid.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def solve(
     max_sweeps: int = 5000,
     progress: Progress | None = None,
 ) -> SweepResult:
-    """Solve; see `solver.solve`."""
+    """Solve a problem, with the arguments of `solver.solve`."""
     check_affine_controls(problem.system)
     require_memory(memory_needed(problem), problem.points)
     layout = make_layout(problem)

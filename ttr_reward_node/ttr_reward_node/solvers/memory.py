@@ -1,4 +1,4 @@
-"""How much memory a solution needs, and whether it is there."""
+"""Check of the memory that a solution needs against the memory that is free."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ def require_memory(needed: float, points: int) -> None:
     """Refuse a problem that does not fit.
 
     Raises:
-        TimeToReachError: says how much is needed and how much there is.
+        TimeToReachError: More memory is needed than is free; both are named.
     """
     there = available()
     if needed > there:
@@ -22,5 +22,5 @@ def require_memory(needed: float, points: int) -> None:
 
 
 def gigabytes(bytes_: float) -> str:
-    """Return a size for people."""
+    """Return a size as text, in GB."""
     return f"{bytes_ / 1e9:.2f} GB"

@@ -4,8 +4,8 @@ It sweeps in three phases. First without any judgement of what is unreachable: w
 a monotone scheme, so no node can come to lean on others that lean on it. Nodes that lose weight to the unreachable on
 the way, or take so long that only the blur of interpolation can have brought them to the target, fall below _CUT: they
 are taken to be unreachable, and have to be reached anew in the second phase, which makes the edge of what can be
-reached sharp. At last the curvature is added (see `row`); w then only grows, because a scheme with curvature is not
-monotone and would go to and fro.
+reached sharp. At last the curvature of `kernels.row_interpolation` is added; w then only grows, because a scheme with
+curvature is not monotone and would go to and fro.
 
 Finite jumps stay as wide as linear interpolation makes them, a few cells, on the side of longer times: sharpened ones
 are nearer the truth on average, but who steers by them drives over the edge.
@@ -31,8 +31,8 @@ from ttr_reward_node.solvers.solution import Progress, SweepResult
 from ttr_reward_node.solvers.steps import Layout, Steps, make_layout, make_steps, pairs
 
 CELLS = (2.0, 3.0)
-"""How far steps go [cells]. Under about one a node refers to itself; the second length makes up for the end points, and
-on a lattice of headings the headings, that the first one cannot reach."""
+"""Lengths of the steps [cells]. Under about one a node refers to itself. The second length reaches end points, and on a
+lattice of headings the headings, that the first one cannot reach."""
 
 # All in units of the time that the slowest axis takes to cross a cell at its top speed.
 _TOLERANCE = 0.1
@@ -70,7 +70,7 @@ def solve(
     max_sweeps: int = 300,
     progress: Progress | None = None,
 ) -> SweepResult:
-    """Solve; see `solver.solve`."""
+    """Solve a problem, with the arguments of `solver.solve`."""
     require_memory(memory_needed(problem), problem.points)
     layout = make_layout(problem)
     steps = make_steps(problem, layout, CELLS)
@@ -165,7 +165,7 @@ def _flags(problem: TimeToReachProblem, layout: Layout, steps: Steps) -> NDArray
 
 
 def _near_target(problem: TimeToReachProblem, cells: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Which nodes lie within that many cells (n,) of the target along every axis; broadcasts to the grid."""
+    """Whether nodes lie within so many cells (n,) of the target along every axis; broadcasts to the grid."""
     near = np.ones((1,) * len(problem.axes), dtype=bool)
     for condition in _near_conditions(problem, cells):
         near = near & condition

@@ -1,4 +1,4 @@
-"""What a solver returns."""
+"""Results of the solvers."""
 
 from __future__ import annotations
 

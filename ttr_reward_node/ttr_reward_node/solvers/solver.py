@@ -96,7 +96,7 @@ def check_reached(problem: TimeToReachProblem, value: ValueFunction) -> None:
     """Refuse a solution of a problem whose goal nothing reaches from outside, and say why.
 
     Raises:
-        TimeToReachError: names the likely cause.
+        TimeToReachError: Nothing reaches the goal; the likely cause is named.
     """
     if any(np.isfinite(grid.values).any() for grid in value.grids) and longest_time(value) > 0.0:
         return
@@ -113,16 +113,16 @@ def check_reached(problem: TimeToReachProblem, value: ValueFunction) -> None:
 
 
 def solve_task(task: NavigationTask | str | Path, method: str = "semi_lagrangian", **options: Any) -> ValueGrid:
-    """Compute the value grid of a navigation task; options as for `problem_from_task`.
+    """Compute the value grid of a navigation task, with the options of `problem_from_task`.
 
     Raises:
-        TimeToReachError: as `problem_from_task` and `solve`.
+        TimeToReachError: The task has no such problem, or the solver refuses it.
     """
     return solve(problem_from_task(task, **options), method).grid
 
 
 def _obstacle_notes(problem: TimeToReachProblem) -> dict[str, str]:
-    """Return what the file should say about walls and obstacles, in metres."""
+    """Return the value file's notes on walls and obstacles [m]."""
     notes = {"obstacles": "no" if problem.clearance is None else "yes", "inflation": repr(float(problem.inflation))}
     if problem.corridor_width is not None:
         notes["corridor_width"] = repr(float(problem.corridor_width))

@@ -1,4 +1,4 @@
-"""Where each control takes the system from each node: the steps of the semi-Lagrangian scheme.
+"""Steps of the semi-Lagrangian scheme: the displacement of the system from each node under each control.
 
 Robots move the same way wherever they are: f does not depend on the position, on some axes at all. So the steps are
 tabulated over the other axes alone (the 72 headings of a car, not its 734,472 nodes), with NumPy, from the one
@@ -162,7 +162,7 @@ def make_steps(problem: TimeToReachProblem, layout: Layout, cells: Sequence[floa
 def _controls_to_keep(
     problem: TimeToReachProblem, durations: NDArray[np.float64], cells: Sequence[float], longest: float
 ) -> NDArray[np.bool_]:
-    """Which controls to keep: the vertices, and those between that do not always make for very short steps.
+    """Whether each control is kept: the vertices, and those between that do not always make for very short steps.
 
     Half of a torque that turns a quadrotor's pitch rate round in milliseconds leads nowhere that the whole of it does
     not.
@@ -179,7 +179,7 @@ def _longest(
     d: NDArray[np.float64],
     spacings: NDArray[np.float64],
 ) -> float:
-    """How long the slowest axis takes to cross a cell at its top speed [s]."""
+    """Time in which the slowest axis crosses a cell at its top speed [s]."""
     top = np.zeros(len(spacings))
     size = max(1, _BLOCK // len(u))
     for begin in range(0, len(states), size):

@@ -37,5 +37,5 @@ class RewardWrapper(gymnasium.Wrapper[Vector, Vector, Vector, Vector]):
 
 
 def make_rewarded(reward: Reward, rate: int | None = None) -> Environment:
-    """Return the environment of the reward's task that pays it; for `rate` see `make_environment`."""
+    """Return the environment of the reward's task that pays it, at the physics rate `rate` [Hz] or the task's own."""
     return make_environment(reward.task, rate, lambda environment: RewardWrapper(environment, reward))

@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 
 
 class _Part(GridText):
-    """What the file says of a subsystem's grid."""
+    """Header of a subsystem's grid in the file."""
 
     axes: Annotated[list[Name], Field(min_length=1, max_length=6)]
 
@@ -38,7 +38,7 @@ class _Part(GridText):
 
 
 class _Header(Schema):
-    """What the file says of the whole."""
+    """Header of the file."""
 
     format: Literal[1]
     name: Name
@@ -85,7 +85,7 @@ class DecomposedValue:
 
     @property
     def kind(self) -> str:
-        """What it is: "time_to_reach"."""
+        """Kind of the values, "time_to_reach"."""
         return self.grids[0].kind
 
     @property
@@ -145,7 +145,7 @@ class DecomposedValue:
         """Read and check a file that `save` wrote.
 
         Raises:
-            GridError: names the file and what is wrong with it.
+            GridError: The file is missing or damaged, or holds something else.
         """
         with raise_as(GridError, path):
             header, tensors, _ = read_tensors(path, HEADER_KEY, largest=None, finite=False)

@@ -1,4 +1,4 @@
-"""Read a time-to-reach function from its file: one grid, or several joined."""
+"""Reading of a time-to-reach function from its file: one grid, or the maximum of several."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def load_value(path: str | PathLike[str]) -> ValueGrid | DecomposedValue:
     """Read and check a file that `ValueGrid.save` or `DecomposedValue.save` wrote.
 
     Raises:
-        GridError: names the file and what is wrong with it.
+        GridError: The file is missing or damaged, or holds something else.
     """
     with raise_as(GridError, path):
         return DecomposedValue.load(path) if HEADER_KEY in kind_of(path) else ValueGrid.load(path)

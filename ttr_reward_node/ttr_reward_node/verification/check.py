@@ -1,4 +1,4 @@
-"""Check a time to reach by driving: the greedy policy should arrive, and take as long as promised.
+"""Check of a time to reach by driving: the greedy policy should arrive, and take the predicted time.
 
 result, _ = check_value(load_value("car_ttr.safetensors"), load_navigation_task("car_ttr"))
 result["reached"], result["ratio_median"]
@@ -26,7 +26,7 @@ from ttr_reward_node.solvers.solver import solve
 from ttr_reward_node.verification.roll_out import RollOuts, roll_out
 
 _FEW = 0.02
-"""Roll-outs that may collide without a word about the cause."""
+"""Fraction of the roll-outs that may collide without advice."""
 _MOST_DRAWS = 1000
 """Random states drawn for each that is wanted, before it gives up."""
 
@@ -138,7 +138,7 @@ def random_starts(
 
 
 def as_line(figures: Mapping[str, float]) -> str:
-    """Return the figures of roll-outs for people."""
+    """Return the figures of roll-outs as one line of text."""
     return (
         f"reached {100 * figures['reached']:5.1f} %  collided {100 * figures['collided']:4.1f} %  executed/predicted "
         f"median {figures['ratio_median']:.4f}, 95 % {figures['ratio_p95']:.4f}"

@@ -1,4 +1,4 @@
-"""How a solver's error shrinks as the grid is refined: against exact Dubins paths, and against the best solution.
+"""Convergence of the solvers as the grid is refined: errors against exact Dubins paths and the best solution.
 
 rows = convergence_table()
 print(as_table(rows))
@@ -113,7 +113,7 @@ def convergence_table(
 
 
 def as_table(rows: Sequence[dict[str, Any]]) -> str:
-    """Return the rows for people."""
+    """Return the rows as a table of text."""
     names = f"{'sweeps':>7} {'median':>9} {'mean':>9} {'relative':>9} {'to best':>9}"
     lines = [f"{'method':<16} {'nodes':>15} {'CPU':>8} {names}"]
     for row in rows:

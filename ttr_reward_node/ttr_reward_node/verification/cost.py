@@ -1,4 +1,4 @@
-"""What a solution costs as the grid grows: each system of thesis Table 3.1, one to six dimensions, points and seconds.
+"""Cost of a solution as the grid grows: systems of thesis Table 3.1, one to six dimensions, points and seconds.
 
 rows = measure_cost()
 print(as_table(rows))
@@ -26,7 +26,7 @@ Progress = Callable[[str, int], None]
 """Called before each solution with what is being solved and its number of points."""
 
 SIZES = (1e3, 1e4, 1e5, 1e6)
-"""Numbers of points, about; see `measure_cost`."""
+"""Approximate numbers of grid points of `measure_cost`."""
 
 
 @dataclass(frozen=True)
@@ -176,7 +176,7 @@ def exponent(rows: Sequence[Mapping[str, Any]], least: float = 9e3) -> float:
 
 
 def as_table(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Return the rows for people."""
+    """Return the rows as a table of text."""
     lines = [f"{'system':<32} {'method':<16} {'points':>11} {'CPU':>10} {'sweeps':>7} {'per point and sweep':>20}"]
     for row in rows:
         each = 1e9 * row["cpu_s"] / row["points"] / row["sweeps"]

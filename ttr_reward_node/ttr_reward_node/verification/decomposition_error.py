@@ -1,12 +1,12 @@
-"""What a decomposition costs: its lower bound against the solution of the whole system, on the same nodes.
+"""Error of a decomposition: its lower bound against the solution of the whole system, on the same nodes.
 
     problem = problem_from_task("quad_ttr", counts=COARSE_QUADROTOR)
     gaps = measure_decomposition_errors(problem, DECOMPOSITIONS["planar_quadrotor"].values())
     gaps[0].summary()
 
 The whole is solved once, on a grid as fine as six dimensions allow; each decomposition is solved on the same axes. Both
-solutions carry the error of that grid, the whole's the larger one: the gap is that of the decomposition and of the grid
-together, and shrinks as the grid is refined (`docs/results/ttr_gap.json` has three grids for that reason).
+solutions carry the error of that grid, the whole's the larger one: the difference is that of the decomposition and of
+the grid together, and shrinks as the grid is refined (`docs/results/ttr_gap.json` has three grids for that reason).
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ Progress = Callable[[str, int, float], None]
 
 @dataclass(frozen=True, eq=False)
 class DecompositionErrors:
-    """The time to reach of the whole and its lower bound from one decomposition.
+    """Time to reach of the whole, and its lower bound from one decomposition.
 
     Attributes:
         problem: Problem of the whole system.
@@ -107,7 +107,7 @@ def measure_decomposition_errors(
             change [s].
 
     Raises:
-        TimeToReachError: the whole does not fit into memory, or see `split`.
+        TimeToReachError: The whole does not fit into memory, or a decomposition does not suit the problem.
     """
 
     def progress_of(name: str) -> Callable[[int, float], None] | None:
@@ -144,7 +144,7 @@ def at_nodes(problem: TimeToReachProblem, parts: Sequence[Solution]) -> NDArray[
 
 
 def as_table(gaps: Sequence[DecompositionErrors]) -> str:
-    """Return the summaries for people, one line each."""
+    """Return the summaries as a table of text, one line each."""
     lines = [
         f"{'decomposition':<14}{'obstacles':>10}{'nodes':>11}{'mean':>9}{'median':>9}{'p95':>9}{'relative':>10}"
         f"{'bound':>8}{'equal':>8}{'CPU whole':>11}{'CPU parts':>11}"

@@ -1,4 +1,4 @@
-"""The independent reference: shortest Dubins paths (Dubins 1957; words as in Shkel, Lumelsky 2001) to a box of poses.
+"""An independent reference: shortest Dubins paths (Dubins 1957; words as in Shkel, Lumelsky 2001) to a box of poses.
 
 The car drives at 1 m/s and turns at up to 1 rad/s, so lengths [m] are times [s]. The distance to a box is the least
 over the words that lead to it, each with two free numbers: first over a lattice of these, then by a compass search from

@@ -1,4 +1,4 @@
-"""Drive by a value function and see whether it keeps what it promises: executed against predicted time.
+"""Roll-outs of the greedy policy of a value function: executed against predicted time.
 
     outcome = roll_out(solution.grid, problem, states, world=task.build_world())
     outcome.reached.mean(), np.median(outcome.ratio)
@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class RollOuts:
-    """What became of each of N starts.
+    """Results of the roll-outs from N starts.
 
     Attributes:
         predicted: the value at the start (N,) [s].

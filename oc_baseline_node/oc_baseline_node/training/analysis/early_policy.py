@@ -1,4 +1,4 @@
-"""An early policy, which meets the goal about every second time: where thesis Table 3.7 looks at gradients.
+"""An early policy, which reaches the goal about every second time; thesis Table 3.7 compares its gradients.
 
 The thesis takes one that meets goal and trap equally often; the trap of `quad_trap` is hardly ever met (its least
 thrust, 14 N, is more than the weight), so crashes take its part.
@@ -19,7 +19,7 @@ from oc_baseline_node.training.experiments.runs import OcRun
 _LIMIT = 150
 """Roll-outs after which the search ends."""
 _SHARE = (1.0 / 3.0, 2.0 / 3.0)
-"""Of episodes that end in the goal, least and largest."""
+"""Least and largest fraction of the episodes that end in the goal."""
 
 
 def find_early_policy(

@@ -1,6 +1,6 @@
-"""How well a few samples tell the policy gradient, with one baseline or another (thesis Table 3.7).
+"""Accuracy of policy gradients estimated from few samples, with different baselines (thesis Table 3.7).
 
-The policy is an early one, see `early_policy.py`. Its "true" gradient is Eq. 3.14 over very many
+The policy is that of `early_policy`. Its "true" gradient is Eq. 3.14 over very many
 samples without any b; estimates come from other samples, fewer, and are compared by cosine similarity.
 """
 

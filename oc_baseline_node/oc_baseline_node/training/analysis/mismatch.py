@@ -1,4 +1,4 @@
-"""What separates the model from the simulator, and what it costs MPC (thesis Table 3.5, Fig. 3.17)."""
+"""Mismatch of model and simulator, and its effect on MPC (thesis Table 3.5, Fig. 3.17)."""
 
 from __future__ import annotations
 

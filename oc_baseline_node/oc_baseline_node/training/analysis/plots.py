@@ -1,4 +1,4 @@
-"""The picture of thesis Fig. 3.17: MPC with its model in the simulator, beside the learnt policy."""
+"""The plot of thesis Fig. 3.17: MPC with its model in the simulator, beside the learned policy."""
 
 from __future__ import annotations
 

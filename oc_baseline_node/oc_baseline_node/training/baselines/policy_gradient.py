@@ -27,7 +27,7 @@ from stable_baselines3.common.policies import ActorCriticPolicy
 from oc_baseline_node.training.baselines.baselines import Baseline
 
 PERCENTILES = (5, 50, 95)
-"""Of the advantages of a roll-out, noted for thesis Fig. 3.12."""
+"""Percentiles of the advantages of a roll-out, recorded for thesis Fig. 3.12."""
 
 
 class BaselineBuffer(RolloutBuffer):

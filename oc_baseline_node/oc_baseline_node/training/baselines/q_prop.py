@@ -19,7 +19,7 @@ from torch import nn
 from oc_baseline_node.training.baselines.control_variates import ControlVariatePpo, value_and_slope
 
 _UPDATES = 512
-"""Of the critic for each roll-out."""
+"""Number of the critic's updates for each roll-out."""
 _BATCH = 128
 _TAU = 0.005
 
