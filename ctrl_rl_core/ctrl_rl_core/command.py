@@ -6,13 +6,14 @@ A command calls `parse_options` with a dataclass whose docstrings are its help, 
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import re
 import sys
 from collections.abc import Callable, Sequence
 from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, overload
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, TypeVar, overload
 
 import tyro
 from tyro._errors import (
@@ -92,7 +93,14 @@ def _refuse(event: ParseErrorEvent) -> None:
         case BadValue(argument=argument):
             raise CommandError(f"{argument.display_name()} needs a value")
         case InstantiationFailure(message=message, argument=argument):
-            raise CommandError(f"{argument.display_name()} {message}" if argument else message)
+            reason = _last_reason(message)
+            raise CommandError(f"{argument.display_name()} {reason}" if argument else reason)
+
+
+def _last_reason(message: str) -> str:
+    """Return the last reason of a message; for an option that may be None tyro gives one a line, after each type."""
+    *before, last = message.strip().splitlines()
+    return last.rpartition("]: ")[2] if before else last
 
 
 def checked(
@@ -127,8 +135,8 @@ def checked_list(
     )
 
 
-def at_least(least: int, *, optional: bool = False) -> Any:
-    """Return the type of an option that is a whole number of at least `least`, or None where it is `optional`."""
+def at_least(least: int) -> Any:
+    """Return the type of an option that is a whole number of at least `least`."""
 
     def parse(text: str) -> int:
         value = int(text) if re.fullmatch(r"[+-]?\d{1,18}", text) else None
@@ -136,8 +144,33 @@ def at_least(least: int, *, optional: bool = False) -> Any:
             raise ValueError(f"must be a whole number of at least {least}, not {text}")
         return value
 
-    spec = checked(parse, "INT")
-    return Annotated[int | None, spec] if optional else Annotated[int, spec]
+    return Annotated[int, checked(parse, "INT")]
+
+
+if TYPE_CHECKING:
+    Positive: TypeAlias = int
+    NotNegative: TypeAlias = int
+else:
+    Positive, NotNegative = at_least(1), at_least(0)
+
+
+def finite_number(text: str) -> float:
+    """Return the number of an option's word.
+
+    Raises:
+        ValueError: It is no number, or not a finite one.
+    """
+    try:
+        number = float(text)
+    except ValueError:
+        number = math.nan
+    if not math.isfinite(number):
+        raise ValueError(f"'{text}' is not a finite number")
+    return number
+
+
+FiniteNumber = Annotated[float, checked(finite_number, "NUMBER")]
+"""An option that is a finite number."""
 
 
 class PathError(argparse.ArgumentTypeError, ValueError):

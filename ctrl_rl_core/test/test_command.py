@@ -2,10 +2,19 @@
 
 import argparse
 import os
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from ctrl_rl_core.command import CommandError, check_least, file_to_write, folder_to_write
+from ctrl_rl_core.command import (
+    CommandError,
+    FiniteNumber,
+    Positive,
+    check_least,
+    file_to_write,
+    folder_to_write,
+    parse_options,
+)
 
 
 def test_numbers_that_are_too_small_are_refused_by_name():
@@ -34,3 +43,37 @@ def test_a_folder_that_may_not_be_written_to_is_refused(tmp_path: Path):
     tmp_path.chmod(0o500)
     with pytest.raises(argparse.ArgumentTypeError, match="may not be written to"):
         folder_to_write(str(tmp_path / "new"))
+
+
+@dataclass(frozen=True)
+class _Options:
+    """Do something."""
+
+    starts: Positive = 3
+    """Number of starts."""
+    sweeps: Positive | None = None
+    """Number of sweeps; no limit where none is given."""
+    width: FiniteNumber | None = None
+    """Width of the corridor [m]; the task's own where none is given."""
+
+
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        (["--starts", "0"], "--starts must be a whole number of at least 1, not 0"),
+        (["--sweeps", "0"], "--sweeps must be a whole number of at least 1, not 0"),
+        (["--sweeps", "few"], "--sweeps must be a whole number of at least 1, not few"),
+        (["--width", "nan"], "--width 'nan' is not a finite number"),
+        (["--wide", "1"], "unknown option --wide"),
+    ],
+)
+def test_wrong_usage_is_one_line_whether_or_not_an_option_may_be_left_out(words, reason, capsys):
+    with pytest.raises(SystemExit) as ended:
+        parse_options("do", _Options, words)
+    assert ended.value.code == 2
+    assert capsys.readouterr().err == f"do: {reason}; see do --help\n"
+
+
+def test_options_that_may_be_left_out_are_read():
+    assert parse_options("do", _Options, []) == _Options()
+    assert parse_options("do", _Options, ["--sweeps", "4", "--width", "0.5"]) == _Options(3, 4, 0.5)

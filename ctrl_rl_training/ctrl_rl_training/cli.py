@@ -7,17 +7,22 @@ import sys
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import tyro
 from ctrl_rl_core.command import (
     FolderToWrite,
     OptionalFileToWrite,
-    at_least,
     checked,
     checked_list,
     parse_options,
     run_command,
+)
+from ctrl_rl_core.command import (
+    NotNegative as NotNegative,
+)
+from ctrl_rl_core.command import (
+    Positive as Positive,
 )
 from ctrl_rl_core.io.results import Result, ResultsError, write_results
 from ctrl_rl_core.tasks.schema.parts import TaskHeader
@@ -27,11 +32,6 @@ from ctrl_rl_training.experiments.run import Run, RunOptions
 
 if TYPE_CHECKING:
     from ctrl_rl_training.experiments.figure_data import Figures
-
-    Positive: TypeAlias = int
-    NotNegative: TypeAlias = int
-else:
-    Positive, NotNegative = at_least(1), at_least(0)
 
 AnyRun = TypeVar("AnyRun", bound=Run)
 _Options = TypeVar("_Options")

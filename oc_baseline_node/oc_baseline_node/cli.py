@@ -9,16 +9,24 @@ oc map runs/car.safetensors --output map.png    its heat map
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 import tyro
-from ctrl_rl_core.command import OptionalFileToWrite, at_least, checked, checked_list, parse_options, run_command
+from ctrl_rl_core.command import (
+    NotNegative,
+    OptionalFileToWrite,
+    Positive,
+    checked,
+    checked_list,
+    finite_number,
+    parse_options,
+    run_command,
+)
 from ctrl_rl_core.io.results import write_results
 from ctrl_rl_core.tasks.task import NavigationTask, load_navigation_task
 from ctrl_rl_core.values.value_function import ValueFunction
@@ -53,36 +61,19 @@ def _setting(text: str) -> tuple[str, float]:
 
 
 def _distance(text: str) -> float:
-    value = _finite(text)
+    value = finite_number(text)
     if value < 0.0:
         raise ValueError(f"is {value:g}: give metres, zero or more")
     return value
 
 
 def _discount(text: str) -> float:
-    value = _finite(text)
+    value = finite_number(text)
     if not 0.0 < value <= 1.0:
         raise ValueError(f"must lie in (0, 1], not {value:g}")
     return value
 
 
-def _finite(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise ValueError(f"'{text}' is not a finite number")
-    return value
-
-
-if TYPE_CHECKING:
-    _Positive = int
-    _NotNegative = int
-    _OptionalPositive = int | None
-else:
-    _Positive, _NotNegative = at_least(1), at_least(0)
-    _OptionalPositive = at_least(1, optional=True)
 _Task = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TASK")]
 _Clearance = Annotated[float | None, checked(_distance, "METRES")]
 _Settings = Annotated[tuple[tuple[str, float], ...], checked_list(_setting, "NAME=VALUE")]
@@ -107,7 +98,7 @@ class Solve(Extract):
 
     start: Annotated[NDArray[np.float64] | None, checked(_state, "X,Y,...")] = None
     """Start state x_0, such as 0,-3.5,1.57; a random one where none is given."""
-    seed: _NotNegative = 0
+    seed: NotNegative = 0
     """Seed of the random start."""
     solver: Literal["ipopt", "fatrop"] | None = None
     """The only solver to ask; fatrop, then ipopt where none is given."""
@@ -121,11 +112,11 @@ class Data(Extract):
 
     output: Path
     """Folder of the data, one file for each chunk of trajectories."""
-    trajectories: _OptionalPositive = None
+    trajectories: Positive | None = None
     """Number of solved trajectories; the task's where none is given."""
-    seed: _NotNegative = 0
+    seed: NotNegative = 0
     """Seed of the random starts."""
-    workers: _Positive = os.cpu_count() or 1
+    workers: Positive = os.cpu_count() or 1
     """Number of processes."""
     ray: str | None = None
     """Address of a Ray cluster that solves, auto for this machine's; processes of this machine where none is given."""
@@ -147,9 +138,9 @@ class Fit:
     """Discount of a policy's step; the task's where none is given."""
     whole_horizon: bool = False
     """Sum Eq. 3.13 on after arrival, to the end of the horizon."""
-    epochs: _Positive = 200
+    epochs: Positive = 200
     """Number of passes over the data."""
-    seed: _NotNegative = 0
+    seed: NotNegative = 0
     """Seed of the split, the weights and the order of the samples."""
     overwrite: bool = False
     """Replace existing files."""

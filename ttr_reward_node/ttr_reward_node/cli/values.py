@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
-import math
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import tyro
-from ctrl_rl_core.command import at_least, checked, checked_list, parse_options, run_command
+from ctrl_rl_core.command import (
+    FiniteNumber,
+    NotNegative,
+    Positive,
+    checked_list,
+    finite_number,
+    parse_options,
+    run_command,
+)
 from ctrl_rl_core.tasks.task import load_navigation_task
 from ctrl_rl_core.values.value_grid import ValueGrid
 from tqdm import tqdm
@@ -26,16 +33,6 @@ from ttr_reward_node.solvers.solver import check_reached, memory_needed, solve
 from ttr_reward_node.values.decomposed_value import DecomposedValue
 from ttr_reward_node.values.value_file import load_value
 from ttr_reward_node.verification.check import advice, as_line, check_value
-
-
-def _number(text: str) -> float:
-    try:
-        number = float(text)
-    except ValueError:
-        number = math.nan
-    if not math.isfinite(number):
-        raise ValueError(f"'{text}' is not a finite number")
-    return number
 
 
 def _pair(text: str) -> tuple[str, str]:
@@ -57,22 +54,14 @@ def _disturbance(text: str) -> tuple[str, tuple[float, float]]:
     low, separator, high = value.partition(":")
     if not separator:
         raise ValueError(f"'{value}' must be LOW:HIGH")
-    return name, (_number(low), _number(high))
+    return name, (finite_number(low), finite_number(high))
 
 
 def _cut(text: str) -> tuple[str, tuple[float, ...]]:
     name, values = _pair(text)
-    return name, tuple(_number(part) for part in values.split(","))
+    return name, tuple(finite_number(part) for part in values.split(","))
 
 
-if TYPE_CHECKING:
-    _Positive = int
-    _NotNegative = int
-    _OptionalPositive = int | None
-else:
-    _Positive, _NotNegative = at_least(1), at_least(0)
-    _OptionalPositive = at_least(1, optional=True)
-_OptionalNumber = Annotated[float | None, checked(_number, "NUMBER")]
 _Counts = Annotated[tuple[tuple[str, int], ...], checked_list(_count, "STATE=N")]
 _Disturbances = Annotated[tuple[tuple[str, tuple[float, float]], ...], checked_list(_disturbance, "D_STATE=LOW:HIGH")]
 _Cuts = Annotated[tuple[tuple[str, tuple[float, ...]], ...], checked_list(_cut, "STATE=VALUE,...")]
@@ -97,17 +86,17 @@ class Solve:
     """Number of nodes on a state's axis, in place of the task's."""
     disturbance: _Disturbances = ()
     """Bounded disturbances that work against the robot, such as d_x=-0.1:0.1."""
-    inflation: _OptionalNumber = None
+    inflation: FiniteNumber | None = None
     """Distance by which obstacles are widened [m]; 0 where neither this nor --robot-size is given."""
     robot_size: bool = False
     """Widen obstacles by the robot's radius."""
-    width: _OptionalNumber = None
+    width: FiniteNumber | None = None
     """Width of the task's corridor [m]; the task's own where none is given."""
     decomposition: Literal["4d+4d", "five"] | None = None
     """Split of the system; the maximum of its parts is a lower bound (4d+4d is the thesis's for the quadrotor)."""
-    tolerance: _OptionalNumber = None
+    tolerance: FiniteNumber | None = None
     """Largest change of the last sweep [s]; a fraction of the time to cross a cell where none is given."""
-    max_sweeps: _OptionalPositive = None
+    max_sweeps: Positive | None = None
     """Number of sweeps after which the solver gives up; the method's own limit where none is given."""
 
 
@@ -119,13 +108,13 @@ class Check:
     """Time-to-reach function of a car (.safetensors)."""
     task: str | None = None
     """Task to drive in; the one that the function was made for where none is given."""
-    width: _OptionalNumber = None
+    width: FiniteNumber | None = None
     """Width of the task's corridor [m]; the task's own where none is given."""
-    starts: _Positive = 1000
+    starts: Positive = 1000
     """Number of random start states."""
-    seed: _NotNegative = 0
+    seed: NotNegative = 0
     """Seed of the random start states."""
-    at_least: _OptionalNumber = None
+    at_least: FiniteNumber | None = None
     """Fraction of the starts, such as 0.95, that must arrive: exit with 1 if fewer do."""
 
 
@@ -155,7 +144,7 @@ class Relabel:
     """Time-to-reach function (.safetensors)."""
     task: str | None = None
     """Task that defines the rewards; the one that the function was made for where none is given."""
-    width: _OptionalNumber = None
+    width: FiniteNumber | None = None
     """Width of the task's corridor [m]; the task's own where none is given."""
     robot: str = ""
     """Namespace of the robot's topics; none where it is empty."""

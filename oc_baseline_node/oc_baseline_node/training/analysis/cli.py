@@ -13,11 +13,11 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import numpy as np
 import tyro
-from ctrl_rl_core.command import FolderToWrite, at_least, checked_list, parse_options, run_command
+from ctrl_rl_core.command import FolderToWrite, NotNegative, Positive, checked_list, parse_options, run_command
 from ctrl_rl_core.io.results import Result, ResultsError, write_results
 from ctrl_rl_core.tasks.task import NavigationTask, load_navigation_task
 from tqdm import tqdm
@@ -45,13 +45,6 @@ def _per_cent(text: str) -> float:
     return value
 
 
-if TYPE_CHECKING:
-    _Positive = int
-    _NotNegative = int
-    _OptionalPositive = int | None
-else:
-    _Positive, _NotNegative = at_least(1), at_least(0)
-    _OptionalPositive = at_least(1, optional=True)
 _PerCents = Annotated[tuple[float, ...], checked_list(_per_cent, "PER_CENT", show="{:g}".format)]
 
 
@@ -59,7 +52,7 @@ _PerCents = Annotated[tuple[float, ...], checked_list(_per_cent, "PER_CENT", sho
 class _Analysis:
     """Options that every analysis has."""
 
-    seed: _NotNegative = 0
+    seed: NotNegative = 0
     """Seed of everything random."""
     results: FolderToWrite = _RESULTS
     """Folder of the JSON files."""
@@ -71,7 +64,7 @@ class _Analysis:
 class Mismatch(_Analysis):
     """Measure the distance of model and simulator after 1, 5 and 10 steps (Table 3.5)."""
 
-    roll_outs: _Positive = 50
+    roll_outs: Positive = 50
     """Number of roll-outs of each row; the thesis has 10."""
     heavier: _PerCents = (10.0,)
     """Percentages of mass and inertia by which the simulated quadrotor also exceeds its model."""
@@ -83,7 +76,7 @@ class MpcDrives(_Analysis):
 
     task: str = "quad_navigation"
     """Name or .yaml file of the task."""
-    episodes: _Positive = 5
+    episodes: Positive = 5
     """Number of episodes of MPC."""
     learnt: Path | None = None
     """JSON file of `train --results` with a learned path to draw; none is drawn where it is left out."""
@@ -97,7 +90,7 @@ class Gradient(_Analysis):
     """Name or .yaml file of the task."""
     value: Path | None = None
     """File of V_oc; the network that comes with the package where none is given."""
-    samples: _OptionalPositive = None
+    samples: Positive | None = None
     """Number of samples of the true gradient; the thesis's 102400 where none is given."""
 
 
