@@ -5,7 +5,7 @@ SHELL := /bin/bash
 RUN := set -eo pipefail; source scripts/workspace.bash;
 LINKED := ctrl_rl_core ctrl_rl_bags sim_bridge ctrl_rl_training ttr_reward_node oc_baseline_node koopman_lqr_controller option_coordinator ctrl_rl_bringup
 
-.PHONY: help setup build demo demo-options trials train ttr oc options koopman test test-all tests lint bench attack behaviour results lock clean
+.PHONY: help setup build demo demo-options trials train ttr oc options koopman test test-all tests lint bench attack behaviour docs picture results lock clean
 
 help: ## say what there is
 	@grep -E '^[a-z-]+:.*##' Makefile | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 18
