@@ -1,4 +1,4 @@
-"""Which cost makes a given law optimal? Diagonal Q and R whose true infinite-horizon LQR is nearest to it."""
+"""Inverse LQR: diagonal Q and R whose infinite-horizon LQR is nearest to a given law."""
 
 from __future__ import annotations
 

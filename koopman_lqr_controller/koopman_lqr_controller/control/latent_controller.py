@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from koopman_lqr_controller.control.riccati import finite_horizon, solve_lqr
 from koopman_lqr_controller.errors import KoopmanError
+from koopman_lqr_controller.models.array_checks import check_arrays
 from koopman_lqr_controller.models.edmd import LinearModel
 from koopman_lqr_controller.models.encoder import Encoder
 
@@ -91,11 +92,7 @@ class LatentController:
             "a_ref": (self._a_ref, (m,)),
             "drift": (self._drift, (n,)),
         }
-        for name, (array, shape) in shapes.items():
-            if array.shape != shape:
-                raise KoopmanError(f"{name} has shape {array.shape}, must have {shape} for the B it comes with")
-            if not np.isfinite(array).all():
-                raise KoopmanError(f"{name} holds values that are not finite")
+        check_arrays(shapes, "for the B it comes with")
         if (self.Q < 0.0).any() or (self.R <= 0.0).any():
             raise KoopmanError("Q must not be negative, and R must be positive")
         if self.horizon is not None and (self.horizon < 1 or self._a_ref.any() or self._drift.any()):

@@ -1,4 +1,4 @@
-"""What control theory says of a linear model and of what it stands for (thesis 4.3.3): pure mathematics, NumPy only."""
+"""Linear analysis of a model: poles, controllability, variances and costs (thesis 4.3.3). NumPy only."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Episodes of a policy in any environment: their returns, and what a model is fitted to."""
+"""Episodes of a policy in any environment: returns, and the data that a model is fitted to."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 
 
 class Environment(Protocol):
-    """What is needed of an environment: Gymnasium's form, actions in [-1, 1]."""
+    """Environment in Gymnasium's form, with actions in [-1, 1]."""
 
     def reset(self, *, seed: int | None = None) -> tuple[Any, dict[str, Any]]:
         """Begin an episode and return an observation."""
@@ -23,7 +23,7 @@ class Environment(Protocol):
 
 
 class Policy(Protocol):
-    """What acts, from x over features and latent state to u and the action that stands for it."""
+    """Policy from x over features and latent state to u and the action that stands for it."""
 
     @property
     def encoder(self) -> Callable[[Any], Array]:

@@ -1,4 +1,4 @@
-"""From bags to what a policy would have seen in them, and what was commanded."""
+"""Trajectory segments from bags: a policy's observations, and the recorded commands."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _OLDEST = 1.0
 
 @dataclass(frozen=True)
 class TrajectorySegment:
-    """A part of a drive without a gap.
+    """Part of a recorded drive without a gap.
 
     Attributes:
         x: Observation of each scan (T + 1, n).

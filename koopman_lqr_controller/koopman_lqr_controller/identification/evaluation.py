@@ -1,4 +1,4 @@
-"""How well a policy predicts recorded drives, and how far it would have commanded the same."""
+"""Figures of a policy on recorded drives: prediction errors, and differences of its commands."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def evaluate_policy(policy: KoopmanPolicy, segments: Sequence[TrajectorySegment]
 
 
 def time_step_mismatch(policy: KoopmanPolicy, segments: Sequence[TrajectorySegment]) -> str:
-    """Return that a policy's model steps at another pace than drives, empty where it does not or nobody knows."""
+    """Return a warning where a policy's model has another time step than drives; empty where none is needed."""
     step = mean_time_step(segments)
     if policy.dt is None or abs(step / policy.dt - 1.0) < STEP_TOLERANCE:
         return ""

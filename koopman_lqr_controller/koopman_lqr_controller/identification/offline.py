@@ -23,10 +23,10 @@ Array = NDArray[np.float64]
 SIZES = (4, 8, 16, 1000)
 """Latent dimensions that are tried; those beyond the encoder's own stand for all of them."""
 _SAME_LAW = 0.1
-"""Mismatch up to which a regulator does what the policy does, see `LinearLaw.mismatch`."""
+"""Mismatch up to which a regulator does what the policy does: 0 for the same law."""
 
 _STAYS = ("task", "task_digest")
-"""Of a manifest: all else is said of a policy that was made otherwise."""
+"""Keys of a manifest that a refit keeps; all others are of the former policy."""
 
 
 def refit(policy: LatentPolicy, segments: Sequence[TrajectorySegment], sizes: Sequence[int] = SIZES) -> LatentPolicy:

@@ -19,7 +19,7 @@ from koopman_lqr_controller.models.shrinkage import ShrinkageFit, fit_with_shrin
 Array = NDArray[np.float64]
 
 LARGEST_RESIDUAL = 1e-8
-"""Of the Riccati equation, relative; what is above it is refused."""
+"""Largest relative residual of the Riccati equation; a regulator above it is refused."""
 _SEEN = 1e-4
 """Directions of the latent space that vary by less than this part of the first one say nothing but rounding."""
 _INSIDE = 0.9
@@ -29,7 +29,7 @@ _LEAST_WEIGHT = 0.05
 
 @dataclass(frozen=True)
 class RegulatorCandidate:
-    """A candidate.
+    """Regulator of one projection.
 
     Attributes:
         controller: Controller with the infinite horizon.
@@ -63,7 +63,7 @@ def reference_inside(z_ref: Array, u_ref: Array, K: Array, spread: Array) -> tup
 
 
 class RegulatorFitter:
-    """What recorded drives say about a learnt controller: its law as data, and models of projections of psi.
+    """Regulators fitted to recorded drives: a learnt controller's law as data, and models of projections of psi.
 
     The models are shrunk towards "nothing changes": drives are short.
 
@@ -92,7 +92,7 @@ class RegulatorFitter:
         self._A = self.shrunk(self.directions).model.A
 
     def _reference(self, goal: bool) -> tuple[Array, Array]:
-        """Return the goal, or the weighted middle of what is met, and the law's u there: see `reference_inside`."""
+        """Return the goal, or the weighted mean of the latents that are met, and an action that holds it."""
         learnt = self.learnt
         psi_ref = learnt.z_ref if goal else np.average(self._psi, axis=0, weights=self._weight)
         spread = np.cov(self._psi.T, aweights=self._weight)

@@ -59,7 +59,7 @@ def train(
         weights: Weights of the cost; the defaults where left out.
         held_out: Part of the snapshots that is kept for the measure, 0 <= held_out < 1.
         manifest: More to be kept in the policy.
-        shrunk: Towards "nothing changes", for little and noisy data; see `shrinkage`.
+        shrunk: Whether the model is shrunk towards "nothing changes", for little and noisy data.
 
     Raises:
         KoopmanError: the speed is beyond the limits, too little data, or no stabilising regulator.

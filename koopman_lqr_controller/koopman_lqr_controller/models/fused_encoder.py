@@ -1,4 +1,4 @@
-"""The embedding of one observation in as few steps as there can be, for a robot that waits for the answer."""
+"""The embedding of one observation in as few matrix products as possible, for the controller on the robot."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How far a model's prediction is off, over what "nothing changes" is off, and how far it must be off at least."""
+"""Prediction errors of a model over those of "nothing changes", and lower bounds of them."""
 
 from __future__ import annotations
 

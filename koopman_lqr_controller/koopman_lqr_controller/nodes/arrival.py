@@ -1,4 +1,4 @@
-"""When a drive is over: its episode has an outcome, or the robot has gone as far as it may. Pure logic."""
+"""The end of a drive: its episode has an outcome, or the robot has gone as far as it may. Pure logic."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ import math
 from ctrl_rl_core.tasks.outcome import Outcome
 
 ENDED = "the drive is over: "
-"""How every reason of this module begins."""
+"""First words of every reason of this module."""
 _LONGEST_STEP_S = 1.0
 
 
 class Arrival:
-    """Says why a robot that has arrived must stand.
+    """Tells why a robot that has arrived must stand.
 
     Attributes:
         max_distance: Distance after which the robot stands [m]; 0 for none.
@@ -32,7 +32,7 @@ class Arrival:
         self.travelled = 0.0
 
     def episode(self, number: int, outcome: int) -> None:
-        """Take how an episode stands, as EpisodeStatus says it; a new one begins a new drive."""
+        """Note number and outcome of an episode, as in EpisodeStatus; a new episode begins a new drive."""
         known = {value.value for value in Outcome}
         new = Outcome(outcome) if outcome in known else Outcome.RUNNING
         if number != self._episode or (new is Outcome.RUNNING and self._outcome is not Outcome.RUNNING):
@@ -40,7 +40,7 @@ class Arrival:
         self._episode, self._outcome = number, new
 
     def moved(self, now: float, speed: float) -> None:
-        """Take the speed [m/s] by odometry at the time of a scan [s]; longer gaps than a second are not counted."""
+        """Note the speed [m/s] by odometry at the time of a scan [s]; gaps longer than a second do not count."""
         step = now - self._last
         self._last = now
         if 0.0 < step <= _LONGEST_STEP_S and math.isfinite(speed):

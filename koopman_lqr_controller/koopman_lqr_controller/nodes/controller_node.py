@@ -60,7 +60,7 @@ class Controller(LidarDriver[_LatentDetails]):
         Parameter(
             "policy",
             DEFAULT_POLICY,
-            "A policy that comes with the package, or a .safetensors file; another one drives from the next scan on.",
+            "Policy of the package by name, or a .safetensors file; a new one drives from the next scan on.",
             live=True,
             kind="path",
         ),
@@ -80,20 +80,22 @@ class Controller(LidarDriver[_LatentDetails]):
             1000.0,
             live=True,
         ),
-        Parameter("error_patience", 1.0, "How long the prediction error may stay too large [s].", 0.0, 60.0, live=True),
+        Parameter(
+            "error_patience", 1.0, "Time that the prediction error may stay too large [s].", 0.0, 60.0, live=True
+        ),
         Parameter(
             "retry_after",
             3.0,
-            "How long the robot stands for its prediction error before it tries again at half speed [s].",
+            "Time that the robot stands for its prediction error before it tries again at half speed [s].",
             0.0,
             600.0,
             live=True,
         ),
-        Parameter("most_retries", 5, "How many times it tries again in a row; 0 for never.", 0, 1000, live=True),
+        Parameter("most_retries", 5, "Largest number of retries in a row; 0 for none.", 0, 1000, live=True),
         Parameter(
             "max_distance",
             0.0,
-            "Distance by odometry after which the robot stands until this is set anew [m]; 0.0 for none.",
+            "Distance by odometry after which the robot stands until this parameter is set again [m]; 0.0 for none.",
             0.0,
             1e6,
             live=True,
@@ -111,7 +113,7 @@ class Controller(LidarDriver[_LatentDetails]):
         self._load(self.settings["policy"])
 
     def on_parameter_changed(self, name: str) -> None:
-        """Drive with another policy from the next scan on, or watch it otherwise."""
+        """Apply a parameter; a new policy drives from the next scan on."""
         if name == "policy":
             self._load(self.settings["policy"])
         elif name in _GUARDS:
@@ -125,7 +127,7 @@ class Controller(LidarDriver[_LatentDetails]):
             super().on_parameter_changed(name)
 
     def status(self) -> Status:
-        """Say whether commands flow, which policy gives them, and how far from its training the robot is."""
+        """Return whether commands flow, which policy gives them, and how far from its training the robot is."""
         level, message, figures = super().status()
         watched = {
             "distance over the region's": self._not_watched("largest_distance") or f"{self._guard.distance:.2f}",

@@ -91,7 +91,7 @@ class LidarDriver(LidarVelocityNode, Generic[_Details]):
         """
 
     def status(self) -> Status:
-        """Say whether commands flow, and how quickly."""
+        """Return whether commands flow, and how quickly."""
         level, message, figures = super().status()
         if self._latencies:
             p50, p99 = np.percentile(self._latencies, (50, 99)) * 1e3
@@ -99,7 +99,7 @@ class LidarDriver(LidarVelocityNode, Generic[_Details]):
         return level, message, figures
 
     def on_stale_input(self, problem: str) -> None:
-        """Say that there was nothing to answer."""
+        """Report that the robot stands without a scan to answer."""
         header = Header(stamp=self.get_clock().now().to_msg(), frame_id=self.frame)
         self.on_command_sent(header, _STAND, problem, None)
 

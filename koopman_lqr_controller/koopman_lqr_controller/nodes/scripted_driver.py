@@ -1,4 +1,4 @@
-"""A driver without a model, to record drives from: it keeps between the walls and shakes the wheel while it does.
+"""A driver without a model, to record drives: it keeps between the walls and adds noise to its commands.
 
 EDMD needs data in which the controls are excited and the robot is seen off its middle line; this driver is no
 competitor of what is learned from it.
@@ -22,7 +22,7 @@ class ScriptedDriver:
     """Steers to the side with more room, at a wandering speed, with coloured noise on both commands."""
 
     def __init__(self, random: np.random.Generator, speed: float, turn_noise: float, speed_noise: float) -> None:
-        """Set it up.
+        """Make a driver.
 
         Args:
             random: Source of the noise.

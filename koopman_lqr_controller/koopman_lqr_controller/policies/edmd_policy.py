@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from koopman_lqr_controller.control.linear_analysis import costs_of
 from koopman_lqr_controller.errors import KoopmanError
+from koopman_lqr_controller.models.array_checks import check_arrays
 from koopman_lqr_controller.models.edmd import LinearModel
 from koopman_lqr_controller.policies.closed_loop_model import TWO_STAGES, ClosedLoopModel
 from koopman_lqr_controller.policies.koopman_policy import Decision, ObservationFn
@@ -61,11 +62,7 @@ class EdmdPolicy:
             "u_low": (self.u_low, (m,)),
             "u_high": (self.u_high, (m,)),
         }
-        for name, (array, shape) in shapes.items():
-            if array.shape != shape:
-                raise KoopmanError(f"{name} has shape {array.shape}, must have {shape} for {n} observables")
-            if not np.isfinite(array).all():
-                raise KoopmanError(f"{name} holds values that are not finite")
+        check_arrays(shapes, f"for {n} observables")
         if not (self.u_low < self.u_high).all():
             raise KoopmanError("u_low must lie below u_high")
         dt = self.manifest.get("dt")
@@ -81,7 +78,7 @@ class EdmdPolicy:
 
     @property
     def sectors(self) -> Sectors:
-        """What the policy takes from a scan."""
+        """Sectors that a scan is resampled to."""
         return self.observables.sectors
 
     @property

@@ -1,4 +1,4 @@
-"""A task-oriented Koopman policy (thesis chapter 4): the latent controller, and how a lidar robot is wired to it."""
+"""A task-oriented Koopman policy (thesis chapter 4): the latent controller, and its interface to a lidar robot."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class RobotInterface:
-    """How a robot with a lidar is wired to a controller.
+    """Connection of a robot with a lidar to a latent controller.
 
     Attributes:
         observation: Observation x of a scan and odometry.
@@ -94,7 +94,7 @@ class LatentPolicy:
 
     @property
     def required_interface(self) -> RobotInterface:
-        """The wiring, where there is one.
+        """Interface to the robot.
 
         Raises:
             KoopmanError: the policy is of a task without a lidar.
@@ -105,7 +105,7 @@ class LatentPolicy:
 
     @property
     def sectors(self) -> Sectors:
-        """What the policy takes from a scan.
+        """Sectors that a scan is resampled to.
 
         Raises:
             KoopmanError: the policy is of another task.
@@ -123,7 +123,7 @@ class LatentPolicy:
 
     @cached_property
     def _latent(self) -> Callable[[Array], Array]:
-        """The controller's `latent`, quick where it can be."""
+        """Function from an observation to z: the fused encoder, or the controller's own where it cannot be fused."""
         try:
             return FusedEncoder(self.controller.encoder, self.controller.projection)
         except KoopmanError:

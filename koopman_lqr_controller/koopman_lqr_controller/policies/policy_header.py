@@ -1,4 +1,4 @@
-"""What the headers of policy files may say: types and ranges in which a controller can be made and a robot driven."""
+"""The schema of policy files' headers: types and ranges in which a controller can be made and a robot driven."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class _Observation(_Sight):
 
 
 class _Weights(Schema):
-    """What an LQR costs, see `two_stage.Weights`."""
+    """Weights of the two-stage cost."""
 
     side: Annotated[float, Field(ge=0.0, le=1e9)]
     ahead: Annotated[float, Field(ge=0.0, le=1e9)]
@@ -65,7 +65,7 @@ class _Weights(Schema):
 
 
 class _Manifest(Schema):
-    """What was learnt from; other keys are for people."""
+    """Origin of a policy; other keys are for people."""
 
     model_config = ConfigDict(extra="allow", allow_inf_nan=True)
 

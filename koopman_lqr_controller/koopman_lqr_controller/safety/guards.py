@@ -1,4 +1,4 @@
-"""When a robot is better stopped than driven by its model: pure logic, time is passed in.
+"""Guards that stop a robot where its model does not hold: pure logic, time is passed in.
 
 Two alarms watch a policy: that of the region, which the latent may not leave, and that of the prediction, whose error
 may not stay high. Each rises when what it watches was above its limit for some time, and ends when it was well below
@@ -20,11 +20,11 @@ Array = NDArray[np.float64]
 RELEASE = 0.8
 """Part of the limit below which an alarm ends: what hovers at the limit does not stop and go."""
 RETRY_SCALE = 0.5
-"""Part of a command that is carried out while the robot tries again."""
+"""Part of a command that is carried out during a retry."""
 RETRY_SECONDS = 3.0
-"""How long it tries [s]."""
+"""Duration of one retry [s]."""
 FORGET_SECONDS = 10.0
-"""How long all must have been well before former tries no longer count [s]."""
+"""Time without an alarm after which former retries no longer count [s]."""
 MAX_GAP_SECONDS = 1.0
 """Values that are further apart say nothing of the time between them [s]."""
 
@@ -46,11 +46,11 @@ class Alarm:
     _last: float = field(default=math.nan, repr=False)
 
     def end(self) -> None:
-        """Forget all that was seen."""
+        """End the alarm and forget all values."""
         self.raised, self._since = False, math.nan
 
     def update(self, now: float, value: float) -> bool:
-        """Take a value at a time [s], NaN for none, and return whether the alarm is raised."""
+        """Update with a value at a time [s], NaN for none, and return whether the alarm is raised."""
         if self.limit <= 0.0:
             self.end()
         elif not math.isnan(value):
@@ -127,7 +127,7 @@ class Guard:
         largest_error: float,
         error_patience: float,
     ) -> None:
-        """Set it up.
+        """Make a guard.
 
         Args:
             distribution: Latent distribution of the policy; None to watch nothing.
@@ -141,7 +141,7 @@ class Guard:
         self.set_limits(largest_distance, largest_error, error_patience)
 
     def set_limits(self, largest_distance: float, largest_error: float, error_patience: float) -> None:
-        """Change them; an alarm that is raised stays so until its own limit says otherwise."""
+        """Change the limits; a raised alarm stays raised until its own limit ends it."""
         self._distance_alarm.limit = largest_distance
         self._error_alarm.limit, self._error_alarm.patience = largest_error, error_patience
 

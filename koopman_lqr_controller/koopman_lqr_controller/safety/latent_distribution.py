@@ -1,4 +1,4 @@
-"""What training saw of the latent space, and how well it predicted: what a robot's own latents are held against."""
+"""The distribution of latents and prediction errors in training, which a robot's own are compared with."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _LEAST_SPREAD = 1e-4
 
 @dataclass(frozen=True)
 class LatentDistribution:
-    """Where latents are usual, and which prediction errors are.
+    """Gaussian of the latents in training, with the border of usual distances and prediction errors.
 
     Attributes:
         mean: Mean of the latents (n,).

@@ -1,1 +1,1 @@
-"""From a laser scan to what a policy sees."""
+"""Observations of a policy from a laser scan and odometry."""

@@ -1,4 +1,4 @@
-"""Any laser scan to distances at fixed bearings.
+"""Resampling of any laser scan to distances at fixed bearings.
 
 Real scans vary: 360 beams of an LDS-01 with zeros for misses, 268 to 274 NaN-filled ones of an LDS-02, 720 of a
 TurtleBot 4 with a third of them infinite. A policy sees none of that: it sees one distance per sector.
@@ -53,7 +53,7 @@ _Key = tuple[int, float, int]
 
 
 class _Beams(NamedTuple):
-    """Where the sectors find their beams in `_measured` of one geometry.
+    """Places of the sectors' beams in `_measured` for one geometry.
 
     Attributes:
         places: (sectors, most beams in one + 1); each row is filled up with the NaN at the end, at least once.
@@ -83,7 +83,7 @@ class _Geometries:
         return found
 
     def put(self, key: _Key, beams: _Beams) -> None:
-        """Take a new one; those used longest ago make room."""
+        """Add a geometry; those used longest ago make room."""
         self._found[key] = beams
         self.bytes += beams.places.nbytes
         while len(self._found) > _KNOWN or (self.bytes > _KNOWN_BYTES and len(self._found) > 1):

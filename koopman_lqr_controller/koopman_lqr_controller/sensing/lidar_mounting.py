@@ -1,4 +1,4 @@
-"""How a lidar is mounted, by what a robot says of itself: a TurtleBot 4's looks to the left."""
+"""The direction of a lidar on its robot, by the bag's tf_static: a TurtleBot 4's looks to the left."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a learnt policy sees of lidar and odometry: one number for each of some fixed bearings, speed and turn rate."""
+"""The observation of a learnt policy: nearness at fixed bearings of the lidar, speed and turn rate."""
 
 from __future__ import annotations
 
@@ -44,13 +44,13 @@ class LidarObservation:
 
     @cached_property
     def sectors(self) -> Sectors:
-        """What is taken from a scan."""
+        """Sectors that a scan is resampled to."""
         spacing = 2.0 * np.pi / self.count
         return Sectors(tuple(float(spacing * index) for index in range(self.count)), 0.5 * spacing, self.far)
 
     @property
     def names(self) -> tuple[str, ...]:
-        """What each component of x is."""
+        """Name of each component of x."""
         degrees = (360.0 * index / self.count for index in range(self.count))
         return (*(f"nearness at {angle:g} deg" for angle in degrees), "speed", "turn rate")
 

@@ -40,13 +40,13 @@ class CorridorObservables:
 
     @cached_property
     def sectors(self) -> Sectors:
-        """What must be taken from a scan: around the robot, from behind right over ahead to behind left."""
+        """Sectors that a scan is resampled to, from behind right over ahead to behind left."""
         left = np.deg2rad(self.bearings_deg)
         return Sectors((*(-left[::-1]).tolist(), *left.tolist()), float(np.deg2rad(self.half_width_deg)), self.far)
 
     @property
     def names(self) -> tuple[str, ...]:
-        """What each component of z is."""
+        """Name of each component of z."""
         return (*(f"nearness left - right at {angle:g} deg" for angle in self.bearings_deg), "turn rate", "speed")
 
     @property

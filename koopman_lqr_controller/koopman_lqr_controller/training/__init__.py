@@ -1,1 +1,1 @@
-"""Task-oriented learning (thesis 4.2): what no robot needs; imports torch."""
+"""Task-oriented learning (thesis 4.2); imports torch, which no robot needs."""

@@ -1,4 +1,4 @@
-"""The numbers of a learner, the same for all tasks but for what a problem changes."""
+"""The hyperparameters of a learner, the same for all tasks but for the changes of a benchmark task."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _SHARES = ("discount", "critic_rate", "encoder_rate", "average_rate")
 
 @dataclass(frozen=True)
 class Settings:
-    """How is learnt.
+    """Hyperparameters of a learner.
 
     Attributes:
         latent: Dimensions of z.
@@ -50,7 +50,7 @@ class Settings:
         policy: "lqr", or "network" as in CURL.
         critic: "plain" hidden layers, or each with a "layer_norm": values cannot run away, and policies oscillate less.
         bfloat16: "all" hidden layers are computed so while learning, or "nothing": a third quicker, if processors can.
-        cost: That a hand has tuned for the two stages, see `two_stage_learner`; of no effect elsewhere.
+        cost: Hand-tuned cost of `two_stage_learner`, "Q1" to "Q4"; of no effect elsewhere.
     """
 
     latent: int = 50

@@ -1,4 +1,4 @@
-"""What acts: an encoder and a stochastic policy on z, the linear one of the thesis or a network as in CURL."""
+"""Actors: an encoder and a stochastic policy on z, linear as in the thesis or a network as in CURL."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 
 
 class AgentInterface(NamedTuple):
-    """What an agent observes and controls.
+    """Observations and controls of an agent.
 
     Attributes:
         shape: Shape of one observation.

@@ -30,7 +30,7 @@ from koopman_lqr_controller.training.settings import Settings
 
 
 class Agent(nn.Module):
-    """All that is learnt, and how.
+    """Networks that are learnt, and their updates.
 
     Attributes:
         actor: Actor as it is now.

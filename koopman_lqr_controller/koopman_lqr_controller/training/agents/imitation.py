@@ -1,4 +1,4 @@
-"""A latent policy from recorded drives alone: Algorithm 2 with the driver's commands in the place of a reward.
+"""Learning a latent policy from recorded drives: Algorithm 2 with the driver's commands in place of a reward.
 
 Encoder, model and differentiable LQR are those of the learner that lives in an environment, and so are the contrastive
 loss (Eq. 4.4) and the model loss (Eq. 4.7). What SAC would find out by trying is not in a recording, and no critic can
@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ImitationSettings:
-    """How is learnt.
+    """Settings of imitation.
 
     Attributes:
         latent: Dimensions of z.
@@ -127,7 +127,7 @@ class _Data:
 
 
 class _Imitation:
-    """Learning under way."""
+    """State of the imitation between updates."""
 
     def __init__(self, data: _Data, settings: ImitationSettings) -> None:
         self._data, self._settings = data, settings

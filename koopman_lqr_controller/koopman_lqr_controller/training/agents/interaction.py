@@ -1,4 +1,4 @@
-"""Acting in an environment and remembering it, for a chunk of a run."""
+"""Collection of transitions from an environment into a replay buffer, for one chunk of a run."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Algorithm 2 of the thesis: act, remember, update; what the chunks of a run are made of."""
+"""The learner of thesis Algorithm 2: it acts, remembers and updates, one chunk of a run at a time."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class KoopmanLearner:
         self.replay = Replay(min(problem.settings.replay, capacity), interface.shape, interface.controls, kind)
 
     def learn(self, chunk: int, done: int, actions: int, episodes: int) -> tuple[int, int]:
-        """Act and learn; see `course.Learner`."""
+        """Act and learn for one chunk, as `trainer.Learner` says."""
         settings, agent, shape = self._settings, self._agent, self._environment.action_space.shape
         random = np.random.default_rng((self._seed, chunk))
         generator = torch.Generator().manual_seed(int(random.integers(2**63)))
@@ -70,7 +70,7 @@ class KoopmanLearner:
         return {**out, **self.replay.arrays(), _UPDATES: np.array(self._agent.updates)}
 
     def restore(self, arrays: Arrays, /) -> None:
-        """Take what `arrays` gave."""
+        """Restore the state that `arrays` returned."""
         restore_state({"agent": self._agent}, self._agent.optimizers, arrays)
         self.replay.restore(arrays)
         self._agent.updates = int(arrays[_UPDATES].item())

@@ -1,4 +1,4 @@
-"""A deterministic policy that is one network, for comparison: what acts where there is no linear model."""
+"""A deterministic policy that is one network, for comparison with the linear models."""
 
 from __future__ import annotations
 

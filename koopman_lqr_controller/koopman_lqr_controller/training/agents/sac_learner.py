@@ -1,4 +1,4 @@
-"""Soft actor-critic of Stable-Baselines3 on the same tasks: what a policy without any model reaches."""
+"""Soft actor-critic of Stable-Baselines3 on the same tasks, as a baseline without a model."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _NOUGHT, _ONE = np.zeros((), np.float32), np.ones((), np.float32)
 
 
 class SacLearner:
-    """See `course.Learner`; the numbers are those of the task's settings, where the library has them.
+    """SAC with the numbers of the task's settings, where the library has them.
 
     Args:
         problem: Task to learn, seen as a vector.
@@ -60,7 +60,7 @@ class SacLearner:
         )
 
     def learn(self, chunk: int, done: int, actions: int, episodes: int) -> tuple[int, int]:  # noqa: ARG002 - it counts
-        """Act and learn; see `course.Learner`."""
+        """Act and learn for one chunk, as `trainer.Learner` says."""
         model = self._model
         model.set_random_seed(int(np.random.SeedSequence((self._seed, chunk)).generate_state(1)[0]) % 2**31)
         model._last_obs = None  # makes `learn` begin a fresh episode
@@ -81,7 +81,7 @@ class SacLearner:
         return {**model_arrays(self._model), _SAMPLES: np.array([self._model.num_timesteps])}
 
     def restore(self, arrays: Arrays, /) -> None:
-        """Take what `arrays` gave."""
+        """Restore the state that `arrays` returned."""
         restore_model(self._model, arrays)
         self._model.num_timesteps = int(arrays[_SAMPLES].item())
 

@@ -1,4 +1,4 @@
-"""Model-oriented Koopman control (thesis 4.3.3): first the model from data, then its LQR, whose costs a hand has tuned.
+"""Model-oriented Koopman control (thesis 4.3.3): first the model from data, then its LQR with hand-tuned costs.
 
 z is the observation and, after it, what a network makes of it: costs can be put on what has a meaning. The network is
 trained to be predicted one step ahead; or not at all, then its random features are the user-defined functions of EDMD.
@@ -53,7 +53,7 @@ class LiftedModel(nn.Module):
 
 
 class TwoStageLearner:
-    """See `course.Learner`.
+    """A learner that fits a model to random actions, then solves for its LQR.
 
     Args:
         problem: Task with a goal, seen as a vector.
@@ -94,7 +94,7 @@ class TwoStageLearner:
         self.replay = Replay(capacity, interface.shape, interface.controls, kind)
 
     def learn(self, chunk: int, done: int, actions: int, episodes: int) -> tuple[int, int]:
-        """Act at random and fit; see `course.Learner`."""
+        """Act at random and fit for one chunk, as `trainer.Learner` says."""
         settings, random = self._settings, np.random.default_rng((self._seed, chunk))
         shape = self._environment.action_space.shape
 
@@ -135,7 +135,7 @@ class TwoStageLearner:
         return {**state_arrays({"model": self._model}, {"optimizer": self._optimizer}), **self.replay.arrays()}
 
     def restore(self, arrays: Arrays, /) -> None:
-        """Take what `arrays` gave."""
+        """Restore the state that `arrays` returned."""
         restore_state({"model": self._model}, {"optimizer": self._optimizer}, arrays)
         self.replay.restore(arrays)
 

@@ -1,4 +1,4 @@
-"""Why a corridor's model does not predict better: the same starts under one disturbance after the other.
+"""An ablation of a model's prediction error in a corridor: the same starts under one disturbance after the other.
 
 Each state is looked at twice, which tells what the sensor's noise alone makes any model miss; and the linear model that
 is fitted to the very steps tells what no linear model of these latents could have known.
@@ -38,14 +38,14 @@ def ablate_disturbances(
     Args:
         loop: Closed loop of the policy.
         make: Makes the corridor of a robot.
-        noises: In the actions, see `run_episode`; judged apart, as how much changes in a step depends on them.
+        noises: Standard deviations of the noise in the actions; judged apart, as the change in a step depends on them.
         episodes: For each of them, the same starts under all disturbances.
         disturbances: Conditions of the robot by name.
         on_progress: Called with the name of each part before it begins.
 
     Returns:
         For each disturbance and noise `name`, `noise`, `steps` and, all of them errors of one step over that of
-        persistence, `model`, `law` (see `law_error`), `linear_floor` and `noise_floor`.
+        persistence, `model`, `law`, the error in K z, `linear_floor` and `noise_floor`.
     """
     out = []
     for name, conditions in disturbances.items():

@@ -1,4 +1,4 @@
-"""All that is said of a policy, as JSON: from its file alone, from its world, and from what was seen and done."""
+"""The analysis of a policy as JSON: from its file, its environment, and recorded or simulated episodes."""
 
 from __future__ import annotations
 
@@ -38,11 +38,11 @@ _PATCH = 8
 _LOOKED_AT = 200
 """Observations that Jacobians are taken at."""
 _PART_STEP = 5e-3
-"""Of a component's spread: differences of a Jacobian; encoders are of single precision."""
+"""Differences of a Jacobian, as a part of a component's spread; encoders are of single precision."""
 
 
 class Findings:
-    """What is found, and what is left out and why.
+    """Findings by part, and the reasons for parts that were left out.
 
     Attributes:
         parts: By name, as JSON.

@@ -1,4 +1,4 @@
-"""The world a policy was made for, as its manifest names it, and episodes of the policy in it."""
+"""The environment that a policy's manifest names, and episodes of the policy in it."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _CORRIDOR = "curved_corridor"
 
 @dataclass(frozen=True)
 class EpisodeTrajectory:
-    """What was seen and done.
+    """Observations, controls and rewards of one episode.
 
     Attributes:
         x: Observations (T + 1, *shape).
@@ -54,7 +54,7 @@ class LiftedCorridor(Corridor):
         self.robot_interface = RobotInterface(self.robot_interface.observation, policy.u_low, policy.u_high)
 
     def observe(self) -> Vector:
-        """Return Psi of the state as it is, see `Corridor.observe`."""
+        """Return Psi of the present state, with noise and drop-out of its own in each call."""
         return self._policy.observables.observe(*self.scan(), *self.speeds()).astype(np.float32)
 
 

@@ -1,4 +1,4 @@
-"""A robot between two straight walls, in closed form: what a corridor policy really does near the middle line."""
+"""A robot between two straight walls, in closed form, to linearise a corridor policy near the middle line."""
 
 from __future__ import annotations
 

@@ -111,7 +111,7 @@ class CandidateSearch:
 
     @property
     def seen(self) -> list[Episode]:
-        """What models are fitted to; every fifth episode is kept from them."""
+        """Episodes that models are fitted to; every fifth is kept from them."""
         return [episode for number, episode in enumerate(self._episodes) if number % 5]
 
     def run(self, acting: Policy, index: int) -> None:

@@ -29,7 +29,7 @@ from koopman_lqr_controller.training.consolidation.consolidation_report import r
 
 @dataclass(frozen=True)
 class ConsolidationResult:
-    """What came of it.
+    """Result of a consolidation.
 
     Attributes:
         controller: With the infinite horizon.

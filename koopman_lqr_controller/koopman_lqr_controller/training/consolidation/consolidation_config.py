@@ -17,7 +17,7 @@ _FILE_NAMES = {"max_return_loss": "hopeless", "exploratory_latent": "scout"}
 
 @dataclass(frozen=True)
 class ConsolidationConfig:
-    """How is consolidated.
+    """Settings of consolidation.
 
     Attributes:
         episodes: Number of episodes of each round; a fifth is kept from the fit, to choose by the model's error.

@@ -35,17 +35,17 @@ from koopman_lqr_controller.training.networks.networks import dense, deploy_laye
 Array = NDArray[np.float64]
 
 _BOUND = 1.1
-"""Of what the law asks for: beyond it all actions are the same, up to a leak that leads back."""
+"""Bound of the law's control: beyond it all actions are the same, up to a leak that leads back."""
 _LEAK = 0.01
 _LEAST = 1e-6
 """Added to mean squares that are divided by."""
 _LARGEST_GRADIENT = 1.0
-"""Of what the gain depends on: near models that cannot be stabilised it has no bounds."""
+"""Largest gradient of the parameters of the gain: near models that cannot be stabilised it has no bounds."""
 
 
 @dataclass(frozen=True)
 class DistillationSettings:
-    """How is trained.
+    """Settings of a candidate's training.
 
     Attributes:
         hidden: Units of phi's hidden layer.
@@ -162,7 +162,7 @@ class _Data:
 
 
 class _Training:
-    """Under way."""
+    """State of the training between updates."""
 
     def __init__(self, data: _Data, latent: int, settings: DistillationSettings) -> None:
         self._data, self._settings = data, settings

@@ -1,4 +1,4 @@
-"""What can be learnt: environments, the numbers that suit them, and what the thesis reached. Imports no torch."""
+"""The benchmark tasks: environments, settings that suit them, and the thesis's returns. Imports no torch."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ FRAMES = 3
 _CAMERA = 0
 _GREY = np.array((0.299, 0.587, 0.114), np.float32)
 _QUICK = ("mjRND_SHADOW", "mjRND_REFLECTION", "mjRND_SKYBOX")
-"""What a picture does without: drawn in software, it is made ten times as quickly."""
+"""Effects that a picture does without: drawn in software, it is made ten times as quickly."""
 
 Observation = NDArray[Any]
 
@@ -85,7 +85,7 @@ class ControlSuite(gymnasium.Env[Observation, NDArray[np.float32]]):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """What each component of an observed state is."""
+        """Name of each component of an observed state."""
         parts = ((name, int(np.prod(spec.shape))) for name, spec in self._suite.observation_spec().items())
         return tuple(f"{name} {index}" for name, size in parts for index in range(size))
 

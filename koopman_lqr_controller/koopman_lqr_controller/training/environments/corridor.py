@@ -32,29 +32,29 @@ from koopman_lqr_controller.sensing.lidar_observation import LidarObservation
 from koopman_lqr_controller.training.replay import Mirror
 
 _BESIDE, _ASKEW = 0.12, 30.0
-"""How far off the middle line learning begins at most [m], [deg]."""
+"""Largest offset from the middle line at which learning begins [m], [deg]."""
 _AT_SPEED = 0.9
 """Part of an episode that it takes at full speed to drive through as many corridors as learning has in a row."""
 _LIDARS, _MOST_DROPOUT, _LONGEST_DELAY = ("lds01", "lds02"), 0.1, 0.1
-"""What an episode's robot may be like: probability that a beam is lost, from a command to its effect [s]."""
+"""Lidars of an episode's robot, largest probability that a beam is lost, longest delay of a command [s]."""
 _RATE = 60
 _FASTEST, _HARDEST = 0.22, 1.5
-"""What a policy may command at most, forwards [m/s] and to both sides [rad/s]; less where the task allows less."""
+"""Largest command of a policy, forwards [m/s] and to both sides [rad/s]; less where the task allows less."""
 _NEAR_WALL = 0.15
 """Clearance below which a step pays less [m]."""
 _TURN_COST = 0.2
-"""What a step pays less at the highest turn rate, else by its square: without it the robot shakes its way along."""
+"""Cost of a step at the highest turn rate; below it grows by the square. Without it the robot shakes its way along."""
 _ADVANCE, _STALL = 0.05, 10.0
 """An episode in which the robot comes no further than so far in so long is cut off [m], [s]."""
 _COLLISION_SCALE, _GOAL_SCALE = 1 / 20, 1 / 50
-"""Of what the task pays, in steps at full speed: -20 and 20 of them."""
+"""Scales of the task's final rewards, in steps at full speed: -20 and 20 of them."""
 
 Vector = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
 class Conditions:
-    """What is hard about a robot.
+    """Conditions that make a robot harder to drive.
 
     Attributes:
         lidar: One of `sim_bridge.simulation.lidar.LIDARS`.

@@ -1,4 +1,4 @@
-"""What an encoder is trained with besides the task: contrasts (thesis Eq. 4.4), or an autoencoder's losses (4.3.5)."""
+"""Losses of an encoder besides the task's: contrastive (thesis Eq. 4.4), or those of an autoencoder (4.3.5)."""
 
 from __future__ import annotations
 

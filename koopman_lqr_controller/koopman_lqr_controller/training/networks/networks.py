@@ -39,12 +39,12 @@ class TorchEncoder(nn.Module):
         crop: int | None = None,
         halved: bool = False,
     ) -> None:
-        """Make one with random weights.
+        """Make an encoder with random weights.
 
         Args:
             shape: (n,) of a vector or (channels, height, width) of an image.
             latent: Dimensions of z.
-            hidden: Units of each hidden layer; of filters see `_filters`.
+            hidden: Units of each hidden layer of a vector's encoder.
             depth: Hidden layers, or convolutions of an image.
             middle: Value that becomes 0; broadcasts to `shape`.
             unit: Distance above the middle that becomes 1.
@@ -137,7 +137,7 @@ def deploy_layers(layers: nn.Sequential) -> list[deployed.Layer]:
 
 
 class Decoder(nn.Module):
-    """From z back to what an encoder looks at, normalised: its layers, turned around.
+    """Network from z back to the normalised observation: the encoder's layers in reverse.
 
     Attributes:
         layers: Layers in their order.
