@@ -15,12 +15,12 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 ALLOWED = {
     "ctrl_rl_bags": 0,
-    "ctrl_rl_bringup": 24,
+    "ctrl_rl_bringup": 0,
     "ctrl_rl_core": 0,
     "ctrl_rl_training": 23,
     "koopman_lqr_controller": 14,
     "oc_baseline_node": 0,
-    "option_coordinator": 101,
+    "option_coordinator": 5,
     "sim_bridge": 0,
     "ttr_reward_node": 0,
     "test/attack": 0,

@@ -4,4 +4,4 @@ from ctrl_rl_core.errors import CtrlRlError
 
 
 class OptionError(CtrlRlError):
-    """Options, a policy or a file do not allow what was asked; the message says why and what to do."""
+    """A request about options, a policy or a file is invalid; the message says why and what to do."""

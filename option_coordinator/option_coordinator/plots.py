@@ -1,4 +1,4 @@
-"""Pictures of an episode: a timeline of who runs which option, and a replay of it as an animation."""
+"""Plots of an episode: a timeline of the options, and an animation."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _SAME = 0.01  # of the picture: a gap that parts nothing
 
 
 def draw_timeline(environment: OptionEnvironment, title: str, path: Path) -> None:
-    """Draw who ran which option when in an environment's last episode, as Fig. 5.1 does; pale if it was not finished.
+    """Draw the options of an environment's last episode as in Fig. 5.1; pale where an option was not finished.
 
     Raises:
         OptionError: there was none.
@@ -100,16 +100,16 @@ def _draw_room(ax: Axes, environment: OptionEnvironment) -> dict[str, Any]:
 def draw_spans(
     ax: Axes, spans: Sequence[Span], agents: Sequence[str], options: Sequence[str], unit: float = 1.0
 ) -> None:
-    """Draw who ran which option when, a row for each agent; pale if it was not finished.
+    """Draw the options that agents ran, a row for each agent; pale where an option was not finished.
 
-    What repeats is labelled once; what has no room for a label anywhere stands in a legend.
+    Repeated options are labelled once; options without room for a label are listed in a legend.
 
     Args:
-        ax: to draw on.
-        spans: what ran.
-        agents: names, from top to bottom.
-        options: names of all, for their colours.
-        unit: of a span's times [s].
+        ax: Axes to draw on.
+        spans: Runs of options to draw.
+        agents: Names of the agents, from top to bottom.
+        options: Names of all options, which set their colours.
+        unit: Duration of one unit of a span's times [s].
     """
     rows = {agent: row for row, agent in enumerate(reversed(agents))}
     palette = colormaps["tab20"]

@@ -1,4 +1,4 @@
-"""What the commands of this package share: where their nodes talk, and the folder of a new run."""
+"""Helpers of the commands of this package: the reach of their nodes, and the folder of a new run."""
 
 from __future__ import annotations
 

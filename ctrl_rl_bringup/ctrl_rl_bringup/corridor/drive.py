@@ -32,7 +32,7 @@ from koopman_lqr_controller import find_policy
 
 @dataclass(frozen=True)
 class Artifacts:
-    """What a drive leaves behind, besides its bag."""
+    """Files that a drive writes besides its bag."""
 
     report: Path
     picture: Path

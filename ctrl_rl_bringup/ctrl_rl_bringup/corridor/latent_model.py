@@ -1,4 +1,4 @@
-"""What a bag says about the linear model that a robot was driven by: its poles, and how well it predicted the drive."""
+"""The linear latent model of a recorded drive: its poles and its prediction errors."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ _SAME = 1e-9
 
 @dataclass(frozen=True)
 class LatentModel:
-    """The model of the policy that drove, and what became of its predictions.
+    """The latent model of the policy that drove, and its prediction errors.
 
     Attributes:
-        dimensions: of the latent space.
-        poles: of the closed loop, A - B K, largest first (n,); none where the policy's file is no longer what drove.
-        steps: (k, 3) stamp [s], prediction error, and how far the latent moved: the error of "nothing changes".
-        farthest: largest distance from the latents of training, 1 at the border; NaN where the policy knows none.
-        stops: how many scans were answered by a stop, by reason.
+        dimensions: Number of dimensions of the latent space.
+        poles: Poles of the closed loop A - B K, largest first (n,); empty if the policy's file has changed since.
+        steps: Stamp [s], prediction error and distance that the latent moved, the error of "nothing changes" (k, 3).
+        farthest: Largest distance from the latents of training, 1 at the border; NaN if the policy has no border.
+        stops: Number of scans that were answered by a stop, by reason.
     """
 
     dimensions: int
@@ -50,7 +50,7 @@ class LatentModel:
 
     @property
     def spectral_radius(self) -> float:
-        """Of the closed loop, NaN where its poles are not known."""
+        """Spectral radius of the closed loop, NaN if its poles are not known."""
         return float(np.abs(self.poles[0])) if len(self.poles) else float("nan")
 
     def as_dict(self) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""What a bag says about a drive: reached or not, how close to a wall, how quickly the controller answered."""
+"""Report on a recorded drive: its outcome, clearance and control latency."""
 
 from __future__ import annotations
 
@@ -31,24 +31,24 @@ class DriveReport:
     """One drive as recorded; times are seconds of simulation since the start.
 
     Attributes:
-        task: its name or file.
-        width: of the corridor [m], None for the task's own.
-        outcome: a constant of TaskOutcome.
-        duration: until the outcome [s].
-        collisions: episodes that ended in one.
-        smallest_clearance: from the body to the nearest wall or obstacle [m].
-        truth: (n, 3) time, x, y in the frame map [s, m, m].
-        odometry: (n, 3) the same by the robot's wheels, in its own frame odom.
-        clearance: (n, 2) time and clearance [s, m].
-        commands: (n, 3) time, speed, turn rate [s, m/s, rad/s].
-        rewards: (n, 3) time, reward, time to reach [s, 1, s]; no rows where none was recorded.
-        oc_values: (n, 2) time, optimal control value [s, 1]; no rows where none was recorded.
-        latencies: from the publication of a scan to that of the command that answers it [s].
-        messages: recorded.
-        lost: published while the recorder listened, but not recorded.
-        predictions: (n, 3) time, one-step error of the latent model, and that of "nothing changes".
-        latent: the linear model that drove; None where none did.
-        promised: kinds of files that the run was started with: "policy", "time_to_reach", "oc_value" and so on.
+        task: Name or file of the task.
+        width: Width of the corridor [m], None for the task's own.
+        outcome: Outcome, a constant of TaskOutcome.
+        duration: Time until the outcome [s].
+        collisions: Number of episodes that ended in a collision.
+        smallest_clearance: Smallest distance from the body to the nearest wall or obstacle [m].
+        truth: True time, x, y in the frame map (n, 3) [s, m, m].
+        odometry: Time, x, y by the robot's wheels, in its own frame odom (n, 3) [s, m, m].
+        clearance: Time and clearance (n, 2) [s, m].
+        commands: Time, speed, turn rate (n, 3) [s, m/s, rad/s].
+        rewards: Time, reward, time to reach (n, 3) [s, 1, s]; no rows if none was recorded.
+        oc_values: Time, optimal control value (n, 2) [s, 1]; no rows if none was recorded.
+        latencies: Time from the publication of a scan to that of the command that answers it [s].
+        messages: Number of recorded messages.
+        lost: Number of messages published while the recorder listened, but not recorded.
+        predictions: Time, one-step error of the latent model, and that of "nothing changes" (n, 3).
+        latent: Latent model of the controller; None if another driver drove.
+        promised: Kinds of files that the run was started with: "policy", "time_to_reach", "oc_value" and so on.
     """
 
     task: str
@@ -82,7 +82,7 @@ class DriveReport:
 
     @property
     def lacks(self) -> list[str]:
-        """What the nodes of the run should have said and the bag does not hold, in words; empty in a whole report."""
+        """Messages that the run's nodes should have published and that the bag lacks, in words; empty if it is whole."""
         out = []
         if "time_to_reach" in self.promised:
             out += self._gaps("reward", self.rewards)

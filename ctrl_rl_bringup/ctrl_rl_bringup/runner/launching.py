@@ -27,7 +27,7 @@ from ctrl_rl_bringup.runner.stack import NodeSpec
 
 _PACKAGE = "ctrl_rl_bringup"
 _OF_ALL = {
-    "seed": ("0", "of starts, noise and draws"),
+    "seed": ("0", "seed of starts, noise and draws"),
     "speed": ("1.0", "simulation time per wall time"),
     "gui": ("false", "show PyBullet's window"),
 }
@@ -40,18 +40,18 @@ _READS: dict[str, Callable[[str], Any]] = {
 
 
 class LaunchError(CtrlRlError):
-    """An argument says nothing, or a process failed: that ends the launch, with another code than 0."""
+    """An argument has no valid value, or a process failed; the launch ends with a code other than 0."""
 
 
 @dataclass(frozen=True)
 class Launch:
-    """What is launched.
+    """Nodes and commands of a launched run.
 
     Attributes:
-        recorder: of all topics; it ends last.
-        nodes: the others.
-        monitor: executable of this package that ends when the run is over, with its arguments.
-        report: and the one that says, from the bag, what happened.
+        recorder: Recorder of all topics, which ends last.
+        nodes: Nodes of the run besides the recorder.
+        monitor: Executable of this package that ends when the run is over, with its arguments.
+        report: Executable that reports on the bag, with its arguments.
     """
 
     recorder: NodeSpec
@@ -66,9 +66,9 @@ def description(
     """Return what `ros2 launch` is to do.
 
     Args:
-        name: of the run, for its folder.
-        arguments: default and meaning of each that is not one of all runs: seed, speed, gui, folder.
-        prepare: gets the values of all of them by name, and makes the folder.
+        name: Name of the run, used for its folder.
+        arguments: Default and description of each argument besides seed, speed, gui and folder, by name.
+        prepare: Gets the values of all arguments by name, and makes the folder.
     """
     folder = ("", f"new folder of the run; default runs/{name}-<date>-<time>")
     known = {**arguments, **_OF_ALL, "folder": folder}
@@ -91,7 +91,7 @@ def _read(key: str, text: str) -> Any:
     try:
         return _READS.get(key, str)(text)
     except (ValueError, KeyError):
-        raise LaunchError(f"{key}:={text}: that is no value of it; see --show-args") from None
+        raise LaunchError(f"{key}:={text}: not a value of this argument; see --show-args") from None
 
 
 def _actions(run: Launch) -> list[Action]:

@@ -1,4 +1,4 @@
-"""Follows a drive: waits until everyone listens, lets the simulation run, shows how far the robot is."""
+"""A monitor of drives: waits until the nodes listen to each other, starts the simulation, shows progress."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class MonitorError(CtrlRlError):
 
 @dataclass(frozen=True)
 class EpisodeProgress:
-    """How an episode stands: number, outcome, time since the reset [s], part of the way done, least clearance [m]."""
+    """State of an episode: number, outcome, time since the reset [s], part of the way done, least clearance [m]."""
 
     number: int
     outcome: int
@@ -61,8 +61,8 @@ class Monitor:
     """A node that follows the episodes of one robot.
 
     Args:
-        check: called often; raises if a node of the run has died.
-        topics: that must be recorded besides those of every run, and answer odometry before the drive begins.
+        check: Called often; raises if a node of the run has died.
+        topics: Further topics that must be recorded, and must answer odometry before the drive begins.
     """
 
     def __init__(self, check: Callable[[], None], topics: Sequence[str] = ()) -> None:
@@ -117,8 +117,8 @@ class Monitor:
         """Show the robot's progress until the episode has an outcome, and return how it ended.
 
         Args:
-            title: what the drive is called.
-            lines: of progress, where no terminal shows a bar.
+            title: Name of the drive in the display.
+            lines: Number of progress lines, where no terminal shows a bar.
 
         Raises:
             MonitorError: nothing is heard of the episode any more.

@@ -1,4 +1,4 @@
-"""What a drive needs before its nodes start: a folder of its own, and the value functions that are served beside it."""
+"""Preparation of a run: its new folder, and the value functions that are served during a drive."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def new_run(options: DriveConfig) -> None:
 
 
 def value_files(options: DriveConfig) -> dict[str, Path]:
-    """Return the files of the value functions that are served beside a drive, by kind; what is lacking is said.
+    """Return the files of the value functions that are served during a drive, by kind; print which ones are missing.
 
     `time_to_reach` is solved now, for the robot's own size, and written beside the bag; `oc_value` comes with its
     package.

@@ -1,4 +1,4 @@
-"""How far a robot is: a bar in a terminal, a few lines in a log."""
+"""Progress of a run: a bar in a terminal, a few lines in a log."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ class ProgressDisplay:
         """Set it up.
 
         Args:
-            title: what is going on.
-            lines: how many there shall be where no terminal shows a bar.
+            title: Title of the display.
+            lines: Number of lines, where no terminal shows a bar.
         """
         self._title = title
         self._lines = lines

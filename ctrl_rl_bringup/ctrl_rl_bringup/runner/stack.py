@@ -1,4 +1,4 @@
-"""Which nodes make up a run, said once: `processes.py` starts them without ROS's launch, `demo.launch.py` with it."""
+"""The nodes of a run, for `processes.py`, which starts them without ROS's launch, and for `demo.launch.py`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 from koopman_lqr_controller import DEFAULT_POLICY
 
 RAW = "cmd_vel_raw"
-"""What the driver says; the watchdog hears it, and passes it on to the robot as cmd_vel."""
+"""Topic of the driver's commands, which the watchdog passes on to the robot as cmd_vel."""
 _WATCHDOG_S = 2.0
 """A busy machine may stall for a second, in which a simulated robot does not move either."""
 
@@ -20,12 +20,12 @@ class NodeSpec:
     """One node of a run.
 
     Attributes:
-        package: its package.
-        executable: as `ros2 run PACKAGE EXECUTABLE` names it.
-        parameters: by name.
-        publishes: topics of it that a drive waits for.
-        namespace: of its names, empty for none.
-        remappings: other names for its topics, by the node's own.
+        package: Name of the node's package.
+        executable: Executable as `ros2 run PACKAGE EXECUTABLE` names it.
+        parameters: Parameter values by name.
+        publishes: Topics of the node that a drive waits for.
+        namespace: Namespace of the node, empty for none.
+        remappings: New names of its topics, by the node's own names.
     """
 
     package: str
@@ -37,24 +37,24 @@ class NodeSpec:
 
     @property
     def name(self) -> str:
-        """What its process is called: several may have one executable."""
+        """Name of its process, unique where several share one executable."""
         return f"{self.namespace}.{self.executable}" if self.namespace else self.executable
 
 
 @dataclass(frozen=True)
 class DriveConfig:
-    """What can be chosen about a drive.
+    """Configuration of a drive.
 
     Attributes:
-        folder: of the run, new; bag, logs, report and picture go there.
-        task: name of a task, or its file.
-        policy: name of a policy, or its file.
-        seed: of start pose and noise.
-        speed: simulation time per wall time; 0 for as fast as it goes.
-        width: of the corridor [m]; 0 for the task's own.
-        gui: whether PyBullet shows a window.
-        randomise_width: whether each reset draws the corridor's width from the task's range.
-        simulation: more parameters of the simulator, by name: lidar, drop-outs, delay and so on.
+        folder: New folder of the run, for bag, logs, report and picture.
+        task: Name or file of the task.
+        policy: Name or file of the policy.
+        seed: Seed of start pose and noise.
+        speed: Simulation time per wall time; 0 for as fast as possible.
+        width: Width of the corridor [m]; 0 for the task's own.
+        gui: Whether PyBullet shows a window.
+        randomise_width: Whether each reset draws the corridor's width from the task's range.
+        simulation: Further parameters of the simulator by name: lidar, drop-outs, delay and so on.
     """
 
     folder: Path

@@ -1,4 +1,4 @@
-"""What a bag says about the way of its messages: how many were lost, how quickly commands answered scans."""
+"""Transport figures of a bag: lost messages, and the latency from a message to its answer."""
 
 from __future__ import annotations
 

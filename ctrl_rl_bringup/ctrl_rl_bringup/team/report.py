@@ -1,4 +1,4 @@
-"""What a bag says about a team under its coordinator: who ran which option when, and what came of it."""
+"""Report on a recorded team: the options that its robots ran, the outcome, the latency of grants."""
 
 from __future__ import annotations
 
@@ -27,20 +27,20 @@ class TeamRun:
     """A team's run as recorded; times are seconds of simulation since the first decision.
 
     Attributes:
-        agents: the robots, in the policy's order.
-        policy: as the coordinator was told.
-        spans: who ran which option when.
-        finished: the team's work was over.
-        duration: until then, or until the recording ended [s].
-        decisions: joint steps.
-        team_return: undiscounted sum of the joint rewards.
-        answers: grants by what they said, refusals by their reasons too.
-        paths: true positions (n, 2) of each robot [m].
-        clearance: smallest, of any robot [m]; NaN where nobody tells.
-        latencies: from a request's arrival at the recorder to its grant's [s of wall time].
-        messages: recorded.
-        lost: published while the recorder listened, but not recorded.
-        idle: options that are no work.
+        agents: Names of the robots, in the policy's order.
+        policy: Policy parameter of the coordinator.
+        spans: Runs of options by robot and time.
+        finished: Whether the team's work was done.
+        duration: Time until the work was done, or until the recording ended [s].
+        decisions: Number of joint steps.
+        team_return: Undiscounted sum of the joint rewards.
+        answers: Number of grants by status, and of refusals by reason.
+        paths: True positions (n, 2) of each robot [m].
+        clearance: Smallest clearance of any robot [m]; NaN if none was recorded.
+        latencies: Time from a request's arrival at the recorder to its grant's [s of wall time].
+        messages: Number of recorded messages.
+        lost: Number of messages published while the recorder listened, but not recorded.
+        idle: Names of options that are no work.
     """
 
     agents: tuple[str, ...]
@@ -106,8 +106,8 @@ def read_team(bag: Path, idle: Collection[str] = ()) -> TeamRun:
     """Read a team's run from a bag.
 
     Args:
-        bag: its folder.
-        idle: options that are no work.
+        bag: Folder of the bag.
+        idle: Names of options that are no work.
 
     Raises:
         BagError: the bag cannot be read, or no coordinator decided in it.

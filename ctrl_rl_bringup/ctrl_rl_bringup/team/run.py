@@ -29,8 +29,8 @@ class TeamMonitor(Monitor):
     """Follows a team until its coordinator says that the work is over.
 
     Args:
-        check: called often; raises if a node of the run has died.
-        team: whose.
+        check: Called often; raises if a node of the run has died.
+        team: Team to follow.
     """
 
     def __init__(self, check: Callable[[], None], team: TeamFile) -> None:

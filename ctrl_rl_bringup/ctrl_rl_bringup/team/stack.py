@@ -1,4 +1,4 @@
-"""Which nodes make up a run of a team under its coordinator, said once, as `stack.py` for a drive."""
+"""The nodes of a team's run under its coordinator."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ _HEARTBEAT = 0.1
 
 @dataclass(frozen=True)
 class TeamConfig:
-    """What can be chosen about a team's run.
+    """Configuration of a team's run.
 
     Attributes:
-        folder: of the run, new; bag, logs, report and picture go there.
-        team: name of a team, or its file.
-        room: name of a navigation task, or its file; empty for the team's own.
-        policy: as the coordinator's parameter; empty for the team's, where one comes with the package, else 'spread'.
-        seed: of starts, noise and draws.
-        speed: simulation time per wall time.
-        gui: whether PyBullet shows a window.
+        folder: New folder of the run, for bag, logs, report and picture.
+        team: Name or file of the team.
+        room: Name or file of a navigation task; empty for the team's own.
+        policy: Policy parameter of the coordinator; if empty the team's policy of the package, else 'spread'.
+        seed: Seed of starts, noise and draws.
+        speed: Simulation time per wall time.
+        gui: Whether PyBullet shows a window.
     """
 
     folder: Path
@@ -44,12 +44,12 @@ class TeamConfig:
 
     @property
     def policy_name(self) -> str:
-        """The policy that it is."""
+        """Name or file of the policy that is used."""
         return self.policy or (self.team if self.team in shipped_policies() else "spread")
 
     @property
     def drive(self) -> DriveConfig:
-        """The part that is as for a single robot."""
+        """The part of the configuration that a single robot has too."""
         return DriveConfig(
             self.folder, task=self.task, policy=self.policy_name, seed=self.seed, speed=self.speed, gui=self.gui
         )

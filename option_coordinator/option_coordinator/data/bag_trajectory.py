@@ -1,4 +1,4 @@
-"""From bags of `joint_option_step` messages to option-level joint trajectories: what was recorded is learnt from.
+"""Option-level joint trajectories from bags of `joint_option_step` messages, to learn from.
 
     for recording in recordings(Path("runs/mine/bag")):
         recording.digest, recording.trajectory
@@ -29,12 +29,12 @@ TYPE = "ctrl_rl_msgs/msg/JointOptionStep"
 
 
 class TeamLayout(NamedTuple):
-    """Whose decisions were recorded.
+    """Names, option counts and observation sizes of a team whose decisions were recorded.
 
     Attributes:
-        names: of the robots, in the policy's order.
-        option_counts: how many options each has.
-        observation_sizes: length of what each observes.
+        names: Names of the robots, in the policy's order.
+        option_counts: Number of options of each robot.
+        observation_sizes: Length of each robot's observation.
     """
 
     names: tuple[str, ...]
@@ -50,12 +50,12 @@ class TeamLayout(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """Decisions of one policy, one after the other.
+    """Consecutive decisions of one policy.
 
     Attributes:
-        team: that they were for.
-        digest: SHA-256 of the policy's file, hex; empty for a scripted one, and where the policy failed.
-        trajectory: a part of one episode.
+        team: Team that the decisions were made for.
+        digest: SHA-256 (hex) of the policy's file; empty for a scripted policy, and where the policy failed.
+        trajectory: Consecutive option steps of one episode.
     """
 
     team: TeamLayout

@@ -1,7 +1,7 @@
-"""Option-level joint trajectories (thesis Definition 1): what is recorded of decisions, and what is learnt from.
+"""Option-level joint trajectories (thesis Definition 1), recorded at decisions and used for learning.
 
-A step kappa holds s_kappa, o_kappa, who chose it, r_kappa and gamma^tau. Nothing in it depends on where it comes from:
-a simulation, or a bag of `joint_option_step` messages.
+A step kappa holds s_kappa, o_kappa, the agents that chose, r_kappa and gamma^tau. It is the same whether it comes from
+a simulation or from a bag of `joint_option_step` messages.
 """
 
 from __future__ import annotations
@@ -22,23 +22,23 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class OptionTrajectory:
-    """T option steps of N agents with at most K options, one after the other; may hold several episodes.
+    """T consecutive option steps of N agents with at most K options, of one or several episodes.
 
     Attributes:
-        observation: s_kappa of all agents (T, D).
-        options: o_kappa, those that run on included (T, N); -1 for the absent.
-        choosing: who chose, U_kappa (T, N).
-        legal: what they might choose (T, N, K).
-        log_prob: log pi-hat(o_U | o_not-U, s) when it was chosen (T,).
-        reward: discounted joint reward until the next decision, r_kappa = sum_i gamma^i r_i (T,).
-        duration: low-level steps until then, tau (T,).
-        discount: gamma^tau (T,).
-        next_observation: s_kappa+1 (T, D).
-        next_running: what runs on at the next decision, -1 for those that choose or are absent (T, N).
-        next_present: who is there then (T, N).
-        next_legal: what they may choose then (T, N, K).
-        terminated: the task ended: the next decision is worth nothing (T,).
-        last: the next step is of another episode, or there is none (T,).
+        observation: Joint observation s_kappa (T, D).
+        options: Joint option o_kappa, including options that run on (T, N); -1 for absent agents.
+        choosing: Whether each agent chose, U_kappa (T, N).
+        legal: Whether each option was legal for its agent (T, N, K).
+        log_prob: Log-probability log pi-hat(o_U | o_not-U, s) at the time of the choice (T,).
+        reward: Discounted joint reward until the next decision, r_kappa = sum_i gamma^i r_i (T,).
+        duration: Number tau of low-level steps until the next decision (T,).
+        discount: Discount gamma^tau of the next decision (T,).
+        next_observation: Joint observation s_kappa+1 at the next decision (T, D).
+        next_running: Option that runs on at the next decision, -1 for agents that choose or are absent (T, N).
+        next_present: Whether each agent is present at the next decision (T, N).
+        next_legal: Whether each option is legal at the next decision (T, N, K).
+        terminated: Whether the task ended, so that the next decision has value 0 (T,).
+        last: Whether this is the last step of its episode or trajectory (T,).
     """
 
     observation: NDArray[np.float32]
@@ -66,12 +66,12 @@ class OptionTrajectory:
 
     @property
     def running(self) -> NDArray[np.int64]:
-        """What ran on at each decision, -1 for those that chose or were absent (T, N)."""
+        """Option that ran on at each decision, -1 for agents that chose or were absent (T, N)."""
         return np.where(self.choosing, -1, self.options)
 
     @property
     def present(self) -> Mask:
-        """Who was there at each decision (T, N)."""
+        """Whether each agent was present at each decision (T, N)."""
         return self.options != -1
 
     @classmethod
@@ -98,13 +98,13 @@ class OptionTrajectory:
 
 
 class TrajectoryWriter:
-    """Collects option steps."""
+    """Collects option steps into a trajectory."""
 
     def __init__(self) -> None:
         self._steps: list[tuple[Decision, NDArray[np.int64], float, Decision]] = []
 
     def add(self, before: Decision, options: NDArray[np.int64], log_prob: float, after: Decision) -> None:
-        """Add what was chosen at a decision, and the next one."""
+        """Add a decision, the options chosen at it, and the next decision."""
         self._steps.append((before, options, log_prob, after))
 
     def take(self) -> OptionTrajectory:
@@ -141,10 +141,10 @@ def advantages(trajectory: OptionTrajectory, values: Array, next_values: Array, 
     """Return G^lambda - V of each option step (T,): generalised advantages with gamma^tau in place of gamma (Eq. 5.4).
 
     Args:
-        trajectory: the T steps.
-        values: V(s_kappa) (T,).
-        next_values: V(s_kappa+1) (T,); of no account where the task ended.
-        gae_lambda: lambda.
+        trajectory: Trajectory of T option steps.
+        values: Values V(s_kappa) (T,).
+        next_values: Values V(s_kappa+1) (T,); ignored where the task ended.
+        gae_lambda: Coefficient lambda of the generalised advantage estimate.
     """
     onward = trajectory.discount * ~trajectory.terminated
     errors = trajectory.reward + onward * next_values - values

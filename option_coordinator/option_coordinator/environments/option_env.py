@@ -1,11 +1,11 @@
-"""An environment that asks only when somebody is ready: option steps kappa on top of low-level steps k (thesis 5.2.3).
+"""An event-driven environment: option steps kappa, at which agents choose, over low-level steps k (thesis 5.2.3).
 
     environment = OptionEnvironment(ToolDeliverySimulation(load_task("tool_delivery")), discount=0.99)
     decision = environment.reset(seed=0)
     while not decision.over:
         decision = environment.step({name: choose(name) for name in decision.ready})
 
-Who is ready is a matter of the termination strategy (thesis 2.4.3):
+The termination strategy says which agents are ready (thesis 2.4.3):
 
     "async"  eta_continue: whoever has ended its option; the others go on (the thesis's)
     "wait"   eta_all: all, once all have ended; who is early idles ("sync-wait")
@@ -29,19 +29,19 @@ Synchronisation = Literal["async", "wait", "cut"]
 
 
 class OptionEnvironment:
-    """See the module.
+    """An environment whose agents choose options when the termination strategy says that they are ready.
 
     Args:
-        simulation: the low-level world.
-        discount: gamma of a low-level step.
-        synchronisation: who chooses when.
-        drop: chance that a robot vanishes for a while in an episode, see `outage`.
-        film: whether to keep a scene of every low-level step, to be drawn.
+        simulation: Low-level simulation of the task.
+        discount: Discount factor gamma of a low-level step.
+        synchronisation: Termination strategy: "async", "wait" or "cut".
+        drop: Probability that a robot drops out for a while in an episode, see `robot_dropout`.
+        film: Whether to keep a scene of every low-level step, for animations.
 
     Attributes:
-        trace: who ran which option when, in this episode.
-        scenes: of this episode, the first before any step; none unless filmed.
-        steps: low-level steps of this episode.
+        trace: Options of this episode by agent and time.
+        scenes: Scenes of this episode, the first before any step; empty unless `film` is set.
+        steps: Number of low-level steps of this episode so far.
     """
 
     def __init__(
@@ -88,7 +88,7 @@ class OptionEnvironment:
         """Let the ready begin their options and run until somebody must choose again.
 
         Args:
-            choices: an option for each agent that is ready, and for no other.
+            choices: Option of each agent that is ready, and of no other.
 
         Raises:
             OptionError: the episode is over, the agents are not those that are ready, or an option is not legal.

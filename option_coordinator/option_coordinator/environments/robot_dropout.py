@@ -1,4 +1,4 @@
-"""Robots that vanish for a while: a team that is to go on without one of them must have learnt with that."""
+"""Random drop-out of a robot during an episode, so that a team learns to go on without it."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ _PART = 4
 
 
 class RobotDropout(NamedTuple):
-    """A robot is absent for a while.
+    """A period in which a robot is absent.
 
     Attributes:
-        agent: its index.
-        begin: low-level step after which it is gone.
-        end: and after which it is there again, without an option.
+        agent: Index of the robot.
+        begin: Low-level step after which the robot is absent.
+        end: Low-level step after which it is present again, without an option.
     """
 
     agent: int
@@ -24,13 +24,13 @@ class RobotDropout(NamedTuple):
 
 
 def draw_dropout(chance: float, agents: int, step_limit: int, generator: np.random.Generator) -> RobotDropout | None:
-    """Return an episode's outage, or that there is none.
+    """Return the drop-out of an episode, None for none.
 
     Args:
-        chance: that there is one.
-        agents: how many; each is as likely to vanish.
-        step_limit: of the episode; it begins in the first quarter of that and lasts for another at most.
-        generator: of the draw; untouched where there is no chance.
+        chance: Probability of a drop-out, 0 to 1.
+        agents: Number of robots; each is as likely to drop out.
+        step_limit: Step limit of the episode; a drop-out begins in its first quarter and lasts a quarter at most.
+        generator: Random generator; unused if the probability is 0.
     """
     if chance == 0.0 or generator.random() >= chance:
         return None

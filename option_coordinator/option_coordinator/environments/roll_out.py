@@ -1,4 +1,4 @@
-"""Playing a joint policy in an environment: trajectories to learn from, episodes to judge by."""
+"""Roll-outs of a policy in an environment: trajectories to learn from, episodes to evaluate."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from option_coordinator.policies.joint_policy import JointPolicy
 
 @dataclass
 class OptionEpisode:
-    """How an episode went.
+    """Totals of one episode.
 
     Attributes:
-        returned: undiscounted sum of the low-level rewards.
-        steps: low-level steps, the makespan T.
-        decisions: option steps.
-        option_reward: sum of the option steps' discounted rewards r_kappa.
-        last_reward: sum of the option steps' last low-level rewards.
-        terminated: the task ended, it was not cut off.
-        figures: what the task says about it.
+        returned: Undiscounted sum of the low-level rewards.
+        steps: Number of low-level steps, the makespan T.
+        decisions: Number of option steps.
+        option_reward: Sum of the option steps' discounted rewards r_kappa.
+        last_reward: Sum of the option steps' last low-level rewards.
+        terminated: Whether the task ended, rather than being cut off.
+        figures: Metrics of the task, by name.
     """
 
     returned: float = 0.0
@@ -47,15 +47,15 @@ class OptionEpisode:
 
 
 class RollOut:
-    """Goes through an environment, episode after episode, as far as it is asked to.
+    """Steps through an environment, episode after episode, in parts.
 
     Args:
-        environment: to play in.
-        generator: of everything random.
+        environment: Environment of the roll-out.
+        generator: Random generator of worlds and draws.
 
     Attributes:
-        samples: low-level steps so far.
-        finished: the episodes that have ended.
+        samples: Number of low-level steps so far.
+        finished: Episodes that have ended.
     """
 
     def __init__(self, environment: OptionEnvironment, generator: np.random.Generator) -> None:
@@ -90,7 +90,7 @@ class RollOut:
 def play_episodes(
     environment: OptionEnvironment, choose: Callable[[Decision], dict[str, int]], seeds: range
 ) -> Iterator[OptionEpisode]:
-    """Yield an episode for each seed, played by any chooser."""
+    """Yield an episode for each seed, played by any policy."""
     for seed in seeds:
         decision, episode = environment.reset(seed), OptionEpisode()
         while not decision.over:
@@ -101,11 +101,11 @@ def play_episodes(
 
 
 class JointDecisionPolicy:
-    """A joint policy as a chooser.
+    """A joint policy used as a `DecisionPolicy`.
 
     Args:
-        policy: whose options are chosen.
-        generator: of the draws; without one its most likely options are chosen.
+        policy: Joint policy that chooses.
+        generator: Random generator of the draws; without one the most likely options are chosen.
     """
 
     def __init__(self, policy: JointPolicy, generator: np.random.Generator | None = None) -> None:

@@ -1,4 +1,4 @@
-"""Who ran which option when: what a timeline is drawn from."""
+"""Options that agents ran, by time: the data of a timeline."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from typing import NamedTuple
 
 
 class Span(NamedTuple):
-    """One option, carried out.
+    """One run of an option.
 
     Attributes:
-        agent: name of the robot.
-        option: name of the option.
-        begin: low-level step at which it began; a time [s] where it was recorded of robots.
-        end: and ended.
-        finished: by itself, not interrupted and not cut off with the episode.
+        agent: Name of the robot.
+        option: Name of the option.
+        begin: Low-level step at which it began; a time [s] in a recording of robots.
+        end: Low-level step at which it ended; a time [s] in a recording of robots.
+        finished: Whether it ended by itself, neither interrupted nor cut off with the episode.
     """
 
     agent: str

@@ -1,1 +1,1 @@
-"""How a small robot carries out a delivery option."""
+"""Delivery options on a small robot: their work, and a reactive planner."""

@@ -1,4 +1,4 @@
-"""What a robot of a delivery team does with an option, apart from driving, and what it earns."""
+"""The work of one robot of a delivery team: options apart from driving, and their rewards."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ class Delivery:
     """One robot's work. Times are seconds of any one clock.
 
     Args:
-        team: its team.
-        name: of the robot.
+        team: Team file of the robot's team.
+        name: Name of the robot in the team.
 
     Attributes:
-        carries: it has a parcel.
-        delivered: how many it has delivered.
-        option: that runs, None for none.
+        carries: Whether the robot carries a parcel.
+        delivered: Number of parcels that it has delivered.
+        option: Index of the option that runs, None for none.
     """
 
     def __init__(self, team: TeamFile, name: str) -> None:
@@ -46,7 +46,7 @@ class Delivery:
 
     @property
     def place(self) -> tuple[float, float] | None:
-        """Where the option leads, None for nowhere."""
+        """Position that the option leads to [m], None for none."""
         if self.option is None:
             return None
         option = self._options[self.option]

@@ -1,4 +1,4 @@
-"""How a small robot gets to a place: straight at it, around what stands in the way, and not into anything."""
+"""A reactive planner for small robots: straight to a goal, and around obstacles that the lidar sees."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ STAND = (0.0, 0.0)
 
 @dataclass(frozen=True)
 class ReactivePlanner:
-    """Speeds towards a place.
+    """Plans speed and turn rate towards a goal.
 
     Attributes:
-        speed: largest forward [m/s].
-        turn: largest [rad/s].
-        half_width: of the strip that must be free to drive along [m].
-        look_ahead: how far the way must be free [m].
-        stop: an obstacle in front that is nearer than this stops the robot [m], from its middle.
-        arrived: so near is there [m].
+        speed: Largest forward speed [m/s].
+        turn: Largest turn rate [rad/s].
+        half_width: Half the width of the strip that must be free of obstacles [m].
+        look_ahead: Distance for which the way must be free [m].
+        stop: Distance from the robot's centre to an obstacle in front at which it stops [m].
+        arrived: Distance to the goal at which the robot has arrived [m].
     """
 
     speed: float = 0.2
@@ -35,7 +35,7 @@ class ReactivePlanner:
     arrived: float = 0.08
 
     def there(self, pose: Array, place: tuple[float, float]) -> bool:
-        """Return whether a pose x, y, theta (3,) is at a place."""
+        """Return whether a pose x, y, theta (3,) is at the goal."""
         return math.hypot(place[0] - pose[0], place[1] - pose[1]) <= self.arrived
 
     def command(self, pose: Array, points: Array, place: tuple[float, float]) -> tuple[float, float]:
@@ -44,9 +44,9 @@ class ReactivePlanner:
         The direction is the free one that is nearest to the place's, that to the right first: two that meet pass.
 
         Args:
-            pose: x, y, theta (3,).
-            points: what the lidar has seen, in the frame of the pose (n, 2) [m].
-            place: where to [m].
+            pose: Pose x, y [m], theta [rad] (3,).
+            points: Points seen by the lidar, in the frame of the pose (n, 2) [m].
+            place: Goal position [m].
         """
         points = _seen_from(pose, points)
         dx, dy = place[0] - pose[0], place[1] - pose[1]
@@ -85,11 +85,11 @@ def scan_points(
     """Return what a scan saw as points (n, 2) [m] in the frame of the pose: there they stay while the robot turns.
 
     Args:
-        pose: x, y, theta (3,) of the robot when it saw them.
-        ranges: as REP-117 has them (beams,) [m].
-        angle_min: bearing of the first [rad].
-        angle_increment: between two [rad].
-        forward: where the lidar sits, ahead of the robot's middle [m].
+        pose: Pose x, y [m], theta [rad] (3,) of the robot at the time of the scan.
+        ranges: Ranges as in REP-117 (beams,) [m].
+        angle_min: Bearing of the first beam [rad].
+        angle_increment: Angle between two beams [rad].
+        forward: Position of the lidar ahead of the robot's centre [m].
     """
     seen = np.flatnonzero(np.isfinite(ranges) & (ranges > 0.0))
     bearings, near = angle_min + angle_increment * seen, ranges[seen].astype(float)

@@ -1,4 +1,4 @@
-"""A node's three clocks, read at once."""
+"""The clocks of a node: steady time, task time and ROS time, read together."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from rclpy.node import Node
 from option_coordinator.protocol.clock_reading import ClockReading, TaskTime
 
 STEADY = Clock(clock_type=ClockType.STEADY_TIME)
-"""For timers that go on whatever happens to ROS's clock."""
+"""Clock of timers that go on while the ROS clock is set or paused."""
 
 
 def steady_time() -> float:
-    """Return the time of a clock that nobody sets, and that goes on while the machine sleeps [s]."""
+    """Return the time since boot [s], which nobody sets and which goes on while the machine sleeps."""
     return time.clock_gettime(time.CLOCK_BOOTTIME)
 
 
@@ -22,10 +22,10 @@ class Clocks:
     """Reads the clocks of a node.
 
     Args:
-        node: whose ROS clock is read.
+        node: Node whose ROS clock is read.
 
     Attributes:
-        task: Time in the robots' world; counts how often ROS's clock was set.
+        task: Time in the robots' world, which also counts how often the ROS clock was set.
     """
 
     def __init__(self, node: Node) -> None:
@@ -33,7 +33,7 @@ class Clocks:
         self.task = TaskTime()
 
     def __call__(self) -> ClockReading:
-        """Return this moment."""
+        """Return the current times."""
         stamp = 1e-9 * float(self._clock.now().nanoseconds)
         steady = steady_time()
         simulated = isinstance(self._clock, ROSClock) and self._clock.ros_time_is_active

@@ -51,7 +51,7 @@ _FINE = (
     "words of other teams",
     "messages of other teams",
 )
-"""What is counted without being a fault."""
+"""Counters of events that are no faults."""
 
 PARAMETERS = (
     Parameter(
@@ -63,43 +63,43 @@ PARAMETERS = (
     Parameter(
         "team_name",
         "",
-        "Name in all messages, which tells teams of one namespace apart; empty for the team file's, or one made of the "
-        "policy's robots.",
+        "Name of the team in all messages, which keeps teams in one namespace apart; empty for the team file's name, or "
+        "one made from the policy's robots.",
     ),
     Parameter(
         "policy",
         "spread",
-        "A learnt one's name or file; 'spread': a legal option whose station is free; 'uniform': any legal option.",
+        "Name or file of a learned policy; 'spread': a legal option whose station is free; 'uniform': any legal option.",
         live=True,
         kind="path",
     ),
-    Parameter("policy_digest", "", "SHA-256 that a policy file must have from now on; empty for any.", live=True),
+    Parameter("policy_digest", "", "SHA-256 (hex) that a policy file must have from now on; empty for any.", live=True),
     Parameter(
         "batch_window",
         0.0,
-        "Time that a request waits for others to be decided with it [s]; 0 for those that have arrived already.",
+        "Time that the first pending request waits for others [s]; 0 to decide what has arrived already.",
         0.0,
         1.0,
     ),
     Parameter(
-        "lease", 0.5, "Silence that makes a robot suspect, or a coordinator take another one's place [s].", 0.05, 60.0
+        "lease", 0.5, "Silence after which a robot is suspect, or another coordinator takes over [s].", 0.05, 60.0
     ),
-    Parameter("lost_after", 2.0, "Silence after which nobody counts on a robot [s].", 0.05, 600.0),
-    Parameter("repeat", 0.1, "Between repetitions of a grant that was not acknowledged [s].", 0.01, 10.0),
+    Parameter("lost_after", 2.0, "Silence after which a robot is lost [s].", 0.05, 600.0),
+    Parameter("repeat", 0.1, "Time between repetitions of an unacknowledged grant [s].", 0.01, 10.0),
     Parameter("stale", 2.0, "Age at which an observation is refused [s].", 0.05, 600.0),
     Parameter(
         "policy_limit", 0.05, "Time after which a policy has failed and safe options are granted [s].", 0.00001, 10.0
     ),
-    Parameter("longest_option", 60.0, "Longest that an option may take where no team says so [s].", 0.01, 86400.0),
-    Parameter("safe_option", 0, "Index of the option that is safe where no team says so.", 0, 10000),
-    Parameter("step_length", 1.0, "Of a low-level step where no team says so [s].", 0.001, 3600.0),
-    Parameter("discount", 0.99, "gamma of a low-level step where no team says so.", 0.001, 1.0),
-    Parameter("seed", 0, "Of what is drawn.", minimum=0),
+    Parameter("longest_option", 60.0, "Longest duration of an option, if no team file gives it [s].", 0.01, 86400.0),
+    Parameter("safe_option", 0, "Index of the safe option, if no team file gives it.", 0, 10000),
+    Parameter("step_length", 1.0, "Duration of a low-level step, if no team file gives it [s].", 0.001, 3600.0),
+    Parameter("discount", 0.99, "Discount factor gamma of a low-level step, if no team file gives it.", 0.001, 1.0),
+    Parameter("seed", 0, "Seed of the policy's draws.", minimum=0),
 )
 
 
 class OptionCoordinator(SuiteNode):
-    """Grants options to robots that ask when they are ready; nobody waits for anybody.
+    """Grants options to robots that ask when they are ready; no robot waits for another one.
 
     Subscribes to option_requests and agent_status; publishes option_grants, and a joint_option_step for each decision,
     which a bag can be trained on. The policy may be changed while it runs: the next decision is by the new one. Several
@@ -131,7 +131,7 @@ class OptionCoordinator(SuiteNode):
         self._grants = self.create_publisher(OptionGrant, "option_grants", EXCHANGE)
         self._steps = self.create_publisher(JointOptionStep, "joint_option_step", EXCHANGE)
         self._heartbeats = self.create_publisher(CoordinatorStatus, "coordinator_status", EXCHANGE)
-        # As bytes: a message of millions of options takes long to be made an object of, and is not for anybody.
+        # As bytes: an oversized message is refused before it is deserialised, which would take long.
         self.create_subscription(OptionRequest, "option_requests", self._on_request, EXCHANGE, raw=True)
         self.create_subscription(AgentStatus, "agent_status", self._on_status, EXCHANGE)
         self.create_subscription(CoordinatorStatus, "coordinator_status", self._on_coordinator_heartbeat, EXCHANGE)
@@ -150,7 +150,7 @@ class OptionCoordinator(SuiteNode):
             self.get_logger().info(f"policy {self._policy_name(self.settings['policy'], digest)} from now on")
 
     def status(self) -> Status:
-        """Say who decides, who runs what, and what went wrong."""
+        """Report whether this coordinator decides, the states of the robots, and the faults."""
         coordinator, counts = self._coordinator, self._coordinator.counts
         new = counts - self._reported
         self._reported = counts.copy()
@@ -173,13 +173,13 @@ class OptionCoordinator(SuiteNode):
         return warn(", ".join(faults), **figures) if faults else ok("deciding", **figures)
 
     def stop(self) -> None:
-        """Close the episode that is recorded; the word has arrived before the publisher goes."""
+        """Close the recorded episode; its last step is delivered before the publisher goes."""
         now = self._now()
         self._send(self._coordinator.close(now), now)
         self._steps.wait_for_all_acked(_LAST_WORD)
 
     def _prepare(self) -> tuple[CoordinatorTimeouts, float]:
-        """Find out who the robots are, and return which timeouts and discount they go by."""
+        """Set the team's robots, and return timeouts and discount."""
         settings = self.settings
         if settings["lost_after"] < settings["lease"]:
             raise ParameterError("parameter 'lost_after' is less than 'lease': a robot is suspect before it is lost")
@@ -190,7 +190,9 @@ class OptionCoordinator(SuiteNode):
             self._robots, self._shared = team.coordinated, team.shared
             step, discount = team.time_step, team.discount
         elif settings["policy"] in SCRIPTED:
-            raise ParameterError("parameter 'team' is needed where 'policy' is no file: who are the robots?")
+            raise ParameterError(
+                "parameter 'team' is missing: a scripted policy needs a team file that names the robots"
+            )
         else:
             self._robots = self._robots_of(OptionPolicy.load(settings["policy"]))
         names = ("batch_window", "lease", "lost_after", "repeat", "stale", "policy_limit")
@@ -205,7 +207,7 @@ class OptionCoordinator(SuiteNode):
         """Return a policy and its digest.
 
         Raises:
-            OptionError: there is none, it is another one than promised, or it is another team's.
+            OptionError: There is no such policy, its digest is not the promised one, or it belongs to another team.
         """
         generator = np.random.default_rng(self.settings["seed"])
         if name in SCRIPTED:
@@ -248,16 +250,16 @@ class OptionCoordinator(SuiteNode):
             self._coordinator.on_coordinator_heartbeat(heartbeat, self._now())
 
     def _read(self, reader: Callable[[Any], _Told], message: Any) -> _Told | None:
-        """Return what a message says, None where nobody may say so: that is counted, and said now and then."""
+        """Return the content of a message; None if it is refused, which is counted and logged now and then."""
         try:
             return reader(message)
         except MessageError as error:
             self._coordinator.counts[f"not taken: {error.kind}"] += 1
-            self.get_logger().warning(f"a message is not taken: {error}", throttle_duration_sec=_SAID_EVERY_S)
+            self.get_logger().warning(f"a message is refused: {error}", throttle_duration_sec=_SAID_EVERY_S)
             return None
 
     def _begin_batch(self) -> None:
-        """See to it that the requests that wait are decided: once, however many more arrive until then."""
+        """Schedule one decision for all pending requests, and those that arrive until then."""
         self._batch_ends = True
         if self.settings["batch_window"] > 0.0:
             self._window.reset()
@@ -277,7 +279,7 @@ class OptionCoordinator(SuiteNode):
             self._send(self._coordinator.tick(now), now)
 
     def _send(self, answers: Answers, decided: ClockReading) -> None:
-        """Publish answers; grants that were held up since they were decided come again, if they still hold."""
+        """Publish answers; grants that are late since their decision are sent again later, if they still hold."""
         for grant in answers.grants:
             if steady_time() - decided.steady > self._held_up:
                 self._coordinator.counts["grants held up"] += 1
@@ -289,7 +291,7 @@ class OptionCoordinator(SuiteNode):
             self._heartbeats.publish(heartbeat_message(answers.heartbeat, decided.stamp))
 
     def _listens(self) -> bool:
-        """Return whether there is a time yet; from its first moment on the coordinator listens for a lease."""
+        """Return whether the ROS clock has started; from then on the coordinator listens for a lease."""
         if not self._began and (now := self._now()).stamp > 0.0:
             self._coordinator.listen(now)
             self._began = True

@@ -34,11 +34,13 @@ class NavigationAgent(LidarVelocityNode):
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = (
         *LIDAR_PARAMETERS,
         Parameter("team", "delivery_team", "Team that comes with the package, or its .yaml file.", kind="path"),
-        Parameter("robot", "", "Its name in the team; empty for that of the namespace."),
+        Parameter("robot", "", "Name of the robot in the team; empty for the name of its namespace."),
         Parameter("team_namespace", "/", "Namespace of the coordinator's topics.", kind="name"),
-        Parameter("sensor_timeout", 1.0, "Age of scan or odometry that stops the robot [s].", 0.05, 10.0),
-        Parameter("heartbeat", 0.1, "Between two heartbeats, and repetitions of a request [s].", 0.01, 10.0),
-        Parameter("patience", 2.0, "Without an answer, until the safe option begins [s].", 0.05, 600.0),
+        Parameter("sensor_timeout", 1.0, "Age of the last scan or odometry that stops the robot [s].", 0.05, 10.0),
+        Parameter(
+            "heartbeat", 0.1, "Time between two heartbeats, and between repetitions of a request [s].", 0.01, 10.0
+        ),
+        Parameter("patience", 2.0, "Time without an answer after which the safe option begins [s].", 0.05, 600.0),
     )
     TIMEOUT = "sensor_timeout"
 
@@ -61,7 +63,7 @@ class NavigationAgent(LidarVelocityNode):
         self._agent = OptionAgent(self, name, self._names, self, safe, patience, settings["team_namespace"], team.name)
 
     def observe(self) -> AgentObservation:
-        """Return what the policy is told."""
+        """Return the robot's observation and its legal options."""
         return self._delivery.see(np.zeros(3) if self._pose is None else self._pose)
 
     def begin(self, option: int) -> None:
@@ -70,12 +72,12 @@ class NavigationAgent(LidarVelocityNode):
         self._delivery.begin(option, self._now())
 
     def leave(self) -> OptionResult:
-        """Leave an option as it is."""
+        """Stop the robot, and end the option."""
         self._go(_STAND)
         return self._delivery.leave(self._now())
 
     def status(self) -> Status:
-        """Say what the robot does."""
+        """Report the option that the robot runs."""
         level, message, sent = super().status()
         client, delivery = self._agent.client, self._delivery
         option = "none" if delivery.option is None else self._names[delivery.option]
@@ -84,7 +86,7 @@ class NavigationAgent(LidarVelocityNode):
         return (level, message, figures) if self.problem else ok(f"option '{option}'", **figures)
 
     def on_odometry(self, message: Odometry) -> None:
-        """Go on with the option from where the robot is."""
+        """Go on with the option from the robot's new pose."""
         pose, first = self._read(message), self._pose is None
         if not np.isfinite(pose).all():
             self.halt("odometry with a pose that is not finite", message.header.stamp)
@@ -95,7 +97,7 @@ class NavigationAgent(LidarVelocityNode):
         self._drive()
 
     def on_scan(self, _message: LaserScan, ranges: NDArray[np.float32], scan: ScanGeometry) -> None:
-        """Keep what it shows where it was seen."""
+        """Keep the scan's points in the frame of the odometry."""
         if self._pose is not None:
             bearing, forward = scan.angle_min, self.settings["lidar_x"]
             self._points = scan_points(self._pose, ranges, bearing, scan.angle_increment, forward)

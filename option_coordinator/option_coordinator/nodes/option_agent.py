@@ -27,20 +27,20 @@ from option_coordinator.protocol.protocol_types import AgentState, Request
 
 
 class OptionAgent:
-    """A robot that is granted options.
+    """Asks for options in a robot's name, and lets its executor carry them out.
 
     Args:
-        node: whose topics, timer and clock are used.
-        name: of the robot, as its team knows it.
-        options: names of its options.
-        executes: carries them out.
-        safe_option: index of the one that is carried out without a grant.
-        patience: how long it waits for what.
-        namespace: of the coordinator's topics.
-        team: Name of the team; empty where there is one only in the coordinator's namespace.
+        node: Node whose topics, timer and clock are used.
+        name: Name of the robot in its team.
+        options: Names of the robot's options.
+        executor: Executor of the options, often the node itself.
+        safe_option: Index of the option that runs while no grant comes.
+        timeouts: Periods and waiting times; the defaults unless given.
+        namespace: Namespace of the coordinator's topics; the node's own if empty.
+        team: Name of the team; may be empty if the coordinator's namespace holds only one team.
 
     Attributes:
-        side: what it knows.
+        client: Client that speaks to the coordinator.
     """
 
     def __init__(
@@ -79,12 +79,12 @@ class OptionAgent:
         self._send_due()
 
     def ended(self, reward: float = 0.0, steps: int = 0, terminated: bool = False) -> None:
-        """Say that the option has ended by itself, and ask for the next one.
+        """Report that the option has ended by itself, and ask for the next one.
 
         Args:
-            reward: what the option brought, see `OptionResult`.
-            steps: low-level steps that it took.
-            terminated: the task is over for this robot: nothing more is asked for.
+            reward: Discounted reward of the option, as in `OptionResult`.
+            steps: Number of low-level steps that the option took.
+            terminated: Whether the task is over for this robot, so that it asks no more.
         """
         self.client.ended(self._now(), OptionResult(reward, steps), terminated)
         self._send_due()

@@ -1,4 +1,4 @@
-"""A moment at which options are chosen: who is ready, what the others run, and what the last options brought."""
+"""A decision: the agents that are ready, the options that the others run, and the reward since the last decision."""
 
 from __future__ import annotations
 
@@ -11,28 +11,28 @@ from numpy.typing import NDArray
 from option_coordinator.options.options import Agent, Mask, Observation
 
 NONE = -1
-"""In place of an option: the agent runs none."""
+"""Index that stands for no option."""
 
 
 @dataclass(frozen=True, eq=False)
 class Decision:
-    """A moment at which options are chosen, and what happened since the last one.
+    """A point in time at which agents choose options, with the reward since the last one.
 
     Attributes:
-        agents: the N robots, in the policy's order.
-        observation: of all, one after the other; each as it is now, or as it was when the agent's own option ended: see
-            `Simulation.observes_while_running`.
-        choosing: (N,) who is ready, U_kappa.
-        running: (N,) option that each carries out, `NONE` for who is ready or absent.
-        present: (N,) who is there; the absent neither choose nor run an option.
-        legal: (N, K) which options each that runs none may begin, all its options for the others; K is the largest
-            number of options, what lies beyond is False.
-        reward: discounted sum of the joint rewards since the last decision, sum_i gamma^i r_i (0 at a reset).
-        rewards: those joint rewards.
-        discount: gamma^tau, what the value of this moment counts at the last decision.
-        terminated: the task is over.
-        truncated: it was cut off: nobody is to choose, but the value of this moment still counts. In a synchronous team
-            nobody runs on then, as at all its decisions.
+        agents: All N robots, in the policy's order.
+        observation: Observations of all agents, one after the other: each the current one, or that at the end of the
+            agent's last option, as `Simulation.observes_while_running` says.
+        choosing: Whether each agent is ready and chooses, U_kappa (N,).
+        running: Option that each agent runs, `NONE` for agents that are ready or absent (N,).
+        present: Whether each agent is present; absent agents neither choose nor run an option (N,).
+        legal: Whether each option is legal (N, K), with K the largest number of options: those that an idle agent may
+            begin, all options of an agent that runs one, False beyond an agent's last option.
+        reward: Discounted sum of the joint rewards since the last decision, sum_i gamma^i r_i (0 at a reset).
+        rewards: Joint reward of each low-level step since the last decision.
+        discount: Discount gamma^tau of this decision's value, seen from the last decision.
+        terminated: Whether the task is over.
+        truncated: Whether the episode was cut off: no agent chooses, but the value of this decision still counts. In a
+            synchronous team no option runs on then.
     """
 
     agents: tuple[Agent, ...]
@@ -59,27 +59,27 @@ class Decision:
 
     @property
     def ready(self) -> tuple[str, ...]:
-        """Names of those that choose."""
+        """Names of the agents that choose."""
         return tuple(agent.name for agent, ready in zip(self.agents, self.choosing, strict=True) if ready)
 
     @property
     def running_options(self) -> dict[str, int]:
-        """What the others carry out."""
+        """Option of each agent that runs one, by name."""
         return {agent.name: int(o) for agent, o in zip(self.agents, self.running, strict=True) if o != NONE}
 
     @cached_property
     def observations(self) -> dict[str, Observation]:
-        """What each agent observed last."""
+        """Last observation of each agent, by name."""
         ends = np.cumsum([agent.observation_size for agent in self.agents])
         return dict(zip((a.name for a in self.agents), np.split(self.observation, ends[:-1]), strict=True))
 
     @property
     def masks(self) -> dict[str, Mask]:
-        """Which of its own options each of the ready may begin."""
+        """Legal options of each agent that is ready, by name."""
         rows = zip(self.agents, self.legal, self.choosing, strict=True)
         return {agent.name: row[: len(agent.options)] for agent, row, ready in rows if ready}
 
     def named(self, options: NDArray[np.int64]) -> dict[str, int]:
-        """Return joint options (N,) by the names of those that choose."""
+        """Return the options of the agents that choose, by name, from joint options (N,)."""
         rows = zip(self.agents, options, self.choosing, strict=True)
         return {agent.name: int(option) for agent, option, chooses in rows if chooses}

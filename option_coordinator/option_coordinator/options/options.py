@@ -1,4 +1,4 @@
-"""Options of several robots, and the seam behind which a task carries them out one low-level step at a time.
+"""Agents with options, and the interface of a simulation that carries options out one low-level step at a time.
 
 An option is chosen once and then runs for as many steps as it takes (thesis 2.4.2). A `Simulation` knows the options'
 inner policies and how they end; it knows nothing of who chooses them, nor when.
@@ -21,12 +21,12 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Agent:
-    """A robot and what it can do.
+    """A robot with its options.
 
     Attributes:
-        name: of the robot.
-        options: their names; an option is known by its index.
-        observation_size: length of what it observes.
+        name: Name of the robot.
+        options: Names of its options; elsewhere an option is known by its index.
+        observation_size: Length of its observation.
     """
 
     name: str
@@ -35,17 +35,17 @@ class Agent:
 
 
 def option_mask(counts: Sequence[int]) -> Mask:
-    """Return which options there are, (N, K) with K the largest count, of agents with so many each."""
+    """Return which options exist, (N, K) with K the largest count, for agents with these numbers of options."""
     return np.asarray(np.arange(max(counts)) < np.array(counts)[:, None])
 
 
 class SimulationStep(NamedTuple):
-    """What one low-level step brought.
+    """Result of one low-level step.
 
     Attributes:
-        reward: the joint reward r_k.
-        ended: whether each agent's option ended with it.
-        terminated: the task is over.
+        reward: Joint reward r_k of the team.
+        ended: Whether each agent's option ended with this step.
+        terminated: Whether the task is over.
     """
 
     reward: float
@@ -54,11 +54,11 @@ class SimulationStep(NamedTuple):
 
 
 class Scene(NamedTuple):
-    """What a picture of one moment needs.
+    """Content of a picture of one moment.
 
     Attributes:
-        robots: position of each robot [m].
-        note: in words, what cannot be seen.
+        robots: Position of each robot, by name [m].
+        note: Text about the state that the picture does not show.
     """
 
     robots: Mapping[str, tuple[float, float]]
@@ -66,7 +66,7 @@ class Scene(NamedTuple):
 
 
 class Drawable(Protocol):
-    """What pictures are made of."""
+    """A world that can be drawn."""
 
     @property
     def room(self) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -93,11 +93,11 @@ class Simulation(Drawable, Protocol):
 
     @property
     def time_step(self) -> float:
-        """Of a low-level step [s]."""
+        """Duration of a low-level step [s]."""
 
     @property
     def observes_while_running(self) -> bool:
-        """Whether who runs an option is asked for what it sees at every decision, or only when its own option ends."""
+        """Whether agents observe at every decision, or only when their own option has ended."""
 
     def reset(self, generator: np.random.Generator) -> None:
         """Begin an episode; whatever is random in it is drawn from `generator`."""
@@ -106,7 +106,7 @@ class Simulation(Drawable, Protocol):
         """Let an agent that runs no option begin one."""
 
     def interrupt(self, agent: int) -> None:
-        """Take an agent's option from it, with whatever it had done towards its end."""
+        """End an agent's option at once; its progress is lost."""
 
     def step(self) -> SimulationStep:
         """Let a low-level step pass; an agent without an option stays as it is."""
@@ -118,7 +118,7 @@ class Simulation(Drawable, Protocol):
         """Return which options an agent may begin now."""
 
     def figures(self) -> dict[str, Any]:
-        """Return what there is to say about the episode so far, as JSON."""
+        """Return the metrics of the episode so far, as JSON values."""
 
 
 def check_option(agent: Agent, option: int) -> None:

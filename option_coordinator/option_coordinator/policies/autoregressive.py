@@ -28,8 +28,8 @@ class Autoregressive(JointPolicy):
     """pi-hat(o_U | o_not-U, s) = prod_i pi(o_i | known options, s), i through U in the order of the agents.
 
     Args:
-        tensors: trunk; `state` and `known`, whose sum is the hidden layer (`norm`); `head` (sum K).
-        counts: options of each agent.
+        tensors: Tensors of the trunk; `state` and `known`, whose sum is the hidden layer (`norm`); `head` (sum K).
+        counts: Number of options of each agent.
     """
 
     def __init__(self, tensors: Tensors, counts: tuple[int, ...]) -> None:

@@ -36,10 +36,10 @@ class Conditional(ABC):
     """pi-hat(. | o_not-U, s): a distribution over the options of those that choose.
 
     Attributes:
-        counts: how many options each of the N agents has.
-        choosing: (N,) who chooses.
-        running: (N,) option of each that runs one, `NONE` else.
-        legal: (N, K) which options each may choose.
+        counts: Number of options of each of the N agents.
+        choosing: Whether each agent chooses (N,).
+        running: Option of each agent that runs one, `NONE` for the others (N,).
+        legal: Whether each agent may choose each option (N, K).
     """
 
     def __init__(self, counts: Sequence[int], choosing: Mask, running: JointOptions, legal: Mask) -> None:
@@ -74,14 +74,14 @@ class Conditional(ABC):
 
     @property
     def size(self) -> int:
-        """How many legal joint options there are to choose from."""
+        """Number of legal joint options to choose from."""
         size = 1
         for row in self._legal_options:
             size *= len(row)
         return size
 
     def choices(self) -> JointOptions:
-        """Return them all (size, N)."""
+        """Return all legal joint options (size, N)."""
         out = np.tile(self.running, (self.size, 1))
         out[:, self.choosing] = list(product(*self._legal_options))
         return out
@@ -96,11 +96,11 @@ class Conditional(ABC):
 
 
 class JointPolicy(ABC):
-    """A joint policy pi(o | s) of N agents, of which any part can be asked.
+    """A joint policy pi(o | s) of N agents, any of which may choose while the others run options.
 
     Attributes:
-        counts: how many options each agent has.
-        observation_size: length of what is observed.
+        counts: Number of options of each agent.
+        observation_size: Length of the joint observation.
     """
 
     counts: tuple[int, ...]
@@ -108,7 +108,7 @@ class JointPolicy(ABC):
 
     @cached_property
     def option_mask(self) -> Mask:
-        """Which options there are, (N, K), K the largest count."""
+        """Whether each agent has each option, (N, K) with K the largest count."""
         return option_mask(self.counts)
 
     @cached_property
@@ -121,10 +121,10 @@ class JointPolicy(ABC):
         """Return pi-hat for one decision.
 
         Args:
-            observation: of all agents, one after the other (observation_size,).
-            choosing: (N,) who chooses; who runs an option does not.
-            running: (N,) option of each that runs one, `NONE` else.
-            legal: (N, K) which options each may choose, K the largest count; all unless given.
+            observation: Observations of all agents, one after the other (observation_size,).
+            choosing: Whether each agent chooses; agents that run an option do not (N,).
+            running: Option of each agent that runs one, `NONE` for the others (N,).
+            legal: Whether each agent may choose each option (N, K), K the largest count; all unless given.
 
         Raises:
             OptionError: wrong sizes, an observation that is not finite, options out of range, or nothing legal.

@@ -22,8 +22,8 @@ class JointTable(JointPolicy):
     """pi(o | s) as a table (K_0, ..., K_N-1).
 
     Args:
-        tensors: trunk and `head` (cells).
-        counts: options of each agent.
+        tensors: Tensors of the trunk and of `head` (cells).
+        counts: Number of options of each agent.
     """
 
     def __init__(self, tensors: Tensors, counts: tuple[int, ...]) -> None:

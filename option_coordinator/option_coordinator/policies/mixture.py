@@ -30,8 +30,8 @@ class Mixture(JointPolicy):
     """A mixture of R products.
 
     Args:
-        tensors: trunk, `weights` (R) and `head` (R sum K).
-        counts: options of each agent.
+        tensors: Tensors of the trunk, of `weights` (R) and of `head` (R sum K).
+        counts: Number of options of each agent.
     """
 
     def __init__(self, tensors: Tensors, counts: tuple[int, ...]) -> None:

@@ -15,10 +15,10 @@ from option_coordinator.policies.joint_policy import Array, Conditional, JointOp
 
 
 class Partial(JointPolicy):
-    """One joint policy for each agent.
+    """A joint policy for each agent, used for that agent's own choice.
 
     Args:
-        policies: of the agents, each of all agents' options by its own observation.
+        policies: Joint policies over all agents' options, one for each agent, by its own observation.
     """
 
     def __init__(self, policies: Sequence[JointPolicy]) -> None:

@@ -1,4 +1,4 @@
-"""A joint policy's file: tensors in safetensors, and a manifest that says whose options it chooses. No pickles.
+"""The file of a joint policy: tensors in safetensors, and a manifest that names the agents. No pickles.
 
 policy = OptionPolicy.load(Path("policy.safetensors"))
 choices = policy.choose(decision, generator)
@@ -43,7 +43,7 @@ class _Agent(Schema):
 
 
 class _Header(Schema):
-    """What a policy says of itself, see `OptionPolicy`."""
+    """Header of the file; the fields are those of `OptionPolicy`."""
 
     format: Literal["option-policy-1"]
     agents: Annotated[list[_Agent], Field(min_length=1, max_length=1000)]
@@ -109,16 +109,16 @@ def make_policy(
 
 @dataclass(frozen=True, eq=False)
 class OptionPolicy:
-    """A joint policy and all that is needed to use it.
+    """A joint policy with its agents, tensors and manifest.
 
     Attributes:
-        agents: whose options it chooses, in its order.
-        head: kind of joint policy, a key of `HEADS`.
-        partial: whether each agent has one of its own (Eq. 5.5).
-        tensors: of its networks.
-        presence: it is told who is there, see `presence`.
-        greedy: it is meant to be used by its mode; else by draws.
-        manifest: anything else worth keeping: task, digest, method, figures.
+        agents: Agents whose options it chooses, in its order.
+        head: Kind of joint policy, a key of `HEADS`.
+        partial: Whether each agent has a policy of its own (Eq. 5.5).
+        tensors: Tensors of the policy's networks, by name.
+        presence: Whether its network is told which agents are present, see `presence`.
+        greedy: Whether it is used by its most likely options, rather than by draws.
+        manifest: Task, digest, method and results, as JSON values.
     """
 
     agents: tuple[Agent, ...]
@@ -146,7 +146,7 @@ class OptionPolicy:
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 (hex) of its file: of that it was read from, or else of that it would be saved as."""
+        """SHA-256 (hex) of the file that it was read from, else of the file that `save` would write."""
         return hashlib.sha256(self._content()).hexdigest()
 
     def save(self, path: Path) -> None:

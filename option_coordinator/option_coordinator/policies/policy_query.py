@@ -1,4 +1,4 @@
-"""One call of the policy beside the robots: its choice if it is one, else everybody's safe option."""
+"""One query of a policy beside the robots: its answer if that is valid, else the safe options."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from option_coordinator.policies.policy_file import OptionPolicy
 
 @dataclass(frozen=True, eq=False)
 class PolicyQuery:
-    """What a policy is asked: the arguments of `JointPolicy.given`."""
+    """The query of one decision: the arguments of `JointPolicy.given`."""
 
     observation: Observation
     choosing: Mask
@@ -25,18 +25,18 @@ class PolicyQuery:
 
 
 PolicyFn = Callable[[PolicyQuery], tuple[JointOptions, float]]
-"""Returns options (N,), of which those of who chooses count, and the log-probability of those."""
+"""Returns options (N,), of which those of the choosing agents count, and their log-probability."""
 
 
 @dataclass(frozen=True, eq=False)
 class PolicyAnswer:
-    """What was chosen.
+    """Answer to a query.
 
     Attributes:
-        options: (N,), -1 where nothing can be granted.
-        log_probability: of the policy's choice, 0 where it did not choose.
-        by_policy: it was the policy.
-        faults: what went wrong.
+        options: Options (N,), -1 where nothing can be granted.
+        log_probability: Log-probability of the policy's choice, 0 where the policy failed.
+        by_policy: Whether the policy chose, rather than the safe options.
+        faults: Reasons why the policy failed, as keys of counters.
     """
 
     options: JointOptions
@@ -46,7 +46,7 @@ class PolicyAnswer:
 
 
 def learned_policy_fn(policy: OptionPolicy, generator: np.random.Generator) -> PolicyFn:
-    """Return a learned policy as a coordinator wants it."""
+    """Return a learned policy as the function that a coordinator queries."""
 
     def chooses(choice: PolicyQuery) -> tuple[JointOptions, float]:
         conditional = policy.joint.given(choice.observation, choice.choosing, choice.running, choice.legal)
@@ -57,9 +57,9 @@ def learned_policy_fn(policy: OptionPolicy, generator: np.random.Generator) -> P
 
 
 def query_with_fallback(choice: PolicyQuery, policy: PolicyFn, limit: float, safe: Sequence[int]) -> PolicyAnswer:
-    """Ask the policy; where it fails, is too slow [s] or chooses what is not legal, take the safe options.
+    """Ask the policy; take the safe options if it fails, exceeds the time limit [s] or chooses an illegal option.
 
-    A policy may be anybody's code and robots wait, so no error of it may pass.
+    Robots wait for the answer and a policy may be any code, so none of its errors may pass.
     """
     began = time.perf_counter()
     try:

@@ -1,4 +1,4 @@
-"""A joint policy that knows who is there: one that is only told what runs takes "absent" for "chooses too"."""
+"""A joint policy that is told which agents are present; otherwise it takes absent agents for choosing ones."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from option_coordinator.policies.joint_policy import Array, Conditional, JointOp
 
 
 class Presence(JointPolicy):
-    """A joint policy whose network sees N numbers more: 1 for who chooses or runs an option, 0 for who is absent.
+    """A joint policy whose network sees N more numbers: 1 for an agent that is present, 0 for an absent one.
 
-    Whoever asks it has nothing more to say than `choosing` and `running`.
+    An agent is present if it chooses or runs an option.
 
     Args:
-        policy: of that network.
+        policy: Joint policy of the network that sees these numbers.
     """
 
     def __init__(self, policy: JointPolicy) -> None:

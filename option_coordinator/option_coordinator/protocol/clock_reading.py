@@ -1,8 +1,8 @@
-"""The moment at which something is heard or done, on the three clocks that count. Pure: no ROS.
+"""The time of an event on three clocks. No ROS.
 
-How long somebody has been silent is read from a steady clock, which nobody sets. How long an option has taken is read
-from the clock of the world that it is carried out in: a simulation may be faster than the wall, or paused. Messages are
-stamped by ROS's clock, which may be set at any time.
+Silence is measured on a steady clock, which nobody sets. The duration of an option is measured in the time of the world
+in which it runs, because a simulation may be faster than the wall, or paused. Messages are stamped by the ROS clock,
+which may be set at any time.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ _LARGEST_SPEED = 100.0
 
 
 class ClockReading(NamedTuple):
-    """One moment [s].
+    """The time of an event on three clocks [s].
 
     Attributes:
-        steady: steady clock; for leases, time-outs and repetitions.
-        task: time that has passed in the robots' world, see `TaskTime`; for how long options take.
-        stamp: ROS's clock; for the stamps of messages.
+        steady: Steady clock, for leases, time-outs and repetitions.
+        task: Time that has passed in the robots' world, as `TaskTime` measures it, for the durations of options.
+        stamp: ROS clock, for the stamps of messages.
     """
 
     steady: float

@@ -1,4 +1,4 @@
-"""Which of several coordinators decides: of those that are heard, the one of the highest epoch. Pure: no ROS, no clock.
+"""Leader election: of coordinators that hear each other the one with the highest epoch decides. No ROS, no clock.
 
 Who listens takes over once it has heard nobody decide for a lease, in an epoch above all that it has seen. Who decides
 says so several times a lease, and listens again when it sees an epoch above its own.
@@ -22,13 +22,13 @@ _CANDIDATES = 16
 
 
 class Epochs:
-    """Highest epoch that is believed. One wrong message must not put it out of everybody's reach.
+    """The highest epoch that is believed. One wrong message must not raise it beyond every coordinator's reach.
 
     A rise of up to 16 take-overs is believed at once, and so is the first epoch that is heard. A leap above that is
     believed once the same epoch has been heard for a lease: a coordinator says its own several times a lease.
 
     Args:
-        lease: how long a leap must be heard [s].
+        lease: Time for which a leap must be heard [s].
 
     Attributes:
         highest: Highest epoch believed, 0 for none.
@@ -64,17 +64,17 @@ class Epochs:
 
 
 class Election:
-    """One coordinator's part in it. Times are numbers in seconds, of any one steady clock.
+    """One coordinator's part in the election. Times are in seconds of a steady clock.
 
     Args:
-        now: when it begins to listen.
-        lease: how long it listens.
-        seed: of what the epochs of two that take over at once differ by.
+        now: Time at which it begins to listen [s].
+        lease: Time for which it listens before it takes over [s].
+        seed: Seed of the lot by which the epochs of simultaneous take-overs differ.
 
     Attributes:
-        epoch: in which this one decides, 0 while it listens.
-        stands_by: it listens because it has heard another one decide.
-        seen: epochs that it has heard of.
+        epoch: Epoch in which this coordinator decides, 0 while it listens.
+        stands_by: Whether it listens because another coordinator decides.
+        seen: Epochs that it has heard of.
     """
 
     def __init__(self, now: float, lease: float, seed: int | None = None) -> None:

@@ -1,4 +1,4 @@
-"""The joint steps of one coordinator's life: what it decided, and what came of it (thesis Definition 1)."""
+"""The joint steps of one coordinator: its decisions and the reward between them (thesis Definition 1)."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from option_coordinator.protocol.protocol_types import JointStep
 
 
 class Journal:
-    """Counts decisions, and what was earned between them.
+    """Numbers the decisions, and adds up the reward between them.
 
     Args:
-        now: when it begins [s].
-        time_step: of a low-level step [s].
-        discount: gamma of one.
+        now: Time at which it begins [s].
+        time_step: Duration of a low-level step [s].
+        discount: Discount factor gamma of a low-level step.
 
     Attributes:
-        open: an episode has begun and is not over.
+        open: Whether an episode has begun and is not over.
     """
 
     def __init__(self, now: float, time_step: float, discount: float) -> None:

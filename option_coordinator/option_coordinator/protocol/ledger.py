@@ -1,7 +1,7 @@
-"""Who runs what: what a coordinator knows of each robot. Times are numbers in seconds, of any one clock.
+"""The state of each robot, as far as a coordinator knows. Times are in seconds of one clock.
 
-Two things are known of a robot: how far its latest request is (`phase`) and when it was heard last. One that is silent
-for a lease is suspect, for longer lost; it keeps its phase, so that it goes on where it was if it returns.
+A robot has a phase, the state of its latest request, and a time at which it was heard last. A robot that is silent for
+a lease is suspect, for longer lost; it keeps its phase, so that it goes on where it was if it returns.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ MOST_UNHEARD = 1000
 
 
 class State(StrEnum):
-    """What a robot does, as far as is known."""
+    """State of a robot, as far as the coordinator knows."""
 
     UNKNOWN = "unknown"  # never heard
     IDLE = "idle"  # has no request open and runs nothing that is known of
@@ -33,23 +33,23 @@ class State(StrEnum):
 
 @dataclass
 class Entry:
-    """One robot.
+    """State of one robot.
 
     Attributes:
-        agent: its name.
-        incarnation: life of its process, grows with each; `NONE` before it is heard.
-        request_id: of its latest request that counts, 0 for none.
-        grant_id: of the latest grant, 0 for none; grows by one with each.
-        epoch: of the coordinator that gave it.
-        option: that was granted, `NONE` for none.
-        granted_at: when it began, as far as is known [s], on the clock that options are timed by.
+        agent: Name of the robot.
+        incarnation: Incarnation of its process, which grows with each start; `NONE` before it is heard.
+        request_id: Number of its latest valid request, 0 for none.
+        grant_id: Number of its latest grant, 0 for none; grows by one with each grant.
+        epoch: Epoch of the coordinator that gave the grant.
+        option: Option that was granted, `NONE` for none.
+        granted_at: Time at which the option began, as far as is known [s], on the clock that options are timed by.
         stamp: Stamp of the grant [s].
-        cancelled: it was called off, and the robot has not asked again.
-        phase: how far the latest request is.
-        last_heard: when [s].
-        told_id: request_id of its latest heartbeat, 0 before one.
-        asked_at: when its latest request was first heard [s].
-        claims_since: since when it says without a break that it has seen a higher epoch [s], None where it does not.
+        cancelled: Whether the grant was cancelled, and the robot has not asked again.
+        phase: State of the latest request.
+        last_heard: Time at which it was heard last [s].
+        told_id: Request number in its latest heartbeat, 0 before one.
+        asked_at: Time at which its latest request was first heard [s].
+        claims_since: Time since which it claims without a break to have seen a higher epoch [s], None if it does not.
         silence: `SUSPECT` or `LOST`, None for a robot that is heard.
     """
 
@@ -71,7 +71,7 @@ class Entry:
 
     @property
     def state(self) -> State:
-        """What it does, or that it is silent."""
+        """Its silence if it is silent, else its phase."""
         return self.silence or self.phase
 
     @property
@@ -185,13 +185,13 @@ class Entry:
         self.phase = State.RUNNING
 
     def adopt(self, told: Status, since: float, stamp: float, now: float) -> None:
-        """Believe a robot that it carries out an option that another coordinator, or an earlier life, granted.
+        """Adopt an option that a robot runs by a grant of another coordinator, or of an earlier life of this one.
 
         Args:
-            told: what it says.
-            since: when the option began [s].
+            told: Heartbeat of the robot.
+            since: Time at which the option began [s].
             stamp: When the option began, by the clock of stamps [s].
-            now: when it says so [s].
+            now: Time of the heartbeat [s].
 
         Raises:
             OptionError: it was never heard, or it has asked again since.
@@ -246,7 +246,7 @@ class Ledger:
     """The robots of a team.
 
     Args:
-        agents: their names, in the policy's order.
+        agents: Names of the robots, in the policy's order.
     """
 
     def __init__(self, agents: Iterable[str]) -> None:

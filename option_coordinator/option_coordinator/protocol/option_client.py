@@ -1,7 +1,7 @@
-"""A robot's side of the exchange with a coordinator: ask, carry out, be called off, help itself. Pure, as coordination.
+"""The client of a coordinator on a robot: it asks for options, runs them and falls back by itself. No ROS, no clock.
 
-Whatever the network does, a robot carries out one grant for one request, listens to the highest epoch that it has seen,
-and has its safe option where no grant comes or an option takes longer than it may.
+Whatever the network does, a robot carries out one grant for each request, obeys the highest epoch that it has seen, and
+runs its safe option if no grant comes or an option exceeds its deadline.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ from option_coordinator.protocol.protocol_types import (
 
 
 class AgentObservation(NamedTuple):
-    """What a robot tells with a request.
+    """Observation of a robot, sent with a request.
 
     Attributes:
-        observation: as the policy wants it.
-        legal: (K,) which of its options it may begin, empty for all.
+        observation: Numbers that the policy observes (observation_size,).
+        legal: Whether the robot may begin each of its options (K,), empty for all.
     """
 
     observation: Observation
@@ -40,11 +40,11 @@ class AgentObservation(NamedTuple):
 
 
 class OptionResult(NamedTuple):
-    """What an option brought.
+    """Reward and duration of an option that has ended.
 
     Attributes:
-        reward: discounted, sum_i gamma^i r_i; the part of the team's reward that this robot adds.
-        steps: low-level steps that it took.
+        reward: Discounted reward sum_i gamma^i r_i, the part of the team's reward that this robot adds.
+        steps: Number of low-level steps that it took.
     """
 
     reward: float = 0.0
@@ -52,26 +52,26 @@ class OptionResult(NamedTuple):
 
 
 class OptionExecutor(Protocol):
-    """What carries options out. Who is done says so: `OptionClient.ended`."""
+    """Carries options out; calls `OptionClient.ended` when one has ended by itself."""
 
     def observe(self) -> AgentObservation:
-        """Return what is seen now."""
+        """Return the current observation."""
 
     def begin(self, option: int) -> None:
         """Begin an option."""
 
     def leave(self) -> OptionResult:
-        """Leave the option that runs as it is, and return what it brought."""
+        """End the option that runs at once, and return its result."""
 
 
 @dataclass(frozen=True)
 class ClientTimeouts:
-    """All in seconds of a steady clock.
+    """Periods and waiting times of a client [s], on a steady clock.
 
     Attributes:
-        heartbeat: between statuses; some fit into a coordinator's lease.
-        repeat: between repetitions of a request.
-        waiting: without an answer, until the safe option begins.
+        heartbeat: Time between two heartbeats; several must fit into a coordinator's lease.
+        repeat: Time between two repetitions of a request.
+        waiting: Time without an answer after which the safe option begins.
     """
 
     heartbeat: float = 0.1
@@ -83,23 +83,23 @@ _WANTING = (AgentState.WAITING, AgentState.FALLBACK)
 
 
 class OptionClient:
-    """What one robot says to its coordinator, and does at its word.
+    """Speaks to the coordinator for one robot, and starts and stops its options.
 
     Args:
-        name: of the robot, as the team knows it.
-        options: how many it has.
-        executes: carries them out.
-        incarnation: life of its process: larger with each.
-        safe_option: what it does without a grant.
-        patience: how long it waits for what.
+        name: Name of the robot in its team.
+        options: Number of its options.
+        executor: Executor of the options.
+        incarnation: Incarnation of its process: larger with each start.
+        safe_option: Index of the option that runs while no grant comes.
+        timeouts: Periods and waiting times; the defaults unless given.
         team: Name of its team, empty for unnamed: it then follows the team of the last grant that it took.
 
     Attributes:
-        state: what it does.
-        request_id: of its latest request.
-        grant: that it carries out or has carried out last, None before the first.
-        finished: its task is over, and the coordinator knows.
-        counts: how often what happened, for diagnostics.
+        state: State that its heartbeats report.
+        request_id: Number of its latest request.
+        grant: Grant that it carries out, or carried out last; None before the first.
+        finished: Whether its task is over, and the coordinator knows.
+        counts: Counters of events, for diagnostics.
     """
 
     def __init__(
@@ -159,13 +159,13 @@ class OptionClient:
             self.ask(now, result, terminated)
 
     def on_coordinator_heartbeat(self, heartbeat: CoordinatorHeartbeat, now: ClockReading) -> None:
-        """Hear that a coordinator of its team decides: grants of lower epochs mean nothing from now on."""
+        """Note that a coordinator of its team decides: grants of lower epochs do not count from now on."""
         follows = self._team or (self.grant.team if self.grant is not None else None)
         if heartbeat.team == follows and not self._epochs.believe(heartbeat.coordinator_epoch, now.steady):
             self.counts["epochs not believed"] += 1
 
     def on_grant(self, grant: Grant, now: ClockReading) -> None:
-        """Take an answer: to an older request or life, of a lower epoch or another team, it means nothing."""
+        """Take an answer; one to an older request or incarnation, of a lower epoch or another team, is ignored."""
         if (grant.agent, grant.incarnation) != (self.name, self.incarnation) or not same_team(grant.team, self._team):
             return
         if grant.coordinator_epoch < self.epoch:
@@ -201,7 +201,7 @@ class OptionClient:
             self._fall_back()
 
     def due_messages(self, now: ClockReading) -> list[Request | Status]:
-        """Return what is to be said now, in this order."""
+        """Return the messages to send now, in this order."""
         out: list[Request | Status] = []
         if self.state in _WANTING and self._request is not None and now.steady >= self._request_at:
             self._request_at = now.steady + self._timeouts.repeat

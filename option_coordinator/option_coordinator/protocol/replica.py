@@ -1,8 +1,8 @@
-"""A coordinator as one of a team: whom it hears, and whether it is the one that decides. Pure: no ROS, and no clock.
+"""A coordinator as one of several replicas: it hears robots and other coordinators, and knows whether it is the leader.
 
-A coordinator that has not run for half a lease, because it was frozen or the machine was busy, is silent for a while:
-another one may have taken over, and what that says is heard first. After most of a lease its epoch is over for good: it
-listens for a lease as any other does, and decides again in a new epoch only.
+A replica that has not run for half a lease, because it was frozen or the machine was busy, is silent for a while:
+another one may have taken over, and its messages are heard first. After most of a lease its epoch is over for good: it
+listens for a lease as any other does, and decides again in a new epoch only. No ROS, no clock.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ class Replica:
     Args:
         robots: Names of the team's robots, in the policy's order.
         timeouts: Waiting times of the coordinator.
-        now: when it begins.
-        seed: of its epochs, see `Election`.
-        team: Name of the team; words of other teams mean nothing. Empty for unnamed: all words count.
+        now: Time at which it begins to listen.
+        seed: Seed of its epochs, as for `Election`.
+        team: Name of the team, empty for unnamed. A named team ignores messages of other teams.
 
     Attributes:
-        ledger: who runs what.
-        team: its name.
-        counts: how often what happened, for diagnostics.
+        ledger: State of each robot.
+        team: Name of the team, empty for unnamed.
+        counts: Counters of events, for diagnostics.
     """
 
     def __init__(
@@ -54,7 +54,7 @@ class Replica:
 
     @property
     def epoch(self) -> int:
-        """Of this coordinator, 0 while it listens."""
+        """Epoch of this coordinator, 0 while it listens."""
         return self._election.epoch
 
     @property
@@ -69,16 +69,16 @@ class Replica:
 
     @property
     def unheard(self) -> list[str]:
-        """Robots that have not said anything since this coordinator began to listen."""
+        """Robots that were not heard since this coordinator began to listen."""
         return [entry.agent for entry in self.ledger if entry.phase is State.UNKNOWN]
 
     def listen(self, now: ClockReading) -> None:
-        """Begin anew: decide nothing for a lease at least, hear who runs what, then take over."""
+        """Start over: decide nothing for a lease at least, hear what the robots run, then take over."""
         self._election.listen(now.steady)
         self._forget(now)
 
     def on_coordinator_heartbeat(self, heartbeat: CoordinatorHeartbeat, now: ClockReading) -> None:
-        """Hear that a coordinator decides in an epoch: another one, or this one itself."""
+        """Take the heartbeat of another coordinator, or this one's own."""
         if not same_team(heartbeat.team, self.team):
             self.counts["words of other teams"] += 1
             return

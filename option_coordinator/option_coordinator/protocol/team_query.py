@@ -1,4 +1,4 @@
-"""What a policy is asked about a team: the observations that were heard last, who chooses, who runs what."""
+"""The query of a policy about a team: latest observations, choosing robots, running options."""
 
 from __future__ import annotations
 

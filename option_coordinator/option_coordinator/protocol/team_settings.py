@@ -1,4 +1,4 @@
-"""What a coordinator must be told before it begins: its robots, and how long it waits for what."""
+"""Settings of a coordinator: its robots and its waiting times."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from option_coordinator.protocol.message_checks import LONGEST
 
 @dataclass(frozen=True)
 class RobotSpec:
-    """What a coordinator must know of a robot beside what it can do.
+    """A robot with the durations and the safe option that a coordinator must know.
 
     Attributes:
-        agent: name, options and observation.
-        durations: longest time that each of its options may take [s].
-        safe_option: what it is granted where the policy fails.
+        agent: Name, options and observation size.
+        durations: Longest time that each of its options may take [s].
+        safe_option: Index of the option that it is granted if the policy fails.
     """
 
     agent: Agent
@@ -34,16 +34,16 @@ class RobotSpec:
 
 @dataclass(frozen=True)
 class CoordinatorTimeouts:
-    """All in seconds.
+    """Waiting times of a coordinator [s].
 
     Attributes:
-        batch_window: time that the first request waits for others to be decided with it.
-        lease: a robot silent for so long is suspect; a coordinator listens for so long before it decides.
-        lost_after: a robot silent for so long is lost.
-        repeat: between repetitions of what was not acknowledged.
-        stale: age at which an observation is refused.
-        policy_limit: a policy that takes longer has failed.
-        time_step: of a low-level step, in which durations are told.
+        batch_window: Time that the first pending request waits for others.
+        lease: Silence after which a robot is suspect; a coordinator listens for as long before it decides.
+        lost_after: Silence after which a robot is lost.
+        repeat: Time between repetitions of an unacknowledged grant.
+        stale: Age at which an observation is refused.
+        policy_limit: Time after which a policy has failed.
+        time_step: Duration of a low-level step, the unit of reported durations.
     """
 
     batch_window: float = 0.0

@@ -1,4 +1,4 @@
-"""Policies that were not learnt, to coordinate without a file: any legal option, or one that nobody else runs."""
+"""Scripted policies for coordination without a file: any legal option, or one that no other robot runs."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ def uniform_policy(generator: np.random.Generator) -> PolicyFn:
 
 
 def spread_policy(robots: Sequence[RobotSpec], generator: np.random.Generator, shared: Sequence[str] = ()) -> PolicyFn:
-    """Return a policy that draws from the legal options that nobody else runs by that name; else the safe one.
+    """Return a policy that draws from the legal options whose names no other robot runs, else the safe option.
 
     Args:
-        robots: in the policy's order.
-        generator: of the draws.
-        shared: names of options that many may run at a time.
+        robots: Robots, in the policy's order.
+        generator: Random generator of the draws.
+        shared: Names of options that several robots may run at a time.
     """
     names = [robot.agent.options for robot in robots]
     safe = [robot.safe_option for robot in robots]

@@ -1,4 +1,4 @@
-"""A team of robots that drive between stations, as YAML: what coordinator and robots must both know.
+"""Team files: YAML descriptions, shared by coordinator and robots, of a team that drives between stations.
 
 Each robot fetches parcels from shelves, brings them to desks and goes home after its last one. Its options are the
 same as everybody's: to wait, or to drive to a station and do what is done there.
@@ -28,11 +28,11 @@ from option_coordinator.protocol.team_settings import RobotSpec
 FOLDER = FilePath(__file__).parent
 KIND = "team_delivery"
 OBSERVED = ("x", "y", "carries", "deliveries")
-"""What a robot tells of itself: position [m], whether it carries a parcel, and how many it has delivered."""
+"""Observation of a robot: position [m], whether it carries a parcel, number of parcels delivered."""
 
 
 class Work(StrEnum):
-    """What is done where an option leads to."""
+    """Work at the end of an option."""
 
     WAIT = "wait"
     FETCH = "fetch"
@@ -44,10 +44,10 @@ class NavigationOption(Part):
     """One option: what it is for, the longest it may take, and where it leads, but for the two that lead nowhere else.
 
     Attributes:
-        work: done at its end; `wait` stands still, `rest` leads home.
-        longest: time it may take [s].
-        station: where it leads [m].
-        lasts: how long the work takes [s].
+        work: Work done at its end; `wait` stands still, `rest` leads home.
+        longest: Longest time that it may take [s].
+        station: Position that it leads to [m]; None for `wait` and `rest`.
+        lasts: Duration of the work at its end [s].
     """
 
     work: Annotated[Work, Strict(False)]
@@ -69,19 +69,19 @@ class TeamRobot(Part):
 
 
 class TeamRewards(Part):
-    """What a robot adds to the team's reward."""
+    """Rewards that each robot adds to the team's."""
 
     step: Reward
     delivery: Reward
 
 
 class Learning(Part):
-    """How a policy of the team is learnt.
+    """Settings of learning a policy of the team.
 
     Attributes:
-        episode: its longest time [s].
-        training_samples: low-level steps that are learnt from.
-        batch_samples: those between two updates.
+        episode: Longest duration of an episode [s].
+        training_samples: Number of low-level steps to learn from.
+        batch_samples: Number of low-level steps between two updates.
     """
 
     episode: PositiveTime
@@ -93,17 +93,17 @@ class TeamFile(TaskHeader):
     """A team, and the task that it has.
 
     Attributes:
-        kind: of task, among those with options.
-        time_step: of a low-level step, in which options are counted [s].
-        discount: gamma of a low-level step.
-        deliveries: that each robot makes.
-        options: of each robot, by name and in order.
-        safe_option: name of the one that a robot carries out when nothing is granted.
-        robots: by name, which is also the namespace of its topics.
-        rewards: of a low-level step, and of a delivery.
-        room: navigation task that they work in: the name of one that comes with the package or the suite, or a .yaml
+        kind: Kind of task, always "team_delivery".
+        time_step: Duration of a low-level step, the unit of option durations [s].
+        discount: Discount factor gamma of a low-level step.
+        deliveries: Number of deliveries that each robot makes.
+        options: Options of every robot, by name and in order.
+        safe_option: Name of the option that a robot runs while no grant comes.
+        robots: Robots by name, which is also the namespace of their topics.
+        rewards: Rewards of a low-level step and of a delivery.
+        room: Navigation task that they work in: the name of one that comes with the package or the suite, or a .yaml
             file, whose path counts from the team file's folder.
-        learning: how a policy is learnt.
+        learning: Settings of learning a policy.
     """
 
     kind: Literal["team_delivery"]
@@ -134,7 +134,7 @@ class TeamFile(TaskHeader):
 
     @property
     def option_names(self) -> tuple[str, ...]:
-        """Of each robot, in order."""
+        """Names of every robot's options, in order."""
         return tuple(self.options)
 
     @property
@@ -154,7 +154,7 @@ class TeamFile(TaskHeader):
 
     @cached_property
     def coordinated(self) -> tuple[RobotSpec, ...]:
-        """The robots as a coordinator wants them."""
+        """Robots with the settings that a coordinator needs."""
         durations = tuple(option.longest for option in self.options.values())
         safe = self.option_names.index(self.safe_option)
         return tuple(RobotSpec(Agent(name, self.option_names, len(OBSERVED)), durations, safe) for name in self.robots)
@@ -212,7 +212,7 @@ def load_room(team: TeamFile, name_or_path: str = "") -> NavigationTask:
     """Read the room that a team works in.
 
     Args:
-        team: the team.
+        team: Team whose room is read.
         name_or_path: another room than the team's own; empty for the team's own.
 
     Raises:

@@ -1,4 +1,4 @@
-"""The event-driven environments as PettingZoo Parallel ones, for other libraries of learning.
+"""A PettingZoo Parallel environment of joint options, for other learning libraries.
 
 environment = ParallelOptions(make_environment("tool_delivery"))
 
@@ -28,7 +28,7 @@ class ParallelOptions(ParallelEnv[str, AgentDict, int]):
     What each agent is told besides: `duration` (tau, low-level steps), `discount` (gamma^tau) and `ready`.
 
     Args:
-        environment: to adapt.
+        environment: Event-driven environment to adapt.
     """
 
     metadata = {"name": "options_v0", "render_modes": []}  # noqa: RUF012 - as PettingZoo has it

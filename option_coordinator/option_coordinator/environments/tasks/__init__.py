@@ -22,7 +22,7 @@ from option_coordinator.teams.team_file import TeamFile, is_team, load_team, tea
 
 OptionTask = ToolDelivery | WaterFilling | TeamFile
 Level = Literal["options", "thesis", "actions"]
-"""What is chosen: the published options, those of thesis Table 5.1, or a low-level action at each step."""
+"""Level of choice: the published options, those of thesis Table 5.1, or a low-level action at each step."""
 DISCOUNT = 0.99
 """gamma of a low-level step (published settings); a team names its own."""
 

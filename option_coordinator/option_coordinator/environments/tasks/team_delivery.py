@@ -50,7 +50,7 @@ class TeamDeliverySimulation:
 
     @property
     def room(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """What holds walls and obstacles [m]."""
+        """Extent of the walls and obstacles in x and in y [m]."""
         (left, bottom), (right, top) = self._outlines.min(axis=0), self._outlines.max(axis=0)
         return (float(left), float(right)), (float(bottom), float(top))
 

@@ -25,16 +25,16 @@ IDLE = -1
 
 @dataclass
 class Turtlebot:
-    """A Turtlebot.
+    """State of a Turtlebot.
 
     Attributes:
-        x: position [m].
-        y: position [m].
-        waypoints: position of workshop, tool room and its own spot at the table [m].
-        place: the last waypoint it reached, kept while it moves.
-        option: that it carries out, `IDLE` for none.
-        waited: steps that it has stood at the table for a tool; 0 while it does not.
-        basket: tools that it carries.
+        x: Coordinate x of its position [m].
+        y: Coordinate y of its position [m].
+        waypoints: Positions of workshop, tool room and its own spot at the table [m].
+        place: Last waypoint that it reached, kept while it moves.
+        option: Option that it carries out, `IDLE` for none.
+        waited: Number of steps that it has stood at the table for a tool; 0 while it does not.
+        basket: Indices of the tools that it carries.
     """
 
     x: float
@@ -65,14 +65,14 @@ class Turtlebot:
 
 @dataclass
 class Fetchbot:
-    """The Fetchbot.
+    """State of the Fetchbot.
 
     Attributes:
-        option: that it carries out, `IDLE` for none.
-        worked: steps that it has spent on it.
-        in_vain: it passes a tool, and the Turtlebot was not there when it began.
-        staged: tools that were found and wait to be passed, the oldest first.
-        found: tools that were found so far.
+        option: Option that it carries out, `IDLE` for none.
+        worked: Number of steps that it has spent on the option.
+        in_vain: Whether it passes a tool to a Turtlebot that was not there when the pass began.
+        staged: Tools that were found and wait to be passed, the oldest first.
+        found: All tools found so far.
     """
 
     option: int = IDLE

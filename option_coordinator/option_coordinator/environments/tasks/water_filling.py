@@ -26,13 +26,13 @@ _MEAN_OPTION_STEPS = 3
 
 
 class Action(NamedTuple):
-    """What an option of a name does.
+    """Effect of an option.
 
     Attributes:
-        move: cells in x and y, for a move of one step.
-        jar: the jar that it is about.
-        goes: it leads to the jar.
-        fills: it fills the jar, or without one all that are in reach.
+        move: Cells in x and y of a one-step move, None for another option.
+        jar: Index of the jar concerned, None for none.
+        goes: Whether the robot drives to the jar.
+        fills: Whether it fills the jar, or without one all jars in reach.
     """
 
     move: tuple[int, int] | None
@@ -45,16 +45,16 @@ class WaterFillingSimulation:
     """The world of Water Filling.
 
     Args:
-        task: the task.
-        options: "published" (7 x 7: NavToFill or NavTo and one-step moves), "thesis" (Table 5.1: the vehicle also fills
-            and navigates separately) or "actions" (one step each: moves and, for the vehicle, Fill).
-        sight: what a robot sees besides the shared levels and ages: "features" (position, which jars are in reach) or
-            "image" (the room from above, red itself, green the other, blue the jars: bright as far as full when in
-            reach, half bright when not).
+        task: Water Filling task to simulate.
+        options: Set of options: "published" (7 x 7: NavToFill or NavTo and one-step moves), "thesis" (Table 5.1: the
+            vehicle also fills and navigates separately) or "actions" (one step each: moves and, for the vehicle, Fill).
+        sight: Observation besides the shared levels and ages: "features" (position, jars in reach) or "image" (the room
+            from above: red the robot itself, green the other, blue the jars, as bright as full when in reach, half
+            bright when not).
     """
 
     observes_while_running = True
-    """What is known of the jars is shared and always new, and so are a robot's images."""
+    """The robots share their knowledge of the jars, which is always new, and so are their images."""
 
     def __init__(self, task: WaterFilling, options: OptionSet = "published", sight: Sight = "features") -> None:
         self.task = task

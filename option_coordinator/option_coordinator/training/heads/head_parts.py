@@ -1,4 +1,4 @@
-"""What the joint policies in torch are made of: their input and output, the trunk, and sums over joint options."""
+"""Parts of the joint policies in torch: inputs, outputs, the trunk, and sums over joint options."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ NEVER = -1e9
 
 
 class DecisionBatch(NamedTuple):
-    """Decisions, as tensors.
+    """A batch of B decisions as tensors.
 
     Attributes:
-        observation: (B, D).
-        options: what was chosen or ran on, `NONE` for the absent (B, N).
-        choosing: (B, N).
-        legal: (B, N, K).
+        observation: Joint observations (B, D).
+        options: Options that were chosen or ran on, `NONE` for absent agents (B, N).
+        choosing: Whether each agent chose (B, N).
+        legal: Whether each option was legal (B, N, K).
     """
 
     observation: Tensor

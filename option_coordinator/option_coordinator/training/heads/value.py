@@ -16,11 +16,11 @@ class ValueNetwork(nn.Module):
     """V of the joint observation, and of what runs on: with asynchronous options that is part of the state.
 
     Args:
-        observation_size: D.
-        counts: options of each agent.
+        observation_size: Length D of the joint observation.
+        counts: Number of options of each agent.
 
     Attributes:
-        scale: that its targets are learnt on.
+        scale: Normalisation of its targets.
     """
 
     def __init__(self, observation_size: int, counts: Sequence[int]) -> None:

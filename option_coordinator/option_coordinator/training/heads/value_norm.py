@@ -1,4 +1,4 @@
-"""The scale that values are learnt on: networks that begin near 0 learn targets of mean 0 and deviation 1."""
+"""Normalisation of value targets to mean 0 and standard deviation 1, as in MAPPO."""
 
 from __future__ import annotations
 

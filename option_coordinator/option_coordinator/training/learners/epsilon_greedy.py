@@ -12,8 +12,8 @@ class EpsilonGreedy(JointPolicy):
     """The most likely options, or with probability epsilon any legal ones.
 
     Args:
-        policy: whose mode it takes.
-        epsilon: how often it does not.
+        policy: Policy whose most likely options are taken.
+        epsilon: Probability of a random legal joint option instead, 0 to 1.
     """
 
     def __init__(self, policy: JointPolicy, epsilon: float) -> None:

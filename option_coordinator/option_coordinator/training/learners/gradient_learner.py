@@ -1,4 +1,4 @@
-"""What learns a joint policy by going over what was gathered, a few times in parts: MAPPO, imitation."""
+"""The base of learners that go over a trajectory several times in minibatches: MAPPO, imitation."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from option_coordinator.training.learners.learner import Learner
 
 
 class Batch(Protocol):
-    """What is learnt from."""
+    """A batch of option steps."""
 
     def at(self, rows: Tensor) -> Self:
-        """Return some of it."""
+        """Return the given rows."""
 
 
 _Batch = TypeVar("_Batch", bound=Batch)
@@ -30,10 +30,10 @@ class GradientLearner(Learner):
     """Has a joint policy, which explores by its own draws, and one optimiser; `settings` name epochs and minibatch.
 
     Args:
-        agents: whose options are learnt.
-        head: kind of joint policy.
-        partial: whether each agent has one of its own.
-        presence: whether the policy is told who is there.
+        agents: Agents whose options are learned.
+        head: Kind of joint policy, a key of `HEADS`.
+        partial: Whether each agent has a policy of its own.
+        presence: Whether the policy is told which agents are present.
     """
 
     greedy = False

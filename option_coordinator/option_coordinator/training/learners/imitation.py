@@ -1,4 +1,4 @@
-"""Learning to choose as was chosen, by whatever it was: behaviour cloning of recorded options."""
+"""Behaviour cloning of recorded options, whatever chose them."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from option_coordinator.training.learners.learner import decision_batch
 
 @dataclass(frozen=True)
 class ImitationSettings:
-    """How it is learnt.
+    """Settings of behaviour cloning.
 
     Attributes:
-        learning_rate: of Adam.
-        epochs: of a call of `learn`.
-        minibatch: option steps that are learnt from at once, about.
+        learning_rate: Learning rate of Adam.
+        epochs: Number of passes over the data in a call of `learn`.
+        minibatch: Approximate number of option steps of a minibatch.
     """
 
     learning_rate: float = 5e-4
@@ -33,11 +33,11 @@ class Imitation(GradientLearner):
     """Raises log pi-hat(o_U | o_not-U, s) of what was chosen, whatever it brought.
 
     Args:
-        agents: whose options are learnt.
-        head: kind of joint policy.
-        partial: whether each agent has one of its own.
-        settings: of the algorithm.
-        presence: whether the policy is told who is there.
+        agents: Agents whose options are learned.
+        head: Kind of joint policy, a key of `HEADS`.
+        partial: Whether each agent has a policy of its own.
+        settings: Settings of the algorithm; the defaults unless given.
+        presence: Whether the policy is told which agents are present.
     """
 
     def __init__(

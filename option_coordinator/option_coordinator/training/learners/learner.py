@@ -1,4 +1,4 @@
-"""What every learner of joint options looks like to the runs that drive it."""
+"""The interface of learners of joint options."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ class Learner(ABC):
     """Learns a joint policy from option-level trajectories that it gathers itself.
 
     Attributes:
-        network: the joint policy's.
-        greedy: the policy is to be used by its mode, not by draws.
-        settings: of the algorithm, a dataclass.
+        network: Network of the joint policy.
+        greedy: Whether the policy is used by its most likely options, not by draws.
+        settings: Settings of the algorithm, a dataclass.
     """
 
     network: nn.Module
@@ -33,11 +33,11 @@ class Learner(ABC):
 
     @abstractmethod
     def behaviour(self, progress: float) -> JointPolicy:
-        """Return what gathers the next trajectory, when this part (0 to 1) of the run is done."""
+        """Return the behaviour policy of the next trajectory, when this part (0 to 1) of the run is done."""
 
     @abstractmethod
     def learn(self, trajectory: OptionTrajectory, generator: np.random.Generator) -> dict[str, float]:
-        """Learn from what was gathered and return figures of it."""
+        """Learn from a trajectory and return metrics of the update."""
 
     @abstractmethod
     def networks(self) -> Mapping[str, nn.Module]:
@@ -48,7 +48,7 @@ class Learner(ABC):
         """Return all optimisers by name, for checkpoints."""
 
     def memory(self) -> Arrays:
-        """Return what else it goes on from, as arrays."""
+        """Return the rest of its state as arrays, for checkpoints."""
         return {}
 
     def recall(self, arrays: Mapping[str, NDArray[Any]]) -> None:  # noqa: B027 - most remember nothing
@@ -56,7 +56,7 @@ class Learner(ABC):
 
 
 def decision_batch(trajectory: OptionTrajectory, presence: bool = False) -> DecisionBatch:
-    """Return a trajectory's choices as tensors, the observation with who is there if `presence`."""
+    """Return a trajectory's decisions as tensors; with `presence` the observation tells which agents are present."""
     seen = trajectory.observation
     return DecisionBatch(
         observation=as_tensor(with_presence(seen, trajectory.present) if presence else seen),

@@ -37,15 +37,15 @@ class MacDqnSettings:
     is the other methods', not 1; and the exploration is a part of the run, as runs have other lengths.
 
     Attributes:
-        learning_rate: of Adam.
-        batch: option steps of an update.
-        replay: option steps that are kept.
-        update_samples: low-level samples between two updates.
-        target_samples: low-level samples between two copies of the network into the target.
-        exploration: part of the run over which epsilon falls from 1 to its end.
-        epsilon_end: what it ends at.
-        huber: where the loss turns linear, on the learnt scale.
-        gradient_norm: at most this long.
+        learning_rate: Learning rate of Adam.
+        batch: Number of option steps of an update.
+        replay: Number of option steps that are kept.
+        update_samples: Number of low-level samples between two updates.
+        target_samples: Number of low-level samples between two copies of the network into the target.
+        exploration: Part of the run over which epsilon falls from 1 to its end.
+        epsilon_end: Value of epsilon after the exploration.
+        huber: Error at which the loss turns linear, on the normalised scale.
+        gradient_norm: Largest norm of the gradient.
     """
 
     learning_rate: float = 6e-4
@@ -63,8 +63,8 @@ class MacDqn(Learner):
     """Conditional double DQN over the joint table.
 
     Args:
-        agents: whose options are learnt.
-        settings: of the algorithm.
+        agents: Agents whose options are learned.
+        settings: Settings of the algorithm; the defaults unless given.
     """
 
     greedy = True

@@ -24,14 +24,14 @@ class MappoSettings:
     """The published ones, but for the minibatch, which was all that Water Filling gathers between updates.
 
     Attributes:
-        learning_rate: of policy and value.
-        clip: of the ratio, epsilon.
-        entropy: coefficient of the entropy bonus.
-        gae_lambda: lambda.
-        epochs: of an update.
-        minibatch: option steps that are learnt from at once; what is gathered goes whole, or in parts of about this.
-        huber: where the value's loss turns linear, on its learnt scale.
-        gradient_norm: at most this long.
+        learning_rate: Learning rate of policy and value.
+        clip: Clipping range epsilon of the probability ratio.
+        entropy: Coefficient of the entropy bonus.
+        gae_lambda: Coefficient lambda of the generalised advantage estimate.
+        epochs: Number of passes over the data in an update.
+        minibatch: Approximate number of option steps of a minibatch.
+        huber: Error at which the value's loss turns linear, on the normalised scale.
+        gradient_norm: Largest norm of the gradient.
     """
 
     learning_rate: float = 5e-4
@@ -48,11 +48,11 @@ class Mappo(GradientLearner):
     """Conditional MAPPO; with `partial`, one policy for each agent (Eq. 5.5) and still one value of all.
 
     Args:
-        agents: whose options are learnt.
-        head: kind of joint policy.
-        partial: whether each agent has one of its own.
-        settings: of the algorithm.
-        presence: whether policy and value are told who is there.
+        agents: Agents whose options are learned.
+        head: Kind of joint policy, a key of `HEADS`.
+        partial: Whether each agent has a policy of its own.
+        settings: Settings of the algorithm; the defaults unless given.
+        presence: Whether policy and value are told which agents are present.
     """
 
     def __init__(
@@ -87,7 +87,7 @@ class Mappo(GradientLearner):
         return figures
 
     def learn_value(self, trajectory: OptionTrajectory, generator: np.random.Generator) -> None:
-        """Learn what was gathered is worth, and leave the policy as it is."""
+        """Learn the value of a trajectory, and leave the policy as it is."""
         for part in self.minibatches(self._batch(trajectory), len(trajectory), generator):
             self._descend(self._value_loss(part))
 
@@ -138,7 +138,7 @@ class Mappo(GradientLearner):
 
 
 class _Batch(NamedTuple):
-    """What an update learns from, as tensors (B, ...)."""
+    """Batch of an update, as tensors (B, ...)."""
 
     decisions: DecisionBatch
     running: Tensor
@@ -147,6 +147,6 @@ class _Batch(NamedTuple):
     returns: Tensor
 
     def at(self, rows: Tensor) -> _Batch:
-        """Return some of it."""
+        """Return the given rows."""
         decisions, *rest = self
         return _Batch(decisions.at(rows), *(part[rows] for part in rest))
