@@ -9,38 +9,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import rclpy
 from option_coordinator.protocol.protocol_types import AgentState, GrantStatus
 from rclpy.qos import QoSProfile
 from rclpy.serialization import serialize_message
-from rig import COORDINATOR, LEASE, Rig, write_policy
+from rig import COORDINATOR, LEASE, write_policy
 from rosgraph_msgs.msg import Clock
 
 from ctrl_rl_msgs.msg import AgentStatus, CoordinatorStatus, OptionRequest
 
 pytestmark = [pytest.mark.fault, pytest.mark.timeout(900)]  # waits end by themselves, see `PATIENCE`
 PLAIN = [sys.executable, str(Path(__file__).with_name("plain_robot.py"))]
-
-
-@pytest.fixture(scope="module")
-def watchers():
-    """The tests' nodes, which end together; see test_process_faults."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
-        rclpy.init()
-        nodes = []
-        yield nodes
-        for node in nodes:
-            node.destroy_node()
-        rclpy.try_shutdown()
-
-
-@pytest.fixture
-def rig(tmp_path, watchers):
-    out = Rig(tmp_path)
-    watchers.append(out.node)
-    yield out
-    out.close()
 
 
 def goes_on(rig, *robots, grants=5):

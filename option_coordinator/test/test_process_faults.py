@@ -6,36 +6,11 @@ from collections import Counter
 
 import numpy as np
 import pytest
-import rclpy
 from option_coordinator.nodes.messages import grant_message
 from option_coordinator.protocol.protocol_types import AgentState, Grant, GrantStatus
-from rig import LOST_AFTER, Rig, write_policy
+from rig import LOST_AFTER, write_policy
 
 pytestmark = pytest.mark.timeout(900)  # waits end by themselves, see `PATIENCE`
-
-
-@pytest.fixture(scope="module")
-def watchers():
-    """The tests' nodes: they end together, since the middleware may crash where one ends as its peers are killed.
-
-    All speak UDP: Fast DDS's shared memory may leave who follows a killed process deaf (eProsima/Fast-DDS issue 5469).
-    """
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
-        rclpy.init()
-        nodes = []
-        yield nodes
-        for node in nodes:
-            node.destroy_node()
-        rclpy.try_shutdown()
-
-
-@pytest.fixture
-def rig(tmp_path, watchers):
-    out = Rig(tmp_path)
-    watchers.append(out.node)
-    yield out
-    out.close()
 
 
 def no_double_grants(rig):

@@ -82,7 +82,7 @@ class DriveReport:
 
     @property
     def lacks(self) -> list[str]:
-        """Messages that the run's nodes should have published and that the bag lacks, in words; empty if it is whole."""
+        """Messages that the run's nodes should have published and that the bag lacks; empty if it is whole."""
         out = []
         if "time_to_reach" in self.promised:
             out += self._gaps("reward", self.rewards)

@@ -63,13 +63,13 @@ PARAMETERS = (
     Parameter(
         "team_name",
         "",
-        "Name of the team in all messages, which keeps teams in one namespace apart; empty for the team file's name, or "
-        "one made from the policy's robots.",
+        "Name of the team in all messages, which keeps teams in one namespace apart; empty for the team file's name, "
+        "or one made from the policy's robots.",
     ),
     Parameter(
         "policy",
         "spread",
-        "Name or file of a learned policy; 'spread': a legal option whose station is free; 'uniform': any legal option.",
+        "Learned policy's name or file; 'spread': a legal option whose station is free; 'uniform': any legal option.",
         live=True,
         kind="path",
     ),

@@ -16,26 +16,21 @@ from option_coordinator.policies.joint_policy import (
     Array,
     Conditional,
     JointOptions,
-    JointPolicy,
     draw,
     log_sum_exp,
     most_likely,
 )
 from option_coordinator.policies.network import Tensors, features, layer_norm, linear
+from option_coordinator.policies.network_policy import NetworkPolicy
 
 
-class Autoregressive(JointPolicy):
+class Autoregressive(NetworkPolicy):
     """pi-hat(o_U | o_not-U, s) = prod_i pi(o_i | known options, s), i through U in the order of the agents.
 
     Args:
         tensors: Tensors of the trunk; `state` and `known`, whose sum is the hidden layer (`norm`); `head` (sum K).
         counts: Number of options of each agent.
     """
-
-    def __init__(self, tensors: Tensors, counts: tuple[int, ...]) -> None:
-        self.counts = counts
-        self.observation_size = tensors["trunk.norm_0.weight"].shape[0]
-        self._tensors = tensors
 
     def _given(self, observation: Array, choosing: Mask, running: JointOptions, legal: Mask) -> Conditional:
         return _AutoregressiveConditional(self._tensors, self.counts, observation, choosing, running, legal)

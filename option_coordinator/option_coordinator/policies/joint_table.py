@@ -10,26 +10,21 @@ from option_coordinator.policies.joint_policy import (
     Array,
     Conditional,
     JointOptions,
-    JointPolicy,
     draw,
     log_sum_exp,
     most_likely,
 )
-from option_coordinator.policies.network import Tensors, features, linear
+from option_coordinator.policies.network import features, linear
+from option_coordinator.policies.network_policy import NetworkPolicy
 
 
-class JointTable(JointPolicy):
+class JointTable(NetworkPolicy):
     """pi(o | s) as a table (K_0, ..., K_N-1).
 
     Args:
         tensors: Tensors of the trunk and of `head` (cells).
         counts: Number of options of each agent.
     """
-
-    def __init__(self, tensors: Tensors, counts: tuple[int, ...]) -> None:
-        self.counts = counts
-        self.observation_size = tensors["trunk.norm_0.weight"].shape[0]
-        self._tensors = tensors
 
     def _given(self, observation: Array, choosing: Mask, running: JointOptions, legal: Mask) -> Conditional:
         return _TableConditional(self._logits(observation), choosing, running, legal)

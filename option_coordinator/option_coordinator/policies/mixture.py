@@ -14,19 +14,19 @@ from option_coordinator.policies.joint_policy import (
     Array,
     Conditional,
     JointOptions,
-    JointPolicy,
     draw,
     log_sum_exp,
     most_likely,
 )
 from option_coordinator.policies.network import Tensors, features, linear
+from option_coordinator.policies.network_policy import NetworkPolicy
 
 _CLIMBERS = 3
 _SWEEPS = 5
 """At most so many: robots wait for the answer."""
 
 
-class Mixture(JointPolicy):
+class Mixture(NetworkPolicy):
     """A mixture of R products.
 
     Args:
@@ -35,10 +35,8 @@ class Mixture(JointPolicy):
     """
 
     def __init__(self, tensors: Tensors, counts: tuple[int, ...]) -> None:
-        self.counts = counts
-        self.observation_size = tensors["trunk.norm_0.weight"].shape[0]
+        super().__init__(tensors, counts)
         self.rank = tensors["weights.bias"].shape[0]
-        self._tensors = tensors
 
     def _given(self, observation: Array, choosing: Mask, running: JointOptions, legal: Mask) -> Conditional:
         x = features(self._tensors, observation)
