@@ -265,7 +265,7 @@ def _report(data: ValueData) -> str:
         f"{data.success_rate_of_viable:.1%}",
         *(f"              {rest.count(reason)} times {reason}" for reason in sorted(set(rest))),
         f"CPU seconds   {data.cpu_seconds.mean():.3f} mean, {np.percentile(data.cpu_seconds, 95):.3f} p95 "
-        f"per trajectory; {(data.cpu_seconds.sum() + data.wasted_seconds.sum()) / solved:.3f} with the starts in vain",
+        f"per trajectory; {(data.cpu_seconds.sum() + data.wasted_seconds.sum()) / solved:.3f} with the failed starts",
     ]
     return "\n".join(lines)
 
@@ -286,7 +286,7 @@ def _fit(options: Fit) -> int:
     unseen, seen = value.manifest["held_out"], value.manifest["fitted"]
     print(
         f"held out      error {unseen['mae']:.3g} mean, {unseen['p95']:.3g} p95, {unseen['rmse']:.3g} rms\n"
-        f"              over {unseen['trajectories']} trajectories; as many others would give a mean of "
+        f"              over {unseen['trajectories']} trajectories; as many others would give a mean from "
         f"{unseen['mae_low']:.3g} to {unseen['mae_high']:.3g} (95 %)"
     )
     print(f"values        spread by {unseen['std_of_values']:.3g} (their standard deviation)")

@@ -206,5 +206,5 @@ def test_the_oc_baseline_is_the_value_of_the_state_in_an_observation():
     assert first != b(observation[None])
     torch.manual_seed(0)
     assert noisy(observation[None]) == first
-    with pytest.raises(OcError, match="has not the states of task 'car_navigation'"):
+    with pytest.raises(OcError, match="has other states than task 'car_navigation'"):
         OcBaseline(value, load_navigation_task("car_navigation"))

@@ -165,7 +165,7 @@ def test_a_folder_of_something_else_is_left_as_it_is(car: OptimalControlProblem,
     mine = {tmp_path / name for name in (".profile", ".profile.12.tmp")}
     for file in mine:
         file.write_text("mine")
-    with pytest.raises(OcError, match=r"holds something else than value data, \.profile: give another folder"):
+    with pytest.raises(OcError, match=r"holds \.profile, which is no value data: give another folder"):
         make_data(car, DataSettings(1, chunk=1), tmp_path, progress=False)
     assert set(tmp_path.iterdir()) == mine
 
@@ -184,7 +184,7 @@ def test_a_folder_of_other_data_is_left_alone(car: OptimalControlProblem, tmp_pa
         with pytest.raises(OcError, match=r"chunk-0000\.npz: is not a whole \.npz file"):
             load_data(tmp_path, car)
     (tmp_path / "settings.json").unlink()
-    with pytest.raises(OcError, match="holds something else than value data"):
+    with pytest.raises(OcError, match="which is no value data"):
         make_data(car, DataSettings(1, chunk=1), tmp_path, progress=False)
     with pytest.raises(OcError, match="holds no value data"):
         load_data(tmp_path, car)

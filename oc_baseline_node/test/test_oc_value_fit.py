@@ -206,7 +206,7 @@ def test_layers_that_do_not_fit_are_refused() -> None:
     good = ((np.ones((4, 1)), np.zeros(4)), (np.ones((1, 4)), np.zeros(1)))
     assert MlpValue(good, axes, 0.0, 1.0, "t", "0" * 64).value([0.5]) == 0.0
     for layers, words in (
-        ((good[0],), "has 4 outputs, must have 1"),
+        ((good[0],), "has 4 outputs; it must have 1"),
         ((good[1], good[1]), "layer 0 has shapes"),
         (((np.full((4, 1), np.nan), np.zeros(4)), good[1]), "not finite"),
     ):

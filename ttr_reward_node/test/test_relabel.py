@@ -84,7 +84,7 @@ def test_rewards_that_are_there_are_replaced_only_when_told(bag: Path, tmp_path:
     old, new = (solve_task("car_ttr", counts=counts) for counts in ((21, 21, 12), (41, 41, 24)))
     first, second, fresh = (tmp_path / name for name in ("first", "second", "fresh"))
     relabel(bag, first, old, RewardEvaluator(task, old), robot="robot")
-    with pytest.raises(TimeToReachError, match="has a topic /robot/reward already: to make it anew add --replace"):
+    with pytest.raises(TimeToReachError, match="already has a topic /robot/reward: add --replace to replace it"):
         relabel(first, second, new, RewardEvaluator(task, new), robot="robot")
     assert not second.exists()
     assert relabel(first, second, new, RewardEvaluator(task, new), robot="robot", replace=True) == 100

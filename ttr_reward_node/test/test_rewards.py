@@ -114,7 +114,7 @@ def test_a_value_of_something_else_is_refused():
         make_reward("ttr", load_navigation_task("quad_ttr"), value)
     with pytest.raises(ValueFunctionError, match="holds 'oc_value'"):
         make_reward("ttr", CAR, replace(value, kind="oc_value"))
-    with pytest.raises(TimeToReachError, match="another version of task 'car_ttr': solve it again"):
+    with pytest.raises(TimeToReachError, match="another version of task 'car_ttr': solve the task again"):
         make_reward("ttr", CAR, replace(value, task_digest="0" * 64))
 
 

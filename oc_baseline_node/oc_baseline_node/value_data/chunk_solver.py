@@ -58,7 +58,7 @@ class ChunkSolver:
             doomed.append(not self._keeps_clear.solve(start, braking_guess(self._clear, start)).solved)
             if len(unsolved) >= _MOST_STARTS * wanted:
                 raise OcError(f"only {len(solved)} of {len(solved) + len(unsolved)} random starts have a trajectory; "
-                              f"the solver's last word was '{trajectory.reason}'")  # fmt: skip
+                              f"the last solver said '{trajectory.reason}'")  # fmt: skip
         n = len(self._problem.system.states)
         return ValueData(
             states=np.array([t.states for t in solved]),

@@ -178,7 +178,7 @@ def make_folder(folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     other = [file for file in folder.iterdir() if file.name != LOCK and not is_temporary(file)]
     if other and not (folder / "settings.json").exists():
-        raise OcError(f"{folder} holds something else than value data, {other[0].name}: give another folder")
+        raise OcError(f"{folder} holds {other[0].name}, which is no value data: give another folder")
 
 
 def open_folder(folder: Path, problem: OptimalControlProblem, settings: DataSettings) -> list[int]:

@@ -80,7 +80,7 @@ def fit(
     count = len(states)
     order, size = random.permutation(count), round(settings.held_out * count)
     if not 0 < size < count:
-        raise OcError(f"{count} trajectories: too few to hold {settings.held_out:.0%} out; make more")
+        raise OcError(f"{count} trajectories are too few to hold {settings.held_out:.0%} of them out: make more")
     folds = max(1, min(count // size, -(-_TESTED // size), _MOST_FOLDS))
     axes, networks = domain(problem, states), []
     errors = [np.empty(0)] * count

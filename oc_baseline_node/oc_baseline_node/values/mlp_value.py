@@ -58,12 +58,14 @@ class MlpValue:
         width = feature_count(self.axes)
         for index, (weight, bias) in enumerate(self.layers):
             if weight.ndim != 2 or weight.shape[1] != width or bias.shape != weight.shape[:1]:
-                raise OcError(f"layer {index} has shapes {weight.shape} and {bias.shape}, its input {width}")
+                raise OcError(
+                    f"layer {index} has shapes {weight.shape} and {bias.shape}, but its input has {width} numbers"
+                )
             if not (np.isfinite(weight).all() and np.isfinite(bias).all()):
                 raise OcError(f"layer {index} holds numbers that are not finite")
             width = weight.shape[0]
         if width != 1:
-            raise OcError(f"the last layer has {width} outputs, must have 1")
+            raise OcError(f"the last layer has {width} outputs; it must have 1")
 
     @property
     def kind(self) -> str:

@@ -59,7 +59,7 @@ class _Header(Schema):
     @model_validator(mode="after")
     def _sensible(self) -> _Header:
         if math.prod(axis.count for axis in self.axes) > _MOST_NODES:
-            raise ValueError(f"axes: of more than {_MOST_NODES:,} nodes")
+            raise ValueError(f"axes: have more than {_MOST_NODES:,} nodes")
         return self
 
 

@@ -253,14 +253,14 @@ def _slices(options: Slices) -> int:
 
 def _relabel(options: Relabel) -> int:
     function = load_value(options.grid)
-    label = RewardEvaluator(load_navigation_task(options.task or function.task), function, options.width)
-    if not label.up_to_date:
+    evaluator = RewardEvaluator(load_navigation_task(options.task or function.task), function, options.width)
+    if not evaluator.up_to_date:
         print(f"relabel: {options.grid} belongs to another version of its task: solve the task again", file=sys.stderr)
     count = relabel(
         options.bag,
         options.output,
         function,
-        label,
+        evaluator,
         robot=options.robot,
         frame=options.frame,
         replace=options.replace,

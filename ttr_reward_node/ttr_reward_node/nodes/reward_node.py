@@ -47,12 +47,14 @@ class RewardNode(ValueServer):
     def prepare(self, function: ValueFunction) -> Valued:
         """Return the function that publishes the reward of each state."""
         task = load_navigation_task(self.settings["task"] or function.task)
-        label = RewardEvaluator(task, function, self.settings["corridor_width"] or None)
-        if not label.up_to_date:
-            self.get_logger().warning(f"the grid was made for another version of task '{task.name}': solve it again")
+        evaluator = RewardEvaluator(task, function, self.settings["corridor_width"] or None)
+        if not evaluator.up_to_date:
+            self.get_logger().warning(
+                f"the grid was made for another version of task '{task.name}': solve the task again"
+            )
 
         def publish(message: Odometry, state: NDArray[np.float64], value: float) -> None:
-            outcome, reward = label(state, value)
+            outcome, reward = evaluator(state, value)
             out = TaskReward(
                 header=message.header, outcome=TaskOutcome(value=int(outcome)), reward=reward, time_to_reach=value
             )

@@ -32,7 +32,7 @@ def relabel(
     bag: Path,
     output: Path,
     function: ValueFunction,
-    label: RewardEvaluator,
+    evaluator: RewardEvaluator,
     *,
     robot: str = "",
     frame: str = "map",
@@ -47,7 +47,7 @@ def relabel(
         bag: Bag with odometry in the frame of the value function.
         output: Folder of the new bag, which must not exist.
         function: Time to reach of the task.
-        label: Evaluator that gives the reward of a state.
+        evaluator: Evaluator that gives the reward of a state.
         robot: Namespace of the topics; none where it is empty.
         frame: Frame of the function's positions, in which values and rewards are given, as the node does.
         replace: Whether rewards and values that the bag already has are left out.
@@ -68,11 +68,11 @@ def relabel(
     kinds = {f"{prefix}/reward": REWARD, f"{prefix}/time_to_reach": VALUE}
     there = topics.keys() & kinds
     if there and not replace:
-        raise TimeToReachError(f"{bag} has a topic {min(there)} already: to make it anew add --replace")
+        raise TimeToReachError(f"{bag} already has a topic {min(there)}: add --replace to replace it")
     with open_bag(bag) as opened:
         types = opened.types([odom])
         store = types.store
-        answer = _MessageRelabeller(types, f"{bag}: a message of {odom}", odom, prefix, frame, function, label)
+        answer = _MessageRelabeller(types, f"{bag}: a message of {odom}", odom, prefix, frame, function, evaluator)
         added = [
             Topic(name, kind, message_definition(kind), store.hash_rihs01(kind), (to_bag_qos(RESULT),))
             for name, kind in kinds.items()
@@ -93,12 +93,12 @@ class _MessageRelabeller:
         prefix: str,
         frame: str,
         function: ValueFunction,
-        label: RewardEvaluator,
+        evaluator: RewardEvaluator,
     ) -> None:
         store = known.store
         self._known, self._what = known, what
         self._store, self._odom, self._prefix, self._frame = store, odom, prefix, frame
-        self._function, self._label = function, label
+        self._function, self._evaluate = function, evaluator
         self._read = OdometryReader(function.state_names)
         for kind in (REWARD, VALUE):
             store.register({name: fields for name, fields in get_types_from_msg(message_definition(kind), kind).items()
@@ -115,7 +115,7 @@ class _MessageRelabeller:
             state = self._read(odometry)
             header = dataclasses.replace(odometry.header, frame_id=self._frame)
         value, gradient = self._function.value_and_gradient_at(state)
-        outcome, reward = self._label(state, value)
+        outcome, reward = self._evaluate(state, value)
         types = self._store.types
         out = types["ctrl_rl_msgs/msg/TaskOutcome"](value=int(outcome))
         yield self._serialized("reward", types[REWARD](header, out, reward, value), REWARD)

@@ -143,7 +143,9 @@ def make_reward(name: str, task: NavigationTask, value: ValueFunction | None = N
         _middle(task.system.build().state_names, task.goal.region, DISTANCE_WEIGHTS[name])
     used = value if name == "ttr" else None
     if used is not None and not check_function(used, task, KIND):
-        raise TimeToReachError(f"the time to reach is of another version of task '{task.name}': solve it again")
+        raise TimeToReachError(
+            f"the time to reach belongs to another version of task '{task.name}': solve the task again"
+        )
     if used is not None:
         check_informative(used)
     return Reward(name, task, used, _domain(used, task.system.build().state_names), longest_time(used))

@@ -92,7 +92,7 @@ def split(problem: TimeToReachProblem, decomposition: Decomposition) -> tuple[Su
         wrong = set(kept) ^ set(names)
         raise TimeToReachError(f"decomposition '{decomposition.name}': '{min(wrong)}' is unknown or in no subsystem")
     if (problem.system.disturbance_bounds[0] < problem.system.disturbance_bounds[1]).any():
-        raise TimeToReachError("a decomposition's maximum is no bound under a disturbance: solve the system as a whole")
+        raise TimeToReachError("under a disturbance a decomposition gives no lower bound: solve the system as a whole")
     needs = _dependence_names(problem)
     controls = problem.system.control_names
     wanted = [{name for state in states for name in needs[names.index(state)]} for states in decomposition.subsystems]

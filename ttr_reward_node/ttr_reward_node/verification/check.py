@@ -126,7 +126,9 @@ def random_starts(
     starts, drawn = np.empty((0, len(lower))), 0
     while len(starts) < count:
         if drawn >= _MOST_DRAWS * count:
-            raise TimeToReachError(f"from {len(starts)} of {drawn} random states there is a way: ask for fewer")
+            raise TimeToReachError(
+                f"only {len(starts)} of {drawn} random states can reach the goal: ask for fewer starts"
+            )
         some = random.uniform(lower, upper, (count, len(lower)))
         drawn += count
         times = value.value(some)
@@ -160,7 +162,7 @@ def advice(figures: Mapping[str, float], problem: TimeToReachProblem, radius: fl
         return ""
     return (
         f"cause      obstacles were widened by {problem.inflation:g} m, so the shortest paths graze them\n"
-        f"mend       solve again with --robot-size ({radius:g} m), or with --inflation {margin:.2g} or more"
+        f"remedy     solve again with --robot-size ({radius:g} m), or with --inflation {margin:.2g} or more"
     )
 
 

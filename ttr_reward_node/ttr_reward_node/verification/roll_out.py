@@ -97,7 +97,7 @@ def roll_out(
     predicted = value.value(x)
     if not np.isfinite(predicted).all():
         bad = x[~np.isfinite(predicted)][0]
-        raise TimeToReachError(f"at {bad.tolist()} there is no time to reach: start where it is finite")
+        raise TimeToReachError(f"the time to reach at {bad.tolist()} is not finite: start from another state")
     unit = crossing_time(problem)
     time_step = 0.2 * unit if time_step is None else time_step
     look_ahead = 1.5 * unit if look_ahead is None else look_ahead

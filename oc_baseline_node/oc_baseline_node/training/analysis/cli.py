@@ -177,7 +177,7 @@ def _learnt_paths(file: Path, task: NavigationTask) -> Sequence[Mapping[str, Any
         raise ResultsError(f"{file}: holds no paths of oc_ppo in task '{task.name}': give what its `train` wrote")
     paths: Sequence[Mapping[str, Any]] = figures["paths"]["oc_ppo"]
     if any(len(path["states"][0]) != len(task.system.build().state_names) for path in paths):
-        raise ResultsError(f"{file}: its paths are not of the states of task '{task.name}'")
+        raise ResultsError(f"{file}: its paths have other states than task '{task.name}'")
     return paths
 
 

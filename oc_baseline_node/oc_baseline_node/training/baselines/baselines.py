@@ -40,7 +40,7 @@ class OcBaseline:
 
     def __init__(self, value: MlpValue, task: NavigationTask, noise: float = 0.0) -> None:
         if value.state_names != task.system.build().state_names:
-            raise OcError(f"V_oc of task '{value.task}' has not the states of task '{task.name}': fit it for this task")
+            raise OcError(f"V_oc of task '{value.task}' has other states than task '{task.name}': fit it for this task")
         middle, unit = observation_scales(task)
         # A policy is asked for an action only where the episode goes on: the steps of V_oc to what a collision pays
         # would be met where its set, of a disc, is larger than the body.
