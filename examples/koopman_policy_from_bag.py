@@ -9,12 +9,10 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from koopman_lqr_controller.data.trajectory_segments import load_segments, mean_time_step, to_snapshots
-from koopman_lqr_controller.identification.two_stage import train
-from koopman_lqr_controller.sensing.observables import CorridorObservables
+from koopman_lqr_controller.data.trajectory_segments import mean_time_step
 
 from ctrl_rl_core import load_navigation_task
-from koopman_lqr_controller import save_policy
+from koopman_lqr_controller import CorridorObservables, load_segments, save_policy, to_snapshots, train
 
 bag = Path(sys.argv[1])
 output = Path(sys.argv[2] if len(sys.argv) > 2 else "policy.safetensors")

@@ -8,10 +8,9 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib import pyplot as plt
-from oc_baseline_node.mpc.mpc import Mpc
-from oc_baseline_node.problems.problem import formulate
 
 from ctrl_rl_core import draw_map, load_navigation_task, save_figure
+from oc_baseline_node import Mpc, formulate
 
 task = load_navigation_task("car_navigation")
 problem = formulate(task)

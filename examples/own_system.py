@@ -9,10 +9,9 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from ttr_reward_node.problems.problem import TimeToReachProblem
-from ttr_reward_node.solvers.solver import solve
 
 from ctrl_rl_core import SYSTEM_MODELS, Axis, Interval, Quantity, Region, SystemModel, make_system
+from ttr_reward_node import TimeToReachProblem, solve
 
 
 def cart(_math: Any, _parameters: Mapping[str, float]) -> Any:

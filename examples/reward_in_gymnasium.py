@@ -3,12 +3,10 @@
 python examples/reward_in_gymnasium.py
 """
 
-from ttr_reward_node.problems.problem import problem_from_task
-from ttr_reward_node.rewards.rewards import make_reward
-from ttr_reward_node.solvers.solver import solve
 from ttr_reward_node.training.environment import make_rewarded
 
 from ctrl_rl_core import load_navigation_task
+from ttr_reward_node import make_reward, problem_from_task, solve
 
 task = load_navigation_task("car_ttr")
 value = solve(problem_from_task(task, counts=(61, 61, 48))).grid

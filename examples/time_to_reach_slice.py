@@ -7,10 +7,9 @@ import sys
 from pathlib import Path
 
 from ttr_reward_node.plots.value_slices import draw_slices
-from ttr_reward_node.problems.problem import problem_from_task
-from ttr_reward_node.solvers.solver import solve
 
 from ctrl_rl_core import load_navigation_task
+from ttr_reward_node import problem_from_task, solve
 
 task = load_navigation_task("car_ttr")
 problem = problem_from_task(task, counts=(61, 61, 48), inflation=task.robot.radius)

@@ -60,6 +60,7 @@ def _subcommands(text: str) -> list[str]:
     """Return the names in the `{a,b,c}` of a usage that stands for a subcommand, and not for an option's value."""
     words = text.split("\n\n", 1)[0].replace(",\n", ",").split()
     for before, word in pairwise(words):
-        if word.startswith("{") and not before.lstrip("[(").startswith("-"):
+        value = before.lstrip("[(").startswith("-") and not before.endswith("]")
+        if word.startswith("{") and not value:
             return word.strip("{}").split(",")
     return []

@@ -13,13 +13,14 @@ from typing import Any, NamedTuple
 import rclpy
 from ament_index_python.packages import get_package_prefix
 from ctrl_rl_core.ros.node import SuiteNode
+from diagnostic_msgs.msg import DiagnosticArray
 from workspace import Executable, executables
 
 _START_S = 90.0
 _SETTLE_S = 2.0
-"""After a node is seen, until all of its topics are."""
+"""After a node's first diagnostics, which say that it has made all of its topics, until they have been heard of."""
 _OWN = {"/rosout", "/parameter_events", "/clock"}
-_OWN_TYPES = "rcl_interfaces/srv/"
+_OWN_TYPES = ("rcl_interfaces/srv/", "type_description_interfaces/srv/")
 _PARAMETERS = """# Parameters
 
 Every parameter of every node, from the tables that the nodes check them by. `ros2 run PACKAGE NODE --help` prints the
@@ -88,7 +89,9 @@ def topic_page() -> str:
         rclpy.init()
         try:
             observer = rclpy.create_node("documentation")
-            parts = [_TOPICS, *(_section(observer, each, grid) for each in _RUNNING)]
+            diagnosed: list[DiagnosticArray] = []
+            observer.create_subscription(DiagnosticArray, "/diagnostics", diagnosed.append, 10)
+            parts = [_TOPICS, *(_section(observer, each, grid, diagnosed) for each in _RUNNING)]
             observer.destroy_node()
         finally:
             rclpy.try_shutdown()
@@ -113,13 +116,13 @@ def _solve(grid: Path) -> None:
     _checked([_path("ttr_reward_node", "solve"), "--task", "car_ttr", "--output", str(grid)])
 
 
-def _section(observer: Any, running: RunningNode, grid: Path) -> str:
+def _section(observer: Any, running: RunningNode, grid: Path, diagnosed: list[DiagnosticArray]) -> str:
     arguments = [part for each in running.parameters for part in ("-p", each.format(grid=grid))]
     command = [_path(running.package, running.executable), *(("--ros-args", *arguments) if arguments else ())]
     with tempfile.TemporaryFile() as log:
         process = subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT)
         try:
-            name, space = _wait_for_node(observer, process, log)
+            name, space = _wait_for_node(observer, process, log, diagnosed)
             return _tables(observer, running, name, space)
         finally:
             process.terminate()
@@ -131,11 +134,15 @@ def _others(observer: Any) -> list[tuple[str, str]]:
     return [each for each in observer.get_node_names_and_namespaces() if each[0] != "documentation"]
 
 
-def _wait_for_node(observer: Any, process: subprocess.Popen[bytes], log: Any) -> tuple[str, str]:
+def _wait_for_node(
+    observer: Any, process: subprocess.Popen[bytes], log: Any, diagnosed: list[DiagnosticArray]
+) -> tuple[str, str]:
+    diagnosed.clear()
     deadline = time.monotonic() + _START_S
     while time.monotonic() < deadline and process.poll() is None:
         rclpy.spin_once(observer, timeout_sec=0.1)
-        if found := _others(observer):
+        found = _others(observer)
+        if found and diagnosed:
             end = time.monotonic() + _SETTLE_S
             while time.monotonic() < end:
                 rclpy.spin_once(observer, timeout_sec=0.1)
