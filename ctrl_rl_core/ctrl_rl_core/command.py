@@ -5,7 +5,6 @@ A command calls `parse_options` with a dataclass whose docstrings are its help, 
 
 from __future__ import annotations
 
-import argparse
 import math
 import os
 import re
@@ -173,31 +172,15 @@ FiniteNumber = Annotated[float, checked(finite_number, "NUMBER")]
 """An option that is a finite number."""
 
 
-class PathError(argparse.ArgumentTypeError, ValueError):
-    """A place where nothing can be written."""
-
-
-def check_least(options: argparse.Namespace, **least: int) -> None:
-    """Refuse options, by name, that are less than this; one that was left out, None, passes.
-
-    Raises:
-        CommandError: Names the option.
-    """
-    for name, limit in least.items():
-        value = getattr(options, name)
-        if value is not None and value < limit:
-            raise CommandError(f"--{name.replace('_', '-')} must be at least {limit}, not {value}")
-
-
 def file_to_write(text: str) -> Path:
     """Return an option's file that will be written.
 
     Raises:
-        PathError: It is a folder, or its folder cannot be there or be written to.
+        ValueError: It is a folder, or its folder cannot be there or be written to.
     """
     path = Path(text)
     if path.is_dir():
-        raise PathError(f"{path} is a folder: name a file in it")
+        raise ValueError(f"{path} is a folder: name a file in it")
     folder_to_write(str(path.parent))
     return path
 
@@ -206,14 +189,14 @@ def folder_to_write(text: str) -> Path:
     """Return an option's folder that files will be written to; it need not be there yet.
 
     Raises:
-        PathError: It cannot be there or be written to.
+        ValueError: It cannot be there or be written to.
     """
     path = Path(text)
     nearest = next(each for each in (path, *path.parents) if each.exists())
     if not nearest.is_dir():
-        raise PathError(f"{nearest} is a file: name a folder")
+        raise ValueError(f"{nearest} is a file: name a folder")
     if not os.access(nearest, os.W_OK | os.X_OK):
-        raise PathError(f"{nearest} may not be written to")
+        raise ValueError(f"{nearest} may not be written to")
     return path
 
 

@@ -1,9 +1,10 @@
 """A driver that knows one command: run as a process of its own, to be killed, frozen or fall silent."""
 
-import argparse
 import time
+from dataclasses import dataclass
 
 import rclpy
+from ctrl_rl_core.command import parse_options
 from ctrl_rl_core.ros.node import COMMAND
 from geometry_msgs.msg import TwistStamped
 from rclpy.node import Node
@@ -12,12 +13,20 @@ SPEED = 0.125
 RATE = 20.0
 
 
+@dataclass
+class Source:
+    """Publish one velocity command again and again."""
+
+    topic: str = "cmd_vel_raw"
+    """Topic of the commands."""
+    name: str = "source"
+    """Name of the node."""
+    commands: int = 0
+    """Number of commands before it falls silent; 0 for no end."""
+
+
 def main() -> None:
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--topic", default="cmd_vel_raw")
-    parser.add_argument("--name", default="source")
-    parser.add_argument("--commands", type=int, default=0, help="commands to send before it falls silent; 0: no end")
-    options = parser.parse_args()
+    options = parse_options("command_source", Source)
     rclpy.init()
     node = Node(options.name)
     publisher = node.create_publisher(TwistStamped, options.topic, COMMAND)

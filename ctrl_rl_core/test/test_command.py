@@ -1,27 +1,46 @@
 """How commands refuse and end."""
 
-import argparse
 import os
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from ctrl_rl_core.command import (
-    CommandError,
-    FiniteNumber,
-    Positive,
-    check_least,
-    file_to_write,
-    folder_to_write,
-    parse_options,
+from ctrl_rl_core.command import FiniteNumber, Positive, at_least, file_to_write, folder_to_write, parse_options
+
+
+@dataclass
+class Rollouts:
+    """Roll a policy out."""
+
+    roll_outs: at_least(1)
+    """Number of roll-outs."""
+    seeds: at_least(1) = 3
+    """Number of seeds."""
+
+
+def test_options_have_defaults_and_help(capsys: pytest.CaptureFixture[str]):
+    assert parse_options("roll", Rollouts, ["--roll-outs", "2"]) == Rollouts(2, 3)
+    with pytest.raises(SystemExit) as end:
+        parse_options("roll", Rollouts, ["--help"])
+    shown = capsys.readouterr().out
+    assert end.value.code == 0
+    assert all(words in shown for words in ("Roll a policy out.", "--seeds INT", "Number of seeds. (default: 3)"))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--roll-outs", "0"], "--roll-outs must be a whole number of at least 1, not 0"),
+        (["--roll-outs", "1", "--seeds", "two"], "--seeds must be a whole number of at least 1, not two"),
+        ([], "missing --roll-outs"),
+        (["--roll-outs", "1", "--speed", "2"], "unknown option --speed"),
+    ],
 )
-
-
-def test_numbers_that_are_too_small_are_refused_by_name():
-    options = argparse.Namespace(seeds=1, roll_outs=0, samples=None)
-    check_least(options, seeds=1, roll_outs=0, samples=1)
-    with pytest.raises(CommandError, match="--roll-outs must be at least 1, not 0"):
-        check_least(options, seeds=1, roll_outs=1)
+def test_a_wrong_command_line_is_refused_in_one_line(capsys, arguments: list[str], words: str):
+    with pytest.raises(SystemExit) as end:
+        parse_options("roll", Rollouts, arguments)
+    assert end.value.code == 2
+    assert capsys.readouterr().err == f"roll: {words}; see roll --help\n"
 
 
 def test_where_nothing_can_be_written_is_refused_before_any_work(tmp_path: Path):
@@ -31,17 +50,17 @@ def test_where_nothing_can_be_written_is_refused_before_any_work(tmp_path: Path)
     assert file_to_write(str(tmp_path / "new" / "r.json")).name == "r.json"
     assert folder_to_write(str(tmp_path / "new" / "deeper")).name == "deeper"
     assert not (tmp_path / "new").exists()
-    with pytest.raises(argparse.ArgumentTypeError, match="is a folder: name a file in it"):
+    with pytest.raises(ValueError, match="is a folder: name a file in it"):
         file_to_write(str(tmp_path))
     for wrong in (lambda: folder_to_write(str(there)), lambda: file_to_write(str(there / "r.json"))):
-        with pytest.raises(argparse.ArgumentTypeError, match=r"there\.json is a file: name a folder"):
+        with pytest.raises(ValueError, match=r"there\.json is a file: name a folder"):
             wrong()
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
 def test_a_folder_that_may_not_be_written_to_is_refused(tmp_path: Path):
     tmp_path.chmod(0o500)
-    with pytest.raises(argparse.ArgumentTypeError, match="may not be written to"):
+    with pytest.raises(ValueError, match="may not be written to"):
         folder_to_write(str(tmp_path / "new"))
 
 

@@ -8,7 +8,6 @@ A fault is brought about again by the command that the report names.
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import importlib
 import json
@@ -23,6 +22,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+from ctrl_rl_core.command import EXIT_USAGE, parse_options
 from tqdm import tqdm
 
 HERE = Path(__file__).parent
@@ -45,17 +45,31 @@ class Outcome:
     faults: list[dict[str, object]] = dataclasses.field(default_factory=list)
 
 
+@dataclasses.dataclass
+class Options:
+    """Run attacks round after round, and report what broke."""
+
+    seconds: float = 600.0
+    """Time to attack [s]."""
+    seed: int = 0
+    """Seed of the first round."""
+    only: tuple[str, ...] = ()
+    """Names of the attacks; all where none is given."""
+    report: Path | None = None
+    """JSON file of the report."""
+    list: bool = False
+    """List the attacks and their promises."""
+    round: bool = False
+    """Run one round of --only with --seed in this process."""
+
+
 def main() -> int:
     """Run rounds until the time is over; 0 where nothing broke, 1 where something did."""
     attacks = {attack.name: attack for attack in load()}
-    parser = argparse.ArgumentParser(prog="attack", description=__doc__.splitlines()[0])
-    parser.add_argument("--seconds", type=float, default=600.0, help="how long to go on [s] (default: 600)")
-    parser.add_argument("--seed", type=int, default=0, help="seed of the first round (default: 0)")
-    parser.add_argument("--only", nargs="+", choices=attacks, metavar="NAME", help="some attacks (default: all)")
-    parser.add_argument("--report", type=Path, help="JSON file to write the report to")
-    parser.add_argument("--list", action="store_true", help="list the attacks and their promises")
-    parser.add_argument("--round", action="store_true", help="run one round of --only with --seed in this process")
-    options = parser.parse_args()
+    options = parse_options("attack", Options)
+    if unknown := sorted(set(options.only) - attacks.keys()):
+        print(f"attack: no attack {unknown[0]}: there are {', '.join(attacks)}", file=sys.stderr)
+        return EXIT_USAGE
     chosen = [attacks[name] for name in options.only or attacks]
     if options.list:
         print("\n".join(f"{attack.name:<24} {attack.promise}" for attack in chosen))

@@ -5,13 +5,14 @@ python test/benchmarks [--output FILE] [--only NAME ...]
 
 from __future__ import annotations
 
-import argparse
 import importlib
 import json
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from ctrl_rl_core.command import EXIT_USAGE, parse_options
 from ctrl_rl_core.io.atomic_write import atomic_write
 from ctrl_rl_core.io.results import read_benchmarks
 from tqdm import tqdm
@@ -20,15 +21,25 @@ HERE = Path(__file__).parent
 NAMES = sorted(file.stem for file in HERE.glob("*.py") if not file.stem.startswith("_"))
 
 
+@dataclass
+class Options:
+    """Run benchmarks, print their rows, and write them where asked."""
+
+    output: Path | None = None
+    """JSON file to write the rows to; those of other benchmarks stay in it."""
+    only: tuple[str, ...] = ()
+    """Names of the benchmarks; all where none is given."""
+
+
 def main() -> int:
-    """Run them and print, and where asked write, their rows."""
-    parser = argparse.ArgumentParser(prog="benchmarks", description=__doc__)
-    parser.add_argument("--output", type=Path, help="JSON file to write the rows to; those of benchmarks not run stay")
-    parser.add_argument("--only", nargs="+", choices=NAMES, default=NAMES, help="some of them (default: all)")
-    options = parser.parse_args()
+    """Run benchmarks and print their rows."""
+    options = parse_options("benchmarks", Options)
+    if unknown := sorted(set(options.only) - set(NAMES)):
+        print(f"benchmarks: no benchmark {unknown[0]}: there are {', '.join(NAMES)}", file=sys.stderr)
+        return EXIT_USAGE
     sys.path.insert(0, str(HERE))
     rows: list[dict[str, Any]] = []
-    for name in tqdm(options.only, desc="benchmarks", disable=None):
+    for name in tqdm(options.only or NAMES, desc="benchmarks", disable=None):
         fresh = [{"benchmark": name, **row} for row in importlib.import_module(name).rows()]
         rows += fresh
         if options.output is not None:
