@@ -195,7 +195,7 @@ def test_another_policy_drives_from_the_next_scan_on_and_a_bad_one_is_refused(
         ("nowhere", "no policy 'nowhere'"),
         (str(tmp_path / "broken.safetensors"), "is not a whole safetensors file"),
         (str(tmp_path / "headless.safetensors"), "has a header that is no JSON object"),
-        (str(tmp_path / "cheetah.safetensors"), "it knows no lidar"),
+        (str(tmp_path / "cheetah.safetensors"), "which has no lidar"),
     ):
         taken, reason = set_parameter(robot, "policy", name)
         assert not taken

@@ -94,7 +94,7 @@ def test_a_policy_of_another_robot_ends_it_with_one_clear_message(run_node: Call
     save_policy(a_policy(17, None), tmp_path / "cheetah.safetensors")
     controller = run_node("koopman_lqr_controller", "controller", f"policy:={tmp_path / 'cheetah.safetensors'}")
     assert controller.process.wait(120.0) != 0
-    assert "of the task cheetah_run: it knows no lidar" in controller.output
+    assert "for the task cheetah_run, which has no lidar" in controller.output
     assert "Traceback" not in controller.output
 
 

@@ -59,7 +59,7 @@ def test_another_shape_is_refused() -> None:
 def test_an_unknown_layer_is_named() -> None:
     description, tensors = some_encoder("vector")[0].deploy().describe()
     description["layers"][1]["kind"] = "magic"
-    with pytest.raises(KoopmanError, match="layer 1 is no dense"):
+    with pytest.raises(KoopmanError, match="layer 1 is of an unknown kind: must be one of dense"):
         Encoder.build(description, tensors)
 
 

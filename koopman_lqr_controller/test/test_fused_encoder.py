@@ -51,5 +51,5 @@ def test_what_is_linear_together_is_one_matrix() -> None:
     ],
 )
 def test_another_kind_of_encoder_is_refused(encoder: Encoder) -> None:
-    with pytest.raises(KoopmanError, match="quick is only an encoder"):
+    with pytest.raises(KoopmanError, match="can be fused"):
         FusedEncoder(encoder)

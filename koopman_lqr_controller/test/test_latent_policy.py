@@ -142,7 +142,7 @@ def test_a_policy_of_another_task_does_not_drive(tmp_path: Path) -> None:
     policy = LatentPolicy(some_controller(), 0.08, None, {"task": "cheetah_run"})
     save_policy(policy, tmp_path / "cheetah.safetensors")
     again = load_policy(tmp_path / "cheetah.safetensors")
-    with pytest.raises(KoopmanError, match="of the task cheetah_run: it knows no lidar"):
+    with pytest.raises(KoopmanError, match="for the task cheetah_run, which has no lidar"):
         again.decide(some_ranges(), SCAN, 0.0, 0.0)
     assert np.array_equal(again.controller.action(np.ones(14)), policy.controller.action(np.ones(14)))
 

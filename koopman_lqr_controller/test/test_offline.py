@@ -94,7 +94,7 @@ def test_a_lidar_that_sees_only_ahead_fits_a_policy_whose_rear_observables_stay_
     output = tmp_path / "fitted.safetensors"
     assert fit(["curved_corridor_edmd", str(tmp_path / "bag"), "--output", str(output)]) == 0
     said = capsys.readouterr()
-    assert "never changed and are left out of the model" in said.out
+    assert "never changed, so the model leaves them out" in said.out
     assert "nearness left - right at 170 deg" in said.out
     policy = load_policy(output)
     rear = [policy.observables.names.index(name) for name in policy.manifest["constant_observables"]]
@@ -217,8 +217,8 @@ def test_what_cannot_be_is_said_in_one_line(
     save_policy(LatentPolicy(policy.controller, 0.08, None, policy.manifest), cartpole)
     out = ["--output", str(tmp_path / "out.safetensors")]
     for command, given, words in (
-        (evaluate, [str(cartpole), str(bags[0])], "of the task cartpole_swingup: it knows no lidar"),
-        (evaluate, [str(cartpole), str(bags[0]), "--held-out", "1"], "knows no lidar"),
+        (evaluate, [str(cartpole), str(bags[0])], "for the task cartpole_swingup, which has no lidar"),
+        (evaluate, [str(cartpole), str(bags[0]), "--held-out", "1"], "which has no lidar"),
         (evaluate, ["curved_corridor_edmd", str(bags[0]), "--held-out", "1"], "--held-out is 1.0: must be"),
         (fit, ["nothing", str(bags[0]), *out], "no policy 'nothing'"),
         (fit, ["curved_corridor_edmd", str(tmp_path / "none"), *out], "none"),

@@ -173,8 +173,9 @@ def _save(
     _print(figures)
     constant = policy.manifest.get("constant_observables")
     if constant:
+        names = ", ".join(constant)
         print(
-            f"These never changed and are left out of the model (a lidar that sees only ahead?): {', '.join(constant)}"
+            f"These observables never changed, so the model leaves them out (does the lidar see only ahead?): {names}"
         )
     print(f"policy            {options.output}")
     return 0

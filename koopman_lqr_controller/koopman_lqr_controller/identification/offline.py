@@ -51,7 +51,9 @@ def refit(policy: LatentPolicy, segments: Sequence[TrajectorySegment], sizes: Se
     candidates = (found.regulator(family, C) for family, C in found.projections(sizes))
     tried = [each for each in candidates if each is not None]
     if not tried:
-        raise KoopmanError("no regulator: the refitted model cannot be stabilised; record a livelier drive")
+        raise KoopmanError(
+            "no regulator: the refitted model cannot be stabilised; record a drive with more varied commands"
+        )
     same = [each for each in tried if each.mismatch <= _SAME_LAW]
     chosen = (
         min(same, key=lambda each: each.shrunk.cross_validation_error)

@@ -201,7 +201,7 @@ class Encoder:
             rest = dict(given)
             kind, prefix = kinds.get(rest.pop("kind", "")), f"encoder.{index}."
             if kind is None:
-                raise KoopmanError(f"encoder layer {index} is no {', no '.join(kinds)}")
+                raise KoopmanError(f"encoder layer {index} is of an unknown kind: must be one of {', '.join(kinds)}")
             arrays = {
                 name.removeprefix(prefix): np.ascontiguousarray(array, dtype=np.float32)
                 for name, array in tensors.items()

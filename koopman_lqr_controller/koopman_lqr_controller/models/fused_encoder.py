@@ -39,7 +39,7 @@ class FusedEncoder:
 
     def __init__(self, encoder: Encoder, projection: Array | None = None) -> None:
         if len(encoder.shape) != 1 or encoder.inclusive:
-            raise KoopmanError("quick is only an encoder that takes vectors and gives its last layer's outputs")
+            raise KoopmanError("only an encoder of vectors that gives its last layer's outputs can be fused")
         self._size = encoder.shape[0]
         unit = np.broadcast_to(np.asarray(encoder.unit, float), self._size)
         linear = _affine(np.diag(1.0 / unit), -encoder.middle / unit)
@@ -55,7 +55,9 @@ class FusedEncoder:
                 self._steps.append(_Step(_float32(_affine(np.eye(n) - 1.0 / n, np.zeros(n)) @ linear), normalised=True))
                 linear = _affine(np.diag(layer.weight), layer.bias)
             else:
-                raise KoopmanError(f"quick is only an encoder of dense layers and norms, not {type(layer).__name__}")
+                raise KoopmanError(
+                    f"only an encoder of dense layers and norms can be fused, not one with {type(layer).__name__}"
+                )
         if projection is not None:
             linear = _affine(projection, np.zeros(len(projection))) @ linear
         self._last = _float32(linear[:-1])

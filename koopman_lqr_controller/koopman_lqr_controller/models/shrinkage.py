@@ -61,7 +61,7 @@ def fit_with_shrinkage(data: Snapshots, twin: Snapshots | None = None, drift: bo
     if not (np.isfinite(X).all() and np.isfinite(Y).all()):
         raise KoopmanError("snapshots hold values that are not finite")
     if not Y.any():
-        raise KoopmanError("nothing changes in this drive")
+        raise KoopmanError("nothing changes in this drive: record one in which the robot moves")
     middle, moved = (X.mean(axis=0), Y.mean(axis=0)) if drift else (np.zeros(X.shape[1]), np.zeros(Y.shape[1]))
     unit = X.std(axis=0)
     unit[unit == 0.0] = 1.0

@@ -209,7 +209,7 @@ class Controller(LidarDriver[_LatentDetails]):
         )
         if policy.distribution is None:
             self.get_logger().warning(
-                f"{path.name} does not say what its training saw: only stale and unusable input stops the robot"
+                f"{path.name} has no region of training: only stale and unusable input stops the robot"
             )
 
     def _limits(self) -> tuple[float, float, float]:

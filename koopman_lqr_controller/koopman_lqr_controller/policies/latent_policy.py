@@ -100,7 +100,7 @@ class LatentPolicy:
             KoopmanError: the policy is of a task without a lidar.
         """
         if self.robot_interface is None:
-            raise KoopmanError(f"this policy is of the task {self.manifest.get('task')}: it knows no lidar")
+            raise KoopmanError(f"this policy is for the task {self.manifest.get('task')}, which has no lidar")
         return self.robot_interface
 
     @property

@@ -72,7 +72,7 @@ def refuse_existing(path: Path, overwrite: bool) -> None:
         KoopmanError: it is there.
     """
     if path.exists() and not overwrite:
-        raise KoopmanError(f"{short_path(path)} exists: give another name, or ask to --overwrite it")
+        raise KoopmanError(f"{short_path(path)} exists: give another name, or --overwrite to replace it")
 
 
 def save_policy(policy: EdmdPolicy | LatentPolicy, path: Path, overwrite: bool = False) -> None:

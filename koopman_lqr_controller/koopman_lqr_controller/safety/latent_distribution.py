@@ -81,8 +81,8 @@ def fit_distribution(latents: Array, errors: Array) -> LatentDistribution:
     """
     if latents.ndim != 2 or len(latents) <= latents.shape[1] or errors.ndim != 1 or len(errors) == 0:
         raise KoopmanError(
-            f"latents {latents.shape} and prediction errors {errors.shape} make no region: "
-            "there must be more latents than dimensions, and one error at least"
+            f"cannot fit a region to latents {latents.shape} and prediction errors {errors.shape}: "
+            "there must be more latents than dimensions, and at least one error"
         )
     if not (np.isfinite(latents).all() and np.isfinite(errors).all()):
         raise KoopmanError("latents or prediction errors hold values that are not finite")
@@ -110,5 +110,5 @@ def fit_distribution_to_episodes(
         np.linalg.norm(here[1:] - predict(here[:-1], done), axis=1) for here, done in zip(z, actions, strict=True)
     ]
     if not errors:
-        raise KoopmanError("no episodes make no region")
+        raise KoopmanError("no episodes to fit a region to")
     return fit_distribution(np.concatenate(list(z)), np.concatenate(errors))

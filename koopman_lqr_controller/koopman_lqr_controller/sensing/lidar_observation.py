@@ -39,7 +39,7 @@ class LidarObservation:
     def __post_init__(self) -> None:
         if self.count < 4 or not 0.0 < self.closest < self.far or min(self.near, self.speed, self.turn) <= 0.0:
             raise KoopmanError(
-                f"{self} is no observation: at least 4 sectors, lengths and units positive, closest < far"
+                f"{self} is not valid: must have at least 4 sectors, positive lengths and units, and closest < far"
             )
 
     @cached_property

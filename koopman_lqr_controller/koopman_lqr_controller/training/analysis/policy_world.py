@@ -48,7 +48,7 @@ class LiftedCorridor(Corridor):
     def __init__(self, policy: EdmdPolicy, conditions: Conditions | None = None) -> None:
         known = task_digest(load_navigation_task(_CORRIDOR))
         if policy.manifest.get("task_digest", known) != known:
-            raise KoopmanError(f"task {_CORRIDOR} is another one than when the policy was made: train it again")
+            raise KoopmanError(f"task {_CORRIDOR} has changed since the policy was made: train it again")
         self._policy = policy
         super().__init__(learning=False, conditions=conditions)
         self.robot_interface = RobotInterface(self.robot_interface.observation, policy.u_low, policy.u_high)

@@ -112,7 +112,7 @@ def task_of_manifest(manifest: Mapping[str, Any]) -> BenchmarkTask:
     name = str(manifest.get("task"))
     problem = find_task(name)
     if manifest.get("task_digest", problem.digest) != problem.digest:
-        raise KoopmanError(f"task {name} is another one than when the policy was made: learn it again")
+        raise KoopmanError(f"task {name} has changed since the policy was made: learn it again")
     return problem
 
 
