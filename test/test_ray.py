@@ -11,11 +11,16 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from ctrl_rl_core.processes.ray_workers import map_in_ray
 from ctrl_rl_core.processes.workers import WorkersError
+from ctrl_rl_core.tasks.task import load_navigation_task
 from ctrl_rl_training.experiments.matrix import run_experiments
 from ctrl_rl_training.experiments.run import RunOptions
+from oc_baseline_node.problems.problem import formulate
+from oc_baseline_node.value_data.dataset import DataSettings
+from oc_baseline_node.value_data.workers import make_data
 from option_coordinator.training.experiments.runs import OptionRun, option_runs
 
 RUNS = option_runs("tool_delivery", ["async", "mac_dqn"], 4)
@@ -109,6 +114,17 @@ def test_eight_runs_end_alike_though_a_worker_is_killed(
     for run in RUNS:
         assert learnt(tmp_path, run) == learnt(local, run)
     assert not list(tmp_path.glob(".ray-*"))
+
+
+@needs_ray
+@pytest.mark.slow
+def test_value_data_are_those_of_local_processes(cluster: str, tmp_path: Path) -> None:
+    problem, settings = formulate(load_navigation_task("car_navigation")), DataSettings(4, chunk=2)
+    spread, *_ = make_data(problem, settings, tmp_path / "spread", progress=False, ray=cluster)
+    here, *_ = make_data(problem, settings, tmp_path / "here", progress=False)
+    assert np.array_equal(spread.states, here.states)
+    assert np.array_equal(spread.controls, here.controls)
+    assert not list((tmp_path / "spread").glob(".ray-*"))
 
 
 def refuse(item: int, *_: object) -> int:

@@ -21,6 +21,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, TypeVar
 
 from ctrl_rl_core.io.atomic_write import atomic_write
+from ctrl_rl_core.io.file_checks import one_line
 from ctrl_rl_core.processes.workers import WorkersError
 
 Item = TypeVar("Item")
@@ -101,9 +102,12 @@ def map_in_ray(
                     tell(said)
 
 
-@contextmanager
-def _connected(address: str) -> Iterator[Any]:
-    """Connect to a cluster; at the end all jobs of this process end there."""
+def require_ray() -> Any:
+    """Return Ray's module.
+
+    Raises:
+        WorkersError: Ray is missing.
+    """
     os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")  # Ray leaves CUDA_VISIBLE_DEVICES as it is
     try:
         import ray
@@ -111,6 +115,13 @@ def _connected(address: str) -> Iterator[Any]:
         raise WorkersError(
             "--ray needs Ray: python -m pip install -r requirements/ray.txt, here and on workers"
         ) from None
+    return ray
+
+
+@contextmanager
+def _connected(address: str) -> Iterator[Any]:
+    """Connect to a cluster; at the end all jobs of this process end there."""
+    ray = require_ray()
     if ray.is_initialized():
         yield ray
         return
@@ -121,7 +132,7 @@ def _connected(address: str) -> Iterator[Any]:
         ray.init(address=address, log_to_driver=False, logging_level="ERROR", configure_logging=True)
     except (ConnectionError, ValueError, RuntimeError, ImportError, OSError, OverflowError) as error:
         raise WorkersError(
-            f"--ray {address}: no cluster answers ({str(error).splitlines()[0]}): begin one with `ray start --head`"
+            f"--ray {address}: no cluster answers ({one_line(error)}): begin one with `ray start --head`"
         ) from None
     try:
         yield ray

@@ -14,7 +14,7 @@ from queue import Empty
 from typing import Any
 
 from ctrl_rl_core.processes.exclusive_lock import exclusive_lock
-from ctrl_rl_core.processes.ray_workers import Tell, map_in_ray
+from ctrl_rl_core.processes.ray_workers import Tell, map_in_ray, require_ray
 from ctrl_rl_core.processes.workers import CONTEXT, map_in_processes
 from tqdm import tqdm
 
@@ -42,6 +42,8 @@ def run_experiments(
         LockError: Another call works in the folder.
         CtrlRlError: A run refuses, or a worker was killed.
     """
+    if ray is not None:
+        require_ray()
     # What is finished is read first: what does not fit is refused now, not after hours of the others.
     known = {run.name: train(run, options) for run in runs if result_file(options.folder, run).is_file()}
     todo = [run for run in runs if run.name not in known]

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from ctrl_rl_core.processes.exclusive_lock import exclusive_lock
-from ctrl_rl_core.processes.ray_workers import Tell, map_in_ray
+from ctrl_rl_core.processes.ray_workers import Tell, map_in_ray, require_ray
 from ctrl_rl_core.processes.workers import map_in_processes
 from ctrl_rl_core.tasks.task import NavigationTask
 from tqdm import tqdm
@@ -55,6 +55,8 @@ def make_data(
         WorkersError: a worker was killed.
     """
     wall, cpu = time.monotonic(), _cpu_seconds()
+    if ray is not None:
+        require_ray()
     make_folder(folder)
     with exclusive_lock(folder / LOCK):
         lacking = open_folder(folder, problem, settings)
