@@ -13,6 +13,7 @@ from ctrl_rl_core.command import (
     FiniteNumber,
     NotNegative,
     Positive,
+    checked,
     checked_list,
     finite_number,
     parse_options,
@@ -26,7 +27,7 @@ from ttr_reward_node.errors import TimeToReachError
 from ttr_reward_node.problems.problem import TimeToReachProblem, problem_from_task
 from ttr_reward_node.rewards.relabel import relabel
 from ttr_reward_node.rewards.reward_evaluator import RewardEvaluator
-from ttr_reward_node.solvers.decomposition import find_decomposition, join, split
+from ttr_reward_node.solvers.decomposition import DECOMPOSITIONS, find_decomposition, join, split
 from ttr_reward_node.solvers.memory import gigabytes
 from ttr_reward_node.solvers.solution import Solution
 from ttr_reward_node.solvers.solver import check_reached, memory_needed, solve
@@ -62,6 +63,16 @@ def _cut(text: str) -> tuple[str, tuple[float, ...]]:
     return name, tuple(finite_number(part) for part in values.split(","))
 
 
+_DECOMPOSITIONS = sorted({name for choices in DECOMPOSITIONS.values() for name in choices})
+
+
+def _decomposition(text: str) -> str:
+    if text not in _DECOMPOSITIONS:
+        raise ValueError(f"{text}: choose from {', '.join(_DECOMPOSITIONS)}")
+    return text
+
+
+_Decomposition = Annotated[str, checked(_decomposition, "|".join(_DECOMPOSITIONS))]
 _Counts = Annotated[tuple[tuple[str, int], ...], checked_list(_count, "STATE=N")]
 _Disturbances = Annotated[tuple[tuple[str, tuple[float, float]], ...], checked_list(_disturbance, "D_STATE=LOW:HIGH")]
 _Cuts = Annotated[tuple[tuple[str, tuple[float, ...]], ...], checked_list(_cut, "STATE=VALUE,...")]
@@ -92,7 +103,7 @@ class Solve:
     """Widen obstacles by the robot's radius."""
     width: FiniteNumber | None = None
     """Width of the task's corridor [m]; the task's own where none is given."""
-    decomposition: Literal["4d+4d", "five"] | None = None
+    decomposition: _Decomposition | None = None
     """Split of the system; the maximum of its parts is a lower bound (4d+4d is the thesis's for the quadrotor)."""
     tolerance: FiniteNumber | None = None
     """Largest change of the last sweep [s]; a fraction of the time to cross a cell where none is given."""

@@ -133,7 +133,7 @@ def make_steps(problem: TimeToReachProblem, layout: Layout, cells: Sequence[floa
         block = slice(begin, begin + size)
         x = states[block, None]
         for i, length in enumerate(cells):
-            h = _durations(problem, layout, x, u, d, spacings, length, length * longest)
+            h = _durations(problem, layout, x, (u, d), length, longest)
             durations[block, :, i] = h.reshape(-1, disturbances, controls)
     # Before the moves, which take the most memory, are allocated.
     useful = np.flatnonzero(_controls_to_keep(problem, durations, cells, longest))
@@ -193,17 +193,26 @@ def _durations(
     problem: TimeToReachProblem,
     layout: Layout,
     x: NDArray[np.float64],
-    u: NDArray[np.float64],
-    d: NDArray[np.float64],
-    spacings: NDArray[np.float64],
+    pair: tuple[NDArray[np.float64], NDArray[np.float64]],
     cells: float,
-    longest: float,
+    crossing: float,
 ) -> NDArray[np.float64]:
-    """Durations (block, pairs) of steps that end `cells` away, or at the edge of the grid on an outer axis."""
+    """Durations (block, pairs) of steps that end `cells` away, or at the edge of the grid on an outer axis.
+
+    Args:
+        problem: Problem with the system and the axes.
+        layout: Order of the axes.
+        x: States at which the steps begin (block, 1, n).
+        pair: Controls (pairs, m) and disturbances (pairs, n).
+        cells: Length of the steps [cells].
+        crossing: Time in which the slowest axis crosses a cell at its top speed [s], which limits the durations.
+    """
+    u, d = pair
+    spacings, longest = np.array([axis.spacing for axis in problem.axes]), cells * crossing
     rates = np.abs(rates_under_all_pairs(problem.system, x[:, 0], u, d)) / spacings
     with np.errstate(divide="ignore"):
         h = np.minimum(cells / rates.max(axis=-1), longest)
-    # How far it is to the edges; without limit on periodic and inner axes.
+    # Distances to the edges; without limit on periodic and inner axes.
     room = np.full((2, len(x), 1, len(spacings)), np.inf)
     for k in layout.outer:
         axis = problem.axes[k]
