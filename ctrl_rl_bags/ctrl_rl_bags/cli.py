@@ -9,12 +9,13 @@ from datetime import UTC, datetime
 from typing import Annotated
 
 import tyro
-from ctrl_rl_core.command import checked, checked_list, parse_options, run_command
+from ctrl_rl_core.command import checked, checked_list
 
 from ctrl_rl_bags.format.checks import printable
 from ctrl_rl_bags.format.mcap_records import DEFAULT_LIMITS, Limits
 from ctrl_rl_bags.format.reader import bag_info
 from ctrl_rl_bags.format.recovery import recover
+from ctrl_rl_core import parse_options, run_command
 
 _LONGEST_VALUE = 20_000
 _MB = 20

@@ -15,11 +15,10 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-from ctrl_rl_core.tasks.outcome import Outcome
-from ctrl_rl_core.tasks.task import NavigationTask, load_navigation_task, load_task, task_names
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from ctrl_rl_core import NavigationTask, Outcome, load_navigation_task, load_task, task_names
 from sim_bridge.errors import SimulationError
 from sim_bridge.simulation.world import SimulatedWorld, SimulationOptions
 

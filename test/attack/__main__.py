@@ -22,8 +22,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from ctrl_rl_core.command import EXIT_USAGE, parse_options
+from ctrl_rl_core.command import EXIT_USAGE
 from tqdm import tqdm
+
+from ctrl_rl_core import parse_options
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE))

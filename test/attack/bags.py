@@ -23,10 +23,10 @@ import numpy as np
 import yaml
 import zstandard
 from _attack import Attack
-from ctrl_rl_bags.recording.message_types import UnknownTypeError, is_type_name, message_class, message_definition
+from ctrl_rl_bags.recording.message_types import UnknownTypeError, is_type_name, message_class
 from mcap.opcode import Opcode
 
-from ctrl_rl_bags import BagWriter, Topic, read_raw
+from ctrl_rl_bags import BagWriter, Topic, message_definition, read_raw
 
 T = TypeVar("T")
 Random = np.random.Generator

@@ -19,10 +19,21 @@ import _mutations
 import numpy as np
 from _attack import Attack
 from _mutations import Mutate, broken
-from ctrl_rl_core.errors import CtrlRlError
-from ctrl_rl_core.io.results import Result, as_markdown, read_benchmarks, read_results, write_results
-from ctrl_rl_core.tasks.task import FOLDER, load_navigation_task, load_task, task_names
-from ctrl_rl_core.values.value_grid import Axis, ValueGrid
+from ctrl_rl_core.io.results import as_markdown
+from ctrl_rl_core.tasks.task import FOLDER
+from ctrl_rl_core.values.value_grid import Axis
+
+from ctrl_rl_core import (
+    CtrlRlError,
+    Result,
+    ValueGrid,
+    load_navigation_task,
+    load_task,
+    read_benchmarks,
+    read_results,
+    task_names,
+    write_results,
+)
 
 ROOT = Path(__file__).resolve().parents[2]
 LONGEST = 1000

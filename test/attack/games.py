@@ -8,14 +8,11 @@ from pathlib import Path
 
 import numpy as np
 from _attack import Attack
-from ctrl_rl_core.geometry.units import Interval
-from ctrl_rl_core.systems.models import Quantity
-from ctrl_rl_core.systems.system import System
-from ctrl_rl_core.tasks.regions import Region
-from ctrl_rl_core.values.grid_axis import Axis
 from scipy.ndimage import map_coordinates
 from ttr_reward_node.problems.problem import Clearance, TimeToReachProblem
 from ttr_reward_node.solvers.solver import solve
+
+from ctrl_rl_core import Axis, Interval, Quantity, Region, System
 
 NODES = 31
 SIDE = 2.0

@@ -66,10 +66,7 @@ def holds_knowledge(ranges: np.ndarray, scan: dict[str, Any]) -> bool:
 
 def in_process(random: np.random.Generator, _folder: Path) -> None:
     """Give the checks one scan after the other, and hold what they allow against the promise."""
-    from ctrl_rl_core.driving.drive_safety import DriveSafety
-    from ctrl_rl_core.driving.obstacle_stop import ObstacleStop
-    from ctrl_rl_core.driving.scan import ScanError, ScanGeometry
-    from ctrl_rl_core.driving.scan_health import ScanHealth
+    from ctrl_rl_core import DriveSafety, ObstacleStop, ScanError, ScanGeometry, ScanHealth
 
     safety = DriveSafety(ScanHealth(0.3, 2.1, 2), ObstacleStop(0.125, 0.02, 0.5, 0.3), -0.032, 1.0)
     scan, deadline, now = geometry(random), time.monotonic() + 8.0, 0.0
@@ -100,11 +97,13 @@ def against_a_controller(random: np.random.Generator, folder: Path) -> None:
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     import rclpy
     from ament_index_python.packages import get_package_prefix
-    from ctrl_rl_core.ros.node import COMMAND, SCAN_PUBLISHER, float32_array, to_stamp
+    from ctrl_rl_core.ros.node import SCAN_PUBLISHER, float32_array, to_stamp
     from geometry_msgs.msg import TwistStamped
     from nav_msgs.msg import Odometry
     from rclpy.node import Node
     from sensor_msgs.msg import LaserScan
+
+    from ctrl_rl_core import COMMAND
 
     rclpy.init()
     node = Node("robot")

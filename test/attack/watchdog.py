@@ -39,8 +39,9 @@ class _Rig:
 
     def __init__(self, generator: np.random.Generator) -> None:
         import rclpy
-        from ctrl_rl_core.ros.node import COMMAND
         from geometry_msgs.msg import TwistStamped
+
+        from ctrl_rl_core import COMMAND
 
         self._rclpy, self._kind, self._random = rclpy, TwistStamped, generator
         rclpy.init()

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ctrl_rl_core.command import EXIT_USAGE, parse_options
-from ctrl_rl_core.io.atomic_write import atomic_write
-from ctrl_rl_core.io.results import read_benchmarks
+from ctrl_rl_core.command import EXIT_USAGE
 from tqdm import tqdm
+
+from ctrl_rl_core import atomic_write, parse_options, read_benchmarks
 
 HERE = Path(__file__).parent
 NAMES = sorted(file.stem for file in HERE.glob("*.py") if not file.stem.startswith("_"))

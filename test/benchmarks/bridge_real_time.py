@@ -10,12 +10,12 @@ from pathlib import Path
 
 import rclpy
 from _common import Row, executable, row
-from ctrl_rl_core.ros.node import SENSOR
-from ctrl_rl_core.tasks.task import load_navigation_task
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from sensor_msgs.msg import LaserScan
-from sim_bridge.simulation.world import SimulatedWorld
+
+from ctrl_rl_core import SENSOR, load_navigation_task
+from sim_bridge import SimulatedWorld
 
 TASK = "curved_corridor"
 TARGET = 20.0

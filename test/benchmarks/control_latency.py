@@ -15,11 +15,13 @@ import time
 import numpy as np
 import rclpy
 from _common import Row, echo, executable, row
-from ctrl_rl_core.ros.node import COMMAND, SCAN_PUBLISHER, SENSOR, float32_array, to_stamp
+from ctrl_rl_core.ros.node import SCAN_PUBLISHER, float32_array, to_stamp
 from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from sensor_msgs.msg import LaserScan
+
+from ctrl_rl_core import COMMAND, SENSOR
 
 SCANS = 2000
 PAUSE_S = 0.01

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import numpy as np
 from _common import Row, row
-from ctrl_rl_core.tasks.task import load_navigation_task
 from oc_baseline_node.mpc.initial_guess import shift_trajectory
 from oc_baseline_node.mpc.mpc import Mpc, MpcSolution
 from oc_baseline_node.problems.problem import formulate
 from oc_baseline_node.problems.start_states import draw_start
+
+from ctrl_rl_core import load_navigation_task
 
 STARTS = {"car_navigation": 40, "quad_navigation": 25, "quad_trap": 25}
 LETTER_STARTS = 15

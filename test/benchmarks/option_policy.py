@@ -54,8 +54,9 @@ def decision_time(robots: int) -> float:
 
 def draw(path: Path) -> None:
     """Write the picture of cost against number of robots."""
-    from ctrl_rl_core.plots import save_figure
     from matplotlib import pyplot as plt
+
+    from ctrl_rl_core import save_figure
 
     figure, axes = plt.subplots(figsize=(6, 4), layout="constrained")
     axes.plot(ROBOTS, [decision_time(robots) for robots in ROBOTS], "o-")

@@ -20,11 +20,12 @@ import numpy as np
 import rclpy
 from _common import Row, echo, executable, row
 from ctrl_rl_bringup.runner.transport import answer_latencies, lost_messages, read_sent
-from ctrl_rl_core.ros.node import ODOM_PUBLISHER, RESULT, SENSOR, to_stamp
+from ctrl_rl_core.ros.node import ODOM_PUBLISHER, to_stamp
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from ttr_reward_node.solvers.solver import solve_task
 
+from ctrl_rl_core import RESULT, SENSOR
 from ctrl_rl_msgs.msg import TaskReward
 
 RATE = 1000.0

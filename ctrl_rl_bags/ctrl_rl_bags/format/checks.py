@@ -12,8 +12,9 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 import yaml
-from ctrl_rl_core.errors import CtrlRlError
 from ctrl_rl_core.io.file_checks import FileError, one_line, open_file
+
+from ctrl_rl_core import CtrlRlError
 
 _LONGEST_REASON = 200
 _LARGEST_YAML = 8 << 20

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import yaml
-from ctrl_rl_core.io.atomic_write import atomic_write
 from pydantic import BaseModel, Field, ValidationError
 
 from ctrl_rl_bags.format.checks import BagError, DamagedError, printable, read_yaml, reason
+from ctrl_rl_core import atomic_write
 
 METADATA_FILE = "metadata.yaml"
 METADATA_VERSION = 9

@@ -14,7 +14,8 @@ from typing import Any
 
 from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
 from ament_index_python.resources import get_resource
-from ctrl_rl_core.errors import CtrlRlError
+
+from ctrl_rl_core import CtrlRlError
 
 _SEPARATOR = "=" * 80
 _PRIMITIVE = re.compile(r"bool|byte|char|float(32|64)|u?int(8|16|32|64)|w?string")

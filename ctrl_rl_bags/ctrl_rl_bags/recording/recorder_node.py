@@ -9,14 +9,14 @@ import sys
 import time
 
 from ctrl_rl_core.io.file_checks import FileError, open_file
-from ctrl_rl_core.ros.node import Status, SuiteNode, ok, run_node, warn
-from ctrl_rl_core.ros.parameters import Parameter, ParameterError
+from ctrl_rl_core.ros.node import Status, ok, warn
 from rclpy.clock import Clock, ClockType
 
 from ctrl_rl_bags.format.checks import BagError
 from ctrl_rl_bags.format.writer import FLUSH_S, BagWriter
 from ctrl_rl_bags.recording.recorder import ParameterCollector, TopicRecorder
 from ctrl_rl_bags.recording.write_queue import BagQueue
+from ctrl_rl_core import Parameter, ParameterError, SuiteNode, run_node
 
 _DISCOVERY_S = 0.2
 _PATIENCE_S = 4.0

@@ -12,9 +12,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from ctrl_rl_core.geometry.shapes import Box, Shape
 from numpy.typing import NDArray
 
+from ctrl_rl_core import Box, Shape
 from sim_bridge.engines.quiet_pybullet import pybullet
 from sim_bridge.errors import SimulationError
 

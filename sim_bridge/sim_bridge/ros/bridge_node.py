@@ -10,15 +10,12 @@ from functools import partial
 from typing import Any
 
 from builtin_interfaces.msg import Time
-from ctrl_rl_core.errors import CtrlRlError
-from ctrl_rl_core.ros.node import COMMAND, Status, SuiteNode, ok, run_node, to_stamp, warn
-from ctrl_rl_core.ros.parameters import ParameterError
-from ctrl_rl_core.tasks.outcome import Outcome
-from ctrl_rl_core.tasks.task import load_navigation_task
+from ctrl_rl_core.ros.node import Status, ok, to_stamp, warn
 from geometry_msgs.msg import Twist, TwistStamped
 from rclpy.clock import Clock, ClockType
 from std_srvs.srv import SetBool
 
+from ctrl_rl_core import COMMAND, CtrlRlError, Outcome, ParameterError, SuiteNode, load_navigation_task, run_node
 from ctrl_rl_msgs.msg import RotorThrusts
 from ctrl_rl_msgs.srv import ResetWorld, StepWorld
 from sim_bridge.ros.frames import Frames, TransformPublisher, fixed_transforms

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ctrl_rl_core.ros.node import LATCHED
-from ctrl_rl_core.tasks.task import NavigationTask
 from geometry_msgs.msg import TransformStamped
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
 
+from ctrl_rl_core import NavigationTask
 from sim_bridge.simulation.bodies import DRIVES
 
 try:

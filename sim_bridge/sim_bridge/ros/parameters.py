@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from ctrl_rl_core.ros.parameters import Parameter, ParameterError
-
+from ctrl_rl_core import Parameter, ParameterError
 from sim_bridge.simulation.lidar import LIDARS
 from sim_bridge.simulation.world import SimulationOptions
 

@@ -6,13 +6,14 @@ import math
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.ros.node import ODOM_PUBLISHER, RESULT, SCAN_PUBLISHER, float32_array, to_stamp
+from ctrl_rl_core.ros.node import ODOM_PUBLISHER, SCAN_PUBLISHER, float32_array, to_stamp
 from nav_msgs.msg import Odometry
 from numpy.typing import NDArray
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import LaserScan
 
+from ctrl_rl_core import RESULT
 from ctrl_rl_msgs.msg import EpisodeStatus
 from sim_bridge.ros.frames import Frames, TransformPublisher
 from sim_bridge.simulation.world import SimulatedWorld

@@ -11,10 +11,9 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from ctrl_rl_core.systems.system import System
-from ctrl_rl_core.tasks.task import NavigationTask
 from numpy.typing import NDArray
 
+from ctrl_rl_core import NavigationTask, System
 from sim_bridge.engines.physics import Physics
 from sim_bridge.engines.quiet_pybullet import pybullet
 from sim_bridge.errors import SimulationError

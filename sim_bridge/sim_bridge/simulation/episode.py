@@ -6,14 +6,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from ctrl_rl_core.geometry.shapes import ArcPath
-from ctrl_rl_core.systems.system import System
-from ctrl_rl_core.tasks.outcome import Outcome
-from ctrl_rl_core.tasks.rewards import terminal_reward
 from ctrl_rl_core.tasks.schema.episode import RewardSpec
-from ctrl_rl_core.tasks.task import NavigationTask
 from ctrl_rl_core.tasks.task_sets import PATH_NAMES, PathCoordinates
 from numpy.typing import NDArray
+
+from ctrl_rl_core import ArcPath, NavigationTask, Outcome, System, terminal_reward
 
 Array = NDArray[np.float64]
 

@@ -15,13 +15,10 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
-from ctrl_rl_core.geometry.shapes import World
-from ctrl_rl_core.systems.system import System
 from ctrl_rl_core.tasks.regions import wrap
-from ctrl_rl_core.tasks.start_states import draw_starts
-from ctrl_rl_core.tasks.task import NavigationTask
 from numpy.typing import ArrayLike, NDArray
 
+from ctrl_rl_core import NavigationTask, System, World, draw_starts
 from sim_bridge.engines.physics import Physics
 from sim_bridge.simulation.bodies import Body, make_body
 from sim_bridge.simulation.commands import CommandChannel
