@@ -35,14 +35,14 @@ def draw_curve(
     """Draw the mean over the seeds.
 
     Args:
-        ax: to draw into.
-        samples: (iterations,).
-        values: (seeds, iterations).
-        label: of the line.
-        colour: of line and band.
-        width: of the line.
-        start: value before learning, None for none.
-        band: whether to show the standard deviation as well.
+        ax: Axes to draw into.
+        samples: Samples at each point (iterations,).
+        values: Values of each seed (seeds, iterations).
+        label: Name of the line in the legend.
+        colour: Colour of line and band.
+        width: Width of the line [points].
+        start: Value before learning, None for none.
+        band: Whether to show the standard deviation as well.
     """
     x, y = np.array(samples) / 1000.0, np.array(values)
     if start is not None:

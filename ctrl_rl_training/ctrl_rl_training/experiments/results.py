@@ -69,7 +69,7 @@ def metrics_of_speed(
 
     Args:
         key: Name of the figure in the curve.
-        least: The level.
+        least: Level that counts as reached.
         words: The level, as the metrics' names say it.
         more: Ends the name of the first metric.
     """
@@ -121,8 +121,8 @@ def as_table(rows: Sequence[Result], labels: Mapping[str, str]) -> str:
     """Return rows as text: mean and standard deviation over the seeds, and the thesis's figure.
 
     Args:
-        rows: of results.
-        labels: of methods, for those whose own name does not say enough.
+        rows: Rows of the table.
+        labels: Labels of the methods whose own name does not say enough.
     """
     head = ("method", "metric", "ours", "thesis")
     lines = [head, *(_cells(row, labels.get(row.method, row.method)) for row in rows)]
@@ -142,8 +142,8 @@ def read_figures(file: Path, kind: type[Figures]) -> dict[str, Any]:
     """Return the figures' data of a results file.
 
     Args:
-        file: that `train --results` wrote.
-        kind: what they must be.
+        file: Results file that `train --results` wrote.
+        kind: Schema of the data.
 
     Raises:
         ResultsError: there is no such file, or it holds something else.

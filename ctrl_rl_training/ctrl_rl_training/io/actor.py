@@ -45,13 +45,13 @@ class Actor:
     """A deterministic policy: a multilayer perceptron of the scaled observation.
 
     Attributes:
-        weights: of each layer (out, in).
-        biases: of each layer (out,).
-        activation: after each layer but the last, "normalized_tanh" or "normalized_relu": the layer's outputs are
+        weights: Weights of each layer (out, in).
+        biases: Biases of each layer (out,).
+        activation: Function after each layer but the last, "normalized_tanh" or "normalized_relu": the outputs are
             brought to mean 0 and variance 1 over its units, then go through it.
         squashed: whether the last layer ends in tanh; else actions are cut at -1 and 1.
-        middle: what becomes 0 in the network's input, in the observation's units (n,).
-        unit: what becomes 1 above it (n,).
+        middle: Observation that becomes 0 in the network's input, in the observation's units (n,).
+        unit: Distance above the middle that becomes 1 (n,).
         low: least commands, those of action -1 (m,).
         high: largest commands, those of action 1 (m,).
         manifest: anything else worth keeping: task, names of the observation, figures.

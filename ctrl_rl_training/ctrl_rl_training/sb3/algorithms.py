@@ -74,12 +74,12 @@ def make_algorithm(
     """Return an untrained algorithm with its own environments.
 
     Args:
-        algorithm: one of `ALGORITHMS`.
-        make: makes an environment.
-        seed: of networks, actions and environments.
-        samples: how many it will see at most.
-        kind: a class derived from the algorithm's own, to be made in its place.
-        changes: of the arguments of Stable-Baselines3, e.g. `gamma`; those of `policy_kwargs` are added to the others.
+        algorithm: One of `ALGORITHMS`.
+        make: Returns a new environment.
+        seed: Seed of networks, actions and environments.
+        samples: Number of samples that it sees, at most.
+        kind: Class derived from the algorithm's own, to be made in its place.
+        changes: Other arguments of Stable-Baselines3, e.g. `gamma`; those of `policy_kwargs` are added to the others.
 
     Raises:
         TrainingError: there is no such algorithm.

@@ -25,10 +25,10 @@ def save_checkpoint(
     """Write a checkpoint.
 
     Args:
-        path: of the file; replaced if it exists.
-        model: between two calls of its `learn`.
-        progress: what else to go on with, as JSON.
-        history: the same as arrays.
+        path: Path of the file; replaced if it exists.
+        model: Algorithm between two calls of its `learn`.
+        progress: Progress of the run, as JSON.
+        history: Counts of earlier iterations, as arrays.
     """
     tensors = model_arrays(model)
     tensors |= {f"{_HISTORY}{name}": array for name, array in history.items()}

@@ -33,8 +33,8 @@ class ScaledObservation(gymnasium.ObservationWrapper[Vector, Vector, Vector]):
     """Observations around 0 and of the order of 1, by fixed numbers: an arena's and the lidar's reach are -2 to 2.
 
     Attributes:
-        middle: what becomes 0, in SI units (n,).
-        unit: what becomes 1 above it, in SI units (n,).
+        middle: Observation that becomes 0, in SI units (n,).
+        unit: Distance above the middle that becomes 1, in SI units (n,).
     """
 
     def __init__(self, environment: Environment, task: NavigationTask) -> None:
@@ -72,9 +72,9 @@ def make_environment(task: NavigationTask, rate: int | None = None, *wrappers: A
     """Return the environment of a task in an arena.
 
     Args:
-        task: it pays what this says.
-        rate: physics steps per second [Hz]; `TRAINING_RATE` unless given.
-        wrappers: called with the environment before its observations are scaled, e.g. to pay something else.
+        task: Task with the rewards.
+        rate: Physics steps per second [Hz]; `TRAINING_RATE` unless given.
+        wrappers: Functions called with the environment before its observations are scaled, e.g. to pay something else.
 
     Raises:
         SimulationError: the time step of the task is not a whole number of physics steps.

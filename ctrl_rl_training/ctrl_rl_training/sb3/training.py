@@ -169,10 +169,10 @@ class Recorder(BaseCallback):
     """Notes how episodes end and which states they meet.
 
     Args:
-        visits: that states are added to, None for none.
+        visits: Counter that states are added to, None for none.
 
     Attributes:
-        outcomes: of the episodes that ended.
+        outcomes: Outcomes of the episodes that ended.
     """
 
     def __init__(self, visits: Visits | None = None) -> None:
@@ -192,9 +192,9 @@ class EvaluatedEpisode(NamedTuple):
     """An episode of a deterministic policy.
 
     Attributes:
-        outcome: how it ended.
-        states: that it went through (steps + 1, n).
-        total: its undiscounted return.
+        outcome: Name of its outcome.
+        states: States that it went through (steps + 1, n).
+        total: Undiscounted return of the episode.
     """
 
     outcome: str

@@ -28,14 +28,14 @@ def consolidate_policy(
     """Return the consolidated form of a learnt policy, and its figures.
 
     Args:
-        file: of the learnt policy.
-        problem: that it was learnt in.
-        environment: of the problem, to evaluate in.
-        plan: how.
-        command: that is noted in the policy; the learnt one's where it is left out.
-        seed: of all episodes.
-        on_progress: see `consolidate`.
-        reported: see `consolidate`.
+        file: File of the learnt policy.
+        problem: Task that it was learnt in.
+        environment: Environment of the task, to evaluate in.
+        plan: Settings of the consolidation; the default ones unless given.
+        command: Command that the policy records; the learnt one's where it is left out.
+        seed: Seed of all episodes.
+        on_progress: Takes words on the work at hand, as in `consolidate`.
+        reported: Episodes of the learnt policy that `consolidate` need not run again.
 
     Raises:
         KoopmanError: the file holds no learnt policy, or there is no regulator.

@@ -21,9 +21,9 @@ def collect_comparison(name: str, task: str, results: Results) -> tuple[list[Res
     """Return the rows of a comparison and the data of its picture.
 
     Args:
-        name: one of `COMPARISONS`.
-        task: that the runs learnt.
-        results: of its methods.
+        name: One of `COMPARISONS`.
+        task: Task that the runs learnt.
+        results: Results of its methods.
 
     Returns:
         Rows, and `comparison`, `kind`, `task`, `reference` and, by method, `curves`: `samples`, steps of the system

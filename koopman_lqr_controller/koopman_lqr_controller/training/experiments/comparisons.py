@@ -18,13 +18,13 @@ class Comparison:
     """What is run for a table or a figure.
 
     Attributes:
-        about: in a line.
-        methods: names of `methods.METHODS`.
-        tasks: that the thesis compares on.
-        thesis: its figures.
+        about: Subject in one line.
+        methods: Names of `methods.METHODS`.
+        tasks: Tasks that the thesis compares on.
+        thesis: Figures that the thesis gives.
         kind: "finals" (a row for each method), "levels" (returns by model error), "curves" (returns while learning)
             or "gaps" (a reference return less these).
-        levels: of the model's error, for "levels".
+        levels: Levels of the model's error, for "levels".
     """
 
     about: str

@@ -14,9 +14,9 @@ class Method:
     """A way of learning.
 
     Attributes:
-        label: for tables and pictures.
-        changes: of the task's settings.
-        learner: one of `LEARNERS`.
+        label: Name in tables and pictures.
+        changes: Changes of the task's settings.
+        learner: One of `LEARNERS`.
     """
 
     label: str

@@ -42,8 +42,8 @@ def draw_comparison(figures: Mapping[str, Any], path: Path) -> None:
     """Draw mean and standard deviation over the seeds.
 
     Args:
-        figures: of `collect_comparison`.
-        path: of the picture.
+        figures: Figures' data of `collect_comparison`.
+        path: Path of the picture.
     """
     gaps = figures["kind"] == "gaps"
     figure, ax = plt.subplots(figsize=(7.0, 4.2), layout="constrained")

@@ -70,8 +70,8 @@ class Learner(Protocol):
         Args:
             chunk: its number: with the seed it decides all that is random.
             done: actions before it.
-            actions: to do.
-            episodes: to end with; 0 for any number.
+            actions: Number of actions to do.
+            episodes: Number of episodes to end with; 0 for any number.
 
         Returns:
             Actions done and episodes begun.
@@ -97,7 +97,7 @@ class KoopmanLearning:
         options: Settings of the experiment.
         folder: Folder of the run.
         manifest: Description of the run in its policies.
-        plan: How the policy is consolidated; None if it is not.
+        plan: Settings of the consolidation; None for none.
         tell: Takes the chunks done and the work at hand, where that is no chunk.
     """
 

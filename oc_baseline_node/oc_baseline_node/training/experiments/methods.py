@@ -18,7 +18,7 @@ class Method:
     """A policy gradient.
 
     Attributes:
-        label: for tables and pictures.
+        label: Name in tables and pictures.
         algorithm: "ppo" or "trpo".
         baseline: b of Eq. 3.14: "value", the on-policy V; "oc", V_oc; "corrected", an on-policy V that is V_oc and a
             learnt correction; with a part that depends on the action, "stein" and "q_prop".

@@ -26,11 +26,11 @@ def evaluate(
     """Return how two uses of what was learnt go, `DRAWS` and `MODE`, in the same episodes; see `summary`.
 
     Args:
-        environment: to play in.
-        draws: what is drawn from.
-        mode: whose most likely options are taken; they may go round in circles where little is observed.
-        episodes: of each.
-        seed: of the run; worlds are the same for all runs, draws are each run's own.
+        environment: Environment to play in.
+        draws: Policy whose options are drawn.
+        mode: Policy whose most likely options are taken; they may go round in circles where little is observed.
+        episodes: Number of episodes of each use.
+        seed: Seed of the run; worlds are the same for all runs, draws are each run's own.
     """
     seeds = fresh(episodes)
     choosers = {

@@ -19,14 +19,14 @@ class Method:
     """A way to learn.
 
     Attributes:
-        label: for tables and pictures.
-        synchronisation: who chooses when.
+        label: Name in tables and pictures.
+        synchronisation: Rule of who chooses when.
         head: kind of joint policy.
         partial: whether each agent chooses by its own observation (Eq. 5.5).
         learner: "mappo" or "mac_dqn".
-        level: what is chosen, see `option_coordinator.environments.tasks.Level`.
+        level: Level of the choice, a `option_coordinator.environments.tasks.Level`.
         budget: low-level samples by kind of task, in those of the others; 1 for a task that is not named.
-        kinds: of tasks that it is for.
+        kinds: Kinds of tasks that it is for.
     """
 
     label: str
