@@ -23,7 +23,7 @@ Parts = dict[str, str]
 
 _LENGTH = 16
 _UNREPEATABLE = re.compile(
-    r"second|cpu|wall|date|commit|command|sha256|digest|version|latency|memory|host", re.IGNORECASE
+    r"second|cpu|wall|date|commit|command|sha256|digest|version|latency|memory|host|/time(?=[/\[.]|$)", re.IGNORECASE
 )
 """Words in the name of what depends on the machine, the day or the wording: times, commits, digests of whole files."""
 _NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
