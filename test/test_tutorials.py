@@ -17,8 +17,8 @@ _BLOCK = re.compile(r"^```bash\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 def pages() -> list[object]:
     names = sorted(page.stem for page in TUTORIALS.glob("*.md"))
     assert len(names) >= 6
-    slow = (pytest.mark.slow, pytest.mark.timeout(1800))
-    return [pytest.param(name, marks=() if name in QUICK else slow) for name in names]
+    patient = pytest.mark.timeout(1800)
+    return [pytest.param(name, marks=(patient,) if name in QUICK else (patient, pytest.mark.slow)) for name in names]
 
 
 @pytest.mark.parametrize("name", pages())
