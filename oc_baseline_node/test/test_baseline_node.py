@@ -57,7 +57,7 @@ class Listener:
         self.node.destroy_node()
         rclpy.try_shutdown()
 
-    def until(self, done: Callable[[], bool], seconds: float = 20.0) -> None:
+    def until(self, done: Callable[[], bool], seconds: float = 120.0) -> None:
         deadline = time.monotonic() + seconds
         while not done():
             assert time.monotonic() < deadline

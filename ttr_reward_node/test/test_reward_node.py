@@ -52,7 +52,7 @@ class Peer:
         self.node.create_subscription(kind, topic, self.heard[topic].append, qos)
         return self.heard[topic]
 
-    def until(self, done: Callable[[], bool], seconds: float = 20.0) -> None:
+    def until(self, done: Callable[[], bool], seconds: float = 120.0) -> None:
         deadline = time.monotonic() + seconds
         while not done():
             assert time.monotonic() < deadline, "waited in vain"
@@ -60,7 +60,7 @@ class Peer:
 
     def call(self, kind: type, service: str, **fields: Any) -> Any:
         client = self.node.create_client(kind, f"{NODE}/{service}")
-        assert client.wait_for_service(20.0)
+        assert client.wait_for_service(120.0)
         future = client.call_async(kind.Request(**fields))
         self.until(future.done)
         return future.result()
