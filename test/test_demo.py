@@ -154,15 +154,15 @@ def test_a_wrong_option_gives_one_clear_message(tmp_path: Path, option: tuple[st
 
 def test_no_drive_is_no_figure(tmp_path: Path) -> None:
     results = tmp_path / "results.json"
-    check_refused("--seeds must be at least 1, not 0", "trials", "--seeds", 0, "--results", results)
+    check_refused("--seeds must be a whole number of at least 1, not 0", "trials", "--seeds", 0, "--results", results)
     assert not results.exists()
-    check_refused("--episodes must be at least 1, not 0", "record_drives", "--episodes", 0)
+    check_refused("--episodes must be a whole number of at least 1, not 0", "record_drives", "--episodes", 0)
 
 
 def test_the_scripted_driver_takes_no_policy() -> None:
     answer = command("record_drives", "--policy", "curved_corridor")
     assert answer.returncode == 2
-    assert "unrecognized arguments: --policy" in answer.stderr
+    assert "unknown option --policy" in answer.stderr
 
 
 def test_without_a_known_width_it_drives_without_reward_and_says_so(tmp_path: Path) -> None:
