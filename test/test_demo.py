@@ -130,7 +130,7 @@ def test_a_drive_can_be_drawn_as_a_moving_picture(run, tmp_path: Path) -> None:
     with Image.open(picture) as frames:
         assert frames.n_frames > 100
     assert picture.stat().st_size < 1_500_000
-    check_refused("no bag", "animate", tmp_path / "nowhere", "--output", tmp_path / "none.gif")
+    check_refused("there is no such bag", "animate", tmp_path / "nowhere", "--output", tmp_path / "none.gif")
     assert not (tmp_path / "none.gif").exists()
 
 

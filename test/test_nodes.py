@@ -1,12 +1,14 @@
 """What every node of the suite promises, tried on real processes."""
 
 import signal
+import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 import rclpy
 import yaml
+from ament_index_python.packages import get_package_prefix
 from commands import command
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.srv import GetParameters, ListParameters
@@ -16,7 +18,7 @@ from ttr_reward_node.solvers.solver import solve_task
 
 NODES = {
     "bridge": ("sim_bridge", ()),
-    "recorder": ("ctrl_rl_core", ("output:={folder}/bag",)),
+    "recorder": ("ctrl_rl_bags", ("output:={folder}/bag",)),
     "watchdog": ("ctrl_rl_core", ()),
     "controller": ("koopman_lqr_controller", ()),
     "scripted_driver": ("koopman_lqr_controller", ()),
@@ -167,3 +169,13 @@ def test_dumped_parameters_load_again(
     second = run_node(package, name, params_file=file)
     assert _dump(node, wait(second)) == again
     assert "unknown to this node" not in second.output
+
+
+@pytest.mark.parametrize("name", ["bag", "recorder"])
+def test_a_command_that_moved_runs_under_its_old_name_and_says_the_new_one(name: str) -> None:
+    old, new = (
+        Path(get_package_prefix(package)) / "lib" / package / name for package in ("ctrl_rl_core", "ctrl_rl_bags")
+    )
+    before, now = (subprocess.run([file, "--help"], capture_output=True, text=True, check=True) for file in (old, new))
+    assert before.stdout == now.stdout
+    assert before.stderr == f"{name}: this command is now `ros2 run ctrl_rl_bags {name}`\n{now.stderr}"

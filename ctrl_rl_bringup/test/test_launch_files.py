@@ -64,7 +64,7 @@ def test_launch_starts_nodes_that_exist(file: Path, tmp_path: Path) -> None:
         assert executable_path(NodeSpec(package, executable)).is_file()
     if file not in RUNS:
         return
-    assert {("ctrl_rl_core", "recorder"), ("sim_bridge", "bridge")} < set(nodes)
+    assert {("ctrl_rl_bags", "recorder"), ("sim_bridge", "bridge")} < set(nodes)
     with pytest.raises(Exception, match="at work in ROS domain"):
         started(launch, file, tmp_path / "second")
     assert not (tmp_path / "second").exists()

@@ -16,7 +16,7 @@ _FROZEN_SPINS = 40
 @pytest.mark.fault
 def test_a_drive_waits_for_a_value_node_that_is_there_but_not_at_work(run_node, tmp_path: Path) -> None:
     run_node("sim_bridge", "bridge", "task:=curved_corridor", "start_paused:=true")
-    run_node("ctrl_rl_core", "recorder", f"output:={tmp_path / 'bag'}")
+    run_node("ctrl_rl_bags", "recorder", f"output:={tmp_path / 'bag'}")
     run_node("koopman_lqr_controller", "controller", "use_sim_time:=true")
     baseline = run_node("oc_baseline_node", "baseline", "use_sim_time:=true", "grid:=curved_corridor")
     baseline.wait_for("points")
@@ -48,7 +48,7 @@ def test_a_drive_in_a_namespace_is_followed_and_reported(
 ) -> None:
     space = ("__ns:=/lab",)
     run_node("sim_bridge", "bridge", "task:=curved_corridor", "start_paused:=true", remap=space)
-    recorder = run_node("ctrl_rl_core", "recorder", f"output:={tmp_path / 'bag'}", remap=space)
+    recorder = run_node("ctrl_rl_bags", "recorder", f"output:={tmp_path / 'bag'}", remap=space)
     run_node("koopman_lqr_controller", "controller", "use_sim_time:=true", remap=space)
     monkeypatch.setattr(sys, "argv", ["monitor", "--ros-args", "-r", space[0]])
     with ros():

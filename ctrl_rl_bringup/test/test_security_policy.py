@@ -16,7 +16,7 @@ RAW = "cmd_vel:=cmd_vel_raw"
 NODES = (
     ("koopman_lqr_controller", "controller", "koopman_lqr_controller", (RAW,), ()),
     ("ctrl_rl_core", "watchdog", "watchdog", (), ()),
-    ("ctrl_rl_core", "recorder", "recorder", (), ("output:={folder}/bag",)),
+    ("ctrl_rl_bags", "recorder", "recorder", (), ("output:={folder}/bag",)),
     ("oc_baseline_node", "baseline", "oc_baseline_node", (), ("grid:=curved_corridor",)),
     ("option_coordinator", "coordinator", "option_coordinator", (), ("team:=delivery_team", "policy:=spread")),
     ("option_coordinator", "navigation_agent", "navigation_agent", (RAW, "__ns:=/robot_1"), ("team:=delivery_team",)),

@@ -70,7 +70,11 @@ def parse_options(program: str, kind: Any, arguments: Sequence[str] | None = Non
     try:
         with on_parse_error(_refuse):
             return tyro.cli(
-                kind, prog=program, description=description, args=arguments, config=(tyro.conf.FlagCreatePairsOff, tyro.conf.DisallowNone)
+                kind,
+                prog=program,
+                description=description,
+                args=arguments,
+                config=(tyro.conf.FlagCreatePairsOff, tyro.conf.DisallowNone),
             )
     except CommandError as error:
         print(f"{program}: {error}; see {program} --help", file=sys.stderr)

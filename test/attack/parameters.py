@@ -15,7 +15,7 @@ from ament_index_python.packages import get_package_prefix
 
 NODES = {
     "sim_bridge": ("sim_bridge", "bridge", ()),
-    "recorder": ("ctrl_rl_core", "recorder", ("output:=bag",)),
+    "recorder": ("ctrl_rl_bags", "recorder", ("output:=bag",)),
     "watchdog": ("ctrl_rl_core", "watchdog", ()),
     "koopman_lqr_controller": ("koopman_lqr_controller", "controller", ()),
     "scripted_driver": ("koopman_lqr_controller", "scripted_driver", ()),

@@ -62,7 +62,7 @@ def rows() -> list[Row]:
 
 def _drive(program: list[str], bag: Path, seconds: float) -> int:
     """Run a program and the recorder, publish odometry, and return how many messages were published."""
-    recorder = [executable("ctrl_rl_core", "recorder"), "--ros-args", "-p", f"output:={bag}", "--log-level", "error"]
+    recorder = [executable("ctrl_rl_bags", "recorder"), "--ros-args", "-p", f"output:={bag}", "--log-level", "error"]
     with ExitStack() as stack:
         processes = [subprocess.Popen(command, stdout=subprocess.DEVNULL) for command in (program, recorder)]
         stack.callback(_stop, processes)

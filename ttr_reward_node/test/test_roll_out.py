@@ -26,6 +26,6 @@ def test_among_obstacles_it_arrives():
 def test_start_without_a_time_is_refused():
     problem = problem_from_task("car_ttr", counts=(31, 31, 24))
     grid = solve(problem).grid
-    with pytest.raises(TimeToReachError, match="no time to reach"):
+    with pytest.raises(TimeToReachError, match="is not finite: start from another state"):
         roll_out(grid, problem, [[0.0, 0.0, 0.0]])
     assert np.isfinite(grid.value(random_starts(grid, problem, 50))).all()

@@ -92,7 +92,7 @@ def recorder(options: DriveConfig, digests: Mapping[str, Path]) -> NodeSpec:
     """Return the recorder of every topic; `digests` names the files whose SHA-256 the bag is to hold."""
     files = [f"{name}={path}" for name, path in digests.items()]
     parameters = {"use_sim_time": True, "output": str(options.bag), "digest_files": files}
-    return NodeSpec("ctrl_rl_core", "recorder", parameters)
+    return NodeSpec("ctrl_rl_bags", "recorder", parameters)
 
 
 def controller(options: DriveConfig) -> NodeSpec:
