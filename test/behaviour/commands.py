@@ -163,7 +163,7 @@ _DRIVER = "-p scan_timeout:=10.0 -p wall_timeout:=600.0 -r cmd_vel:=cmd_vel_raw"
 NODES = {
     "bridge": "sim_bridge bridge --ros-args -p start_paused:=true "
     "-r scan:=world/scan -r odom:=world/odom -r cmd_vel:=world/cmd_vel",
-    "watchdog": f"ctrl_rl_core watchdog --ros-args {_SIMULATED} -p timeout:=60.0",
+    "watchdog": f"ctrl_rl_core watchdog --ros-args {_SIMULATED} -p timeout:=60.0 -p repeat_for:=0.1",
     "controller": f"koopman_lqr_controller controller --ros-args {_SIMULATED} {_DRIVER}",
     "scripted_driver": f"koopman_lqr_controller scripted_driver --ros-args {_SIMULATED} {_DRIVER} -p seed:=3",
     "reward": f"ttr_reward_node reward --ros-args {_SIMULATED} -p grid:=corridor.safetensors",
