@@ -14,7 +14,7 @@ from ttr_reward_node.solvers.solver import solve
 
 from ctrl_rl_core import Axis, Interval, Quantity, Region, System
 
-NODES = 31
+NODES = 61
 SIDE = 2.0
 NAMES = ("x", "y")
 
@@ -55,7 +55,7 @@ def plain_times(problem: TimeToReachProblem) -> np.ndarray:
     pairs = list(product(problem.system.disturbance_samples(2), problem.system.control_samples(3)))
     ends = [problem.system.step(nodes, u, d, dt=dt) for d, u in pairs]
     times = np.where(inside, 0.0, far)
-    for _ in range(400):
+    for _ in range(800):
         found = []
         for end in ends:
             at = np.moveaxis((end + SIDE) / spacing, -1, 0)
