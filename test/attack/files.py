@@ -78,14 +78,15 @@ def attack(kind: Kind, count: int) -> Callable[[np.random.Generator, Path], None
 
     def run(random: np.random.Generator, folder: Path) -> None:
         logging.disable(logging.WARNING)  # files without digests are told once each
-        files = kind.make(folder)
-        for _ in range(count):
-            path = files[int(random.integers(len(files)))]
-            whole = path.read_bytes()
-            try:
+        try:
+            files = kind.make(folder)
+            for _ in range(count):
+                path = files[int(random.integers(len(files)))]
+                whole = path.read_bytes()
                 check(kind, path, broken(whole, kind.how, random))
-            finally:
                 path.write_bytes(whole)
+        finally:
+            logging.disable(logging.NOTSET)
 
     return run
 
