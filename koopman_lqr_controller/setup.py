@@ -25,7 +25,7 @@ setup(
             "comparison_figures = koopman_lqr_controller.cli.learning:comparison_figures",
             "consolidate = koopman_lqr_controller.cli.learning:consolidate",
             "controller = koopman_lqr_controller.nodes.controller_node:main",
-            "edmd = koopman_lqr_controller.cli.train:main",
+            "edmd = koopman_lqr_controller.cli.edmd:main",
             "evaluate = koopman_lqr_controller.cli.offline:evaluate",
             "fit = koopman_lqr_controller.cli.offline:fit",
             "learn = koopman_lqr_controller.cli.learning:learn",

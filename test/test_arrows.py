@@ -45,7 +45,7 @@ RUN_TIME_MODULES = (
     "oc_baseline_node.node",
     "koopman_lqr_controller.nodes.controller_node",
     "koopman_lqr_controller.nodes.scripted_driver_node",
-    "koopman_lqr_controller.cli.train",
+    "koopman_lqr_controller.cli.edmd",
     "koopman_lqr_controller.cli.compare",
     "koopman_lqr_controller.cli.analyse",
     "koopman_lqr_controller.cli.offline",

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from koopman_lqr_controller.cli.edmd import main as train
 from koopman_lqr_controller.cli.offline import evaluate, fit, learn_offline
-from koopman_lqr_controller.cli.train import main as train
 from koopman_lqr_controller.control.latent_controller import LatentController
 from koopman_lqr_controller.data.trajectory_segments import TrajectorySegment
 from koopman_lqr_controller.errors import KoopmanError

@@ -16,5 +16,5 @@ def train() -> int:
     """Learn from interaction. With a policy to write it is the old name of `edmd`, which learns from bags."""
     if any(word.partition("=")[0] == "--output" for word in sys.argv[1:]):
         print("train: train BAG ... --output FILE still works; its new name is edmd", file=sys.stderr)
-        return run_imported("train", "koopman_lqr_controller.cli.train", "main")
+        return run_imported("edmd", "koopman_lqr_controller.cli.edmd", "main")
     return run_imported("train", _LEARN, "train")

@@ -1,4 +1,4 @@
-"""The command `train`: a two-stage policy from bags of a drive."""
+"""The command `edmd`: a two-stage policy from bags of a drive."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from koopman_lqr_controller.sensing.observables import CorridorObservables
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrainOptions(OutputOptions, BagOptions):
+class EdmdOptions(OutputOptions, BagOptions):
     """Learn the two-stage Koopman controller (thesis 2.3.1): EDMD on recorded drives, then its LQR."""
 
     task: str = "curved_corridor"
@@ -30,7 +30,7 @@ class TrainOptions(OutputOptions, BagOptions):
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
-    options = parse_options("train", TrainOptions, arguments)
+    options = parse_options("edmd", EdmdOptions, arguments)
 
     def work() -> int:
         refuse_existing(options.output, options.overwrite)
@@ -39,10 +39,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _report(policy, options.output)
         return 0
 
-    return run_command("train", work)
+    return run_command("edmd", work)
 
 
-def _train(options: TrainOptions) -> EdmdPolicy:
+def _train(options: EdmdOptions) -> EdmdPolicy:
     check_held_out(options.held_out)
     task = load_navigation_task(options.task)
     limits = (task.robot.commands["v"], task.robot.commands["omega"])
