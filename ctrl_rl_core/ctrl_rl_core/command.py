@@ -212,6 +212,11 @@ FolderToWrite = Annotated[Path, checked(folder_to_write, "FOLDER")]
 """An option that names a folder to write to."""
 
 
+def note_old_name(program: str, old: str, new: str) -> None:
+    """Say that an old name was used, and what to use now."""
+    print(f"{program}: {old} still works; its new name is {new}", file=sys.stderr)
+
+
 def run_imported(program: str, module: str, function: str) -> int:
     """Run a command whose module needs packages that a robot's install leaves out, and return its exit code.
 

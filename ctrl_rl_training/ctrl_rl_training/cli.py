@@ -15,6 +15,7 @@ from ctrl_rl_core.command import (
     OptionalFileToWrite,
     checked,
     checked_list,
+    note_old_name,
     parse_options,
     run_command,
 )
@@ -121,11 +122,6 @@ def make_old_command(program: str, new: str, command: Callable[..., int]) -> Cal
         return command(arguments)
 
     return old_command
-
-
-def note_old_name(program: str, old: str, new: str) -> None:
-    """Say that an old name was used, and what to use now."""
-    print(f"{program}: {old} still works; its new name is {new}", file=sys.stderr)
 
 
 def train_and_collect(

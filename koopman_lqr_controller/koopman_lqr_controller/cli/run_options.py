@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import tyro
-from ctrl_rl_core.command import FolderToWrite
-from ctrl_rl_training.cli import ExperimentOptions, NotNegative, Positive, note_old_name
+from ctrl_rl_core.command import FolderToWrite, note_old_name
+from ctrl_rl_training.cli import ExperimentOptions, NotNegative, Positive
 from ctrl_rl_training.experiments.run import RunOptions
 
 from koopman_lqr_controller.errors import KoopmanError

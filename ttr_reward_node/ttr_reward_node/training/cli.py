@@ -6,14 +6,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from ctrl_rl_core.command import FolderToWrite
+from ctrl_rl_core.command import FolderToWrite, note_old_name
 from ctrl_rl_core.io.results import ResultsError
 from ctrl_rl_training.cli import (
     SimulatedOptions,
     TaskPlotOptions,
     make_command,
     make_old_command,
-    note_old_name,
     read_training,
     some_of,
     train_and_collect,
