@@ -6,8 +6,9 @@ import hashlib
 import time
 from collections import Counter, deque
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar
 
 import numpy as np
 from ctrl_rl_core.ros.node import Status, SuiteNode, ok, run_node, warn
@@ -32,13 +33,13 @@ from option_coordinator.policies.policy_query import PolicyFn, PolicyQuery, lear
 from option_coordinator.protocol.clock_reading import ClockReading
 from option_coordinator.protocol.coordination import Coordinator
 from option_coordinator.protocol.message_checks import LONGEST_NAME, MessageError
-from option_coordinator.protocol.protocol_types import Answers
+from option_coordinator.protocol.protocol_types import Answers, Request
 from option_coordinator.protocol.replica import LATE
 from option_coordinator.protocol.team_settings import CoordinatorTimeouts, RobotSpec
 from option_coordinator.scripted.policy_queries import SCRIPTED, spread_policy, uniform_policy
 from option_coordinator.teams.team_file import load_team
 
-_Told = TypeVar("_Told")
+_Take = Callable[[Any, ClockReading], Answers]
 _HOUSEKEEPING_S = 0.02
 _RECENT = 1000
 _LAST_WORD = Duration(seconds=0.3)
@@ -118,27 +119,25 @@ class OptionCoordinator(SuiteNode):
         self._began = False
         self._held_up = LATE * timeouts.lease
         chooses, digest = self._chooser(settings["policy"])
+        begin = ClockReading(0.0, 0.0, 0.0)
         self._coordinator = Coordinator(
-            self._robots,
-            chooses,
-            digest,
-            ClockReading(0.0, 0.0, 0.0),
-            timeouts,
-            discount=discount,
-            team=self._team_name(),
+            self._robots, chooses, digest, begin, timeouts, discount=discount, team=self._team_name()
         )
         self._step_message = StepMessages(tuple(robot.agent for robot in self._robots), discount, timeouts.time_step)
         self._grants = self.create_publisher(OptionGrant, "option_grants", EXCHANGE)
         self._steps = self.create_publisher(JointOptionStep, "joint_option_step", EXCHANGE)
         self._heartbeats = self.create_publisher(CoordinatorStatus, "coordinator_status", EXCHANGE)
         # As bytes: an oversized message is refused before it is deserialised, which would take long.
-        self.create_subscription(OptionRequest, "option_requests", self._on_request, EXCHANGE, raw=True)
-        self.create_subscription(AgentStatus, "agent_status", self._on_status, EXCHANGE)
-        self.create_subscription(CoordinatorStatus, "coordinator_status", self._on_coordinator_heartbeat, EXCHANGE)
+        hears = partial(self._on_message, request_in, self._on_request)
+        self.create_subscription(OptionRequest, "option_requests", hears, EXCHANGE, raw=True)
+        hears = partial(self._on_message, status_of, self._coordinator.on_status)
+        self.create_subscription(AgentStatus, "agent_status", hears, EXCHANGE)
+        hears = partial(self._on_message, heartbeat_of, self._coordinator.on_coordinator_heartbeat)
+        self.create_subscription(CoordinatorStatus, "coordinator_status", hears, EXCHANGE)
         self._batch_ends = False
         self._window = self.create_timer(max(timeouts.batch_window, 1e-4), self._end_batch, clock=STEADY)
         self._window.cancel()
-        self.create_timer(_HOUSEKEEPING_S, self._tick, clock=STEADY)
+        self.create_timer(_HOUSEKEEPING_S, partial(self._work, self._coordinator.tick), clock=STEADY)
         of_team = f"{len(self._robots)} robots of team '{self._coordinator.team}'"
         self.get_logger().info(f"policy {self._policy_name(settings['policy'], digest)}, {of_team}")
 
@@ -154,7 +153,7 @@ class OptionCoordinator(SuiteNode):
         coordinator, counts = self._coordinator, self._coordinator.counts
         new = counts - self._reported
         self._reported = counts.copy()
-        states = Counter(str(entry.state) for entry in coordinator.ledger)
+        states = Counter(str(entry.state) for entry in coordinator.ledger.values())
         figures: dict[str, object] = {"epoch": coordinator.epoch, "policy": coordinator.digest or "scripted"}
         figures |= {"team": coordinator.team, "clock set": self._now.task.jumps}
         figures |= {"epochs not believed": coordinator.epochs_not_believed}
@@ -174,8 +173,7 @@ class OptionCoordinator(SuiteNode):
 
     def stop(self) -> None:
         """Close the recorded episode; its last step is delivered before the publisher goes."""
-        now = self._now()
-        self._send(self._coordinator.close(now), now)
+        self._work(self._coordinator.close)
         self._steps.wait_for_all_acked(_LAST_WORD)
 
     def _prepare(self) -> tuple[CoordinatorTimeouts, float]:
@@ -194,14 +192,12 @@ class OptionCoordinator(SuiteNode):
                 "parameter 'team' is missing: a scripted policy needs a team file that names the robots"
             )
         else:
-            self._robots = self._robots_of(OptionPolicy.load(settings["policy"]))
+            longest, safe = settings["longest_option"], settings["safe_option"]
+            agents = OptionPolicy.load(settings["policy"]).agents
+            self._robots = tuple(RobotSpec(agent, (longest,) * len(agent.options), safe) for agent in agents)
         names = ("batch_window", "lease", "lost_after", "repeat", "stale", "policy_limit")
         timeouts = CoordinatorTimeouts(time_step=step, **{name: settings[name] for name in names})
         return timeouts, discount
-
-    def _robots_of(self, policy: OptionPolicy) -> tuple[RobotSpec, ...]:
-        longest, safe = self.settings["longest_option"], self.settings["safe_option"]
-        return tuple(RobotSpec(agent, (longest,) * len(agent.options), safe) for agent in policy.agents)
 
     def _chooser(self, name: str) -> tuple[PolicyFn, str]:
         """Return a policy and its digest.
@@ -210,9 +206,9 @@ class OptionCoordinator(SuiteNode):
             OptionError: There is no such policy, its digest is not the promised one, or it belongs to another team.
         """
         generator = np.random.default_rng(self.settings["seed"])
-        if name in SCRIPTED:
-            if name == "uniform":
-                return self._timed(uniform_policy(generator)), ""
+        if name == "uniform":
+            return self._timed(uniform_policy(generator)), ""
+        if name == "spread":
             return self._timed(spread_policy(self._robots, generator, self._shared)), ""
         policy = OptionPolicy.load_for(name, (robot.agent for robot in self._robots))
         promised = self.settings["policy_digest"]
@@ -230,33 +226,21 @@ class OptionCoordinator(SuiteNode):
 
         return timed
 
-    def _on_request(self, message: bytes) -> None:
-        request = self._read(request_in, message)
-        if request is not None and self._listens():
-            now = self._now()
-            self._send(self._coordinator.on_request(request, now), now)
-            if self._coordinator.batches and not self._batch_ends:
-                self._begin_batch()
-
-    def _on_status(self, message: AgentStatus) -> None:
-        status = self._read(status_of, message)
-        if status is not None and self._listens():
-            now = self._now()
-            self._send(self._coordinator.on_status(status, now), now)
-
-    def _on_coordinator_heartbeat(self, message: CoordinatorStatus) -> None:
-        heartbeat = self._read(heartbeat_of, message)
-        if heartbeat is not None and self._listens():
-            self._coordinator.on_coordinator_heartbeat(heartbeat, self._now())
-
-    def _read(self, reader: Callable[[Any], _Told], message: Any) -> _Told | None:
-        """Return the content of a message; None if it is refused, which is counted and logged now and then."""
+    def _on_message(self, read: Callable[[Any], Any], take: _Take, message: Any) -> None:
+        """Take a message; one that is refused is counted, and logged now and then."""
         try:
-            return reader(message)
+            content = read(message)
         except MessageError as error:
             self._coordinator.counts[f"not taken: {error.kind}"] += 1
             self.get_logger().warning(f"a message is refused: {error}", throttle_duration_sec=_SAID_EVERY_S)
-            return None
+            return
+        self._work(partial(take, content))
+
+    def _on_request(self, request: Request, now: ClockReading) -> Answers:
+        answers = self._coordinator.on_request(request, now)
+        if self._coordinator.batches and not self._batch_ends:
+            self._begin_batch()
+        return answers
 
     def _begin_batch(self) -> None:
         """Schedule one decision for all pending requests, and those that arrive until then."""
@@ -269,14 +253,13 @@ class OptionCoordinator(SuiteNode):
     def _end_batch(self) -> None:
         self._window.cancel()
         self._batch_ends = False
-        if self._listens():
-            now = self._now()
-            self._send(self._coordinator.end_batch(now), now)
+        self._work(self._coordinator.end_batch)
 
-    def _tick(self) -> None:
+    def _work(self, work: Callable[[ClockReading], Answers]) -> None:
+        """Let the coordinator work, once it listens, and send its answers."""
         if self._listens():
             now = self._now()
-            self._send(self._coordinator.tick(now), now)
+            self._send(work(now), now)
 
     def _send(self, answers: Answers, decided: ClockReading) -> None:
         """Publish answers; grants that are late since their decision are sent again later, if they still hold."""

@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from option_coordinator.errors import OptionError
 from option_coordinator.options.decision import NONE
 from option_coordinator.policies.policy_query import PolicyFn, query_with_fallback
 from option_coordinator.protocol.clock_reading import ClockReading
@@ -19,9 +18,7 @@ from option_coordinator.protocol.grants import (
     NOTHING_SAFE,
     NUMBER_LEAPS,
     TASK_OVER,
-    UNKNOWN_ROBOT,
     Refusal,
-    RetryPolicy,
     refusal_of,
     refused_grant,
     standing_grant,
@@ -39,8 +36,7 @@ from option_coordinator.protocol.protocol_types import (
     Status,
 )
 from option_coordinator.protocol.replica import Replica
-from option_coordinator.protocol.request_batch import RequestBatch
-from option_coordinator.protocol.team_query import TeamQuery, running_options
+from option_coordinator.protocol.team_query import TeamQuery
 from option_coordinator.protocol.team_settings import CoordinatorTimeouts, RobotSpec
 
 
@@ -81,7 +77,7 @@ class Coordinator(Replica):
     @property
     def batches(self) -> bool:
         """Whether a request waits for others to be decided with."""
-        return self._batch.waits
+        return self._due < math.inf
 
     def replace_policy(self, policy: PolicyFn, digest: str) -> None:
         """Decide by another policy from the next decision on."""
@@ -90,17 +86,11 @@ class Coordinator(Replica):
 
     def on_request(self, request: Request, now: ClockReading) -> Answers:
         """Take a request: it is answered as before, refused with a reason, or decided, at once or by `end_batch`."""
-        entry = self._entry(request)
+        entry = self._hear(request, now)
+        if isinstance(entry, Refusal):
+            return self._refuse(request, now, entry) if self._decides(now) else Answers()
         if entry is None:
-            own = request.team == self.team != ""  # a robot that names no team may belong to another one
-            return self._refuse(request, now, UNKNOWN_ROBOT) if own and self._decides(now) else Answers()
-        self._wake(now)
-        self._on_claim(entry, request.incarnation, request.coordinator_epoch, now)
-        try:
-            if not self._hear(entry, request.incarnation, now):
-                return Answers()
-        except OptionError as error:
-            return self._refuse(request, now, Refusal("old life", str(error))) if self._decides(now) else Answers()
+            return Answers()
         agent = self._robots[request.agent].agent
         refusal = refusal_of(request, agent, self.epoch, now.stamp - request.stamp, self._timeouts.stale)
         if self._decides(now):
@@ -111,15 +101,8 @@ class Coordinator(Replica):
 
     def on_status(self, status: Status, now: ClockReading) -> Answers:
         """Take a heartbeat: a sign of life, an acknowledgement, or news of what a robot runs."""
-        entry = self._entry(status)
-        if entry is None:
-            return Answers()
-        self._wake(now)
-        self._on_claim(entry, status.incarnation, status.coordinator_epoch, now)
-        try:
-            if not self._hear(entry, status.incarnation, now):
-                return Answers()
-        except OptionError:
+        entry = self._hear(status, now)
+        if not isinstance(entry, Entry):
             return Answers()
         if entry.leaps(status.request_id):
             self.counts["request number leaps"] += 1
@@ -129,7 +112,6 @@ class Coordinator(Replica):
         if status.request_id < entry.request_id:
             if not entry.believe_lower(status.request_id, now.steady, self._timeouts.lost_after):
                 return Answers()  # it was sent before the request
-            self._batch.drop(entry.agent)
             self.counts["requests that were not the robot's"] += 1
         if status.state is AgentState.RUNNING:
             self._believe(entry, status, now)
@@ -141,17 +123,16 @@ class Coordinator(Replica):
         """Let time pass: take over, decide, repeat what was not acknowledged, call off what takes too long."""
         if self._quiet(now):
             return Answers()
-        for entry in self.ledger:
+        for entry in self.ledger.values():
             if entry.fall_silent(now.steady, self._timeouts.lease, self._timeouts.lost_after):
                 self.counts["lost robots"] += 1
-                self._batch.drop(entry.agent)
         listened = not self.epoch
         heartbeat_due = self._election.tick(now.steady, self._knows_enough(now))
         if not self.epoch:
             return Answers()
         if listened:
             self._journal = self._new_journal(now)
-        grants = [grant for entry in self.ledger for grant in self._overdue(entry, now)]
+        grants = [grant for entry in self.ledger.values() for grant in self._overdue(entry, now)]
         decided = self._decide_when_due(now)
         return Answers(
             grants + decided.grants,
@@ -170,13 +151,7 @@ class Coordinator(Replica):
     def _forget(self, now: ClockReading) -> None:
         super()._forget(now)
         self._journal = self._new_journal(now)
-        self._batch: RequestBatch = RequestBatch(self._timeouts.batch_window)
-        self._retries = RetryPolicy(self._timeouts.repeat)
-        self._done: set[str] = set()
-
-    def _forget_robot(self, agent: str) -> None:
-        self._batch.drop(agent)
-        self._done.discard(agent)
+        self._due = math.inf
 
     def _new_journal(self, now: ClockReading) -> Journal:
         return Journal(now.task, self._timeouts.time_step, self._discount)
@@ -198,9 +173,9 @@ class Coordinator(Replica):
         if refusal is not None:
             return self._refuse(request, now, refusal)
         self._credit(entry, request)
-        self._done.discard(entry.agent)
         entry.ask(request.request_id, now.steady)
-        self._batch.add(request, now.steady)
+        entry.pending, entry.done = request, False
+        self._due = min(self._due, now.steady + self._timeouts.batch_window)
         self._query.observe(request)
         return self._decide(now) if self._all_wait() else Answers()
 
@@ -218,15 +193,14 @@ class Coordinator(Replica):
 
     def _finish(self, entry: Entry, request: Request, now: ClockReading) -> Answers:
         """Note that the task is over for a robot; the last one's word closes the episode."""
-        if entry.agent in self._done:
+        if entry.done:
             return self._refuse(request, now, TASK_OVER)
         if math.isfinite(request.option_reward):
             self._credit(entry, request)
         entry.ask(request.request_id, now.steady)
         entry.end()
-        self._batch.drop(entry.agent)
-        self._done.add(entry.agent)
-        at_work = any(e.runs or e.state is State.WAITING for e in self.ledger)
+        entry.pending, entry.done = None, True
+        at_work = any(e.runs or e.state is State.WAITING for e in self.ledger.values())
         steps = [] if at_work else [self._last_step(now, terminated=True)]
         return Answers(self._refuse(request, now, TASK_OVER).grants, steps)
 
@@ -244,7 +218,6 @@ class Coordinator(Replica):
                 entry.granted_at = max(entry.granted_at, now.task - elapsed)
             return
         entry.adopt(status, now.task - elapsed, now.stamp - elapsed, now.steady)
-        self._batch.drop(entry.agent)
         self.counts["adopted grants"] += 1
 
     def _overdue(self, entry: Entry, now: ClockReading) -> list[Grant]:
@@ -255,10 +228,10 @@ class Coordinator(Replica):
         if not entry.cancelled and now.task - entry.granted_at > duration:
             entry.cancel()
             self.counts["overruns"] += 1
-            self._retries.hasten(entry.agent, now.steady)
-        if not self._retries.is_due(entry, now.steady):
+            entry.repeat_at = now.steady
+        if not entry.must_be_told(now.steady):
             return []
-        self._retries.sent(entry.agent, now.steady)
+        entry.repeat_at = now.steady + self._timeouts.repeat
         return [self._grant_of(entry, now)]
 
     def _grant_of(self, entry: Entry, now: ClockReading) -> Grant:
@@ -266,38 +239,40 @@ class Coordinator(Replica):
 
     def _all_wait(self) -> bool:
         """Whether every robot that is heard waits, so that no other request can follow."""
-        return all(entry.phase in (State.WAITING, State.UNKNOWN) or entry.silence is not None for entry in self.ledger)
-
-    def _waits(self, agent: str) -> bool:
-        return self.ledger[agent].state is State.WAITING
+        return all(
+            entry.phase in (State.WAITING, State.UNKNOWN) or entry.silence is not None for entry in self.ledger.values()
+        )
 
     def _decide_when_due(self, now: ClockReading) -> Answers:
-        return self._decide(now) if self._batch.is_due(now.steady) else Answers()
+        return self._decide(now) if now.steady >= self._due else Answers()
 
     def _decide(self, now: ClockReading) -> Answers:
-        """Decide for all robots that wait and are heard."""
-        index = self._query.index
-        requests = self._batch.take(self._waits, index.__getitem__)
+        """Decide for all robots that wait and are heard; a robot that fell silent asks again when it returns."""
+        self._due = math.inf
+        waiting = (entry for entry in self.ledger.values() if entry.state is State.WAITING)
+        requests = {entry.agent: entry.pending for entry in waiting if entry.pending is not None}
         query = self._query.of(requests, self.ledger)
         answer = query_with_fallback(query, self._policy, self._timeouts.policy_limit, self._query.safe_options)
         self.counts.update(answer.faults)
         grants, running = [], query.running.copy()
         for name, request in requests.items():
-            entry, option = self.ledger[name], answer.options[index[name]]
+            entry, index = self.ledger[name], self._query.index[name]
+            entry.pending, option = None, int(answer.options[index])
             if option < 0:
                 entry.end()
                 grants += self._refuse(request, now, NOTHING_SAFE).grants
                 continue
-            entry.grant(self.epoch, int(option), now.task, now.stamp)
-            running[index[name]] = option
-            self._retries.sent(name, now.steady)
+            entry.grant(self.epoch, option, now.task, now.stamp)
+            entry.repeat_at = now.steady + self._timeouts.repeat
+            running[index] = option
             grants.append(self._grant_of(entry, now))
         if all(grant.status is GrantStatus.REFUSED for grant in grants):
             return Answers(grants)
         digest = self.digest if answer.by_policy else ""
-        step = self._journal.decision(now, self.epoch, query, running, answer.log_probability, digest)
-        return Answers(grants, [step])
+        return Answers(grants, [self._journal.step(now, self.epoch, query, running, answer.log_probability, digest)])
 
     def _last_step(self, now: ClockReading, terminated: bool) -> JointStep:
         query = self._query.of({}, self.ledger)
-        return self._journal.end(now, self.epoch, query, running_options(self.ledger), terminated)
+        return self._journal.step(
+            now, self.epoch, query, query.running, terminated=terminated, truncated=not terminated
+        )

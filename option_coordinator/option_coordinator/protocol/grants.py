@@ -1,4 +1,4 @@
-"""A coordinator's answers to requests: which are refused, what grants and refusals say, and when they are repeated."""
+"""A coordinator's answers to requests: which are refused, and what grants and refusals say."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from option_coordinator.options.options import Agent
 from option_coordinator.protocol.clock_reading import ClockReading
-from option_coordinator.protocol.ledger import Entry, State
+from option_coordinator.protocol.ledger import Entry
 from option_coordinator.protocol.protocol_types import Grant, GrantStatus, Request
 from option_coordinator.protocol.team_settings import RobotSpec
 
@@ -99,28 +99,3 @@ def refused_grant(request: Request, refusal: Refusal, epoch: int, team: str, now
         reason=refusal.reason,
         team=team,
     )
-
-
-class RetryPolicy:
-    """Decides when a grant is repeated: as long as the robot has not acknowledged it, or has not heard it cancelled.
-
-    Args:
-        period: Time between two repetitions [s].
-    """
-
-    def __init__(self, period: float) -> None:
-        self._period = period
-        self._next: dict[str, float] = {}
-
-    def sent(self, agent: str, now: float) -> None:
-        """Note that a robot's grant is sent at a steady time [s]."""
-        self._next[agent] = now + self._period
-
-    def is_due(self, entry: Entry, now: float) -> bool:
-        """Whether the standing grant of a robot that holds an option must be sent (again) at a steady time [s]."""
-        unheard = entry.cancelled or entry.phase is State.GRANTED
-        return unheard and now >= self._next.get(entry.agent, now)
-
-    def hasten(self, agent: str, now: float) -> None:
-        """Make a robot's grant due at a steady time [s]: it has just been cancelled."""
-        self._next[agent] = now

@@ -44,27 +44,7 @@ class Journal:
         self._reward = total
         return True
 
-    def decision(
-        self,
-        now: ClockReading,
-        epoch: int,
-        asked: PolicyQuery,
-        options: JointOptions,
-        log_probability: float,
-        digest: str,
-    ) -> JointStep:
-        """Return a decision: what was asked, what all run from now on, and by which policy."""
-        self.open = True
-        return self._step(now, epoch, asked, options, log_probability, digest)
-
-    def end(
-        self, now: ClockReading, epoch: int, asked: PolicyQuery, options: JointOptions, terminated: bool
-    ) -> JointStep:
-        """Return the last step of an episode, which is over by itself or is cut off."""
-        self.open = False
-        return self._step(now, epoch, asked, options, terminated=terminated, truncated=not terminated)
-
-    def _step(
+    def step(
         self,
         now: ClockReading,
         epoch: int,
@@ -75,6 +55,8 @@ class Journal:
         terminated: bool = False,
         truncated: bool = False,
     ) -> JointStep:
+        """Return a decision: what was asked, what all run from now on, by which policy; or an episode's last step."""
+        self.open = not (terminated or truncated)
         out = JointStep(
             stamp=now.stamp,
             coordinator_epoch=epoch,

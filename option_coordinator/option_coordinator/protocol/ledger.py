@@ -7,13 +7,12 @@ a lease is suspect, for longer lost; it keeps its phase, so that it goes on wher
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from enum import StrEnum
 
 from option_coordinator.errors import OptionError
 from option_coordinator.options.decision import NONE
-from option_coordinator.protocol.protocol_types import Status
+from option_coordinator.protocol.protocol_types import Request, Status
 
 MOST_UNHEARD = 1000
 """Requests that a robot may have sent without one of them, or a heartbeat, being heard."""
@@ -51,6 +50,9 @@ class Entry:
         asked_at: Time at which its latest request was first heard [s].
         claims_since: Time since which it claims without a break to have seen a higher epoch [s], None if it does not.
         silence: `SUSPECT` or `LOST`, None for a robot that is heard.
+        pending: Request that waits to be decided, None for none.
+        repeat_at: Time at which its grant is sent again while it is not acknowledged [s].
+        done: Whether it has said that its task is over.
     """
 
     agent: str
@@ -68,6 +70,9 @@ class Entry:
     asked_at: float = -math.inf
     claims_since: float | None = None
     silence: State | None = None
+    pending: Request | None = None
+    repeat_at: float = -math.inf
+    done: bool = False
 
     @property
     def state(self) -> State:
@@ -117,7 +122,7 @@ class Entry:
             return False
         self.request_id, self.asked_at = request_id, now
         self._become_idle()
-        self.option = NONE
+        self.option, self.pending = NONE, None
         return True
 
     def heard(self, incarnation: int, now: float) -> None:
@@ -130,7 +135,8 @@ class Entry:
             raise OptionError(f"'{self.agent}': incarnation {incarnation} was replaced by {self.incarnation}")
         if incarnation != self.incarnation:
             self.incarnation, self.request_id, self.told_id = incarnation, 0, 0
-            self.claims_since = None
+            self.claims_since = self.pending = None
+            self.done = False
             self._become_idle()
             self.option = NONE
         self.last_heard = max(now, self.last_heard)
@@ -161,6 +167,10 @@ class Entry:
         self._become_idle()
         self.option = NONE
         self.phase = State.WAITING
+
+    def must_be_told(self, now: float) -> bool:
+        """Whether its option, not acknowledged yet, or the cancellation of that must be sent (again) at a time [s]."""
+        return (self.cancelled or self.phase is State.GRANTED) and now >= self.repeat_at
 
     def grant(self, epoch: int, option: int, now: float, stamp: float) -> None:
         """Give it an option that begins now, with the stamp of that [s].
@@ -202,7 +212,7 @@ class Entry:
         if told.request_id != self.request_id:
             self.request_id, self.asked_at = told.request_id, now
         self.epoch, self.option, self.granted_at, self.stamp = told.coordinator_epoch, told.option, since, stamp
-        self.grant_id, self.cancelled = told.grant_id, False
+        self.grant_id, self.cancelled, self.pending = told.grant_id, False, None
         self.phase = State.RUNNING
 
     def cancel(self) -> None:
@@ -230,9 +240,12 @@ class Entry:
         if self.phase is State.UNKNOWN or self.silence is State.LOST or silent < lease:
             return False
         self.silence = State.LOST if silent >= lost_after else State.SUSPECT
-        if self.silence is State.LOST and self.phase is State.WAITING:
+        if self.silence is not State.LOST:
+            return False
+        self.pending = None
+        if self.phase is State.WAITING:
             self._become_idle()
-        return self.silence is State.LOST
+        return True
 
     def _become_idle(self) -> None:
         self.phase, self.cancelled = State.IDLE, False
@@ -240,23 +253,3 @@ class Entry:
     def _must_be_heard(self) -> None:
         if self.phase is State.UNKNOWN or self.silence is not None:
             raise OptionError(f"'{self.agent}' is {self.state}: note that it was heard first")
-
-
-class Ledger:
-    """The robots of a team.
-
-    Args:
-        agents: Names of the robots, in the policy's order.
-    """
-
-    def __init__(self, agents: Iterable[str]) -> None:
-        self._entries = {agent: Entry(agent) for agent in agents}
-
-    def __iter__(self) -> Iterator[Entry]:
-        return iter(self._entries.values())
-
-    def __contains__(self, agent: str) -> bool:
-        return agent in self._entries
-
-    def __getitem__(self, agent: str) -> Entry:
-        return self._entries[agent]

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sized
 from enum import IntEnum
-from typing import Annotated, Any, NamedTuple, Protocol, get_type_hints
+from typing import Annotated, NamedTuple, get_type_hints
 
 from option_coordinator.errors import OptionError
 
@@ -38,32 +38,23 @@ class MessageError(OptionError):
         self.kind = kind
 
 
-class Check(Protocol):
-    """Refuses a value that no peer may send."""
-
-    def __call__(self, value: Any, field: str, /) -> None:
-        """Raise MessageError, which names the field, if the value is refused."""
-
-
 class Between(NamedTuple):
-    """A number in a closed interval; NaN lies in none."""
+    """A number in a closed interval; NaN lies in none.
+
+    Attributes:
+        least: Lower end of the interval.
+        largest: Upper end of the interval.
+        or_not_finite: Whether a number that is not finite passes: the coordinator refuses that with a reason.
+    """
 
     least: float
     largest: float
+    or_not_finite: bool = False
 
     def __call__(self, value: float, field: str, /) -> None:
-        """Raise MessageError if the number lies outside."""
-        if not self.least <= value <= self.largest:
+        """Raise MessageError, which names the field, if the number is refused."""
+        if not self.least <= value <= self.largest and not (self.or_not_finite and not math.isfinite(value)):
             raise MessageError(f"{field} out of range")
-
-
-class FiniteBetween(Between):
-    """A number in a closed interval, or one that is not finite: the coordinator refuses that with a reason."""
-
-    def __call__(self, value: float, field: str, /) -> None:
-        """Raise MessageError if the number is finite and lies outside."""
-        if math.isfinite(value):
-            super().__call__(value, field)
 
 
 class AtMost(NamedTuple):
@@ -78,20 +69,9 @@ class AtMost(NamedTuple):
             raise MessageError(f"{self.label or field} too long")
 
 
-class OneOf(NamedTuple):
-    """One of the constants of an enumeration."""
-
-    numbers: frozenset[int]
-
-    def __call__(self, value: int, field: str, /) -> None:
-        """Raise MessageError if it is none of them."""
-        if value not in self.numbers:
-            raise MessageError(f"{field} out of range")
-
-
-def constants(kind: type[IntEnum]) -> OneOf:
-    """Return the check that a number is one of an enumeration's constants."""
-    return OneOf(frozenset(int(member) for member in kind))
+def constants(kind: type[IntEnum]) -> Between:
+    """Return the check that a number is one of an enumeration's constants, which have no gaps."""
+    return Between(min(kind), max(kind))
 
 
 Name = Annotated[str, AtMost(LONGEST_NAME)]
@@ -99,15 +79,10 @@ Life = Annotated[int, Between(1, LARGEST_LIFE)]
 Count = Annotated[int, Between(0, LARGEST_COUNT)]
 CountFrom1 = Annotated[int, Between(1, LARGEST_COUNT)]
 Duration = Annotated[float, Between(0.0, LONGEST)]
-OptionReward = Annotated[float, FiniteBetween(-LARGEST_REWARD, LARGEST_REWARD)]
-_KINDS = (Between, AtMost, OneOf)
+OptionReward = Annotated[float, Between(-LARGEST_REWARD, LARGEST_REWARD, or_not_finite=True)]
 
 
-def checks_of(kind: type) -> dict[str, Check]:
+def checks_of(kind: type) -> dict[str, Between | AtMost]:
     """Return the checks of a type's fields, by the name of the field."""
     hints = get_type_hints(kind, include_extras=True)
-    found = {
-        name: [part for part in getattr(hint, "__metadata__", ()) if isinstance(part, _KINDS)]
-        for name, hint in hints.items()
-    }
-    return {name: checks[0] for name, checks in found.items() if checks}
+    return {name: hint.__metadata__[0] for name, hint in hints.items() if hasattr(hint, "__metadata__")}

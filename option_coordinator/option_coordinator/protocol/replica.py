@@ -11,10 +11,12 @@ import math
 from collections import Counter
 from collections.abc import Iterable
 
+from option_coordinator.errors import OptionError
 from option_coordinator.protocol.clock_reading import ClockReading
 from option_coordinator.protocol.election import Election
-from option_coordinator.protocol.ledger import Entry, Ledger, State
-from option_coordinator.protocol.protocol_types import CoordinatorHeartbeat, Request, Status, same_team
+from option_coordinator.protocol.grants import UNKNOWN_ROBOT, Refusal
+from option_coordinator.protocol.ledger import Entry, State
+from option_coordinator.protocol.protocol_types import Answers, CoordinatorHeartbeat, Request, Status, same_team
 from option_coordinator.protocol.team_settings import CoordinatorTimeouts
 
 LATE = 0.5
@@ -38,7 +40,7 @@ class Replica:
         team: Name of the team, empty for unnamed. A named team ignores messages of other teams.
 
     Attributes:
-        ledger: State of each robot.
+        ledger: State of each robot by name, in the policy's order.
         team: Name of the team, empty for unnamed.
         counts: Counters of events, for diagnostics.
     """
@@ -70,29 +72,27 @@ class Replica:
     @property
     def unheard(self) -> list[str]:
         """Robots that were not heard since this coordinator began to listen."""
-        return [entry.agent for entry in self.ledger if entry.phase is State.UNKNOWN]
+        return [entry.agent for entry in self.ledger.values() if entry.phase is State.UNKNOWN]
 
     def listen(self, now: ClockReading) -> None:
         """Start over: decide nothing for a lease at least, hear what the robots run, then take over."""
         self._election.listen(now.steady)
         self._forget(now)
 
-    def on_coordinator_heartbeat(self, heartbeat: CoordinatorHeartbeat, now: ClockReading) -> None:
-        """Take the heartbeat of another coordinator, or this one's own."""
+    def on_coordinator_heartbeat(self, heartbeat: CoordinatorHeartbeat, now: ClockReading) -> Answers:
+        """Take the heartbeat of another coordinator, or this one's own; there is no answer to it."""
         if not same_team(heartbeat.team, self.team):
             self.counts["words of other teams"] += 1
-            return
+            return Answers()
         self._wake(now)
         if self._election.on_coordinator_heartbeat(heartbeat.coordinator_epoch, now.steady):
             self._step_down(now)
+        return Answers()
 
     def _forget(self, now: ClockReading) -> None:
         """Forget who runs what, and begin to listen."""
         self._began = self._ticked_at = now.steady
-        self.ledger = Ledger(self._names)
-
-    def _forget_robot(self, agent: str) -> None:
-        """Forget what an earlier life of a robot has asked; override it where there is such."""
+        self.ledger = {name: Entry(name) for name in self._names}
 
     def _knows_enough(self, now: ClockReading) -> bool:
         """Whether every robot was heard, or could have been: what is not heard yet may run something."""
@@ -117,23 +117,41 @@ class Replica:
         self._wake(now)
         return bool(self.epoch) and now.steady >= self._quiet_until
 
-    def _entry(self, told: Request | Status) -> Entry | None:
-        """Return what is known of who says something, None where it is none of this team's."""
+    def _hear(self, told: Request | Status, now: ClockReading) -> Entry | Refusal | None:
+        """Note a sign of life and what it says of epochs.
+
+        Returns:
+            The robot's state; where the message does not count, the reason to tell a robot of this team, or None.
+        """
         if not same_team(told.team, self.team):
             self.counts["messages of other teams"] += 1
             return None
-        if told.agent not in self.ledger:
+        entry = self.ledger.get(told.agent)
+        if entry is None:
             self.counts["messages of unknown robots"] += 1
+            own = told.team == self.team != ""  # a robot that names no team may belong to another one
+            return UNKNOWN_ROBOT if own else None
+        self._wake(now)
+        self._on_claim(entry, told, now)
+        if entry.is_early(told.incarnation):
+            self.counts["second lives"] += 1
             return None
-        return self.ledger[told.agent]
+        returns = entry.incarnation == told.incarnation and entry.silence is State.LOST
+        try:
+            entry.heard(told.incarnation, now.steady)
+        except OptionError as error:
+            return Refusal("old life", str(error))
+        if returns:
+            self.counts["returned robots"] += 1
+        return entry
 
-    def _on_claim(self, entry: Entry, incarnation: int, epoch: int, now: ClockReading) -> None:
+    def _on_claim(self, entry: Entry, told: Request | Status, now: ClockReading) -> None:
         """Note an epoch that a robot has seen.
 
         Who decides goes by it once the robot has said so for a lease; who may have been replaced, at once.
         """
-        sure = self.epoch and now.steady >= self._quiet_until
-        if sure and not entry.insists(epoch > self.epoch, incarnation, now.steady, self._timeouts.lease):
+        epoch, sure = told.coordinator_epoch, self.epoch and now.steady >= self._quiet_until
+        if sure and not entry.insists(epoch > self.epoch, told.incarnation, now.steady, self._timeouts.lease):
             return
         if self._election.on_epoch(epoch, now.steady):
             self._step_down(now)
@@ -142,23 +160,6 @@ class Replica:
         """Leave it to another one: what this one has granted may never have been obeyed."""
         self.counts["stepped down"] += 1
         self._forget(now)
-
-    def _hear(self, entry: Entry, incarnation: int, now: ClockReading) -> bool:
-        """Note a sign of life; return whether it counts.
-
-        Raises:
-            OptionError: it is one of a life that is over.
-        """
-        if entry.is_early(incarnation):
-            self.counts["second lives"] += 1
-            return False
-        before, lost = entry.incarnation, entry.silence is State.LOST
-        entry.heard(incarnation, now.steady)
-        if incarnation != before:
-            self._forget_robot(entry.agent)
-        elif lost:
-            self.counts["returned robots"] += 1
-        return True
 
     def _quiet(self, now: ClockReading) -> bool:
         """Note a tick; return whether nothing may be said: nobody is lost whose heartbeats wait to be read."""

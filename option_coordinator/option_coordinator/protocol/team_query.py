@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 
 import numpy as np
 
 from option_coordinator.options.decision import NONE
 from option_coordinator.options.options import option_mask
-from option_coordinator.policies.joint_policy import JointOptions
 from option_coordinator.policies.policy_query import PolicyQuery
 from option_coordinator.protocol.ledger import Entry
 from option_coordinator.protocol.protocol_types import Request
@@ -40,7 +39,7 @@ class TeamQuery:
         """Take the observation of a request that was checked."""
         self._observed[self._places[request.agent]] = request.observation
 
-    def of(self, requests: Mapping[str, Request], ledger: Iterable[Entry]) -> PolicyQuery:
+    def of(self, requests: Mapping[str, Request], ledger: Mapping[str, Entry]) -> PolicyQuery:
         """Return the query in which the robots of `requests` choose, and the others run what the ledger says."""
         legal, choosing = self._options.copy(), np.zeros(len(self.index), bool)
         for name, request in requests.items():
@@ -48,9 +47,5 @@ class TeamQuery:
             choosing[index] = True
             if np.size(request.legal):
                 legal[index, : np.size(request.legal)] = request.legal
-        return PolicyQuery(self._observed.copy(), choosing, running_options(ledger), legal)
-
-
-def running_options(ledger: Iterable[Entry]) -> JointOptions:
-    """Return the option that each robot runs now (N,); `NONE` for a robot that waits or is lost."""
-    return np.array([entry.option if entry.runs else NONE for entry in ledger])
+        running = np.array([entry.option if entry.runs else NONE for entry in ledger.values()])
+        return PolicyQuery(self._observed.copy(), choosing, running, legal)
