@@ -9,7 +9,7 @@ import math
 import os
 import re
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, TypeVar, overload
@@ -217,6 +217,24 @@ def note_old_name(program: str, old: str, new: str) -> None:
     print(f"{program}: {old} still works; its new name is {new}", file=sys.stderr)
 
 
+def with_new_names(program: str, arguments: Sequence[str] | None, renamed: Mapping[str, str]) -> list[str]:
+    """Return the words of a command line with the present names of options, and say which were old.
+
+    Args:
+        program: Name of the command in messages.
+        arguments: Words of the command line; those of the process unless given.
+        renamed: Present names of options by their old ones.
+    """
+    out = []
+    for word in sys.argv[1:] if arguments is None else arguments:
+        name, equals, value = word.partition("=")
+        if name in renamed:
+            note_old_name(program, name, renamed[name])
+            word = renamed[name] + equals + value
+        out.append(word)
+    return out
+
+
 def run_imported(program: str, module: str, function: str) -> int:
     """Run a command whose module needs packages that a robot's install leaves out, and return its exit code.
 
@@ -271,3 +289,38 @@ def run_command(program: str, work: Callable[[], int], failure: int = 1) -> int:
         print(f"{program}: interrupted", file=sys.stderr)
         return EXIT_INTERRUPTED
     return code
+
+
+def make_command(
+    program: str,
+    kind: type[_Options],
+    work: Callable[[_Options], int],
+    epilog: str = "",
+    renamed: Mapping[str, str] | None = None,
+) -> Callable[..., int]:
+    """Return a command: a function of the words of its line (the process's unless given) that returns the exit code.
+
+    Args:
+        program: Name of the command in messages.
+        kind: Dataclass of its options, see `parse_options`.
+        work: Does the work and returns the exit code.
+        epilog: Text below the description in `--help`.
+        renamed: Present names of options by their old ones, see `with_new_names`.
+    """
+
+    def command(arguments: Sequence[str] | None = None) -> int:
+        words = with_new_names(program, arguments, renamed) if renamed else arguments
+        options = parse_options(program, kind, words, epilog)
+        return run_command(program, lambda: work(options))
+
+    return command
+
+
+def make_old_command(program: str, new: str, command: Callable[..., int]) -> Callable[..., int]:
+    """Return a command under an old name, which says the new one."""
+
+    def old_command(arguments: Sequence[str] | None = None) -> int:
+        note_old_name(program, program, new)
+        return command(arguments)
+
+    return old_command

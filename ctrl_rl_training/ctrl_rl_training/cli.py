@@ -15,16 +15,11 @@ from ctrl_rl_core.command import (
     OptionalFileToWrite,
     checked,
     checked_list,
-    note_old_name,
-    parse_options,
-    run_command,
 )
-from ctrl_rl_core.command import (
-    NotNegative as NotNegative,
-)
-from ctrl_rl_core.command import (
-    Positive as Positive,
-)
+from ctrl_rl_core.command import NotNegative as NotNegative
+from ctrl_rl_core.command import Positive as Positive
+from ctrl_rl_core.command import make_command as make_command
+from ctrl_rl_core.command import make_old_command as make_old_command
 from ctrl_rl_core.io.results import Result, ResultsError, write_results
 from ctrl_rl_core.tasks.schema.parts import TaskHeader
 from ctrl_rl_core.tasks.task import NavigationTask, load_navigation_task, task_digest, task_names
@@ -35,7 +30,6 @@ if TYPE_CHECKING:
     from ctrl_rl_training.experiments.figure_data import Figures
 
 AnyRun = TypeVar("AnyRun", bound=Run)
-_Options = TypeVar("_Options")
 ITERATION = 10_240
 """Samples of an iteration with Stable-Baselines3."""
 _EVALUATIONS, _FINAL_EVALUATIONS = 20, 50
@@ -93,35 +87,6 @@ class SimulatedOptions(ExperimentOptions):
         """Return the settings of the runs."""
         iterations = self.iterations or math.ceil(self.samples / ITERATION)
         return RunOptions(self.folder, iterations, ITERATION, _EVALUATIONS, _FINAL_EVALUATIONS)
-
-
-def make_command(
-    program: str, kind: type[_Options], work: Callable[[_Options], int], epilog: str = ""
-) -> Callable[..., int]:
-    """Return a command: a function of the words of its line (the process's unless given) that returns the exit code.
-
-    Args:
-        program: Name of the command in messages.
-        kind: Dataclass of its options, see `parse_options`.
-        work: Does the work and returns the exit code.
-        epilog: Text below the description in `--help`.
-    """
-
-    def command(arguments: Sequence[str] | None = None) -> int:
-        options = parse_options(program, kind, arguments, epilog)
-        return run_command(program, lambda: work(options))
-
-    return command
-
-
-def make_old_command(program: str, new: str, command: Callable[..., int]) -> Callable[..., int]:
-    """Return a command under an old name, which says the new one."""
-
-    def old_command(arguments: Sequence[str] | None = None) -> int:
-        note_old_name(program, program, new)
-        return command(arguments)
-
-    return old_command
 
 
 def train_and_collect(

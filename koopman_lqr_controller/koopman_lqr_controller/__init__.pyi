@@ -15,13 +15,13 @@ from .models.edmd import LinearModel as LinearModel
 from .models.edmd import Snapshots as Snapshots
 from .models.edmd import fit as fit
 from .models.encoder import Encoder as Encoder
-from .policies.closed_loop_model import ClosedLoopModel as ClosedLoopModel
 from .policies.edmd_policy import EdmdPolicy as EdmdPolicy
+from .policies.koopman_policy import ClosedLoopModel as ClosedLoopModel
 from .policies.koopman_policy import Decision as Decision
-from .policies.koopman_policy import KoopmanPolicy as KoopmanPolicy
 from .policies.latent_policy import LatentPolicy as LatentPolicy
 from .policies.latent_policy import RobotInterface as RobotInterface
 from .policies.policy_file import DEFAULT_POLICY as DEFAULT_POLICY
+from .policies.policy_file import KoopmanPolicy as KoopmanPolicy
 from .policies.policy_file import digest as digest
 from .policies.policy_file import find_policy as find_policy
 from .policies.policy_file import load_policy as load_policy

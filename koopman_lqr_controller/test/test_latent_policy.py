@@ -14,9 +14,8 @@ from koopman_lqr_controller.control.latent_controller import LatentController
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.models.edmd import LinearModel
 from koopman_lqr_controller.models.encoder import Dense, Encoder, LayerNorm
-from koopman_lqr_controller.policies.koopman_policy import KoopmanPolicy
 from koopman_lqr_controller.policies.latent_policy import LatentPolicy, RobotInterface
-from koopman_lqr_controller.policies.policy_file import load_policy, save_policy
+from koopman_lqr_controller.policies.policy_file import KoopmanPolicy, load_policy, save_policy
 from koopman_lqr_controller.sensing.lidar import ScanGeometry
 from koopman_lqr_controller.sensing.lidar_observation import LidarObservation
 from safetensors import safe_open

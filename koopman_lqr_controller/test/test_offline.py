@@ -150,7 +150,7 @@ def test_two_stages_are_fitted_and_evaluated_by_command(
     assert evaluate([str(output), *map(str, bags), "--results", str(tmp_path / "figures.json")]) == 0
     out = capsys.readouterr().out
     assert evaluate([str(output), *map(str, bags), f"--json={tmp_path / 'again.json'}"]) == 0
-    assert "evaluate: --json is now --results\n" in capsys.readouterr().err
+    assert "evaluate: --json still works; its new name is --results\n" in capsys.readouterr().err
     assert (tmp_path / "again.json").read_text("utf-8") == (tmp_path / "figures.json").read_text("utf-8")
     assert "held out      60 steps: error 0." in out
     figures = json.loads((tmp_path / "figures.json").read_text(encoding="utf-8"))
@@ -172,7 +172,7 @@ def test_two_stages_are_trained_by_command(
     assert f"{tmp_path} is a folder: name a file in it" in capsys.readouterr().err
     with pytest.raises(SystemExit):
         evaluate(["curved_corridor", str(bags[0]), "--lidar-yaw", "nan"])
-    assert "nan is no direction" in capsys.readouterr().err
+    assert "'nan' is not a finite number" in capsys.readouterr().err
 
 
 def test_drives_with_another_step_than_the_model_s_are_told(

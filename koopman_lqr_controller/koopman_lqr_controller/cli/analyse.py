@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-from ctrl_rl_core.command import at_least, checked, folder_to_write, parse_options, run_command
+from ctrl_rl_core.command import at_least, checked, folder_to_write, make_command
 from ctrl_rl_core.errors import CtrlRlError
 from ctrl_rl_core.io.atomic_write import atomic_write
 
@@ -41,12 +40,6 @@ class AnalyseOptions(TopicOptions, PolicyOption):
 
     episodes: at_least(1) = 6  # type: ignore[valid-type]
     """Number of episodes in the environment."""
-
-
-def analyse(arguments: Sequence[str] | None = None) -> int:
-    """Run the command and return its exit code."""
-    options = parse_options("analyse", AnalyseOptions, arguments, _MORE)
-    return run_command("analyse", lambda: _analyse(options))
 
 
 def _analyse(options: AnalyseOptions) -> int:
@@ -98,3 +91,6 @@ def _analyse(options: AnalyseOptions) -> int:
         print(told)
     print(f"page       {folder / _PAGE}")
     return 0
+
+
+analyse = make_command("analyse", AnalyseOptions, _analyse, _MORE)

@@ -2,26 +2,17 @@
 
 from __future__ import annotations
 
-import math
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import tyro
-from ctrl_rl_core.command import CommandError, FileToWrite, checked
+from ctrl_rl_core.command import CommandError, FileToWrite, checked, finite_number
 from tqdm import tqdm
 
 from koopman_lqr_controller.data.trajectory_segments import TrajectorySegment, load_segments
 from koopman_lqr_controller.policies.koopman_policy import ObservationFn
-
-
-def _direction(text: str) -> float:
-    yaw = float(text)
-    if not math.isfinite(yaw):
-        raise ValueError(f"{text} is no direction")
-    return yaw
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,7 +30,7 @@ class TopicOptions:
     robot: str = ""
     """Namespace of the topics in the bags; none unless given."""
 
-    lidar_yaw: Annotated[float | None, checked(_direction, "FLOAT")] = None
+    lidar_yaw: Annotated[float | None, checked(finite_number, "FLOAT")] = None
     """Direction of the scan's zero bearing in the robot's frame [rad]; by the bag's tf_static unless given, else 0."""
 
 
@@ -88,22 +79,4 @@ def read_segments(bags: Sequence[Path], options: TopicOptions, observe: Observat
     out: list[TrajectorySegment] = []
     for bag in tqdm(bags, desc="reading", unit="bag", disable=None):
         out += load_segments(bag, observe, options.robot, options.lidar_yaw)
-    return out
-
-
-def with_new_names(program: str, arguments: Sequence[str] | None, renamed: dict[str, str]) -> list[str]:
-    """Return the words of a command line with the present names of options, and say which were old.
-
-    Args:
-        program: Name of the command in messages.
-        arguments: Words of the command line; those of the process unless given.
-        renamed: Present names of options by their old ones.
-    """
-    out = []
-    for word in sys.argv[1:] if arguments is None else arguments:
-        name, equals, value = word.partition("=")
-        if name in renamed:
-            print(f"{program}: {name} is now {renamed[name]}", file=sys.stderr)
-            word = renamed[name] + equals + value
-        out.append(word)
     return out

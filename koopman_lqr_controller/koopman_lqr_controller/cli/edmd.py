@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from ctrl_rl_core.command import parse_options, run_command
+from ctrl_rl_core.command import make_command
 from ctrl_rl_core.tasks.task import load_navigation_task, task_digest
 
 from koopman_lqr_controller.cli.bag_options import BagOptions, OutputOptions, read_segments
@@ -28,18 +27,12 @@ class EdmdOptions(OutputOptions, BagOptions):
     """Speed to drive at [m/s]."""
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command and return its exit code."""
-    options = parse_options("edmd", EdmdOptions, arguments)
-
-    def work() -> int:
-        refuse_existing(options.output, options.overwrite)
-        policy = _train(options)
-        save_policy(policy, options.output, overwrite=options.overwrite)
-        _report(policy, options.output)
-        return 0
-
-    return run_command("edmd", work)
+def _learn(options: EdmdOptions) -> int:
+    refuse_existing(options.output, options.overwrite)
+    policy = _train(options)
+    save_policy(policy, options.output, overwrite=options.overwrite)
+    _report(policy, options.output)
+    return 0
 
 
 def _train(options: EdmdOptions) -> EdmdPolicy:
@@ -68,3 +61,6 @@ def _report(policy: EdmdPolicy, path: Path) -> None:
     print(f"closed loop          spectral radius {figures['spectral_radius']:.3f}")
     print(f"Riccati residual     {figures['dare_residual']:.1e}")
     print(f"policy               {path}")
+
+
+main = make_command("edmd", EdmdOptions, _learn)

@@ -7,18 +7,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from ctrl_rl_core.command import OptionalFileToWrite, at_least, parse_options, run_command
+from ctrl_rl_core.command import OptionalFileToWrite, at_least, make_command
 from ctrl_rl_core.geometry.units import Interval
 from ctrl_rl_core.io.atomic_write import atomic_write
 from tqdm import tqdm
 
-from koopman_lqr_controller.cli.bag_options import (
-    BagOptions,
-    OutputOptions,
-    PolicyOption,
-    read_segments,
-    with_new_names,
-)
+from koopman_lqr_controller.cli.bag_options import BagOptions, OutputOptions, PolicyOption, read_segments
 from koopman_lqr_controller.data.trajectory_segments import (
     TrajectorySegment,
     check_held_out,
@@ -29,10 +23,16 @@ from koopman_lqr_controller.data.trajectory_segments import (
 from koopman_lqr_controller.identification.evaluation import evaluate_policy, time_step_mismatch
 from koopman_lqr_controller.identification.offline import refit
 from koopman_lqr_controller.identification.two_stage import Weights, train
-from koopman_lqr_controller.policies.edmd_policy import EdmdPolicy
 from koopman_lqr_controller.policies.koopman_policy import ObservationFn
 from koopman_lqr_controller.policies.latent_policy import LatentPolicy
-from koopman_lqr_controller.policies.policy_file import digest, find_policy, load_policy, refuse_existing, save_policy
+from koopman_lqr_controller.policies.policy_file import (
+    KoopmanPolicy,
+    digest,
+    find_policy,
+    load_policy,
+    refuse_existing,
+    save_policy,
+)
 from koopman_lqr_controller.sensing.lidar_observation import LidarObservation
 
 _FITTED, _HELD_OUT = "fitted", "held out"
@@ -70,32 +70,13 @@ class LearnOfflineOptions(OutputOptions, BagOptions):
     """Seed of weights and batches."""
 
 
-def fit(arguments: Sequence[str] | None = None) -> int:
-    """Run the command `fit` and return its exit code."""
-    options = parse_options("fit", FitOptions, arguments)
-    return run_command("fit", lambda: _fit(options))
-
-
-def evaluate(arguments: Sequence[str] | None = None) -> int:
-    """Run the command `evaluate` and return its exit code."""
-    words = with_new_names("evaluate", arguments, {"--json": "--results"})
-    options = parse_options("evaluate", EvaluateOptions, words)
-    return run_command("evaluate", lambda: _evaluate(options))
-
-
-def learn_offline(arguments: Sequence[str] | None = None) -> int:
-    """Run the command `learn_offline` and return its exit code."""
-    options = parse_options("learn_offline", LearnOfflineOptions, arguments)
-    return run_command("learn_offline", lambda: _learn_offline(options))
-
-
 def _fit(options: FitOptions) -> int:
     refuse_existing(options.output, options.overwrite)
     file = find_policy(options.policy)
     policy = load_policy(file)
     seen, unseen = _parts(options, policy.observation_fn)
     manifest = {"fitted_from": digest(file), **_source(options)}
-    fitted: EdmdPolicy | LatentPolicy
+    fitted: KoopmanPolicy
     if isinstance(policy, LatentPolicy):
         fitted = refit(policy, seen)
     else:
@@ -156,7 +137,7 @@ def _source(options: BagOptions) -> dict[str, Any]:
 
 def _save(
     options: OutputOptions,
-    policy: EdmdPolicy | LatentPolicy,
+    policy: KoopmanPolicy,
     seen: Sequence[TrajectorySegment],
     unseen: Sequence[TrajectorySegment],
     manifest: dict[str, Any],
@@ -192,3 +173,8 @@ def _print(figures: dict[str, Any]) -> None:
     unseen = figures.get(_HELD_OUT)
     if unseen is not None and not unseen["over_persistence"][0] < 1.0:
         print("One step ahead the model is no better than 'nothing changes' on what it was not fitted to.")
+
+
+fit = make_command("fit", FitOptions, _fit)
+evaluate = make_command("evaluate", EvaluateOptions, _evaluate, renamed={"--json": "--results"})
+learn_offline = make_command("learn_offline", LearnOfflineOptions, _learn_offline)

@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_lyapunov
 from scipy.optimize import minimize
 
+from koopman_lqr_controller.arrays import Array
 from koopman_lqr_controller.control.riccati import solve_lqr
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.models.edmd import LinearModel
-
-Array = NDArray[np.float64]
 
 _LOG_RANGE = 14.0
 _RESTRAINT = 1e-7

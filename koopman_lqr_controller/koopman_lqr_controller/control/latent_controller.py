@@ -8,15 +8,13 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from koopman_lqr_controller.arrays import Array, check_arrays
 from koopman_lqr_controller.control.riccati import finite_horizon, solve_lqr
 from koopman_lqr_controller.errors import KoopmanError
-from koopman_lqr_controller.models.array_checks import check_arrays
 from koopman_lqr_controller.models.edmd import LinearModel
 from koopman_lqr_controller.models.encoder import Encoder
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -53,8 +51,8 @@ class LatentController:
     z_ref: Array
     horizon: int | None = None
     projection: Array | None = None
-    a_ref: Array | None = None
-    drift: Array | None = None
+    a_ref: Array = None  # type: ignore[assignment]  # zeros
+    drift: Array = None  # type: ignore[assignment]
     K: Array = field(init=False)
     k: Array = field(init=False)
     P: Array = field(init=False)
@@ -62,15 +60,14 @@ class LatentController:
     residual: float = field(init=False)
 
     def __post_init__(self) -> None:
-        if self.a_ref is None:
-            object.__setattr__(self, "a_ref", np.zeros(len(self.R)))
-        if self.drift is None:
-            object.__setattr__(self, "drift", np.zeros(len(self.Q)))
+        for name, size in (("a_ref", len(self.R)), ("drift", len(self.Q))):
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, np.zeros(size))
         self._check()
         self._try_out()
         if self.horizon is None:
             regulator = solve_lqr(self.model, np.diag(self.Q), np.diag(self.R))
-            K, P, k = regulator.K, regulator.P, self._a_ref + regulator.K @ self.z_ref
+            K, P, k = regulator.K, regulator.P, self.a_ref + regulator.K @ self.z_ref
             radius, residual = regulator.spectral_radius, regulator.residual
         else:
             K, k, P = finite_horizon(self.model, self.Q, self.R, self.z_ref, self.horizon)
@@ -89,18 +86,18 @@ class LatentController:
             "Q": (self.Q, (n,)),
             "R": (self.R, (m,)),
             "z_ref": (self.z_ref, (n,)),
-            "a_ref": (self._a_ref, (m,)),
-            "drift": (self._drift, (n,)),
+            "a_ref": (self.a_ref, (m,)),
+            "drift": (self.drift, (n,)),
         }
         check_arrays(shapes, "for the B it comes with")
         if (self.Q < 0.0).any() or (self.R <= 0.0).any():
             raise KoopmanError("Q must not be negative, and R must be positive")
-        if self.horizon is not None and (self.horizon < 1 or self._a_ref.any() or self._drift.any()):
+        if self.horizon is not None and (self.horizon < 1 or self.a_ref.any() or self.drift.any()):
             raise KoopmanError(
                 f"horizon is {self.horizon}: must be at least 1 and without a_ref and drift, or null for infinity"
             )
-        if (np.abs(self._a_ref) >= 1.0).any():
-            raise KoopmanError(f"a_ref is {self._a_ref}: must lie inside -1 .. 1, else the loop is not linear there")
+        if (np.abs(self.a_ref) >= 1.0).any():
+            raise KoopmanError(f"a_ref is {self.a_ref}: must lie inside -1 .. 1, else the loop is not linear there")
         if self.projection is not None and not np.isfinite(self.projection).all():
             raise KoopmanError("the projection holds values that are not finite")
         if self.projection is not None and (self.projection.ndim != 2 or self.projection.shape[0] != n):
@@ -116,16 +113,6 @@ class LatentController:
             raise KoopmanError(
                 f"an observation of zeros becomes {z.shape}, must become {len(self.z_ref)} finite numbers"
             )
-
-    @property
-    def _a_ref(self) -> Array:
-        assert self.a_ref is not None
-        return self.a_ref
-
-    @property
-    def _drift(self) -> Array:
-        assert self.drift is not None
-        return self.drift
 
     def latent(self, x: ArrayLike) -> Array:
         """Return z (n,) or (N, n) for one observation or many."""
@@ -150,7 +137,7 @@ class LatentController:
     def predict(self, z: Array, action: Array) -> Array:
         """Return the model's next z under an action in [-1, 1]."""
         if self.horizon is None:
-            return self.z_ref + self._drift + self.model.predict(z - self.z_ref, action - self._a_ref)
+            return self.z_ref + self.drift + self.model.predict(z - self.z_ref, action - self.a_ref)
         return self.model.predict(z, action)
 
     def cost_to_go(self, z: Array) -> float:

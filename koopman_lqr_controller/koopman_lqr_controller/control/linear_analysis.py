@@ -7,9 +7,9 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from koopman_lqr_controller.arrays import Array
 from koopman_lqr_controller.models.edmd import LinearModel
 
-Array = NDArray[np.float64]
 Poles = NDArray[np.complex128]
 
 

@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, solve_discrete_are
 
+from koopman_lqr_controller.arrays import Array
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.models.edmd import LinearModel
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

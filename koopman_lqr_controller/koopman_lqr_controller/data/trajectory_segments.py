@@ -11,13 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrl_rl_bags import EXTRACTORS, AlignedSamples, Extractor, align, bag_info
+from koopman_lqr_controller.arrays import Array
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.models.edmd import Snapshots
 from koopman_lqr_controller.policies.koopman_policy import ObservationFn
 from koopman_lqr_controller.sensing.lidar import STEP_TOLERANCE, ScanGeometry
 from koopman_lqr_controller.sensing.lidar_mounting import yaw_of_lidar
-
-Array = NDArray[np.float64]
 
 _EPISODE = Extractor(lambda message: (message.episode, message.outcome.value), ("episode", "outcome"))
 _OLDEST = 1.0

@@ -10,7 +10,7 @@ import numpy as np
 from koopman_lqr_controller.data.trajectory_segments import TrajectorySegment, mean_time_step
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.models.prediction import HORIZON, horizon_errors
-from koopman_lqr_controller.policies.koopman_policy import KoopmanPolicy
+from koopman_lqr_controller.policies.policy_file import KoopmanPolicy
 from koopman_lqr_controller.sensing.lidar import STEP_TOLERANCE
 
 _COMMANDS = ("speed [m/s]", "turn rate [rad/s]")

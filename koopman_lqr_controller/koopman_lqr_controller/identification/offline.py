@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from koopman_lqr_controller.control.latent_controller import LatentController
 from koopman_lqr_controller.data.roll_outs import Episode, projected
@@ -17,8 +16,6 @@ from koopman_lqr_controller.identification.regulators import RegulatorFitter
 from koopman_lqr_controller.models.encoder import Dense
 from koopman_lqr_controller.policies.latent_policy import LatentPolicy
 from koopman_lqr_controller.safety.latent_distribution import fit_distribution_to_episodes
-
-Array = NDArray[np.float64]
 
 SIZES = (4, 8, 16, 1000)
 """Latent dimensions that are tried; those beyond the encoder's own stand for all of them."""

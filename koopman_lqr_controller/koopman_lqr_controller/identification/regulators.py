@@ -6,8 +6,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from koopman_lqr_controller.arrays import Array
 from koopman_lqr_controller.control.inverse_lqr import LinearLaw, fit_costs
 from koopman_lqr_controller.control.latent_controller import LatentController
 from koopman_lqr_controller.data.roll_outs import Episode
@@ -15,8 +15,6 @@ from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.models.edmd import Snapshots
 from koopman_lqr_controller.models.reduction import observed, principal
 from koopman_lqr_controller.models.shrinkage import ShrinkageFit, fit_with_shrinkage
-
-Array = NDArray[np.float64]
 
 LARGEST_RESIDUAL = 1e-8
 """Largest relative residual of the Riccati equation; a regulator above it is refused."""

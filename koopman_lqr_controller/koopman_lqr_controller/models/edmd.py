@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from koopman_lqr_controller.arrays import Array
 from koopman_lqr_controller.errors import KoopmanError
-
-Array = NDArray[np.float64]
 
 _FADING = 0.999
 """Largest modulus of a model that was contracted."""

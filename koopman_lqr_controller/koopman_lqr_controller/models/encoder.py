@@ -11,9 +11,9 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike, NDArray
 
+from koopman_lqr_controller.arrays import Array
 from koopman_lqr_controller.errors import KoopmanError
 
-Array = NDArray[np.float64]
 Weights = NDArray[np.float32]
 
 _MOST_PRODUCTS = 10_000_000_000
@@ -176,10 +176,10 @@ class Encoder:
         """Return it with more layers."""
         return replace(self, layers=(*self.layers, *layers))
 
-    def describe(self) -> tuple[dict[str, Any], dict[str, Weights]]:
+    def describe(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
         """Return what `build` makes it from again: JSON and tensors."""
         layers: list[dict[str, Any]] = []
-        tensors: dict[str, Weights] = {"encoder.middle": self.middle, "encoder.unit": self.unit}
+        tensors: dict[str, NDArray[Any]] = {"encoder.middle": self.middle, "encoder.unit": self.unit}
         for index, layer in enumerate(self.layers):
             fields = vars(layer)
             tensors |= {f"encoder.{index}.{name}": it for name, it in fields.items() if isinstance(it, np.ndarray)}

@@ -6,12 +6,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from koopman_lqr_controller.arrays import Array
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.models.encoder import EPSILON, Dense, Encoder, LayerNorm, Weights
-
-Array = NDArray[np.float64]
 
 _ZERO = np.array(0.0, np.float32)  # NumPy takes a Python number in twice the time
 

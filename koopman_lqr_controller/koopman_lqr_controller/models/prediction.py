@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from koopman_lqr_controller.arrays import Array
 from koopman_lqr_controller.errors import KoopmanError
 
-Array = NDArray[np.float64]
 Predict = Callable[[Array, Array], Array]
 
 HORIZON = 10

@@ -8,9 +8,8 @@ what varies most, whether the law needs it or not.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from koopman_lqr_controller.arrays import Array
 
 _NEW = 1e-6
 """Part of a row that is not in the span of those before it, below which it adds only rounding."""

@@ -13,10 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from koopman_lqr_controller.arrays import Array
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.models.edmd import LinearModel, Snapshots
-
-Array = NDArray[np.float64]
 
 RIDGES = tuple(float(10.0**power) for power in np.arange(-6.0, 2.1, 1.0 / 3.0))
 """Strengths that are tried, relative to each regressor's variance."""

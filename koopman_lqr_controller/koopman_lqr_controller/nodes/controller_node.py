@@ -17,8 +17,8 @@ from ctrl_rl_msgs.msg import EpisodeStatus, LatentState
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.nodes.arrival import ENDED, Arrival
 from koopman_lqr_controller.nodes.lidar_driver import DRIVER_PARAMETERS, LidarDriver, PendingDecision, SensorReading
-from koopman_lqr_controller.policies.koopman_policy import Decision, KoopmanPolicy
-from koopman_lqr_controller.policies.policy_file import DEFAULT_POLICY, digest, find_policy, load_policy
+from koopman_lqr_controller.policies.koopman_policy import Decision
+from koopman_lqr_controller.policies.policy_file import DEFAULT_POLICY, KoopmanPolicy, digest, find_policy, load_policy
 from koopman_lqr_controller.safety.guards import Guard
 from koopman_lqr_controller.sensing.lidar import STEP_TOLERANCE, ScanGeometry
 
@@ -194,7 +194,7 @@ class Controller(LidarDriver[_LatentDetails]):
             KoopmanError: it does not serve; the one before goes on.
         """
         path = find_policy(name)
-        policy: KoopmanPolicy = load_policy(path)
+        policy = load_policy(path)
         policy.decide(np.ones(_SOME_SCAN.beams, np.float32), _SOME_SCAN, 0.0, 0.0)  # one of another robot ends here
         served = {"policy": path.name, "policy digest": digest(path)}
         # Only what is right in every respect takes the place of what drives.

@@ -7,11 +7,9 @@ competitor of what is learned from it.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from koopman_lqr_controller.arrays import Array
 from koopman_lqr_controller.sensing.observables import CorridorObservables
-
-Array = NDArray[np.float64]
 
 _SIDE_GAIN = 1.8
 _AHEAD_GAIN = 0.6

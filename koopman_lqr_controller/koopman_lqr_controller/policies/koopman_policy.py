@@ -1,18 +1,17 @@
-"""The interface that both kinds of policies implement: from a scan to a command, and the linear model behind it."""
+"""Parts of both kinds of policies: observation, decision, and the model and law that control theory looks at."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, NamedTuple, Protocol
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from koopman_lqr_controller.policies.closed_loop_model import ClosedLoopModel
-from koopman_lqr_controller.safety.latent_distribution import LatentDistribution
-from koopman_lqr_controller.sensing.lidar import ScanGeometry, Sectors
-
-Array = NDArray[np.float64]
+from koopman_lqr_controller.arrays import Array
+from koopman_lqr_controller.models.edmd import LinearModel
+from koopman_lqr_controller.sensing.lidar import ScanGeometry
 
 
 class ObservationFn(Protocol):
@@ -46,67 +45,59 @@ class Decision(NamedTuple):
     z: Array
 
 
-class KoopmanPolicy(Protocol):
-    """A linear quadratic regulator on lifted observations of a lidar, however it was learnt."""
+LEARNT, CONSOLIDATED, TWO_STAGES = "as learnt", "consolidated", "two stages"
+
+
+@dataclass(frozen=True)
+class ClosedLoopModel:
+    """Linear model and law of a policy. The control u is the model's own: actions in [-1, 1], or commands.
+
+    Attributes:
+        kind: `LEARNT`, the gain of a few Riccati iterations; `CONSOLIDATED`, the LQR of its own model; `TWO_STAGES`,
+            EDMD with fixed observables.
+        model: Linear model with A (n, n) and B (n, m).
+        K: Gain (m, n).
+        P: Cost-to-go (n, n).
+        Q: Diagonal of the state cost (n,).
+        R: Diagonal of the control cost (m,).
+        z_ref: Reference of z (n,).
+        slope: Derivative of the control by the law's u at the reference (m,): 1, or that of tanh.
+        latent: Function from observations (*shape) or (N, *shape) to z; the identity where x is z.
+        control: Function from z to the control within its limits.
+        predict: Function from z (N, n) and controls (N, m) to the model's next z (N, n).
+        low: Least control (m,).
+        high: Largest control (m,).
+    """
+
+    kind: str
+    model: LinearModel
+    K: Array
+    P: Array
+    Q: Array
+    R: Array
+    z_ref: Array
+    slope: Array
+    latent: Callable[[Array], Array]
+    control: Callable[[Array], Array]
+    predict: Callable[[Array, Array], Array]
+    low: Array
+    high: Array
 
     @property
-    def manifest(self) -> Mapping[str, Any]:
-        """Origin and figures of the policy: plain JSON values."""
+    def closed(self) -> Array:
+        """A - B diag(slope) K (n, n): the loop that runs, near the reference."""
+        return self.model.A - self.model.B @ (self.slope[:, None] * self.K)
 
     @property
-    def dt(self) -> float | None:
-        """Time step of the model [s]; None where the file does not say."""
+    def gain(self) -> Array:
+        """K (m, n) in actions, which span -1 to 1: the units of its rows are alike."""
+        return 2.0 * self.K / (self.high - self.low)[:, None]
 
-    @property
-    def z_ref(self) -> Array:
-        """Reference of the lifted state (n,)."""
+    def action(self, u: Array) -> Array:
+        """Return the action in [-1, 1] that stands for a control within its limits."""
+        return 2.0 * (u - self.low) / (self.high - self.low) - 1.0
 
-    @property
-    def sectors(self) -> Sectors:
-        """Sectors that a scan is resampled to."""
-
-    @property
-    def limits(self) -> tuple[Array, Array]:
-        """Least and largest command (2,), (2,): speed [m/s], turn rate [rad/s]."""
-
-    @property
-    def distribution(self) -> LatentDistribution | None:
-        """Distribution of the lifted states in training; None where the file does not say."""
-
-    @property
-    def loop(self) -> Array:
-        """A - B K (n, n)."""
-
-    def decide(self, ranges: NDArray[np.float32], scan: ScanGeometry, v: float, omega: float) -> Decision:
-        """Return the command for one scan and the odometry's speed [m/s] and turn rate [rad/s]."""
-
-    def predict(self, z: Array, command: Array) -> Array:
-        """Return the model's next z (n,) under a command (2,), which counts as the nearest within the limits."""
-
-    def cost_to_go(self, z: Array) -> float:
-        """Return (z - z_ref)^T P (z - z_ref)."""
-
-    def closed_loop_model(self) -> ClosedLoopModel:
-        """Return the policy as control theory sees it."""
-
-    @property
-    def observation_fn(self) -> ObservationFn:
-        """Function from a scan and odometry to x.
-
-        Raises:
-            KoopmanError: the policy is of a task without a lidar.
-        """
-
-    def to_controls(self, commands: Array) -> Array:
-        """Return the model's controls (N, m) of recorded commands (N, 2).
-
-        Raises:
-            KoopmanError: the policy is of a task without a lidar.
-        """
-
-    def to_commands(self, controls: Array) -> Array:
-        """Return the commands (N, 2) of the model's controls (N, m).
-
-        Raises:
-            KoopmanError: the policy is of a task without a lidar.
-        """
+    def cost_to_go(self, z: Array) -> Array:
+        """Return (z - z_ref)^T P (z - z_ref) (N,) of z (N, n)."""
+        deviation = z - self.z_ref
+        return np.asarray(np.sum((deviation @ self.P) * deviation, axis=1), dtype=np.float64)

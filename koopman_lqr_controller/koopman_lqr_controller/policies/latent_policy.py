@@ -10,16 +10,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from koopman_lqr_controller.arrays import Array
 from koopman_lqr_controller.control.latent_controller import LatentController
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.models.fused_encoder import FusedEncoder
-from koopman_lqr_controller.policies.closed_loop_model import CONSOLIDATED, LEARNT, ClosedLoopModel
-from koopman_lqr_controller.policies.koopman_policy import Decision, ObservationFn
+from koopman_lqr_controller.policies.koopman_policy import (
+    CONSOLIDATED,
+    LEARNT,
+    ClosedLoopModel,
+    Decision,
+    ObservationFn,
+)
 from koopman_lqr_controller.safety.latent_distribution import LatentDistribution, check_distribution
 from koopman_lqr_controller.sensing.lidar import ScanGeometry, Sectors
 from koopman_lqr_controller.sensing.lidar_observation import LidarObservation
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

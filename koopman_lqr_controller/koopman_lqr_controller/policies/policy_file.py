@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from dataclasses import asdict
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -13,19 +14,23 @@ from ctrl_rl_core.io.checked_tensors import LARGEST, Tensors, encode_tensors, re
 from ctrl_rl_core.io.file_checks import FileError, raise_as, read_bytes, short_path, short_repr
 from numpy.typing import NDArray
 
+from koopman_lqr_controller.control.latent_controller import LatentController
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.models.edmd import LinearModel
+from koopman_lqr_controller.models.encoder import Encoder
 from koopman_lqr_controller.policies.edmd_policy import EdmdPolicy
-from koopman_lqr_controller.policies.latent_file import FORMAT as LATENT_FORMAT
-from koopman_lqr_controller.policies.latent_file import build_latent, describe_latent
-from koopman_lqr_controller.policies.latent_policy import LatentPolicy
+from koopman_lqr_controller.policies.latent_policy import LatentPolicy, RobotInterface
 from koopman_lqr_controller.policies.policy_header import EdmdHeader, LatentHeader
 
-FORMAT = "koopman-lqr-1"
+KoopmanPolicy = EdmdPolicy | LatentPolicy
+"""A linear quadratic regulator on lifted observations, however it was learnt."""
+FORMAT, LATENT_FORMAT = "koopman-lqr-1", "koopman-latent-2"
 _HEADER_KEY = "policy"
 _LARGEST_LATENT = 500
 """Dimensions: an LQR of more takes minutes, and a robot waits."""
-_TENSORS = ("A", "B", "K", "P", "z_ref", "u_ref", "u_low", "u_high")
+_TENSORS = ("K", "P", "z_ref", "u_ref", "u_low", "u_high")
+_LATENT_TENSORS, _REFERENCE = ("Q", "R", "z_ref"), ("a_ref", "drift")
+_COMMANDS = ["speed [m/s]", "turn rate [rad/s]"]
 _REGION = ("distance", "error")
 _OBSERVABLES = ("bearings_deg", "half_width_deg", "near", "closest", "far")
 
@@ -75,14 +80,14 @@ def refuse_existing(path: Path, overwrite: bool) -> None:
         raise KoopmanError(f"{short_path(path)} exists: give another name, or --overwrite to replace it")
 
 
-def save_policy(policy: EdmdPolicy | LatentPolicy, path: Path, overwrite: bool = False) -> None:
+def save_policy(policy: KoopmanPolicy, path: Path, overwrite: bool = False) -> None:
     """Write a policy; the file is there whole or not at all.
 
     Raises:
         KoopmanError: the file exists and `overwrite` is false, or it cannot be written.
     """
     refuse_existing(path, overwrite)
-    header, tensors = describe_latent(policy) if isinstance(policy, LatentPolicy) else _describe_edmd(policy)
+    header, tensors = _describe_latent(policy) if isinstance(policy, LatentPolicy) else _describe_edmd(policy)
     if policy.distribution is not None:
         header["region"] = {name: getattr(policy.distribution, name) for name in _REGION}
         tensors |= {"region.mean": policy.distribution.mean, "region.covariance": policy.distribution.covariance}
@@ -94,7 +99,7 @@ def save_policy(policy: EdmdPolicy | LatentPolicy, path: Path, overwrite: bool =
         raise KoopmanError(f"cannot write {path}: {error.strerror}") from None
 
 
-def load_policy(path: Path) -> EdmdPolicy | LatentPolicy:
+def load_policy(path: Path) -> KoopmanPolicy:
     """Read a policy of either kind and check it.
 
     Raises:
@@ -110,30 +115,26 @@ def load_policy(path: Path) -> EdmdPolicy | LatentPolicy:
             if found == FORMAT:
                 return _build_edmd(EdmdHeader.model_validate(header), tensors)
             if found == LATENT_FORMAT:
-                return build_latent(LatentHeader.model_validate(header), tensors)
+                return _build_latent(LatentHeader.model_validate(header), tensors)
         except KeyError as error:
             raise FileError(f"lacks the tensor {short_repr(error.args[0])}: train it again") from None
         raise FileError(f"format is {short_repr(found)}, must be '{FORMAT}' or '{LATENT_FORMAT}': train it again")
 
 
 def _describe_edmd(policy: EdmdPolicy) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-    tensors = {
-        "A": policy.model.A,
-        "B": policy.model.B,
-        **{name: getattr(policy, name) for name in _TENSORS if name not in "AB"},
-    }
+    tensors = {"A": policy.model.A, "B": policy.model.B, **{name: getattr(policy, name) for name in _TENSORS}}
     header = {
         "format": FORMAT,
         "observables": {name: getattr(policy.observables, name) for name in _OBSERVABLES},
         "observation": list(policy.observables.names),
-        "action": ["speed [m/s]", "turn rate [rad/s]"],
+        "action": _COMMANDS,
         "manifest": dict(policy.manifest),
     }
     return header, tensors
 
 
 def _build_edmd(told: EdmdHeader, tensors: Tensors) -> EdmdPolicy:
-    arrays: dict[str, Any] = {name: tensors[name].astype(np.float64) for name in _TENSORS}
+    arrays: dict[str, Any] = {name: tensors[name].astype(np.float64) for name in ("A", "B", *_TENSORS)}
     return EdmdPolicy(
         observables=told.observables.observables,
         model=LinearModel(arrays.pop("A"), arrays.pop("B")),
@@ -141,3 +142,44 @@ def _build_edmd(told: EdmdHeader, tensors: Tensors) -> EdmdPolicy:
         distribution=told.training_distribution(tensors),
         **arrays,
     )
+
+
+def _describe_latent(policy: LatentPolicy) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    controller, robot_interface = policy.controller, policy.robot_interface
+    encoder, tensors = controller.encoder.describe()
+    names = _LATENT_TENSORS if controller.horizon is not None else _LATENT_TENSORS + _REFERENCE
+    tensors |= {"A": controller.model.A, "B": controller.model.B, **{name: getattr(controller, name) for name in names}}
+    if controller.projection is not None:
+        tensors["projection"] = controller.projection
+    header: dict[str, Any] = {
+        "format": LATENT_FORMAT,
+        "encoder": encoder,
+        "dt": policy.dt,
+        "horizon": controller.horizon,
+        "manifest": dict(policy.manifest),
+    }
+    if robot_interface is not None:
+        tensors |= {"u_low": robot_interface.u_low, "u_high": robot_interface.u_high}
+        header |= {"observation": asdict(robot_interface.observation), "action": _COMMANDS}
+    return header, tensors
+
+
+def _build_latent(told: LatentHeader, tensors: Tensors) -> LatentPolicy:
+    """Return the policy; its gain is computed anew."""
+    names = _LATENT_TENSORS if told.horizon is not None else _LATENT_TENSORS + _REFERENCE
+    given = {name: np.ascontiguousarray(tensors[name], dtype=np.float64) for name in ("A", "B", *names)}
+    model, projection = LinearModel(given.pop("A"), given.pop("B")), tensors.get("projection")
+    encoder = Encoder.build(told.encoder.model_dump(), tensors)
+    controller = LatentController(
+        encoder,
+        model,
+        horizon=told.horizon,
+        projection=None if projection is None else projection.astype(np.float64),
+        **given,
+    )
+    robot_interface = None
+    if told.observation is not None:
+        low, high = (tensors[name].astype(np.float64) for name in ("u_low", "u_high"))
+        robot_interface = RobotInterface(told.observation.observation, low, high)
+    manifest = told.manifest.model_dump(exclude_unset=True)
+    return LatentPolicy(controller, told.dt, robot_interface, manifest, told.training_distribution(tensors))

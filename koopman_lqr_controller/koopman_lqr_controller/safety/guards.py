@@ -10,12 +10,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-import numpy as np
-from numpy.typing import NDArray
-
+from koopman_lqr_controller.arrays import Array
 from koopman_lqr_controller.safety.latent_distribution import LatentDistribution
-
-Array = NDArray[np.float64]
 
 RELEASE = 0.8
 """Part of the limit below which an alarm ends: what hovers at the limit does not stop and go."""

@@ -6,11 +6,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from koopman_lqr_controller.arrays import Array
 from koopman_lqr_controller.errors import KoopmanError
-
-Array = NDArray[np.float64]
 
 INSIDE = 99.9
 """Percentile of the distances in training that is the border of the region."""

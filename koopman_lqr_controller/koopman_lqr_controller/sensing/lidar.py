@@ -17,9 +17,8 @@ from ctrl_rl_core.driving.scan import MOST_BEAMS
 from ctrl_rl_core.driving.scan import ScanGeometry as ScanGeometry
 from numpy.typing import NDArray
 
+from koopman_lqr_controller.arrays import Array
 from koopman_lqr_controller.errors import KoopmanError
-
-Array = NDArray[np.float64]
 
 OPENING = 1e-3
 """Scans whose openings differ by less are taken for alike [rad]: no lidar turns as evenly as that."""

@@ -15,9 +15,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from koopman_lqr_controller.arrays import Array
 from koopman_lqr_controller.sensing.lidar import ScanGeometry, Sectors, check_speeds
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from koopman_lqr_controller.arrays import Array
 from koopman_lqr_controller.control.latent_controller import LatentController
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.models.edmd import LinearModel
@@ -21,7 +22,6 @@ from koopman_lqr_controller.training.settings import Settings
 
 _LOG_DEVIATIONS = (-5.0, 1.0)
 """Between which the logarithm of the controls' deviation stays."""
-Array = NDArray[np.float64]
 
 
 class AgentInterface(NamedTuple):

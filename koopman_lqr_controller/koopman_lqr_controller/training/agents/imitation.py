@@ -14,9 +14,9 @@ from itertools import chain
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
+from koopman_lqr_controller.arrays import Array
 from koopman_lqr_controller.control.latent_controller import LatentController
 from koopman_lqr_controller.data.trajectory_segments import TrajectorySegment, mean_time_step
 from koopman_lqr_controller.errors import KoopmanError
@@ -26,8 +26,6 @@ from koopman_lqr_controller.sensing.lidar_observation import LidarObservation
 from koopman_lqr_controller.training.networks.contrastive import info_nce, noisy
 from koopman_lqr_controller.training.networks.differentiable_lqr import LatentLqr
 from koopman_lqr_controller.training.networks.networks import TorchEncoder, follow
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

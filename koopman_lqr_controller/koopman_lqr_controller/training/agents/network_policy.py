@@ -11,13 +11,11 @@ import numpy as np
 from ctrl_rl_core.io.file_checks import FileError, raise_as, short_repr
 from ctrl_rl_core.io.schema import Anything, Schema
 from ctrl_rl_training.io.array_file import load_arrays, save_arrays
-from numpy.typing import NDArray
 
+from koopman_lqr_controller.arrays import Array
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.models.encoder import Encoder
 from koopman_lqr_controller.policies.policy_header import EncoderHeader
-
-Array = NDArray[np.float64]
 
 
 class _Header(Schema):

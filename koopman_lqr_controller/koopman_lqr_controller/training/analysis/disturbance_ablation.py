@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from koopman_lqr_controller.models.prediction import horizon_errors, law_error, linear_floor, noise_floor
-from koopman_lqr_controller.policies.closed_loop_model import ClosedLoopModel
+from koopman_lqr_controller.policies.koopman_policy import ClosedLoopModel
 from koopman_lqr_controller.training.analysis.policy_world import run_episode
 from koopman_lqr_controller.training.environments.corridor import Conditions, Corridor, Vector
 

@@ -11,20 +11,19 @@ from ctrl_rl_core.errors import CtrlRlError
 from ctrl_rl_core.tasks.task import load_navigation_task
 from numpy.typing import NDArray
 
+from koopman_lqr_controller.arrays import Array
 from koopman_lqr_controller.control import linear_analysis
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.models.prediction import horizon_errors, law_error
-from koopman_lqr_controller.policies.closed_loop_model import LEARNT, TWO_STAGES, ClosedLoopModel
 from koopman_lqr_controller.policies.edmd_policy import EdmdPolicy
+from koopman_lqr_controller.policies.koopman_policy import LEARNT, TWO_STAGES, ClosedLoopModel
 from koopman_lqr_controller.policies.latent_policy import LatentPolicy
+from koopman_lqr_controller.policies.policy_file import KoopmanPolicy
 from koopman_lqr_controller.training.analysis.disturbance_ablation import ablate_disturbances
 from koopman_lqr_controller.training.analysis.policy_world import EpisodeTrajectory, make_corridor, run_episode
 from koopman_lqr_controller.training.analysis.true_system import TrueSystem, corridor_system, suite_system
 from koopman_lqr_controller.training.environments.control_suite import ControlSuite
 from koopman_lqr_controller.training.environments.corridor import Corridor
-
-Array = NDArray[np.float64]
-Policy = EdmdPolicy | LatentPolicy
 
 TOLERANCES = tuple(float(10.0**power) for power in np.arange(-16.0, 0.0, 0.25))
 HORIZON = 20
@@ -68,7 +67,7 @@ class Findings:
 
 
 def analyse(
-    policy: Policy,
+    policy: KoopmanPolicy,
     world: Any,
     recorded: Sequence[EpisodeTrajectory] = (),
     episodes: int = 6,
@@ -77,7 +76,7 @@ def analyse(
     """Return what can be said of a policy.
 
     Args:
-        policy: Policy of either kind.
+        policy: KoopmanPolicy of either kind.
         world: Its environment, or an error that says why there is none.
         recorded: Drives from bags; where there are some, prediction and observations are judged by them.
         episodes: To live through in the world, the same number again with noise.
@@ -124,7 +123,7 @@ def _some(data: Sequence[EpisodeTrajectory], world: Any) -> Sequence[EpisodeTraj
     return data
 
 
-def _policy(policy: Policy, loop: ClosedLoopModel) -> dict[str, Any]:
+def _policy(policy: KoopmanPolicy, loop: ClosedLoopModel) -> dict[str, Any]:
     n, m = loop.model.B.shape
     plain = loop.model.A - loop.model.B @ loop.K
     return {
@@ -144,7 +143,7 @@ def _poles(loop: ClosedLoopModel) -> dict[str, Any]:
     return {"open": _pairs(linear_analysis.poles(loop.model.A)), "closed": _pairs(linear_analysis.poles(loop.closed))}
 
 
-def _true_poles(policy: Policy, loop: ClosedLoopModel, world: Any) -> dict[str, Any]:
+def _true_poles(policy: KoopmanPolicy, loop: ClosedLoopModel, world: Any) -> dict[str, Any]:
     true = _true_system(policy, world)
     out = {
         "about": true.about,
@@ -161,7 +160,7 @@ def _true_poles(policy: Policy, loop: ClosedLoopModel, world: Any) -> dict[str, 
     return out
 
 
-def _true_system(policy: Policy, world: Any) -> TrueSystem:
+def _true_system(policy: KoopmanPolicy, world: Any) -> TrueSystem:
     task = str(policy.manifest.get("task"))
     if isinstance(world, Corridor):
         known = load_navigation_task(task)
@@ -203,7 +202,9 @@ def _prediction(loop: ClosedLoopModel, data: Sequence[EpisodeTrajectory]) -> dic
     }
 
 
-def _limits(policy: Policy, loop: ClosedLoopModel, episodes: int, on_progress: Callable[[str], None]) -> dict[str, Any]:
+def _limits(
+    policy: KoopmanPolicy, loop: ClosedLoopModel, episodes: int, on_progress: Callable[[str], None]
+) -> dict[str, Any]:
     count = max(1, episodes // 3)
     return {
         "rows": ablate_disturbances(loop, partial(make_corridor, policy), (0.0, _NOISE), count, on_progress=on_progress)
@@ -220,7 +221,7 @@ def _latents(loop: ClosedLoopModel, data: Sequence[EpisodeTrajectory]) -> dict[s
 
 
 def _observations(
-    policy: Policy, loop: ClosedLoopModel, data: Sequence[EpisodeTrajectory], world: Any
+    policy: KoopmanPolicy, loop: ClosedLoopModel, data: Sequence[EpisodeTrajectory], world: Any
 ) -> dict[str, Any]:
     x = np.concatenate([episode.x for episode in data])
     if x.ndim > 2:
@@ -248,7 +249,7 @@ def _patches(loop: ClosedLoopModel, x: NDArray[Any]) -> dict[str, Any]:
     return {"patch": _PATCH, "pictures": chosen[:, -1].tolist(), "patch_costs": [each.tolist() for each in costs]}
 
 
-def _names(policy: Policy, world: Any, count: int) -> Sequence[str]:
+def _names(policy: KoopmanPolicy, world: Any, count: int) -> Sequence[str]:
     if isinstance(policy, EdmdPolicy):
         return policy.observables.names
     if policy.robot_interface is not None:

@@ -10,14 +10,15 @@ import numpy as np
 from ctrl_rl_core.tasks.task import load_navigation_task, task_digest
 from numpy.typing import NDArray
 
+from koopman_lqr_controller.arrays import Array
 from koopman_lqr_controller.errors import KoopmanError
-from koopman_lqr_controller.policies.closed_loop_model import ClosedLoopModel
 from koopman_lqr_controller.policies.edmd_policy import EdmdPolicy
-from koopman_lqr_controller.policies.latent_policy import LatentPolicy, RobotInterface
+from koopman_lqr_controller.policies.koopman_policy import ClosedLoopModel
+from koopman_lqr_controller.policies.latent_policy import RobotInterface
+from koopman_lqr_controller.policies.policy_file import KoopmanPolicy
 from koopman_lqr_controller.training.environments.benchmark_tasks import AnyEnvironment, task_of_manifest
 from koopman_lqr_controller.training.environments.corridor import Conditions, Corridor, Vector
 
-Array = NDArray[np.float64]
 _CORRIDOR = "curved_corridor"
 
 
@@ -58,7 +59,7 @@ class LiftedCorridor(Corridor):
         return self._policy.observables.observe(*self.scan(), *self.speeds()).astype(np.float32)
 
 
-def make_world(policy: EdmdPolicy | Any) -> AnyEnvironment:
+def make_world(policy: KoopmanPolicy) -> AnyEnvironment:
     """Return the environment that a policy is of.
 
     Raises:
@@ -73,7 +74,7 @@ def make_world(policy: EdmdPolicy | Any) -> AnyEnvironment:
     return task_of_manifest(policy.manifest).make(False)
 
 
-def make_corridor(policy: EdmdPolicy | LatentPolicy, conditions: Conditions) -> Corridor:
+def make_corridor(policy: KoopmanPolicy, conditions: Conditions) -> Corridor:
     """Return the corridor of a policy's task, with a robot of such conditions.
 
     Raises:

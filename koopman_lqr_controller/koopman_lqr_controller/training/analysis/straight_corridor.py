@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from koopman_lqr_controller.arrays import Array
 from koopman_lqr_controller.sensing.lidar import ScanGeometry
-
-Array = NDArray[np.float64]
 
 _BEAMS = 360
 

@@ -6,15 +6,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from koopman_lqr_controller.arrays import Array
 from koopman_lqr_controller.control.linear_analysis import Poles, jacobian, linearise, poles
-from koopman_lqr_controller.policies.koopman_policy import KoopmanPolicy
 from koopman_lqr_controller.policies.latent_policy import LatentPolicy
+from koopman_lqr_controller.policies.policy_file import KoopmanPolicy
 from koopman_lqr_controller.training.analysis.straight_corridor import StraightCorridor
 from koopman_lqr_controller.training.environments.control_suite import ControlSuite
 
-Array = NDArray[np.float64]
 Step = Callable[[Array], Array]
 
 _SETTLING = 400

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from koopman_lqr_controller.arrays import Array
 from koopman_lqr_controller.control.latent_controller import LatentController
 from koopman_lqr_controller.data.roll_outs import (
     Environment,
@@ -20,7 +21,7 @@ from koopman_lqr_controller.data.roll_outs import (
 )
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.identification.regulators import LARGEST_RESIDUAL
-from koopman_lqr_controller.models.prediction import Array, horizon_errors
+from koopman_lqr_controller.models.prediction import horizon_errors
 from koopman_lqr_controller.safety.latent_distribution import LatentDistribution, fit_distribution_to_episodes
 from koopman_lqr_controller.training.consolidation.consolidation_config import SEEDS, ConsolidationConfig
 from koopman_lqr_controller.training.consolidation.distillation import DistillationSettings, DistilledPolicy, distil

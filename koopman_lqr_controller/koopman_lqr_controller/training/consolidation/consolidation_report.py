@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from koopman_lqr_controller.arrays import Array
 from koopman_lqr_controller.control.latent_controller import LatentController
 from koopman_lqr_controller.data.roll_outs import (
     Episode,
@@ -13,7 +14,7 @@ from koopman_lqr_controller.data.roll_outs import (
     projected,
     saturated,
 )
-from koopman_lqr_controller.models.prediction import HORIZON, Array, horizon_errors, law_error
+from koopman_lqr_controller.models.prediction import HORIZON, horizon_errors, law_error
 from koopman_lqr_controller.training.consolidation.candidate_search import Candidate, CandidateSearch, check_regulator
 from koopman_lqr_controller.training.consolidation.distillation import DistilledPolicy
 

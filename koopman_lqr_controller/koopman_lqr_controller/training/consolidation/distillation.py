@@ -20,9 +20,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from koopman_lqr_controller.arrays import Array
 from koopman_lqr_controller.control.latent_controller import LatentController
 from koopman_lqr_controller.data.roll_outs import Episode
 from koopman_lqr_controller.errors import KoopmanError
@@ -31,8 +31,6 @@ from koopman_lqr_controller.models.edmd import LinearModel
 from koopman_lqr_controller.models.encoder import Dense, Encoder
 from koopman_lqr_controller.training.networks.differentiable_lqr import LatentLqr, doubled_gain
 from koopman_lqr_controller.training.networks.networks import dense, deploy_layers
-
-Array = NDArray[np.float64]
 
 _BOUND = 1.1
 """Bound of the law's control: beyond it all actions are the same, up to a leak that leads back."""

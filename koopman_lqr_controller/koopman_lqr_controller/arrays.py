@@ -1,4 +1,4 @@
-"""Checks of the arrays that a policy is made of."""
+"""Arrays of models and policies: their type, and the checks that a file's must pass."""
 
 from __future__ import annotations
 
@@ -9,8 +9,10 @@ from numpy.typing import NDArray
 
 from koopman_lqr_controller.errors import KoopmanError
 
+Array = NDArray[np.float64]
 
-def check_arrays(shapes: Mapping[str, tuple[NDArray[np.float64], tuple[int, ...]]], reason: str) -> None:
+
+def check_arrays(shapes: Mapping[str, tuple[Array, tuple[int, ...]]], reason: str) -> None:
     """Refuse arrays of another shape, and values that are not finite.
 
     Args:
