@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 from option_coordinator.data.bag_trajectory import TYPE
-from option_coordinator.data.trajectory import TrajectoryWriter
+from option_coordinator.data.trajectory import OptionTrajectory
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from ctrl_rl_bags import BagWriter, Topic
@@ -68,16 +68,16 @@ def play_into(bag, environment, policy, digest, episodes, seed=0, epoch=1):
     """Play episodes with a joint policy into an open bag and return the trajectory of each."""
     generator, number, out = np.random.default_rng(seed), 0, []
     for _ in range(episodes):
-        decision, writer = environment.reset(generator), TrajectoryWriter()
+        decision, steps = environment.reset(generator), []
         while not decision.over:
             given = policy.given(decision.observation, decision.choosing, decision.running, decision.legal)
             options = given.sample(generator)
             log_prob = float(given.log_prob(options))
             bag.put(decision, options, log_prob, digest, number, epoch, environment.discount)
             before, decision = decision, environment.step(decision.named(options))
-            writer.add(before, options, log_prob, decision)
+            steps.append((before, options, log_prob, decision))
             number += 1
         bag.put(decision, decision.running, 0.0, "", number, epoch, environment.discount)
         number += 1
-        out.append(writer.take())
+        out.append(OptionTrajectory.of(steps))
     return out

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from option_coordinator.options.decision import NONE
 from option_coordinator.options.options import Agent
 from option_coordinator.policies.policy_file import HEADS, make_policy
-from option_coordinator.training.heads import mixture_head
+from option_coordinator.training.heads import heads
 from option_coordinator.training.heads.head_parts import DecisionBatch
 from option_coordinator.training.heads.heads import as_numpy, make_head
 from policies import random_decision
@@ -61,7 +61,7 @@ def test_torch_and_numpy_agree(head, partial, seed):
 
 def test_entropies_of_many_robots_are_true_on_average(monkeypatch):
     """The chain of a mixture whose joint options are not counted."""
-    monkeypatch.setattr(mixture_head, "COUNTABLE", 1)
+    monkeypatch.setattr(heads, "COUNTABLE", 1)
     generator = np.random.default_rng(0)
     network, policy = pair("mixture", False, 1)
     assert network.cells is None

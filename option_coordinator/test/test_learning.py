@@ -14,7 +14,7 @@ from ctrl_rl_training.experiments.run_folder import result_file
 from ctrl_rl_training.experiments.trainer import train
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from option_coordinator.data.trajectory import OptionTrajectory, TrajectoryWriter, advantages
+from option_coordinator.data.trajectory import OptionTrajectory, advantages
 from option_coordinator.environments.option_env import OptionEnvironment
 from option_coordinator.environments.roll_out import JointDecisionPolicy, OptionEpisode, RollOut, play_episodes
 from option_coordinator.environments.tasks import load_option_task, make_environment
@@ -68,7 +68,7 @@ def test_advantages_discount_by_what_an_option_took():
 def test_with_lambda_one_advantages_are_discounted_returns_of_low_level_steps():
     """G^1 of the first option step is sum_k gamma^k r_k over the low-level steps, whatever the options took."""
     environment = make_environment("tool_delivery")
-    choose, writer, rewards = scripted_policy(environment), TrajectoryWriter(), []
+    choose, steps, rewards = scripted_policy(environment), [], []
     decision = environment.reset(0)
     while not decision.over:
         before = decision
@@ -76,9 +76,9 @@ def test_with_lambda_one_advantages_are_discounted_returns_of_low_level_steps():
         decision = environment.step(choices)
         rows = zip(before.agents, before.running, strict=True)
         options = np.array([choices.get(agent.name, running) for agent, running in rows])
-        writer.add(before, options, 0.0, decision)
+        steps.append((before, options, 0.0, decision))
         rewards += decision.rewards
-    trajectory = writer.take()
+    trajectory = OptionTrajectory.of(steps)
     values = np.random.default_rng(0).normal(size=len(trajectory))
     gains = advantages(trajectory, values, np.append(values[1:], 0.0), 1.0)
     assert gains[0] + values[0] == pytest.approx(sum(reward * 0.99**k for k, reward in enumerate(rewards)))
@@ -195,7 +195,7 @@ def test_large_batches_are_learnt_in_parts():
     generator = np.random.default_rng(0)
     trajectory = RollOut(environment, generator).collect(learner.behaviour(0.0), 400)
     assert learner.learn(trajectory, generator)["ratio"] < 1e-5
-    steps = next(iter(learner.optimizers()["optimizer"].state_dict()["state"].values()))["step"]
+    steps = next(iter(learner.optimizers["optimizer"].state_dict()["state"].values()))["step"]
     assert steps == 2 * round(len(trajectory) / 64) > 2
 
 

@@ -87,14 +87,15 @@ def recordings(bag: Path) -> list[Recording]:
 
 @dataclass(frozen=True, eq=False)
 class _Step:
-    """A message, in the arrays of a trajectory's one step."""
+    """A message as a decision of `OptionTrajectory.of`."""
 
     number: int
     team: TeamLayout
     digest: str
     observation: Observation
     options: NDArray[np.int64]
-    running: Mask
+    choosing: Mask
+    running: NDArray[np.int64]
     present: Mask
     legal: Mask
     log_prob: float
@@ -120,25 +121,9 @@ def _parts(steps: Sequence[_Step]) -> Iterator[Recording]:
 
 
 def _recording(part: Sequence[tuple[_Step, _Step]]) -> Recording:
-    before, after = zip(*part, strict=True)
-    duration = np.array([step.duration for step in after])
-    trajectory = OptionTrajectory(
-        observation=np.stack([step.observation for step in before]),
-        options=np.stack([step.options for step in before]),
-        choosing=np.stack([step.present & ~step.running for step in before]),
-        legal=np.stack([step.legal for step in before]),
-        log_prob=np.array([step.log_prob for step in before]),
-        reward=np.array([step.reward for step in after]),
-        duration=duration,
-        discount=np.array([step.discount for step in after]) ** duration,
-        next_observation=np.stack([step.observation for step in after]),
-        next_running=np.stack([np.where(step.running, step.options, NONE) for step in after]),
-        next_present=np.stack([step.present for step in after]),
-        next_legal=np.stack([step.legal for step in after]),
-        terminated=np.array([step.terminated for step in after]),
-        last=np.arange(len(part)) == len(part) - 1,
-    )
-    return Recording(before[0].team, before[0].digest, trajectory)
+    first, _ = part[0]
+    steps = [(before, before.options, before.log_prob, after) for before, after in part]
+    return Recording(first.team, first.digest, OptionTrajectory.of(steps))
 
 
 def _step(message: Any, where: str) -> _Step:
@@ -175,13 +160,14 @@ def _step(message: Any, where: str) -> _Step:
         digest=str(message.policy_digest),
         observation=observation,
         options=options,
-        running=running,
+        choosing=~running & ~absent,
+        running=np.where(running, options, NONE),
         present=~absent,
         legal=legal,
         log_prob=float(message.log_probability),
         reward=float(message.reward),
         duration=int(message.duration),
-        discount=float(message.discount),
+        discount=float(message.discount) ** int(message.duration),
         terminated=bool(message.terminated),
         over=over,
     )

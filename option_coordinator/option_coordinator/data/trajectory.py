@@ -8,13 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from option_coordinator.errors import OptionError
-from option_coordinator.options.decision import Decision
 from option_coordinator.options.options import Mask
 
 Array = NDArray[np.float64]
@@ -75,6 +74,28 @@ class OptionTrajectory:
         return self.options != -1
 
     @classmethod
+    def of(cls, steps: Sequence[tuple[Any, Any, float, Any]]) -> Self:
+        """Return option steps as a trajectory; its last step ends it, whether or not the episode goes on.
+
+        Args:
+            steps: For each, the decision, the joint option (N,), its log-probability and the next decision. Decisions
+                are `Decision` objects, or others with such attributes.
+
+        Raises:
+            OptionError: there is none.
+        """
+        if not steps:
+            raise OptionError("no option step was recorded")
+        before, options, log_prob, after = zip(*steps, strict=True)
+        seen = {name: _rows(before, name) for name in ("observation", "choosing", "legal")}
+        came = {name: _rows(after, name) for name in ("reward", "duration", "discount", "terminated")}
+        follows = {f"next_{name}": _rows(after, name) for name in ("observation", "running", "present", "legal")}
+        last = _rows(after, "over")
+        last[-1] = True
+        probabilities = np.array(log_prob, dtype=float)
+        return cls(options=np.stack(options), log_prob=probabilities, last=last, **seen, **came, **follows)
+
+    @classmethod
     def joined(cls, parts: Sequence[Self]) -> Self:
         """Return trajectories one after the other, each with an end of its own.
 
@@ -97,44 +118,9 @@ class OptionTrajectory:
         ]
 
 
-class TrajectoryWriter:
-    """Collects option steps into a trajectory."""
-
-    def __init__(self) -> None:
-        self._steps: list[tuple[Decision, NDArray[np.int64], float, Decision]] = []
-
-    def add(self, before: Decision, options: NDArray[np.int64], log_prob: float, after: Decision) -> None:
-        """Add a decision, the options chosen at it, and the next decision."""
-        self._steps.append((before, options, log_prob, after))
-
-    def take(self) -> OptionTrajectory:
-        """Return what was added since the last call; its last step ends it, whether or not the episode goes on.
-
-        Raises:
-            OptionError: nothing was.
-        """
-        steps, self._steps = self._steps, []
-        if not steps:
-            raise OptionError("no option step was recorded")
-        before, options, log_prob, after = zip(*steps, strict=True)
-        last = np.array([decision.over for decision in after])
-        last[-1] = True
-        return OptionTrajectory(
-            observation=np.stack([decision.observation for decision in before]),
-            options=np.stack(options),
-            choosing=np.stack([decision.choosing for decision in before]),
-            legal=np.stack([decision.legal for decision in before]),
-            log_prob=np.array(log_prob, dtype=float),
-            reward=np.array([decision.reward for decision in after]),
-            duration=np.array([decision.duration for decision in after]),
-            discount=np.array([decision.discount for decision in after]),
-            next_observation=np.stack([decision.observation for decision in after]),
-            next_running=np.stack([decision.running for decision in after]),
-            next_present=np.stack([decision.present for decision in after]),
-            next_legal=np.stack([decision.legal for decision in after]),
-            terminated=np.array([decision.terminated for decision in after]),
-            last=last,
-        )
+def _rows(decisions: Sequence[Any], name: str) -> NDArray[Any]:
+    """Return an attribute of each decision (T, ...)."""
+    return np.stack([np.asarray(getattr(decision, name)) for decision in decisions])
 
 
 def advantages(trajectory: OptionTrajectory, values: Array, next_values: Array, gae_lambda: float) -> Array:

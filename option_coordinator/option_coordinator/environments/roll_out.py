@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from option_coordinator.data.trajectory import OptionTrajectory, TrajectoryWriter
+from option_coordinator.data.trajectory import OptionTrajectory
 from option_coordinator.environments.option_env import OptionEnvironment
 from option_coordinator.options.decision import Decision
 from option_coordinator.policies.joint_policy import JointPolicy
@@ -68,14 +68,14 @@ class RollOut:
 
     def collect(self, policy: JointPolicy, samples: int) -> OptionTrajectory:
         """Return the option steps that take at least `samples` low-level steps; the last episode goes on next time."""
-        writer = TrajectoryWriter()
+        steps = []
         enough = self.samples + samples
         while self.samples < enough:
             before = self._decision
             conditional = policy.valid(before.observation, before.choosing, before.running, before.legal)
             options = conditional.sample(self._generator)
             after = self._environment.step(before.named(options))
-            writer.add(before, options, float(conditional.log_prob(options)), after)
+            steps.append((before, options, float(conditional.log_prob(options)), after))
             self._episode.add(after)
             self.samples += after.duration
             if after.over:
@@ -84,7 +84,7 @@ class RollOut:
                 self._episode = OptionEpisode()
                 after = self._environment.reset(self._generator)
             self._decision = after
-        return writer.take()
+        return OptionTrajectory.of(steps)
 
 
 def play_episodes(

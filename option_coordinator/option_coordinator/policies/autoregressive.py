@@ -20,8 +20,7 @@ from option_coordinator.policies.joint_policy import (
     log_sum_exp,
     most_likely,
 )
-from option_coordinator.policies.network import Tensors, features, layer_norm, linear
-from option_coordinator.policies.network_policy import NetworkPolicy
+from option_coordinator.policies.network import NetworkPolicy, Tensors, features, layer_norm, linear
 
 
 class Autoregressive(NetworkPolicy):

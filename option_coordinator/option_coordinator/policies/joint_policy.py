@@ -10,10 +10,12 @@ whose chosen part is legal, and normalised again. NumPy alone: this is what runs
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from functools import cached_property
 from itertools import product
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,13 +74,16 @@ class Conditional(ABC):
         logs = self.log_prob(self.choices())
         return float(-np.sum(np.exp(logs) * logs))
 
+    def with_chosen(self, chosen: JointOptions | Sequence[Any]) -> JointOptions:
+        """Return joint options (N,): these for who chooses, the running ones of the others, `NONE` for the absent."""
+        out = self.running.copy()
+        out[self.choosing] = chosen
+        return out
+
     @property
     def size(self) -> int:
         """Number of legal joint options to choose from."""
-        size = 1
-        for row in self._legal_options:
-            size *= len(row)
-        return size
+        return math.prod(len(row) for row in self._legal_options)
 
     def choices(self) -> JointOptions:
         """Return all legal joint options (size, N)."""

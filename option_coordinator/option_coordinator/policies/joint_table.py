@@ -14,8 +14,7 @@ from option_coordinator.policies.joint_policy import (
     log_sum_exp,
     most_likely,
 )
-from option_coordinator.policies.network import features, linear
-from option_coordinator.policies.network_policy import NetworkPolicy
+from option_coordinator.policies.network import NetworkPolicy, features, linear
 
 
 class JointTable(NetworkPolicy):
@@ -64,9 +63,7 @@ class _TableConditional(Conditional):
         return float(-np.sum(np.exp(logs) * logs))
 
     def _options(self, cell: int) -> JointOptions:
-        out = self.running.copy()
-        out[self.choosing] = np.unravel_index(cell, self._table.shape) if self._table.ndim else ()
-        return out
+        return self.with_chosen(np.unravel_index(cell, self._table.shape) if self._table.ndim else ())
 
     def _rough_mode(self) -> JointOptions:
         return self.mode()

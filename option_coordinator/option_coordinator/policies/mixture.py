@@ -18,8 +18,7 @@ from option_coordinator.policies.joint_policy import (
     log_sum_exp,
     most_likely,
 )
-from option_coordinator.policies.network import Tensors, features, linear
-from option_coordinator.policies.network_policy import NetworkPolicy
+from option_coordinator.policies.network import NetworkPolicy, Tensors, features, linear
 
 _CLIMBERS = 3
 _SWEEPS = 5
@@ -78,19 +77,14 @@ class _MixtureConditional(Conditional):
 
     def sample(self, generator: np.random.Generator) -> JointOptions:
         component = int(draw(self._weights, generator))
-        return self._options(draw(self._factors[component], generator))
-
-    def _options(self, chosen: JointOptions) -> JointOptions:
-        out = self.running.copy()
-        out[self._agents] = chosen
-        return out
+        return self.with_chosen(draw(self._factors[component], generator))
 
     def _rough_mode(self) -> JointOptions:
         """Return the best of the components' own modes, improved agent by agent as long as that helps, if not for ever.
 
         Only the best few are improved: what the others begin from is far less likely.
         """
-        starts = np.stack([self._options(np.argmax(factors, axis=-1)) for factors in self._factors])
+        starts = np.stack([self.with_chosen(np.argmax(factors, axis=-1)) for factors in self._factors])
         order = np.argsort(-self.log_prob(starts))[:_CLIMBERS]
         ends = np.stack([self._climb(starts[index]) for index in order])
         return ends[most_likely(self.log_prob(ends))]
@@ -108,4 +102,4 @@ class _MixtureConditional(Conditional):
                 terms = rest + self._factors[:, agent, chosen[agent]]
             if np.array_equal(chosen, before):
                 break
-        return self._options(chosen)
+        return self.with_chosen(chosen)

@@ -7,6 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from option_coordinator.policies.joint_policy import JointPolicy
+
 Array = NDArray[np.floating]
 Tensors = Mapping[str, Array]
 _EPSILON = 1e-5  # torch's
@@ -36,3 +38,17 @@ def features(tensors: Tensors, x: Array) -> Array:
 def part(tensors: Tensors, prefix: str) -> dict[str, Array]:
     """Return the tensors whose names begin with a prefix, without it."""
     return {name.removeprefix(prefix): tensor for name, tensor in tensors.items() if name.startswith(prefix)}
+
+
+class NetworkPolicy(JointPolicy):
+    """A joint policy with MAPPO's trunk, which observes what the trunk's first norm takes.
+
+    Args:
+        tensors: Tensors of the trunk and of the head, by the names that the subclass gives.
+        counts: Number of options of each agent.
+    """
+
+    def __init__(self, tensors: Tensors, counts: tuple[int, ...]) -> None:
+        self.counts = counts
+        self.observation_size = tensors["trunk.norm_0.weight"].shape[0]
+        self._tensors = tensors

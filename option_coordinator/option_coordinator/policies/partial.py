@@ -50,19 +50,13 @@ class _PartialConditional(Conditional):
         return np.sum([part.log_prob(options) for part in self._parts.values()], axis=0) + np.zeros(options.shape[:-1])
 
     def sample(self, generator: np.random.Generator) -> JointOptions:
-        return self._each({agent: part.sample(generator) for agent, part in self._parts.items()})
+        return self.with_chosen([part.sample(generator)[agent] for agent, part in self._parts.items()])
 
     def mode(self) -> JointOptions:
-        return self._each({agent: part.mode() for agent, part in self._parts.items()})
+        return self.with_chosen([part.mode()[agent] for agent, part in self._parts.items()])
 
     def entropy(self) -> float:
         return sum(part.entropy() for part in self._parts.values())
-
-    def _each(self, found: dict[int, JointOptions]) -> JointOptions:
-        out = self.running.copy()
-        for agent, options in found.items():
-            out[agent] = options[agent]
-        return out
 
     def _rough_mode(self) -> JointOptions:
         return self.mode()

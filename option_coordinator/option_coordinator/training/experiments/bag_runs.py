@@ -29,7 +29,7 @@ from option_coordinator.environments.tasks import make_environment
 from option_coordinator.errors import OptionError
 from option_coordinator.options.options import Agent
 from option_coordinator.policies.policy_file import OptionPolicy
-from option_coordinator.training.experiments.checkpoint import load_checkpoint, save_checkpoint
+from option_coordinator.training.experiments.checkpoint import Checkpoints
 from option_coordinator.training.experiments.evaluation import evaluate
 from option_coordinator.training.heads.heads import as_numpy
 from option_coordinator.training.learners.imitation import Imitation
@@ -193,7 +193,7 @@ class BagRun(Run):
         return ", ".join(f"{name} {figure:.2f}" for name, figure in point["update"].items())
 
 
-class _Learning:
+class _Learning(Checkpoints):
     """A learner as a `Learning`."""
 
     def __init__(self, run: BagRun, options: RunOptions, learner: Learner) -> None:
@@ -214,12 +214,6 @@ class _Learning:
         if not curve and figures.get("ratio", 0.0) > _SAME_RATIO:
             raise OptionError(f"{self._run.start}: what the bags say of its log-probabilities is not true of it")
         return {"update": figures}
-
-    def save(self, path: Path, progress: Mapping[str, Any], /) -> None:
-        save_checkpoint(path, self._learner, progress)
-
-    def load(self, path: Path, /) -> dict[str, Any]:
-        return load_checkpoint(path, self._learner)
 
     def finish(self, folder: Path, /) -> dict[str, Any]:
         """Write the policy, and judge it if there is a task."""

@@ -14,20 +14,24 @@ from option_coordinator.training.learners.learner import Learner
 _MEMORY = "memory."
 
 
-def save_checkpoint(path: Path, learner: Learner, progress: Mapping[str, Any]) -> None:
-    """Write a checkpoint; `progress` is what else to go on with, as JSON."""
-    arrays = state_arrays(learner.networks(), learner.optimizers())
-    arrays |= {f"{_MEMORY}{name}": array for name, array in learner.memory().items()}
-    save_arrays(path, arrays, progress)
+class Checkpoints:
+    """The part of a `Learning` that saves and loads its learner."""
 
+    _learner: Learner
 
-def load_checkpoint(path: Path, learner: Learner) -> dict[str, Any]:
-    """Bring a new learner to where a checkpoint was and return the progress.
+    def save(self, path: Path, progress: Mapping[str, Any], /) -> None:
+        """Write a checkpoint; `progress` is what else to go on with, as JSON."""
+        arrays = state_arrays(self._learner.networks, self._learner.optimizers)
+        arrays |= {f"{_MEMORY}{name}": array for name, array in self._learner.memory().items()}
+        save_arrays(path, arrays, progress)
 
-    Raises:
-        Exception: one of `ctrl_rl_training.experiments.trainer.UNUSABLE`.
-    """
-    arrays, progress = load_arrays(path)
-    restore_state(learner.networks(), learner.optimizers(), arrays)
-    learner.recall({name.removeprefix(_MEMORY): a for name, a in arrays.items() if name.startswith(_MEMORY)})
-    return progress
+    def load(self, path: Path, /) -> dict[str, Any]:
+        """Bring the new learner to where a checkpoint was and return the progress.
+
+        Raises:
+            Exception: one of `ctrl_rl_training.experiments.trainer.UNUSABLE`.
+        """
+        arrays, progress = load_arrays(path)
+        restore_state(self._learner.networks, self._learner.optimizers, arrays)
+        self._learner.recall({n.removeprefix(_MEMORY): a for n, a in arrays.items() if n.startswith(_MEMORY)})
+        return progress

@@ -5,7 +5,7 @@ result = train(OptionRun("tool_delivery", "async", 0), RunOptions(Path("runs/opt
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from functools import cached_property
@@ -23,7 +23,7 @@ from option_coordinator.environments.tasks import OptionTask, discount_of, load_
 from option_coordinator.environments.tasks.water_filling import Sight
 from option_coordinator.errors import OptionError
 from option_coordinator.policies.policy_file import OptionPolicy
-from option_coordinator.training.experiments.checkpoint import load_checkpoint, save_checkpoint
+from option_coordinator.training.experiments.checkpoint import Checkpoints
 from option_coordinator.training.experiments.evaluation import evaluate, summary
 from option_coordinator.training.experiments.methods import METHODS, Method
 from option_coordinator.training.heads.heads import as_numpy
@@ -154,7 +154,7 @@ class OptionRun(Run):
         return "" if returned is None else f"return {returned:.0f}"
 
 
-class _Learning:
+class _Learning(Checkpoints):
     """A learner as a `Learning`."""
 
     def __init__(self, run: OptionRun, options: RunOptions, learner: Learner) -> None:
@@ -177,12 +177,6 @@ class _Learning:
             found = learner.learn(roll_out.collect(learner.behaviour(progress), wanted), generator)
             figures = {name: max(figure, figures.get(name, figure)) for name, figure in found.items()}
         return {"samples": taken + roll_out.samples, "learning": summary(roll_out.finished), "update": figures}
-
-    def save(self, path: Path, progress: Mapping[str, Any], /) -> None:
-        save_checkpoint(path, self._learner, progress)
-
-    def load(self, path: Path, /) -> dict[str, Any]:
-        return load_checkpoint(path, self._learner)
 
     def finish(self, folder: Path, /) -> dict[str, Any]:
         """Play what is saved, and write it."""

@@ -31,7 +31,7 @@ class DecisionBatch(NamedTuple):
     choosing: Tensor
     legal: Tensor
 
-    def at(self, rows: Tensor) -> DecisionBatch:
+    def at(self, rows: Tensor | slice) -> DecisionBatch:
         """Return some of them."""
         return DecisionBatch(*(part[rows] for part in self))
 

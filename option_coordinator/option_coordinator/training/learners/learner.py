@@ -23,11 +23,15 @@ class Learner(ABC):
 
     Attributes:
         network: Network of the joint policy.
+        networks: All networks by name, for checkpoints.
+        optimizers: All optimisers by name, for checkpoints.
         greedy: Whether the policy is used by its most likely options, not by draws.
         settings: Settings of the algorithm, a dataclass.
     """
 
     network: nn.Module
+    networks: Mapping[str, nn.Module]
+    optimizers: Mapping[str, torch.optim.Optimizer]
     greedy: bool
     settings: Any
 
@@ -39,13 +43,15 @@ class Learner(ABC):
     def learn(self, trajectory: OptionTrajectory, generator: np.random.Generator) -> dict[str, float]:
         """Learn from a trajectory and return metrics of the update."""
 
-    @abstractmethod
-    def networks(self) -> Mapping[str, nn.Module]:
-        """Return all networks by name, for checkpoints."""
-
-    @abstractmethod
-    def optimizers(self) -> Mapping[str, torch.optim.Optimizer]:
-        """Return all optimisers by name, for checkpoints."""
+    def descend(self, loss: Tensor) -> None:
+        """Take a step down a loss, with the gradient of each network clipped to `settings.gradient_norm`."""
+        (optimizer,) = self.optimizers.values()
+        optimizer.zero_grad()
+        loss.backward()  # type: ignore[no-untyped-call]
+        for network in self.networks.values():
+            if parameters := list(network.parameters()):
+                nn.utils.clip_grad_norm_(parameters, self.settings.gradient_norm)
+        optimizer.step()
 
     def memory(self) -> Arrays:
         """Return the rest of its state as arrays, for checkpoints."""

@@ -22,9 +22,8 @@ from option_coordinator.data.trajectory import OptionTrajectory
 from option_coordinator.options.options import Agent
 from option_coordinator.policies.joint_policy import JointPolicy
 from option_coordinator.policies.policy_file import make_policy
-from option_coordinator.training.heads.heads import as_numpy
-from option_coordinator.training.heads.table_head import TableHead
-from option_coordinator.training.heads.value_norm import ValueNorm
+from option_coordinator.training.heads.heads import TableHead, as_numpy
+from option_coordinator.training.heads.value import ValueNorm
 from option_coordinator.training.learners.epsilon_greedy import EpsilonGreedy
 from option_coordinator.training.learners.learner import Learner, as_tensor, decision_batch
 
@@ -76,7 +75,14 @@ class MacDqn(Learner):
         self.network = TableHead(sum(agent.observation_size for agent in agents), counts)
         self.target = deepcopy(self.network)
         self.scale, self.target_scale = ValueNorm(), ValueNorm()
-        self._optimizer = torch.optim.Adam(self.network.parameters(), self.settings.learning_rate, fused=True)
+        self.networks = {
+            "policy": self.network,
+            "target": self.target,
+            "scale": self.scale,
+            "target_scale": self.target_scale,
+        }
+        adam = torch.optim.Adam(self.network.parameters(), self.settings.learning_rate, fused=True)
+        self.optimizers = {"policy_optimizer": adam}
         self._best = make_policy("table", as_numpy(self.network), counts, False)
         self._replay = ReplayBuffer(self.settings.replay)
         self._samples = self._copied = 0
@@ -85,19 +91,6 @@ class MacDqn(Learner):
         """Return the epsilon-greedy policy."""
         done = min(1.0, progress / self.settings.exploration)
         return EpsilonGreedy(self._best, 1.0 + done * (self.settings.epsilon_end - 1.0))
-
-    def networks(self) -> Mapping[str, nn.Module]:
-        """Return all networks by name."""
-        return {
-            "policy": self.network,
-            "target": self.target,
-            "scale": self.scale,
-            "target_scale": self.target_scale,
-        }
-
-    def optimizers(self) -> Mapping[str, torch.optim.Optimizer]:
-        """Return all optimisers by name."""
-        return {"policy_optimizer": self._optimizer}
 
     def memory(self) -> Arrays:
         """Return the replay and how far it is."""
@@ -131,10 +124,7 @@ class MacDqn(Learner):
             :, 0
         ]
         loss = nn.functional.huber_loss(values, targets, delta=self.settings.huber)
-        self._optimizer.zero_grad()
-        loss.backward()  # type: ignore[no-untyped-call]
-        nn.utils.clip_grad_norm_(self.network.parameters(), self.settings.gradient_norm)
-        self._optimizer.step()
+        self.descend(loss)
         return {"value_loss": float(loss.detach())}
 
     def _next_values(self, batch: OptionTrajectory) -> Tensor:

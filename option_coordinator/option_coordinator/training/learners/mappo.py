@@ -15,7 +15,7 @@ from option_coordinator.options.options import Agent
 from option_coordinator.policies.presence import with_presence
 from option_coordinator.training.heads.head_parts import DecisionBatch
 from option_coordinator.training.heads.value import ValueNetwork
-from option_coordinator.training.learners.gradient_learner import GradientLearner
+from option_coordinator.training.learners.gradient_learner import GradientLearner, Rows
 from option_coordinator.training.learners.learner import as_tensor, decision_batch
 
 
@@ -45,34 +45,16 @@ class MappoSettings:
 
 
 class Mappo(GradientLearner):
-    """Conditional MAPPO; with `partial`, one policy for each agent (Eq. 5.5) and still one value of all.
+    """Conditional MAPPO; with `partial`, one policy for each agent (Eq. 5.5) and still one value of all."""
 
-    Args:
-        agents: Agents whose options are learned.
-        head: Kind of joint policy, a key of `HEADS`.
-        partial: Whether each agent has a policy of its own.
-        settings: Settings of the algorithm; the defaults unless given.
-        presence: Whether policy and value are told which agents are present.
-    """
+    SETTINGS = MappoSettings
+    ADAM_EPSILON = 1e-5
 
-    def __init__(
-        self,
-        agents: Sequence[Agent],
-        head: str,
-        partial: bool = False,
-        settings: MappoSettings | None = None,
-        presence: bool = False,
-    ) -> None:
-        super().__init__(agents, head, partial, presence)
-        self.settings = settings or MappoSettings()
-        size = sum(agent.observation_size for agent in agents) + presence * len(agents)
+    def other_networks(self, agents: Sequence[Agent]) -> Mapping[str, nn.Module]:
+        """Return the value network."""
+        size = sum(agent.observation_size for agent in agents) + self.presence * len(agents)
         self.value = ValueNetwork(size, [len(agent.options) for agent in agents])
-        parameters = [*self.network.parameters(), *self.value.parameters()]
-        self.optimizer = torch.optim.Adam(parameters, self.settings.learning_rate, eps=1e-5, fused=True)
-
-    def networks(self) -> Mapping[str, nn.Module]:
-        """Return all networks by name."""
-        return {**super().networks(), "value": self.value}
+        return {"value": self.value}
 
     def learn(self, trajectory: OptionTrajectory, generator: np.random.Generator) -> dict[str, float]:
         """Learn from what was gathered.
@@ -81,15 +63,17 @@ class Mappo(GradientLearner):
             `ratio`: how far the first ratios are from 1 at most; `entropy` of the choices; `value_loss`.
         """
         figures: dict[str, float] = {}
-        for part in self.minibatches(self._batch(trajectory), len(trajectory), generator):
-            found = self._step(part)
+        batch = self._batch(trajectory)
+        for rows in self.minibatches(len(trajectory), generator):
+            found = self._step(batch.at(rows))
             figures = found | ({"ratio": figures["ratio"]} if figures else {})
         return figures
 
     def learn_value(self, trajectory: OptionTrajectory, generator: np.random.Generator) -> None:
         """Learn the value of a trajectory, and leave the policy as it is."""
-        for part in self.minibatches(self._batch(trajectory), len(trajectory), generator):
-            self._descend(self._value_loss(part))
+        batch = self._batch(trajectory)
+        for rows in self.minibatches(len(trajectory), generator):
+            self.descend(self._value_loss(batch.at(rows)))
 
     def _batch(self, trajectory: OptionTrajectory) -> _Batch:
         decisions = decision_batch(trajectory, self.presence)
@@ -117,7 +101,7 @@ class Mappo(GradientLearner):
         entropy = score.entropy.mean()
         loss = -torch.minimum(ratio * batch.gain, clipped * batch.gain).mean() - settings.entropy * entropy
         value_loss = self._value_loss(batch)
-        self._descend(loss + value_loss)  # they share no parameter
+        self.descend(loss + value_loss)  # they share no parameter
         return {
             "ratio": float((ratio - 1.0).abs().max().detach()),
             "entropy": float(entropy.detach()),
@@ -129,13 +113,6 @@ class Mappo(GradientLearner):
         values = self.value(batch.decisions.observation, batch.running)
         return nn.functional.huber_loss(values, targets, delta=self.settings.huber)
 
-    def _descend(self, loss: Tensor) -> None:
-        self.optimizer.zero_grad()
-        loss.backward()  # type: ignore[no-untyped-call]
-        for network in self.networks().values():
-            nn.utils.clip_grad_norm_(network.parameters(), self.settings.gradient_norm)
-        self.optimizer.step()
-
 
 class _Batch(NamedTuple):
     """Batch of an update, as tensors (B, ...)."""
@@ -146,7 +123,7 @@ class _Batch(NamedTuple):
     gain: Tensor
     returns: Tensor
 
-    def at(self, rows: Tensor) -> _Batch:
+    def at(self, rows: Rows) -> _Batch:
         """Return the given rows."""
         decisions, *rest = self
         return _Batch(decisions.at(rows), *(part[rows] for part in rest))
