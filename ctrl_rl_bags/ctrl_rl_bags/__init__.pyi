@@ -15,7 +15,6 @@ from .format.metadata import Topic as Topic
 from .format.reader import Bag as Bag
 from .format.reader import BagInfo as BagInfo
 from .format.reader import BagMessage as BagMessage
-from .format.reader import RawMessage as RawMessage
 from .format.reader import TopicInfo as TopicInfo
 from .format.reader import bag_info as bag_info
 from .format.reader import open_bag as open_bag
@@ -23,7 +22,7 @@ from .format.reader import read_messages as read_messages
 from .format.reader import read_raw as read_raw
 from .format.recovery import Recovery as Recovery
 from .format.recovery import recover as recover
-from .format.sources import SerializedMessage as SerializedMessage
+from .format.topics import SerializedMessage as SerializedMessage
 from .format.writer import BagWriter as BagWriter
 from .recording.message_types import message_definition as message_definition
 from .recording.player import PlaybackOptions as PlaybackOptions

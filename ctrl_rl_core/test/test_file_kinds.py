@@ -6,9 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ctrl_rl_core.io.checked_tensors import read_tensors
+from ctrl_rl_core.io.checked_tensors import KINDS, read_tensors
 from ctrl_rl_core.io.file_checks import FileError
-from ctrl_rl_core.io.file_kinds import KINDS
 from safetensors.numpy import save_file
 
 ROOT = Path(__file__).parents[2]

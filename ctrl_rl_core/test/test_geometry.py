@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from ctrl_rl_core.geometry.shapes import Arc, ArcPath, Box, Disc, frame_walls, signed_distance
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 WIDTH = 0.7
@@ -51,16 +51,6 @@ def test_a_path_is_continuous_in_place_and_direction() -> None:
 def test_a_quarter_circle_ends_where_it_must() -> None:
     assert ArcPath((Arc(np.pi, 0.5),)).pose(np.pi) == pytest.approx([2.0, 2.0, np.pi / 2])
     assert ArcPath((Arc(1.0, 0.0),)).pose([-1.0, 2.0]) == pytest.approx(np.array([[-1.0, 0.0, 0.0], [2.0, 0.0, 0.0]]))
-
-
-@settings(deadline=None)
-@given(st.floats(0.05, 0.95), st.floats(-0.3, 0.3))
-def test_nearest_finds_arc_length_and_offset_back(part: float, offset: float) -> None:
-    s = part * PATH.length
-    x, y, heading = PATH.pose(s)
-    found, lateral = PATH.nearest((x - offset * np.sin(heading), y + offset * np.cos(heading)))
-    assert found == pytest.approx(s, abs=0.01)
-    assert lateral == pytest.approx(offset, abs=2e-3)
 
 
 def test_walls_stand_at_half_the_width_all_along() -> None:

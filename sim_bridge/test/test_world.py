@@ -4,6 +4,7 @@ import sys
 import numpy as np
 import pytest
 from ctrl_rl_core.tasks.task import TaskError, load_navigation_task
+from ctrl_rl_core.tasks.task_sets import PathCoordinates
 from sim_bridge.simulation.world import SimulatedWorld, SimulationOptions
 
 
@@ -104,10 +105,10 @@ def test_a_touch_between_two_looks_is_not_missed(make_room):
 def test_driving_along_the_path_reaches_the_goal_with_full_progress():
     world = SimulatedWorld(load_navigation_task("curved_corridor"), seed=0, options=SimulationOptions(scan_noise=0.0))
     path = world.geometry.path
-    s, last = 0.3, 0.0
+    coordinates, last = PathCoordinates(path), 0.0
     while world.episode(0).outcome.name == "RUNNING":
         x, y, theta = world.state(0)
-        s, lateral = (float(value) for value in path.nearest((x, y)))
+        s, lateral = coordinates((x, y, theta))[:2].tolist()
         heading = float(path.pose(s + 0.15)[2])
         error = np.angle(np.exp(1j * (theta - heading)))
         world.command(0, (0.22, -3.0 * error - 4.0 * lateral))

@@ -7,7 +7,7 @@ from importlib import import_module
 from pathlib import Path
 
 import pytest
-from ctrl_rl_core.io.memory import available
+from ctrl_rl_core.io.file_checks import available_memory
 from ctrl_rl_core.values.jit_cache import cached_njit
 from numba.core.caching import NullCache
 from numba.core.dispatcher import Dispatcher
@@ -64,7 +64,7 @@ def test_what_does_not_fit_is_refused_before_anything_is_computed(method):
 
 def test_need_grows_with_the_grid_and_fits_here():
     small, large = (memory_needed(problem_from_task("car_ttr", counts=c)) for c in ((51, 51, 36), (101, 101, 72)))
-    assert small < large < available()
+    assert small < large < available_memory()
 
 
 def test_second_process_compiles_nothing(tmp_path: Path):

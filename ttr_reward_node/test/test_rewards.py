@@ -10,8 +10,8 @@ from ctrl_rl_core.geometry.units import Interval
 from ctrl_rl_core.tasks.outcome import Outcome
 from ctrl_rl_core.tasks.regions import Region
 from ctrl_rl_core.tasks.rewards import terminal_reward
-from ctrl_rl_core.tasks.schema.episode import RewardSpec
-from ctrl_rl_core.tasks.schema.region import RegionSpec
+from ctrl_rl_core.tasks.schema.parts import RewardSpec
+from ctrl_rl_core.tasks.schema.world import RegionSpec
 from ctrl_rl_core.tasks.task import load_navigation_task, task_digest
 from ctrl_rl_core.values.grid_axis import Axis
 from ctrl_rl_core.values.value_function import ValueFunctionError

@@ -13,7 +13,7 @@ from tqdm import tqdm
 from ctrl_rl_bags.format.checks import BagError
 from ctrl_rl_bags.format.metadata import Topic
 from ctrl_rl_bags.format.reader import bag_info, open_bag
-from ctrl_rl_bags.format.sources import SerializedMessage
+from ctrl_rl_bags.format.topics import SerializedMessage
 from ctrl_rl_bags.format.writer import BagWriter
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 import zlib
+from array import array
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from typing import BinaryIO, cast
@@ -13,7 +14,6 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Metadata, Schema
 
 from ctrl_rl_bags.format.checks import DamagedError
-from ctrl_rl_bags.format.mcap_chunks import ChunkTable, index_messages, message_head, records_in
 from ctrl_rl_bags.format.mcap_records import (
     MAGIC,
     READ_AT_ONCE,
@@ -21,8 +21,11 @@ from ctrl_rl_bags.format.mcap_records import (
     Limits,
     chunk_head,
     decompress,
+    index_messages,
+    message_head,
     parse,
     read_exactly,
+    records_in,
 )
 from ctrl_rl_bags.format.metadata import CUSTOM_DATA_RECORD
 
@@ -31,6 +34,7 @@ _CHUNK_INDEX = struct.Struct("<QQQQI")
 _STATISTICS = struct.Struct("<QHIIIIQQI")
 _ALL = frozenset(range(1 << 16))
 _MOST_CHANNEL_SETS = 1_000_000
+_CHUNK = np.dtype([(name, "<u8") for name in ("start", "end", "offset", "length", "size")])
 
 
 class McapIndex:
@@ -43,7 +47,8 @@ class McapIndex:
         start: First log time [ns]; 0 without messages.
         end: Last log time [ns].
         custom_data: Texts that the bag keeps, by key.
-        chunks: Place, times and size of each chunk.
+        chunks: Log times [ns], place, and size on disk and in memory [bytes] of each chunk (n,).
+        chunk_channels: Channels of each chunk's messages; None where the index does not name them.
         loose: Whether the messages lie outside of chunks.
         summary_crc: Checksum of the summary; 0 without one.
 
@@ -64,14 +69,16 @@ class McapIndex:
         self.counts: Mapping[int, int] = {}
         self.start = self.end = 0
         self.custom_data: dict[str, str] = {}
-        self.chunks = ChunkTable()
+        self.chunk_channels: list[frozenset[int] | None] = []
         self.loose = False
         self.summary_crc = 0
         self._stream, self._size, self._limits = stream, size, limits
         self._channel_sets: dict[frozenset[int], frozenset[int]] = {}
         self._channel_set_items = 0
         self._topics_bytes = 0
+        self._chunks = array("Q")
         self._open()
+        self.chunks = np.frombuffer(self._chunks, _CHUNK)
 
     @property
     def message_count(self) -> int:
@@ -129,13 +136,12 @@ class McapIndex:
                     self._add_topic(opcode, summary[at : at + length])
         except struct.error:
             raise DamagedError("its summary cannot be read") from None
-        if count is None or (count and not (self.channels and len(self.chunks) and self.message_count == count)):
+        if count is None or (count and not (self.channels and self._chunks and self.message_count == count)):
             return False
         if not self.counts.keys() <= self.channels.keys():
             raise DamagedError("its summary counts messages of an unknown channel")
-        offsets, lengths = (np.array(column, np.uint64) for column in (self.chunks.offset, self.chunks.length))
-        order = np.argsort(offsets)
-        if np.any(offsets[order][:-1] + lengths[order][:-1] > offsets[order][1:]):
+        chunks = np.sort(np.frombuffer(self._chunks, _CHUNK), order="offset")
+        if np.any(chunks["offset"][:-1] + chunks["length"][:-1] > chunks["offset"][1:]):
             raise DamagedError("its index has a chunk twice")
         for offset, size in texts:
             self._read_metadata(offset, size)
@@ -159,7 +165,8 @@ class McapIndex:
         if offset < self._data_at or offset + size_of_record > self._summary_at or start > end:
             raise DamagedError("its index has a chunk that does not lie in it")
         channels = frozenset(channel for channel, _ in struct.iter_unpack("<HQ", pairs))
-        self.chunks.add(start, end, offset, size_of_record, uncompressed, self._same(channels) if channels else None)
+        self._chunks.extend((start, end, offset, size_of_record, uncompressed))
+        self.chunk_channels.append(self._same(channels) if channels else None)
 
     def _same(self, channels: frozenset[int]) -> frozenset[int] | None:
         """Return one shared object for equal sets; None, for any channel, when there are too many sets."""
@@ -190,7 +197,8 @@ class McapIndex:
         """Find topics and chunks where there is no summary."""
         counts: Counter[int] = Counter()
         first, last = list[int](), list[int]()
-        self.schemas, self.channels, self.chunks, self._topics_bytes = {}, {}, ChunkTable(), 0
+        self.schemas, self.channels, self._topics_bytes = {}, {}, 0
+        self._chunks, self.chunk_channels = array("Q"), []
         for opcode, content in self.data_section():
             if opcode == Opcode.MESSAGE:
                 self.loose = True
@@ -205,14 +213,14 @@ class McapIndex:
                 channels, times, _ = index_messages(inside, _ALL, head.start, head.end)
                 length = RECORD.size + len(content)
                 offset = self._stream.tell() - length
-                found = self._same(frozenset(channels)) if times else frozenset()
-                self.chunks.add(head.start, head.end, offset, length, head.size, found)
+                self._chunks.extend((head.start, head.end, offset, length, head.size))
+                self.chunk_channels.append(self._same(frozenset(channels)) if times else frozenset())
                 counts.update(channels)
                 if times:
                     first, last = [min([*first, *times])], [max([*last, *times])]
             else:
                 self._add_topic(opcode, content)
-        if self.loose and len(self.chunks):
+        if self.loose and self._chunks:
             raise DamagedError("it has messages in chunks and outside of them, and no summary")
         if not counts.keys() <= self.channels.keys():
             raise DamagedError("it has a message of an unknown channel")

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import struct
 import zlib
+from array import array
+from collections.abc import Iterator
 from dataclasses import dataclass
 from io import BytesIO
 from typing import BinaryIO, NamedTuple
@@ -24,6 +26,7 @@ MAGIC = b"\x89MCAP0\r\n"
 RECORD = struct.Struct("<BQ")
 MESSAGE = struct.Struct("<HIQQ")
 OPCODES = {int(opcode) for opcode in Opcode}
+_MESSAGE_OPCODE = int(Opcode.MESSAGE)
 _CHUNK = struct.Struct("<QQQI")
 READ_AT_ONCE = 1 << 20
 """Bytes of a record that is only skipped or checked, read in one go."""
@@ -159,3 +162,44 @@ def decompress_some(compression: str, data: bytes, size: int) -> bytes:
     if compression:
         raise DamagedError(f"a chunk's compression {compression!r} is unknown")
     return data
+
+
+def index_messages(
+    records: bytes, chosen: frozenset[int], first: int, last: int
+) -> tuple[array[int], array[int], array[int]]:
+    """Return channel, log time and place of each chosen message of a chunk, in the order of the file."""
+    channels, times, places = array("H"), array("Q"), array("Q")
+    for opcode, at, length in records_in(records):
+        if opcode == _MESSAGE_OPCODE:
+            if length < MESSAGE.size:
+                raise DamagedError("a record does not fit into its chunk")
+            channel, _, time, _ = MESSAGE.unpack_from(records, at)
+            if channel in chosen:
+                if not first <= time <= last:
+                    raise DamagedError("a chunk has a message outside of its times")
+                channels.append(channel)
+                times.append(time)
+                places.append(at)
+    return channels, times, places
+
+
+def message_head(content: bytes) -> tuple[int, int, int, int]:
+    """Return channel, sequence, log time and publication time of a message record's content."""
+    if len(content) < MESSAGE.size:
+        raise DamagedError("a message is too short")
+    channel, sequence, log_time, publish_time = MESSAGE.unpack_from(content)
+    return channel, sequence, log_time, publish_time
+
+
+def records_in(data: bytes) -> Iterator[tuple[int, int, int]]:
+    """Yield opcode, place and length of each record's content."""
+    at, size = 0, len(data)
+    while at < size:
+        if at + RECORD.size > size:
+            raise DamagedError("a record is cut off")
+        opcode, length = RECORD.unpack_from(data, at)
+        at += RECORD.size
+        if at + length > size:
+            raise DamagedError("a record reaches beyond its part of the file")
+        yield opcode, at, length
+        at += length

@@ -9,7 +9,7 @@ from __future__ import annotations
 import shutil
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -17,10 +17,11 @@ from typing import Any
 import zstandard
 
 from ctrl_rl_bags.format.checks import BagError, DamagedError, open_regular, printable, reason
+from ctrl_rl_bags.format.mcap_reader import McapReader
 from ctrl_rl_bags.format.mcap_records import DEFAULT_LIMITS, Limits, decompress_some
 from ctrl_rl_bags.format.metadata import METADATA_FILE, BagMetadata, Qos, Topic, read_metadata
-from ctrl_rl_bags.format.sources import McapSource, SerializedMessage, Source, open_source
-from ctrl_rl_bags.format.topics import parsed_qos
+from ctrl_rl_bags.format.sqlite_reader import SqliteReader
+from ctrl_rl_bags.format.topics import SerializedMessage, parsed_qos
 from ctrl_rl_bags.format.type_definitions import BagTypes, Definition
 
 _ROS1_MAGIC = b"#ROSBAG V"
@@ -41,16 +42,6 @@ class BagMessage:
     type: str
     log_time: int
     data: Any
-
-
-@dataclass(frozen=True)
-class RawMessage:
-    """One message of a bag as it was on the wire: CDR bytes with their header."""
-
-    topic: str
-    type: str
-    log_time: int
-    data: bytes
 
 
 @dataclass(frozen=True)
@@ -175,9 +166,9 @@ class Bag:
             raise BagError(f"{self.path}: {error}") from None
 
     @contextmanager
-    def _open(self, file: Path) -> Iterator[Source]:
+    def _open(self, file: Path) -> Iterator[McapReader | SqliteReader]:
         try:
-            source = open_source(file, self._storage, self._limits)
+            source = (McapReader if self._storage == "mcap" else SqliteReader)(file, self._limits)
             try:
                 yield source
             finally:
@@ -189,11 +180,8 @@ class Bag:
         counts: dict[str, int] = {}
         custom: dict[str, str] = {}
         unchecked: set[str] = set()
-        offered = (
-            {it.topic_metadata.name: it.topic_metadata for it in self._metadata.topics_with_message_count}
-            if self._metadata
-            else {}
-        )
+        told = self._metadata.topics_with_message_count if self._metadata else []
+        offered = {each.topic_metadata.name: each.topic_metadata for each in told}
         for file in self._files:
             with self._open(file) as source:
                 for topic, count in source.topics:
@@ -204,7 +192,7 @@ class Bag:
                 here = sum(count for _, count in source.topics)
                 self._spans.append((source.start, source.end) if here else None)
                 custom |= source.custom_data
-                unchecked |= _unchecked(source)
+                unchecked |= source.unchecked()
         spans = [span for span in self._spans if span is not None]
         if self._metadata and self._metadata.custom_data is not None:
             if custom and custom != self._metadata.custom_data:
@@ -297,11 +285,10 @@ def read_raw(
     start: int | None = None,
     stop: int | None = None,
     limits: Limits = DEFAULT_LIMITS,
-) -> Iterator[RawMessage]:
+) -> Iterator[SerializedMessage]:
     """As `read_messages`, without decoding; five times as fast."""
     with open_bag(bag, limits) as opened:
-        for message in opened.messages(topics, start, stop):
-            yield RawMessage(message.topic, message.type, message.log_time, message.data)
+        yield from opened.messages(topics, start, stop)
 
 
 def bag_info(bag: Path | str | Bag, limits: Limits = DEFAULT_LIMITS) -> BagInfo:
@@ -340,16 +327,7 @@ def _completed(topic: Topic, offered: Mapping[str, Any]) -> Topic:
     if also is None:
         return topic
     qos = topic.qos or parsed_qos(also.offered_qos_profiles)
-    return Topic(
-        topic.name, topic.type, topic.definition, topic.type_hash or also.type_description_hash, qos, topic.encoding
-    )
-
-
-def _unchecked(source: Source) -> set[str]:
-    if not isinstance(source, McapSource):
-        return {"everything: sqlite3 has no checksums"}
-    summary, messages = source.checksums()
-    return ({"topics and times"} if not summary else set()) | ({"messages"} if not messages else set())
+    return replace(topic, type_hash=topic.type_hash or also.type_description_hash, qos=qos)
 
 
 def _compare(metadata: BagMetadata, info: BagInfo, mixed: Mapping[str, str]) -> None:

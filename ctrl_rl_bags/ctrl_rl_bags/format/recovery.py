@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 import shutil
 import zlib
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -31,6 +32,7 @@ from ctrl_rl_bags.format.mcap_records import (
     chunk_head,
     decompress_some,
     parse,
+    records_in,
 )
 from ctrl_rl_bags.format.metadata import CUSTOM_DATA_RECORD, METADATA_FILE, Topic, name_of_other_type
 from ctrl_rl_bags.format.reader import open_bag
@@ -57,7 +59,7 @@ class Recovery:
 
     source: Path
     folder: Path | None = None
-    messages: dict[str, int] = field(default_factory=dict)
+    messages: Counter[str] = field(default_factory=Counter)
     start: int | None = None
     end: int | None = None
     dropped_bytes: int = 0
@@ -123,19 +125,22 @@ class _Copy:
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, str] = {}
         self._kept_bytes = 0
+        self._finished = False
 
     def add_file(self, path: Path) -> None:
         self._schemas, self._channels, self._kept_bytes = {}, {}, 0
-        scan = _Scan(path, self._limits)
-        for opcode, content in scan.records():
-            try:
-                self._add_record(opcode, content)
-            except DamagedError:
-                scan.dropped_bytes += len(content)
-        self._found.too_large += scan.too_large
-        if scan.dropped_bytes or not scan.finished:
+        dropped_before, self._finished = self._found.dropped_bytes, False
+        try:
+            with open_regular(path) as (stream, size):
+                for opcode, content in self._records(stream, size):
+                    try:
+                        self._add_record(opcode, content)
+                    except DamagedError:
+                        self._found.dropped_bytes += len(content)
+        except (DamagedError, OSError) as error:
+            raise BagError(f"{path} cannot be read: {reason(error)}") from None
+        if not self._finished or self._found.dropped_bytes > dropped_before:
             self._found.unfinished.append(path.name)
-            self._found.dropped_bytes += scan.dropped_bytes
 
     def finish(self) -> None:
         if self._writer is None:
@@ -188,48 +193,30 @@ class _Copy:
             self._writer.add_topic(self._topics[name])
         self._writer.write(name, content[MESSAGE.size :], log_time, publish_time, sequence)
         found = self._found
-        found.messages[name] = found.messages.get(name, 0) + 1
+        found.messages[name] += 1
         found.start = log_time if found.start is None else min(found.start, log_time)
         found.end = log_time if found.end is None else max(found.end, log_time)
 
-
-class _Scan:
-    """Reads one file record by record, as far as it goes."""
-
-    def __init__(self, path: Path, limits: Limits) -> None:
-        self.path = path
-        self.finished = False
-        self.dropped_bytes = 0
-        self.too_large = 0
-        self._limits = limits
-
-    def records(self) -> Iterator[tuple[int, bytes]]:
-        """Yield opcode and content of every readable record before the summary, those in chunks too."""
-        try:
-            with open_regular(self.path) as (stream, size):
-                yield from self._records(stream, size)
-        except (DamagedError, OSError) as error:
-            raise BagError(f"{self.path} cannot be read: {reason(error)}") from None
-
     def _records(self, stream: BinaryIO, size: int) -> Iterator[tuple[int, bytes]]:
+        """Yield opcode and content of every readable record before the summary, those in chunks too."""
         if stream.read(len(MAGIC)) != MAGIC:
-            self.dropped_bytes = size
+            self._found.dropped_bytes += size
             return
         while True:
             head = stream.read(RECORD.size)
             if len(head) < RECORD.size:
-                self.dropped_bytes += len(head)
+                self._found.dropped_bytes += len(head)
                 return
             opcode, length = RECORD.unpack(head)
             if opcode == Opcode.DATA_END:
-                self.finished = _ends_well(stream, size)
+                self._finished = _ends_well(stream, size)
                 return
             if opcode not in OPCODES:  # zeros, say, where a power cut left a hole
-                self.dropped_bytes += size - stream.tell() + len(head)
+                self._found.dropped_bytes += size - stream.tell() + len(head)
                 return
             left = size - stream.tell()
             if length > left and opcode not in (Opcode.CHUNK, *_READ):
-                self.dropped_bytes += left + len(head)
+                self._found.dropped_bytes += left + len(head)
                 return
             if opcode not in (Opcode.CHUNK, *_READ):
                 stream.seek(length, 1)
@@ -243,7 +230,9 @@ class _Scan:
     def _open_record(self, opcode: int, content: bytes, whole: bool) -> Iterator[tuple[int, bytes]]:
         if opcode == Opcode.CHUNK:
             inside, sound = self._decompress(content, whole)
-            yield from _split_records(inside)
+            with suppress(DamagedError):
+                for inner, at, length in records_in(inside):
+                    yield inner, inside[at : at + length]
             whole = whole and sound
         elif whole:
             yield opcode, content
@@ -255,7 +244,7 @@ class _Scan:
         try:
             head = chunk_head(chunk, whole)
             if head.size > self._limits.chunk_bytes:
-                self.too_large += 1
+                self._found.too_large += 1
                 return b"", False
             records = decompress_some(head.compression, chunk[head.data_at :], head.size)
         except DamagedError:
@@ -267,8 +256,8 @@ class _Scan:
         return records, True
 
     def _drop(self, content: int, too_large: bool = False) -> None:
-        self.dropped_bytes += RECORD.size + content
-        self.too_large += too_large
+        self._found.dropped_bytes += RECORD.size + content
+        self._found.too_large += too_large
 
 
 def _whole(source: Path, files: list[Path], limits: Limits) -> Recovery | None:
@@ -288,19 +277,10 @@ def _whole(source: Path, files: list[Path], limits: Limits) -> Recovery | None:
     empty = info.message_count == 0
     return Recovery(
         source,
-        messages={name: topic.message_count for name, topic in info.topics.items()},
+        messages=Counter({name: topic.message_count for name, topic in info.topics.items()}),
         start=None if empty else info.start,
         end=None if empty else info.end,
     )
-
-
-def _split_records(data: bytes) -> Iterator[tuple[int, bytes]]:
-    position = 0
-    while position + RECORD.size <= len(data):
-        opcode, length = RECORD.unpack_from(data, position)
-        position += RECORD.size + length
-        if position <= len(data):
-            yield opcode, data[position - length : position]
 
 
 def _ends_well(stream: BinaryIO, size: int) -> bool:

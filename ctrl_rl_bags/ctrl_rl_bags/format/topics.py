@@ -1,14 +1,28 @@
-"""Topics as the files of a bag describe them."""
+"""Topics and messages as the files of a bag hold them."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 from mcap.records import Channel, Schema
 from rosbags.rosbag2.metadata import dump_qos_v9, parse_qos
 
 from ctrl_rl_bags.format.checks import DamagedError, parse_yaml
 from ctrl_rl_bags.format.metadata import Qos, Topic
+
+
+class SerializedMessage(NamedTuple):
+    """One message as it was on the wire: times [ns since the epoch], the publisher's count, CDR bytes.
+
+    An sqlite3 bag knows neither publication times nor counts: there they are the log time and 0.
+    """
+
+    topic: str
+    type: str
+    log_time: int
+    publish_time: int
+    sequence: int
+    data: bytes
 
 
 def mcap_topic(channel: Channel, schema: Schema | None) -> Topic:

@@ -22,7 +22,8 @@ from tqdm import tqdm
 
 from ctrl_rl_bags.format.checks import BagError, printable, reason
 from ctrl_rl_bags.format.mcap_records import DEFAULT_LIMITS, Limits
-from ctrl_rl_bags.format.reader import BagInfo, RawMessage, bag_info, read_raw
+from ctrl_rl_bags.format.reader import BagInfo, bag_info, read_raw
+from ctrl_rl_bags.format.topics import SerializedMessage
 from ctrl_rl_bags.recording.message_types import UnknownTypeError, message_class
 from ctrl_rl_bags.recording.qos import is_latched, publisher_qos
 
@@ -119,7 +120,7 @@ class _Player:
     def _first(self) -> int:
         return self._info.start + int(self._how.start_offset * 1e9)
 
-    def _messages(self) -> Iterator[RawMessage]:
+    def _messages(self) -> Iterator[SerializedMessage]:
         """Yield the messages to play; first those latched before the start, as a late subscriber gets them."""
         if self._how.start_offset > 0.0:
             latched = [name for name in self._publishers if is_latched(self._info.topics[name].qos)]
@@ -128,7 +129,7 @@ class _Player:
         start = self._first if self._how.start_offset > 0.0 else None
         yield from read_raw(self._info.folder, list(self._publishers), start=start, limits=self._how.limits)
 
-    def _in_rhythm(self) -> Iterator[RawMessage]:
+    def _in_rhythm(self) -> Iterator[SerializedMessage]:
         """Yield each message at its time, the clock ticking in between, until stopped."""
         begin = time.monotonic()
         tick = begin

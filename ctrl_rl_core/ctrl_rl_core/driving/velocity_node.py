@@ -15,6 +15,7 @@ class Driver(VelocityNode):
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Sequence
 from typing import ClassVar
 
@@ -27,7 +28,6 @@ from rclpy.duration import Duration
 from rclpy.time import Time
 from std_msgs.msg import Header
 
-from ctrl_rl_core.driving.wall_clock_timeout import WALL_TIMEOUT, WallClockTimeout
 from ctrl_rl_core.errors import CtrlRlError
 from ctrl_rl_core.ros.node import COMMAND, Status, SuiteNode, ok, warn
 from ctrl_rl_core.ros.parameters import Parameter
@@ -37,7 +37,13 @@ VELOCITY_PARAMETERS = (
     Parameter("enable_stamped_cmd_vel", True, "Publish cmd_vel as TwistStamped (Jazzy) instead of Twist (Humble)."),
     Parameter("base_frame", "", "Frame of the commands; empty for the child frame of the odometry."),
     Parameter("dry_run", False, "Compute and log commands, but send nothing on cmd_vel.", live=True),
-    WALL_TIMEOUT,
+    Parameter(
+        "wall_timeout",
+        5.0,
+        "Age of an input in wall time that stops the robot even while the simulated clock stands still [s].",
+        0.1,
+        3600.0,
+    ),
 )
 _SOME_BASE = "base_link"
 """The frame of the commands until odometry names one."""
@@ -84,12 +90,16 @@ class VelocityNode(SuiteNode):
         self._publisher = self.create_publisher(type(self._out), "cmd_vel", COMMAND)
         self.low, self.high = _STAND, _STAND
         # Ages are measured on a steady clock, because the system clock may be set while the robot drives. The clock of
-        # a simulation may stand still: then `WallClockTimeout` counts.
+        # a simulation may stand still: then `wall_timeout` counts, which is longer, since it may also be slow.
         simulated = self.get_parameter("use_sim_time").value
         self._ages = self.get_clock() if simulated else Clock(clock_type=ClockType.STEADY_TIME)
         self._heard: dict[str, Time | None] = dict.fromkeys(needs)
         self._begun = self._ages.now()
-        self._wall = WallClockTimeout(self, self._watch_wall) if simulated else None
+        self._wall_timeout: float = self.settings["wall_timeout"] if simulated else math.inf
+        self._heard_at: dict[str, float] = {}
+        if simulated:
+            wall = Clock(clock_type=ClockType.STEADY_TIME)
+            self.create_timer(0.25 * self._wall_timeout, self._watch_wall, clock=wall)
         self._rivals: tuple[str, ...] = ()
         self.counts = {"commands": 0, "stopped": 0, "stale": 0}
         self.moving = False
@@ -120,14 +130,12 @@ class VelocityNode(SuiteNode):
 
     def note_input(self, what: str) -> None:
         """Note that a usable input has just arrived."""
-        self._heard[what] = self._ages.now()
-        if self._wall is not None:
-            self._wall.note_input(what)
+        self._heard[what], self._heard_at[what] = self._ages.now(), time.monotonic()
 
     def age(self, what: str) -> float:
         """Return the age of an input [s]; infinite before the first, and where it is overdue in wall time."""
         at = self._heard[what]
-        if at is None or (self._wall is not None and self._wall.overdue(what)):
+        if at is None or time.monotonic() - self._heard_at[what] > self._wall_timeout:
             return math.inf
         return self._elapsed(at)
 
@@ -242,7 +250,7 @@ class VelocityNode(SuiteNode):
         problem = self.stale_input() if self.moving else ""
         if problem:
             self.counts["stale"] += 1
-            self.halt(f"{problem} in {self.settings[WALL_TIMEOUT.name]:g} s of wall time: is the simulation paused?")
+            self.halt(f"{problem} in {self._wall_timeout:g} s of wall time: is the simulation paused?")
 
     def _look_for_rivals(self) -> tuple[str, ...]:
         """Return the other publishers of cmd_vel; log them when they change."""

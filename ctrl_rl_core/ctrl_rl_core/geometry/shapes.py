@@ -157,24 +157,6 @@ class ArcPath:
                 begin += arc.length
         return out
 
-    def nearest(self, points: ArrayLike, step: float = 0.01) -> tuple[Array, Array]:
-        """Return arc length [m] and signed lateral offset [m], positive to the left, of the nearest path point.
-
-        Args:
-            points: Positions (..., 2) [m].
-            step: Resolution of the search [m]; the result is refined within it by projection on the tangent.
-        """
-        points = np.asarray(points, dtype=float)
-        s = np.linspace(0.0, self.length, max(2, int(np.ceil(self.length / step)) + 1))
-        poses = self.pose(s)
-        flat = points.reshape(-1, 2)
-        index = np.array([np.argmin(np.sum((poses[:, :2] - point) ** 2, axis=1)) for point in flat], dtype=int)
-        offset, heading = flat - poses[index, :2], poses[index, 2]
-        along = np.clip(offset[:, 0] * np.cos(heading) + offset[:, 1] * np.sin(heading), -step, step)
-        lateral = -offset[:, 0] * np.sin(heading) + offset[:, 1] * np.cos(heading)
-        arc_length = np.clip(s[index] + along, 0.0, self.length)
-        return arc_length.reshape(points.shape[:-1]), lateral.reshape(points.shape[:-1])
-
     def walls(self, width: float, thickness: float = 0.05, largest_sag: float = 0.002) -> tuple[Box, ...]:
         """Return boxes that line both sides of the path at distance width / 2, without gaps.
 

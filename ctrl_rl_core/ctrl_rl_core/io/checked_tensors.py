@@ -20,9 +20,7 @@ from safetensors.numpy import save
 
 from ctrl_rl_core.io import checked_json
 from ctrl_rl_core.io.checked_json import DIGEST
-from ctrl_rl_core.io.file_checks import FileError, as_text, open_file, short_repr
-from ctrl_rl_core.io.file_kinds import KINDS, describe_kind
-from ctrl_rl_core.io.memory import available
+from ctrl_rl_core.io.file_checks import FileError, as_text, available_memory, open_file, short_repr
 from ctrl_rl_core.io.schema import Count, Schema
 
 Tensors = dict[str, NDArray[Any]]
@@ -44,6 +42,17 @@ TYPES: dict[str, type[np.generic]] = {
     "BOOL": np.bool_,
 }
 _ZEROS = b"0" * 64
+KINDS = {
+    "policy": "a Koopman policy, for koopman_lqr_controller's controller (policy:=FILE)",
+    "option_policy": "a joint option policy, for option_coordinator's coordinator (policy:=FILE)",
+    "actor": "an actor-1 network of a learning run, for Python's ctrl_rl_training.io.actor.Actor; no node drives by it",
+    "checkpoint": "a learning run's checkpoint, for the command that wrote it, which goes on from there",
+    "visits": "states that a learning run visited, for the figures that its package draws",
+    "value_grid": "a value grid, for ttr_reward_node's reward or oc_baseline_node's baseline (grid:=FILE)",
+    "decomposed_value": "a time to reach in parts, for ttr_reward_node's reward (grid:=FILE)",
+    "oc_value": "an optimal control value, for oc_baseline_node's baseline (grid:=FILE)",
+}
+"""Descriptions of the suite's files, by the key of their header."""
 
 
 class _Entry(Schema):
@@ -112,7 +121,7 @@ def read_tensors(
         FileError: It is no such file, too large, damaged, or holds other tensors.
         OSError: It cannot be read.
     """
-    with open_file(path, available() if largest is None else largest) as (file, size):
+    with open_file(path, available_memory() if largest is None else largest) as (file, size):
         head = file.read(min(size, 8))
         length = int.from_bytes(head, "little")
         if length <= LARGEST_HEADER:
@@ -121,7 +130,7 @@ def read_tensors(
         if key not in metadata:
             known = next((found for found in metadata if found in KINDS), None)
             if known is not None:
-                raise FileError(f"is {describe_kind(known)}; wanted is {describe_kind(key)}")
+                raise FileError(f"is {KINDS[known]}; wanted is {KINDS.get(key, repr(key))}")
             found = short_repr(next(iter(metadata), "without a header"))
             raise FileError(f"is a safetensors file of another kind, {found}, not {short_repr(key)}")
         header = checked_json.parse_json(metadata[key])

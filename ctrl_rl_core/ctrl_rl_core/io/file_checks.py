@@ -149,3 +149,19 @@ def first_error(error: ValidationError, hidden: tuple[str, ...] = ()) -> str:
     more = f" (and {len(errors) - 1} more)" if len(errors) > 1 else ""
     said = f"{one_line(key, 100)}: {text}" if key else text
     return f"{one_line(said, LONGEST_ERROR - 20)}{more}"
+
+
+def available_memory() -> float:
+    """Return the bytes that can be allocated: those of the system, or fewer where this process's group is limited."""
+    bytes_ = float("inf")
+    try:
+        for line in Path("/proc/meminfo").read_text(encoding="ascii").splitlines():
+            if line.startswith("MemAvailable:"):
+                bytes_ = 1024.0 * float(line.split()[1])
+        limit = Path("/sys/fs/cgroup/memory.max").read_text(encoding="ascii").strip()
+        if limit != "max":
+            used = float(Path("/sys/fs/cgroup/memory.current").read_text(encoding="ascii"))
+            bytes_ = min(bytes_, float(limit) - used)
+    except (OSError, ValueError):
+        pass  # not Linux, or no such group: nothing is known, nothing is refused
+    return bytes_

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ctrl_rl_core.tasks.outcome import Outcome
-from ctrl_rl_core.tasks.schema.episode import RewardSpec
+from ctrl_rl_core.tasks.schema.parts import RewardSpec
 
 
 def terminal_reward(

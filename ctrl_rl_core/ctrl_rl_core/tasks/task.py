@@ -22,14 +22,11 @@ from ctrl_rl_core.io.checked_yaml import read_yaml
 from ctrl_rl_core.io.file_checks import FileError, first_error, raise_as, short_path, short_repr
 from ctrl_rl_core.systems.models import SYSTEM_MODELS
 from ctrl_rl_core.tasks.option_tasks import ToolDelivery, WaterFilling
-from ctrl_rl_core.tasks.schema.episode import EpisodeSpec, RewardSpec
-from ctrl_rl_core.tasks.schema.lidar import LidarSpec
 from ctrl_rl_core.tasks.schema.optimal_control import GridSpec, OptimalControlSpec
-from ctrl_rl_core.tasks.schema.parts import Several, TaskHeader
-from ctrl_rl_core.tasks.schema.region import RegionSpec
-from ctrl_rl_core.tasks.schema.robot import RobotSpec
+from ctrl_rl_core.tasks.schema.parts import EpisodeSpec, RewardSpec, Several, TaskHeader
+from ctrl_rl_core.tasks.schema.robot import LidarSpec, RobotSpec
 from ctrl_rl_core.tasks.schema.system import SystemSpec
-from ctrl_rl_core.tasks.schema.world import ArenaSpec, CorridorSpec, ObstacleSpec
+from ctrl_rl_core.tasks.schema.world import ArenaSpec, CorridorSpec, ObstacleSpec, RegionSpec
 
 FOLDER = FilePath(__file__).parent / "task_files"
 _PROSE = {"about", "source", "differences"}

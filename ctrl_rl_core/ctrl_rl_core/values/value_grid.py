@@ -8,8 +8,6 @@ The rule of interpolation, for +inf ("cannot reach") and outside the domain (NaN
 """
 
 import hashlib
-import math
-import re
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cached_property, partial
@@ -19,8 +17,9 @@ from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import ValidationError
 
-from ctrl_rl_core.io.file_checks import raise_as
+from ctrl_rl_core.io.file_checks import first_error, raise_as
 from ctrl_rl_core.values import grid_file
 from ctrl_rl_core.values.grid_axis import Axis, GridError
 from ctrl_rl_core.values.interpolation import axis_table, gradient_at, gradients_at, value_at, values_at
@@ -182,21 +181,11 @@ _DESCRIPTION = ("kind", "task", "task_digest", "solver", "residual", "notes")
 
 
 def _check_description(grid: ValueGrid) -> None:
-    for name in ("kind", "task", "task_digest", "solver"):
-        text = getattr(grid, name)
-        if not isinstance(text, str) or not text:
-            raise GridError(f"'{name}' is {text!r}; give a text")
-    if grid.kind not in KIND_UNITS:
-        raise GridError(f"'kind' is '{grid.kind}'; give one of {', '.join(KIND_UNITS)}")
-    if not re.fullmatch("[0-9a-f]{64}", grid.task_digest):
-        raise GridError(f"'task_digest' is '{grid.task_digest}'; give a SHA-256, 64 hexadecimal digits")
-    if isinstance(grid.residual, bool) or not isinstance(grid.residual, int | float):
-        raise GridError(f"'residual' is {grid.residual!r}; give a number")
-    if not (math.isfinite(grid.residual) and grid.residual >= 0):
-        raise GridError(f"'residual' is {grid.residual:g}; give a finite number, zero or more")
-    notes = grid.notes
-    if not isinstance(notes, Mapping) or not all(isinstance(text, str) for item in notes.items() for text in item):
-        raise GridError("'notes' must map texts to texts")
+    """Hold a grid to the schema of its file."""
+    try:
+        grid_file.GridText.model_validate({name: getattr(grid, name) for name in _DESCRIPTION})
+    except ValidationError as error:
+        raise GridError(first_error(error)) from None
 
 
 def _check_values(values: NDArray[Any], axes: tuple[Axis, ...], kind: str) -> None:

@@ -11,11 +11,7 @@ Array = NDArray[np.float64]
 
 
 class CommandChannel:
-    """The last command of one robot, as its motors see it. Times are counted in physics steps.
-
-    Attributes:
-        refused: Number of commands that were not finite.
-    """
+    """The last command of one robot, as its motors see it. Times are counted in physics steps."""
 
     def __init__(self, bounds: Array, idle: Array, truncation: bool = False, delay: int = 0, timeout: int = 0) -> None:
         """Start without a command.
@@ -29,7 +25,6 @@ class CommandChannel:
         """
         self._bounds, self._idle = bounds, idle
         self._truncation, self._delay, self._timeout = truncation, delay, timeout
-        self.refused = 0
         self._waiting: deque[tuple[int, Array]] = deque()
         self._current, self._expires = idle, -1
 
@@ -37,7 +32,6 @@ class CommandChannel:
         """Take a command (2,) that arrives before physics step `step`; return False where it is refused."""
         values = np.array(command, dtype=float)
         if values.shape != (2,) or not np.isfinite(values).all():
-            self.refused += 1
             return False
         values = np.clip(values, self._bounds[:, 0], self._bounds[:, 1])
         if self._truncation:

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from ctrl_rl_core.tasks.schema.episode import RewardSpec
+from ctrl_rl_core.tasks.schema.parts import RewardSpec
 from ctrl_rl_core.tasks.task_sets import PATH_NAMES, PathCoordinates
 from numpy.typing import NDArray
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from ctrl_rl_core.tasks.schema.lidar import LidarSpec
+from ctrl_rl_core.tasks.schema.robot import LidarSpec
 from numpy.typing import NDArray
 
 from sim_bridge.engines.physics import Physics

@@ -215,16 +215,6 @@ class SimulatedWorld:
         """Simulation time since the reset [s]."""
         return self.steps / self.options.rate
 
-    @property
-    def command_bounds(self) -> Array:
-        """Least and largest commands that a body carries out (2, 2)."""
-        return self._robots[0].body.bounds
-
-    @property
-    def refused_commands(self) -> int:
-        """Number of commands of this episode that were not finite."""
-        return sum(robot.channel.refused for robot in self._robots)
-
     def command(self, robot: int, command: ArrayLike) -> bool:
         """Give a robot a command (2,): v, omega [m/s, rad/s] or t1, t2 [N]; return False where it is not finite."""
         return self._robots[robot].channel.send(command, self.steps)

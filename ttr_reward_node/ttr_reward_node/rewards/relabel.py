@@ -12,7 +12,7 @@ from ctrl_rl_bags.format.checks import BagError, DamagedError, fields_of
 from ctrl_rl_bags.format.copy import copy_bag
 from ctrl_rl_bags.format.metadata import Topic
 from ctrl_rl_bags.format.reader import bag_info, open_bag
-from ctrl_rl_bags.format.sources import SerializedMessage
+from ctrl_rl_bags.format.topics import SerializedMessage
 from ctrl_rl_bags.format.type_definitions import BagTypes
 from ctrl_rl_bags.recording.message_types import message_definition
 from ctrl_rl_bags.recording.qos import to_bag_qos

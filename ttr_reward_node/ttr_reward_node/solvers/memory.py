@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ctrl_rl_core.io.memory import available
+from ctrl_rl_core.io.file_checks import available_memory
 
 from ttr_reward_node.errors import TimeToReachError
 
@@ -13,7 +13,7 @@ def require_memory(needed: float, points: int) -> None:
     Raises:
         TimeToReachError: More memory is needed than is free; both are named.
     """
-    there = available()
+    there = available_memory()
     if needed > there:
         raise TimeToReachError(
             f"{points:,} grid points need {gigabytes(needed)} of memory, {gigabytes(there)} are free: "

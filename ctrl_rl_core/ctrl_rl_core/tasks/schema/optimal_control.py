@@ -8,9 +8,9 @@ from pydantic import Field
 
 from ctrl_rl_core.geometry.units import Interval, Length, TimeStep
 from ctrl_rl_core.tasks.schema.parts import Part, Steps, Weight, interval_map
-from ctrl_rl_core.tasks.schema.region import RegionSpec
 from ctrl_rl_core.tasks.schema.robot import COMMAND_UNITS
 from ctrl_rl_core.tasks.schema.system import STATE_UNITS
+from ctrl_rl_core.tasks.schema.world import RegionSpec
 
 
 class GridSpec(Part):

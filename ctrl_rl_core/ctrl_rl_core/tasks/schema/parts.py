@@ -1,4 +1,4 @@
-"""The base of all parts of a task file, its header, and types that several parts use."""
+"""The base of all parts of a task file, its header, its rewards, and types that several parts use."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Annotated, Any, TypeVar
 
 from pydantic import BeforeValidator, Field, Strict
 
-from ctrl_rl_core.geometry.units import Interval, parse_interval
+from ctrl_rl_core.geometry.units import Interval, TimeStep, parse_interval
 from ctrl_rl_core.io.file_checks import short_repr
 from ctrl_rl_core.io.schema import Schema
 
@@ -67,3 +67,21 @@ def unit_of(name: str, units: Mapping[str, str]) -> str:
     if name not in units:
         raise ValueError(f"{short_repr(name)}: no such name; there are {', '.join(units) or 'none'}")
     return units[name]
+
+
+class EpisodeSpec(Part):
+    """Length of an episode: steps of a policy at most, and the duration of a step."""
+
+    steps: Steps
+    time_step: TimeStep
+
+
+class RewardSpec(Part):
+    """Rewards of a task by the outcome of a step (thesis Eq. 3.9, 3.15, 3.17)."""
+
+    goal: Reward
+    collision: Reward
+    intermediate: Reward = 0.0
+    trap: Reward | None = None
+    timeout: Reward = 0.0
+    tilt: Reward | None = None

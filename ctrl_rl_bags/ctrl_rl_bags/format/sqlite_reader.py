@@ -1,0 +1,90 @@
+"""The files of bags from before MCAP: sqlite3, read by rosbags within bounds."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import apsw
+from rosbags.rosbag2.metadata import dump_qos_v9
+from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
+
+from ctrl_rl_bags.format.checks import DamagedError, open_regular, reason
+from ctrl_rl_bags.format.mcap_records import Limits
+from ctrl_rl_bags.format.metadata import Topic
+from ctrl_rl_bags.format.topics import SerializedMessage
+
+_SQLITE_MAGIC = b"SQLite format 3\0"
+
+
+class SqliteReader:
+    """One sqlite3 file, open until `close`; its attributes are those of `McapReader`.
+
+    Raises:
+        DamagedError: The file is of another kind, or damaged.
+        OSError: The file cannot be read.
+    """
+
+    def __init__(self, path: Path, limits: Limits) -> None:
+        self._limits = limits
+        self.custom_data: dict[str, str] = {}
+        with open_regular(path) as (stream, _):
+            if stream.read(len(_SQLITE_MAGIC)) != _SQLITE_MAGIC:
+                raise DamagedError("it is no sqlite3 file")
+        # Of the process: a row may be computed, and so be of any size.
+        apsw.hard_heap_limit(2 * limits.open_bytes)
+        self._reader = Sqlite3Reader(path)
+        try:
+            self._reader.open()
+            connections = list(self._reader.connections)
+            self.topics = [(_sqlite_topic(connection), int(connection.msgcount)) for connection in connections]
+            metadata = self._reader.metadata
+            empty = not metadata.message_count
+            self.start, self.end = (0, 0) if empty else (int(metadata.start_time), int(metadata.end_time) - 1)
+        except Exception as error:
+            raise DamagedError(reason(error)) from None
+
+    def messages(self, topics: Collection[str], start: int | None, stop: int | None) -> Iterator[SerializedMessage]:
+        """Yield the messages of some topics, log times from `start` to before `stop` [ns], in their order.
+
+        Raises:
+            DamagedError: A message is damaged or too large.
+        """
+        chosen = [connection for connection in self._reader.connections if connection.topic in topics]
+        if not chosen:
+            return
+        try:
+            for connection, time, data in self._reader.messages(chosen, start, stop):
+                if not (isinstance(time, int) and isinstance(data, bytes) and 0 <= time < 1 << 63):
+                    raise DamagedError("a message is no message")
+                if len(data) > self._limits.chunk_bytes:
+                    raise DamagedError(
+                        f"a message of {len(data):,} bytes, where at most {self._limits.chunk_bytes:,} are read"
+                    )
+                yield SerializedMessage(connection.topic, connection.msgtype, time, time, 0, data)
+        except DamagedError:
+            raise
+        except Exception as error:
+            raise DamagedError(reason(error)) from None
+
+    def check(self) -> None:
+        """Do nothing: the format has no checksum."""
+
+    def unchecked(self) -> set[str]:
+        """Return the parts of the file that have no checksum."""
+        return {"everything: sqlite3 has no checksums"}
+
+    def close(self) -> None:
+        """Close the file."""
+        with suppress(Exception):
+            self._reader.close()
+
+
+def _sqlite_topic(connection: Any) -> Topic:
+    encoding = {1: "ros2msg", 2: "ros2idl"}.get(connection.msgdef.format.value, "ros2msg")
+    qos = tuple(dump_qos_v9(connection.ext.offered_qos_profiles))
+    return Topic(
+        str(connection.topic), str(connection.msgtype), connection.msgdef.data, connection.digest or "", qos, encoding
+    )
