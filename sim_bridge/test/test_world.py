@@ -10,7 +10,7 @@ from sim_bridge.simulation.world import SimulatedWorld, SimulationOptions
 
 def drive(world, steps=25):
     """Everything that robots sense on a fixed drive that ends against a wall."""
-    low, high = world.command_bounds.T
+    low, high = world._robots[0].body.bounds.T
     record = []
     for step in range(steps):
         for robot in range(len(world)):
