@@ -23,6 +23,7 @@ setup(
             "analyse = oc_baseline_node.training.analysis.cli:main",
             "baseline = oc_baseline_node.node:main",
             "oc = oc_baseline_node.cli:main",
+            "evaluate = oc_baseline_node.learning:evaluate",
             "plot = oc_baseline_node.learning:plot",
             "train = oc_baseline_node.learning:train",
             "training_figures = oc_baseline_node.learning:training_figures",

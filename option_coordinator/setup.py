@@ -22,6 +22,7 @@ setup(
         "console_scripts": [
             "coordinator = option_coordinator.nodes.coordinator_node:main",
             "navigation_agent = option_coordinator.nodes.navigation_agent:main",
+            "evaluate = option_coordinator.learning:evaluate",
             "replay = option_coordinator.cli:replay",
             "train = option_coordinator.learning:train",
             "plot = option_coordinator.learning:plot",

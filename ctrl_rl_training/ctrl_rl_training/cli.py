@@ -141,6 +141,18 @@ class TaskPlotOptions(PlotOptions):
     """Task file, where the task is not one of the suite's."""
 
 
+def find_learnt_task(file: Path, name: str, given: str | None, error: type[Exception]) -> NavigationTask:
+    """Return the task that is given, or else the one of the suite that a file names.
+
+    Raises:
+        Exception: `error`, if none is given and the suite has none of that name.
+        TaskError: There is no such task.
+    """
+    if given is None and name not in task_names():
+        raise error(f"{file}: is of task '{name}', none of the suite's: give its file with --task")
+    return load_navigation_task(given or name)
+
+
 def read_training(options: TaskPlotOptions, kind: type[Figures]) -> tuple[dict[str, Any], NavigationTask]:
     """Return the figures' data of a results file and the task that they belong to, and make the folder of pictures.
 
@@ -155,12 +167,10 @@ def read_training(options: TaskPlotOptions, kind: type[Figures]) -> tuple[dict[s
     from ctrl_rl_training.experiments.results import read_figures
 
     figures = read_figures(options.results, kind)
-    name = figures["task"]
-    if options.task is None and name not in task_names():
-        raise ResultsError(f"{options.results}: is of task '{name}', none of the suite's: give its file with --task")
-    task = load_navigation_task(options.task or name)
-    if task.name != name:
-        raise ResultsError(f"{options.results}: is of task '{name}', not of '{task.name}': leave --task out")
+    task = find_learnt_task(options.results, figures["task"], options.task, ResultsError)
+    name = task.name
+    if name != figures["task"]:
+        raise ResultsError(f"{options.results}: is of task '{figures['task']}', not of '{name}': leave --task out")
     size = len(task.system.build().state_names)
     if any(len(path["states"][0]) != size for paths in figures["paths"].values() for path in paths):
         raise ResultsError(f"{options.results}: its paths are not of {size} states, as task '{name}' has")

@@ -1,10 +1,12 @@
 """From recorded drives alone to policies: fit, evaluate, learn; a real drive too, where there is one."""
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
+from ctrl_rl_core.io.results import read_results
 from koopman_lqr_controller.cli.edmd import main as train
 from koopman_lqr_controller.cli.offline import evaluate, fit, learn_offline
 from koopman_lqr_controller.control.latent_controller import LatentController
@@ -101,6 +103,16 @@ def test_a_lidar_that_sees_only_ahead_fits_a_policy_whose_rear_observables_stay_
     assert not policy.model.A[rear].any()
     assert not policy.K[:, rear].any()
     assert policy.K[1].any(), "it steers by what it sees"
+
+
+def test_without_bags_a_policy_is_evaluated_in_episodes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    results = tmp_path / "results.json"
+    assert evaluate(["curved_corridor", "--episodes", "2", "--seed", "4", "--results", str(results)]) == 0
+    assert re.search(r"episodes   2 of curved_corridor, from seed 4\nsuccess .*\nreturn ", capsys.readouterr().out)
+    rows = {row.metric: row.values for row in read_results(tmp_path)[0].rows}
+    assert len(rows["success"]) == len(rows["return"]) == 2
+    assert evaluate(["curved_corridor_edmd"]) == 1
+    assert "this needs one that `learn` made" in capsys.readouterr().err
 
 
 def test_a_refitted_policy_predicts_and_does_what_the_first_did() -> None:

@@ -8,3 +8,4 @@ _MODULE = "oc_baseline_node.training.cli"
 train, plot, training_figures = (
     partial(run_imported, name, _MODULE, name) for name in ("train", "plot", "training_figures")
 )
+evaluate = partial(run_imported, "evaluate", "ctrl_rl_training.evaluation", "evaluate")

@@ -1,6 +1,7 @@
 """Learning with each baseline in the real simulator: resumes exactly, becomes tables and pictures."""
 
 import json
+import sys
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
@@ -11,7 +12,7 @@ from ctrl_rl_core.tasks.task import load_navigation_task, task_digest, task_file
 from ctrl_rl_core.values.value_function import ValueFunctionError
 from ctrl_rl_training.experiments.run import RunOptions
 from ctrl_rl_training.experiments.trainer import train as train_run
-from ctrl_rl_training.sb3.algorithms import ROLL_OUT
+from ctrl_rl_training.sb3 import algorithms
 from oc_baseline_node.errors import OcError
 from oc_baseline_node.training.cli import plot, train
 from oc_baseline_node.training.experiments.environment import PaidTimeOut
@@ -20,9 +21,17 @@ from oc_baseline_node.training.experiments.results import collect
 from oc_baseline_node.training.experiments.runs import OcRun, oc_runs
 from sim_bridge.environments import NavigationEnv
 
+from oc_baseline_node import learning
+
 RESULTS = Path(__file__).parents[2] / "docs" / "results"
 TASK = load_navigation_task("quad_trap")
+ROLL_OUT = 256
 SHORT = {"iterations": 2, "samples": ROLL_OUT, "evaluations": 1, "final_evaluations": 2}
+
+
+@pytest.fixture(autouse=True)
+def _short_roll_outs(monkeypatch):
+    monkeypatch.setattr(algorithms, "ROLL_OUT", ROLL_OUT)
 
 
 def own_task(folder, of, *changes, name=None):
@@ -41,7 +50,7 @@ def test_a_run_that_was_cut_off_ends_as_if_it_had_not_been(check_resuming, metho
     check_resuming(train_run, OcRun(TASK, method, 3), partial(RunOptions, **SHORT))
 
 
-def test_runs_become_a_table_and_pictures(tmp_path, capsys):
+def test_runs_become_a_table_and_pictures(tmp_path, capsys, monkeypatch):
     runs = oc_runs(TASK, ("ppo", "oc_ppo", "entropy_0.05"), 2)
     assert [run.method_name for run in runs[:2]] == ["oc_ppo", "oc_ppo"]
     for run in runs:
@@ -60,6 +69,11 @@ def test_runs_become_a_table_and_pictures(tmp_path, capsys):
     assert {"quad_trap_oc_ablation.png", "quad_trap_oc_advantages.png", "quad_trap_oc_entropy.png"} < {
         file.name for file in pictures.iterdir()
     }
+    monkeypatch.setattr(
+        sys, "argv", ["evaluate", str(tmp_path / runs[0].name / "policy.safetensors"), "--episodes", "2"]
+    )
+    assert learning.evaluate() == 0
+    assert "episodes   2 of quad_trap, from seed 0" in capsys.readouterr().out
 
 
 def test_pictures_show_the_world_of_the_task_that_was_learnt(tmp_path, capsys):

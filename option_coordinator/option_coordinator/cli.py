@@ -55,7 +55,7 @@ def replay(arguments: Sequence[str] | None = None) -> int:
 
 
 def _replay(options: ReplayOptions) -> int:
-    environment, choose = _prepare(options)
+    environment, choose = prepare_replay(options)
     (episode,) = play_episodes(environment, choose, range(options.seed, options.seed + 1))
     seconds = episode.steps * environment.simulation.time_step
     end = "done" if episode.terminated else "cut off"
@@ -81,7 +81,7 @@ def _draw(options: ReplayOptions, environment: OptionEnvironment) -> None:
             print(f"picture    {file}")
 
 
-def _prepare(options: ReplayOptions) -> tuple[OptionEnvironment, DecisionPolicy]:
+def prepare_replay(options: ReplayOptions) -> tuple[OptionEnvironment, DecisionPolicy]:
     """Return the environment to play in and the policy that chooses."""
     film = options.animation is not None
     if options.policy in ("scripted", "random"):

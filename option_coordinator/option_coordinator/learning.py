@@ -5,6 +5,6 @@ from functools import partial
 from ctrl_rl_core.command import run_imported
 
 _MODULE = "option_coordinator.training.cli"
-train, plot, training_figures = (
-    partial(run_imported, name, _MODULE, name) for name in ("train", "plot", "training_figures")
+evaluate, train, plot, training_figures = (
+    partial(run_imported, name, _MODULE, name) for name in ("evaluate", "train", "plot", "training_figures")
 )

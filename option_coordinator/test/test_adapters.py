@@ -14,7 +14,7 @@ from option_coordinator.cli import replay
 from option_coordinator.environments.tasks import make_environment
 from option_coordinator.environments.timeline import Span
 from option_coordinator.plots import draw_replay, draw_spans, draw_timeline
-from option_coordinator.training.cli import plot, train, training_figures
+from option_coordinator.training.cli import evaluate, plot, train, training_figures
 from option_coordinator.training.parallel_environment import ParallelOptions
 from pettingzoo.test import parallel_api_test
 from PIL import Image
@@ -106,6 +106,8 @@ def test_commands_from_training_to_replay(tmp_path, capsys, monkeypatch):
     policy = "runs/options/tool_delivery-async_autoregressive-s0/policy.safetensors"
     assert replay(["tool_delivery", "--policy", policy, "--choose", "mode"]) == 0
     assert "decisions" in capsys.readouterr().out
+    assert evaluate([policy, "--episodes", "3", "--results", "evaluated.json"]) == 0
+    assert "episodes   3 of tool_delivery, from seed 0" in capsys.readouterr().out
     assert replay(["water_filling", "--policy", policy]) == 1
     assert "was learned for task 'tool_delivery'" in capsys.readouterr().err
 

@@ -1,6 +1,7 @@
 """Learning with the rewards of Table 3.3: the wrapper pays them, runs are collected into table and pictures."""
 
 import json
+import sys
 from contextlib import suppress
 
 import gymnasium
@@ -11,8 +12,9 @@ from ctrl_rl_core.tasks.task import load_navigation_task, task_file
 from ctrl_rl_training.experiments.results import samples_to
 from ctrl_rl_training.experiments.run import RunOptions
 from ctrl_rl_training.experiments.trainer import train as train_run
-from ctrl_rl_training.sb3.algorithms import ROLL_OUT
+from ctrl_rl_training.sb3 import algorithms
 from ctrl_rl_training.sb3.state_visitation import Visits
+from ttr_reward_node.cli import learning
 from ttr_reward_node.errors import TimeToReachError
 from ttr_reward_node.rewards.rewards import make_reward
 from ttr_reward_node.training.cli import plot, train
@@ -20,6 +22,8 @@ from ttr_reward_node.training.environment import make_rewarded
 from ttr_reward_node.training.plots import draw_visits
 from ttr_reward_node.training.results import STAGES, collect
 from ttr_reward_node.training.training import RewardRun, reward_runs
+
+ROLL_OUT = 256
 
 
 def test_the_wrapper_pays_the_reward_and_leaves_the_rest_alone():
@@ -43,7 +47,8 @@ def test_the_wrapper_pays_the_reward_and_leaves_the_rest_alone():
     bare.close()
 
 
-def test_runs_become_a_table_and_pictures(tmp_path, capsys):
+def test_runs_become_a_table_and_pictures(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(algorithms, "ROLL_OUT", ROLL_OUT)
     runs = reward_runs("quad_ttr", ("ppo",), ("sparse", "distance_10"), 2)
     for run in runs:
         train_run(run, RunOptions(tmp_path, 2, ROLL_OUT, 1, 2))
@@ -64,6 +69,11 @@ def test_runs_become_a_table_and_pictures(tmp_path, capsys):
         "quad_ttr_visits.png",
     ]
     assert "ppo, sparse" in capsys.readouterr().out
+    monkeypatch.setattr(
+        sys, "argv", ["evaluate", str(tmp_path / runs[0].name / "policy.safetensors"), "--episodes", "2"]
+    )
+    assert learning.evaluate() == 0
+    assert "episodes   2 of quad_ttr, from seed 0" in capsys.readouterr().out
 
 
 def test_visits_of_a_corridor_are_drawn_as_well(tmp_path):

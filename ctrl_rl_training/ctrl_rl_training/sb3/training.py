@@ -9,25 +9,23 @@ from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from ctrl_rl_core.tasks.outcome import Outcome
 from ctrl_rl_core.tasks.task import NavigationTask, task_digest
-from numpy.typing import NDArray
 from stable_baselines3 import DDPG
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 
 from ctrl_rl_training.experiments.run import Point, Run, RunOptions, Tell
-from ctrl_rl_training.io.actor import Actor
 from ctrl_rl_training.sb3.algorithms import extract_actor
 from ctrl_rl_training.sb3.checkpoint import load_checkpoint, save_checkpoint
 from ctrl_rl_training.sb3.environment import DEPLOYED_RATE, Environment, observation_names
+from ctrl_rl_training.sb3.roll_out import SUCCESS, evaluate
 from ctrl_rl_training.sb3.state_visitation import Visits
 
 _EVALUATION_SEED = 1_000_000
-_SUCCESS = Outcome.GOAL.name
 
 
 class SimulatedRun(Run):
@@ -140,7 +138,7 @@ class _Learning:
         actor.save(folder / "policy.safetensors")
         self._visits.save(folder / "visits.safetensors")
         outcomes = [episode.outcome for episode in episodes]
-        lasted = [len(episode.states) - 1 for episode in episodes if episode.outcome == _SUCCESS]
+        lasted = [len(episode.states) - 1 for episode in episodes if episode.outcome == SUCCESS]
         return {
             "success": _rate(outcomes),
             "ended": _count(outcomes),
@@ -188,37 +186,8 @@ class Recorder(BaseCallback):
         return True
 
 
-class EvaluatedEpisode(NamedTuple):
-    """An episode of a deterministic policy.
-
-    Attributes:
-        outcome: Name of its outcome.
-        states: States that it went through (steps + 1, n).
-        total: Undiscounted return of the episode.
-    """
-
-    outcome: str
-    states: NDArray[np.float64]
-    total: float
-
-
-def evaluate(actor: Actor, environment: Environment, episodes: int, seed: int) -> list[EvaluatedEpisode]:
-    """Return episodes from the seeds `seed`, `seed` + 1 and so on."""
-    found = []
-    for episode in range(episodes):
-        observation, info = environment.reset(seed=seed + episode)
-        states, total, over = [info["state"]], 0.0, False
-        while not over:
-            observation, paid, terminated, truncated, info = environment.step(actor.scaled_action(observation))
-            states.append(info["state"])
-            total += float(paid)
-            over = terminated or truncated
-        found.append(EvaluatedEpisode(info["outcome"], np.array(states), total))
-    return found
-
-
 def _rate(outcomes: list[str]) -> float:
-    return outcomes.count(_SUCCESS) / len(outcomes) if outcomes else 0.0
+    return outcomes.count(SUCCESS) / len(outcomes) if outcomes else 0.0
 
 
 def _count(outcomes: list[str]) -> dict[str, int]:

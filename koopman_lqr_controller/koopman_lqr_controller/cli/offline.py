@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from pathlib import Path
+from typing import Annotated, Any
 
+import tyro
 from ctrl_rl_core.command import OptionalFileToWrite, at_least, make_command
 from ctrl_rl_core.geometry.units import Interval
 from ctrl_rl_core.io.atomic_write import atomic_write
@@ -47,10 +49,28 @@ class FitOptions(OutputOptions, BagOptions, PolicyOption):
 
 @dataclass(frozen=True, kw_only=True)
 class EvaluateOptions(BagOptions, PolicyOption):
-    """Tell how well a policy predicts recorded drives, against "nothing changes", and whether it commands the same."""
+    """Tell how a policy does: its success and return in fresh episodes; or, with bags, how well it predicts them.
+
+    On recorded drives its errors stand beside those of "nothing changes", and its commands beside the driver's.
+    """
+
+    bags: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[BAG ...]")] = ()
+    """Folders of rosbag2 with the topics scan, odom and cmd_vel (default: none, but episodes in simulation)."""
+
+    task: str | None = None
+    """Task of the episodes, as for `train` (default: the task that the policy has learnt)."""
+
+    episodes: at_least(1) = 100  # type: ignore[valid-type]
+    """Number of episodes."""
+
+    seed: at_least(0) = 0  # type: ignore[valid-type]
+    """Seed of the first episode; the others follow."""
 
     results: OptionalFileToWrite = None
     """JSON file to write the figures to."""
+
+    def __post_init__(self) -> None:
+        """Take any number of bags."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,7 +117,12 @@ def _fit(options: FitOptions) -> int:
 
 
 def _evaluate(options: EvaluateOptions) -> int:
-    policy = load_policy(find_policy(options.policy))
+    file = find_policy(options.policy)
+    if not options.bags:
+        from koopman_lqr_controller.training.experiments.evaluation import evaluate_in_episodes
+
+        return evaluate_in_episodes(file, options.task, options.episodes, options.seed, options.results)
+    policy = load_policy(file)
     parts = dict(zip((_FITTED, _HELD_OUT), _parts(options, policy.observation_fn), strict=True))
     figures = {name: evaluate_policy(policy, segments) for name, segments in parts.items() if segments}
     _print(figures)

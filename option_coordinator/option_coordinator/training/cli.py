@@ -1,4 +1,4 @@
-"""The commands `train` and `plot`: learning joint options, in simulation or from bags."""
+"""The commands `train`, `evaluate` and `plot`: learning joint options, in simulation or from bags."""
 
 from __future__ import annotations
 
@@ -18,9 +18,12 @@ from ctrl_rl_training.cli import (
     some_of,
     train_and_collect,
 )
+from ctrl_rl_training.evaluation import EvaluateOptions, report
 
+from option_coordinator.cli import ReplayOptions, prepare_replay
+from option_coordinator.environments.roll_out import play_episodes
 from option_coordinator.environments.tasks import load_option_task, make_environment
-from option_coordinator.policies.policy_file import HEADS
+from option_coordinator.policies.policy_file import HEADS, OptionPolicy
 from option_coordinator.training.experiments.methods import METHODS
 
 ITERATIONS = 25
@@ -106,6 +109,14 @@ def _train_on_bags(options: Train) -> int:
     return 0
 
 
+def _evaluate(options: EvaluateOptions) -> int:
+    task = options.task or str(OptionPolicy.load(options.policy).manifest.get("task"))
+    environment, choose = prepare_replay(ReplayOptions(task, str(options.policy), seed=options.seed))
+    episodes = list(play_episodes(environment, choose, range(options.seed, options.seed + options.episodes)))
+    done, returned = zip(*((episode.terminated, episode.returned) for episode in episodes), strict=True)
+    return report(options, load_option_task(task).name, done, returned)
+
+
 def _figures(options: PlotOptions) -> int:
     from ctrl_rl_training.experiments.results import read_figures
 
@@ -119,6 +130,7 @@ def _figures(options: PlotOptions) -> int:
     return 0
 
 
+evaluate = make_command("evaluate", EvaluateOptions, _evaluate)
 train = make_command("train", Train, _train, _METHODS)
 plot = make_command("plot", PlotOptions, _figures)
 training_figures = make_old_command("training_figures", "plot", plot)

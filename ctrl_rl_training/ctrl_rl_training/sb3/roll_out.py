@@ -1,0 +1,43 @@
+"""Episodes of a deployed policy in a simulated task; needs no torch."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from ctrl_rl_core.tasks.outcome import Outcome
+from numpy.typing import NDArray
+
+from ctrl_rl_training.io.actor import Actor
+from ctrl_rl_training.sb3.environment import Environment
+
+SUCCESS = Outcome.GOAL.name
+
+
+class EvaluatedEpisode(NamedTuple):
+    """An episode of a deterministic policy.
+
+    Attributes:
+        outcome: Name of its outcome.
+        states: States that it went through (steps + 1, n).
+        total: Undiscounted return of the episode.
+    """
+
+    outcome: str
+    states: NDArray[np.float64]
+    total: float
+
+
+def evaluate(actor: Actor, environment: Environment, episodes: int, seed: int) -> list[EvaluatedEpisode]:
+    """Return episodes from the seeds `seed`, `seed` + 1 and so on."""
+    found = []
+    for episode in range(episodes):
+        observation, info = environment.reset(seed=seed + episode)
+        states, total, over = [info["state"]], 0.0, False
+        while not over:
+            observation, paid, terminated, truncated, info = environment.step(actor.scaled_action(observation))
+            states.append(info["state"])
+            total += float(paid)
+            over = terminated or truncated
+        found.append(EvaluatedEpisode(info["outcome"], np.array(states), total))
+    return found

@@ -1,0 +1,40 @@
+"""Success and return of a learnt policy in fresh episodes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ctrl_rl_core.tasks.outcome import Outcome
+from ctrl_rl_training.evaluation import EvaluateOptions, report
+
+from koopman_lqr_controller.control.latent_controller import LatentController
+from koopman_lqr_controller.data.roll_outs import evaluate
+from koopman_lqr_controller.errors import KoopmanError
+from koopman_lqr_controller.training.agents.network_policy import NetworkPolicy
+from koopman_lqr_controller.training.consolidation.finishing import load_latent
+from koopman_lqr_controller.training.environments.benchmark_tasks import find_task, task_of_manifest
+
+
+def evaluate_in_episodes(policy: Path, task: str | None, episodes: int, seed: int, results: Path | None) -> int:
+    """Play the episodes `seed`, `seed` + 1 and so on, report them as `ctrl_rl_training.evaluation` does, and return 0.
+
+    Raises:
+        KoopmanError: The file holds no policy that `train` learns, or its task is unknown, or has changed.
+    """
+    controller: NetworkPolicy | LatentController
+    try:
+        controller = NetworkPolicy.load(policy)
+        manifest = controller.manifest
+    except KoopmanError:
+        latent = load_latent(policy)
+        controller, manifest = latent.controller, latent.manifest
+    problem = task_of_manifest(manifest) if task is None else find_task(task)
+    environment = problem.make(False)
+    try:
+        played = evaluate(controller, environment, episodes, seed)
+    finally:
+        environment.close()
+    ends = [episode.info.get("outcome") for episode in played]
+    succeeded = None if None in ends else [end == Outcome.GOAL.name for end in ends]
+    options = EvaluateOptions(policy=policy, task=task, episodes=episodes, seed=seed, results=results)
+    return report(options, Path(problem.name).stem, succeeded, [episode.total for episode in played])
