@@ -1,6 +1,7 @@
 """What tests share: nodes in a domain of their own that end with the test, runs that are cut off, a real drive."""
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -123,8 +124,8 @@ def cut_off() -> Callable[[Callable[..., Any], Any, Any], None]:
 
 
 @pytest.fixture
-def check_resuming(tmp_path: Path, cut_off: Callable[..., None]) -> Callable[..., Path]:
-    """Give a function that checks that a run ends alike, cut off after an iteration or not, and returns its folder."""
+def check_resuming(tmp_path: Path) -> Callable[..., Path]:
+    """Give a function that checks that a run ends alike from what a kill after an iteration leaves, and where."""
     from ctrl_rl_core.io.checked_json import read_json
 
     def learnt(folder: Path) -> tuple[Any, bytes]:
@@ -136,9 +137,15 @@ def check_resuming(tmp_path: Path, cut_off: Callable[..., None]) -> Callable[...
 
     def check(train: Callable[..., Any], run: Any, options: Callable[[Path], Any]) -> Path:
         resumed, whole = tmp_path / "resumed", tmp_path / "whole"
-        cut_off(train, run, options(resumed))
-        for folder in (resumed, whole):
-            train(run, options(folder))
+
+        def keep(*_: object) -> None:
+            if not resumed.exists():
+                assert any((whole / run.name).glob("checkpoint*"))
+                shutil.copytree(whole, resumed)
+
+        train(run, options(whole), keep)
+        assert not (resumed / run.name / "result.json").exists()
+        train(run, options(resumed))
         assert learnt(resumed / run.name) == learnt(whole / run.name)
         return resumed / run.name
 

@@ -15,12 +15,16 @@ from ctrl_rl_training.experiments.run_folder import result_file
 from ctrl_rl_training.experiments.trainer import train
 from ctrl_rl_training.io.actor import Actor
 from ctrl_rl_training.sb3.algorithm_names import ALGORITHMS
-from ctrl_rl_training.sb3.algorithms import ROLL_OUT, extract_actor, make_algorithm
+from ctrl_rl_training.sb3.algorithms import extract_actor, make_algorithm
 from ctrl_rl_training.sb3.environment import make_environment
+from ctrl_rl_training.sb3.roll_out import evaluate
 from ctrl_rl_training.sb3.state_visitation import load_visits
-from ctrl_rl_training.sb3.training import SimulatedRun, evaluate
+from ctrl_rl_training.sb3.training import SimulatedRun
 
 TASK = load_navigation_task("quad_ttr")
+ROLL_OUT = 256
+"""An eighth of the samples that learning takes between two updates."""
+STEPS = {"ppo": {"n_steps": ROLL_OUT // 8}, "trpo": {"n_steps": ROLL_OUT // 16}, "ddpg": {}}
 SHORT = {"iterations": 2, "samples": ROLL_OUT, "evaluations": 1, "final_evaluations": 2}
 
 
@@ -44,7 +48,7 @@ class PlainRun(SimulatedRun):
         return make_environment(TASK, rate)
 
     def model(self, samples):
-        return make_algorithm(self.algorithm, self.environment, self.seed, samples)
+        return make_algorithm(self.algorithm, self.environment, self.seed, samples, **STEPS.get(self.algorithm, {}))
 
     def notes(self, model):
         return {"samples": model.num_timesteps}

@@ -99,19 +99,19 @@ def check(problem: OptimalControlProblem, trajectory: MpcSolution, start: np.nda
 @pytest.mark.parametrize("name", TASKS)
 def test_every_trajectory_keeps_what_the_problem_asks(mpcs: dict[str, Mpc], name: str) -> None:
     mpc, random = mpcs[name], np.random.default_rng(3)
-    starts = [np.array(AT_REST[name]), *(draw_start(mpc.problem, random) for _ in range(8))]
+    starts = [np.array(AT_REST[name]), *(draw_start(mpc.problem, random) for _ in range(6))]
     solved = 0
     for start in starts:
         trajectory = mpc.solve(start)
         if trajectory.solved:
             check(mpc.problem, trajectory, start)
             solved += 1
-    assert solved >= 7
+    assert solved >= 6
 
 
 def test_ipopt_and_fatrop_find_the_same_trajectory() -> None:
-    problem = formulate(load_navigation_task("car_navigation"))
-    costs = [Mpc(problem, (solver,)).solve((2.0, 4.0, 0.0)).cost for solver in ("ipopt", "fatrop")]
+    problem = formulate(short_car(60))
+    costs = [Mpc(problem, (solver,)).solve((1.5, 4.0, 0.0)).cost for solver in ("ipopt", "fatrop")]
     assert costs[0] == pytest.approx(costs[1], rel=1e-4)
 
 
@@ -125,11 +125,11 @@ def test_a_warm_start_takes_fewer_iterations(mpcs: dict[str, Mpc]) -> None:
     assert warm.cost <= again.cost * (1 + 1e-3)
 
 
-def short_car() -> NavigationTask:
-    """The car with the published time step: 7 s in all."""
+def short_car(horizon: int = 140) -> NavigationTask:
+    """The car with the published time step: 7 s in all, or less."""
     task = load_navigation_task("car_navigation")
     assert task.optimal_control is not None
-    changed = task.optimal_control.model_copy(update={"time_step": 0.05})
+    changed = task.optimal_control.model_copy(update={"time_step": 0.05, "horizon": horizon})
     return task.model_copy(update={"optimal_control": changed})
 
 
@@ -156,8 +156,8 @@ def test_a_start_without_a_trajectory_gets_a_reason_and_no_traceback(mpcs: dict[
     assert not falling.solved
     assert falling.reason == "ipopt: Infeasible_Problem_Detected"
     assert np.isnan(falling.cost)
-    far = Mpc(formulate(short_car(), "letter")).solve((-4.5, -4.5, 0.0))
-    assert not far.solved, "7 s at 1 m/s do not lead 11 m away"
+    far = Mpc(formulate(short_car(20), "letter")).solve((-4.5, -4.5, 0.0))
+    assert not far.solved, "1 s at 1 m/s do not lead 11 m away"
     assert far.reason.startswith("ipopt: ")
 
 
@@ -174,13 +174,12 @@ def test_the_receding_horizon_drives_the_car_to_the_goal(mpcs: dict[str, Mpc]) -
     assert outcome == Outcome.GOAL
 
 
-def test_without_a_trajectory_the_controller_follows_its_plan_and_says_so(mpcs: dict[str, Mpc]) -> None:
-    mpc = mpcs["car_navigation"]
-    controller = RecedingHorizon(mpc)
+def test_without_a_trajectory_the_controller_follows_its_plan_and_says_so() -> None:
+    controller = RecedingHorizon(Mpc(formulate(short_car(40))))
     in_a_wall = (9.0, 9.0, 0.0)
     assert controller.control(in_a_wall) == pytest.approx([0.0, 0.0])
     assert not controller.solved
-    controller.control(AT_REST["car_navigation"])
+    controller.control((2.0, 2.0, 0.5))
     assert controller.solved
     plan = controller.plan
     assert controller.control(in_a_wall) == pytest.approx(plan.controls[1])
