@@ -2,11 +2,14 @@
 
 import contextlib
 import itertools
+import multiprocessing
+import os
+import runpy
 import signal
-import subprocess
 import sys
 import time
 from collections import defaultdict
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -23,12 +26,11 @@ from rclpy.parameter import Parameter
 
 from ctrl_rl_msgs.msg import AgentStatus, JointOptionStep, OptionGrant, OptionRequest
 
-COORDINATOR = [
-    sys.executable,
-    "-c",
-    "import sys; from option_coordinator.nodes.coordinator_node import main; sys.exit(main())",
-]
-ROBOT = [sys.executable, str(Path(__file__).with_name("robot_process.py"))]
+COORDINATOR = "option_coordinator.nodes.coordinator_node"
+ROBOT = str(Path(__file__).with_name("robot_process.py"))
+FORKS = multiprocessing.get_context("forkserver")
+"""Starts processes that need not import everything again."""
+FORKS.set_forkserver_preload([COORDINATOR, "option_coordinator.nodes.option_agent"])
 PATIENCE = 120.0  # s of wall time, for a busy machine
 LEASE, LOST_AFTER = 0.5, 1.0
 STANDS_BY = "another coordinator decides"
@@ -42,6 +44,16 @@ def write_policy(path, seed=0, robots=2, names=()):
     policy = OptionPolicy(agents, "mixture", False, tensors)
     policy.save(path)
     return OptionPolicy.load(path).digest
+
+
+def run(program, arguments, environment):
+    """Run a module's `main`, or a script, as a process of its own."""
+    os.environ.update(environment)
+    sys.argv = [program, *arguments]
+    if program.endswith(".py"):
+        runpy.run_path(program, run_name="__main__")
+    else:
+        sys.exit(import_module(program).main())
 
 
 class Rig:
@@ -82,10 +94,13 @@ class Rig:
             key = (grant.coordinator_epoch, grant.incarnation, grant.request_id)
             self._given[grant.agent, grant.status].setdefault(key, grant)
 
-    def start(self, name, command, **parameters):
+    def start(self, name, program, *arguments, **parameters):
         settings = [part for key, value in parameters.items() for part in ("-p", f"{key}:={value}")]
         names = ["-r", f"__ns:={self.namespace}", "-r", f"__node:={name}"]
-        self.processes[name] = subprocess.Popen([*command, "--ros-args", *names, *settings, "--log-level", "error"])
+        words = [*arguments, "--ros-args", *names, *settings, "--log-level", "error"]
+        process = FORKS.Process(target=run, args=(program, words, dict(os.environ)), daemon=True)
+        process.start()
+        self.processes[name] = process
 
     def coordinator(self, *names, **parameters):
         """Start some with short times; return once they are heard: what they say first is not to be missed."""
@@ -101,9 +116,9 @@ class Rig:
         self.start(node or name, ROBOT, robot=name, **parameters)
 
     def signal(self, name, number):
-        self.processes[name].send_signal(number)
+        os.kill(self.processes[name].pid, number)
         if number == signal.SIGKILL:
-            self.processes[name].wait()
+            self.processes[name].join()
 
     def kill(self, name):
         self.signal(name, signal.SIGKILL)
@@ -115,7 +130,7 @@ class Rig:
         while not (found := condition()):
             rclpy.spin_once(self.node, timeout_sec=0.02)
             for name, process in self.processes.items():
-                assert process.poll() is None, f"{name} ended with {process.returncode}"
+                assert process.is_alive(), f"{name} ended with {process.exitcode}"
             assert time.monotonic() < deadline, f"not within {PATIENCE:g} s: {what}\n{self.summary()}"
         return found
 
@@ -205,4 +220,4 @@ class Rig:
     def close(self):
         for process in self.processes.values():
             process.kill()
-            process.wait()
+            process.join()

@@ -2,7 +2,6 @@
 
 import math
 import signal
-import sys
 import time
 from collections import Counter
 from pathlib import Path
@@ -18,7 +17,7 @@ from rosgraph_msgs.msg import Clock
 from ctrl_rl_msgs.msg import AgentStatus, CoordinatorStatus, OptionRequest
 
 pytestmark = [pytest.mark.fault, pytest.mark.timeout(900)]  # waits end by themselves, see `PATIENCE`
-PLAIN = [sys.executable, str(Path(__file__).with_name("plain_robot.py"))]
+PLAIN = str(Path(__file__).with_name("plain_robot.py"))
 
 
 def goes_on(rig, *robots, grants=5):
@@ -227,7 +226,7 @@ def settings(rig):
 
 def test_a_robot_written_from_the_message_files_alone_works_with_all_that_happens(rig):
     rig.coordinator("first", "second", team_name="ours", longest_option=60.0)
-    rig.start("plain", [*PLAIN, "r0", "ours"])
+    rig.start("plain", PLAIN, "r0", "ours")
     rig.robot("r1", team="ours", lasts=0.1)
     goes_on(rig)
     rig.kill(rig.until(lambda: rig.deciding("first", "second"), "one decides"))
