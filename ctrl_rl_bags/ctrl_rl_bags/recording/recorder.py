@@ -29,6 +29,8 @@ from ctrl_rl_bags.recording.write_queue import BagQueue
 
 _TAKE_AT_ONCE = 200
 """Messages taken of one topic before the others get their turn."""
+_PAUSE_S = 0.02
+"""Time to let messages gather before the next are taken [s]: a round of the executor costs as much as 20 messages."""
 _PATIENCE_S = 1.0
 """Time that a node has to answer with its parameters before it is asked again."""
 
@@ -82,6 +84,12 @@ class TopicRecorder:
         """Write the messages that have arrived and were not yet taken."""
         for recorded in self._recorded.values():
             self._take(recorded, limit=self._queue_depth)
+
+    def _take_round(self) -> None:
+        """Write what has arrived on all topics, then pause unless a topic has more."""
+        emptied = [self._take(recorded, _TAKE_AT_ONCE) for recorded in self._recorded.values()]
+        if all(emptied):
+            time.sleep(_PAUSE_S)
 
     def _add(self, name: str, publishers: list[Any]) -> None:
         """Record a topic with the type of its first publisher."""
@@ -160,10 +168,8 @@ class TopicRecorder:
 
     def _subscribe(self, name: str, kind: Any, qos: QoSProfile) -> Subscription:
         def received(data: bytes, info: dict[str, int]) -> None:
-            recorded = self._recorded[name]
-            self._write(recorded, data, info)
-            # An executor hands over one message a round; a burst is cheaper to take in one go.
-            self._take(recorded, _TAKE_AT_ONCE)
+            self._write(self._recorded[name], data, info)
+            self._take_round()
 
         def lost(event: Any) -> None:
             self.lost += event.total_count_change
@@ -173,14 +179,16 @@ class TopicRecorder:
         )
         return self._node.create_subscription(kind, name, received, qos, raw=True, event_callbacks=events)
 
-    def _take(self, recorded: _Recorded, limit: int) -> None:
+    def _take(self, recorded: _Recorded, limit: int) -> bool:
+        """Write up to `limit` waiting messages of a topic; return whether none is left."""
         handle = recorded.subscription.handle
         with handle:
             for _ in range(limit):
                 taken = handle.take_message(recorded.type, True)
                 if taken is None:
-                    return
+                    return True
                 self._write(recorded, *taken)
+        return False
 
     def _write(self, recorded: _Recorded, data: bytes, info: dict[str, int]) -> None:
         log_time = info["received_timestamp"] or time.time_ns()

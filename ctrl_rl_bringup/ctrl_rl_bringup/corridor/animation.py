@@ -52,8 +52,14 @@ def animate_drive(bag: Path, drive: DriveReport, path: Path) -> None:
     (driven,) = axes["map"].plot([], [], color="tab:blue", linewidth=2)
     (robot,) = axes["map"].plot([], [], "o", color="tab:blue", markersize=9)
     (nose,) = axes["map"].plot([], [], color="white", linewidth=2)
+    clock = axes["map"].set_title(" ", family="monospace")
     marks = [mark for name, series in _series(drive).items() for mark in _draw_series(axes[name], name, series, drive)]
+    moving = (echoes, driven, robot, nose, clock, *marks)
+    for artist in moving:
+        artist.set_animated(True)
     canvas = FigureCanvasAgg(figure)
+    canvas.draw()  # type: ignore[no-untyped-call]
+    still = canvas.copy_from_bbox(figure.bbox)  # type: ignore[no-untyped-call]
     frames = []
     for stamp, bearings, ranges in scans:
         time = stamp - begin
@@ -65,11 +71,12 @@ def animate_drive(bag: Path, drive: DriveReport, path: Path) -> None:
         driven.set_data(*drive.truth[drive.truth[:, 0] <= time, 1:].T)
         robot.set_data([x], [y])
         nose.set_data([x, x + 0.1 * np.cos(yaw)], [y, y + 0.1 * np.sin(yaw)])
-        axes["map"].set_title(f"{time:4.1f} s", family="monospace")
+        clock.set_text(f"{time:4.1f} s")
         for mark in marks:
             mark.set_xdata([time, time])
-        canvas.draw()  # type: ignore[no-untyped-call]
-        figure.set_layout_engine("none")  # found once: finding it takes longer than drawing
+        canvas.restore_region(still)  # type: ignore[no-untyped-call]
+        for artist in moving:
+            figure.draw_artist(artist)
         frames.append(Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3]))  # type: ignore[no-untyped-call]
     plt.close(figure)
     _save(frames, path)

@@ -165,6 +165,8 @@ def read_drive(bag: Path) -> DriveReport:
         topic = message.topic.removeprefix(space)
         stamps[topic].append(_stamp(message.data))
         rows[topic].append(_row(topic, message.data))
+    if not rows["/episode"]:
+        raise BagError(f"{bag}: no message on {space}/episode: the drive never began")
     begin = stamps["/episode"][0] - rows["/episode"][0][1]
     episode = np.array(rows["/episode"])
     task, width = _task_of(info.custom_data)
