@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import check_refused, command, start
+from commands import EXAMPLES_OF_A_BAG, check_example, check_refused, command, start
 from ctrl_rl_bringup.corridor.report import read_drive
 from mcap.reader import make_reader
 from PIL import Image
@@ -134,6 +134,12 @@ def test_a_drive_can_be_drawn_as_a_moving_picture(run, tmp_path: Path) -> None:
     assert not (tmp_path / "none.gif").exists()
 
 
+@pytest.mark.parametrize("name", EXAMPLES_OF_A_BAG)
+def test_an_example_reads_its_bag(run, name: str, tmp_path: Path) -> None:
+    folder, _ = run
+    check_example(name, tmp_path, *EXAMPLES_OF_A_BAG[name], bag=folder / "bag")
+
+
 def test_a_run_never_overwrites_another(run) -> None:
     folder, _ = run
     check_refused(f"{folder} exists: give another folder", "demo", "--output", folder)
@@ -163,15 +169,6 @@ def test_the_scripted_driver_takes_no_policy() -> None:
     answer = command("record_drives", "--policy", "curved_corridor")
     assert answer.returncode == 2
     assert "unknown option --policy" in answer.stderr
-
-
-def test_without_a_known_width_it_drives_without_reward_and_says_so(tmp_path: Path) -> None:
-    folder = tmp_path / "run"
-    answer = command("demo", "--speed", 6, "--random-width", "--output", folder)
-    assert "no reward and no time to reach: the corridor's width is drawn at random" in answer.stderr
-    assert answer.returncode == 0, answer.stderr
-    assert not (folder / "time_to_reach.safetensors").exists()
-    assert json.loads((folder / "report.json").read_text())["outcome"] == "goal reached"
 
 
 def test_random_starts_in_the_narrowest_corridor_reach_the_goal(tmp_path: Path) -> None:

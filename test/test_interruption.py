@@ -14,14 +14,19 @@ FOLDER = Path(get_package_prefix("ctrl_rl_bringup")) / "lib" / "ctrl_rl_bringup"
 
 
 @pytest.mark.parametrize(
-    ("demo", "report", "number"),
-    [("demo", "report", signal.SIGTERM), ("options_demo", "options_report", signal.SIGINT)],
+    ("demo", "options", "report", "number"),
+    [("demo", ["--random-width"], "report", signal.SIGTERM), ("options_demo", [], "options_report", signal.SIGINT)],
 )
-def test_an_interrupted_demo_leaves_a_bag_and_no_node(tmp_path: Path, demo: str, report: str, number: int) -> None:
+def test_an_interrupted_demo_leaves_a_bag_and_no_node(
+    tmp_path: Path, demo: str, options: list[str], report: str, number: int
+) -> None:
     run, log = tmp_path / "run", tmp_path / "log"
     with log.open("wb") as stream:
         process = subprocess.Popen(
-            [FOLDER / demo, "--output", run, "--speed", "2"], stdout=stream, stderr=subprocess.STDOUT, env=os.environ
+            [FOLDER / demo, "--output", run, "--speed", "2", *options],
+            stdout=stream,
+            stderr=subprocess.STDOUT,
+            env=os.environ,
         )
     deadline = time.monotonic() + 120.0
     while "% of the way" not in log.read_text():
@@ -34,6 +39,9 @@ def test_an_interrupted_demo_leaves_a_bag_and_no_node(tmp_path: Path, demo: str,
     assert process.wait(60.0) == 130, log.read_text()
     assert log.read_text().splitlines()[-1] == f"{demo}: interrupted"
     assert "Traceback" not in log.read_text()
+    if "--random-width" in options:
+        assert "no reward and no time to reach: the corridor's width is drawn at random" in log.read_text()
+        assert not (run / "time_to_reach.safetensors").exists()
     assert not any(Path(f"/proc/{node}").exists() for node in nodes)
     answer = command(report, run)
     assert answer.returncode == 1

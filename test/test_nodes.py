@@ -4,6 +4,7 @@ import signal
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 import rclpy
@@ -26,6 +27,13 @@ NODES = {
     "coordinator": ("option_coordinator", ("team:=delivery_team",)),
     "navigation_agent": ("option_coordinator", ("robot:=robot_1",)),
 }
+FULL_NAMES = {
+    "bridge": "/sim_bridge",
+    "controller": "/koopman_lqr_controller",
+    "reward": "/ttr_reward_node",
+    "coordinator": "/option_coordinator",
+}
+"""Nodes with another name than their executable."""
 BAD = {
     "bridge": ("task:=nowhere", "no task 'nowhere'"),
     "recorder": ("output:={folder}", "exists"),
@@ -69,21 +77,6 @@ def listener():
     rclpy.try_shutdown()
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("name", NODES)
-def test_a_signal_ends_it_in_good_order(start: Callable, listener, name: str, number: int) -> None:
-    node, heard = listener
-    process = start(name)
-    for _ in range(600):
-        rclpy.spin_once(node, timeout_sec=0.05)
-        if heard:
-            break
-    assert heard, f"says nothing on diagnostics: {process.output}"
-    code, _ = process.stop(number)
-    assert code == 0, process.output
-    assert "Traceback" not in process.output
-
-
 @pytest.mark.parametrize("name", NODES)
 def test_a_bad_parameter_ends_it_with_one_clear_message(run_node: Callable, tmp_path: Path, name: str) -> None:
     parameter, words = BAD[name]
@@ -104,28 +97,6 @@ def test_help_names_every_parameter_with_default_and_range(name: str) -> None:
     assert answer.stdout.count("(default ") >= 3
 
 
-def test_diagnostics_carry_name_level_and_figures(start: Callable, listener) -> None:
-    node, heard = listener
-    for name in NODES:
-        start(name)
-    for _ in range(800):
-        rclpy.spin_once(node, timeout_sec=0.05)
-        if len(heard) == len(NODES):
-            break
-    methods = {
-        "/koopman_lqr_controller",
-        "/scripted_driver",
-        "/ttr_reward_node",
-        "/option_coordinator",
-        "/navigation_agent",
-    }
-    assert set(heard) == {"/sim_bridge", "/recorder", "/watchdog", *methods}
-    for message in heard.values():
-        assert message.header.stamp.sec > 0 or message.status[0].name != "/recorder"
-        assert message.status[0].message
-        assert message.status[0].values
-
-
 def _dump(node: Node, name: str) -> dict[str, object]:
     """Return the parameters of a node, as `ros2 param dump` writes them."""
 
@@ -142,33 +113,45 @@ def _dump(node: Node, name: str) -> dict[str, object]:
     return {key: parameter_value_to_python(value) for key, value in zip(names, values, strict=True)}
 
 
+def _end(process: Any, number: int) -> None:
+    code, _ = process.stop(number)
+    assert code == 0, process.output
+    assert "Traceback" not in process.output
+
+
 @pytest.mark.fault
 @pytest.mark.parametrize("name", NODES)
-def test_dumped_parameters_load_again(
+def test_a_node_tells_diagnostics_dumps_and_loads_its_parameters_and_ends_in_good_order(
     start: Callable, run_node: Callable, listener: tuple, tmp_path: Path, name: str
 ) -> None:
     node, heard = listener
 
-    def wait(process: object) -> str:
+    def wait(process: Any) -> DiagnosticArray:
         heard.clear()
         for _ in range(1200):
             rclpy.spin_once(node, timeout_sec=0.05)
             if heard:
-                return next(iter(heard))
+                return next(iter(heard.values()))
             assert process.process.poll() is None, process.output
         raise AssertionError(process.output)
 
     first = start(name)
-    full_name = wait(first)
+    said = wait(first)
+    full_name = said.status[0].name
+    assert full_name == FULL_NAMES.get(name, f"/{name}")
+    assert said.header.stamp.sec > 0 or name == "recorder"
+    assert said.status[0].message
+    assert said.status[0].values
     dumped = _dump(node, full_name)
-    first.stop()
+    _end(first, signal.SIGINT)
     file = tmp_path / "dumped.yaml"
     again = {**dumped, "output": str(tmp_path / "again")} if "output" in dumped else dumped
     file.write_text(yaml.safe_dump({full_name: {"ros__parameters": again}}, default_flow_style=False))
     package, _ = NODES[name]
     second = run_node(package, name, params_file=file)
-    assert _dump(node, wait(second)) == again
+    assert _dump(node, wait(second).status[0].name) == again
     assert "unknown to this node" not in second.output
+    _end(second, signal.SIGTERM)
 
 
 @pytest.mark.parametrize("name", ["bag", "recorder"])
