@@ -250,8 +250,8 @@ def run_imported(program: str, module: str, function: str) -> int:
     return run_command(program, work)
 
 
-def _what_to_install(module: str) -> str:
-    """Say how to get a module that is missing."""
+def what_to_install(module: str) -> str:
+    """Return how to get a module that is missing."""
     package = module.partition(".")[0]
     if package in _NOT_ON_A_ROBOT:
         packages = " and ".join(_NOT_ON_A_ROBOT)
@@ -277,7 +277,7 @@ def run_command(program: str, work: Callable[[], int], failure: int = 1) -> int:
         print(f"{program}: {error}", file=sys.stderr)
         return failure
     except ModuleNotFoundError as error:
-        print(f"{program}: {_what_to_install(str(error.name))}", file=sys.stderr)
+        print(f"{program}: {what_to_install(str(error.name))}", file=sys.stderr)
         return failure
     except BrokenPipeError:  # the reader of a pipe (head, less) has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -21,7 +21,7 @@ from koopman_lqr_controller.control.linear_analysis import (
 )
 from koopman_lqr_controller.control.riccati import solve_lqr
 from koopman_lqr_controller.models.edmd import LinearModel
-from koopman_lqr_controller.training.analysis.straight_corridor import StraightCorridor
+from koopman_lqr_controller.training.analysis.true_system import StraightCorridor
 
 SEEDS = st.integers(0, 2**31)
 

@@ -10,9 +10,9 @@ from koopman_lqr_controller.cli.compare import compare, plot
 from koopman_lqr_controller.cli.learn import learn
 from koopman_lqr_controller.policies.policy_file import load_policy
 from koopman_lqr_controller.training.environments.benchmark_tasks import find_task
-from koopman_lqr_controller.training.experiments.comparison_results import collect_comparison
 from koopman_lqr_controller.training.experiments.comparisons import COMPARISONS
 from koopman_lqr_controller.training.experiments.methods import LEARNERS, METHODS
+from koopman_lqr_controller.training.experiments.results import collect_comparison
 
 TINY = ["--tasks", "cartpole_swingup", "--seeds", "1", "--workers", "1", "--chunks", "1", "--actions", "60"]
 TINY += ["--episodes", "1", "--consolidation", "0", "--set", "batch=16", "hidden=16", "latent=6", "first_steps=30"]

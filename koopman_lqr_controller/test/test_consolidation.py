@@ -8,9 +8,8 @@ from koopman_lqr_controller.data.roll_outs import evaluate, noisy_roll_outs, pro
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.models.prediction import horizon_errors
 from koopman_lqr_controller.training.consolidation.candidate_search import loss_bound
-from koopman_lqr_controller.training.consolidation.consolidation import consolidate
+from koopman_lqr_controller.training.consolidation.consolidation import consolidate, regulator_figures
 from koopman_lqr_controller.training.consolidation.consolidation_config import ConsolidationConfig
-from koopman_lqr_controller.training.consolidation.consolidation_report import regulator_figures
 from koopman_lqr_controller.training.consolidation.distillation import DistillationSettings, DistilledPolicy
 from line import Line, learnt_controller
 

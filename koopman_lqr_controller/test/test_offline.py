@@ -20,7 +20,7 @@ from koopman_lqr_controller.policies.latent_policy import LatentPolicy, RobotInt
 from koopman_lqr_controller.policies.policy_file import find_policy, load_policy, save_policy
 from koopman_lqr_controller.sensing.lidar_observation import LidarObservation
 from koopman_lqr_controller.training.agents.imitation import ImitationSettings, imitate
-from koopman_lqr_controller.training.analysis.straight_corridor import StraightCorridor
+from koopman_lqr_controller.training.analysis.true_system import StraightCorridor
 from recorded import KINDS, Bag
 
 CORRIDOR = StraightCorridor(0.7, 0.2)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from ctrl_rl_core.tasks.task import task_file
 from koopman_lqr_controller.errors import KoopmanError
-from koopman_lqr_controller.training.analysis.straight_corridor import StraightCorridor
+from koopman_lqr_controller.training.analysis.true_system import StraightCorridor
 from koopman_lqr_controller.training.environments.benchmark_tasks import BENCHMARK_TASKS, find_task, task_of_manifest
 from koopman_lqr_controller.training.environments.control_suite import FRAMES, ControlSuite
 from koopman_lqr_controller.training.environments.corridor import Conditions, Corridor

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-from ctrl_rl_core.command import at_least, checked, folder_to_write, make_command
+from ctrl_rl_core.command import at_least, checked, folder_to_write, make_command, what_to_install
 from ctrl_rl_core.errors import CtrlRlError
 from ctrl_rl_core.io.atomic_write import atomic_write
 
@@ -60,7 +60,7 @@ def _analyse(options: AnalyseOptions) -> int:
     try:
         world = make_world(policy)
     except ModuleNotFoundError as error:
-        world = KoopmanError(f"needs '{error.name}': python -m pip install -r requirements/training.txt")
+        world = KoopmanError(what_to_install(str(error.name)))
     except CtrlRlError as error:
         world = error
     try:

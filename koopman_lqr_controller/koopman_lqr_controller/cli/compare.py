@@ -12,7 +12,7 @@ from ctrl_rl_core.command import CommandError, FolderToWrite
 from ctrl_rl_core.io.results import write_results
 from ctrl_rl_training.cli import Positive, make_command, make_old_command, one_of
 
-from koopman_lqr_controller.cli.run_options import CONSOLIDATION, LearningOptions, as_command, given_words
+from koopman_lqr_controller.cli.run_options import CONSOLIDATION, LearningOptions, given_words
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.training.environments.benchmark_tasks import find_task
 from koopman_lqr_controller.training.experiments.comparisons import COMPARISONS
@@ -88,8 +88,7 @@ def _compare_on(task: str, name: str, methods: Sequence[str], changes: Changes, 
     from ctrl_rl_training.experiments.matrix import run_experiments
     from ctrl_rl_training.experiments.results import as_table
 
-    from koopman_lqr_controller.training.experiments.comparison_results import collect_comparison
-    from koopman_lqr_controller.training.experiments.runs import LearningRun
+    from koopman_lqr_controller.training.experiments.results import collect_comparison
 
     problem = find_task(task)
     sees = {method: METHODS[method] for method in methods}
@@ -97,26 +96,15 @@ def _compare_on(task: str, name: str, methods: Sequence[str], changes: Changes, 
         sees = {method: each for method, each in sees.items() if each.learner == "koopman"}
     if not sees:
         raise KoopmanError(f"--methods {' '.join(methods)}: learns from vectors, {task} shows pictures")
-    runs: dict[str, list[LearningRun]] = {}
+    runs = {}
     for method, each in sees.items():
         settings = tuple(sorted(dict((*each.changes, *changes)).items()))
         consolidation = options.consolidation if method == "koopman" else 0
-        said = ["learn", "--task", task, *given_words(options, _WORDS)]
-        said += ["--learner", each.learner] if each.learner != "koopman" else []
-        said += ["--set", *(f"{key}={value}" for key, value in settings)] if settings else []
-        said += ["--consolidation", str(consolidation)] if consolidation != CONSOLIDATION else []
-        runs[method] = [
-            LearningRun(
-                task,
-                seed,
-                settings,
-                options.device,
-                as_command(*said, "--seeds", str(seed + 1)),
-                consolidation,
-                each.learner,
-            )
-            for seed in range(options.seeds)
-        ]
+        words = given_words(options, _WORDS)
+        words += ["--learner", each.learner] if each.learner != "koopman" else []
+        words += ["--set", *(f"{key}={value}" for key, value in settings)] if settings else []
+        words += ["--consolidation", str(consolidation)] if consolidation != CONSOLIDATION else []
+        runs[method] = options.learning_runs(task, settings, words, consolidation, each.learner)
     # Where `--set` makes two methods the same, they are one run.
     named = {each[seed].name: each[seed] for seed in range(options.seeds) for each in runs.values()}
     everything = list(named.values())

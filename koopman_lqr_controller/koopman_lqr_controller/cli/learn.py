@@ -77,22 +77,10 @@ def _learn(options: Train) -> int:
     from ctrl_rl_training.experiments.run_folder import result_file
 
     from koopman_lqr_controller.training.experiments.results import collect
-    from koopman_lqr_controller.training.experiments.runs import LearningRun
 
     settings = ["--set", *options.set_words] if options.set else []
-    command = as_command("learn", "--task", options.task, *settings, *given_words(options, _LEARN_WORDS))
-    runs = [
-        LearningRun(
-            problem.name,
-            seed,
-            changes,
-            options.device,
-            f"{command} --seeds {seed + 1}",
-            options.consolidation,
-            options.learner,
-        )
-        for seed in range(options.seeds)
-    ]
+    words = [*settings, *given_words(options, _LEARN_WORDS)]
+    runs = options.learning_runs(problem.name, changes, words, options.consolidation, options.learner)
     title = Path(problem.name).stem
     results = run_experiments(runs, options.run_options(problem), options.workers, title, options.ray)
     rows, figures = collect(problem, results)
@@ -111,8 +99,8 @@ def _consolidate(options: Consolidate) -> int:
     from tqdm import tqdm
 
     from koopman_lqr_controller.policies.policy_file import refuse_existing, save_policy
+    from koopman_lqr_controller.training.consolidation.consolidation import consolidate_policy, load_latent
     from koopman_lqr_controller.training.consolidation.consolidation_config import ConsolidationConfig
-    from koopman_lqr_controller.training.consolidation.finishing import consolidate_policy, load_latent
 
     if not 0.0 < options.noise < math.inf:
         raise KoopmanError(f"--noise must be positive, not {options.noise}")
@@ -133,7 +121,7 @@ def _consolidate(options: Consolidate) -> int:
                 bar.update()
 
             policy, found = consolidate_policy(
-                options.policy, problem, environment, plan, command, options.seed, on_progress
+                options.policy, problem, environment, plan, command, seed=options.seed, on_progress=on_progress
             )
     finally:
         environment.close()

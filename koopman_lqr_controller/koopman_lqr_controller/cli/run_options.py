@@ -7,7 +7,7 @@ import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 from ctrl_rl_core.command import FolderToWrite, note_old_name
@@ -17,6 +17,9 @@ from ctrl_rl_training.experiments.run import RunOptions
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.training.environments.benchmark_tasks import BenchmarkTask
 from koopman_lqr_controller.training.experiments.methods import Changes
+
+if TYPE_CHECKING:
+    from koopman_lqr_controller.training.experiments.runs import LearningRun
 
 CONSOLIDATION = 30
 """Default number of episodes of each round of consolidation."""
@@ -61,6 +64,18 @@ class LearningOptions(ExperimentOptions):
                 raise KoopmanError(f"--set {text}: must be NAME=VALUE")
             out[name] = _value(value)
         return tuple(sorted(out.items()))
+
+    def learning_runs(
+        self, task: str, changes: Changes, words: Sequence[str], consolidation: int, learner: str = "koopman"
+    ) -> list[LearningRun]:
+        """Return a run for each seed; its policy says the words after `learn --task TASK` that make it again."""
+        from koopman_lqr_controller.training.experiments.runs import LearningRun
+
+        command = as_command("learn", "--task", task, *words)
+        return [
+            LearningRun(task, seed, changes, self.device, f"{command} --seeds {seed + 1}", consolidation, learner)
+            for seed in range(self.seeds)
+        ]
 
     def run_options(self, task: BenchmarkTask) -> RunOptions:
         """Return the settings of the runs on a task."""

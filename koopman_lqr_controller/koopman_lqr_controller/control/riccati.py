@@ -1,4 +1,7 @@
-"""The linear quadratic regulator of a linear model in discrete time: infinite and finite horizon."""
+"""The linear quadratic regulator of a linear model in discrete time: infinite and finite horizon.
+
+The model has A (n, n) and B (n, m). Q weighs the state, R the control.
+"""
 
 from __future__ import annotations
 
@@ -32,10 +35,7 @@ class Regulator:
 def solve_lqr(model: LinearModel, Q: Array, R: Array) -> Regulator:
     """Return the stabilising regulator that minimises sum z^T Q z + u^T R u.
 
-    Args:
-        model: Linear model with A (n, n) and B (n, m).
-        Q: (n, n), symmetric, positive semi-definite.
-        R: (m, m), symmetric, positive definite.
+    Q (n, n) is symmetric and positive semi-definite, R (m, m) symmetric and positive definite.
 
     Raises:
         KoopmanError: the model cannot be stabilised, or Q leaves an undamped mode unseen.
@@ -62,17 +62,8 @@ def finite_horizon(model: LinearModel, Q: Array, R: Array, z_ref: Array, iterati
     """Return the first step's law u = k - K z after so many Riccati iterations (thesis Algorithm 1), and P.
 
     It minimises sum (z - z_ref)^T Q (z - z_ref) + u^T R u; k comes from the linear part of the cost-to-go, whose
-    recursion begins with Q z_ref.
-
-    Args:
-        model: Linear model with A (n, n) and B (n, m).
-        Q: Diagonal (n,), not negative.
-        R: Diagonal (m,), positive.
-        z_ref: Goal of z (n,).
-        iterations: Number M of iterations of Algorithm 1.
-
-    Returns:
-        K (m, n), k (m,), P (n, n).
+    recursion begins with Q z_ref. The diagonals Q (n,) and R (m,) are not negative, and positive. K is (m, n), k (m,),
+    P (n, n).
     """
     A, B = model.A, model.B
     P, v = np.diag(Q), Q * z_ref

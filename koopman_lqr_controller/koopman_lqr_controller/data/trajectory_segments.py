@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -70,12 +70,16 @@ def load_segments(
     missing = [topic for topic in (scan, odom, command) if topic not in info]
     if missing:
         raise KoopmanError(f"{bag}: no topic {', '.join(missing)}; it has {', '.join(sorted(info))}")
-    topics: dict[str, Extractor | None] = {scan: None, odom: None, command: None}
+    unknown = [topic for topic in (scan, odom, command) if info[topic] not in EXTRACTORS]
+    if unknown:
+        known = ", ".join(EXTRACTORS)
+        raise KoopmanError(f"{unknown[0]} is of type {info[unknown[0]]}: must be one of {known}")
+    extractors = {topic: EXTRACTORS[info[topic]] for topic in (scan, odom, command)}
     if episode in info:
-        topics[episode] = _EPISODE
+        extractors[episode] = _EPISODE
     stamped = info[command].endswith("TwistStamped")
     yaw = yaw_of_lidar(bag, scan, prefix) if lidar_yaw is None else lidar_yaw
-    sequences = align(bag, _extractors(topics, info), reference=scan, methods={odom: "linear"})
+    sequences = align(bag, extractors, reference=scan, methods={odom: "linear"})
     out: list[TrajectorySegment] = []
     for sequence in sequences:
         out += _pieces(sequence, observe, yaw, (scan, odom, command, episode), stamped)
@@ -122,16 +126,6 @@ def split(
         unseen += [segment.cut(here, len(segment))] if here < len(segment) else []
         left -= here
     return seen, unseen
-
-
-def _extractors(topics: Mapping[str, Extractor | None], info: Mapping[str, str]) -> dict[str, Extractor]:
-    out = {}
-    for topic, given in topics.items():
-        extractor = given or EXTRACTORS.get(info[topic])
-        if extractor is None:
-            raise KoopmanError(f"{topic} is of type {info[topic]}: must be one of {', '.join(EXTRACTORS)}")
-        out[topic] = extractor
-    return out
 
 
 def _pieces(

@@ -1,4 +1,8 @@
-"""Prediction errors of a model over those of "nothing changes", and lower bounds of them."""
+"""Prediction errors of a model over those of "nothing changes", and lower bounds of them.
+
+`predict` returns the next z (N, n) of z (N, n) and actions (N, m); `z` are the latents of each episode (T + 1, n), and
+`actions` those that were done in it (T, m).
+"""
 
 from __future__ import annotations
 
@@ -16,13 +20,7 @@ HORIZON = 10
 
 
 def squared_error(predict: Predict, z: Sequence[Array], actions: Sequence[Array]) -> float:
-    """Return the mean squared error of one step, over all components: the thesis's model error.
-
-    Args:
-        predict: Next z (N, n) of z (N, n) and actions (N, m).
-        z: Latents of each episode (T + 1, n).
-        actions: Actions of each episode (T, m).
-    """
+    """Return the mean squared error of one step, over all components: the thesis's model error."""
     missed = [here[1:] - predict(here[:-1], done) for here, done in zip(z, actions, strict=True)]
     return float(np.mean(np.concatenate(missed) ** 2))
 
@@ -30,13 +28,7 @@ def squared_error(predict: Predict, z: Sequence[Array], actions: Sequence[Array]
 def horizon_errors(predict: Predict, z: Sequence[Array], actions: Sequence[Array], steps: int) -> list[float]:
     """Return the error over that of persistence after 1, 2, ... `steps` steps, over all components.
 
-    The model goes on from its own prediction, under the actions that were done.
-
-    Args:
-        predict: Next z (N, n) of z (N, n) and actions (N, m).
-        z: Latents of each episode (T + 1, n).
-        actions: Actions of each episode (T, m).
-        steps: Number of steps; errors beyond the longest episode are left out.
+    The model goes on from its own prediction, under the actions that were done; the longest episode bounds the steps.
 
     Raises:
         KoopmanError: there is not one step.
@@ -58,13 +50,7 @@ def law_error(predict: Predict, K: Array, z: Sequence[Array], actions: Sequence[
     """Return the error over persistence, after one step, in what the law asks for: in K z.
 
     Unlike that of z it is the same in all coordinates of the latent space: a component that is easy to predict cannot
-    make up for those that the law looks at by being large.
-
-    Args:
-        predict: Next z (N, n) of z (N, n) and actions (N, m).
-        K: Gain (m, n), its rows in like units.
-        z: Latents of each episode (T + 1, n).
-        actions: Actions of each episode (T, m).
+    make up for those that the law looks at by being large. The rows of the gain K (m, n) are in like units.
     """
     missed = [(here[1:] - predict(here[:-1], done)) @ K.T for here, done in zip(z, actions, strict=True)]
     return _over_persistence(missed, [each @ K.T for each in z])
@@ -73,12 +59,8 @@ def law_error(predict: Predict, K: Array, z: Sequence[Array], actions: Sequence[
 def noise_floor(z: Sequence[Array], again: Sequence[Array]) -> float:
     """Return the error over persistence, after one step, that the sensor's noise alone makes.
 
-    Two looks at one state differ by noise. Half of its mean square is what is missed by who knows the next state: no
-    model, linear or not, misses less.
-
-    Args:
-        z: Latents of each episode (T + 1, n).
-        again: The same states looked at once more.
+    Two looks at one state, `z` and `again`, differ by noise. Half of its mean square is what is missed by who knows the
+    next state: no model, linear or not, misses less.
     """
     return _over_persistence([np.sqrt(0.5) * (one - two)[1:] for one, two in zip(z, again, strict=True)], z)
 
@@ -88,10 +70,6 @@ def linear_floor(z: Sequence[Array], actions: Sequence[Array]) -> float:
 
     No linear model of these latents misses less of them, whatever it was fitted to: what of it is not noise is not
     linear in z and u. With a tenth as many regressors as there are steps it is 5 % too low.
-
-    Args:
-        z: Latents of each episode (T + 1, n).
-        actions: Actions of each episode (T, m).
     """
     here = np.hstack((np.concatenate([each[:-1] for each in z]), np.concatenate(actions)))
     regressors = np.hstack((here, np.ones((len(here), 1))))

@@ -25,8 +25,7 @@ from koopman_lqr_controller.sensing.lidar import STEP_TOLERANCE, ScanGeometry
 _OUT_OF_STEP = 20
 """Scans in a row that were not predicted, after which it is said."""
 _SOME_SCAN = ScanGeometry(360, 0.0, 2.0 * np.pi / 360, 0.1, 3.5)
-_GUARDS = ("largest_distance", "largest_error", "error_patience")
-_RETRIES = ("retry_after", "most_retries")
+_LIMITS, _RETRIES = ("largest_distance", "largest_error", "error_patience"), ("retry_after", "most_retries")
 
 
 class _LatentDetails(NamedTuple):
@@ -116,10 +115,8 @@ class Controller(LidarDriver[_LatentDetails]):
         """Apply a parameter; a new policy drives from the next scan on."""
         if name == "policy":
             self._load(self.settings["policy"])
-        elif name in _GUARDS:
-            self._guard.set_limits(*self._limits())
-        elif name in _RETRIES:
-            self._guard.set_retries(*self._retries())
+        elif name in (*_LIMITS, *_RETRIES):
+            self._set_guard()
         elif name == "max_distance":
             self._arrival.max_distance = self.settings["max_distance"]
             self._arrival.begin()
@@ -198,8 +195,8 @@ class Controller(LidarDriver[_LatentDetails]):
         policy.decide(np.ones(_SOME_SCAN.beams, np.float32), _SOME_SCAN, 0.0, 0.0)  # one of another robot ends here
         served = {"policy": path.name, "policy digest": digest(path)}
         # Only what is right in every respect takes the place of what drives.
-        self._guard, self._served, self._next = Guard(policy.distribution, *self._limits()), served, None
-        self._guard.set_retries(*self._retries())
+        self._guard, self._served, self._next = Guard(policy.distribution, 0.0, 0.0, 0.0), served, None
+        self._set_guard()
         self._late, self._out_of_step = 0, ""
         self._policy = policy
         self.set_limits(*policy.limits)
@@ -212,12 +209,9 @@ class Controller(LidarDriver[_LatentDetails]):
                 f"{path.name} has no region of training: only stale and unusable input stops the robot"
             )
 
-    def _limits(self) -> tuple[float, float, float]:
-        distance, error, patience = (float(self.settings[name]) for name in _GUARDS)
-        return distance, error, patience
-
-    def _retries(self) -> tuple[float, int]:
-        return float(self.settings["retry_after"]), int(self.settings["most_retries"])
+    def _set_guard(self) -> None:
+        self._guard.set_limits(*(float(self.settings[name]) for name in _LIMITS))
+        self._guard.set_retries(*(self.settings[name] for name in _RETRIES))
 
     def _in_step(self, elapsed: float) -> bool:
         """Whether so much time [s] since the last scan is what the model predicts for; say so where it never is."""

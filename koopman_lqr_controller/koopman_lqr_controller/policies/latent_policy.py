@@ -62,7 +62,7 @@ class RobotInterface:
 
 @dataclass(frozen=True)
 class LatentPolicy:
-    """A controller, and where it may be used.
+    """A controller, and where it may be used. What concerns a robot raises KoopmanError where there is no lidar.
 
     Attributes:
         controller: The latent controller.
@@ -109,20 +109,12 @@ class LatentPolicy:
 
     @property
     def sectors(self) -> Sectors:
-        """Sectors that a scan is resampled to.
-
-        Raises:
-            KoopmanError: the policy is of another task.
-        """
+        """Sectors that a scan is resampled to."""
         return self.required_interface.observation.sectors
 
     @property
     def limits(self) -> tuple[Array, Array]:
-        """Least and largest command (2,), (2,): speed [m/s], turn rate [rad/s].
-
-        Raises:
-            KoopmanError: the policy is of another task.
-        """
+        """Least and largest command (2,), (2,): speed [m/s], turn rate [rad/s]."""
         return self.required_interface.u_low, self.required_interface.u_high
 
     @cached_property
@@ -152,8 +144,7 @@ class LatentPolicy:
         """Return the command for one scan and the odometry's speed [m/s] and turn rate [rad/s].
 
         Raises:
-            KoopmanError: nothing can be seen in the scan, speed or turn rate are not finite, or the policy is of
-                another task.
+            KoopmanError: nothing can be seen in the scan, or speed or turn rate are not finite.
         """
         robot_interface, controller = self.required_interface, self.controller
         z = self._latent(robot_interface.observation.observe(ranges, scan, v, omega))
@@ -195,25 +186,13 @@ class LatentPolicy:
 
     @property
     def observation_fn(self) -> ObservationFn:
-        """Function from a scan and odometry to x.
-
-        Raises:
-            KoopmanError: the policy is of a task without a lidar.
-        """
+        """Function from a scan and odometry to x."""
         return self.required_interface.observation.observe
 
     def to_controls(self, commands: Array) -> Array:
-        """Return the actions (N, 2), in [-1, 1], whose commands are nearest to these (N, 2).
-
-        Raises:
-            KoopmanError: the policy is of a task without a lidar.
-        """
+        """Return the actions (N, 2), in [-1, 1], whose commands are nearest to these (N, 2)."""
         return self.required_interface.action(commands)
 
     def to_commands(self, controls: Array) -> Array:
-        """Return the commands (N, 2) of actions (N, 2).
-
-        Raises:
-            KoopmanError: the policy is of a task without a lidar.
-        """
+        """Return the commands (N, 2) of actions (N, 2)."""
         return self.required_interface.command(controls)

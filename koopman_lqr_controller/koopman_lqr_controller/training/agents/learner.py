@@ -1,87 +1,138 @@
-"""The learner of thesis Algorithm 2: it acts, remembers and updates, one chunk of a run at a time."""
+"""Learners that act and remember: that of thesis Algorithm 2, and what it shares with others."""
 
 from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
 
 import numpy as np
 import torch
 from ctrl_rl_training.io.learner_state import Arrays, restore_state, state_arrays
 from numpy.typing import NDArray
+from torch import nn
 
 from koopman_lqr_controller.control.latent_controller import LatentController
 from koopman_lqr_controller.training.agents.actor import AgentInterface
 from koopman_lqr_controller.training.agents.agent import Agent
-from koopman_lqr_controller.training.agents.interaction import collect_transitions
 from koopman_lqr_controller.training.agents.network_policy import NetworkPolicy
 from koopman_lqr_controller.training.environments.benchmark_tasks import AnyEnvironment, BenchmarkTask
 from koopman_lqr_controller.training.replay import Mirror, Replay
 
 _UPDATES = "updates"
+Act = Callable[[NDArray[np.generic]], NDArray[np.float32]]
 
 
-class KoopmanLearner:
-    """An agent, what it has met, and where it acts.
+class ReplayLearner(ABC):
+    """A learner that keeps the steps it has met, one chunk of a run at a time.
 
     Args:
         problem: Task to learn.
-        environment: To act in.
+        environment: Environment to act in.
         seed: Seed of all random numbers.
-        capacity: Places of the replay, at most those of the settings.
-        device: Device of the networks: "cpu" or "cuda".
+        capacity: Largest number of observations in the replay.
+
+    Attributes:
+        interface: Observations and controls of the agent.
+        replay: Steps that were met.
     """
+
+    def __init__(self, problem: BenchmarkTask, environment: AnyEnvironment, seed: int, capacity: int) -> None:
+        self._settings, self._environment, self._seed = problem.settings, environment, seed
+        self.interface = AgentInterface(
+            shape=environment.observation_space.shape,
+            controls=environment.action_space.shape[0],
+            middle=np.array(problem.middle, np.float32),
+            unit=np.array(problem.unit, np.float32),
+            goal=None if problem.goal is None else np.array(problem.goal, np.float32),
+        )
+        kind = environment.observation_space.dtype.type
+        self.replay = Replay(capacity, self.interface.shape, self.interface.controls, kind)
+        self._modules: Mapping[str, nn.Module] = {}
+        self._optimizers: Mapping[str, torch.optim.Optimizer] = {}
+
+    @abstractmethod
+    def _begin(self, random: np.random.Generator) -> tuple[Act | None, Callable[[], None]]:
+        """Return how a chunk acts, None for at random, and what updates the networks."""
+
+    def learn(self, chunk: int, done: int, actions: int, episodes: int) -> tuple[int, int]:
+        """Act, beginning with a fresh episode, and learn for one chunk.
+
+        Args:
+            chunk: Number of the chunk; with the seed it decides all that is random.
+            done: Number of actions before it.
+            actions: Number of actions to do; the last one ends its episode.
+            episodes: Number of episodes to end with; 0 for any number.
+
+        Returns:
+            Actions done and episodes begun.
+        """
+        settings, environment, random = self._settings, self._environment, np.random.default_rng((self._seed, chunk))
+        act, update = self._begin(random)
+        begun = 0
+        x, _ = environment.reset(seed=int(random.integers(2**31)))
+        for step in range(1, actions + 1):
+            learning = done + step > settings.first_steps
+            if act is not None and learning:
+                u = act(x)
+            else:
+                u = random.uniform(-1.0, 1.0, environment.action_space.shape).astype(np.float32)
+            x_next, reward, terminated, truncated, _ = environment.step(u)
+            self.replay.add(x, u, float(reward), bool(terminated))
+            x = x_next
+            ended = terminated or truncated or step == actions
+            if ended:
+                self.replay.end_episode(x_next)
+                begun += 1
+                x, _ = environment.reset(seed=int(random.integers(2**31)))
+            if learning and (done + step) % settings.update_every == 0:
+                update()
+            if ended and begun == episodes:
+                return step, begun
+        return actions, begun
+
+    def arrays(self) -> Arrays:
+        """Return networks, optimisers and replay."""
+        return {**state_arrays(self._modules, self._optimizers), **self.replay.arrays()}
+
+    def restore(self, arrays: Arrays, /) -> None:
+        """Restore the state that `arrays` returned."""
+        restore_state(self._modules, self._optimizers, arrays)
+        self.replay.restore(arrays)
+
+
+class KoopmanLearner(ReplayLearner):
+    """The learner of Algorithm 2: an agent, what it has met, and where it acts; `device` is that of its networks."""
 
     method = "task-oriented Koopman control with contrastive encoder (thesis 4.2)"
 
     def __init__(
         self, problem: BenchmarkTask, environment: AnyEnvironment, seed: int, capacity: int, device: str = "cpu"
     ) -> None:
-        self._settings, self._environment, self._seed = problem.settings, environment, seed
+        super().__init__(problem, environment, seed, min(problem.settings.replay, capacity))
         self._mirror: Mirror | None = getattr(environment, "mirror", None)
-        interface = agent_interface(problem, environment)
-        self._agent = Agent(interface, problem.settings, seed, device)
-        kind = environment.observation_space.dtype.type
-        self.replay = Replay(min(problem.settings.replay, capacity), interface.shape, interface.controls, kind)
+        self._agent = Agent(self.interface, problem.settings, seed, device)
+        self._modules, self._optimizers = {"agent": self._agent}, self._agent.optimizers
 
-    def learn(self, chunk: int, done: int, actions: int, episodes: int) -> tuple[int, int]:
-        """Act and learn for one chunk, as `trainer.Learner` says."""
-        settings, agent, shape = self._settings, self._agent, self._environment.action_space.shape
-        random = np.random.default_rng((self._seed, chunk))
+    def _begin(self, random: np.random.Generator) -> tuple[Act, Callable[[], None]]:
         generator = torch.Generator().manual_seed(int(random.integers(2**63)))
 
-        def act(step: int, x: NDArray[np.generic]) -> NDArray[np.float32]:
-            learning = done + step > settings.first_steps
-            return agent.act(x, generator) if learning else random.uniform(-1.0, 1.0, shape).astype(np.float32)
+        def update() -> None:
+            for _ in range(self._settings.updates):
+                steps = self.replay.draw(self._settings.batch, random)
+                steps = steps if self._mirror is None else self._mirror.mirror_at_random(steps, random)
+                self._agent.update(steps, generator)
 
-        def update(step: int) -> None:
-            if done + step <= settings.first_steps or (done + step) % settings.update_every:
-                return
-            for _ in range(settings.updates):
-                steps = self.replay.draw(settings.batch, random)
-                agent.update(steps if self._mirror is None else self._mirror.mirror_at_random(steps, random), generator)
-
-        return collect_transitions(self._environment, self.replay, random, actions, episodes, act, update)
+        return lambda x: self._agent.act(x, generator), update
 
     def candidates(self) -> dict[str, LatentController | NetworkPolicy]:
         """Return the average of the actor, and the actor as it is now."""
         return {"averaged": self._agent.averaged.deploy(), "actor": self._agent.actor.deploy()}
 
     def arrays(self) -> Arrays:
-        """Return networks, optimisers and replay."""
-        out = state_arrays({"agent": self._agent}, self._agent.optimizers)
-        return {**out, **self.replay.arrays(), _UPDATES: np.array(self._agent.updates)}
+        """Return networks, optimisers, replay and the number of updates."""
+        return {**super().arrays(), _UPDATES: np.array(self._agent.updates)}
 
     def restore(self, arrays: Arrays, /) -> None:
         """Restore the state that `arrays` returned."""
-        restore_state({"agent": self._agent}, self._agent.optimizers, arrays)
-        self.replay.restore(arrays)
+        super().restore(arrays)
         self._agent.updates = int(arrays[_UPDATES].item())
-
-
-def agent_interface(problem: BenchmarkTask, environment: AnyEnvironment) -> AgentInterface:
-    """Return what an agent observes and controls in a task's environment."""
-    return AgentInterface(
-        shape=environment.observation_space.shape,
-        controls=environment.action_space.shape[0],
-        middle=np.array(problem.middle, np.float32),
-        unit=np.array(problem.unit, np.float32),
-        goal=None if problem.goal is None else np.array(problem.goal, np.float32),
-    )

@@ -60,7 +60,7 @@ class SacLearner:
         )
 
     def learn(self, chunk: int, done: int, actions: int, episodes: int) -> tuple[int, int]:  # noqa: ARG002 - it counts
-        """Act and learn for one chunk, as `trainer.Learner` says."""
+        """Act and learn for one chunk; return actions done and episodes begun."""
         model = self._model
         model.set_random_seed(int(np.random.SeedSequence((self._seed, chunk)).generate_state(1)[0]) % 2**31)
         model._last_obs = None  # makes `learn` begin a fresh episode

@@ -7,12 +7,11 @@ The data are as many actions as other methods get, drawn at random; A and B are 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import torch
-from ctrl_rl_training.io.learner_state import Arrays, restore_state, state_arrays
-from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from koopman_lqr_controller.control.latent_controller import LatentController
@@ -20,11 +19,10 @@ from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.models.edmd import Snapshots, fit
 from koopman_lqr_controller.models.encoder import Encoder
 from koopman_lqr_controller.training.agents.actor import AgentInterface
-from koopman_lqr_controller.training.agents.interaction import collect_transitions
-from koopman_lqr_controller.training.agents.learner import agent_interface
+from koopman_lqr_controller.training.agents.learner import ReplayLearner
 from koopman_lqr_controller.training.environments.benchmark_tasks import AnyEnvironment, BenchmarkTask
 from koopman_lqr_controller.training.networks.differentiable_lqr import LatentLqr
-from koopman_lqr_controller.training.replay import Replay, Transitions
+from koopman_lqr_controller.training.replay import Transitions
 from koopman_lqr_controller.training.settings import Settings
 
 _RIDGE = 1e-6
@@ -52,12 +50,12 @@ class LiftedModel(nn.Module):
         return replace(self.encoder.deploy(), inclusive=True)
 
 
-class TwoStageLearner:
+class TwoStageLearner(ReplayLearner):
     """A learner that fits a model to random actions, then solves for its LQR.
 
     Args:
         problem: Task with a goal, seen as a vector.
-        environment: To act in.
+        environment: Environment to act in.
         seed: Seed of all random numbers.
         capacity: Capacity of the replay buffer, for all actions of a run.
         device: Device of the network: "cpu" or "cuda".
@@ -76,36 +74,28 @@ class TwoStageLearner:
         device: str = "cpu",
         learnt: bool = True,
     ) -> None:
-        self._settings, self._environment, self._seed, self._learnt = problem.settings, environment, seed, learnt
-        self._device = torch.device(device)
+        super().__init__(problem, environment, seed, capacity)
+        self._device, self._learnt = torch.device(device), learnt
         self.method = "two-stage Koopman control, " + ("learnt lifting" if learnt else "EDMD with random features")
-        interface = agent_interface(problem, environment)
-        if interface.goal is None or len(interface.shape) != 1 or problem.name not in HAND_TUNED:
+        goal = self.interface.goal
+        if goal is None or len(self.interface.shape) != 1 or problem.name not in HAND_TUNED:
             raise KoopmanError(
                 f"{problem.name}: two_stage needs costs that a hand has tuned, as for {', '.join(HAND_TUNED)}"
             )
-        self._goal, self._cost = interface.goal, HAND_TUNED[problem.name][problem.settings.cost]
+        self._goal, self._cost = goal, HAND_TUNED[problem.name][problem.settings.cost]
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
-            self._model = LiftedModel(interface, problem.settings).to(self._device)
+            self._model = LiftedModel(self.interface, problem.settings).to(self._device)
         parameters = [*self._model.encoder.parameters(), self._model.linear.A, self._model.linear.B]
         self._optimizer = torch.optim.Adam(parameters, lr=problem.settings.learning_rate)
-        kind = environment.observation_space.dtype.type
-        self.replay = Replay(capacity, interface.shape, interface.controls, kind)
+        self._modules, self._optimizers = {"model": self._model}, {"optimizer": self._optimizer}
 
-    def learn(self, chunk: int, done: int, actions: int, episodes: int) -> tuple[int, int]:
-        """Act at random and fit for one chunk, as `trainer.Learner` says."""
-        settings, random = self._settings, np.random.default_rng((self._seed, chunk))
-        shape = self._environment.action_space.shape
+    def _begin(self, random: np.random.Generator) -> tuple[None, Callable[[], None]]:
+        def update() -> None:
+            if self._learnt:
+                self._update(self.replay.draw(self._settings.batch, random))
 
-        def act(_: int, __: object) -> NDArray[np.float32]:
-            return random.uniform(-1.0, 1.0, shape).astype(np.float32)
-
-        def update(step: int) -> None:
-            if self._learnt and done + step > settings.first_steps and (done + step) % settings.update_every == 0:
-                self._update(self.replay.draw(settings.batch, random))
-
-        return collect_transitions(self._environment, self.replay, random, actions, episodes, act, update)
+        return None, update
 
     def _update(self, data: Transitions) -> None:
         x, u, _, x_next, _ = (torch.from_numpy(it).to(self._device).float() for it in data)
@@ -129,15 +119,6 @@ class TwoStageLearner:
             except KoopmanError:
                 continue
         raise KoopmanError("no regulator for the fitted model: give it more actions")
-
-    def arrays(self) -> Arrays:
-        """Return model, optimiser and replay."""
-        return {**state_arrays({"model": self._model}, {"optimizer": self._optimizer}), **self.replay.arrays()}
-
-    def restore(self, arrays: Arrays, /) -> None:
-        """Restore the state that `arrays` returned."""
-        restore_state({"model": self._model}, {"optimizer": self._optimizer}, arrays)
-        self.replay.restore(arrays)
 
 
 HAND_TUNED = {

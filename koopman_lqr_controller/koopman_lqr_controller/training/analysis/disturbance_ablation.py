@@ -49,7 +49,7 @@ def ablate_disturbances(
     """
     out = []
     for name, conditions in disturbances.items():
-        corridor = _ObservedTwice(make(conditions))
+        corridor = make(conditions)
         try:
             for index, noise in enumerate(noises):
                 on_progress(f"disturbance: {name}, noise {noise:g}")
@@ -60,35 +60,17 @@ def ablate_disturbances(
     return out
 
 
-class _ObservedTwice:
-    """A corridor that keeps a second look at each state of an episode, in `again`."""
-
-    def __init__(self, corridor: Corridor) -> None:
-        self._corridor = corridor
-        self.again: list[Vector] = []
-
-    def reset(self, *, seed: int) -> tuple[Vector, dict[str, Any]]:
-        out = self._corridor.reset(seed=seed)
-        self.again = [self._corridor.observe()]
-        return out
-
-    def step(self, action: Vector) -> tuple[Vector, float, bool, bool, dict[str, Any]]:
-        out = self._corridor.step(action)
-        self.again.append(self._corridor.observe())
-        return out
-
-    def close(self) -> None:
-        self._corridor.close()
-
-
-def _errors(
-    loop: ClosedLoopModel, corridor: _ObservedTwice, noise: float, first: int, episodes: int
-) -> dict[str, float]:
+def _errors(loop: ClosedLoopModel, corridor: Corridor, noise: float, first: int, episodes: int) -> dict[str, float]:
     z, again, u = [], [], []
     for seed in range(first, first + episodes):
-        episode = run_episode(loop, corridor, seed, noise)
+        looks: list[Vector] = []
+
+        def look(looks: list[Vector] = looks) -> None:
+            looks.append(corridor.observe())
+
+        episode = run_episode(loop, corridor, seed, noise, look)
         z.append(loop.latent(episode.x))
-        again.append(loop.latent(np.array(corridor.again)))
+        again.append(loop.latent(np.array(looks)))
         u.append(episode.u)
     return {
         "steps": sum(len(each) for each in u),

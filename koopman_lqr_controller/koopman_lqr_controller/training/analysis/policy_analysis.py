@@ -7,6 +7,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from ctrl_rl_core.command import what_to_install
 from ctrl_rl_core.errors import CtrlRlError
 from ctrl_rl_core.tasks.task import load_navigation_task
 from numpy.typing import NDArray
@@ -40,32 +41,6 @@ _PART_STEP = 5e-3
 """Differences of a Jacobian, as a part of a component's spread; encoders are of single precision."""
 
 
-class Findings:
-    """Findings by part, and the reasons for parts that were left out.
-
-    Attributes:
-        parts: By name, as JSON.
-        left_out: Reasons by name.
-    """
-
-    def __init__(self) -> None:
-        self.parts: dict[str, Any] = {}
-        self.left_out: dict[str, str] = {}
-
-    def add(self, name: str, find: Callable[[], dict[str, Any]]) -> None:
-        """Add a part, or say why it cannot be."""
-        try:
-            self.parts[name] = find()
-        except ModuleNotFoundError as error:
-            self.left_out[name] = f"needs '{error.name}': python -m pip install -r requirements/training.txt"
-        except CtrlRlError as error:
-            self.left_out[name] = str(error)
-
-    def as_json(self) -> dict[str, Any]:
-        """Return both."""
-        return {**self.parts, "left_out": self.left_out}
-
-
 def analyse(
     policy: KoopmanPolicy,
     world: Any,
@@ -82,14 +57,23 @@ def analyse(
         episodes: To live through in the world, the same number again with noise.
         on_progress: Called with the name of each part before it begins.
     """
-    loop, findings = policy.closed_loop_model(), Findings()
-    findings.add("policy", lambda: _policy(policy, loop))
+    loop, parts, left_out = policy.closed_loop_model(), dict[str, Any](), dict[str, str]()
+
+    def add(name: str, find: Callable[[], dict[str, Any]]) -> None:
+        try:
+            parts[name] = find()
+        except ModuleNotFoundError as error:
+            left_out[name] = what_to_install(str(error.name))
+        except CtrlRlError as error:
+            left_out[name] = str(error)
+
+    add("policy", lambda: _policy(policy, loop))
     on_progress("poles")
-    findings.add("poles", lambda: _poles(loop))
-    findings.add("true_poles", lambda: _true_poles(policy, loop, _there(world)))
+    add("poles", lambda: _poles(loop))
+    add("true_poles", lambda: _true_poles(policy, loop, _there(world)))
     on_progress("controllability")
-    findings.add("controllability", lambda: _controllability(loop))
-    findings.add("costs", lambda: {"Q": loop.Q.tolist(), "R": loop.R.tolist()})
+    add("controllability", lambda: _controllability(loop))
+    add("costs", lambda: {"Q": loop.Q.tolist(), "R": loop.R.tolist()})
     quiet: list[EpisodeTrajectory] = []
     noisy: list[EpisodeTrajectory] = []
     if not isinstance(world, CtrlRlError):
@@ -98,17 +82,17 @@ def analyse(
             quiet.append(run_episode(loop, world, _SEED + index))
             noisy.append(run_episode(loop, world, _SEED + episodes + index, _NOISE * (index + 1) / episodes))
     data = [*recorded] or [*quiet, *noisy]
-    findings.add("data", lambda: _data(data, bool(recorded), world))
+    add("data", lambda: _data(data, bool(recorded), world))
     on_progress("prediction")
-    findings.add("prediction", lambda: _prediction(loop, _some(data, world)))
+    add("prediction", lambda: _prediction(loop, _some(data, world)))
     if isinstance(world, Corridor):
-        findings.add("limits", lambda: _limits(policy, loop, episodes, on_progress))
-    findings.add("latents", lambda: _latents(loop, _some(data, world)))
-    findings.add("observations", lambda: _observations(policy, loop, _some(data, world), world))
+        add("limits", lambda: _limits(policy, loop, episodes, on_progress))
+    add("latents", lambda: _latents(loop, _some(data, world)))
+    add("observations", lambda: _observations(policy, loop, _some(data, world), world))
     on_progress("t-SNE")
-    findings.add("tsne", lambda: _tsne(loop, _some(data, world)))
-    findings.add("closed_loop", lambda: _closed_loop(loop, _some(quiet, world)))
-    return findings.as_json()
+    add("tsne", lambda: _tsne(loop, _some(data, world)))
+    add("closed_loop", lambda: _closed_loop(loop, _some(quiet, world)))
+    return {**parts, "left_out": left_out}
 
 
 def _there(world: Any) -> Any:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -86,7 +86,13 @@ def make_corridor(policy: KoopmanPolicy, conditions: Conditions) -> Corridor:
     return Corridor(False, conditions, task_of_manifest(policy.manifest).task)
 
 
-def run_episode(loop: ClosedLoopModel, environment: AnyEnvironment, seed: int, noise: float = 0.0) -> EpisodeTrajectory:
+def run_episode(
+    loop: ClosedLoopModel,
+    environment: AnyEnvironment,
+    seed: int,
+    noise: float = 0.0,
+    look: Callable[[], None] = lambda: None,
+) -> EpisodeTrajectory:
     """Return one episode's trajectory.
 
     Args:
@@ -94,15 +100,18 @@ def run_episode(loop: ClosedLoopModel, environment: AnyEnvironment, seed: int, n
         environment: Environment to act in.
         seed: Seed of the episode and of the noise.
         noise: Standard deviation of what is added to the action, which spans -1 to 1: it excites the model.
+        look: Called in each state, after it was observed.
     """
     random = np.random.default_rng(seed)
     x, info = environment.reset(seed=seed)
+    look()
     seen, done, paid, over = [x], [], [], False
     half = 0.5 * (loop.high - loop.low)
     while not over:
         u = loop.control(loop.latent(x))
         u = np.clip(u + noise * half * random.standard_normal(u.shape), loop.low, loop.high)
         x, reward, terminated, truncated, info = environment.step(loop.action(u).astype(np.float32))
+        look()
         seen.append(x)
         done.append(u)
         paid.append(float(reward))

@@ -1,66 +1,166 @@
-"""What the runs of a task amount to: one table with the thesis's figures beside ours, and curves to draw."""
+"""Tables of a task's or a comparison's runs, with the thesis's figures beside ours, and curves to draw."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
+from functools import reduce
+from itertools import pairwise
+from operator import getitem
 from typing import Any
 
 import numpy as np
 from ctrl_rl_core.io.results import Result
+from ctrl_rl_training.experiments.results import Metric, collect_rows, metric
 
 from koopman_lqr_controller.training.environments.benchmark_tasks import BenchmarkTask
+from koopman_lqr_controller.training.experiments.comparisons import COMPARISONS, LEVELS, REFERENCE
+from koopman_lqr_controller.training.experiments.methods import METHODS
 
+Results = Sequence[Mapping[str, Any]]
+"""Results of `train`, one a seed."""
 _LEARNT, _CONSOLIDATED = "task-oriented Koopman", "task-oriented Koopman, consolidated"
+
+
+def _at(*path: str) -> Callable[[Mapping[str, Any]], float]:
+    """Return what looks a figure up in a result."""
+    return lambda result: float(reduce(getitem, path, result))  # type: ignore[arg-type]
+
+
+def _where_there(name: str) -> Callable[[Results], list[float]]:
+    """Return what looks a figure up in all results, where all have it."""
+    return lambda results: [each[name] for each in results] if all(name in each for each in results) else []
+
+
+def _goals(results: Results) -> list[float]:
+    """Return how often the goal was reached, where episodes say how they end."""
+    ended = [each["outcomes"] for each in results]
+    return [each.get("GOAL", 0) / max(1, sum(each.values())) for each in ended] if any(ended) else []
+
+
+_RETURN = metric("return", "1", lambda result: np.mean(result["returns"]))
+_TO_THE_BEST = metric("actions to the best", "1", _at("best", "actions"))
+_CPU_TIME = metric("CPU time", "min", lambda result: result["cpu_seconds"] / 60)
+_GOALS = Metric("goal reached", "1", _goals)
+_LEARNING = (
+    _RETURN,
+    _TO_THE_BEST,
+    metric("time", "min", lambda result: sum(point["seconds"] for point in result["curve"]) / 60),
+    _CPU_TIME,
+    *(
+        metric(f"{unit} for {what}", "1", _at("interaction", what, unit))
+        for unit in ("episodes", "actions")
+        for what in ("learning", "choosing")
+    ),
+    _GOALS,
+)
+_CONSOLIDATING = (
+    _RETURN,
+    metric("latent dimensions", "1", _at("latent")),
+    metric("Riccati residual", "1", _at("dare_residual")),
+    *(metric(f"{unit} more", "1", _at("interaction", unit)) for unit in ("episodes", "actions")),
+)
+_BOTH = (
+    metric("spectral radius of A - B K", "1", _at("spectral_radius")),
+    metric("one-step error over persistence, noisy episodes", "1", _at("error_over_persistence")),
+    metric("the same of K z", "1", _at("law_error")),
+)
+_FINAL = (
+    _RETURN,
+    Metric("model error", "1", _where_there("model_error")),
+    Metric("one-step error over persistence", "1", _where_there("error_over_persistence")),
+    _TO_THE_BEST,
+    _CPU_TIME,
+)
+
+
+def _rows(
+    method: str, results: Results, metrics: Sequence[Metric], thesis: Mapping[str, float | None] | None = None
+) -> list[Result]:
+    finished: Any = {method: [(None, result) for result in results]}
+    return collect_rows(finished, metrics, lambda _, name: (thesis or {}).get(name))
 
 
 def collect(problem: BenchmarkTask, results: Sequence[dict[str, Any]]) -> tuple[list[Result], dict[str, Any]]:
     """Return the table of all runs of a problem, one value a seed, and the curves as JSON."""
     learner = results[0]["run"]["learner"]
-    rows = _learnt(_LEARNT if learner == "koopman" else learner, problem, results)
+    rows = _rows(_LEARNT if learner == "koopman" else learner, results, _LEARNING, {"return": problem.thesis})
     if all(result["consolidated"] for result in results):
-        rows += _consolidated(results)
+        ends = [result["consolidated"] for result in results]
+        rows += _rows(_CONSOLIDATED, ends, _CONSOLIDATING)
+        rows += _rows(_LEARNT, [end["learnt"] for end in ends], _BOTH)
+        rows += _rows(_CONSOLIDATED, ends, (*_BOTH, _GOALS))
     curves = {"steps": [[point["steps"] for point in result["curve"]] for result in results]}
     for name in results[0]["curve"][0]["returns"]:
         curves[name] = [[point["returns"][name] for point in result["curve"]] for result in results]
     return rows, {"task": problem.name, "curves": curves}
 
 
-def _learnt(method: str, problem: BenchmarkTask, results: Sequence[dict[str, Any]]) -> list[Result]:
-    rows = [
-        Result(method, "return", "1", [float(np.mean(result["returns"])) for result in results], problem.thesis),
-        Result(method, "actions to the best", "1", [float(result["best"]["actions"]) for result in results]),
-        Result(method, "time", "min", [sum(p["seconds"] for p in result["curve"]) / 60 for result in results]),
-        Result(method, "CPU time", "min", [result["cpu_seconds"] / 60 for result in results]),
+def collect_comparison(name: str, task: str, results: Mapping[str, Results]) -> tuple[list[Result], dict[str, Any]]:
+    """Return the rows of a comparison and the data of its picture.
+
+    Args:
+        name: One of `COMPARISONS`.
+        task: Task that the runs learnt.
+        results: Results of its methods.
+
+    Returns:
+        Rows, and `comparison`, `kind`, `task`, `reference` and, by method, `curves`: `samples`, steps of the system
+        (chunks,), and `values`, returns in the evaluations (seeds, chunks); a run that ended early stays as it ended.
+    """
+    comparison, rows = COMPARISONS[name], list[Result]()
+    if comparison.kind == "levels":
+        rows += [row for method in results for row in _levels(method, comparison.levels, results[method])]
+    for method, each in results.items():
+        thesis = dict(zip(("return", "model error"), comparison.thesis.get((task, method), ()), strict=False))
+        rows += _rows(METHODS[method].label, each, _FINAL, thesis)
+    figures = {
+        "comparison": name,
+        "kind": comparison.kind,
+        "task": task,
+        "reference": REFERENCE.get(task),
+        "curves": {method: _curves(each) for method, each in results.items()},
+    }
+    return rows, figures
+
+
+def _levels(method: str, levels: Sequence[float], results: Results) -> list[Result]:
+    """Return, for each level of the model's error, the best return in an evaluation of a run while it was there."""
+    rows: list[Result] = []
+    found: list[tuple[float, list[float]]] = []
+
+    def add(level: float, name: str, unit: str, values: list[float], thesis: float | None) -> None:
+        rows.append(Result(f"{METHODS[method].label}, model error ~{level:.0e}", name, unit, values, thesis))
+
+    for level in levels:
+        values = [best for result in results if (best := _best_at(level, result["curve"])) is not None]
+        if values:
+            found.append((level, values))
+            add(level, "return at this model error", "1", values, LEVELS.get((method, level)))
+    for (before, better), (level, values) in pairwise(found):
+        thesis = [LEVELS.get((method, each)) for each in (before, level)]
+        lost = None if thesis[0] is None or thesis[1] is None else 100.0 * (1.0 - thesis[1] / thesis[0])
+        ours = 100.0 * (1.0 - float(np.mean(values)) / float(np.mean(better))) if np.mean(better) else 0.0
+        add(level, "less than at the level before", "%", [ours], lost)
+    return rows
+
+
+def _best_at(level: float, curve: Sequence[Mapping[str, Any]]) -> float | None:
+    """Return the best return of the candidates whose error has this order of magnitude; None where there is none."""
+    returns = [
+        point["returns"][name]
+        for point in curve
+        for name, error in point["model_errors"].items()
+        if error > 0.0 and round(math.log10(error)) == round(math.log10(level))
     ]
-    for unit in ("episodes", "actions"):
-        for what in ("learning", "choosing"):
-            counts = [float(result["interaction"][what][unit]) for result in results]
-            rows.append(Result(method, f"{unit} for {what}", "1", counts))
-    return rows + _goals(method, results)
+    return max(returns, default=None)
 
 
-def _consolidated(results: Sequence[dict[str, Any]]) -> list[Result]:
-    ends = [result["consolidated"] for result in results]
-    rows = [
-        Result(_CONSOLIDATED, "return", "1", [float(np.mean(end["returns"])) for end in ends]),
-        Result(_CONSOLIDATED, "latent dimensions", "1", [float(end["latent"]) for end in ends]),
-        Result(_CONSOLIDATED, "Riccati residual", "1", [end["dare_residual"] for end in ends]),
-    ]
-    rows += [
-        Result(_CONSOLIDATED, f"{unit} more", "1", [float(end["interaction"][unit]) for end in ends])
-        for unit in ("episodes", "actions")
-    ]
-    for method, figures in ((_LEARNT, [end["learnt"] for end in ends]), (_CONSOLIDATED, ends)):
-        rows.append(Result(method, "spectral radius of A - B K", "1", [each["spectral_radius"] for each in figures]))
-        errors = [each["error_over_persistence"] for each in figures]
-        rows.append(Result(method, "one-step error over persistence, noisy episodes", "1", errors))
-        rows.append(Result(method, "the same of K z", "1", [each["law_error"] for each in figures]))
-    return rows + _goals(_CONSOLIDATED, ends)
-
-
-def _goals(method: str, figures: Sequence[dict[str, Any]]) -> list[Result]:
-    """Return how often the goal was reached, where episodes say how they end."""
-    if not any(each["outcomes"] for each in figures):
-        return []
-    parts = [each["outcomes"].get("GOAL", 0) / max(1, sum(each["outcomes"].values())) for each in figures]
-    return [Result(method, "goal reached", "1", parts)]
+def _curves(results: Results) -> dict[str, list[Any]]:
+    curves = [result["curve"] for result in results]
+    longest = max(curves, key=len)
+    values = [[next(iter(point["returns"].values())) for point in curve] for curve in curves]
+    return {
+        "samples": [point["steps"] for point in longest],
+        "values": [each + [each[-1]] * (len(longest) - len(each)) for each in values],
+    }

@@ -22,7 +22,7 @@ from koopman_lqr_controller.training.agents.learner import KoopmanLearner
 from koopman_lqr_controller.training.agents.two_stage_learner import TwoStageLearner
 from koopman_lqr_controller.training.consolidation.consolidation_config import ConsolidationConfig
 from koopman_lqr_controller.training.environments.benchmark_tasks import BenchmarkTask, find_task
-from koopman_lqr_controller.training.experiments.trainer import KoopmanLearning, Learner, should_stop
+from koopman_lqr_controller.training.experiments.trainer import KoopmanLearning, Learner
 
 
 @dataclass(frozen=True)
@@ -81,12 +81,9 @@ class LearningRun(Run):
 
     def plan(self, options: RunOptions) -> ConsolidationConfig | None:
         """Return how the policy is consolidated; None if it is not."""
-        regulated = self.learner == "koopman" and self.problem.settings.policy == "lqr"
-        return (
-            ConsolidationConfig.of(self.consolidation, options.final_evaluations)
-            if self.consolidation and regulated
-            else None
-        )
+        if not self.consolidation or self.learner != "koopman" or self.problem.settings.policy != "lqr":
+            return None
+        return ConsolidationConfig.of(self.consolidation, options.final_evaluations)
 
     def terms(self, options: RunOptions) -> dict[str, Any]:
         """Return description and settings.
@@ -97,14 +94,9 @@ class LearningRun(Run):
         if self.device != "cpu" and not torch.cuda.is_available():
             raise KoopmanError(f"device {self.device}: torch sees none; use cpu")
         plan = self.plan(options)
-        return {
-            **self.description,
-            "iterations": options.iterations,
-            "samples": options.samples,
-            "evaluations": options.evaluations,
-            "final_evaluations": options.final_evaluations,
-            "consolidation": None if plan is None else plan.as_json(),
-        }
+        names = ("iterations", "samples", "evaluations", "final_evaluations")
+        budget = {name: getattr(options, name) for name in names}
+        return {**self.description, **budget, "consolidation": None if plan is None else plan.as_json()}
 
     @contextmanager
     def begin(self, options: RunOptions, tell: Tell) -> Iterator[KoopmanLearning]:
@@ -127,7 +119,10 @@ class LearningRun(Run):
     def should_stop(self, curve: Sequence[Point]) -> bool:
         """Return whether a task's episodes are used up, or its patience is."""
         # What others offer has all of the budget: their curves may rise late, and ours must not win by that.
-        return should_stop(curve, self.problem, self.problem.patience if self.learner == "koopman" else 0)
+        patience = self.problem.patience if self.learner == "koopman" else 0
+        since_best = sum(point["actions"] > curve[-1]["best_actions"] for point in curve)
+        used_up = self.problem.episodes and curve and curve[-1]["episodes"] >= self.problem.episodes
+        return bool(used_up or (patience and since_best >= patience))
 
     def check(self, folder: Path, result: Mapping[str, Any]) -> None:
         """Refuse a finished run whose policies are not those that it ended with."""

@@ -21,8 +21,8 @@ from koopman_lqr_controller.policies.latent_policy import LatentPolicy
 from koopman_lqr_controller.policies.policy_file import digest, save_policy
 from koopman_lqr_controller.safety.latent_distribution import LatentDistribution, fit_distribution
 from koopman_lqr_controller.training.agents.network_policy import NetworkPolicy
+from koopman_lqr_controller.training.consolidation.consolidation import consolidate_policy, load_latent
 from koopman_lqr_controller.training.consolidation.consolidation_config import REPORT_SEED, ConsolidationConfig
-from koopman_lqr_controller.training.consolidation.finishing import consolidate_policy, load_latent
 from koopman_lqr_controller.training.environments.benchmark_tasks import AnyEnvironment, BenchmarkTask
 from koopman_lqr_controller.training.replay import Replay
 
@@ -65,17 +65,7 @@ class Learner(Protocol):
         """What it has met; None where a library keeps that for itself."""
 
     def learn(self, chunk: int, done: int, actions: int, episodes: int) -> tuple[int, int]:
-        """Act and learn.
-
-        Args:
-            chunk: its number: with the seed it decides all that is random.
-            done: actions before it.
-            actions: Number of actions to do.
-            episodes: Number of episodes to end with; 0 for any number.
-
-        Returns:
-            Actions done and episodes begun.
-        """
+        """Act and learn for one chunk, as `ReplayLearner.learn` does; return actions done and episodes begun."""
 
     def candidates(self) -> Mapping[str, LatentController | NetworkPolicy]:
         """Return what may be deployed now, by name; the first is what curves show."""
@@ -267,13 +257,3 @@ def model_errors(controller: LatentController, episodes: Sequence[Episode]) -> d
         "model_error": squared_error(controller.predict, z, actions),
         "error_over_persistence": horizon_errors(controller.predict, z, actions, 1)[0],
     }
-
-
-def should_stop(curve: Sequence[Point], problem: BenchmarkTask, patience: int) -> bool:
-    """Return whether a task's episodes are used up, or so many chunks brought no new best; 0 for any number."""
-    if not curve:
-        return False
-    since_best = sum(point["actions"] > curve[-1]["best_actions"] for point in curve)
-    return bool(
-        (problem.episodes and curve[-1]["episodes"] >= problem.episodes) or (patience and since_best >= patience)
-    )

@@ -1,4 +1,7 @@
-"""The differentiable LQR of thesis Algorithm 1, and its limit: from A, B, Q, R to a gain, with gradients."""
+"""The differentiable LQR of thesis Algorithm 1, and its limit: from A, B, Q, R to a gain, with gradients.
+
+A is (n, n), B (n, m); Q (n,) and R (m,) are the diagonals of the costs of state and control.
+"""
 
 from __future__ import annotations
 
@@ -11,15 +14,9 @@ _INITIAL_INFLUENCE = 0.1
 
 
 def riccati_gain(A: Tensor, B: Tensor, Q: Tensor, R: Tensor, z_ref: Tensor, iterations: int) -> tuple[Tensor, Tensor]:
-    """Return K (m, n) and k (m,) of u = k - K z after so many iterations; `riccati.finite_horizon` without gradients.
+    """Return K (m, n) and k (m,) of u = k - K z for the goal z_ref (n,) after M `iterations` of Algorithm 1.
 
-    Args:
-        A: State matrix (n, n).
-        B: Control matrix (n, m).
-        Q: Diagonal of the state cost (n,).
-        R: Diagonal of the control cost (m,).
-        z_ref: Goal of z (n,).
-        iterations: Number M of iterations of Algorithm 1.
+    `riccati.finite_horizon` is the same without gradients.
     """
     P, v = torch.diag(Q), Q * z_ref
     R_full, Q_full = torch.diag(R), torch.diag(Q)
@@ -38,13 +35,6 @@ def doubled_gain(A: Tensor, B: Tensor, Q: Tensor, R: Tensor, doublings: int = 6)
     """Return K (m, n) of `riccati_gain` after 2 ** doublings - 1 iterations, for all purposes the infinite horizon's.
 
     Structure-preserving doubling (Chu, Fan, Lin 2005): of each step's map over one stretch of time comes that over two.
-
-    Args:
-        A: State matrix (n, n).
-        B: Control matrix (n, m).
-        Q: Diagonal of the state cost (n,).
-        R: Diagonal of the control cost (m,).
-        doublings: Number of doublings.
     """
     stretch, P = A, torch.diag(Q)
     G, eye = (B / R) @ B.T, torch.eye(len(Q), dtype=A.dtype, device=A.device)
