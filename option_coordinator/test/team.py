@@ -2,6 +2,7 @@
 
 import heapq
 from dataclasses import replace
+from functools import cache
 from itertools import count
 
 import numpy as np
@@ -21,7 +22,7 @@ from option_coordinator.protocol.protocol_types import (
 from option_coordinator.protocol.team_settings import CoordinatorTimeouts, RobotSpec
 
 TIMES = CoordinatorTimeouts(batch_window=0.01)
-STEP = 0.02  # s, of the simulation
+STEP = 0.04  # s, of the simulation
 TIMEOUTS = ClientTimeouts(waiting=1.0)
 LONGEST_DELAY = 0.4
 AGENTS = [RobotSpec(Agent(f"r{i}", tuple("abc"[: 2 + i % 2]), 2), (2.0,) * (2 + i % 2)) for i in range(4)]
@@ -40,6 +41,7 @@ def uniform(seed):
     return chooses
 
 
+@cache
 def at(seconds):
     """A moment at which all clocks agree."""
     return ClockReading(seconds, seconds, seconds)

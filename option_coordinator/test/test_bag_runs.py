@@ -42,14 +42,14 @@ def recorded(tmp_path_factory):
     run.policy(run.learner(), {}).save(folder / "policy.safetensors")
     policy = OptionPolicy.load(folder / "policy.safetensors")
     with TeamBag(folder / "bag") as bag:
-        play_into(bag, run.environment(), policy.joint, policy.digest, 40)
+        play_into(bag, run.environment(), policy.joint, policy.digest, 20)
     return folder / "bag", folder / "policy.safetensors"
 
 
 def test_a_policy_learns_from_its_own_bag(tmp_path, recorded, capsys):
     bag, start = recorded
     arguments = ["--bags", str(bag), "--from", str(start), "--task", TASK, "--folder", str(tmp_path)]
-    assert train([*arguments, "--evaluations", "10"]) == 0
+    assert train([*arguments, "--evaluations", "4"]) == 0
     words = capsys.readouterr().out
     decisions = sum(len(recording.trajectory) for recording in recordings(bag))
     assert f"{decisions} decisions, this policy's own, 0 others are left out" in words
@@ -61,7 +61,7 @@ def test_a_policy_learns_from_its_own_bag(tmp_path, recorded, capsys):
     learnt = OptionPolicy.load(tmp_path / run.name / "policy.safetensors")
     assert learnt.manifest["from"] == OptionPolicy.load(start).digest != learnt.digest
     assert learnt.manifest["task"] == TASK
-    assert train([*arguments, "--evaluations", "10"]) == 0  # read, not learnt again
+    assert train([*arguments, "--evaluations", "4"]) == 0  # read, not learnt again
 
 
 def test_what_was_cut_off_ends_as_if_it_had_not_been(tmp_path, recorded):

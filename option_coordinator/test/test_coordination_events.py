@@ -1,6 +1,7 @@
 """Thousands of kills, freezes, restarts, losses, doubles and delays: nothing granted twice, nobody waits for ever."""
 
 import hypothesis.strategies as st
+import pytest
 from hypothesis import HealthCheck, settings
 from hypothesis.stateful import RuleBasedStateMachine, initialize, rule
 from team import AGENTS, LONGEST_DELAY, Team
@@ -66,7 +67,15 @@ class Faults(RuleBasedStateMachine):
             self.team.settle()
 
 
+EVERY = list(HealthCheck)
 TestFaults = Faults.TestCase
 TestFaults.settings = settings(
-    max_examples=100, stateful_step_count=50, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck)
+    max_examples=50, stateful_step_count=50, deadline=None, derandomize=True, suppress_health_check=EVERY
 )
+
+
+@pytest.mark.slow
+class TestManyFaults(Faults.TestCase):
+    settings = settings(
+        max_examples=400, stateful_step_count=50, deadline=None, derandomize=True, suppress_health_check=EVERY
+    )

@@ -136,7 +136,7 @@ def test_what_to_do_without_the_other_is_learnt(head):
     torch.manual_seed(0)
     learner, generator = Mappo(environment.agents, head, presence=True), np.random.default_rng(0)
     roll_out = RollOut(environment, generator)
-    for _ in range(30):
+    for _ in range(16):
         learner.learn(roll_out.collect(learner.behaviour(0.0), 120), generator)
     policy, nobody, seen = learner.behaviour(1.0), np.array([NONE, NONE]), np.zeros(2)
     assert policy.given(seen, np.array([True, True]), nobody).mode().tolist() == [TOGETHER, TOGETHER]

@@ -257,10 +257,15 @@ class OptionClient:
         return result if self.state is AgentState.RUNNING else OptionResult()
 
     def _status(self, now: ClockReading) -> Status:
-        status = Status(self.name, self.incarnation, self.state, self.epoch, self.request_id, team=self._team)
-        if self.grant is None:
-            return status
-        status = replace(status, grant_id=self.grant.grant_id, option=self.grant.option)
-        if self.state is not AgentState.RUNNING:
-            return status
-        return replace(status, coordinator_epoch=self.grant.coordinator_epoch, elapsed=now.task - self._began_at)
+        grant, runs = self.grant, self.state is AgentState.RUNNING
+        return Status(
+            agent=self.name,
+            incarnation=self.incarnation,
+            state=self.state,
+            coordinator_epoch=grant.coordinator_epoch if grant and runs else self.epoch,
+            request_id=self.request_id,
+            grant_id=grant.grant_id if grant else 0,
+            option=grant.option if grant else 0,
+            elapsed=now.task - self._began_at if grant and runs else 0.0,
+            team=self._team,
+        )
