@@ -98,6 +98,8 @@ def test_the_bag_opens_with_the_mcap_reader_schemas_and_quality_of_service_inclu
         "/cmd_vel",
         "/clock",
         "/episode",
+        "/tf",
+        "/tf_static",
         "/koopman_lqr_controller/latent",
     } <= set(channels)
     for channel in channels.values():
