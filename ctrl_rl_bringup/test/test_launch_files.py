@@ -9,7 +9,8 @@ from typing import Any
 import pytest
 from ctrl_rl_bringup.runner.processes import executable_path
 from ctrl_rl_bringup.runner.stack import DriveConfig, NodeSpec, controller, recorder, simulator, value_nodes
-from ctrl_rl_bringup.team.stack import TeamConfig, agents, coordinator, team_of, team_simulator
+from ctrl_rl_bringup.team.stack import TeamConfig, agents, coordinator, team_simulator
+from option_coordinator.teams.team_file import load_team
 
 FILES = sorted((Path(__file__).parents[1] / "launch").glob("*.launch.py"))
 RUNS = [file for file in FILES if "Launch(" in file.read_text()]
@@ -25,7 +26,8 @@ def specs() -> list[NodeSpec]:
     drive, team = DriveConfig(Path("run")), TeamConfig(Path("run"))
     values = {"time_to_reach": Path("grid"), "oc_value": Path("grid")}
     one = [recorder(drive, {}), simulator(drive), controller(drive), *value_nodes(drive, values)]
-    return [*one, coordinator(team), agents(team, team_of(team))[0], team_simulator(team, team_of(team))]
+    robots = load_team(team.team)
+    return [*one, coordinator(team), agents(team, robots)[0], team_simulator(team, robots)]
 
 
 @pytest.mark.parametrize("spec", specs(), ids=lambda spec: spec.name)

@@ -1,4 +1,4 @@
-"""The commands that drive one robot: `demo`, `trials`, `record_drives`, and those that follow and report a drive."""
+"""The commands that drive one robot, `demo`, `trials`, `record_drives`, and those that follow or report a drive."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
-from ctrl_rl_core.command import OptionalFileToWrite, at_least
+from ctrl_rl_core.command import FileToWrite, OptionalFileToWrite, at_least, run_command
 from ctrl_rl_core.io.results import as_markdown
 
 from ctrl_rl_bringup.cli.running import own_arguments, run_alone, run_folder, run_here
@@ -78,6 +78,9 @@ class _RunOptions:
     truncation: bool = False
     """Cut commands to 0.01 m/s and 0.01 rad/s, as the robot's firmware does."""
 
+    ready_limit: float = DriveConfig.ready_limit
+    """Longest time until all nodes must be ready [s]; a busy machine may take minutes."""
+
     def config(self, name: str, seed: int, policy: str = DEFAULT_POLICY) -> DriveConfig:
         """Return the configuration of a run whose default folder has this name."""
         return DriveConfig(
@@ -90,6 +93,7 @@ class _RunOptions:
             gui=self.gui,
             randomise_width=self.random_width,
             simulation=self._simulation(),
+            ready_limit=self.ready_limit,
         )
 
     def _simulation(self) -> dict[str, Any]:
@@ -153,11 +157,25 @@ class ReportOptions:
 
 
 @dataclass(frozen=True)
+class AnimateOptions:
+    """Draw a recorded drive as an animated GIF, one frame for each scan."""
+
+    folder: _RunFolder
+    """Folder of the run, with its bag in 'bag'."""
+
+    output: FileToWrite = Path("drive.gif")
+    """File to write."""
+
+
+@dataclass(frozen=True)
 class MonitorOptions:
     """Wait until the nodes of a drive listen to each other, start the simulation, and follow the drive to its end."""
 
     topics: str = ""
     """Topics that the drive waits for besides its own, separated by commas."""
+
+    ready_limit: float = DriveConfig.ready_limit
+    """Longest time until all nodes must be ready [s]."""
 
 
 @dataclass(frozen=True)
@@ -195,10 +213,18 @@ def report() -> int:
     return run_here("report", lambda: _report(read_drive(config.bag), config))
 
 
+def animate() -> int:
+    """Draw a recorded drive as an animated GIF."""
+    options = parse_options("animate", AnimateOptions)
+    return run_command("animate", lambda: _animate(options), failure=2)
+
+
 def monitor() -> int:
     """Start the simulation once the nodes of a drive listen to each other, and follow the drive to its end."""
     options = parse_options("monitor", MonitorOptions, own_arguments())
-    return run_here("monitor", lambda: follow_running(list(filter(None, options.topics.split(",")))))
+    return run_here(
+        "monitor", lambda: follow_running(list(filter(None, options.topics.split(","))), options.ready_limit)
+    )
 
 
 def results() -> int:
@@ -266,4 +292,13 @@ def _record_drives(options: RecordOptions) -> int:
     seconds = sum(episode.elapsed for episode in episodes)
     print(f"recorded            {len(episodes)} drives, {seconds:.0f} s of driving")
     print(f"bag                 {config.bag}")
+    return 0
+
+
+def _animate(options: AnimateOptions) -> int:
+    from ctrl_rl_bringup.corridor.animation import animate_drive  # matplotlib takes long to load
+
+    bag = DriveConfig(options.folder).bag
+    animate_drive(bag, read_drive(bag), options.output)
+    print(f"animation           {options.output}, {options.output.stat().st_size / 1000:.0f} kB")
     return 0

@@ -51,6 +51,9 @@ class DemoOptions(_TeamOptions):
     gui: bool = False
     """Show PyBullet's window."""
 
+    ready_limit: float = TeamConfig.ready_limit
+    """Longest time until all nodes must be ready [s]; a busy machine may take minutes."""
+
 
 @dataclass(frozen=True)
 class ReportOptions(_TeamOptions):
@@ -67,12 +70,15 @@ class ReportOptions(_TeamOptions):
 class MonitorOptions(_TeamOptions):
     """Wait until a team's nodes listen to each other, start the simulation, and follow the work to its end."""
 
+    ready_limit: float = TeamConfig.ready_limit
+    """Longest time until all nodes must be ready [s]."""
+
 
 def demo() -> int:
     """Let a team of TurtleBots carry parcels under the coordinator once, record it and report."""
     given = parse_options("options_demo", DemoOptions)
-    folder = run_folder(given.output, "options")
-    config = TeamConfig(folder, given.team, given.room, given.policy, given.seed, given.speed, given.gui)
+    chosen = {key: value for key, value in vars(given).items() if key != "output"}
+    config = TeamConfig(run_folder(given.output, "options"), **chosen)
     return run_alone("options_demo", lambda: _demo(config))
 
 
@@ -86,7 +92,7 @@ def report() -> int:
 def monitor() -> int:
     """Start the simulation once a team's nodes listen to each other, and follow the work to its end."""
     options = parse_options("options_monitor", MonitorOptions, own_arguments())
-    return run_here("options_monitor", lambda: follow_running_team(load_team(options.team)))
+    return run_here("options_monitor", lambda: follow_running_team(load_team(options.team), options.ready_limit))
 
 
 def _demo(config: TeamConfig) -> int:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from ctrl_rl_core.io.atomic_write import atomic_write
 from ctrl_rl_core.plots import draw_world
+from ctrl_rl_core.ros.node import seconds
 from ctrl_rl_core.tasks.task import load_navigation_task
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
@@ -88,7 +89,7 @@ def _read(bag: Path) -> tuple[Array, list[tuple[float, Array, Array]]]:
     scans: list[tuple[float, Array, Array]] = []
     for message in read_messages(bag, [_TRUTH, "/scan"]):
         data: Any = message.data
-        stamp = data.header.stamp.sec + 1e-9 * data.header.stamp.nanosec
+        stamp = seconds(data.header.stamp)
         if message.topic == _TRUTH:
             position, turn = data.pose.pose.position, data.pose.pose.orientation
             poses.append((stamp, position.x, position.y, 2.0 * np.arctan2(turn.z, turn.w)))

@@ -60,22 +60,19 @@ def write_artifacts(result: DriveReport, folder: Path) -> Artifacts:
     return out
 
 
-def follow_running(topics: Sequence[str]) -> int:
+def follow_running(topics: Sequence[str], ready_limit: float) -> int:
     """Follow a drive whose nodes somebody else has started, and return 0 if it reached the goal, else 1.
 
     Args:
-        topics: that the drive waits for, besides those of every drive.
+        topics: Topics that the drive waits for, besides those of every drive.
+        ready_limit: Longest time until all nodes must be ready [s].
     """
     with ros():
-        monitor = Monitor(lambda: None, topics)
-        try:
-            monitor.wait_until_ready()
+        monitor = Monitor(lambda: None, topics, ready_limit)
+        with monitor.session():
             monitor.run()
             outcome = monitor.follow("driving").outcome
-            monitor.pause()
-            return 0 if outcome == TaskOutcome.GOAL else 1
-        finally:
-            monitor.close()
+    return 0 if outcome == TaskOutcome.GOAL else 1
 
 
 def drive_seeds(options: DriveConfig, seeds: Sequence[int]) -> list[EpisodeProgress]:
@@ -108,12 +105,9 @@ def _running(options: DriveConfig, nodes: Sequence[NodeSpec], digests: dict[str,
     """Start simulator, recorder and nodes, and end them in an order in which the recorder misses nothing."""
     with ros(), Processes(options.folder) as processes:
         processes.start([recorder(options, {"task": task_file(options.task), **digests}), simulator(options), *nodes])
-        monitor = Monitor(processes.check, [topic for node in nodes for topic in node.publishes])
-        try:
-            monitor.wait_until_ready()
+        topics = [topic for node in nodes for topic in node.publishes]
+        monitor = Monitor(processes.check, topics, options.ready_limit)
+        with monitor.session():
             yield monitor
-            monitor.pause()
-        finally:
-            monitor.close()
         for name in (*(node.executable for node in nodes), "bridge", "recorder"):
             processes.stop(name)

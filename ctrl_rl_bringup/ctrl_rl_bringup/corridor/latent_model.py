@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 from ctrl_rl_core.errors import CtrlRlError
+from ctrl_rl_core.ros.node import seconds
 from koopman_lqr_controller.nodes.arrival import ENDED
 from numpy.typing import NDArray
 
@@ -105,8 +106,7 @@ def read_latent_model(bag: Path) -> LatentModel | None:
         z = np.asarray(data.z, dtype=np.float64)
         dimensions = len(z)
         if len(data.z_predicted) == len(z) == len(before):
-            stamp = data.header.stamp.sec + 1e-9 * data.header.stamp.nanosec
-            steps.append((stamp, data.prediction_error, float(np.linalg.norm(z - before))))
+            steps.append((seconds(data.header.stamp), data.prediction_error, float(np.linalg.norm(z - before))))
         before = z
     known = [each for each in distances if np.isfinite(each)]
     poles = _poles(info.custom_data)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from ctrl_rl_core.ros.node import seconds
 from ctrl_rl_core.tasks.task import load_navigation_task
 from numpy.typing import NDArray
 
@@ -202,7 +203,7 @@ def read_drive(bag: Path) -> DriveReport:
 
 def _stamp(message: Any) -> float:
     header = getattr(message, "header", None)
-    return float("nan") if header is None else header.stamp.sec + 1e-9 * header.stamp.nanosec
+    return float("nan") if header is None else seconds(header.stamp)
 
 
 def _row(topic: str, message: Any) -> tuple[float, ...]:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -17,7 +19,7 @@ from std_srvs.srv import SetBool
 
 from ctrl_rl_bringup.runner.progress import ProgressDisplay
 from ctrl_rl_bringup.runner.session import uninterrupted
-from ctrl_rl_bringup.runner.stack import RAW
+from ctrl_rl_bringup.runner.stack import RAW, DriveConfig
 from ctrl_rl_msgs.msg import EpisodeStatus, TaskOutcome
 from ctrl_rl_msgs.srv import ResetWorld, StepWorld
 
@@ -30,7 +32,7 @@ OUTCOMES = {
 }
 RECORDER = "recorder"
 _RECORDED = ("scan", "odom", "cmd_vel", "episode", "/clock", "ground_truth")
-_READY_S = 30.0
+_SAID_EVERY_S = 10.0
 _SILENT_S = 20.0
 _STEP_S = 0.05
 """Longer than a period of odometry."""
@@ -63,9 +65,13 @@ class Monitor:
     Args:
         check: Called often; raises if a node of the run has died.
         topics: Further topics that must be recorded, and must answer odometry before the drive begins.
+        ready_limit: Longest time until the nodes must be ready, and until a service must answer [s].
     """
 
-    def __init__(self, check: Callable[[], None], topics: Sequence[str] = ()) -> None:
+    def __init__(
+        self, check: Callable[[], None], topics: Sequence[str] = (), ready_limit: float = DriveConfig.ready_limit
+    ) -> None:
+        self._limit = ready_limit
         self._node = Node("monitor")
         self._topics = (*_RECORDED, *topics)
         self._check = check
@@ -82,23 +88,31 @@ class Monitor:
         """Leave the graph."""
         self._node.destroy_node()
 
+    @contextmanager
+    def session(self) -> Iterator[None]:
+        """Wait until all is ready; in the end pause the world, so that what is under way is answered, and leave."""
+        try:
+            self.wait_until_ready()
+            yield
+            self.pause()
+        finally:
+            self.close()
+
     def wait_until_ready(self) -> None:
         """Return once simulator, driver and recorder have found each other, and each awaited topic has had a message.
 
+        Says every ten seconds what is missing: on a busy machine nodes may take minutes to start.
+
         Raises:
-            MonitorError: they have not after half a minute.
+            MonitorError: they have not within the limit, or a node of the run has died.
         """
-        deadline = time.monotonic() + _READY_S
-        while missing := self._missing():
-            self._spin()
-            if time.monotonic() > deadline:
-                raise MonitorError(f"not ready after {_READY_S:g} s: {missing}")
+        self._wait_for(self._missing)
         for topic in self._unheard:
             self._listen(topic)
         settle = time.monotonic() + 0.5  # the last match is seen here before it is seen by both of its ends
         while time.monotonic() < settle:
             self._spin()
-        self._await_answers()
+        self._wait_for(self._unanswered)
 
     def run(self) -> None:
         """Let the paused simulation go."""
@@ -144,16 +158,27 @@ class Monitor:
     def _on_answer(self, topic: str, _message: bytes) -> None:
         self._unheard.discard(topic)
 
-    def _await_answers(self) -> None:
-        """Let the paused world send odometry, a few steps of a standing robot, until each awaited topic answers it."""
-        deadline = time.monotonic() + _READY_S
-        while self._unheard:
-            if time.monotonic() > deadline:
-                raise MonitorError(f"not ready after {_READY_S:g} s: no message on {', '.join(sorted(self._unheard))}")
-            self._call(self._step, StepWorld.Request(duration=_STEP_S))
-            patience = time.monotonic() + _ANSWER_S
-            while self._unheard and time.monotonic() < patience:
-                self._spin()
+    def _unanswered(self) -> str:
+        """Let the paused world send odometry, a step of a standing robot; say which awaited topics do not answer it."""
+        if not self._unheard:
+            return ""
+        self._call(self._step, StepWorld.Request(duration=_STEP_S))
+        patience = time.monotonic() + _ANSWER_S
+        while self._unheard and time.monotonic() < patience:
+            self._spin()
+        return f"no message on {', '.join(sorted(self._unheard))}" if self._unheard else ""
+
+    def _wait_for(self, missing: Callable[[], str]) -> None:
+        """Return once nothing is missing any more."""
+        began = said = time.monotonic()
+        while what := missing():
+            self._spin()
+            now = time.monotonic()
+            if now > began + self._limit:
+                raise MonitorError(f"not ready after {self._limit:g} s: {what}; --ready-limit waits longer")
+            if now > said + _SAID_EVERY_S:
+                said = now
+                sys.stderr.write(f"waiting for {now - began:.0f} s: {what}\n")
 
     def _on_episode(self, message: EpisodeStatus) -> None:
         self._heard = time.monotonic()
@@ -190,7 +215,7 @@ class Monitor:
 
     def _call(self, client: rclpy.client.Client, request: object) -> Any:
         future = client.call_async(request)
-        deadline = time.monotonic() + _READY_S
+        deadline = time.monotonic() + self._limit
         while not future.done():
             self._spin()
             if time.monotonic() > deadline:

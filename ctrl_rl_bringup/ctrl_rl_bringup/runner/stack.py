@@ -55,6 +55,7 @@ class DriveConfig:
         gui: Whether PyBullet shows a window.
         randomise_width: Whether each reset draws the corridor's width from the task's range.
         simulation: Further parameters of the simulator by name: lidar, drop-outs, delay and so on.
+        ready_limit: Longest time until all nodes must be ready [s].
     """
 
     folder: Path
@@ -66,6 +67,7 @@ class DriveConfig:
     gui: bool = False
     randomise_width: bool = False
     simulation: Mapping[str, Any] = field(default_factory=dict)
+    ready_limit: float = 600.0
 
     @property
     def bag(self) -> Path:

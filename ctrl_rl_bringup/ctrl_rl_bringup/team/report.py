@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from ctrl_rl_core.ros.node import seconds
 from numpy.typing import NDArray
 from option_coordinator.environments.timeline import Span
 from option_coordinator.protocol.protocol_types import GrantStatus
@@ -128,7 +129,7 @@ def read_team(bag: Path, idle: Collection[str] = ()) -> TeamRun:
     if not said["/joint_option_step"]:
         raise BagError(f"{bag}: holds no joint_option_step: was there a coordinator?")
     steps = [step for _, step in said["/joint_option_step"]]
-    begin, end = _seconds(steps[0]), _seconds(steps[-1])
+    begin, end = seconds(steps[0].header.stamp), seconds(steps[-1].header.stamp)
     grants, requests = said["/option_grants"], said["/option_requests"]
     settings = recorded_parameters(info.custom_data, "option_coordinator")
     return TeamRun(
@@ -154,7 +155,7 @@ def spans(grants: list[tuple[int, Any]], requests: list[tuple[int, Any]], begin:
     """Return who ran which option when: from its grant to that robot's next request, in seconds since `begin`."""
     ends: dict[tuple[str, int, int], float] = {}
     for _, request in requests:
-        ends.setdefault((request.agent, request.incarnation, request.request_id), _seconds(request))
+        ends.setdefault((request.agent, request.incarnation, request.request_id), seconds(request.header.stamp))
     cancelled = {(g.agent, g.grant_id) for _, g in grants if g.status == GrantStatus.CANCELLED}
     out: dict[tuple[str, int], Span] = {}
     for _, grant in grants:
@@ -162,7 +163,7 @@ def spans(grants: list[tuple[int, Any]], requests: list[tuple[int, Any]], begin:
             continue
         key = (grant.agent, grant.incarnation, grant.request_id + 1)
         finished = key in ends and (grant.agent, grant.grant_id) not in cancelled
-        times = _seconds(grant) - begin, ends.get(key, end) - begin
+        times = seconds(grant.header.stamp) - begin, ends.get(key, end) - begin
         out[grant.agent, grant.grant_id] = Span(grant.agent, grant.option_name, *times, finished)
     return list(out.values())
 
@@ -173,15 +174,8 @@ def _answer(grant: Any) -> str:
 
 
 def _latencies(grants: list[tuple[int, Any]], requests: list[tuple[int, Any]]) -> Array:
-    asked: dict[tuple[str, int, int], int] = {}
-    for time, request in requests:
-        asked.setdefault((request.agent, request.incarnation, request.request_id), time)
-    answered: dict[tuple[str, int, int], int] = {}
-    for time, grant in grants:
-        if grant.status == GrantStatus.GRANTED:
-            answered.setdefault((grant.agent, grant.incarnation, grant.request_id), time)
+    def first(messages: list[tuple[int, Any]]) -> dict[tuple[str, int, int], int]:
+        return {(m.agent, m.incarnation, m.request_id): time for time, m in reversed(messages)}
+
+    asked, answered = first(requests), first([pair for pair in grants if pair[1].status == GrantStatus.GRANTED])
     return 1e-9 * np.array([time - asked[key] for key, time in answered.items() if key in asked], dtype=float)
-
-
-def _seconds(message: Any) -> float:
-    return float(message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec)

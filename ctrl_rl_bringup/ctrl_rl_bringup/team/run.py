@@ -11,7 +11,7 @@ from option_coordinator.nodes.messages import EXCHANGE
 from option_coordinator.policies.policy_file import OptionPolicy, policy_file
 from option_coordinator.protocol.protocol_types import GrantStatus
 from option_coordinator.scripted.policy_queries import SCRIPTED
-from option_coordinator.teams.team_file import TeamFile, Work, load_room, team_file
+from option_coordinator.teams.team_file import TeamFile, Work, load_room, load_team, team_file
 
 from ctrl_rl_bringup.runner.monitor import RECORDER, Monitor, MonitorError
 from ctrl_rl_bringup.runner.prepare import new_run
@@ -19,7 +19,7 @@ from ctrl_rl_bringup.runner.processes import Processes
 from ctrl_rl_bringup.runner.progress import ProgressDisplay
 from ctrl_rl_bringup.runner.session import ros
 from ctrl_rl_bringup.runner.stack import RAW, recorder
-from ctrl_rl_bringup.team.stack import TeamConfig, agents, coordinator, team_of, team_simulator, watchdogs
+from ctrl_rl_bringup.team.stack import TeamConfig, agents, coordinator, team_simulator, watchdogs
 from ctrl_rl_msgs.msg import AgentStatus, JointOptionStep, OptionGrant
 
 _SILENT_S = 60.0
@@ -31,10 +31,11 @@ class TeamMonitor(Monitor):
     Args:
         check: Called often; raises if a node of the run has died.
         team: Team to follow.
+        ready_limit: Longest time until all nodes must be ready [s].
     """
 
-    def __init__(self, check: Callable[[], None], team: TeamFile) -> None:
-        super().__init__(check)
+    def __init__(self, check: Callable[[], None], team: TeamFile, ready_limit: float) -> None:
+        super().__init__(check, ready_limit=ready_limit)
         self._team = team
         own = [f"{robot}/{topic}" for robot in team.robots for topic in ("scan", "odom", RAW, "cmd_vel", "episode")]
         self._topics = ("clock", "joint_option_step", "option_grants", *own)
@@ -91,7 +92,7 @@ def new_team_run(options: TeamConfig) -> tuple[TeamFile, dict[str, Path]]:
     Raises:
         CtrlRlError: team, room or policy cannot be read, or the folder is there already.
     """
-    team = team_of(options)
+    team = load_team(options.team)
     load_room(team, options.room)
     digests = {"task": task_file(options.task), "team": team_file(options.team)}
     if options.policy_name not in SCRIPTED:
@@ -107,23 +108,19 @@ def run_team(options: TeamConfig) -> None:
     others = [coordinator(options), *watchdogs(options, team), *agents(options, team)]
     with ros(), Processes(options.folder) as processes:
         processes.start([recorder(options.drive, digests), team_simulator(options, team), *others])
-        _follow(TeamMonitor(processes.check, team))
+        _follow(TeamMonitor(processes.check, team, options.ready_limit))
         for name in (*(node.name for node in reversed(others)), "bridge", "recorder"):
             processes.stop(name)
 
 
-def follow_running_team(team: TeamFile) -> int:
+def follow_running_team(team: TeamFile, ready_limit: float) -> int:
     """Follow a team whose nodes somebody else has started, and return 0 once its work is over."""
     with ros():
-        _follow(TeamMonitor(lambda: None, team))
+        _follow(TeamMonitor(lambda: None, team, ready_limit))
     return 0
 
 
 def _follow(monitor: TeamMonitor) -> None:
-    try:
-        monitor.wait_until_ready()
+    with monitor.session():
         monitor.run()
         monitor.follow_team()
-        monitor.pause()
-    finally:
-        monitor.close()

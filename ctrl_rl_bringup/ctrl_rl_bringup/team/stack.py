@@ -13,6 +13,8 @@ from ctrl_rl_bringup.runner.stack import RAW, DriveConfig, NodeSpec, simulator, 
 
 _LEASE = 0.5
 _HEARTBEAT = 0.1
+_LONGEST_STALE, _LONGEST_SENSOR_TIMEOUT = 600.0, 10.0
+"""Largest values that the nodes take [s]; at such speeds the world goes as fast as it can."""
 
 
 @dataclass(frozen=True)
@@ -27,6 +29,7 @@ class TeamConfig:
         seed: Seed of starts, noise and draws.
         speed: Simulation time per wall time.
         gui: Whether PyBullet shows a window.
+        ready_limit: Longest time until all nodes must be ready [s].
     """
 
     folder: Path
@@ -36,6 +39,7 @@ class TeamConfig:
     seed: int = 0
     speed: float = 1.0
     gui: bool = False
+    ready_limit: float = DriveConfig.ready_limit
 
     @cached_property
     def task(self) -> str:
@@ -71,7 +75,7 @@ def coordinator(options: TeamConfig) -> NodeSpec:
         "seed": options.seed,
         "lease": _LEASE,
         "lost_after": 4.0 * _LEASE,
-        "stale": 4.0 * _LEASE * max(1.0, options.speed),
+        "stale": min(4.0 * _LEASE * max(1.0, options.speed), _LONGEST_STALE),
         "repeat": _HEARTBEAT,
     }
     return NodeSpec("option_coordinator", "coordinator", parameters)
@@ -84,7 +88,7 @@ def agents(options: TeamConfig, team: TeamFile) -> list[NodeSpec]:
         "team": options.team,
         "heartbeat": _HEARTBEAT,
         "patience": 8.0 * _LEASE,
-        "sensor_timeout": max(1.0, options.speed),
+        "sensor_timeout": min(max(1.0, options.speed), _LONGEST_SENSOR_TIMEOUT),
     }
     return [
         NodeSpec("option_coordinator", "navigation_agent", parameters, namespace=name, remappings={"cmd_vel": RAW})
@@ -95,8 +99,3 @@ def agents(options: TeamConfig, team: TeamFile) -> list[NodeSpec]:
 def watchdogs(options: TeamConfig, team: TeamFile) -> list[NodeSpec]:
     """Return the watchdog of each robot."""
     return [watchdog(options.speed, namespace=name) for name in team.robots]
-
-
-def team_of(options: TeamConfig) -> TeamFile:
-    """Return the team of a run."""
-    return load_team(options.team)
