@@ -14,17 +14,17 @@ def test_it_goes_from_a_task_to_a_map(tmp_path: Path, capsys: pytest.CaptureFixt
     data, value, grid = tmp_path / "data", tmp_path / "v.safetensors", tmp_path / "g.safetensors"
     assert main(["extract", "car_navigation"]) == 0
     assert "dubins_car (x, y, theta): meets both criteria, chosen" in capsys.readouterr().out
-    making = ["data", "car_navigation", "--output", str(data), "--trajectories", "25", "--workers", "1"]
+    making = ["data", "car_navigation", "--output", str(data), "--trajectories", "12", "--workers", "1"]
     assert main(making) == 0
     said = capsys.readouterr().out
-    for words in ("25 of 140 steps", "random starts", "CPU seconds"):
+    for words in ("12 of 140 steps", "random starts", "CPU seconds"):
         assert words in said
     results = tmp_path / "results.json"
     fitting = ["fit", str(data), "--output", str(value), "--grid", str(grid), "--epochs", "3"]
     assert main([*fitting, "--results", str(results)]) == 0
     assert "held out" in capsys.readouterr().out
     rows = {row["metric"]: row for row in json.loads(results.read_text())["rows"]}
-    assert rows["states"]["values"] == [25 * 140]
+    assert rows["states"]["values"] == [12 * 140]
     assert 0.9 < rows["starts with a trajectory"]["values"][0] <= 1.0
     for file in (value, grid):
         assert main(["map", str(file), "--output", str(tmp_path / "map.png"), "--at", "theta=0.5"]) == 0
@@ -44,7 +44,7 @@ def test_a_trajectory_is_solved_and_drawn(tmp_path: Path, capsys: pytest.Capture
     ("arguments", "words"),
     [
         (["solve", "car_navigation", "--start", "0,0,0"], "inside an obstacle"),
-        (["solve", "quad_trap", "--start=0,0,0.6,-2,0,0"], "ipopt: "),
+        (["solve", "quad_trap", "--start=0,0,0.6,-2,0,0", "--solver", "ipopt"], "ipopt: "),
         (["extract", "car_ttr"], "oc: task 'car_ttr' has no part 'optimal_control'"),
         (["extract", "nowhere"], "oc: no task 'nowhere'"),
         (["fit", "nowhere", "--output", "x"], "oc: nowhere holds no value data"),

@@ -37,9 +37,10 @@ def nearest(problem: OptimalControlProblem, trajectory: MpcSolution) -> float:
 
 
 def test_an_s_of_walls_is_driven_through(tmp_path: Path) -> None:
-    problem = formulate(load_navigation_task(write_maze(tmp_path, [wall(-5, 3, -1.7), wall(-3, 5, 1.7)], 300)))
+    problem = formulate(load_navigation_task(write_maze(tmp_path, [wall(-5, 3, -1.7), wall(-3, 5, 1.7)], 200)))
     trajectory = Mpc(problem, ("fatrop",)).solve(draw_episode_start(problem, np.random.default_rng(0)))
     assert trajectory.solved, trajectory.reason
+    assert "a state cost that does not grow" in trajectory.reason, "this long, it is solved by steps"
     assert nearest(problem, trajectory) >= problem.clearance - 1e-3
 
 
@@ -54,14 +55,14 @@ def test_a_door_that_the_robot_fits_through_is_open(tmp_path: Path) -> None:
 def test_clearance_is_kept_between_the_samples(name: str) -> None:
     problem, random = formulate(load_navigation_task(name)), np.random.default_rng(5)
     mpc = Mpc(problem)
-    solved = [trajectory for _ in range(12) if (trajectory := mpc.solve(draw_start(problem, random))).solved]
-    assert len(solved) >= 9
+    solved = [trajectory for _ in range(8) if (trajectory := mpc.solve(draw_start(problem, random))).solved]
+    assert len(solved) >= 6
     assert min(nearest(problem, each) for each in solved) >= problem.clearance - 1e-3
 
 
 def test_oc_data_tells_how_the_start_set_fares(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """No way leads through a closed wall; starts beyond it have one."""
-    task = write_maze(tmp_path, [wall(-5, 5, -2.5)], 60)
+    task = write_maze(tmp_path, [wall(-5, 5, -2.5)], 20)
     assert main(["data", task, "--output", str(tmp_path / "data"), "--trajectories", "2", "--workers", "1"]) == 0
     said = capsys.readouterr().out
     assert "start set     0 of 10 starts of an episode have a trajectory" in said

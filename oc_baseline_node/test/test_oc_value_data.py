@@ -27,7 +27,7 @@ from ctrl_rl_core.tasks.task import load_navigation_task
 from oc_baseline_node.problems.problem import formulate
 from oc_baseline_node.value_data.dataset import DataSettings
 from oc_baseline_node.value_data.workers import make_data
-make_data(formulate(load_navigation_task("car_navigation")), DataSettings(16, chunk=1), Path(sys.argv[1]))
+make_data(formulate(load_navigation_task("car_navigation")), DataSettings(8, chunk=1), Path(sys.argv[1]))
 """
 
 
@@ -101,14 +101,14 @@ def test_starts_are_free_and_spread_over_the_state_space(name: str) -> None:
 
 
 def test_data_depend_on_the_seed_alone_and_not_on_the_processes(car: OptimalControlProblem, tmp_path: Path) -> None:
-    settings = DataSettings(6, chunk=2)
+    settings = DataSettings(4, chunk=2)
     alone, wall, cpu = make_data(car, settings, tmp_path / "alone", progress=False)
-    assert alone.states.shape == (6, 141, 3)
-    assert alone.controls.shape == (6, 140, 2)
+    assert alone.states.shape == (4, 141, 3)
+    assert alone.controls.shape == (4, 140, 2)
     assert 0.0 < cpu < wall * 2 + 1.0
     together, *_ = make_data(car, settings, tmp_path / "together", workers=2, progress=False)
     assert same(alone, together)
-    other, *_ = make_data(car, DataSettings(6, chunk=2, seed=1), tmp_path / "other", progress=False)
+    other, *_ = make_data(car, DataSettings(4, chunk=2, seed=1), tmp_path / "other", progress=False)
     assert not same(alone, other)
 
 
@@ -123,8 +123,8 @@ def test_after_a_kill_the_rest_is_made_and_all_is_the_same(car: OptimalControlPr
         time.sleep(0.005)
     process.send_signal(signal.SIGKILL)
     process.wait()
-    settings = DataSettings(16, chunk=1)
-    with pytest.raises(OcError, match=r"lacks \d+ of 16 chunks"):
+    settings = DataSettings(8, chunk=1)
+    with pytest.raises(OcError, match=r"lacks \d of 8 chunks"):
         load_data(tmp_path / "killed", car)
     before = chunk_file(tmp_path / "killed", 1).stat().st_mtime_ns
     resumed, *_ = make_data(car, settings, tmp_path / "killed", progress=False)

@@ -27,7 +27,7 @@ from ttr_reward_node.verification import dubins
 from ttr_reward_node.verification.cost import make_problem
 from ttr_reward_node.verification.decomposition_error import as_table, measure_decomposition_errors
 
-COARSE = {"x": 11, "v_x": 7, "z": 11, "v_z": 7, "psi": 11, "omega": 5}
+COARSE = {"x": 9, "v_x": 5, "z": 9, "v_z": 5, "psi": 9, "omega": 5}
 CAR = Decomposition("car", (("x", "theta"), ("y", "theta")))
 BOX = np.array([[3.7, 4.3], [3.7, 4.3], [0.45, 1.05]])
 

@@ -191,7 +191,7 @@ def test_a_bad_parameter_ends_it_with_one_clear_message(run_node: Callable, para
 @pytest.fixture(scope="module")
 def quad(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("grids") / "quad.safetensors"
-    counts = {"x": 41, "z": 41, "v_x": 21, "v_z": 21, "psi": 24, "omega": 11}
+    counts = {"x": 21, "z": 21, "v_x": 11, "v_z": 11, "psi": 12, "omega": 7}
     solve_decomposed("quad_ttr", PLANAR_QUADROTOR_FIVE, counts=counts).save(path)
     return path
 
