@@ -10,10 +10,10 @@ oc map runs/car.safetensors --output map.png    its heat map
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import tyro
@@ -24,8 +24,7 @@ from ctrl_rl_core.command import (
     checked,
     checked_list,
     finite_number,
-    parse_options,
-    run_command,
+    make_command,
 )
 from ctrl_rl_core.io.results import write_results
 from ctrl_rl_core.tasks.task import NavigationTask, load_navigation_task
@@ -162,33 +161,13 @@ class Map:
     """Values of the other state components; 0 for those left out."""
 
 
-_Command = (
+_Command: Any = (
     Annotated[Extract, tyro.conf.subcommand("extract")]
     | Annotated[Solve, tyro.conf.subcommand("solve")]
     | Annotated[Data, tyro.conf.subcommand("data")]
     | Annotated[Fit, tyro.conf.subcommand("fit")]
     | Annotated[Map, tyro.conf.subcommand("map")]
 )
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command and return its exit code: 0 done, 1 failed, 2 wrong usage."""
-    options: Extract | Fit | Map = parse_options("oc", _Command, arguments, _SUMMARY)
-    return run_command("oc", lambda: _run(options))
-
-
-def _run(options: Extract | Fit | Map) -> int:
-    match options:
-        case Solve():
-            return _solve(options)
-        case Data():
-            return _data(options)
-        case Extract():
-            return _extract(options)
-        case Fit():
-            return _fit(options)
-        case Map():
-            return _map(options)
 
 
 def _terms(options: Extract) -> tuple[NavigationTask, Form, float | None]:
@@ -320,3 +299,7 @@ def _task_of(value: ValueFunction, given: str | None) -> NavigationTask:
 def _named(problem: OptimalControlProblem, state: NDArray[np.float64]) -> str:
     names = problem.system.state_names
     return ", ".join(f"{name} = {x:.3g}" for name, x in zip(names, state, strict=False))
+
+
+_WORK: dict[type, Callable[[Any], int]] = {Extract: _extract, Solve: _solve, Data: _data, Fit: _fit, Map: _map}
+main = make_command("oc", _Command, lambda options: _WORK[type(options)](options), _SUMMARY)

@@ -18,7 +18,7 @@ from _common import Row, row
 from ttr_reward_node.problems.problem import TimeToReachProblem, problem_from_task
 from ttr_reward_node.solvers.decomposition import PLANAR_QUADROTOR_4D, solve_parts
 from ttr_reward_node.solvers.solver import solve
-from ttr_reward_node.verification.convergence import Errors, measure_errors
+from ttr_reward_node.verification.convergence import measure_errors
 from ttr_reward_node.verification.cost import exponent, measure_cost
 from ttr_reward_node.verification.dubins import Reference, reference
 
@@ -47,7 +47,10 @@ def rows() -> list[Row]:
     exact = reference(car, STATES)
     solve(car)
     runs = [solve(car) for _ in range(REPEATS)]
-    seconds, errors = min(run.cpu_seconds for run in runs), measure_errors(runs[0].grid, exact)
+    seconds, errors = (
+        min(run.cpu_seconds for run in runs),
+        measure_errors(runs[0].grid.value(exact.states), exact.times),
+    )
     return [
         *_against_peer(car, exact, seconds, errors),
         *_first_use(),
@@ -56,14 +59,14 @@ def rows() -> list[Row]:
     ]
 
 
-def _against_peer(car: TimeToReachProblem, exact: Reference, seconds: float, errors: Errors) -> list[Row]:
+def _against_peer(car: TimeToReachProblem, exact: Reference, seconds: float, errors: dict[str, float]) -> list[Row]:
     name = "time to reach, car, 101 x 101 x 72"
     if importlib.util.find_spec("hj_reachability") is None:
         print(INSTALL)
         return [
             row(f"{name}: solve", seconds, "s", INSTALL, None),
-            row(f"{name}: median error", errors.median, "s", "exact Dubins paths", None),
-            row(f"{name}: mean relative error", 100.0 * errors.relative, "%", "exact Dubins paths", None),
+            row(f"{name}: median error", errors["median_s"], "s", "exact Dubins paths", None),
+            row(f"{name}: mean relative error", 100.0 * errors["mean_relative"], "%", "exact Dubins paths", None),
         ]
     out = []
     for label, peer_seconds, peer in _peer(car, exact):
@@ -72,30 +75,30 @@ def _against_peer(car: TimeToReachProblem, exact: Reference, seconds: float, err
             row(f"{name}: solve", seconds, "s", f"{against}, {peer_seconds:.3g} s", peer_seconds / seconds),
             row(
                 f"{name}: median error",
-                errors.median,
+                errors["median_s"],
                 "s",
-                f"{against}, {peer.median:.3g} s",
-                peer.median / errors.median,
+                f"{against}, {peer['median_s']:.3g} s",
+                peer["median_s"] / errors["median_s"],
             ),
             row(
                 f"{name}: mean relative error",
-                100.0 * errors.relative,
+                100.0 * errors["mean_relative"],
                 "%",
-                f"{against}, {100.0 * peer.relative:.3g} %",
-                peer.relative / errors.relative,
+                f"{against}, {100.0 * peer['mean_relative']:.3g} %",
+                peer["mean_relative"] / errors["mean_relative"],
             ),
             row(
                 f"{name}: states held unreachable",
-                100.0 * errors.missed,
+                100.0 * errors["missed"],
                 "%",
-                f"{against}, {100.0 * peer.missed:.3g} %",
+                f"{against}, {100.0 * peer['missed']:.3g} %",
                 None,
             ),
         ]
     return out
 
 
-def _peer(car: TimeToReachProblem, exact: Reference) -> list[tuple[str, float, Errors]]:
+def _peer(car: TimeToReachProblem, exact: Reference) -> list[tuple[str, float, dict[str, float]]]:
     """Return label, CPU seconds and errors of each of the peer's schemes."""
     domain = np.array([(axis.lower, axis.upper) for axis in car.axes])
     box = np.array([tuple(car.target.intervals[axis.name]) for axis in car.axes])
@@ -109,7 +112,7 @@ def _peer(car: TimeToReachProblem, exact: Reference) -> list[tuple[str, float, E
         grid = ValueGrid(
             content[f"{key}_phi"].astype(np.float32), car.axes, "time_to_reach", "car_ttr", "0" * 64, label, 0.0
         )
-        out.append((label, float(content[f"{key}_seconds"]), measure_errors(grid, exact)))
+        out.append((label, float(content[f"{key}_seconds"]), measure_errors(grid.value(exact.states), exact.times)))
     return out
 
 

@@ -6,13 +6,13 @@ ttr_experiments convergence | check | gap | cost [--output FILE.json] [--picture
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
 import tyro
-from ctrl_rl_core.command import parse_options, run_command
+from ctrl_rl_core.command import make_command
 from ctrl_rl_core.io.results import Result, write_results
 from ctrl_rl_core.tasks.task import load_navigation_task
 from tqdm import tqdm
@@ -43,12 +43,6 @@ class Options:
     """JSON file for the results; none is written where it is left out."""
     picture: Path | None = None
     """Picture to draw (gap and cost); none is drawn where it is left out."""
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one of the experiments."""
-    options = parse_options("ttr_experiments", Options, arguments)
-    return run_command("ttr_experiments", lambda: _run(options))
 
 
 def _run(options: Options) -> int:
@@ -214,6 +208,8 @@ _EXPERIMENTS = {
     "gap": Experiment("Time to reach of the quadrotor: what the decomposition costs", _gap, True),
     "cost": Experiment("Time to reach: cost as the grid grows", _cost, True),
 }
+
+main = make_command("ttr_experiments", Options, _run)
 
 if __name__ == "__main__":
     raise SystemExit(main())

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -16,8 +15,7 @@ from ctrl_rl_core.command import (
     checked,
     checked_list,
     finite_number,
-    parse_options,
-    run_command,
+    make_command,
 )
 from ctrl_rl_core.tasks.task import load_navigation_task
 from ctrl_rl_core.values.value_grid import ValueGrid
@@ -165,30 +163,6 @@ class Relabel:
     """Leave out the rewards that the bag already has."""
 
 
-def solve_value(arguments: Sequence[str] | None = None) -> int:
-    """Compute the time to reach of a task and write it to a file."""
-    options = parse_options("solve", Solve, arguments)
-    return run_command("solve", lambda: _solve(options))
-
-
-def check(arguments: Sequence[str] | None = None) -> int:
-    """Drive by a time-to-reach function and compare executed with predicted times."""
-    options = parse_options("check", Check, arguments)
-    return run_command("check", lambda: _check(options))
-
-
-def slices(arguments: Sequence[str] | None = None) -> int:
-    """Draw slices through a time-to-reach function."""
-    options = parse_options("slices", Slices, arguments)
-    return run_command("slices", lambda: _slices(options))
-
-
-def relabel_bag(arguments: Sequence[str] | None = None) -> int:
-    """Add rewards to a recorded bag."""
-    options = parse_options("relabel", Relabel, arguments)
-    return run_command("relabel", lambda: _relabel(options))
-
-
 def _problem(options: Solve) -> TimeToReachProblem:
     if options.robot_size and options.inflation is not None:
         raise TimeToReachError("--inflation and --robot-size exclude each other: give one of them")
@@ -280,3 +254,9 @@ def _relabel(options: Relabel) -> int:
     print(f"labelled   {count} odometry messages")
     print(f"bag        {options.output}")
     return 0
+
+
+solve_value = make_command("solve", Solve, _solve)
+check = make_command("check", Check, _check)
+slices = make_command("slices", Slices, _slices)
+relabel_bag = make_command("relabel", Relabel, _relabel)

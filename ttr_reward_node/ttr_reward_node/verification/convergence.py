@@ -7,16 +7,15 @@ print(as_table(rows))
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.values.value_grid import ValueGrid
 from numpy.typing import NDArray
 
 from ttr_reward_node.problems.problem import problem_from_task
 from ttr_reward_node.solvers.solver import METHODS, solve
-from ttr_reward_node.verification.dubins import Reference, reference
+from ttr_reward_node.verification.dubins import reference
 
 COUNTS = ((26, 26, 18), (51, 51, 36), (76, 76, 54), (101, 101, 72), (151, 151, 108))
 """Grids of the car, each with the same shape of cells."""
@@ -25,30 +24,28 @@ Progress = Callable[[str, int, float], None]
 """Called after each sweep with what is being solved, the sweep's number and the largest change [s]."""
 
 
-@dataclass(frozen=True)
-class Errors:
-    """Errors of a value function at states whose exact time to reach is known.
+def measure_errors(value: NDArray[np.float64], times: NDArray[np.float64]) -> dict[str, float]:
+    """Return figures of a value function's errors at states whose exact time to reach is known.
 
-    Attributes:
-        states: Number of compared states.
-        median, mean, p95: Median, mean and 95th percentile of the absolute error where there is a value [s].
-        relative: mean of the relative error there.
-        bias: median of the signed error [s].
-        missed: fraction of the states that it holds to be unreachable.
+    Args:
+        value: Values at the states (N,) [s]; not finite where it holds them to be unreachable.
+        times: Exact times (N,) [s].
+
+    Returns:
+        `median_s`, `mean_s`, `p95_s` and `mean_relative` of the absolute error, and `bias_s`, the median of the signed
+        one, where there is a value outside the target; `missed`, the fraction of states held to be unreachable.
     """
-
-    states: int
-    median: float
-    mean: float
-    p95: float
-    relative: float
-    bias: float
-    missed: float
-
-
-def measure_errors(grid: ValueGrid, exact: Reference) -> Errors:
-    """Compare a value grid with exact times."""
-    return _errors(np.asarray(grid.value(exact.states)), exact.times)
+    there = np.isfinite(value) & np.isfinite(times) & (times > 0.0)
+    error = value[there] - times[there]
+    size = np.abs(error)
+    return {
+        "median_s": float(np.median(size)),
+        "mean_s": float(size.mean()),
+        "p95_s": float(np.quantile(size, 0.95)),
+        "mean_relative": float((size / times[there]).mean()),
+        "missed": float(1.0 - np.isfinite(value).mean()),
+        "bias_s": float(np.median(error)),
+    }
 
 
 def convergence_table(
@@ -87,7 +84,6 @@ def convergence_table(
                 told = lambda sweep, change, name=name: progress(name, sweep, change)  # noqa: E731
             solution = solve(problem, method, progress=told)
             value = np.asarray(solution.grid.value(exact.states))
-            errors = _errors(value, exact.times)
             values[method, tuple(nodes)] = value
             rows.append(
                 {
@@ -97,18 +93,14 @@ def convergence_table(
                     "sweeps": solution.sweeps,
                     "converged": solution.converged,
                     "cpu_s": solution.cpu_seconds,
-                    "median_s": errors.median,
-                    "mean_s": errors.mean,
-                    "p95_s": errors.p95,
-                    "mean_relative": errors.relative,
-                    "missed": errors.missed,
+                    **measure_errors(value, exact.times),
                 }
             )
     best = values.get(("semi_lagrangian", tuple(counts[-1])))
     if best is not None:
         for row in rows:
-            to_best = _errors(values[row["method"], tuple(row["counts"])], best)
-            row["median_to_best_s"], row["mean_to_best_s"] = to_best.median, to_best.mean
+            to_best = measure_errors(values[row["method"], tuple(row["counts"])], best)
+            row |= {"median_to_best_s": to_best["median_s"], "mean_to_best_s": to_best["mean_s"]}
     return rows
 
 
@@ -124,18 +116,3 @@ def as_table(rows: Sequence[dict[str, Any]]) -> str:
             f" {row.get('median_to_best_s', np.nan):>7.4f} s"
         )
     return "\n".join(lines)
-
-
-def _errors(value: NDArray[np.float64], times: NDArray[np.float64]) -> Errors:
-    there = np.isfinite(value) & np.isfinite(times) & (times > 0.0)
-    error = value[there] - times[there]
-    size = np.abs(error)
-    return Errors(
-        states=len(times),
-        median=float(np.median(size)),
-        mean=float(size.mean()),
-        p95=float(np.quantile(size, 0.95)),
-        relative=float((size / times[there]).mean()),
-        bias=float(np.median(error)),
-        missed=float(1.0 - np.isfinite(value).mean()),
-    )

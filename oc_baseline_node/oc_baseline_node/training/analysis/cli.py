@@ -10,14 +10,14 @@ Comparisons of learning (advantages, noise, entropy, other baselines) come from 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 import tyro
-from ctrl_rl_core.command import FolderToWrite, NotNegative, Positive, checked_list, parse_options, run_command
+from ctrl_rl_core.command import FolderToWrite, NotNegative, Positive, checked_list, make_command
 from ctrl_rl_core.io.results import Result, ResultsError, write_results
 from ctrl_rl_core.tasks.task import NavigationTask, load_navigation_task
 from tqdm import tqdm
@@ -94,28 +94,12 @@ class Gradient(_Analysis):
     """Number of samples of the true gradient; the thesis's 102400 where none is given."""
 
 
-_Command = (
+_Command: Any = (
     Annotated[Mismatch, tyro.conf.subcommand("mismatch")]
     | Annotated[MpcDrives, tyro.conf.subcommand("mpc")]
     | Annotated[Gradient, tyro.conf.subcommand("gradient")]
 )
 _SUMMARY = "Analyse the optimal control model, its MPC, and the policy gradients that V_oc improves (thesis 3.3)."
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one of the analyses and return the exit code: 0 done, 1 failed, 2 wrong usage."""
-    options: Mismatch | MpcDrives | Gradient = parse_options("analyse", _Command, arguments, _SUMMARY)
-    return run_command("analyse", lambda: _run(options))
-
-
-def _run(options: Mismatch | MpcDrives | Gradient) -> int:
-    match options:
-        case Mismatch():
-            return _mismatch(options)
-        case MpcDrives():
-            return _mpc(options)
-        case Gradient():
-            return _gradient(options)
 
 
 def _mismatch(options: Mismatch) -> int:
@@ -225,6 +209,9 @@ def _write(options: _Analysis, name: str, rows: Sequence[Result], figures: dict[
     print(f"results    {file}")
     return 0
 
+
+_WORK: dict[type, Callable[[Any], int]] = {Mismatch: _mismatch, MpcDrives: _mpc, Gradient: _gradient}
+main = make_command("analyse", _Command, lambda options: _WORK[type(options)](options), _SUMMARY)
 
 if __name__ == "__main__":
     raise SystemExit(main())
