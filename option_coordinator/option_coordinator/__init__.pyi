@@ -10,6 +10,7 @@ from .errors import OptionError as OptionError
 from .nodes.option_agent import OptionAgent as OptionAgent
 from .options.decision import NONE as NONE
 from .options.decision import Decision as Decision
+from .options.decision import PolicyQuery as PolicyQuery
 from .options.options import Agent as Agent
 from .options.options import Simulation as Simulation
 from .options.options import SimulationStep as SimulationStep
@@ -18,7 +19,6 @@ from .policies.policy_file import OptionPolicy as OptionPolicy
 from .policies.policy_file import policy_file as policy_file
 from .policies.policy_file import shipped_policies as shipped_policies
 from .policies.policy_query import PolicyFn as PolicyFn
-from .policies.policy_query import PolicyQuery as PolicyQuery
 from .policies.policy_query import learned_policy_fn as learned_policy_fn
 from .protocol.clock_reading import ClockReading as ClockReading
 from .protocol.coordination import Coordinator as Coordinator

@@ -72,7 +72,7 @@ class RollOut:
         enough = self.samples + samples
         while self.samples < enough:
             before = self._decision
-            conditional = policy.valid(before.observation, before.choosing, before.running, before.legal)
+            conditional = policy.valid(before)
             options = conditional.sample(self._generator)
             after = self._environment.step(before.named(options))
             steps.append((before, options, float(conditional.log_prob(options)), after))
@@ -114,5 +114,4 @@ class JointDecisionPolicy:
 
     def __call__(self, decision: Decision) -> dict[str, int]:
         """Return an option for each agent that is ready."""
-        given = self._policy.given(decision.observation, decision.choosing, decision.running, decision.legal)
-        return decision.named(given.mode() if self._generator is None else given.sample(self._generator))
+        return decision.named(self._policy.choose(decision, self._generator)[0])

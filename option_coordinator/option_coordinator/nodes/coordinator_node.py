@@ -27,9 +27,10 @@ from option_coordinator.nodes.messages import (
     request_in,
     status_of,
 )
+from option_coordinator.options.decision import PolicyQuery
 from option_coordinator.policies.joint_policy import JointOptions
 from option_coordinator.policies.policy_file import OptionPolicy
-from option_coordinator.policies.policy_query import PolicyFn, PolicyQuery, learned_policy_fn
+from option_coordinator.policies.policy_query import PolicyFn, learned_policy_fn
 from option_coordinator.protocol.clock_reading import ClockReading
 from option_coordinator.protocol.coordination import Coordinator
 from option_coordinator.protocol.message_checks import LONGEST_NAME, MessageError

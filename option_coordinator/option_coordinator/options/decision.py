@@ -15,18 +15,33 @@ NONE = -1
 
 
 @dataclass(frozen=True, eq=False)
-class Decision:
+class PolicyQuery:
+    """What a policy is asked at a decision.
+
+    Attributes:
+        observation: Observations of all agents, one after the other (D,).
+        choosing: Whether each agent is ready and chooses, U_kappa (N,).
+        running: Option that each agent runs, `NONE` for agents that are ready or absent (N,).
+        legal: Whether each option is legal (N, K), with K the largest number of options: those that an idle agent may
+            begin, all options of an agent that runs one, False beyond an agent's last option.
+    """
+
+    observation: Observation
+    choosing: Mask
+    running: NDArray[np.int64]
+    legal: Mask
+
+
+@dataclass(frozen=True, eq=False)
+class Decision(PolicyQuery):
     """A point in time at which agents choose options, with the reward since the last one.
+
+    Each agent's observation is the current one, or that at the end of its last option, as
+    `Simulation.observes_while_running` says.
 
     Attributes:
         agents: All N robots, in the policy's order.
-        observation: Observations of all agents, one after the other: each the current one, or that at the end of the
-            agent's last option, as `Simulation.observes_while_running` says.
-        choosing: Whether each agent is ready and chooses, U_kappa (N,).
-        running: Option that each agent runs, `NONE` for agents that are ready or absent (N,).
         present: Whether each agent is present; absent agents neither choose nor run an option (N,).
-        legal: Whether each option is legal (N, K), with K the largest number of options: those that an idle agent may
-            begin, all options of an agent that runs one, False beyond an agent's last option.
         reward: Discounted sum of the joint rewards since the last decision, sum_i gamma^i r_i (0 at a reset).
         rewards: Joint reward of each low-level step since the last decision.
         discount: Discount gamma^tau of this decision's value, seen from the last decision.
@@ -36,11 +51,7 @@ class Decision:
     """
 
     agents: tuple[Agent, ...]
-    observation: Observation
-    choosing: Mask
-    running: NDArray[np.int64]
     present: Mask
-    legal: Mask
     reward: float
     rewards: tuple[float, ...]
     discount: float

@@ -10,8 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from option_coordinator.options.decision import NONE
-from option_coordinator.options.options import Mask
+from option_coordinator.options.decision import NONE, PolicyQuery
 from option_coordinator.policies.joint_policy import (
     Array,
     Conditional,
@@ -31,29 +30,22 @@ class Autoregressive(NetworkPolicy):
         counts: Number of options of each agent.
     """
 
-    def _given(self, observation: Array, choosing: Mask, running: JointOptions, legal: Mask) -> Conditional:
-        return _AutoregressiveConditional(self._tensors, self.counts, observation, choosing, running, legal)
+    def valid(self, query: PolicyQuery) -> Conditional:
+        """Return pi-hat."""
+        return _AutoregressiveConditional(self._tensors, self.counts, query)
 
 
 class _AutoregressiveConditional(Conditional):
     """The chain of conditionals, given what runs and what is legal."""
 
-    def __init__(
-        self,
-        tensors: Tensors,
-        counts: tuple[int, ...],
-        observation: Array,
-        choosing: Mask,
-        running: JointOptions,
-        legal: Mask,
-    ) -> None:
-        super().__init__(counts, choosing, running, legal)
+    def __init__(self, tensors: Tensors, counts: tuple[int, ...], query: PolicyQuery) -> None:
+        super().__init__(counts, query)
         self._tensors = tensors
         self._begin = np.concatenate(([0], np.cumsum(counts)))
         self._known = tensors["known.weight"]
-        runs = np.flatnonzero(~choosing & (running != NONE))
-        hidden = linear(tensors, "state", features(tensors, observation))
-        self._hidden = hidden + self._known[:, self._begin[runs] + running[runs]].sum(axis=1)
+        runs = np.flatnonzero(self.running != NONE)
+        hidden = linear(tensors, "state", features(tensors, query.observation))
+        self._hidden = hidden + self._known[:, self._begin[runs] + self.running[runs]].sum(axis=1)
 
     def log_prob(self, options: JointOptions) -> Array:
         options = np.asarray(options)

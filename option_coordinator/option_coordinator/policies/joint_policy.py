@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from option_coordinator.errors import OptionError
-from option_coordinator.options.decision import NONE
+from option_coordinator.options.decision import NONE, PolicyQuery
 from option_coordinator.options.options import Mask, option_mask
 
 Array = NDArray[np.floating]
@@ -44,11 +44,9 @@ class Conditional(ABC):
         legal: Whether each agent may choose each option (N, K).
     """
 
-    def __init__(self, counts: Sequence[int], choosing: Mask, running: JointOptions, legal: Mask) -> None:
-        self.counts = tuple(counts)
-        self.choosing = choosing
-        self.running = np.where(choosing, NONE, running)
-        self.legal = legal
+    def __init__(self, counts: Sequence[int], query: PolicyQuery) -> None:
+        self.counts, self.choosing, self.legal = tuple(counts), query.choosing, query.legal
+        self.running = np.where(query.choosing, NONE, query.running)
 
     @abstractmethod
     def log_prob(self, options: JointOptions) -> Array:
@@ -134,24 +132,27 @@ class JointPolicy(ABC):
         Raises:
             OptionError: wrong sizes, an observation that is not finite, options out of range, or nothing legal.
         """
-        choosing, running = np.asarray(choosing, dtype=bool), np.asarray(running)
-        observation = np.asarray(observation)
         legal = self.option_mask if legal is None else np.asarray(legal, dtype=bool)
         if legal.shape != self.option_mask.shape:
             raise OptionError(f"legal has shape {legal.shape}, must be {self.option_mask.shape}")
         legal = legal & self.option_mask
-        self._check(observation, choosing, running, legal)
-        return self.valid(observation, choosing, running, legal)
+        query = PolicyQuery(np.asarray(observation), np.asarray(choosing, dtype=bool), np.asarray(running), legal)
+        self._check(query)
+        return self.valid(query)
 
-    def valid(self, observation: Array, choosing: Mask, running: JointOptions, legal: Mask) -> Conditional:
-        """Return pi-hat for a decision that is known to be in order, as those of `OptionEnvironment` are."""
-        return self._given(observation, choosing, running, legal)
+    def choose(
+        self, query: PolicyQuery, generator: np.random.Generator | None = None
+    ) -> tuple[JointOptions, Conditional]:
+        """Return options (N,), drawn by the generator or the most likely ones without it, and pi-hat; as `given`."""
+        conditional = self.given(query.observation, query.choosing, query.running, query.legal)
+        return conditional.mode() if generator is None else conditional.sample(generator), conditional
 
     @abstractmethod
-    def _given(self, observation: Array, choosing: Mask, running: JointOptions, legal: Mask) -> Conditional:
-        """Return pi-hat for what was checked."""
+    def valid(self, query: PolicyQuery) -> Conditional:
+        """Return pi-hat for a decision that is known to be in order, as those of `OptionEnvironment` are."""
 
-    def _check(self, observation: Array, choosing: Mask, running: JointOptions, legal: Mask) -> None:
+    def _check(self, query: PolicyQuery) -> None:
+        observation, choosing, running = query.observation, query.choosing, query.running
         agents = len(self.counts)
         if observation.shape != (self.observation_size,):
             raise OptionError(f"observation has shape {observation.shape}, must be ({self.observation_size},)")
@@ -163,7 +164,7 @@ class JointPolicy(ABC):
             )
         if (~choosing & ((running < NONE) | (running >= self._counts))).any():
             raise OptionError(f"running options {running.tolist()} are not all below {list(self.counts)}")
-        stuck = np.flatnonzero(choosing & ~legal.any(axis=1))
+        stuck = np.flatnonzero(choosing & ~query.legal.any(axis=1))
         if len(stuck):
             raise OptionError(f"agent {int(stuck[0])} has no legal option")
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from option_coordinator.options.decision import NONE
-from option_coordinator.options.options import Mask
+from option_coordinator.options.decision import NONE, PolicyQuery
 from option_coordinator.policies.joint_policy import (
     Array,
     Conditional,
@@ -25,8 +24,9 @@ class JointTable(NetworkPolicy):
         counts: Number of options of each agent.
     """
 
-    def _given(self, observation: Array, choosing: Mask, running: JointOptions, legal: Mask) -> Conditional:
-        return _TableConditional(self._logits(observation), choosing, running, legal)
+    def valid(self, query: PolicyQuery) -> Conditional:
+        """Return pi-hat."""
+        return _TableConditional(self._logits(query.observation), query)
 
     def _logits(self, observation: Array) -> Array:
         return linear(self._tensors, "head", features(self._tensors, observation)).reshape(self.counts)
@@ -35,14 +35,13 @@ class JointTable(NetworkPolicy):
 class _TableConditional(Conditional):
     """The table where the running options are fixed and the absent agents are summed out."""
 
-    def __init__(self, logits: Array, choosing: Mask, running: JointOptions, legal: Mask) -> None:
-        super().__init__(logits.shape, choosing, running, legal)
-        runs = ~choosing & (running != NONE)
-        table = logits[tuple(int(o) if fixed else slice(None) for o, fixed in zip(running, runs, strict=True))]
-        absent = tuple(int(axis) for axis in np.flatnonzero(~choosing[~runs]))
+    def __init__(self, logits: Array, query: PolicyQuery) -> None:
+        super().__init__(logits.shape, query)
+        table = logits[tuple(slice(None) if option == NONE else int(option) for option in self.running)]
+        absent = tuple(int(axis) for axis in np.flatnonzero(~self.choosing[self.running == NONE]))
         table = log_sum_exp(table, absent) if absent else np.asarray(table)
-        for axis, agent in enumerate(np.flatnonzero(choosing)):
-            row = legal[agent, : self.counts[agent]]
+        for axis, agent in enumerate(np.flatnonzero(self.choosing)):
+            row = self.legal[agent, : self.counts[agent]]
             table = np.where(row.reshape((-1, *(1,) * (table.ndim - axis - 1))), table, -np.inf)
         self._table = table - log_sum_exp(table)
 

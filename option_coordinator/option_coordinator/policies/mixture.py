@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from option_coordinator.options.decision import NONE
-from option_coordinator.options.options import Mask
+from option_coordinator.options.decision import NONE, PolicyQuery
 from option_coordinator.policies.joint_policy import (
     Array,
     Conditional,
@@ -37,8 +36,9 @@ class Mixture(NetworkPolicy):
         super().__init__(tensors, counts)
         self.rank = tensors["weights.bias"].shape[0]
 
-    def _given(self, observation: Array, choosing: Mask, running: JointOptions, legal: Mask) -> Conditional:
-        x = features(self._tensors, observation)
+    def valid(self, query: PolicyQuery) -> Conditional:
+        """Return pi-hat."""
+        x = features(self._tensors, query.observation)
         flat = linear(self._tensors, "head", x)
         if len(set(self.counts)) == 1:
             logits = flat.reshape(self.rank, *self.option_mask.shape).astype(float)
@@ -46,18 +46,17 @@ class Mixture(NetworkPolicy):
             logits = np.full((self.rank, *self.option_mask.shape), -np.inf)
             logits[:, self.option_mask] = flat.reshape(self.rank, -1)
         weights = linear(self._tensors, "weights", x).astype(float)
-        return _MixtureConditional(self.counts, weights, logits, choosing, running, legal)
+        return _MixtureConditional(self.counts, weights, logits, query)
 
 
 class _MixtureConditional(Conditional):
     """The mixture's weights and factors, given what runs and what is legal."""
 
-    def __init__(
-        self, counts: tuple[int, ...], weights: Array, logits: Array, choosing: Mask, running: JointOptions, legal: Mask
-    ) -> None:
-        super().__init__(counts, choosing, running, legal)
-        runs = np.flatnonzero(~choosing & (running != NONE))
-        self._agents = np.flatnonzero(choosing)
+    def __init__(self, counts: tuple[int, ...], weights: Array, logits: Array, query: PolicyQuery) -> None:
+        super().__init__(counts, query)
+        running, legal = self.running, self.legal
+        runs = np.flatnonzero(running != NONE)
+        self._agents = np.flatnonzero(self.choosing)
         if len(runs):  # each sum of exponentials left out is a tenth of a small decision
             fixed = logits[:, runs]
             weights = weights + (fixed[:, np.arange(len(runs)), running[runs]] - log_sum_exp(fixed, -1)).sum(axis=1)

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from option_coordinator.options.options import Mask
+from option_coordinator.options.decision import NONE, PolicyQuery
 from option_coordinator.policies.joint_policy import Array, Conditional, JointOptions, JointPolicy
 
 
@@ -27,22 +27,21 @@ class Partial(JointPolicy):
         self._policies = tuple(policies)
         self._ends = np.cumsum([policy.observation_size for policy in policies])[:-1]
 
-    def _given(self, observation: Array, choosing: Mask, running: JointOptions, legal: Mask) -> Conditional:
-        parts = {}
-        for agent, own in enumerate(np.split(observation, self._ends)):
-            if choosing[agent]:
+    def valid(self, query: PolicyQuery) -> Conditional:
+        """Return pi-hat."""
+        parts, running = {}, np.where(query.choosing, NONE, query.running)
+        for agent, own in enumerate(np.split(query.observation, self._ends)):
+            if query.choosing[agent]:
                 alone = np.arange(len(self.counts)) == agent
-                parts[agent] = self._policies[agent].valid(own, alone, np.where(choosing, -1, running), legal)
-        return _PartialConditional(self.counts, choosing, running, legal, parts)
+                parts[agent] = self._policies[agent].valid(PolicyQuery(own, alone, running, query.legal))
+        return _PartialConditional(self.counts, query, parts)
 
 
 class _PartialConditional(Conditional):
     """The product of the choosers' own conditionals."""
 
-    def __init__(
-        self, counts: tuple[int, ...], choosing: Mask, running: JointOptions, legal: Mask, parts: dict[int, Conditional]
-    ) -> None:
-        super().__init__(counts, choosing, running, legal)
+    def __init__(self, counts: tuple[int, ...], query: PolicyQuery, parts: dict[int, Conditional]) -> None:
+        super().__init__(counts, query)
         self._parts = parts
 
     def log_prob(self, options: JointOptions) -> Array:

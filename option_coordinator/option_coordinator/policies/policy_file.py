@@ -141,8 +141,7 @@ class OptionPolicy:
 
     def choose(self, decision: Decision, generator: np.random.Generator) -> dict[str, int]:
         """Return an option for each agent that is ready: a draw, or the most likely ones if it is `greedy`."""
-        conditional = self.joint.given(decision.observation, decision.choosing, decision.running, decision.legal)
-        return decision.named(conditional.mode() if self.greedy else conditional.sample(generator))
+        return decision.named(self.joint.choose(decision, None if self.greedy else generator)[0])
 
     @cached_property
     def digest(self) -> str:
@@ -154,18 +153,9 @@ class OptionPolicy:
         atomic_write(path, self._content())
 
     def _content(self) -> bytes:
-        header = {
-            "format": FORMAT,
-            "agents": [
-                {"name": agent.name, "options": agent.options, "observation_size": agent.observation_size}
-                for agent in self.agents
-            ],
-            "head": self.head,
-            "partial": self.partial,
-            "presence": self.presence,
-            "greedy": self.greedy,
-            "manifest": dict(self.manifest),
-        }
+        agents = [vars(agent) for agent in self.agents]
+        kind = {name: getattr(self, name) for name in ("head", "partial", "presence", "greedy")}
+        header = {"format": FORMAT, "agents": agents, **kind, "manifest": dict(self.manifest)}
         return encode_tensors(self.tensors, _HEADER_KEY, header)
 
     @classmethod
@@ -192,15 +182,9 @@ class OptionPolicy:
         with raise_as(OptionError, file):
             header, tensors, digest = read_tensors(file, _HEADER_KEY, with_digest=True)
             told = _Header.model_validate(header)
-            policy = cls(
-                agents=tuple(Agent(agent.name, tuple(agent.options), agent.observation_size) for agent in told.agents),
-                head=told.head,
-                partial=told.partial,
-                tensors=tensors,
-                presence=told.presence,
-                greedy=told.greedy,
-                manifest=told.manifest,
-            )
+            agents = tuple(Agent(agent.name, tuple(agent.options), agent.observation_size) for agent in told.agents)
+            rest = told.model_dump(exclude={"format", "agents"})
+            policy = cls(agents=agents, tensors=tensors, **rest)
             policy.__dict__["digest"] = digest  # of what was read, however it was written
             policy.check()
         return policy

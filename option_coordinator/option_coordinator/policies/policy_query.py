@@ -9,20 +9,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from option_coordinator.options.options import Mask, Observation
+from option_coordinator.options.decision import PolicyQuery
 from option_coordinator.policies.joint_policy import JointOptions
 from option_coordinator.policies.policy_file import OptionPolicy
-
-
-@dataclass(frozen=True, eq=False)
-class PolicyQuery:
-    """The query of one decision: the arguments of `JointPolicy.given`."""
-
-    observation: Observation
-    choosing: Mask
-    running: JointOptions
-    legal: Mask
-
 
 PolicyFn = Callable[[PolicyQuery], tuple[JointOptions, float]]
 """Returns options (N,), of which those of the choosing agents count, and their log-probability."""
@@ -49,8 +38,7 @@ def learned_policy_fn(policy: OptionPolicy, generator: np.random.Generator) -> P
     """Return a learned policy as the function that a coordinator queries."""
 
     def chooses(choice: PolicyQuery) -> tuple[JointOptions, float]:
-        conditional = policy.joint.given(choice.observation, choice.choosing, choice.running, choice.legal)
-        options = conditional.mode() if policy.greedy else conditional.sample(generator)
+        options, conditional = policy.joint.choose(choice, None if policy.greedy else generator)
         return options, float(conditional.log_prob(options))
 
     return chooses

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from option_coordinator.options.decision import NONE
+from option_coordinator.options.decision import NONE, PolicyQuery
 from option_coordinator.options.options import Mask
-from option_coordinator.policies.joint_policy import Array, Conditional, JointOptions, JointPolicy
+from option_coordinator.policies.joint_policy import Array, Conditional, JointPolicy
 
 
 class Presence(JointPolicy):
@@ -23,9 +23,10 @@ class Presence(JointPolicy):
         self.observation_size = policy.observation_size - len(policy.counts)
         self._policy = policy
 
-    def _given(self, observation: Array, choosing: Mask, running: JointOptions, legal: Mask) -> Conditional:
-        present = choosing | (running != NONE)
-        return self._policy.valid(with_presence(observation, present), choosing, running, legal)
+    def valid(self, query: PolicyQuery) -> Conditional:
+        """Return pi-hat."""
+        observation = with_presence(query.observation, query.choosing | (query.running != NONE))
+        return self._policy.valid(PolicyQuery(observation, query.choosing, query.running, query.legal))
 
 
 def with_presence(observation: Array, present: Mask) -> Array:

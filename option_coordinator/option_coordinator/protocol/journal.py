@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
+from option_coordinator.options.decision import PolicyQuery
 from option_coordinator.policies.joint_policy import JointOptions
-from option_coordinator.policies.policy_query import PolicyQuery
 from option_coordinator.protocol.clock_reading import ClockReading
 from option_coordinator.protocol.protocol_types import JointStep
 

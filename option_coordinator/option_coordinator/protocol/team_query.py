@@ -7,9 +7,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from option_coordinator.options.decision import NONE
+from option_coordinator.options.decision import NONE, PolicyQuery
 from option_coordinator.options.options import option_mask
-from option_coordinator.policies.policy_query import PolicyQuery
 from option_coordinator.protocol.ledger import Entry
 from option_coordinator.protocol.protocol_types import Request
 from option_coordinator.protocol.team_settings import RobotSpec

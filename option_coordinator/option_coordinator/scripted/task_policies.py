@@ -21,7 +21,6 @@ from option_coordinator.environments.tasks.tool_delivery import (
 from option_coordinator.environments.tasks.water_filling import WaterFillingSimulation
 from option_coordinator.options.decision import Decision
 from option_coordinator.options.options import Agent
-from option_coordinator.policies.policy_query import PolicyQuery
 from option_coordinator.scripted.policy_queries import spread_policy
 from option_coordinator.teams.team_file import TeamFile
 
@@ -117,8 +116,7 @@ class SpreadTeam:
 
     def __call__(self, decision: Decision) -> dict[str, int]:
         """Return an option for each agent that is ready."""
-        choice = PolicyQuery(decision.observation, decision.choosing, decision.running, decision.legal)
-        return decision.named(self._chooses(choice)[0])
+        return decision.named(self._chooses(decision)[0])
 
 
 def jar_trips(agent: Agent) -> list[int]:

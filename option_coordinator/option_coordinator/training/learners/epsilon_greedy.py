@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from option_coordinator.options.options import Mask
+from option_coordinator.options.decision import PolicyQuery
 from option_coordinator.policies.joint_policy import Array, Conditional, JointOptions, JointPolicy
 
 
@@ -21,16 +21,17 @@ class EpsilonGreedy(JointPolicy):
         self.epsilon = epsilon
         self._policy = policy
 
-    def _given(self, observation: Array, choosing: Mask, running: JointOptions, legal: Mask) -> Conditional:
-        return _EpsilonGreedyConditional(self._policy.valid(observation, choosing, running, legal), self.epsilon)
+    def valid(self, query: PolicyQuery) -> Conditional:
+        """Return pi-hat."""
+        return _EpsilonGreedyConditional(self._policy, query, self.epsilon)
 
 
 class _EpsilonGreedyConditional(Conditional):
     """See `EpsilonGreedy`."""
 
-    def __init__(self, best: Conditional, epsilon: float) -> None:
-        super().__init__(best.counts, best.choosing, best.running, best.legal)
-        self._best = best.mode()
+    def __init__(self, policy: JointPolicy, query: PolicyQuery, epsilon: float) -> None:
+        super().__init__(policy.counts, query)
+        self._best = policy.valid(query).mode()
         self._epsilon = epsilon
 
     def log_prob(self, options: JointOptions) -> Array:
