@@ -1,6 +1,8 @@
 """What tests share: nodes in a domain of their own that end with the test, runs that are cut off, a real drive."""
 
+import json
 import os
+import resource
 import shutil
 import signal
 import subprocess
@@ -102,6 +104,58 @@ def start() -> Iterator[Callable[..., subprocess.Popen[str]]]:
     for process in processes:
         process.kill()
         process.communicate()
+
+
+IN_TURN = """
+import importlib, json, os, sys, tempfile
+module, cases = sys.argv[1], json.loads(sys.argv[2])
+main, ends = importlib.import_module(module).main, []
+for case in cases:
+    with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
+        sys.argv, kept = [module, *case], [os.dup(1), os.dup(2)]
+        for stream, number in ((out, 1), (err, 2)):
+            os.dup2(stream.fileno(), number)
+        try:
+            code = main()
+        except SystemExit as error:
+            code = error.code
+        finally:
+            sys.stdout.flush()
+            sys.stderr.flush()
+            for old, number in zip(kept, (1, 2)):
+                os.dup2(old, number)
+                os.close(old)
+        said = []
+        for stream in (err, out):
+            stream.seek(0)
+            said.append(stream.read().decode())
+        ends.append((code, *said))
+print(json.dumps(ends))
+"""
+
+
+def call_in_turn(module: str, cases: list[list[str]], memory: int | None = None) -> list[tuple[int, str, str]]:
+    """Call a command's `main` with one list of arguments after the other, in one process that starts once.
+
+    Args:
+        module: Module of the command.
+        cases: Arguments of each call.
+        memory: Address space that the process may have [bytes]; None for any.
+
+    Returns:
+        Exit code, errors and output of each call.
+    """
+    limit = (lambda: resource.setrlimit(resource.RLIMIT_AS, (memory, memory))) if memory else None
+    command = [sys.executable, "-c", IN_TURN, module, json.dumps(cases)]
+    answer = subprocess.run(command, capture_output=True, text=True, check=False, timeout=600, preexec_fn=limit)
+    assert answer.returncode == 0, answer.stderr
+    return [(code, errors, output) for code, errors, output in json.loads(answer.stdout.splitlines()[-1])]
+
+
+@pytest.fixture(scope="session")
+def in_turn() -> Callable[..., list[tuple[int, str, str]]]:
+    """Give `call_in_turn`."""
+    return call_in_turn
 
 
 class CutOffError(Exception):

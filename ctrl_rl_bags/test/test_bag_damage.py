@@ -1,11 +1,8 @@
 """Bags that were damaged, or made to do damage: refused with one line, within bounds, or as good as new."""
 
 import os
-import resource
 import shutil
 import struct
-import subprocess
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -149,32 +146,33 @@ def zstd_bomb(size):
     return b"".join([*parts, compressor.flush()])
 
 
-def bounded(*arguments):
-    """Run the bag command in little memory and return its exit code and error."""
-    done = subprocess.run(
-        [sys.executable, "-m", "ctrl_rl_bags.cli", *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        check=False,
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY)),
-    )
-    assert len(done.stderr.strip().splitlines()) <= 1, done.stderr
-    return done.returncode, done.stderr + done.stdout
+@pytest.fixture
+def bounded(in_turn):
+    """Give a function that runs bag commands in little memory and returns exit code and words of each."""
+
+    def run(*commands):
+        ends = in_turn("ctrl_rl_bags.cli", [list(map(str, command)) for command in commands], MEMORY)
+        assert all(len(errors.strip().splitlines()) <= 1 for _, errors, _ in ends), ends
+        return [(code, errors + output) for code, errors, output in ends]
+
+    return run
 
 
-@pytest.mark.parametrize("declared", [100, 1 << 31, 1 << 62])
-def test_a_chunk_that_unfolds_is_left_out(tmp_path, declared):
-    size = 2 << 30
-    with_chunk(tmp_path / "zstd", chunk(declared, zstd_bomb(size), b"zstd"))
-    code, said = bounded("recover", tmp_path / "zstd")
-    assert code == 1
-    assert "holds no readable message" in said
-    with_chunk(tmp_path / "lz4", chunk(declared, lz4.frame.compress(bytes(1 << 28)), b"lz4"))
-    assert bounded("recover", tmp_path / "lz4")[0] == 1
+def test_a_chunk_that_unfolds_is_left_out(tmp_path, bounded):
+    bombs = {b"zstd": zstd_bomb(2 << 30), b"lz4": lz4.frame.compress(bytes(1 << 28))}
+    folders = []
+    for declared in (100, 1 << 31, 1 << 62):
+        for compression, bomb in bombs.items():
+            folders.append(tmp_path / f"{compression.decode()}-{declared}")
+            with_chunk(folders[-1], chunk(declared, bomb, compression))
+    for code, said in bounded(*(("recover", folder) for folder in folders)):
+        assert code == 1
+        assert "holds no readable message" in said
 
 
-def test_a_record_of_a_terabyte(tmp_path):
-    for opcode in (3, 5, 6, 12):
+def test_a_record_of_a_terabyte(tmp_path, bounded):
+    opcodes = (3, 5, 6, 12)
+    for opcode in opcodes:
         folder = tmp_path / str(opcode)
         with_chunk(folder, chunk(0, b"", b""))
         file = folder / f"{opcode}_0.mcap"
@@ -182,7 +180,7 @@ def test_a_record_of_a_terabyte(tmp_path):
             stream.seek(0, os.SEEK_END)
             stream.write(struct.pack("<BQ", opcode, 1 << 40))
             stream.truncate(1 << 40)
-        assert bounded("recover", folder)[0] == 1
+    assert [code for code, _ in bounded(*(("recover", tmp_path / str(opcode)) for opcode in opcodes))] == [1] * 4
 
 
 def overlapping(path, count, size):
@@ -208,16 +206,16 @@ def test_chunks_over_each_other_do_not_all_lie_in_memory(tmp_path):
     assert times == [0] * 5 + [10, 11, 12, 13, 14]
 
 
-def test_a_larger_chunk_is_read_when_asked_for(tmp_path):
+def test_a_larger_chunk_is_read_when_asked_for(tmp_path, bounded):
     with BagWriter(tmp_path / "bag") as bag:
         bag.add_topic(topic("/talk", "std_msgs/msg/String"))
         bag.write("/talk", bytes(3 << 20), 1)
-    code, said = bounded("recover", tmp_path / "bag", "--max-chunk-mb", 1)
-    assert code == 1
+    commands = [("recover", tmp_path / "bag", "--max-chunk-mb", size) for size in (1, 4)]
+    (code, said), (enough, _) = bounded(*commands)
+    assert (code, enough) == (1, 0)
     assert "larger than --max-chunk-mb" in said
     with open_bag(tmp_path / "bag", Limits(chunk_bytes=1 << 20)) as opened, pytest.raises(BagError, match="max-chunk"):
         list(opened.messages())
-    assert bounded("recover", tmp_path / "bag", "--max-chunk-mb", 4)[0] == 0
 
 
 def aliases(levels):
@@ -226,38 +224,40 @@ def aliases(levels):
     return "\n".join(lines)
 
 
-@pytest.mark.parametrize(
-    ("content", "words"),
-    [
-        (aliases(12), "it has an alias"),
-        ("[" * 10_000, "nested more than 20 levels"),
-        ("x" * (9 << 20), "is too large"),
-        ("rosbag2_bagfile_information: 7\n", "not a bag's metadata"),
-        ("- 1\n", "not a bag's metadata"),
-        ("!!python/object/apply:os.getcwd []\n", "no YAML"),
-        ("\0", "no YAML"),
-        ("", "not a bag's metadata"),
-    ],
+HOSTILE = (
+    (aliases(12), "it has an alias"),
+    ("[" * 10_000, "nested more than 20 levels"),
+    ("x" * (9 << 20), "is too large"),
+    ("rosbag2_bagfile_information: 7\n", "not a bag's metadata"),
+    ("- 1\n", "not a bag's metadata"),
+    ("!!python/object/apply:os.getcwd []\n", "no YAML"),
+    ("\0", "no YAML"),
+    ("", "not a bag's metadata"),
 )
-def test_hostile_metadata(tmp_path, content, words):
-    folder = write_texts(tmp_path / "bag")
-    (folder / "metadata.yaml").write_text(content)
-    code, said = bounded("info", folder)
-    assert code == 1
-    assert words in said
 
 
-def test_a_pipe_is_no_bag(tmp_path):
-    folder = write_texts(tmp_path / "bag")
-    for name in ("metadata.yaml", "bag_0.mcap"):
+def test_hostile_metadata(tmp_path, bounded):
+    folders = [write_texts(tmp_path / str(number)) for number in range(len(HOSTILE))]
+    for folder, (content, _) in zip(folders, HOSTILE, strict=True):
+        (folder / "metadata.yaml").write_text(content)
+    ends = bounded(*(("info", folder) for folder in folders))
+    for (code, said), (_, words) in zip(ends, HOSTILE, strict=True):
+        assert (code, words in said) == (1, True), said
+
+
+def test_a_pipe_is_no_bag(tmp_path, bounded):
+    folders = [write_texts(tmp_path / name) for name in ("described", "data", "cut")]
+    for folder, name in zip(folders, ("metadata.yaml", "data_0.mcap", "cut_0.mcap"), strict=True):
         (folder / name).unlink()
         os.mkfifo(folder / name)
-        code, said = bounded("info", folder)
-        assert (code, "no regular file" in said) == (1, True)
-    (folder / "metadata.yaml").unlink()
-    assert bounded("recover", folder)[0] == 1
+    (folders[2] / "metadata.yaml").unlink()
     os.mkfifo(tmp_path / "pipe.mcap")
-    assert bounded("info", tmp_path / "pipe.mcap")[0] == 1
+    read, *rest = bounded(
+        ("info", folders[0]), ("info", folders[1]), ("recover", folders[2]), ("info", tmp_path / "pipe.mcap")
+    )
+    for code, said in (read, rest[0]):
+        assert (code, "no regular file" in said) == (1, True)
+    assert [code for code, _ in rest[1:]] == [1, 1]
 
 
 def change(folder, **changes):

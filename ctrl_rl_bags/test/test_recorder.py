@@ -5,7 +5,6 @@ import os
 import signal
 import time
 
-import pytest
 from recording import record, stop
 
 from ctrl_rl_bags import bag_info, read_messages, recover
@@ -108,24 +107,24 @@ def test_asks_for_less_when_a_best_effort_publisher_joins(start, tmp_path):
     assert list(bag_info(tmp_path / "bag").topics) == ["/scan"]
 
 
-@pytest.mark.parametrize(
-    ("parameter", "code", "words"),
-    [
-        ("queue_depth:=0", 2, "queue_depth"),
-        ("exclude:=['(']", 2, "no regular expression"),
-        ("digest_files:=['task=/nowhere/task.yaml']", 2, "cannot be read"),
-        ("digest_files:=['task={folder}/pipe']", 2, "is no regular file"),
-        ("digest_files:=['task']", 2, "NAME=PATH"),
-        ("output:=.", 1, "exists"),
-    ],
+REFUSALS = (
+    ("queue_depth:=0", 2, "queue_depth"),
+    ("exclude:=['(']", 2, "no regular expression"),
+    ("digest_files:=['task=/nowhere/task.yaml']", 2, "cannot be read"),
+    ("digest_files:=['task={folder}/pipe']", 2, "is no regular file"),
+    ("digest_files:=['task']", 2, "NAME=PATH"),
+    ("output:=.", 1, "exists"),
 )
-def test_refusals_are_one_line(start, tmp_path, parameter, code, words):
+
+
+def test_refusals_are_one_line(in_turn, tmp_path):
     os.mkfifo(tmp_path / "pipe")  # nobody writes into it: to open it plainly would wait forever
-    process = record(start, tmp_path / "bag", parameter.replace("{folder}", str(tmp_path)))
-    _, errors = process.communicate(timeout=120)
-    assert process.returncode == code
-    assert words in errors
-    assert len(errors.strip().splitlines()) == 1
+    given = [parameter.replace("{folder}", str(tmp_path)) for parameter, _, _ in REFUSALS]
+    cases = [["--ros-args", "-p", f"output:={tmp_path}/bag", "-p", parameter] for parameter in given]
+    ends = in_turn("ctrl_rl_bags.recording.recorder_node", cases)
+    for (code, errors, _), (_, expected, words) in zip(ends, REFUSALS, strict=True):
+        assert (code, words in errors) == (expected, True), errors
+        assert len(errors.strip().splitlines()) == 1
     assert not (tmp_path / "bag").exists()
 
 

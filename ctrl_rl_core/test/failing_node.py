@@ -51,6 +51,7 @@ class FailingNode(SuiteNode):
             work(60.0)
         self._heard = self.create_publisher(String, "heard", 100)
         self.create_subscription(String, "say", self._on_say, 100)
+        self.create_subscription(String, "say_error", self._on_say_error, 100)
         self.create_service(Trigger, "~/trigger", self._on_trigger)
         self.create_timer(0.01, self._on_timer)
         self._status_fails = False
@@ -75,10 +76,8 @@ class FailingNode(SuiteNode):
         match message.data:
             case "raise":
                 raise ValueError("a word too many\nand a second line")
-            case "suite error":
-                raise CtrlRlError("the suite's own")
             case "status":
-                self._status_fails = True
+                self._status_fails = not self._status_fails
             case "load":
                 self.get_logger().info("loads")
                 with interruptible():
@@ -87,6 +86,10 @@ class FailingNode(SuiteNode):
                 raise SystemExit(7)
             case _:
                 self._heard.publish(message)
+
+    def _on_say_error(self, message):
+        if message.data:
+            raise CtrlRlError(message.data)
 
     def _on_trigger(self, _request, _response):
         raise RuntimeError("no answer")

@@ -1,22 +1,46 @@
 """Compiled code on disk: damaged files are compiled again, in a process of its own as a node's start is."""
 
+import json
 import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 PROGRAM = """
-import sys
+import contextlib, io, json, pathlib, sys
 sys.path.insert(0, {folder!r})
 from twice import twice
 from ctrl_rl_core.values.jit_cache import cached_njit
-quick = cached_njit(twice)
-print(quick(21.0), sum(quick.stats.cache_hits.values()))
+
+def call():
+    quick = cached_njit(twice)
+    with contextlib.redirect_stderr(io.StringIO()) as errors:
+        value = quick(21.0)
+    return value, sum(quick.stats.cache_hits.values()), errors.getvalue()
+
+def emptied(content):
+    return content[:0]
+
+def flipped(content):
+    middle = len(content) // 2
+    return content[:middle] + bytes([content[middle] ^ 4]) + content[middle + 1 :]
+
+def cut(content):
+    return content[:-7]
+
+ends = {{"compiled": call(), "read": call()}}
+for suffix in ("nbi", "nbc"):
+    for damage in (emptied, flipped, cut):
+        (file,) = pathlib.Path({folder!r}).rglob("*." + suffix)
+        file.write_bytes(damage(file.read_bytes()))
+        ends[suffix + " " + damage.__name__] = call()
+        ends[suffix + " " + damage.__name__ + ", then"] = call()
+        ends[suffix] = file.name + " in " + str(file.parent)
+print(json.dumps(ends))
 """
-
-
 VALUE_AT = """
 import numpy as np
 from ctrl_rl_core.values.grid_axis import Axis
@@ -24,13 +48,6 @@ from ctrl_rl_core.values.interpolation import axis_table, value_at
 axes = axis_table([Axis("x", "m", 0.0, 1.0, 2, False)])
 print(value_at(np.array([1.0, 3.0], np.float32), axes, np.array([0.5])))
 """
-
-
-def run(folder: Path) -> tuple[str, str]:
-    """Return what a process that calls the cached function says on standard output and error."""
-    (folder / "twice.py").write_text("def twice(x):\n    return 2.0 * x\n")
-    os.utime(folder / "twice.py", (1e9, 1e9))
-    return python(folder, PROGRAM.format(folder=str(folder)))
 
 
 def python(folder: Path, program: str) -> tuple[str, str]:
@@ -45,40 +62,33 @@ def python(folder: Path, program: str) -> tuple[str, str]:
     return answer.stdout.strip(), answer.stderr
 
 
-def emptied(content: bytes) -> bytes:
-    return content[:0]
-
-
-def flipped(content: bytes) -> bytes:
-    middle = len(content) // 2
-    return content[:middle] + bytes([content[middle] ^ 4]) + content[middle + 1 :]
-
-
-def cut(content: bytes) -> bytes:
-    return content[:-7]
-
-
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder whose function has been compiled once and read once."""
+def ends(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """What a process says that calls a function, reads it again, and reads it after each kind of damage."""
     folder = tmp_path_factory.mktemp("code")
-    assert run(folder) == ("42.0 0", "")
-    assert run(folder) == ("42.0 1", "")
-    return folder
+    (folder / "twice.py").write_text("def twice(x):\n    return 2.0 * x\n")
+    os.utime(folder / "twice.py", (1e9, 1e9))
+    said, errors = python(folder, PROGRAM.format(folder=str(folder)))
+    assert errors == ""
+    out: dict[str, Any] = json.loads(said)
+    return out
+
+
+def test_code_is_compiled_once(ends: dict[str, Any]) -> None:
+    assert ends["compiled"] == [42.0, 0, ""]
+    assert ends["read"] == [42.0, 1, ""]
 
 
 @pytest.mark.fault
-@pytest.mark.parametrize("damage", [emptied, flipped, cut])
+@pytest.mark.parametrize("damage", ["emptied", "flipped", "cut"])
 @pytest.mark.parametrize("suffix", ["nbi", "nbc"])
-def test_a_damaged_file_is_said_and_compiled_again(folder: Path, suffix: str, damage) -> None:
-    (file,) = (folder / "cache").rglob(f"*.{suffix}")
-    file.write_bytes(damage(file.read_bytes()))
-    said, errors = run(folder)
-    assert said == "42.0 0"
-    assert f"{file.name} in {file.parent} is damaged or of another version: compiling again" in errors
+def test_a_damaged_file_is_said_and_compiled_again(ends: dict[str, Any], suffix: str, damage: str) -> None:
+    value, hits, errors = ends[f"{suffix} {damage}"]
+    assert (value, hits) == (42.0, 0)
+    assert f"{ends[suffix]} is damaged or of another version: compiling again" in errors
     assert "Traceback" not in errors
     if suffix == "nbi":
-        assert run(folder) == ("42.0 1", "")
+        assert ends[f"{suffix} {damage}, then"] == [42.0, 1, ""]
 
 
 @pytest.mark.fault
