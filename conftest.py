@@ -67,8 +67,7 @@ class NodeProcess:
                 self.process.wait()
 
 
-@pytest.fixture
-def run_node(tmp_path: Path) -> Iterator[Callable[..., NodeProcess]]:
+def run_nodes(folder: Path) -> Iterator[Callable[..., NodeProcess]]:
     """Give a function that starts a node of a package by executable, parameters ("speed:=1.0") and remappings."""
     started: list[NodeProcess] = []
 
@@ -79,7 +78,7 @@ def run_node(tmp_path: Path) -> Iterator[Callable[..., NodeProcess]]:
         options += [part for rule in remap for part in ("-r", rule)]
         options += ["--params-file", str(params_file)] if params_file else []
         arguments = ("--ros-args", *options) if options else ()
-        node = NodeProcess(package, executable, arguments, tmp_path / f"{len(started)}-{executable}.log")
+        node = NodeProcess(package, executable, arguments, folder / f"{len(started)}-{executable}.log")
         started.append(node)
         return node
 
@@ -87,6 +86,18 @@ def run_node(tmp_path: Path) -> Iterator[Callable[..., NodeProcess]]:
     for node in started:
         node.end()
     time.sleep(_GOODBYE_S)
+
+
+@pytest.fixture
+def run_node(tmp_path: Path) -> Iterator[Callable[..., NodeProcess]]:
+    """Give a function that starts nodes, which end with the test."""
+    yield from run_nodes(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def run_shared_node(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[..., NodeProcess]]:
+    """Give a function that starts nodes, which end with the module."""
+    yield from run_nodes(tmp_path_factory.mktemp("nodes"))
 
 
 @pytest.fixture

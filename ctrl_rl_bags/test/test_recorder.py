@@ -15,6 +15,7 @@ import sys, time
 from array import array
 import rclpy
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import LaserScan
 from std_msgs.msg import String
 
@@ -24,13 +25,20 @@ node = rclpy.create_node(name)
 latch = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 latched = node.create_publisher(String, name + "/note", latch)
 latched.publish(String(data="note of " + name))
+print("noted", flush=True)
 scans = node.create_publisher(LaserScan, "scan", QoSProfile(depth=1000, reliability=ReliabilityPolicy[reliability]))
 while scans.get_subscription_count() == 0:
     time.sleep(0.01)
 time.sleep(0.3)
 message = LaserScan(ranges=array("f", [1.5] * 360), intensities=array("f", [0.0] * 360))
+def hear(_message):
+    print("diagnosed", flush=True)
+    node.destroy_subscription(diagnostics)
+diagnostics = node.create_subscription(DiagnosticArray, "/diagnostics", hear, 10)
 begin = time.monotonic()
 for i in range(count):
+    if i == 500:
+        print("many", flush=True)
     message.header.frame_id = f"{name} {i}"
     scans.publish(message)
     time.sleep(max(0.0, begin + (i + 1) / rate - time.monotonic()))
@@ -42,7 +50,18 @@ while True:
 
 
 def publish(start, name="sender", rate=300, count=300, reliability="RELIABLE"):
-    return start("-c", PUBLISHER, name, rate, count, reliability)
+    """Start a publisher, and wait until it has sent its note."""
+    process = start("-c", PUBLISHER, name, rate, count, reliability)
+    assert process.stdout.readline() == "noted\n"
+    return process
+
+
+def wait_for(file, *words):
+    """Wait until a file holds some words."""
+    end = time.monotonic() + 120.0
+    while not all(word in file.read_bytes() for word in words):
+        assert time.monotonic() < end, words
+        time.sleep(0.05)
 
 
 def numbers(bag, name="sender"):
@@ -52,11 +71,11 @@ def numbers(bag, name="sender"):
 
 def test_records_everything_and_stops_in_good_order(start, tmp_path):
     (tmp_path / "task.yaml").write_text("goal: [1, 2]\n")
-    publisher = publish(start)
-    time.sleep(0.5)  # the note is published before anyone listens
+    publisher = publish(start)  # the note is published before anyone listens
     recorder = record(start, tmp_path / "bag", f"digest_files:=['task={tmp_path}/task.yaml']", "exclude:=['/rosou.']")
     assert publisher.stdout.readline() == "sent\n"
-    time.sleep(1.2)
+    assert publisher.stdout.readline() == "diagnosed\n"
+    wait_for(tmp_path / "bag" / "bag_0.mcap", b"parameters./sender", b"parameters./recorder")
     code, _, errors = stop(recorder, signal.SIGTERM)
     assert (code, "Traceback" in errors) == (0, False)
     assert "0 lost" in errors
@@ -78,9 +97,7 @@ def test_records_everything_and_stops_in_good_order(start, tmp_path):
 
 def test_a_killed_recorder_loses_less_than_its_last_second(start, tmp_path):
     recorder = record(start, tmp_path / "bag")
-    heard = PUBLISHER.replace("time.sleep(0.3)", "print('heard', flush=True)")
-    assert start("-c", heard, "sender", 400, 100_000, "RELIABLE").stdout.readline() == "heard\n"
-    time.sleep(3.0)
+    assert publish(start, rate=400, count=100_000).stdout.readline() == "many\n"
     killed_at = time.time_ns()
     recorder.kill()
     recorder.wait()
@@ -98,7 +115,7 @@ def test_asks_for_less_when_a_best_effort_publisher_joins(start, tmp_path):
     recorder = record(start, tmp_path / "bag", "topics:=[scan]")
     assert first.stdout.readline() == "sent\n"
     second = start("-c", PUBLISHER.replace("time.sleep(0.3)", "time.sleep(1.0)"), "second", 100, 100, "BEST_EFFORT")
-    time.sleep(0.1)
+    assert second.stdout.readline() == "noted\n"
     # The second publisher waits for a subscription that fits it: it gets one from the recorder only.
     assert second.stdout.readline() == "sent\n"
     assert stop(recorder)[0] == 0

@@ -1,11 +1,9 @@
 """A driver that knows one command: run as a process of its own, to be killed, frozen or fall silent."""
 
+import argparse
 import time
-from dataclasses import dataclass
 
 import rclpy
-from ctrl_rl_core.command import parse_options
-from ctrl_rl_core.ros.node import COMMAND
 from geometry_msgs.msg import TwistStamped
 from rclpy.node import Node
 
@@ -13,23 +11,15 @@ SPEED = 0.125
 RATE = 20.0
 
 
-@dataclass
-class Source:
-    """Publish one velocity command again and again."""
-
-    topic: str = "cmd_vel_raw"
-    """Topic of the commands."""
-    name: str = "source"
-    """Name of the node."""
-    commands: int = 0
-    """Number of commands before it falls silent; 0 for no end."""
-
-
 def main() -> None:
-    options = parse_options("command_source", Source)
+    parser = argparse.ArgumentParser(description="Publish one velocity command again and again.")
+    parser.add_argument("--topic", default="cmd_vel_raw", help="topic of the commands")
+    parser.add_argument("--name", default="source", help="name of the node")
+    parser.add_argument("--commands", type=int, default=0, help="commands before it falls silent; 0 for no end")
+    options = parser.parse_args()
     rclpy.init()
     node = Node(options.name)
-    publisher = node.create_publisher(TwistStamped, options.topic, COMMAND)
+    publisher = node.create_publisher(TwistStamped, options.topic, 1)
     message = TwistStamped()
     message.twist.linear.x = SPEED
     while publisher.get_subscription_count() == 0:

@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 import rclpy
@@ -26,6 +27,7 @@ from rosgraph_msgs.msg import Clock
 PATIENCE_S = 120.0
 TIMEOUT, PERIOD, REPEAT = 0.5, 0.1, 2.0
 QUICK = ("timeout:=0.3", "zero_rate:=20.0")
+SHARED = ("--topic", "/shared/cmd_vel_raw")
 
 
 @given(st.lists(st.tuples(st.sampled_from(["command", "tick"]), st.floats(0.0, 1.5)), max_size=60))
@@ -67,17 +69,17 @@ def test_only_finite_numbers_in_range_pass(value: float, axis: str, part: str) -
 
 
 class Base:
-    """The robot's side: what arrives on cmd_vel, and what the watchdog says."""
+    """The robot's side: what arrives on cmd_vel, and what the watchdog of its namespace says."""
 
-    def __init__(self, kind: type = TwistStamped) -> None:
-        rclpy.init()
-        self.node = Node("base")
+    def __init__(self, kind: type = TwistStamped, namespace: str = "") -> None:
+        self.node = Node("base", namespace=namespace)
+        self._watchdog = f"{namespace}/watchdog"
         self.kind = kind
         self.speeds: list[float] = []
         self.stamps: list[float] = []
         self.said: DiagnosticStatus | None = None
         self.node.create_subscription(kind, "cmd_vel", self._on_command, COMMAND)
-        self.node.create_subscription(DiagnosticArray, "diagnostics", self._on_diagnostics, 10)
+        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
         self.raw = self.node.create_publisher(kind, "cmd_vel_raw", COMMAND)
 
     def _on_command(self, message: TwistStamped | Twist) -> None:
@@ -86,7 +88,7 @@ class Base:
             self.stamps.append(message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec)
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        if message.status[0].name == "/watchdog":
+        if message.status[0].name == self._watchdog:
             self.said = message.status[0]
 
     def until(self, condition: Callable[[], bool]) -> None:
@@ -116,7 +118,13 @@ class Base:
 
     def close(self) -> None:
         self.node.destroy_node()
-        rclpy.try_shutdown()
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _ros() -> Iterator[None]:
+    rclpy.init()
+    yield
+    rclpy.try_shutdown()
 
 
 @pytest.fixture
@@ -124,6 +132,29 @@ def base() -> Iterator[Base]:
     out = Base()
     yield out
     out.close()
+
+
+@pytest.fixture(scope="module")
+def shared(run_shared_node: Callable) -> Iterator[tuple[Base, Any]]:
+    """A base and its watchdog, for the tests that leave the watchdog as it was."""
+    watchdog = run_shared_node("ctrl_rl_core", "watchdog", *QUICK, "repeat_for:=0.0", remap=("__ns:=/shared",))
+    base = Base(namespace="/shared")
+    base.until(lambda: base.raw.get_subscription_count() > 0)
+    yield base, watchdog
+    base.close()
+
+
+@pytest.fixture
+def still(shared: tuple[Base, Any]) -> Base:
+    """The shared base, which stands: a driver of the test before is gone."""
+    base, _ = shared
+    base.speeds.clear()
+    base.until(lambda: base.speeds[-5:] == [0.0] * 5)
+    base.speeds.clear()
+    base.stamps.clear()
+    base.said = None
+    base.until(lambda: base.stands)
+    return base
 
 
 @pytest.fixture
@@ -143,41 +174,37 @@ def source() -> Iterator[Callable[..., subprocess.Popen]]:
 
 @pytest.mark.fault
 def test_a_driver_that_is_killed_leaves_the_robot_standing_and_a_new_one_drives_on(
-    base: Base, run_node: Callable, source: Callable
+    still: Base, source: Callable
 ) -> None:
-    run_node("ctrl_rl_core", "watchdog", *QUICK)
-    driver = source()
-    base.until(lambda: base.drives)
+    driver = source(*SHARED)
+    still.until(lambda: still.drives)
     driver.send_signal(signal.SIGKILL)
     driver.wait()
-    base.until(lambda: base.stands)
-    base.until(base.says("no usable command on /cmd_vel_raw for"))
-    assert base.stands
-    source()
-    base.until(lambda: base.drives)
-    base.until(base.says("passing commands on"))
+    still.until(lambda: still.stands)
+    still.until(still.says("no usable command on /shared/cmd_vel_raw for"))
+    assert still.stands
+    source(*SHARED)
+    still.until(lambda: still.drives)
+    still.until(still.says("passing commands on"))
 
 
 @pytest.mark.fault
-def test_a_driver_that_is_frozen_leaves_the_robot_standing(base: Base, run_node: Callable, source: Callable) -> None:
-    run_node("ctrl_rl_core", "watchdog", *QUICK)
-    driver = source()
-    base.until(lambda: base.drives)
+def test_a_driver_that_is_frozen_leaves_the_robot_standing(still: Base, source: Callable) -> None:
+    driver = source(*SHARED)
+    still.until(lambda: still.drives)
     driver.send_signal(signal.SIGSTOP)
-    base.until(lambda: base.stands)
+    still.until(lambda: still.stands)
     driver.send_signal(signal.SIGCONT)
-    base.until(lambda: base.drives)
+    still.until(lambda: still.drives)
 
 
 @pytest.mark.fault
 def test_a_driver_that_says_nothing_leaves_the_robot_standing_though_its_process_lives(
-    base: Base, run_node: Callable, source: Callable
+    still: Base, source: Callable
 ) -> None:
-    run_node("ctrl_rl_core", "watchdog", *QUICK)
-    base.until(lambda: base.stands)  # it hears the watchdog, so that no command is missed
-    driver = source("--commands", "40")
-    base.until(lambda: base.drives)
-    base.until(lambda: base.stands)
+    driver = source(*SHARED, "--commands", "40")
+    still.until(lambda: still.drives)
+    still.until(lambda: still.stands)
     assert driver.poll() is None
 
 
@@ -196,21 +223,20 @@ def test_it_stops_on_wall_time_where_the_simulated_clock_stands_still(
 
 
 @pytest.mark.fault
-def test_numbers_that_make_no_sense_become_zero_and_it_says_why(base: Base, run_node: Callable) -> None:
-    watchdog = run_node("ctrl_rl_core", "watchdog", *QUICK)
-    base.until(lambda: base.raw.get_subscription_count() > 0 and base.stands)
+def test_numbers_that_make_no_sense_become_zero_and_it_says_why(still: Base, shared: tuple[Base, Any]) -> None:
+    _, watchdog = shared
     for speed, turn, words in (
         (math.nan, 0.0, "linear.x is nan"),
         (0.1, -math.inf, "angular.z is -inf"),
         (1e308, 0.0, "linear.x is 1e+308, more than largest_speed 0.22"),
     ):
-        base.speeds.clear()
-        base.command(speed, turn)
-        base.until(lambda: base.stands)
-        base.until(base.says(words))
-        assert set(base.speeds) == {0.0}
-    base.command(0.1)
-    base.until(lambda: 0.1 in base.speeds)
+        still.speeds.clear()
+        still.command(speed, turn)
+        still.until(lambda: still.stands)
+        still.until(still.says(words))
+        assert set(still.speeds) == {0.0}
+    still.command(0.1)
+    still.until(lambda: 0.1 in still.speeds)
     assert "zero instead of a command: linear.x is nan" in watchdog.output
 
 
@@ -243,16 +269,16 @@ def test_stopped_itself_it_leaves_the_robot_standing(
 
 
 @pytest.mark.fault
-def test_it_warns_of_whoever_drives_the_robot_past_it(base: Base, run_node: Callable, source: Callable) -> None:
-    watchdog = run_node("ctrl_rl_core", "watchdog", *QUICK)
-    base.until(lambda: base.said is not None)
-    rival = source("--topic", "cmd_vel", "--name", "teleop")
-    base.until(base.says("/teleop publishes on /cmd_vel too"))
-    assert base.said is not None
-    assert base.said.level == DiagnosticStatus.WARN
-    assert "/teleop publishes on /cmd_vel too, past this watchdog" in watchdog.output
+def test_it_warns_of_whoever_drives_the_robot_past_it(still: Base, shared: tuple[Base, Any], source: Callable) -> None:
+    _, watchdog = shared
+    still.until(lambda: still.said is not None)
+    rival = source("--topic", "/shared/cmd_vel", "--name", "teleop")
+    still.until(still.says("/teleop publishes on /shared/cmd_vel too"))
+    assert still.said is not None
+    assert still.said.level == DiagnosticStatus.WARN
+    assert "/teleop publishes on /shared/cmd_vel too, past this watchdog" in watchdog.output
     rival.send_signal(signal.SIGINT)
-    base.until(base.says("no usable command yet"))
+    still.until(lambda: still.said is not None and "/teleop" not in still.said.message)
 
 
 class _Faulty(WatchdogNode):
@@ -308,29 +334,27 @@ def test_it_starts_without_the_heavy_libraries() -> None:
 
 
 @pytest.mark.parametrize("behind", [5.0, -5.0])
-def test_zeros_are_stamped_by_the_clock_of_the_commands(base: Base, run_node: Callable, behind: float) -> None:
+def test_zeros_are_stamped_by_the_clock_of_the_commands(still: Base, behind: float) -> None:
     """Between commands that carry the time of a scan, or another computer's, a zero does not turn the clock back."""
-    run_node("ctrl_rl_core", "watchdog", *QUICK)
 
     def driven() -> bool:
-        base.command(SPEED, stamp=time.time() - behind)
-        return base.drives
+        still.command(SPEED, stamp=time.time() - behind)
+        return still.drives
 
-    base.until(driven)
-    first = base.speeds.index(SPEED)
-    base.until(lambda: base.stands and base.speeds[-3:] == [0.0] * 3)
-    base.until(driven)
-    stamps = base.stamps[first:]
+    still.until(driven)
+    first = still.speeds.index(SPEED)
+    still.until(lambda: still.stands and still.speeds[-3:] == [0.0] * 3)
+    still.until(driven)
+    stamps = still.stamps[first:]
     assert all(later - earlier > -0.5 for earlier, later in itertools.pairwise(stamps))
 
 
 @pytest.mark.parametrize("stamp", [0.0, 2.0**31 - 1.0])
-def test_a_zero_follows_a_command_of_any_stamp(base: Base, run_node: Callable, stamp: float) -> None:
-    run_node("ctrl_rl_core", "watchdog", *QUICK)
+def test_a_zero_follows_a_command_of_any_stamp(still: Base, stamp: float) -> None:
 
     def driven() -> bool:
-        base.command(SPEED, stamp=stamp)
-        return base.drives
+        still.command(SPEED, stamp=stamp)
+        return still.drives
 
-    base.until(driven)
-    base.until(lambda: base.stands)
+    still.until(driven)
+    still.until(lambda: still.stands)
