@@ -11,7 +11,7 @@ from koopman_lqr_controller.control.latent_controller import LatentController
 from koopman_lqr_controller.data.roll_outs import evaluate
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.training.agents.network_policy import NetworkPolicy
-from koopman_lqr_controller.training.consolidation.finishing import load_latent
+from koopman_lqr_controller.training.consolidation.consolidation import load_latent
 from koopman_lqr_controller.training.environments.benchmark_tasks import find_task, task_of_manifest
 
 
