@@ -1,4 +1,4 @@
-"""A drive begins when every node has spoken, not when its publishers are there."""
+"""A drive begins when every node has spoken, not when its publishers are there, in any namespace."""
 
 import signal
 import sys
@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from ctrl_rl_bringup.corridor.report import read_drive
-from ctrl_rl_bringup.runner.monitor import Monitor
+from ctrl_rl_bringup.runner.monitor import Monitor, MonitorError
 from ctrl_rl_bringup.runner.session import ros
 
 _FROZEN_SPINS = 40
@@ -14,11 +14,14 @@ _FROZEN_SPINS = 40
 
 
 @pytest.mark.fault
-def test_a_drive_waits_for_a_value_node_that_is_there_but_not_at_work(run_node, tmp_path: Path) -> None:
-    run_node("sim_bridge", "bridge", "task:=curved_corridor", "start_paused:=true")
-    run_node("ctrl_rl_bags", "recorder", f"output:={tmp_path / 'bag'}")
-    run_node("koopman_lqr_controller", "controller", "use_sim_time:=true")
-    baseline = run_node("oc_baseline_node", "baseline", "use_sim_time:=true", "grid:=curved_corridor")
+def test_a_drive_waits_for_a_value_node_that_is_there_but_not_at_work(
+    run_node, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    space = ("__ns:=/lab",)
+    run_node("sim_bridge", "bridge", "task:=curved_corridor", "start_paused:=true", remap=space)
+    recorder = run_node("ctrl_rl_bags", "recorder", f"output:={tmp_path / 'bag'}", remap=space)
+    run_node("koopman_lqr_controller", "controller", "use_sim_time:=true", remap=space)
+    baseline = run_node("oc_baseline_node", "baseline", "use_sim_time:=true", "grid:=curved_corridor", remap=space)
     baseline.wait_for("points")
     spins, frozen, thawed = 0, False, False
 
@@ -33,35 +36,25 @@ def test_a_drive_waits_for_a_value_node_that_is_there_but_not_at_work(run_node, 
             baseline.process.send_signal(signal.SIGCONT)
             thawed = True
 
+    monkeypatch.setattr(sys, "argv", ["monitor", "--ros-args", "-r", space[0]])
     with ros():
         monitor = Monitor(check, ["oc_value"])
         try:
-            monitor.wait_until_ready()
-            assert thawed
+            with monitor.session():
+                assert thawed
+                monitor.run()
+                while monitor._episode is None or monitor._episode.elapsed < 1.0:
+                    monitor._spin()
         finally:
             baseline.process.send_signal(signal.SIGCONT)
-            monitor.close()
-
-
-def test_a_drive_in_a_namespace_is_followed_and_reported(
-    run_node, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    space = ("__ns:=/lab",)
-    run_node("sim_bridge", "bridge", "task:=curved_corridor", "start_paused:=true", remap=space)
-    recorder = run_node("ctrl_rl_bags", "recorder", f"output:={tmp_path / 'bag'}", remap=space)
-    run_node("koopman_lqr_controller", "controller", "use_sim_time:=true", remap=space)
-    monkeypatch.setattr(sys, "argv", ["monitor", "--ros-args", "-r", space[0]])
-    with ros():
-        monitor = Monitor(lambda: None)
-        try:
-            monitor.wait_until_ready()
-            monitor.run()
-            while monitor._episode is None or monitor._episode.elapsed < 1.0:
-                monitor._spin()
-            monitor.pause()
-        finally:
-            monitor.close()
     recorder.stop()
     drive = read_drive(tmp_path / "bag")
     assert drive.task == "curved_corridor"
     assert len(drive.odometry)
+    assert len(drive.oc_values)
+
+
+def test_who_is_not_ready_within_the_limit_is_named() -> None:
+    words = r"not ready after 0\.2 s: nobody publishes scan; --ready-limit"
+    with ros(), pytest.raises(MonitorError, match=words), Monitor(lambda: None, ready_limit=0.2).session():
+        pass
