@@ -1,0 +1,1 @@
+"""Maps, transforms and poses for robots that drive to a goal on a map."""

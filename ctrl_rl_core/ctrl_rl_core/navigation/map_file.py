@@ -1,0 +1,136 @@
+"""Map files of map_server: a YAML file with resolution, origin and thresholds, and the image that it names."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+from PIL import Image
+from pydantic import ConfigDict, Field, Strict, model_validator
+
+from ctrl_rl_core.errors import CtrlRlError
+from ctrl_rl_core.io.atomic_write import atomic_write
+from ctrl_rl_core.io.checked_yaml import read_yaml
+from ctrl_rl_core.io.file_checks import FileError, open_file, raise_as
+from ctrl_rl_core.io.schema import Number, Schema
+
+_LARGEST_IMAGE = 200_000_000
+"""Size of an image file, at most [bytes]."""
+_FORMATS = ("PPM", "PNG", "BMP")
+_OPAQUE = 255
+_DARK, _LIGHT, _GREY = 0, 254, 205
+"""Shades of occupied, free and unknown cells, as map_saver writes them."""
+_FREE_OF_SAVER = 0.196
+"""Threshold by which its grey is unknown. The 0.25 that it wrote until 2025 made it free (navigation2 #5278)."""
+
+Origin = tuple[float, float, float]
+Share = Annotated[float, Field(ge=0.0, le=1.0)]
+
+
+class MapFileError(CtrlRlError):
+    """A map file cannot be read; the message names the file and the fault."""
+
+
+class _Header(Schema):
+    """Keys of the YAML file, with map_server's defaults; keys that it does not know are left alone here, too."""
+
+    model_config = ConfigDict(extra="ignore")
+
+    image: Annotated[str, Field(min_length=1, max_length=4096)]
+    resolution: Annotated[float, Field(gt=0.0, le=1e3)]
+    origin: Annotated[tuple[Number, Number, Number], Strict(False)]
+    mode: Literal["trinary", "scale", "raw"] = "trinary"
+    negate: bool | Literal[0, 1] = False
+    occupied_thresh: Share = 0.65
+    free_thresh: Share = 0.25
+
+    @model_validator(mode="after")
+    def _ordered(self) -> _Header:
+        if self.free_thresh >= self.occupied_thresh:
+            raise ValueError(f"free_thresh {self.free_thresh:g} must be less than occupied_thresh")
+        return self
+
+
+def read_map(path: str | os.PathLike[str], most: int) -> tuple[NDArray[np.int8], float, Origin]:
+    """Return occupancies (rows, columns) from 0 to 100, -1 unknown, with row 0 below; resolution [m]; origin.
+
+    Args:
+        path: Path of the YAML file.
+        most: Largest number of cells that are read.
+
+    Raises:
+        MapFileError: A file is missing or wrong.
+    """
+    with raise_as(MapFileError, path):
+        header = _Header.model_validate(read_yaml(path))
+    image = Path(path).expanduser().parent / header.image
+    with raise_as(MapFileError, image):
+        shade, opaque = _shades(image, most, header.mode == "trinary")
+    occupancy = shade if header.negate else 1.0 - shade
+    return np.ascontiguousarray(_percent(header, occupancy, opaque)[::-1]), header.resolution, header.origin
+
+
+def write_map(path: Path, cells: NDArray[np.int8], resolution: float, origin: Origin) -> None:
+    """Write a map of occupied (100), free (0) and unknown (-1) cells; the image lies beside the YAML file.
+
+    Raises:
+        OSError: A file cannot be written.
+    """
+    shades = np.full(cells.shape, _GREY, np.uint8)
+    shades[cells == 0], shades[cells > 0] = _LIGHT, _DARK
+    rows, columns = cells.shape
+    image = path.with_suffix(".pgm")
+    atomic_write(image, b"P5\n%d %d\n255\n" % (columns, rows) + shades[::-1].tobytes())
+    header = {"image": image.name, "mode": "trinary", "resolution": resolution, "origin": list(origin)}
+    header |= {"negate": 0, "occupied_thresh": 0.65, "free_thresh": _FREE_OF_SAVER}
+    atomic_write(path, yaml.safe_dump(header, sort_keys=False, default_flow_style=None))
+
+
+def _shades(path: Path, most: int, with_alpha: bool) -> tuple[NDArray[np.float32], NDArray[np.bool_] | None]:
+    """Return shades (rows, columns) from black 0 to white 1 with the upper row first, and which pixels are opaque.
+
+    Args:
+        path: Path of the image.
+        most: Largest number of pixels that are read.
+        with_alpha: Whether opacity counts as a fourth colour, as in map_server's trinary mode.
+    """
+    with open_file(path, _LARGEST_IMAGE) as (file, _):
+        try:
+            with Image.open(file, formats=_FORMATS) as image:
+                columns, rows = image.size
+                if not 0 < rows * columns <= most:
+                    raise FileError(f"has {columns} x {rows} pixels: at most {most:,} are read")
+                if image.mode.startswith("I"):  # 16 bits
+                    return np.asarray(image, np.float32) / 65535.0, None
+                if image.mode in ("1", "L"):
+                    return np.asarray(image.convert("L"), np.float32) / 255.0, None
+                pixels = np.asarray(image.convert("RGBA"))
+                transparent = "A" in image.getbands() or "transparency" in image.info
+        except (FileError, MemoryError):
+            raise
+        except Exception as error:  # Pillow raises many kinds for a damaged file
+            raise FileError(f"is no image that can be read ({type(error).__name__}): PGM, PNG or BMP") from None
+    channels = pixels if transparent and with_alpha else pixels[..., :3]
+    return channels.mean(axis=-1, dtype=np.float32) / 255.0, pixels[..., 3] == _OPAQUE if transparent else None
+
+
+def _percent(header: _Header, occupancy: NDArray[np.float32], opaque: NDArray[np.bool_] | None) -> NDArray[np.int8]:
+    """Return occupancies in percent, -1 for unknown, by the rules of map_server's modes."""
+    if header.mode == "raw":
+        shades = np.rint(255.0 * (occupancy if header.negate else 1.0 - occupancy)).astype(np.int16)
+        return np.where(shades <= 100, shades, -1).astype(np.int8)
+    out, free = np.full(occupancy.shape, -1, np.int8), header.free_thresh
+    if header.mode == "scale":
+        part = (occupancy - free) / (header.occupied_thresh - free)
+        out = np.rint(np.clip(100.0 * part, 0.0, 100.0)).astype(np.int8)
+    elif np.isin(np.rint(255.0 * (1.0 - occupancy)), (_DARK, _GREY, _LIGHT)).all():
+        free = min(free, _FREE_OF_SAVER)
+    out[occupancy < free] = 0
+    out[occupancy > header.occupied_thresh] = 100
+    if header.mode == "scale" and opaque is not None:
+        out[~opaque] = -1
+    return out
