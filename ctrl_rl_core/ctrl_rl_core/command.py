@@ -9,7 +9,7 @@ import math
 import os
 import re
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, TypeVar, overload
@@ -136,6 +136,37 @@ def checked_list(
         is_instance=lambda value: isinstance(value, tuple),
         str_from_instance=lambda value: [show(each) for each in value],
     )
+
+
+def one_of(names: Collection[str]) -> Any:
+    """Return how an option is read that takes one of these words, for use in `Annotated`."""
+    return checked(_choice(names), f"{{{','.join(names)}}}")
+
+
+def some_of(names: Collection[str]) -> Any:
+    """Return how an option is read that takes any number of these words, for use in `Annotated`."""
+    return checked_list(_choice(names), f"{{{','.join(names)}}}")
+
+
+def _choice(names: Collection[str]) -> Callable[[str], str]:
+    def parse(text: str) -> str:
+        if text not in names:
+            raise ValueError(f"{text}: choose from {', '.join(names)}")
+        return text
+
+    return parse
+
+
+def name_and_value(text: str) -> tuple[str, str]:
+    """Return both parts of a word NAME=VALUE.
+
+    Raises:
+        ValueError: A part is missing.
+    """
+    name, _, value = text.partition("=")
+    if not (name and value):
+        raise ValueError(f"'{text}' must be NAME=VALUE")
+    return name, value
 
 
 def at_least(least: int) -> Any:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
@@ -13,13 +13,13 @@ import tyro
 from ctrl_rl_core.command import (
     FolderToWrite,
     OptionalFileToWrite,
-    checked,
-    checked_list,
 )
 from ctrl_rl_core.command import NotNegative as NotNegative
 from ctrl_rl_core.command import Positive as Positive
 from ctrl_rl_core.command import make_command as make_command
 from ctrl_rl_core.command import make_old_command as make_old_command
+from ctrl_rl_core.command import one_of as one_of
+from ctrl_rl_core.command import some_of as some_of
 from ctrl_rl_core.io.results import Result, ResultsError, write_results
 from ctrl_rl_core.tasks.schema.parts import TaskHeader
 from ctrl_rl_core.tasks.task import NavigationTask, load_navigation_task, task_digest, task_names
@@ -33,25 +33,6 @@ AnyRun = TypeVar("AnyRun", bound=Run)
 ITERATION = 10_240
 """Samples of an iteration with Stable-Baselines3."""
 _EVALUATIONS, _FINAL_EVALUATIONS = 20, 50
-
-
-def one_of(names: Collection[str]) -> Any:
-    """Return how an option is read that takes one of these words, for use in `Annotated`."""
-    return checked(_choice(names), f"{{{','.join(names)}}}")
-
-
-def some_of(names: Collection[str]) -> Any:
-    """Return how an option is read that takes any number of these words, for use in `Annotated`."""
-    return checked_list(_choice(names), f"{{{','.join(names)}}}")
-
-
-def _choice(names: Collection[str]) -> Callable[[str], str]:
-    def parse(text: str) -> str:
-        if text not in names:
-            raise ValueError(f"{text}: choose from {', '.join(names)}")
-        return text
-
-    return parse
 
 
 @dataclass(frozen=True, kw_only=True)

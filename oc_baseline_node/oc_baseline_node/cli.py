@@ -25,6 +25,7 @@ from ctrl_rl_core.command import (
     checked_list,
     finite_number,
     make_command,
+    name_and_value,
 )
 from ctrl_rl_core.io.results import write_results
 from ctrl_rl_core.tasks.task import NavigationTask, load_navigation_task
@@ -52,11 +53,8 @@ def _state(text: str) -> NDArray[np.float64]:
 
 
 def _setting(text: str) -> tuple[str, float]:
-    name, _, number = text.partition("=")
-    try:
-        return name, float(number)
-    except ValueError:
-        raise ValueError(f"'{text}' must be NAME=VALUE with a number") from None
+    name, value = name_and_value(text)
+    return name, finite_number(value)
 
 
 def _distance(text: str) -> float:

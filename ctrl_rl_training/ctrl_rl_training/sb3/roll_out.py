@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 from ctrl_rl_core.tasks.outcome import Outcome
 from numpy.typing import NDArray
 
 from ctrl_rl_training.io.actor import Actor
-from ctrl_rl_training.sb3.environment import Environment
+from ctrl_rl_training.sb3.environment import Environment, Vector
 
 SUCCESS = Outcome.GOAL.name
 
@@ -30,14 +31,17 @@ class EvaluatedEpisode(NamedTuple):
 
 def evaluate(actor: Actor, environment: Environment, episodes: int, seed: int) -> list[EvaluatedEpisode]:
     """Return episodes from the seeds `seed`, `seed` + 1 and so on."""
-    found = []
-    for episode in range(episodes):
-        observation, info = environment.reset(seed=seed + episode)
-        states, total, over = [info["state"]], 0.0, False
-        while not over:
-            observation, paid, terminated, truncated, info = environment.step(actor.scaled_action(observation))
-            states.append(info["state"])
-            total += float(paid)
-            over = terminated or truncated
-        found.append(EvaluatedEpisode(info["outcome"], np.array(states), total))
-    return found
+    seeds = range(seed, seed + episodes)
+    return [play_episode(environment, each, lambda seen, _: actor.scaled_action(seen)) for each in seeds]
+
+
+def play_episode(environment: Environment, seed: int, act: Callable[[Vector, Any], Vector]) -> EvaluatedEpisode:
+    """Return the episode of a seed; `act` returns the action for an observation and the true state."""
+    observation, info = environment.reset(seed=seed)
+    states, total, over = [info["state"]], 0.0, False
+    while not over:
+        observation, paid, terminated, truncated, info = environment.step(act(observation, info["state"]))
+        states.append(info["state"])
+        total += float(paid)
+        over = terminated or truncated
+    return EvaluatedEpisode(info["outcome"], np.array(states), total)

@@ -9,7 +9,7 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal
 
 import tyro
 from ctrl_rl_core.command import make_command
@@ -186,28 +186,17 @@ def _cost(show: Callable[..., None]) -> Measured:
     return results, draw
 
 
-class Experiment(NamedTuple):
-    """One experiment of the command.
-
-    Attributes:
-        title: Title of the results file.
-        measure: Function that measures; it is given a function to call with each step's name.
-        draws: Whether the experiment has a picture.
-    """
-
-    title: str
-    measure: Callable[[Callable[..., None]], Measured]
-    draws: bool
-
-
-_EXPERIMENTS = {
-    "convergence": Experiment(
-        "Time to reach of the car: error against exact Dubins paths as the grid is refined", _convergence, False
+_EXPERIMENTS: dict[str, tuple[str, Callable[[Callable[..., None]], Measured], bool]] = {
+    "convergence": (
+        "Time to reach of the car: error against exact Dubins paths as the grid is refined",
+        _convergence,
+        False,
     ),
-    "check": Experiment("Time to reach of the car: greedy roll-outs", _check, False),
-    "gap": Experiment("Time to reach of the quadrotor: what the decomposition costs", _gap, True),
-    "cost": Experiment("Time to reach: cost as the grid grows", _cost, True),
+    "check": ("Time to reach of the car: greedy roll-outs", _check, False),
+    "gap": ("Time to reach of the quadrotor: what the decomposition costs", _gap, True),
+    "cost": ("Time to reach: cost as the grid grows", _cost, True),
 }
+"""Title of the results file, function that measures and tells each step's name, and whether there is a picture."""
 
 main = make_command("ttr_experiments", Options, _run)
 

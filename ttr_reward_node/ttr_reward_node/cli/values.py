@@ -12,10 +12,11 @@ from ctrl_rl_core.command import (
     FiniteNumber,
     NotNegative,
     Positive,
-    checked,
     checked_list,
     finite_number,
     make_command,
+    name_and_value,
+    one_of,
 )
 from ctrl_rl_core.tasks.task import load_navigation_task
 from ctrl_rl_core.values.value_grid import ValueGrid
@@ -34,22 +35,15 @@ from ttr_reward_node.values.value_file import load_value
 from ttr_reward_node.verification.check import advice, as_line, check_value
 
 
-def _pair(text: str) -> tuple[str, str]:
-    name, separator, value = text.partition("=")
-    if not (name and separator and value):
-        raise ValueError(f"'{text}' must be NAME=VALUE")
-    return name, value
-
-
 def _count(text: str) -> tuple[str, int]:
-    name, value = _pair(text)
+    name, value = name_and_value(text)
     if not value.isdecimal():
         raise ValueError(f"'{value}' is not a whole number")
     return name, int(value)
 
 
 def _disturbance(text: str) -> tuple[str, tuple[float, float]]:
-    name, value = _pair(text)
+    name, value = name_and_value(text)
     low, separator, high = value.partition(":")
     if not separator:
         raise ValueError(f"'{value}' must be LOW:HIGH")
@@ -57,20 +51,11 @@ def _disturbance(text: str) -> tuple[str, tuple[float, float]]:
 
 
 def _cut(text: str) -> tuple[str, tuple[float, ...]]:
-    name, values = _pair(text)
+    name, values = name_and_value(text)
     return name, tuple(finite_number(part) for part in values.split(","))
 
 
-_DECOMPOSITIONS = sorted({name for choices in DECOMPOSITIONS.values() for name in choices})
-
-
-def _decomposition(text: str) -> str:
-    if text not in _DECOMPOSITIONS:
-        raise ValueError(f"{text}: choose from {', '.join(_DECOMPOSITIONS)}")
-    return text
-
-
-_Decomposition = Annotated[str, checked(_decomposition, "|".join(_DECOMPOSITIONS))]
+_Decomposition = Annotated[str, one_of(sorted({name for choices in DECOMPOSITIONS.values() for name in choices}))]
 _Counts = Annotated[tuple[tuple[str, int], ...], checked_list(_count, "STATE=N")]
 _Disturbances = Annotated[tuple[tuple[str, tuple[float, float]], ...], checked_list(_disturbance, "D_STATE=LOW:HIGH")]
 _Cuts = Annotated[tuple[tuple[str, tuple[float, ...]], ...], checked_list(_cut, "STATE=VALUE,...")]

@@ -134,15 +134,15 @@ def _mpc(options: MpcDrives) -> int:
     with tqdm(desc="MPC", unit="step", mininterval=5.0) as bar:
         drives = run_mpc_episodes(task, options.episodes, options.seed, bar.update)
     rows = [
-        Result("MPC in the simulator", name, "1", [float(drive.outcome == outcome) for drive in drives])
+        Result("MPC in the simulator", name, "1", [float(drive.outcome == outcome) for drive, _ in drives])
         for name, outcome in (("success", "GOAL"), ("collision rate", "COLLISION"), ("time-out rate", "TIMEOUT"))
     ]
-    rows.append(Result("MPC in the simulator", "return", "1", [drive.total for drive in drives]))
-    rows.append(Result("MPC in the simulator", "steps with a solution", "1", [drive.solved for drive in drives]))
+    rows.append(Result("MPC in the simulator", "return", "1", [drive.total for drive, _ in drives]))
+    rows.append(Result("MPC in the simulator", "steps with a solution", "1", [solved for _, solved in drives]))
     for row in rows:
         print(f"{row.method}: {row.metric} {np.mean(row.values):.3g}")
     paths = {
-        "MPC": [{"outcome": drive.outcome, "states": drive.states.round(4).tolist()} for drive in drives[:3]],
+        "MPC": [{"outcome": drive.outcome, "states": drive.states.round(4).tolist()} for drive, _ in drives[:3]],
         "learnt": learnt[:3],
     }
     picture = options.images / f"{task.name}_mpc.png"

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
 
 import numpy as np
 from ctrl_rl_core.systems.system import System
 from ctrl_rl_core.tasks.task import NavigationTask
+from ctrl_rl_training.sb3.roll_out import EvaluatedEpisode, play_episode
 from numpy.typing import NDArray
 from sim_bridge.environments import NavigationEnv
 
@@ -17,22 +17,6 @@ from oc_baseline_node.problems.problem import formulate
 Array = NDArray[np.float64]
 STEPS = (1, 5, 10)
 """Control steps after which Table 3.5 compares."""
-
-
-class EpisodeResult(NamedTuple):
-    """An episode of a controller in the simulator.
-
-    Attributes:
-        outcome: Name of the outcome.
-        states: States of the robot (steps + 1, n).
-        total: Undiscounted return of the episode.
-        solved: Fraction of the steps in which the solver found a trajectory.
-    """
-
-    outcome: str
-    states: Array
-    total: float
-    solved: float
 
 
 def with_extra_mass(task: NavigationTask, per_cent: float) -> NavigationTask:
@@ -110,7 +94,7 @@ def _with_time_step(task: NavigationTask, time_step: float) -> NavigationTask:
 
 def run_mpc_episodes(
     task: NavigationTask, episodes: int = 10, seed: int = 0, progress: Callable[[], object] = lambda: None
-) -> list[EpisodeResult]:
+) -> list[tuple[EvaluatedEpisode, float]]:
     """Run MPC with a receding horizon in the simulator, as Fig. 3.17 does: it plans with the model alone.
 
     Args:
@@ -118,25 +102,28 @@ def run_mpc_episodes(
         episodes: Number of episodes, from the seeds `seed`, `seed` + 1 and so on.
         seed: Seed of the first episode.
         progress: Function called after each step.
+
+    Returns:
+        Each episode, and the fraction of its steps in which the solver found a trajectory.
     """
     problem = formulate(task)
     mpc = Mpc(problem)
     environment = NavigationEnv(_with_time_step(task, problem.time_step))
-    drives = []
     try:
-        for episode in range(episodes):
-            controller = RecedingHorizon(mpc)
-            _, info = environment.reset(seed=seed + episode)
-            states, total, solved, over = [info["state"]], 0.0, 0, False
-            while not over:
-                u = controller.control(states[-1])
-                solved += controller.solved
-                _, paid, terminated, truncated, info = environment.step(action_of(task, u))
-                states.append(info["state"])
-                total += paid
-                over = terminated or truncated
-                progress()
-            drives.append(EpisodeResult(info["outcome"], np.array(states), total, solved / (len(states) - 1)))
+        return [_drive(environment, each, mpc, progress) for each in range(seed, seed + episodes)]
     finally:
         environment.close()
-    return drives
+
+
+def _drive(
+    environment: NavigationEnv, seed: int, mpc: Mpc, progress: Callable[[], object]
+) -> tuple[EvaluatedEpisode, float]:
+    controller, solved = RecedingHorizon(mpc), list[bool]()
+
+    def act(_: object, state: Array) -> NDArray[np.float32]:
+        u = controller.control(state)
+        solved.append(controller.solved)
+        progress()
+        return action_of(mpc.problem.task, u)
+
+    return play_episode(environment, seed, act), float(np.mean(solved))
