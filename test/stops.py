@@ -15,19 +15,22 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-from ctrl_rl_core.driving.drive_safety import DriveSafety
-from ctrl_rl_core.driving.lidar_velocity_node import LIDAR_PARAMETERS
-from ctrl_rl_core.driving.obstacle_stop import ObstacleStop
-from ctrl_rl_core.driving.scan import ScanGeometry
-from ctrl_rl_core.driving.scan_health import ScanHealth
-from ctrl_rl_core.errors import CtrlRlError
-from ctrl_rl_core.geometry.shapes import Box, Disc, Shape
-from ctrl_rl_core.tasks.outcome import Outcome
-from ctrl_rl_core.tasks.task import load_navigation_task
-from sim_bridge.simulation.lidar import LidarScan
-from sim_bridge.simulation.world import SimulatedWorld, SimulationOptions
 
+from ctrl_rl_core import (
+    LIDAR_PARAMETERS,
+    Box,
+    CtrlRlError,
+    Disc,
+    DriveSafety,
+    ObstacleStop,
+    Outcome,
+    ScanGeometry,
+    ScanHealth,
+    Shape,
+    load_navigation_task,
+)
 from koopman_lqr_controller import Guard, KoopmanPolicy, find_policy, load_policy
+from sim_bridge import LidarScan, SimulatedWorld, SimulationOptions
 
 TASK = load_navigation_task("curved_corridor")
 DEFAULTS = {parameter.name: parameter.default for parameter in LIDAR_PARAMETERS}

@@ -8,10 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commands import EXAMPLES_OF_A_BAG, check_example, check_refused, command, start
-from ctrl_rl_bringup.corridor.report import read_drive
 from mcap.reader import make_reader
 from PIL import Image
 from rosbags.highlevel import AnyReader
+
+from ctrl_rl_bringup import read_drive
 
 
 @pytest.fixture(scope="module")

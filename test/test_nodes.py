@@ -15,7 +15,8 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.srv import GetParameters, ListParameters
 from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
-from ttr_reward_node.solvers.solver import solve_task
+
+from ttr_reward_node import solve_task
 
 NODES = {
     "bridge": ("sim_bridge", ()),

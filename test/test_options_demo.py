@@ -8,9 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commands import check_refused, command
-from option_coordinator.data.bag_trajectory import recordings
-from option_coordinator.policies.policy_file import OptionPolicy
-from option_coordinator.teams.team_file import load_team
+
+from option_coordinator import OptionPolicy, load_team, recordings
 
 TEAM = load_team("delivery_team")
 

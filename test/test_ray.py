@@ -14,14 +14,12 @@ from typing import Any
 import numpy as np
 import pytest
 from ctrl_rl_core.processes.ray_workers import map_in_ray
-from ctrl_rl_core.processes.workers import WorkersError
-from ctrl_rl_core.tasks.task import load_navigation_task
 from ctrl_rl_training.experiments.matrix import run_experiments
 from ctrl_rl_training.experiments.run import RunOptions
-from oc_baseline_node.problems.problem import formulate
-from oc_baseline_node.value_data.dataset import DataSettings
-from oc_baseline_node.value_data.workers import make_data
 from option_coordinator.training.experiments.runs import OptionRun, option_runs
+
+from ctrl_rl_core import WorkersError, load_navigation_task
+from oc_baseline_node import DataSettings, formulate, make_data
 
 RUNS = option_runs("tool_delivery", ["async", "mac_dqn"], 4)
 LIMIT = 200.0

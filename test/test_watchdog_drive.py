@@ -6,9 +6,10 @@ from collections.abc import Callable
 
 import pytest
 import rclpy
-from ctrl_rl_core.ros.node import SENSOR
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
+
+from ctrl_rl_core import SENSOR
 
 
 @pytest.mark.fault

@@ -3,13 +3,11 @@
 import numpy as np
 import pytest
 from bag_messages import OFFICE, cdr, odometry, scan, topic, twist, write_texts
-from ctrl_rl_bags.alignment.alignment import align
 from ctrl_rl_bags.alignment.extractors import TWIST
-from ctrl_rl_bags.alignment.resampling import TimeSeries, resample
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ctrl_rl_bags import BagError, BagWriter
+from ctrl_rl_bags import BagError, BagWriter, TimeSeries, align, resample
 
 SECOND = 10**9
 START = 1_700_000_000 * SECOND

@@ -9,8 +9,7 @@ import time
 import pytest
 import rclpy
 from ctrl_rl_bags.cli import main
-from ctrl_rl_bags.recording.message_types import message_definition
-from ctrl_rl_bags.recording.qos import publisher_qos, subscription_qos, to_bag_qos
+from ctrl_rl_bags.recording.qos import publisher_qos, subscription_qos
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -18,7 +17,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
 
-from ctrl_rl_bags import BagWriter, Topic
+from ctrl_rl_bags import BagWriter, Topic, message_definition, to_bag_qos
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 BEST_EFFORT = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)

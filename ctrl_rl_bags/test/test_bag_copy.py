@@ -3,12 +3,10 @@
 from pathlib import Path
 
 import pytest
-from ctrl_rl_bags.format.copy import bag_topics, copy_bag, read_serialized
-from ctrl_rl_bags.recording.qos import to_bag_qos
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rosbags.typesys import Stores, get_typestore
 
-from ctrl_rl_bags import BagError, BagWriter, Topic, bag_info
+from ctrl_rl_bags import BagError, BagWriter, Topic, bag_info, bag_topics, copy_bag, read_serialized, to_bag_qos
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 STRING = STORE.generate_msgdef("std_msgs/msg/String", ros_version=2)[0]

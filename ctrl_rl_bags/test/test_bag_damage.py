@@ -11,15 +11,24 @@ import pytest
 import yaml
 import zstandard
 from bag_messages import LATCHED, STORE, cdr, odometry, text, topic, write_texts
-from ctrl_rl_bags.format.copy import copy_bag, read_serialized
-from ctrl_rl_bags.format.mcap_records import Limits
 from ctrl_rl_bags.format.mcap_writer import MAGIC
 from ctrl_rl_bags.format.type_definitions import BagTypes, Definition
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.writer import CompressionType, Writer
 
-from ctrl_rl_bags import BagError, BagWriter, Topic, bag_info, open_bag, read_messages, recover
+from ctrl_rl_bags import (
+    BagError,
+    BagWriter,
+    Limits,
+    Topic,
+    bag_info,
+    copy_bag,
+    open_bag,
+    read_messages,
+    read_serialized,
+    recover,
+)
 
 pytestmark = pytest.mark.fault
 MEMORY = 1 << 30

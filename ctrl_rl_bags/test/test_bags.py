@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 import yaml
 from bag_messages import LATCHED, OFFICE, STORE, cdr, scan, text, topic, write_texts
-from ctrl_rl_bags.format.copy import read_serialized
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
@@ -19,7 +18,7 @@ from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
-from ctrl_rl_bags import BagError, BagWriter, bag_info, read_messages, read_raw, recover
+from ctrl_rl_bags import BagError, BagWriter, bag_info, read_messages, read_raw, read_serialized, recover
 
 
 class TestWriter:

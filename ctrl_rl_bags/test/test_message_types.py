@@ -4,11 +4,11 @@ import subprocess
 import sys
 
 import pytest
-from ctrl_rl_bags.recording.message_types import UnknownTypeError, is_type_name, message_class, message_definition
+from ctrl_rl_bags.recording.message_types import UnknownTypeError, is_type_name, message_class
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ctrl_rl_bags import BagWriter, Topic
+from ctrl_rl_bags import BagWriter, Topic, message_definition
 
 FOREIGN = ["this/msg/X", "os/msg/path", "antigravity/msg/X", "logging.config/msg/Dict", "rclpy/msg/Node"]
 MALFORMED = [

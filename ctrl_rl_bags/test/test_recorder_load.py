@@ -4,11 +4,10 @@ import os
 import tracemalloc
 
 import pytest
-from ctrl_rl_bags.format.metadata import Topic
 from ctrl_rl_bags.recording.write_queue import BagQueue
 from recording import record, stop
 
-from ctrl_rl_bags import BagError, BagWriter, bag_info, read_messages, read_raw
+from ctrl_rl_bags import BagError, BagWriter, Topic, bag_info, read_messages, read_raw
 
 pytestmark = pytest.mark.fault
 # The file that the recorder writes to takes its time, as a worn card does.

@@ -4,10 +4,11 @@ from pathlib import Path
 
 from ctrl_rl_bringup.runner.launching import Launch, description
 from ctrl_rl_bringup.runner.prepare import new_run, value_files
-from ctrl_rl_bringup.runner.stack import DriveConfig, controller, recorder, simulator, value_nodes, watchdog
-from ctrl_rl_core.tasks.task import task_file
+from ctrl_rl_bringup.runner.stack import controller, recorder, simulator, value_nodes, watchdog
 from launch import LaunchDescription
 
+from ctrl_rl_bringup import DriveConfig
+from ctrl_rl_core import task_file
 from koopman_lqr_controller import find_policy
 
 ARGUMENTS = {

@@ -5,8 +5,10 @@ from pathlib import Path
 from ctrl_rl_bringup.runner.launching import Launch, description
 from ctrl_rl_bringup.runner.stack import recorder
 from ctrl_rl_bringup.team.run import new_team_run
-from ctrl_rl_bringup.team.stack import TeamConfig, agents, coordinator, team_simulator, watchdogs
+from ctrl_rl_bringup.team.stack import agents, coordinator, team_simulator, watchdogs
 from launch import LaunchDescription
+
+from ctrl_rl_bringup import TeamConfig
 
 ARGUMENTS = {
     "team": (TeamConfig.team, "team name or .yaml file"),

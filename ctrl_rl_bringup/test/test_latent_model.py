@@ -5,12 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ctrl_rl_bags.recording.message_types import message_definition
 from ctrl_rl_bringup.corridor.latent_model import LatentModel, read_latent_model
 from ctrl_rl_core.ros.node import to_stamp
 from rclpy.serialization import serialize_message
 
-from ctrl_rl_bags import BagWriter, Topic
+from ctrl_rl_bags import BagWriter, Topic, message_definition
 from ctrl_rl_msgs.msg import LatentState
 from koopman_lqr_controller import digest, find_policy, load_policy
 

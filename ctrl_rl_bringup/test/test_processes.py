@@ -7,8 +7,10 @@ from pathlib import Path
 
 import pytest
 from ctrl_rl_bringup.runner.processes import ProcessError, Processes, executable_path
-from ctrl_rl_bringup.runner.stack import DriveConfig, NodeSpec, controller, recorder, scripted_driver
-from ctrl_rl_core.tasks.task import task_file
+from ctrl_rl_bringup.runner.stack import NodeSpec, controller, recorder, scripted_driver
+
+from ctrl_rl_bringup import DriveConfig
+from ctrl_rl_core import task_file
 
 
 def wait_until(said: Path, words: str) -> None:

@@ -6,9 +6,9 @@ import time
 import pytest
 from ctrl_rl_bringup.runner.monitor import Monitor
 from ctrl_rl_bringup.runner.session import ros, uninterrupted
-from ctrl_rl_core.ros.node import RESULT
 from rclpy.node import Node
 
+from ctrl_rl_core import RESULT
 from ctrl_rl_msgs.msg import EpisodeStatus
 
 

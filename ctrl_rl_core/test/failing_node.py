@@ -10,12 +10,12 @@ import time
 if "--without-events" in sys.argv:
     sys.modules["rclpy.experimental"] = None
 
-from ctrl_rl_core.errors import CtrlRlError
-from ctrl_rl_core.ros.node import SuiteNode, ok, run_node
-from ctrl_rl_core.ros.parameters import Parameter
+from ctrl_rl_core.ros.node import ok
 from ctrl_rl_core.ros.running import interruptible
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
+
+from ctrl_rl_core import CtrlRlError, Parameter, SuiteNode, run_node
 
 OPTIONS = {name: name in sys.argv for name in ("--slow", "--stuck", "--without-events", "--drives")}
 

@@ -1,7 +1,9 @@
 """Files that are there whole or not at all."""
 
 import pytest
-from ctrl_rl_core.io.atomic_write import atomic_write, is_temporary
+from ctrl_rl_core.io.atomic_write import is_temporary
+
+from ctrl_rl_core import atomic_write
 
 
 def test_text_and_bytes_replace_what_was_there(tmp_path):

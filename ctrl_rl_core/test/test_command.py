@@ -5,7 +5,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from ctrl_rl_core.command import FiniteNumber, Positive, at_least, file_to_write, folder_to_write, parse_options
+from ctrl_rl_core.command import FiniteNumber, Positive, at_least, file_to_write, folder_to_write
+
+from ctrl_rl_core import parse_options
 
 
 @dataclass

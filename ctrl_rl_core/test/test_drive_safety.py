@@ -4,12 +4,12 @@ import math
 
 import numpy as np
 import pytest
-from ctrl_rl_core.driving.drive_safety import DriveSafety
-from ctrl_rl_core.driving.obstacle_stop import ObstacleStop
-from ctrl_rl_core.driving.scan import DIRECTIONS, MOST_BEAMS, ScanError, ScanGeometry, view_scan
-from ctrl_rl_core.driving.scan_health import MIXED, ScanHealth
+from ctrl_rl_core.driving.scan import DIRECTIONS, MOST_BEAMS, view_scan
+from ctrl_rl_core.driving.scan_health import MIXED
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
+from ctrl_rl_core import DriveSafety, ObstacleStop, ScanError, ScanGeometry, ScanHealth
 
 TURN = 2.0 * math.pi
 LDS01 = ScanGeometry(360, 0.0, TURN / 360, 0.12, 3.5)

@@ -7,12 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ctrl_rl_core.errors import CtrlRlError
 from ctrl_rl_core.io import checked_arrays, checked_json, checked_tensors, checked_yaml
 from ctrl_rl_core.io.file_checks import LONGEST_ERROR, FileError, one_line, open_file, raise_as, read_bytes, short_repr
 from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
+
+from ctrl_rl_core import CtrlRlError
 
 pytestmark = pytest.mark.fault
 

@@ -2,9 +2,11 @@
 
 import numpy as np
 import pytest
-from ctrl_rl_core.geometry.shapes import Arc, ArcPath, Box, Disc, frame_walls, signed_distance
+from ctrl_rl_core.geometry.shapes import frame_walls
 from hypothesis import given
 from hypothesis import strategies as st
+
+from ctrl_rl_core import Arc, ArcPath, Box, Disc, signed_distance
 
 WIDTH = 0.7
 PATH = ArcPath((Arc(1.0, 0.0), Arc(1.5, 1.0), Arc(0.4, 0.0), Arc(2.0, -1 / 0.9), Arc(1.0, 0.0)), (0.3, -0.2), 0.4)

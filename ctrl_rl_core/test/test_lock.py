@@ -4,7 +4,8 @@ import subprocess
 import sys
 
 import pytest
-from ctrl_rl_core.processes.exclusive_lock import LockError, exclusive_lock
+
+from ctrl_rl_core import LockError, exclusive_lock
 
 HOLD = """
 import sys

@@ -5,9 +5,10 @@ from types import SimpleNamespace as Message
 
 import numpy as np
 import pytest
-from ctrl_rl_core.geometry.odometry import OdometryError, OdometryReader
 from hypothesis import given
 from hypothesis import strategies as st
+
+from ctrl_rl_core import OdometryError, OdometryReader
 
 ANGLE = st.floats(-3.1, 3.1)
 SPEED = st.floats(-2.0, 2.0)

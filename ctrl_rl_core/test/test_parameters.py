@@ -1,7 +1,9 @@
 """Node parameters: checks, descriptors and help from one table."""
 
 import pytest
-from ctrl_rl_core.ros.parameters import Parameter, ParameterError, help_text
+from ctrl_rl_core.ros.parameters import help_text
+
+from ctrl_rl_core import Parameter, ParameterError
 
 SPEED = Parameter("speed", 0.2, "Of the robot [m/s].", 0.0, 0.22, live=True)
 COUNT = Parameter("count", 3, "How many.", minimum=1)

@@ -4,7 +4,9 @@ import json
 from pathlib import Path
 
 import pytest
-from ctrl_rl_core.io.results import Result, ResultsError, as_markdown, read_benchmarks, read_results, write_results
+from ctrl_rl_core.io.results import as_markdown
+
+from ctrl_rl_core import Result, ResultsError, read_benchmarks, read_results, write_results
 
 
 def test_a_row_carries_its_values_and_their_mean_and_spread(tmp_path: Path) -> None:

@@ -3,11 +3,11 @@ import math
 import casadi
 import numpy as np
 import pytest
-from ctrl_rl_core.systems.models import SYSTEM_MODELS
-from ctrl_rl_core.systems.system import System, SystemModelError, make_system
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numba import njit
+
+from ctrl_rl_core import SYSTEM_MODELS, System, SystemModelError, make_system
 
 SYSTEMS = {name: make_system(name) for name in SYSTEM_MODELS}
 

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from ctrl_rl_core.tasks.outcome import Outcome
-from ctrl_rl_core.tasks.task import load_navigation_task
-from ctrl_rl_core.tasks.task_sets import PathCoordinates, TaskSets
+from ctrl_rl_core.tasks.task_sets import PathCoordinates
 from hypothesis import given
 from hypothesis import strategies as st
+
+from ctrl_rl_core import Outcome, TaskSets, load_navigation_task
 
 RUNNING, GOAL, COLLISION, TRAP = Outcome.RUNNING, Outcome.GOAL, Outcome.COLLISION, Outcome.TRAP
 

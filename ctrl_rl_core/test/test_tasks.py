@@ -7,14 +7,9 @@ import numpy as np
 import pytest
 import yaml
 from ctrl_rl_core.tasks.regions import wrap
-from ctrl_rl_core.tasks.task import (
-    FOLDER,
-    TaskError,
-    load_navigation_task,
-    load_task,
-    task_digest,
-    task_names,
-)
+from ctrl_rl_core.tasks.task import FOLDER
+
+from ctrl_rl_core import TaskError, load_navigation_task, load_task, task_digest, task_names
 
 NAVIGATION = ("car_ttr", "quad_ttr", "car_navigation", "quad_navigation", "quad_trap", "curved_corridor")
 

@@ -3,9 +3,11 @@
 import math
 
 import pytest
-from ctrl_rl_core.geometry.units import Interval, parse_interval, parse_scalar, parse_vector
+from ctrl_rl_core.geometry.units import parse_interval, parse_scalar, parse_vector
 from hypothesis import given
 from hypothesis import strategies as st
+
+from ctrl_rl_core import Interval
 
 NUMBERS = st.floats(-1e5, 1e5, allow_nan=False)
 

@@ -8,12 +8,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from ctrl_rl_core.values.value_grid import Axis, GridError, ValueGrid
+from ctrl_rl_core.values.value_grid import Axis, GridError
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from safetensors import safe_open
 from safetensors.numpy import save_file
 from scipy.interpolate import RegularGridInterpolator
+
+from ctrl_rl_core import ValueGrid
 
 DIGEST = "0123456789abcdef" * 4
 KERNELS = st.sampled_from([*((n, np.float64) for n in (1, 2, 3, 6)), (2, np.float32)])

@@ -12,10 +12,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rclpy
-from ctrl_rl_core.ros.node import COMMAND
 from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
+
+from ctrl_rl_core import COMMAND
 
 DRIVER = '''
 import sys

@@ -15,7 +15,6 @@ import rclpy
 from command_source import SPEED
 from ctrl_rl_core.driving.watchdog import Watchdog
 from ctrl_rl_core.driving.watchdog_node import WatchdogNode, refusal
-from ctrl_rl_core.ros.node import COMMAND
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import Twist, TwistStamped
 from hypothesis import given
@@ -23,6 +22,8 @@ from hypothesis import strategies as st
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
+
+from ctrl_rl_core import COMMAND
 
 PATIENCE_S = 120.0
 TIMEOUT, PERIOD, REPEAT = 0.5, 0.1, 2.0

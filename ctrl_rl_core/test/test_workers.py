@@ -7,7 +7,8 @@ import sys
 import time
 
 import pytest
-from ctrl_rl_core.processes.workers import WorkersError, map_in_processes
+
+from ctrl_rl_core import WorkersError, map_in_processes
 
 _prepared = []
 

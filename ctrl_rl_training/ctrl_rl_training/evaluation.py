@@ -11,9 +11,8 @@ from typing import Annotated, Any
 import numpy as np
 import tyro
 from ctrl_rl_core.command import NotNegative, OptionalFileToWrite, Positive
-from ctrl_rl_core.io.results import Result, write_results
-from ctrl_rl_core.tasks.task import task_digest
 
+from ctrl_rl_core import Result, task_digest, write_results
 from ctrl_rl_training.cli import find_learnt_task, make_command
 from ctrl_rl_training.errors import TrainingError
 

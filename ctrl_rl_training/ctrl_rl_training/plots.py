@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.plots import draw_map, save_figure
-from ctrl_rl_core.tasks.regions import ANGLES, position_indices
-from ctrl_rl_core.tasks.task import NavigationTask
+from ctrl_rl_core.tasks.regions import ANGLES
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
+
+from ctrl_rl_core import NavigationTask, draw_map, position_indices, save_figure
 
 _SNAPSHOTS = 9
 _ARM = 0.4

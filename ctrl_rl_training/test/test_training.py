@@ -7,7 +7,6 @@ from functools import partial
 
 import numpy as np
 import pytest
-from ctrl_rl_core.tasks.task import load_navigation_task
 from ctrl_rl_training.errors import TrainingError
 from ctrl_rl_training.experiments.matrix import run_experiments
 from ctrl_rl_training.experiments.run import RunOptions
@@ -20,6 +19,8 @@ from ctrl_rl_training.sb3.environment import make_environment
 from ctrl_rl_training.sb3.roll_out import evaluate
 from ctrl_rl_training.sb3.state_visitation import load_visits
 from ctrl_rl_training.sb3.training import SimulatedRun
+
+from ctrl_rl_core import load_navigation_task
 
 TASK = load_navigation_task("quad_ttr")
 ROLL_OUT = 256

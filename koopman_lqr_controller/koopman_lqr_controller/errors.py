@@ -1,6 +1,6 @@
 """The errors of this package."""
 
-from ctrl_rl_core.errors import CtrlRlError
+from ctrl_rl_core import CtrlRlError
 
 
 class KoopmanError(CtrlRlError):

@@ -3,9 +3,9 @@
 from typing import Any
 
 import numpy as np
-from koopman_lqr_controller.control.latent_controller import LatentController
-from koopman_lqr_controller.models.edmd import LinearModel
-from koopman_lqr_controller.models.encoder import Dense, Encoder
+from koopman_lqr_controller.models.encoder import Dense
+
+from koopman_lqr_controller import Encoder, LatentController, LinearModel
 
 A = np.array([[1.0, 0.1, 0.0], [0.0, 1.0, 0.1], [0.0, 0.05, 0.95]])
 B = np.array([[0.0], [0.1], [0.05]])

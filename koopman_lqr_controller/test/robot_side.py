@@ -7,17 +7,16 @@ from functools import partial
 
 import numpy as np
 import rclpy
-from ctrl_rl_core.ros.node import COMMAND, RESULT, SCAN_PUBLISHER, to_stamp
+from ctrl_rl_core.ros.node import SCAN_PUBLISHER, to_stamp
 from geometry_msgs.msg import Twist, TwistStamped
-from koopman_lqr_controller.control.latent_controller import LatentController
-from koopman_lqr_controller.models.edmd import LinearModel
-from koopman_lqr_controller.models.encoder import Dense, Encoder
-from koopman_lqr_controller.policies.latent_policy import LatentPolicy, RobotInterface
+from koopman_lqr_controller.models.encoder import Dense
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from sensor_msgs.msg import LaserScan
 
+from ctrl_rl_core import COMMAND, RESULT
 from ctrl_rl_msgs.msg import LatentState
+from koopman_lqr_controller import Encoder, LatentController, LatentPolicy, LinearModel, RobotInterface
 
 PATIENCE_S = 120.0
 """For an answer that comes in a millisecond where the machine has nothing else to do."""

@@ -7,15 +7,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 from koopman_lqr_controller.cli.analyse import analyse
-from koopman_lqr_controller.control.latent_controller import LatentController
-from koopman_lqr_controller.models.edmd import LinearModel
-from koopman_lqr_controller.models.encoder import Dense, Encoder
-from koopman_lqr_controller.policies.latent_policy import LatentPolicy
-from koopman_lqr_controller.policies.policy_file import find_policy, load_policy, save_policy
+from koopman_lqr_controller.models.encoder import Dense
 from koopman_lqr_controller.training.analysis.page import page
 from koopman_lqr_controller.training.analysis.policy_world import make_world
 from koopman_lqr_controller.training.analysis.true_system import corridor_system
 from koopman_lqr_controller.training.environments.control_suite import ControlSuite
+
+from koopman_lqr_controller import (
+    Encoder,
+    LatentController,
+    LatentPolicy,
+    LinearModel,
+    find_policy,
+    load_policy,
+    save_policy,
+)
 
 PARTS = {"policy", "poles", "true_poles", "controllability", "costs", "data", "prediction", "latents", "observations"}
 PARTS |= {"tsne", "closed_loop"}

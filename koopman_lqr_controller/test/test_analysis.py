@@ -19,9 +19,9 @@ from koopman_lqr_controller.control.linear_analysis import (
     ranks,
     variances,
 )
-from koopman_lqr_controller.control.riccati import solve_lqr
-from koopman_lqr_controller.models.edmd import LinearModel
 from koopman_lqr_controller.training.analysis.true_system import StraightCorridor
+
+from koopman_lqr_controller import LinearModel, solve_lqr
 
 SEEDS = st.integers(0, 2**31)
 

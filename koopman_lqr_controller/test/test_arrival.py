@@ -4,14 +4,13 @@ import time
 from collections.abc import Callable
 
 import pytest
-from ctrl_rl_core.ros.node import RESULT, SENSOR
-from ctrl_rl_core.tasks.outcome import Outcome
 from hypothesis import given
 from hypothesis import strategies as st
 from koopman_lqr_controller.nodes.arrival import ENDED, Arrival
 from nav_msgs.msg import Odometry
 from robot_side import Robot, ask, corridor
 
+from ctrl_rl_core import RESULT, SENSOR, Outcome
 from ctrl_rl_msgs.msg import EpisodeStatus, TaskOutcome
 from ctrl_rl_msgs.srv import ResetWorld
 

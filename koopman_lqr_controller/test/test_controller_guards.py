@@ -9,15 +9,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from koopman_lqr_controller.policies.latent_policy import LatentPolicy, RobotInterface
-from koopman_lqr_controller.policies.policy_file import DEFAULT_POLICY, find_policy, load_policy, save_policy
-from koopman_lqr_controller.safety.latent_distribution import LatentDistribution
 from koopman_lqr_controller.sensing.lidar import ScanGeometry
-from koopman_lqr_controller.sensing.lidar_observation import LidarObservation
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.parameter import Parameter
 from robot_side import Robot, a_policy, ask, corridor
 from safetensors.numpy import save_file
+
+from koopman_lqr_controller import (
+    DEFAULT_POLICY,
+    LatentDistribution,
+    LatentPolicy,
+    LidarObservation,
+    RobotInterface,
+    find_policy,
+    load_policy,
+    save_policy,
+)
 
 OBSERVATION = LidarObservation(count=12)
 ROBOT = RobotInterface(OBSERVATION, np.array([0.0, -1.5]), np.array([0.22, 1.5]))

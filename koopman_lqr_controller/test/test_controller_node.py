@@ -10,14 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from ctrl_rl_core.ros.node import to_stamp
-from koopman_lqr_controller.policies.latent_policy import RobotInterface
-from koopman_lqr_controller.policies.policy_file import save_policy
-from koopman_lqr_controller.sensing.lidar_observation import LidarObservation
 from nav_msgs.msg import Odometry
 from robot_side import PATIENCE_S, Robot, a_policy, answered, ask, corridor
 from sensor_msgs.msg import LaserScan
 
 from ctrl_rl_bags import read_messages
+from koopman_lqr_controller import LidarObservation, RobotInterface, save_policy
 
 V_LIMIT, OMEGA_LIMIT = 0.22, 2.84
 SCAN_PERIOD_NS = 200_000_000

@@ -5,11 +5,12 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from ctrl_rl_core.ros.node import COMMAND
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import TwistStamped
 from robot_side import Robot, ask, corridor
 from rosgraph_msgs.msg import Clock
+
+from ctrl_rl_core import COMMAND
 
 
 @pytest.mark.fault

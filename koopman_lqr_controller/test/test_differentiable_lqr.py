@@ -5,10 +5,11 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from koopman_lqr_controller.control.riccati import finite_horizon, solve_lqr
-from koopman_lqr_controller.models.edmd import LinearModel
+from koopman_lqr_controller.control.riccati import finite_horizon
 from koopman_lqr_controller.training.networks.differentiable_lqr import LatentLqr, doubled_gain, riccati_gain
 from scipy.linalg import solve_discrete_are
+
+from koopman_lqr_controller import LinearModel, solve_lqr
 
 SEEDS = st.integers(0, 10_000)
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from koopman_lqr_controller.control.riccati import solve_lqr
-from koopman_lqr_controller.errors import KoopmanError
-from koopman_lqr_controller.models.edmd import LinearModel, Snapshots, fit, persistence_error
+from koopman_lqr_controller.models.edmd import persistence_error
+
+from koopman_lqr_controller import KoopmanError, LinearModel, Snapshots, fit, solve_lqr
 
 
 def random_stable(n: int, m: int, seed: int) -> LinearModel:

@@ -5,9 +5,10 @@ import json
 import numpy as np
 import pytest
 import torch
-from koopman_lqr_controller.errors import KoopmanError
-from koopman_lqr_controller.models.encoder import EPSILON, Dense, Encoder, LayerNorm
+from koopman_lqr_controller.models.encoder import EPSILON, Dense, LayerNorm
 from koopman_lqr_controller.training.networks.networks import TorchEncoder
+
+from koopman_lqr_controller import Encoder, KoopmanError
 
 ENCODERS = {
     "vector": {"shape": (7,), "depth": 2, "crop": None, "middle": 0.5, "unit": 2.0},

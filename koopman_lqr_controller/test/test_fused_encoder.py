@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from koopman_lqr_controller.errors import KoopmanError
-from koopman_lqr_controller.models.encoder import CentreCrop, Dense, Encoder, Flatten, LayerNorm
+from koopman_lqr_controller.models.encoder import CentreCrop, Dense, Flatten, LayerNorm
 from koopman_lqr_controller.models.fused_encoder import FusedEncoder
+
+from koopman_lqr_controller import Encoder, KoopmanError
 
 KINDS = st.lists(st.sampled_from(["linear", "rectified", "norm"]), min_size=1, max_size=6)
 

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from koopman_lqr_controller.safety.guards import FORGET_SECONDS, RELEASE, RETRY_SCALE, Alarm, Guard, Retries
-from koopman_lqr_controller.safety.latent_distribution import LatentDistribution
+from koopman_lqr_controller.safety.guards import FORGET_SECONDS, RELEASE, RETRY_SCALE, Alarm, Retries
+
+from koopman_lqr_controller import Guard, LatentDistribution
 
 REGION = LatentDistribution(np.zeros(2), np.eye(2), distance=3.0, error=0.5)
 INSIDE, OUTSIDE = np.zeros(2), np.array([4.0, 0.0])

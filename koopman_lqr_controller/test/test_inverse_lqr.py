@@ -5,9 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from koopman_lqr_controller.control.inverse_lqr import LinearLaw, fit_costs, mismatch_and_gradient
-from koopman_lqr_controller.control.riccati import solve_lqr
-from koopman_lqr_controller.errors import KoopmanError
-from koopman_lqr_controller.models.edmd import LinearModel
+
+from koopman_lqr_controller import KoopmanError, LinearModel, solve_lqr
 
 
 def some_model(random: np.random.Generator, n: int = 4, m: int = 2) -> LinearModel:

@@ -5,23 +5,25 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ctrl_rl_core.geometry.units import Interval
 from ctrl_rl_core.io.checked_tensors import encode_tensors, read_tensors
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from koopman_lqr_controller.errors import KoopmanError
-from koopman_lqr_controller.identification.two_stage import train
-from koopman_lqr_controller.models.edmd import Snapshots
-from koopman_lqr_controller.policies.edmd_policy import EdmdPolicy
-from koopman_lqr_controller.policies.policy_file import load_policy, save_policy
-from koopman_lqr_controller.safety.latent_distribution import (
-    LatentDistribution,
-    fit_distribution,
-    fit_distribution_to_episodes,
-)
-from koopman_lqr_controller.sensing.observables import CorridorObservables
+from koopman_lqr_controller.safety.latent_distribution import fit_distribution_to_episodes
 from scipy.spatial.distance import mahalanobis
 from scipy.stats import chi2
+
+from ctrl_rl_core import Interval
+from koopman_lqr_controller import (
+    CorridorObservables,
+    EdmdPolicy,
+    KoopmanError,
+    LatentDistribution,
+    Snapshots,
+    fit_distribution,
+    load_policy,
+    save_policy,
+    train,
+)
 
 LIMITS = (Interval(-0.22, 0.22), Interval(-2.84, 2.84))
 

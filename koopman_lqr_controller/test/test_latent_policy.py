@@ -10,16 +10,23 @@ import pytest
 from ctrl_rl_core.io.checked_tensors import encode_tensors, read_tensors
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from koopman_lqr_controller.control.latent_controller import LatentController
-from koopman_lqr_controller.errors import KoopmanError
-from koopman_lqr_controller.models.edmd import LinearModel
-from koopman_lqr_controller.models.encoder import Dense, Encoder, LayerNorm
-from koopman_lqr_controller.policies.latent_policy import LatentPolicy, RobotInterface
-from koopman_lqr_controller.policies.policy_file import KoopmanPolicy, load_policy, save_policy
+from koopman_lqr_controller.models.encoder import Dense, LayerNorm
 from koopman_lqr_controller.sensing.lidar import ScanGeometry
-from koopman_lqr_controller.sensing.lidar_observation import LidarObservation
 from safetensors import safe_open
 from scipy.linalg import solve_discrete_are
+
+from koopman_lqr_controller import (
+    Encoder,
+    KoopmanError,
+    KoopmanPolicy,
+    LatentController,
+    LatentPolicy,
+    LidarObservation,
+    LinearModel,
+    RobotInterface,
+    load_policy,
+    save_policy,
+)
 
 OBSERVATION = LidarObservation(count=12)
 SCAN = ScanGeometry(360, 0.0, 2 * np.pi / 360, 0.12, 3.5)

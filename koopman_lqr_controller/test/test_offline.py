@@ -6,22 +6,30 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ctrl_rl_core.io.results import read_results
 from koopman_lqr_controller.cli.edmd import main as train
 from koopman_lqr_controller.cli.offline import evaluate, fit, learn_offline
-from koopman_lqr_controller.control.latent_controller import LatentController
-from koopman_lqr_controller.data.trajectory_segments import TrajectorySegment
-from koopman_lqr_controller.errors import KoopmanError
-from koopman_lqr_controller.identification.evaluation import evaluate_policy, time_step_mismatch
-from koopman_lqr_controller.identification.offline import refit
-from koopman_lqr_controller.models.edmd import LinearModel
-from koopman_lqr_controller.models.encoder import Dense, Encoder
-from koopman_lqr_controller.policies.latent_policy import LatentPolicy, RobotInterface
-from koopman_lqr_controller.policies.policy_file import find_policy, load_policy, save_policy
-from koopman_lqr_controller.sensing.lidar_observation import LidarObservation
+from koopman_lqr_controller.identification.evaluation import time_step_mismatch
+from koopman_lqr_controller.models.encoder import Dense
 from koopman_lqr_controller.training.agents.imitation import ImitationSettings, imitate
 from koopman_lqr_controller.training.analysis.true_system import StraightCorridor
 from recorded import KINDS, Bag
+
+from ctrl_rl_core import read_results
+from koopman_lqr_controller import (
+    Encoder,
+    KoopmanError,
+    LatentController,
+    LatentPolicy,
+    LidarObservation,
+    LinearModel,
+    RobotInterface,
+    TrajectorySegment,
+    evaluate_policy,
+    find_policy,
+    load_policy,
+    refit,
+    save_policy,
+)
 
 CORRIDOR = StraightCorridor(0.7, 0.2)
 OBSERVATION = LidarObservation(count=12)

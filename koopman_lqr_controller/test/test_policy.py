@@ -5,24 +5,25 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ctrl_rl_core.geometry.units import Interval
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from koopman_lqr_controller.errors import KoopmanError
-from koopman_lqr_controller.identification.two_stage import train
-from koopman_lqr_controller.models.edmd import Snapshots
-from koopman_lqr_controller.policies.edmd_policy import EdmdPolicy
-from koopman_lqr_controller.policies.policy_file import (
+from koopman_lqr_controller.sensing.lidar import ScanGeometry
+from numpy.typing import NDArray
+from safetensors.numpy import load_file, save_file
+
+from ctrl_rl_core import Interval
+from koopman_lqr_controller import (
     DEFAULT_POLICY,
+    CorridorObservables,
+    EdmdPolicy,
+    KoopmanError,
+    Snapshots,
     find_policy,
     load_policy,
     save_policy,
     shipped_policies,
+    train,
 )
-from koopman_lqr_controller.sensing.lidar import ScanGeometry
-from koopman_lqr_controller.sensing.observables import CorridorObservables
-from numpy.typing import NDArray
-from safetensors.numpy import load_file, save_file
 
 OBSERVABLES = CorridorObservables()
 LIMITS = (Interval(-0.22, 0.22), Interval(-2.84, 2.84))

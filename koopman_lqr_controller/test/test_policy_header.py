@@ -5,8 +5,8 @@ from typing import Any
 
 import pytest
 from ctrl_rl_core.io.checked_tensors import encode_tensors, read_tensors
-from koopman_lqr_controller.errors import KoopmanError
-from koopman_lqr_controller.policies.policy_file import find_policy, load_policy
+
+from koopman_lqr_controller import KoopmanError, find_policy, load_policy
 
 pytestmark = pytest.mark.fault
 

@@ -5,10 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from koopman_lqr_controller.models.prediction import horizon_errors, law_error, linear_floor, noise_floor
-from koopman_lqr_controller.policies.policy_file import find_policy, load_policy
 from koopman_lqr_controller.training.analysis.disturbance_ablation import ablate_disturbances
 from koopman_lqr_controller.training.analysis.policy_world import make_corridor
 from koopman_lqr_controller.training.environments.corridor import Conditions
+
+from koopman_lqr_controller import find_policy, load_policy
 
 A = np.array([[0.9, 0.2], [-0.2, 0.9]])
 B = np.array([[0.0], [1.0]])

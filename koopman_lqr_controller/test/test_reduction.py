@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.identification.regulators import observed, principal
 from koopman_lqr_controller.models.prediction import horizon_errors
+
+from koopman_lqr_controller import KoopmanError
 
 
 @settings(deadline=None, max_examples=30)

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from koopman_lqr_controller.errors import KoopmanError
-from koopman_lqr_controller.sensing.lidar import EDGE, OPENING, ScanGeometry, Sectors
+from koopman_lqr_controller.sensing.lidar import EDGE, OPENING, ScanGeometry
+
+from koopman_lqr_controller import KoopmanError, Sectors
 
 FAR = 3.5
 SECTORS = Sectors(tuple(np.deg2rad([-90.0, -45.0, 0.0, 45.0, 90.0]).tolist()), float(np.deg2rad(5.0)), FAR)

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from koopman_lqr_controller.errors import KoopmanError
-from koopman_lqr_controller.models.edmd import LinearModel, Snapshots, fit
 from koopman_lqr_controller.models.shrinkage import RIDGES, ShrinkageFit, fit_with_shrinkage
+
+from koopman_lqr_controller import KoopmanError, LinearModel, Snapshots, fit
 
 
 def ratio(found: ShrinkageFit, data: Snapshots) -> float:

@@ -7,12 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ctrl_rl_core.tasks.task import task_file
-from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.training.analysis.true_system import StraightCorridor
 from koopman_lqr_controller.training.environments.benchmark_tasks import BENCHMARK_TASKS, find_task, task_of_manifest
 from koopman_lqr_controller.training.environments.control_suite import FRAMES, ControlSuite
 from koopman_lqr_controller.training.environments.corridor import Conditions, Corridor
+
+from ctrl_rl_core import task_file
+from koopman_lqr_controller import KoopmanError
 
 if find_library("EGL"):
     os.environ.setdefault("MUJOCO_GL", "egl")  # else MuJoCo comes without OpenGL where states are simulated first

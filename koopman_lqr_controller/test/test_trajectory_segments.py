@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from koopman_lqr_controller.data.trajectory_segments import TrajectorySegment, load_segments, split, to_snapshots
-from koopman_lqr_controller.errors import KoopmanError
-from koopman_lqr_controller.sensing.observables import CorridorObservables
+from koopman_lqr_controller.data.trajectory_segments import split
 from recorded import KINDS, STEP, Bag
+
+from koopman_lqr_controller import CorridorObservables, KoopmanError, TrajectorySegment, load_segments, to_snapshots
 
 OBSERVABLES = CorridorObservables()
 SEE = OBSERVABLES.observe

@@ -1,6 +1,6 @@
 """Error class of the package."""
 
-from ctrl_rl_core.errors import CtrlRlError
+from ctrl_rl_core import CtrlRlError
 
 
 class OcError(CtrlRlError):

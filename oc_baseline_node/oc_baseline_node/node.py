@@ -6,12 +6,18 @@ from dataclasses import replace
 from pathlib import Path
 from typing import ClassVar
 
-from ctrl_rl_core.ros.node import run_node
-from ctrl_rl_core.ros.parameters import Parameter
-from ctrl_rl_core.ros.value_server import SERVER_PARAMETERS, Valued, ValueServer
-from ctrl_rl_core.tasks.task import load_navigation_task, task_names
-from ctrl_rl_core.values.value_function import ValueFunction, check_function
+from ctrl_rl_core.ros.value_server import Valued
+from ctrl_rl_core.values.value_function import check_function
 
+from ctrl_rl_core import (
+    SERVER_PARAMETERS,
+    Parameter,
+    ValueFunction,
+    ValueServer,
+    load_navigation_task,
+    run_node,
+    task_names,
+)
 from oc_baseline_node.values.value_file import find_value, load_value, shipped_values
 
 

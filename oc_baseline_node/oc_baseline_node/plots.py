@@ -6,17 +6,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from ctrl_rl_core.plots import draw_map, save_figure
-from ctrl_rl_core.tasks.regions import position_indices
-from ctrl_rl_core.tasks.task import NavigationTask
-from ctrl_rl_core.values.grid_axis import Axis
 from ctrl_rl_core.values.plane import plane_of
-from ctrl_rl_core.values.value_function import ValueFunction
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from ctrl_rl_core import Axis, NavigationTask, ValueFunction, draw_map, position_indices, save_figure
 from oc_baseline_node.errors import OcError
 
 Array = NDArray[np.float64]

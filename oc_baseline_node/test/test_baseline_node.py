@@ -9,21 +9,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rclpy
-from ctrl_rl_core.geometry.shapes import Box
-from ctrl_rl_core.ros.node import LATCHED, RESULT
+from ctrl_rl_core.ros.node import LATCHED
 from ctrl_rl_core.ros.value_messages import answer
 from ctrl_rl_core.values.value_function import ROWS
 from ctrl_rl_core.values.value_grid import Axis
 from nav_msgs.msg import OccupancyGrid, Odometry
 from oc_baseline_node.node import OcBaselineNode
 from oc_baseline_node.values.collision_set import CollisionSet
-from oc_baseline_node.values.mlp_value import MlpValue
-from oc_baseline_node.values.value_file import load_network, save_value, shipped_values
+from oc_baseline_node.values.value_file import load_network
 from rclpy.node import Node
 
+from ctrl_rl_core import RESULT, Box
 from ctrl_rl_msgs.msg import StateValue
 from ctrl_rl_msgs.msg import ValueGrid as ValueGridMsg
 from ctrl_rl_msgs.srv import QueryValues
+from oc_baseline_node import MlpValue, save_value, shipped_values
 
 OTHER_VERSION = "was made for another version of task 'car_navigation'"
 

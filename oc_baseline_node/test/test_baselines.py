@@ -4,20 +4,21 @@ import gymnasium
 import numpy as np
 import pytest
 import torch
-from ctrl_rl_core.tasks.task import load_navigation_task
 from ctrl_rl_training.sb3.algorithms import REWARD_SCALE
 from ctrl_rl_training.sb3.environment import make_environment
 from gymnasium import spaces
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from oc_baseline_node.errors import OcError
 from oc_baseline_node.training.baselines.baselines import OcBaseline
 from oc_baseline_node.training.baselines.control_variates import make_critic, value_and_slope
 from oc_baseline_node.training.baselines.policy_gradient import BaselineBuffer, BaselinePolicy, CorrectedPolicy
-from oc_baseline_node.values.value_file import find_value, load_network
+from oc_baseline_node.values.value_file import load_network
 from sb3_contrib import TRPO
 from stable_baselines3 import PPO
 from stable_baselines3.common.policies import ActorCriticPolicy
+
+from ctrl_rl_core import load_navigation_task
+from oc_baseline_node import OcError, find_value
 
 OBSERVED, COMMANDS = spaces.Box(-10.0, 10.0, (3,)), spaces.Box(-1.0, 1.0, (2,))
 

@@ -4,10 +4,11 @@ import json
 from pathlib import Path
 
 import pytest
-from ctrl_rl_core.tasks.task import load_navigation_task
 from oc_baseline_node.cli import main
-from oc_baseline_node.problems.problem import formulate
-from oc_baseline_node.value_data.dataset import DataSettings, description
+from oc_baseline_node.value_data.dataset import description
+
+from ctrl_rl_core import load_navigation_task
+from oc_baseline_node import DataSettings, formulate
 
 
 def test_it_goes_from_a_task_to_a_map(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

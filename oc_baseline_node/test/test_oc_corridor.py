@@ -2,18 +2,13 @@
 
 import numpy as np
 import pytest
-from ctrl_rl_core.systems.system import make_system
-from ctrl_rl_core.tasks.outcome import Outcome
-from ctrl_rl_core.tasks.task import load_navigation_task
-from ctrl_rl_core.tasks.task_sets import TaskSets
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from oc_baseline_node.errors import OcError
-from oc_baseline_node.mpc.mpc import Mpc
 from oc_baseline_node.problems.corridor import curvature, in_plane, path_car
-from oc_baseline_node.problems.problem import formulate
-from oc_baseline_node.problems.start_states import draw_start
-from oc_baseline_node.values.value_file import find_value, load_network
+from oc_baseline_node.values.value_file import load_network
+
+from ctrl_rl_core import Outcome, TaskSets, load_navigation_task, make_system
+from oc_baseline_node import Mpc, OcError, draw_start, find_value, formulate
 
 TASK = load_navigation_task("curved_corridor")
 PATH = TASK.corridor.path

@@ -4,13 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from ctrl_rl_core.tasks.outcome import Outcome
-from ctrl_rl_core.tasks.regions import Region
-from ctrl_rl_core.tasks.task import load_navigation_task
-from ctrl_rl_core.tasks.task_sets import TaskSets
-from oc_baseline_node.errors import OcError
-from oc_baseline_node.problems.extraction import CANDIDATES, assess, extract, rl_info
-from oc_baseline_node.problems.problem import formulate
+from oc_baseline_node.problems.extraction import CANDIDATES, assess, rl_info
+
+from ctrl_rl_core import Outcome, Region, TaskSets, load_navigation_task
+from oc_baseline_node import OcError, extract, formulate
 
 
 def test_the_car_is_a_dubins_car_as_in_the_thesis() -> None:

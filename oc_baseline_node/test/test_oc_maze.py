@@ -5,12 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from ctrl_rl_core.geometry.shapes import signed_distance
-from ctrl_rl_core.tasks.task import load_navigation_task, task_file
 from oc_baseline_node.cli import main
-from oc_baseline_node.mpc.mpc import Mpc, MpcSolution
-from oc_baseline_node.problems.problem import OptimalControlProblem, formulate
-from oc_baseline_node.problems.start_states import draw_episode_start, draw_start
+
+from ctrl_rl_core import load_navigation_task, signed_distance, task_file
+from oc_baseline_node import Mpc, MpcSolution, OptimalControlProblem, draw_episode_start, draw_start, formulate
 
 
 def wall(left: float, right: float, y: float) -> dict[str, dict[str, str]]:

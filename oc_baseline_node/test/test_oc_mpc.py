@@ -4,18 +4,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from ctrl_rl_core.geometry.shapes import signed_distance
-from ctrl_rl_core.systems.system import make_system
-from ctrl_rl_core.tasks.outcome import Outcome
-from ctrl_rl_core.tasks.regions import Region
-from ctrl_rl_core.tasks.task import NavigationTask, load_navigation_task
-from ctrl_rl_core.tasks.task_sets import TaskSets
-from oc_baseline_node.mpc.initial_guess import equilibrium_control, shift_trajectory
-from oc_baseline_node.mpc.mpc import Mpc, MpcSolution, RecedingHorizon
+from oc_baseline_node.mpc.initial_guess import equilibrium_control
 from oc_baseline_node.mpc.transcription import Layout, stage_cost
-from oc_baseline_node.problems.problem import OptimalControlProblem, formulate
-from oc_baseline_node.problems.start_states import draw_start
 from scipy.linalg import solve_discrete_are
+
+from ctrl_rl_core import NavigationTask, Outcome, Region, TaskSets, load_navigation_task, make_system, signed_distance
+from oc_baseline_node import (
+    Mpc,
+    MpcSolution,
+    OptimalControlProblem,
+    RecedingHorizon,
+    draw_start,
+    formulate,
+    shift_trajectory,
+)
 
 TASKS = ("car_navigation", "quad_navigation", "quad_trap")
 AT_REST = {

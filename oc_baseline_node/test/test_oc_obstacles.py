@@ -3,10 +3,11 @@
 import casadi
 import numpy as np
 import pytest
-from ctrl_rl_core.geometry.shapes import Box, Disc
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from oc_baseline_node.mpc.obstacles import covering_superellipse, covering_superellipses
+
+from ctrl_rl_core import Box, Disc
 
 lengths = st.floats(0.05, 5.0)
 

@@ -4,13 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from ctrl_rl_core.tasks.regions import Region
-from ctrl_rl_core.tasks.task import load_navigation_task
 from oc_baseline_node.mpc.initial_guess import InitialGuesses, braking_guess
-from oc_baseline_node.mpc.mpc import Mpc
 from oc_baseline_node.mpc.shortest_path import ShortestPathPlanner
-from oc_baseline_node.problems.problem import formulate
-from oc_baseline_node.problems.start_states import draw_start
+
+from ctrl_rl_core import Region, load_navigation_task
+from oc_baseline_node import Mpc, draw_start, formulate
 
 TASKS = ("car_navigation", "quad_navigation", "quad_trap")
 

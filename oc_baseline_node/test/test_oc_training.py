@@ -8,20 +8,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ctrl_rl_core.tasks.task import load_navigation_task, task_digest, task_file
-from ctrl_rl_core.values.value_function import ValueFunctionError
 from ctrl_rl_training.experiments.run import RunOptions
 from ctrl_rl_training.experiments.trainer import train as train_run
 from ctrl_rl_training.sb3 import algorithms
-from oc_baseline_node.errors import OcError
 from oc_baseline_node.training.cli import plot, train
 from oc_baseline_node.training.experiments.environment import PaidTimeOut
 from oc_baseline_node.training.experiments.methods import GROUPS, METHODS
 from oc_baseline_node.training.experiments.results import collect
 from oc_baseline_node.training.experiments.runs import OcRun, oc_runs
-from sim_bridge.environments import NavigationEnv
 
-from oc_baseline_node import learning
+from ctrl_rl_core import ValueFunctionError, load_navigation_task, task_digest, task_file
+from oc_baseline_node import OcError, learning
+from sim_bridge import NavigationEnv
 
 RESULTS = Path(__file__).parents[2] / "docs" / "results"
 TASK = load_navigation_task("quad_trap")

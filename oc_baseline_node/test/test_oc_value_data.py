@@ -9,16 +9,23 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ctrl_rl_core.processes.exclusive_lock import LockError, exclusive_lock
-from ctrl_rl_core.tasks.task import load_navigation_task
 from hypothesis import given
 from hypothesis import strategies as st
-from oc_baseline_node.errors import OcError
-from oc_baseline_node.problems.problem import OptimalControlProblem, formulate
-from oc_baseline_node.problems.start_states import draw_start, state_space
-from oc_baseline_node.value_data.dataset import LOCK, DataSettings, ValueData, chunk_file, load_data
-from oc_baseline_node.value_data.workers import make_data
+from oc_baseline_node.problems.start_states import state_space
+from oc_baseline_node.value_data.dataset import LOCK, chunk_file
 from oc_baseline_node.values.returns import returns, rewards, step_discount
+
+from ctrl_rl_core import LockError, exclusive_lock, load_navigation_task
+from oc_baseline_node import (
+    DataSettings,
+    OcError,
+    OptimalControlProblem,
+    ValueData,
+    draw_start,
+    formulate,
+    load_data,
+    make_data,
+)
 
 MAKE = """
 import sys

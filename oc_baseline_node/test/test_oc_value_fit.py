@@ -9,19 +9,28 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from ctrl_rl_core.errors import CtrlRlError
-from ctrl_rl_core.tasks.task import load_navigation_task, task_digest
-from ctrl_rl_core.values.value_function import ValueFunction, ValueFunctionError
-from ctrl_rl_core.values.value_grid import Axis, ValueGrid
-from oc_baseline_node.errors import OcError
-from oc_baseline_node.plots import draw_heat_map, draw_trajectories
-from oc_baseline_node.problems.problem import OptimalControlProblem, formulate
-from oc_baseline_node.value_data.dataset import DataSettings, ValueData
-from oc_baseline_node.value_data.value_fit import FitSettings, fit
-from oc_baseline_node.value_data.workers import make_data
+from ctrl_rl_core.values.value_grid import Axis
 from oc_baseline_node.values.collision_set import CollisionHeader, CollisionSet
-from oc_baseline_node.values.mlp_value import MlpValue, features
-from oc_baseline_node.values.value_file import find_value, load_network, load_value, save_value
+from oc_baseline_node.values.mlp_value import features
+from oc_baseline_node.values.value_file import load_network
+
+from ctrl_rl_core import CtrlRlError, ValueFunction, ValueFunctionError, ValueGrid, load_navigation_task, task_digest
+from oc_baseline_node import (
+    DataSettings,
+    FitSettings,
+    MlpValue,
+    OcError,
+    OptimalControlProblem,
+    ValueData,
+    draw_heat_map,
+    draw_trajectories,
+    find_value,
+    fit,
+    formulate,
+    load_value,
+    make_data,
+    save_value,
+)
 
 Made = tuple[OptimalControlProblem, ValueData, MlpValue]
 STATE = np.array([-3.0, -3.5, 0.7])

@@ -8,8 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.io.atomic_write import atomic_write
-from ctrl_rl_core.plots import save_figure
 from matplotlib import colormaps
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
@@ -17,6 +15,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.patches import Patch
 from PIL import Image
 
+from ctrl_rl_core import atomic_write, save_figure
 from option_coordinator.environments.option_env import OptionEnvironment
 from option_coordinator.environments.timeline import Span
 from option_coordinator.errors import OptionError

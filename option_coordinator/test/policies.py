@@ -3,9 +3,10 @@
 from itertools import product
 
 import numpy as np
-from option_coordinator.options.decision import NONE
 from option_coordinator.options.options import option_mask
 from option_coordinator.policies.policy_file import make_policy
+
+from option_coordinator import NONE
 
 HIDDEN = 12
 RANK = 3

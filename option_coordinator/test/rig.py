@@ -16,15 +16,14 @@ import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from option_coordinator.nodes.messages import EXCHANGE, grant_of, request_message, request_of, status_message
-from option_coordinator.options.options import Agent
-from option_coordinator.policies.policy_file import OptionPolicy
 from option_coordinator.protocol.message_checks import MessageError
-from option_coordinator.protocol.protocol_types import AgentState, GrantStatus, Request, Status
+from option_coordinator.protocol.protocol_types import AgentState, GrantStatus
 from policies import random_tensors
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 
 from ctrl_rl_msgs.msg import AgentStatus, JointOptionStep, OptionGrant, OptionRequest
+from option_coordinator import Agent, OptionPolicy, Request, Status
 
 COORDINATOR = "option_coordinator.nodes.coordinator_node"
 ROBOT = str(Path(__file__).with_name("robot_process.py"))

@@ -5,11 +5,11 @@ import sys
 from typing import ClassVar
 
 import numpy as np
-from ctrl_rl_core.ros.node import SuiteNode, ok, run_node
-from ctrl_rl_core.ros.parameters import Parameter
+from ctrl_rl_core.ros.node import ok
 from option_coordinator.nodes.clocks import STEADY, Clocks
-from option_coordinator.nodes.option_agent import OptionAgent
-from option_coordinator.protocol.option_client import AgentObservation, ClientTimeouts, OptionResult
+
+from ctrl_rl_core import Parameter, SuiteNode, run_node
+from option_coordinator import AgentObservation, ClientTimeouts, OptionAgent, OptionResult
 
 
 class TestRobot(SuiteNode):

@@ -6,20 +6,22 @@ from functools import cache
 from itertools import count
 
 import numpy as np
-from option_coordinator.options.options import Agent
-from option_coordinator.protocol.clock_reading import ClockReading
-from option_coordinator.protocol.coordination import Coordinator
-from option_coordinator.protocol.option_client import AgentObservation, ClientTimeouts, OptionClient, OptionResult
-from option_coordinator.protocol.protocol_types import (
-    AgentState,
-    Answers,
-    CoordinatorHeartbeat,
+from option_coordinator.protocol.protocol_types import AgentState, Answers, CoordinatorHeartbeat, GrantStatus
+
+from option_coordinator import (
+    Agent,
+    AgentObservation,
+    ClientTimeouts,
+    ClockReading,
+    Coordinator,
+    CoordinatorTimeouts,
     Grant,
-    GrantStatus,
+    OptionClient,
+    OptionResult,
     Request,
+    RobotSpec,
     Status,
 )
-from option_coordinator.protocol.team_settings import CoordinatorTimeouts, RobotSpec
 
 TIMES = CoordinatorTimeouts(batch_window=0.01)
 STEP = 0.04  # s, of the simulation

@@ -4,10 +4,10 @@ from pathlib import Path
 
 import numpy as np
 from option_coordinator.data.bag_trajectory import TYPE
-from option_coordinator.data.trajectory import OptionTrajectory
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from ctrl_rl_bags import BagWriter, Topic
+from option_coordinator import OptionTrajectory
 
 TOPIC = "/joint_option_step"
 STORE = get_typestore(Stores.ROS2_JAZZY)

@@ -8,16 +8,17 @@ from contextlib import suppress
 
 import numpy as np
 import pytest
-from ctrl_rl_core.errors import CtrlRlError
 from matplotlib import pyplot as plt
 from option_coordinator.cli import replay
-from option_coordinator.environments.tasks import make_environment
 from option_coordinator.environments.timeline import Span
 from option_coordinator.plots import draw_replay, draw_spans, draw_timeline
 from option_coordinator.training.cli import evaluate, plot, train, training_figures
 from option_coordinator.training.parallel_environment import ParallelOptions
 from pettingzoo.test import parallel_api_test
 from PIL import Image
+
+from ctrl_rl_core import CtrlRlError
+from option_coordinator import make_environment
 
 
 @pytest.mark.parametrize("task", ["tool_delivery", "water_filling"])

@@ -5,15 +5,9 @@ import json
 import numpy as np
 import pytest
 import torch
-from ctrl_rl_core.errors import CtrlRlError
 from ctrl_rl_training.experiments.run import RunOptions
 from ctrl_rl_training.experiments.trainer import train as train_run
-from option_coordinator.data.bag_trajectory import recordings
-from option_coordinator.data.trajectory import OptionTrajectory
 from option_coordinator.environments.roll_out import RollOut
-from option_coordinator.environments.tasks import make_environment
-from option_coordinator.policies.policy_file import OptionPolicy
-from option_coordinator.scripted.task_policies import scripted_policy
 from option_coordinator.training.cli import train
 from option_coordinator.training.experiments.bag_runs import BagRun
 from option_coordinator.training.experiments.runs import OptionRun
@@ -22,6 +16,9 @@ from option_coordinator.training.learners.imitation import Imitation
 from option_coordinator.training.learners.learner import decision_batch
 from option_coordinator.training.learners.mappo import Mappo
 from team_bag import TeamBag, play_into
+
+from ctrl_rl_core import CtrlRlError
+from option_coordinator import OptionPolicy, OptionTrajectory, make_environment, recordings, scripted_policy
 
 TASK = "tool_delivery"
 

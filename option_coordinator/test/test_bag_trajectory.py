@@ -6,14 +6,13 @@ from dataclasses import fields
 import numpy as np
 import pytest
 import torch
-from ctrl_rl_core.errors import CtrlRlError
-from option_coordinator.data.bag_trajectory import TeamLayout, recordings
-from option_coordinator.data.trajectory import OptionTrajectory
-from option_coordinator.environments.tasks import make_environment
+from option_coordinator.data.bag_trajectory import TeamLayout
 from option_coordinator.training.learners.mappo import Mappo
 from team_bag import TeamBag, play_into
 
 from ctrl_rl_bags import BagWriter, Topic
+from ctrl_rl_core import CtrlRlError
+from option_coordinator import OptionTrajectory, make_environment, recordings
 
 
 def untrained(environment, presence=False):

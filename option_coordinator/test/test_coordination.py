@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from option_coordinator.errors import OptionError
 from option_coordinator.policies.policy_query import query_with_fallback
-from option_coordinator.protocol.coordination import Coordinator
 from option_coordinator.protocol.ledger import Entry, State
-from option_coordinator.protocol.protocol_types import AgentState, CoordinatorHeartbeat, GrantStatus, Request, Status
+from option_coordinator.protocol.protocol_types import AgentState, CoordinatorHeartbeat, GrantStatus
 from team import AGENTS, TIMES, at, uniform
+
+from option_coordinator import Coordinator, OptionError, Request, Status
 
 START = 1.0 + TIMES.lost_after  # of robots that have not said anything
 

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from option_coordinator.errors import OptionError
 from option_coordinator.navigation.delivery import Delivery
 from option_coordinator.navigation.reactive_planner import STAND, ReactivePlanner, scan_points
 from option_coordinator.policies.policy_query import PolicyQuery
 from option_coordinator.scripted.policy_queries import spread_policy, uniform_policy
-from option_coordinator.teams.team_file import FOLDER, load_team, team_file
+from option_coordinator.teams.team_file import FOLDER
+
+from option_coordinator import OptionError, load_team, team_file
 
 TEAM = load_team("delivery_team")
 WAIT, SHELF, OTHER_SHELF, DESK, _, HOME = range(6)

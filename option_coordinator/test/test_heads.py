@@ -5,13 +5,13 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from option_coordinator.options.decision import NONE
-from option_coordinator.options.options import Agent
 from option_coordinator.policies.policy_file import HEADS, make_policy
 from option_coordinator.training.heads import heads
 from option_coordinator.training.heads.head_parts import DecisionBatch
 from option_coordinator.training.heads.heads import as_numpy, make_head
 from policies import random_decision
+
+from option_coordinator import NONE, Agent
 
 COUNTS = (3, 2, 4)
 AGENTS = tuple(Agent(f"robot_{i}", tuple("abcd"[:count]), 2 + i) for i, count in enumerate(COUNTS))

@@ -12,17 +12,11 @@ from option_coordinator.protocol.clock_reading import TaskTime
 from option_coordinator.protocol.election import Epochs
 from option_coordinator.protocol.journal import Journal
 from option_coordinator.protocol.message_checks import MessageError
-from option_coordinator.protocol.protocol_types import (
-    AgentState,
-    CoordinatorHeartbeat,
-    Grant,
-    GrantStatus,
-    Request,
-    Status,
-)
+from option_coordinator.protocol.protocol_types import AgentState, CoordinatorHeartbeat, GrantStatus
 from team import AGENTS, STEP, TIMES, SimulatedCoordinator, Team, at
 
 from ctrl_rl_msgs.msg import AgentStatus, CoordinatorStatus, OptionGrant, OptionRequest
+from option_coordinator import Grant, Request, Status
 
 pytestmark = pytest.mark.fault
 

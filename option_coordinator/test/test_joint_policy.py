@@ -4,14 +4,14 @@ from hashlib import sha256
 
 import numpy as np
 import pytest
-from ctrl_rl_core.errors import CtrlRlError
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from option_coordinator.options.decision import NONE
-from option_coordinator.options.options import Agent
 from option_coordinator.policies.joint_policy import ENUMERABLE, draw, log_sum_exp, most_likely
-from option_coordinator.policies.policy_file import HEADS, OptionPolicy, make_policy
+from option_coordinator.policies.policy_file import HEADS, make_policy
 from policies import all_joint, brute_force, random_decision, random_policy, random_tensors
+
+from ctrl_rl_core import CtrlRlError
+from option_coordinator import NONE, Agent, OptionPolicy
 
 COUNTS = (3, 2, 4)
 EXACT = ("table", "mixture")

@@ -7,7 +7,6 @@ from functools import partial
 import numpy as np
 import pytest
 import torch
-from ctrl_rl_core.errors import CtrlRlError
 from ctrl_rl_training.experiments.matrix import run_experiments
 from ctrl_rl_training.experiments.replay_buffer import ReplayBuffer
 from ctrl_rl_training.experiments.run import RunOptions
@@ -15,14 +14,9 @@ from ctrl_rl_training.experiments.run_folder import result_file
 from ctrl_rl_training.experiments.trainer import train
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from option_coordinator.data.trajectory import OptionTrajectory, advantages
-from option_coordinator.environments.option_env import OptionEnvironment
-from option_coordinator.environments.roll_out import JointDecisionPolicy, OptionEpisode, RollOut, play_episodes
-from option_coordinator.environments.tasks import load_option_task, make_environment
-from option_coordinator.options.decision import NONE
-from option_coordinator.options.options import Agent, Scene, SimulationStep
-from option_coordinator.policies.policy_file import OptionPolicy
-from option_coordinator.scripted.task_policies import scripted_policy
+from option_coordinator.data.trajectory import advantages
+from option_coordinator.environments.roll_out import JointDecisionPolicy, RollOut
+from option_coordinator.options.options import Scene
 from option_coordinator.training.experiments.evaluation import evaluate, summary
 from option_coordinator.training.experiments.methods import METHODS
 from option_coordinator.training.experiments.runs import OptionRun, option_runs
@@ -31,6 +25,21 @@ from option_coordinator.training.learners.epsilon_greedy import EpsilonGreedy
 from option_coordinator.training.learners.learner import decision_batch
 from option_coordinator.training.learners.mac_dqn import MacDqn
 from option_coordinator.training.learners.mappo import Mappo, MappoSettings
+
+from ctrl_rl_core import CtrlRlError
+from option_coordinator import (
+    NONE,
+    Agent,
+    OptionEnvironment,
+    OptionEpisode,
+    OptionPolicy,
+    OptionTrajectory,
+    SimulationStep,
+    load_option_task,
+    make_environment,
+    play_episodes,
+    scripted_policy,
+)
 
 SHORT = {"iterations": 2, "samples": 200, "final_evaluations": 1}
 

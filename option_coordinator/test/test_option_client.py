@@ -4,9 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from option_coordinator.protocol.option_client import AgentObservation, ClientTimeouts, OptionClient, OptionResult
-from option_coordinator.protocol.protocol_types import AgentState, Grant, GrantStatus, Request
+from option_coordinator.protocol.protocol_types import AgentState, GrantStatus
 from team import at
+
+from option_coordinator import AgentObservation, ClientTimeouts, Grant, OptionClient, OptionResult, Request
 
 
 class Log:

@@ -3,21 +3,27 @@
 import numpy as np
 import pytest
 import torch
-from ctrl_rl_core.errors import CtrlRlError
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from option_coordinator.environments.option_env import OptionEnvironment
 from option_coordinator.environments.robot_dropout import draw_dropout
 from option_coordinator.environments.roll_out import RollOut
-from option_coordinator.environments.tasks import make_environment
-from option_coordinator.options.decision import NONE
-from option_coordinator.options.options import Agent, Scene, SimulationStep
-from option_coordinator.policies.policy_file import HEADS, OptionPolicy, make_policy
-from option_coordinator.scripted.task_policies import RandomPolicy
+from option_coordinator.options.options import Scene
+from option_coordinator.policies.policy_file import HEADS, make_policy
 from option_coordinator.training.experiments.runs import OptionRun
 from option_coordinator.training.heads.heads import as_numpy
 from option_coordinator.training.learners.learner import decision_batch
 from option_coordinator.training.learners.mappo import Mappo
+
+from ctrl_rl_core import CtrlRlError
+from option_coordinator import (
+    NONE,
+    Agent,
+    OptionEnvironment,
+    OptionPolicy,
+    RandomPolicy,
+    SimulationStep,
+    make_environment,
+)
 
 ALONE, TOGETHER = range(2)
 

@@ -8,8 +8,10 @@ from collections import Counter
 import numpy as np
 import pytest
 from option_coordinator.nodes.messages import grant_message
-from option_coordinator.protocol.protocol_types import AgentState, Grant, GrantStatus
+from option_coordinator.protocol.protocol_types import AgentState, GrantStatus
 from rig import LOST_AFTER, write_policy
+
+from option_coordinator import Grant
 
 pytestmark = pytest.mark.timeout(900)  # waits end by themselves, see `PATIENCE`
 

@@ -2,16 +2,25 @@
 
 import numpy as np
 import pytest
-from ctrl_rl_core.tasks.task import TaskError, task_digest
-from option_coordinator.environments.option_env import OptionEnvironment
-from option_coordinator.environments.roll_out import play_episodes
-from option_coordinator.environments.tasks import load_option_task, make_environment, make_simulation
+from option_coordinator.environments.tasks import make_simulation
 from option_coordinator.environments.tasks.team_delivery import TeamDeliverySimulation
-from option_coordinator.errors import OptionError
-from option_coordinator.policies.policy_file import OptionPolicy, shipped_policies
-from option_coordinator.scripted.task_policies import RandomPolicy, scripted_policy
-from option_coordinator.teams.team_file import FOLDER, TeamFile, TeamRewards, load_team
+from option_coordinator.teams.team_file import FOLDER, TeamRewards
 from option_coordinator.training.experiments.evaluation import summary
+
+from ctrl_rl_core import TaskError, task_digest
+from option_coordinator import (
+    OptionEnvironment,
+    OptionError,
+    OptionPolicy,
+    RandomPolicy,
+    TeamFile,
+    load_option_task,
+    load_team,
+    make_environment,
+    play_episodes,
+    scripted_policy,
+    shipped_policies,
+)
 
 TEAM = load_team("delivery_team")
 WAIT, SHELF, OTHER_SHELF, DESK, OTHER_DESK, HOME = range(6)

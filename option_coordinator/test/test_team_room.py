@@ -3,10 +3,11 @@
 import os
 
 import pytest
-from ctrl_rl_core.tasks.task import task_digest
 from option_coordinator.environments.tasks.team_delivery import TeamDeliverySimulation
-from option_coordinator.errors import OptionError
-from option_coordinator.teams.team_file import FOLDER, load_room, load_team, room_names
+from option_coordinator.teams.team_file import FOLDER, load_room, room_names
+
+from ctrl_rl_core import task_digest
+from option_coordinator import OptionError, load_team
 
 pytestmark = pytest.mark.fault
 

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ctrl_rl_core.errors import CtrlRlError
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from option_coordinator.environments.option_env import OptionEnvironment
-from option_coordinator.environments.tasks import load_option_task, make_environment, make_simulation
-from option_coordinator.scripted.task_policies import RandomPolicy, scripted_policy
+from option_coordinator.environments.tasks import make_simulation
+
+from ctrl_rl_core import CtrlRlError
+from option_coordinator import OptionEnvironment, RandomPolicy, load_option_task, make_environment, scripted_policy
 
 TASK = load_option_task("tool_delivery")
 GO_TO_WS, GO_TO_TR, GET_TOOL = range(3)

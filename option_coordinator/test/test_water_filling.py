@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
-from ctrl_rl_core.errors import CtrlRlError
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from option_coordinator.environments.option_env import OptionEnvironment
-from option_coordinator.environments.tasks import load_option_task, make_environment
 from option_coordinator.environments.tasks.water_filling import WaterFillingSimulation
-from option_coordinator.scripted.task_policies import GreedyFiller, JarCycle, RandomPolicy
+from option_coordinator.scripted.task_policies import GreedyFiller, JarCycle
+
+from ctrl_rl_core import CtrlRlError
+from option_coordinator import OptionEnvironment, RandomPolicy, load_option_task, make_environment
 
 TASK = load_option_task("water_filling")
 

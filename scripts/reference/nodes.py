@@ -12,9 +12,10 @@ from typing import Any, NamedTuple
 
 import rclpy
 from ament_index_python.packages import get_package_prefix
-from ctrl_rl_core.ros.node import SuiteNode
 from diagnostic_msgs.msg import DiagnosticArray
 from workspace import Executable, executables
+
+from ctrl_rl_core import SuiteNode
 
 _START_S = 90.0
 _SETTLE_S = 2.0

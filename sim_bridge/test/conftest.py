@@ -1,7 +1,8 @@
 from pathlib import Path
 
 import pytest
-from ctrl_rl_core.tasks.task import NavigationTask, load_navigation_task
+
+from ctrl_rl_core import NavigationTask, load_navigation_task
 
 ROOM = """
 name: room

@@ -1,8 +1,9 @@
 import numpy as np
 import pytest
 from ctrl_rl_core.tasks.regions import wrap
-from ctrl_rl_core.tasks.task import load_navigation_task
-from sim_bridge.simulation.world import SimulatedWorld, SimulationOptions
+
+from ctrl_rl_core import load_navigation_task
+from sim_bridge import SimulatedWorld, SimulationOptions
 
 
 def drive(task, command, seconds=2.0, settle=0.5):

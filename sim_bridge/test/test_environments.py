@@ -2,9 +2,8 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
-from sim_bridge.environments import NavigationEnv, register_environments
-from sim_bridge.errors import SimulationError
-from sim_bridge.simulation.world import SimulationOptions
+
+from sim_bridge import NavigationEnv, SimulationError, SimulationOptions, register_environments
 
 IDS = register_environments()
 

@@ -4,8 +4,9 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from ctrl_rl_core.tasks.task import load_navigation_task
 from sim_bridge.ros.frames import Frames, fixed_transforms
+
+from ctrl_rl_core import load_navigation_task
 
 
 def test_topics_and_frames_carry_the_namespace():

@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
-from ctrl_rl_core.tasks.task import load_navigation_task
-from sim_bridge.simulation.world import SimulatedWorld, SimulationOptions
+
+from ctrl_rl_core import load_navigation_task
+from sim_bridge import SimulatedWorld, SimulationOptions
 
 
 def room_ranges(origin, heading, bearings, largest):

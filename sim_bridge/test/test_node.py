@@ -10,7 +10,7 @@ import time
 import numpy as np
 import pytest
 import rclpy
-from ctrl_rl_core.ros.node import RESULT, SENSOR, seconds
+from ctrl_rl_core.ros.node import seconds
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Twist, TwistStamped
 from nav_msgs.msg import Odometry
@@ -19,6 +19,7 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import LaserScan
 from std_srvs.srv import SetBool
 
+from ctrl_rl_core import RESULT, SENSOR
 from ctrl_rl_msgs.msg import EpisodeStatus, RotorThrusts, TaskOutcome
 from ctrl_rl_msgs.srv import ResetWorld, StepWorld
 

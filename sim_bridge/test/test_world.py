@@ -3,9 +3,10 @@ import sys
 
 import numpy as np
 import pytest
-from ctrl_rl_core.tasks.task import TaskError, load_navigation_task
 from ctrl_rl_core.tasks.task_sets import PathCoordinates
-from sim_bridge.simulation.world import SimulatedWorld, SimulationOptions
+
+from ctrl_rl_core import TaskError, load_navigation_task
+from sim_bridge import SimulatedWorld, SimulationOptions
 
 
 def drive(world, steps=25):

@@ -9,10 +9,9 @@ from pathlib import Path
 import numpy as np
 from _attack import Attack
 from scipy.ndimage import map_coordinates
-from ttr_reward_node.problems.problem import Clearance, TimeToReachProblem
-from ttr_reward_node.solvers.solver import solve
 
 from ctrl_rl_core import Axis, Interval, Quantity, Region, System
+from ttr_reward_node import Clearance, TimeToReachProblem, solve
 
 NODES = 61
 SIDE = 2.0

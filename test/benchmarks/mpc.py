@@ -8,12 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 from _common import Row, row
-from oc_baseline_node.mpc.initial_guess import shift_trajectory
-from oc_baseline_node.mpc.mpc import Mpc, MpcSolution
-from oc_baseline_node.problems.problem import formulate
-from oc_baseline_node.problems.start_states import draw_start
 
 from ctrl_rl_core import load_navigation_task
+from oc_baseline_node import Mpc, MpcSolution, draw_start, formulate, shift_trajectory
 
 STARTS = {"car_navigation": 40, "quad_navigation": 25, "quad_trap": 25}
 LETTER_STARTS = 15

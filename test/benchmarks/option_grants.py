@@ -21,14 +21,13 @@ import numpy as np
 import rclpy
 from _common import Row, echo, executable, row
 from option_coordinator.nodes.messages import EXCHANGE, request_message, status_message
-from option_coordinator.options.options import Agent
-from option_coordinator.policies.policy_file import OptionPolicy
-from option_coordinator.protocol.protocol_types import AgentState, Request, Status
+from option_coordinator.protocol.protocol_types import AgentState
 from option_coordinator.training.heads.heads import as_numpy, make_head
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 
 from ctrl_rl_msgs.msg import AgentStatus, OptionGrant, OptionRequest
+from option_coordinator import Agent, OptionPolicy, Request, Status
 
 ASKED = {1: 500, 4: 200, 50: 40, 100: 20}
 """How often teams of so many robots ask."""

@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 from _common import Row, row
-from option_coordinator.options.options import Agent
-from option_coordinator.policies.policy_file import OptionPolicy
-from option_coordinator.policies.policy_query import PolicyQuery, learned_policy_fn
+from option_coordinator.policies.policy_query import PolicyQuery
 from option_coordinator.training.heads.heads import as_numpy, make_head
+
+from option_coordinator import Agent, OptionPolicy, learned_policy_fn
 
 ROBOTS = (2, 5, 10, 20, 50, 100, 150, 200, 300)
 OPTIONS = 6

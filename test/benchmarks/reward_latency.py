@@ -23,10 +23,10 @@ from ctrl_rl_bringup.runner.transport import answer_latencies, lost_messages, re
 from ctrl_rl_core.ros.node import ODOM_PUBLISHER, to_stamp
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
-from ttr_reward_node.solvers.solver import solve_task
 
 from ctrl_rl_core import RESULT, SENSOR
 from ctrl_rl_msgs.msg import TaskReward
+from ttr_reward_node import solve_task
 
 RATE = 1000.0
 SECONDS = {"echo": 20.0, "reward": 60.0}

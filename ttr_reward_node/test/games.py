@@ -1,12 +1,9 @@
 """Small systems with closed forms, shared by tests."""
 
 import numpy as np
-from ctrl_rl_core.geometry.units import Interval
-from ctrl_rl_core.systems.models import Quantity
-from ctrl_rl_core.systems.system import System
-from ctrl_rl_core.tasks.regions import Region
-from ctrl_rl_core.values.grid_axis import Axis
-from ttr_reward_node.problems.problem import Clearance, TimeToReachProblem
+
+from ctrl_rl_core import Axis, Interval, Quantity, Region, System
+from ttr_reward_node import Clearance, TimeToReachProblem
 
 
 def _line(math, p):

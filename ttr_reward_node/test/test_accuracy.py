@@ -5,11 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from games import line, plane
-from ttr_reward_node.errors import TimeToReachError
-from ttr_reward_node.problems.problem import problem_from_task
-from ttr_reward_node.solvers.solver import solve
 from ttr_reward_node.verification.convergence import convergence_table, measure_errors
 from ttr_reward_node.verification.dubins import reference
+
+from ttr_reward_node import TimeToReachError, problem_from_task, solve
 
 
 @pytest.fixture(scope="module")

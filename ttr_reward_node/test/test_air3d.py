@@ -7,14 +7,10 @@ turn are the second player's, so that the disturbance multiplies functions of th
 
 import numpy as np
 import pytest
-from ctrl_rl_core.geometry.shapes import Disc
-from ctrl_rl_core.systems.models import Quantity
-from ctrl_rl_core.systems.system import System
-from ctrl_rl_core.tasks.regions import Region
-from ctrl_rl_core.values.grid_axis import Axis
 from matplotlib.path import Path
-from ttr_reward_node.problems.problem import TimeToReachProblem
-from ttr_reward_node.solvers.solver import solve
+
+from ctrl_rl_core import Axis, Disc, Quantity, Region, System
+from ttr_reward_node import TimeToReachProblem, solve
 
 SPEED = RADIUS = 5.0
 

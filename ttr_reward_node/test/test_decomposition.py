@@ -5,27 +5,25 @@ from functools import cache
 
 import numpy as np
 import pytest
-from ctrl_rl_core.tasks.task import load_navigation_task
-from ctrl_rl_core.values.grid_axis import GridError
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from ttr_reward_node.errors import TimeToReachError
 from ttr_reward_node.plots.decomposition_error import draw_decomposition_errors
-from ttr_reward_node.problems.problem import problem_from_task
-from ttr_reward_node.solvers.decomposition import (
-    DECOMPOSITIONS,
-    PLANAR_QUADROTOR_4D,
-    PLANAR_QUADROTOR_FIVE,
-    Decomposition,
-    solve_decomposed,
-    split,
-)
-from ttr_reward_node.solvers.solver import solve
+from ttr_reward_node.solvers.decomposition import PLANAR_QUADROTOR_4D, PLANAR_QUADROTOR_FIVE, split
 from ttr_reward_node.solvers.steps import crossing_time
-from ttr_reward_node.values.decomposed_value import DecomposedValue
 from ttr_reward_node.verification import dubins
 from ttr_reward_node.verification.cost import make_problem
 from ttr_reward_node.verification.decomposition_error import as_table, measure_decomposition_errors
+
+from ctrl_rl_core import GridError, load_navigation_task
+from ttr_reward_node import (
+    DECOMPOSITIONS,
+    DecomposedValue,
+    Decomposition,
+    TimeToReachError,
+    problem_from_task,
+    solve,
+    solve_decomposed,
+)
 
 COARSE = {"x": 9, "v_x": 5, "z": 9, "v_z": 5, "psi": 9, "omega": 5}
 CAR = Decomposition("car", (("x", "theta"), ("y", "theta")))

@@ -4,18 +4,13 @@ import operator
 
 import numpy as np
 import pytest
-from ctrl_rl_core.geometry.units import Interval
-from ctrl_rl_core.systems.models import SYSTEM_MODELS, Quantity
-from ctrl_rl_core.systems.system import System, make_system
-from ctrl_rl_core.tasks.regions import Region
-from ctrl_rl_core.values.grid_axis import Axis
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from ttr_reward_node.errors import TimeToReachError
 from ttr_reward_node.problems.dependence import AFFINE, dependences
-from ttr_reward_node.problems.problem import TimeToReachProblem
-from ttr_reward_node.solvers.solver import solve
 from ttr_reward_node.solvers.steps import make_layout
+
+from ctrl_rl_core import SYSTEM_MODELS, Axis, Interval, Quantity, Region, System, make_system
+from ttr_reward_node import TimeToReachError, TimeToReachProblem, solve
 
 NAMES = ("x", "y", "w")
 SAMPLES = 200

@@ -5,7 +5,8 @@ import pytest
 from games import double_integrator, line
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from ttr_reward_node.solvers.solver import solve
+
+from ttr_reward_node import solve
 
 
 @pytest.mark.parametrize("disturbance", [0.0, 0.25, 0.6])

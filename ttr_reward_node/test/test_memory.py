@@ -11,10 +11,9 @@ from ctrl_rl_core.io.file_checks import available_memory
 from ctrl_rl_core.values.jit_cache import cached_njit
 from numba.core.caching import NullCache
 from numba.core.dispatcher import Dispatcher
-from ttr_reward_node.errors import TimeToReachError
 from ttr_reward_node.kernels.entry_points import KERNEL_FILES
-from ttr_reward_node.problems.problem import problem_from_task
-from ttr_reward_node.solvers.solver import METHODS, memory_needed, solve
+
+from ttr_reward_node import METHODS, TimeToReachError, memory_needed, problem_from_task, solve
 
 _SOLVE = """
 from ttr_reward_node.kernels.entry_points import kernels

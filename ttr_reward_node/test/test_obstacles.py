@@ -5,18 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from ctrl_rl_core.geometry.shapes import Box, Disc
-from ctrl_rl_core.geometry.units import Interval
-from ctrl_rl_core.tasks.regions import Region
-from ctrl_rl_core.tasks.task import load_navigation_task
-from ctrl_rl_core.values.grid_axis import Axis
 from games import plane
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from ttr_reward_node.errors import TimeToReachError
 from ttr_reward_node.problems.obstacles import make_clearance
-from ttr_reward_node.problems.problem import Clearance, problem_from_task
-from ttr_reward_node.solvers.solver import solve
+
+from ctrl_rl_core import Axis, Box, Disc, Interval, Region, load_navigation_task
+from ttr_reward_node import Clearance, TimeToReachError, problem_from_task, solve
 
 AXES = (Axis("x", "m", -2.0, 2.0, 41), Axis("y", "m", -2.0, 2.0, 41))
 CELL = 0.1

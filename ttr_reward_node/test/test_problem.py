@@ -6,18 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import yaml
-from ctrl_rl_core.geometry.shapes import Disc
-from ctrl_rl_core.geometry.units import Interval
-from ctrl_rl_core.systems.models import SYSTEM_MODELS
-from ctrl_rl_core.tasks.regions import Region
-from ctrl_rl_core.tasks.task import task_file
 from games import line, plane
 from hypothesis import given
 from hypothesis import strategies as st
 from ttr_reward_node.cli.values import solve_value
-from ttr_reward_node.errors import TimeToReachError
-from ttr_reward_node.problems.problem import Clearance, TimeToReachProblem
-from ttr_reward_node.values.value_file import load_value
+
+from ctrl_rl_core import SYSTEM_MODELS, Disc, Interval, Region, task_file
+from ttr_reward_node import Clearance, TimeToReachError, TimeToReachProblem, load_value
 
 
 def write_task(folder, name, **changes):

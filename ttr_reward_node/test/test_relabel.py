@@ -6,20 +6,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 from ament_index_python.packages import get_package_share_directory
-from ctrl_rl_bags.format.copy import read_serialized
-from ctrl_rl_bags.recording.message_types import message_definition
-from ctrl_rl_bags.recording.qos import to_bag_qos
-from ctrl_rl_core.ros.node import RESULT
-from ctrl_rl_core.tasks.task import load_navigation_task
 from nav_msgs.msg import Odometry
 from rclpy.serialization import serialize_message
 from std_msgs.msg import String
-from ttr_reward_node.errors import TimeToReachError
-from ttr_reward_node.rewards.relabel import relabel
-from ttr_reward_node.rewards.reward_evaluator import RewardEvaluator
-from ttr_reward_node.solvers.solver import solve_task
 
-from ctrl_rl_bags import BagError, BagWriter, Topic, bag_info, read_messages
+from ctrl_rl_bags import (
+    BagError,
+    BagWriter,
+    Topic,
+    bag_info,
+    message_definition,
+    read_messages,
+    read_serialized,
+    to_bag_qos,
+)
+from ctrl_rl_core import RESULT, load_navigation_task
+from ttr_reward_node import RewardEvaluator, TimeToReachError, relabel, solve_task
 
 KIND = "nav_msgs/msg/Odometry"
 

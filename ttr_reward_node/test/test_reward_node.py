@@ -9,21 +9,20 @@ from typing import Any
 import numpy as np
 import pytest
 import rclpy
-from ctrl_rl_core.ros.node import LATCHED, ODOM_PUBLISHER, RESULT, to_stamp
-from ctrl_rl_core.values.value_grid import ValueGrid
+from ctrl_rl_core.ros.node import LATCHED, ODOM_PUBLISHER, to_stamp
 from nav_msgs.msg import OccupancyGrid, Odometry
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 from ttr_reward_node.rewards.rewards import longest_time
-from ttr_reward_node.solvers.decomposition import PLANAR_QUADROTOR_FIVE, solve_decomposed
-from ttr_reward_node.solvers.solver import solve_task
-from ttr_reward_node.values.decomposed_value import DecomposedValue
+from ttr_reward_node.solvers.decomposition import PLANAR_QUADROTOR_FIVE
 
+from ctrl_rl_core import RESULT, ValueGrid
 from ctrl_rl_msgs.msg import StateValue, TaskOutcome, TaskReward
 from ctrl_rl_msgs.msg import ValueGrid as ValueGridMsg
 from ctrl_rl_msgs.srv import QueryValues
+from ttr_reward_node import DecomposedValue, solve_decomposed, solve_task
 
 NODE = "ttr_reward_node"
 FREE, GOAL, CUBE, OUTSIDE = (0.0, -3.0, 1.0), (4.0, 4.0, 0.75), (0.0, 0.1, 0.0), (7.0, 0.0, 0.0)

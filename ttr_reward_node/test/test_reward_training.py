@@ -7,21 +7,20 @@ from contextlib import suppress
 import gymnasium
 import numpy as np
 import pytest
-from ctrl_rl_core.tasks.outcome import Outcome
-from ctrl_rl_core.tasks.task import load_navigation_task, task_file
 from ctrl_rl_training.experiments.results import samples_to
 from ctrl_rl_training.experiments.run import RunOptions
 from ctrl_rl_training.experiments.trainer import train as train_run
 from ctrl_rl_training.sb3 import algorithms
 from ctrl_rl_training.sb3.state_visitation import Visits
 from ttr_reward_node.cli import learning
-from ttr_reward_node.errors import TimeToReachError
-from ttr_reward_node.rewards.rewards import make_reward
 from ttr_reward_node.training.cli import plot, train
 from ttr_reward_node.training.environment import make_rewarded
 from ttr_reward_node.training.plots import draw_visits
 from ttr_reward_node.training.results import STAGES, collect
 from ttr_reward_node.training.training import RewardRun, reward_runs
+
+from ctrl_rl_core import Outcome, load_navigation_task, task_file
+from ttr_reward_node import TimeToReachError, make_reward
 
 ROLL_OUT = 256
 

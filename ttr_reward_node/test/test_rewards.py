@@ -5,26 +5,29 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from ctrl_rl_core.geometry.shapes import Disc
-from ctrl_rl_core.geometry.units import Interval
-from ctrl_rl_core.tasks.outcome import Outcome
-from ctrl_rl_core.tasks.regions import Region
-from ctrl_rl_core.tasks.rewards import terminal_reward
 from ctrl_rl_core.tasks.schema.parts import RewardSpec
 from ctrl_rl_core.tasks.schema.world import RegionSpec
-from ctrl_rl_core.tasks.task import load_navigation_task, task_digest
-from ctrl_rl_core.values.grid_axis import Axis
-from ctrl_rl_core.values.value_function import ValueFunctionError
-from ctrl_rl_core.values.value_grid import ValueGrid
 from hypothesis import given
 from hypothesis import strategies as st
-from ttr_reward_node.errors import TimeToReachError
-from ttr_reward_node.rewards.reward_evaluator import RewardEvaluator
-from ttr_reward_node.rewards.rewards import (
-    DISTANCE_WEIGHTS,
+from ttr_reward_node.rewards.rewards import DISTANCE_WEIGHTS, longest_time
+
+from ctrl_rl_core import (
+    Axis,
+    Disc,
+    Interval,
+    Outcome,
+    Region,
+    ValueFunctionError,
+    ValueGrid,
+    load_navigation_task,
+    task_digest,
+    terminal_reward,
+)
+from ttr_reward_node import (
     REWARDS,
+    RewardEvaluator,
+    TimeToReachError,
     distance_reward,
-    longest_time,
     make_reward,
     time_to_reach_reward,
 )

@@ -2,11 +2,9 @@
 
 import numpy as np
 import pytest
-from ttr_reward_node.errors import TimeToReachError
-from ttr_reward_node.problems.problem import problem_from_task
-from ttr_reward_node.solvers.solver import solve
-from ttr_reward_node.verification.check import check_task, random_starts
-from ttr_reward_node.verification.roll_out import roll_out
+from ttr_reward_node.verification.check import random_starts
+
+from ttr_reward_node import TimeToReachError, check_task, problem_from_task, roll_out, solve
 
 
 def test_without_obstacles_time_is_as_predicted():

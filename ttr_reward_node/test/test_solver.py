@@ -7,13 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from ctrl_rl_core.geometry.units import Interval
-from ctrl_rl_core.tasks.regions import Region
 from games import double_integrator, line, plane
-from ttr_reward_node.errors import TimeToReachError
-from ttr_reward_node.problems.problem import problem_from_task
-from ttr_reward_node.solvers.solver import METHODS, solve
 from ttr_reward_node.verification.cost import CASES, exponent, make_problem, measure_cost
+
+from ctrl_rl_core import Interval, Region
+from ttr_reward_node import METHODS, TimeToReachError, problem_from_task, solve
 
 
 def wall(gap):

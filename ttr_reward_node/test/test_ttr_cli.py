@@ -1,11 +1,10 @@
 """The commands `solve`, `check` and `slices`: files, pictures, and one line for what is wrong."""
 
 import pytest
-from ctrl_rl_core.tasks.task import task_file
-from ctrl_rl_core.values.value_grid import ValueGrid
 from ttr_reward_node.cli.values import check, slices, solve_value
-from ttr_reward_node.values.decomposed_value import DecomposedValue
-from ttr_reward_node.values.value_file import load_value
+
+from ctrl_rl_core import ValueGrid, task_file
+from ttr_reward_node import DecomposedValue, load_value
 
 COARSE = ["--count", "x=21", "y=21", "theta=16"]
 COARSE_QUADROTOR = ["--count", "x=21", "z=21", "v_x=11", "v_z=11", "psi=16", "omega=5"]

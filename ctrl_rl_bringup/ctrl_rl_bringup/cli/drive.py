@@ -7,14 +7,23 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
-from ctrl_rl_core.command import FileToWrite, OptionalFileToWrite, at_least, run_command
+from ctrl_rl_core.command import FileToWrite, OptionalFileToWrite, at_least
 from ctrl_rl_core.io.results import as_markdown
 
 from ctrl_rl_bringup.cli.running import own_arguments, run_alone, run_folder, run_here
 from ctrl_rl_bringup.corridor.drive import drive, drive_seeds, follow_running, record_scripted, write_artifacts
 from ctrl_rl_bringup.corridor.report import DriveReport, read_drive
 from ctrl_rl_bringup.runner.stack import DriveConfig
-from ctrl_rl_core import CtrlRlError, Result, atomic_write, parse_options, read_benchmarks, read_results, write_results
+from ctrl_rl_core import (
+    CtrlRlError,
+    Result,
+    atomic_write,
+    parse_options,
+    read_benchmarks,
+    read_results,
+    run_command,
+    write_results,
+)
 from ctrl_rl_msgs.msg import TaskOutcome
 from koopman_lqr_controller import DEFAULT_POLICY
 

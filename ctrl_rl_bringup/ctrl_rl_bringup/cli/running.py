@@ -7,10 +7,10 @@ from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
 
-from ctrl_rl_core.command import run_command
 from rclpy.utilities import remove_ros_args
 
 from ctrl_rl_bringup.runner.domain import own_domain, stay_local
+from ctrl_rl_core import run_command
 
 
 def run_here(program: str, work: Callable[[], int]) -> int:

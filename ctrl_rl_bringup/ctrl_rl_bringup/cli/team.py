@@ -8,15 +8,15 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
-from ctrl_rl_core.command import CommandError, at_least
-from ctrl_rl_core.tasks.task import load_navigation_task
-from option_coordinator.teams.team_file import Work, load_team
+from ctrl_rl_core.command import at_least
+from option_coordinator.teams.team_file import Work
 
 from ctrl_rl_bringup.cli.running import own_arguments, run_alone, run_folder, run_here
 from ctrl_rl_bringup.team.report import read_team
 from ctrl_rl_bringup.team.run import follow_running_team, run_team
 from ctrl_rl_bringup.team.stack import TeamConfig
-from ctrl_rl_core import atomic_write, parse_options
+from ctrl_rl_core import CommandError, atomic_write, load_navigation_task, parse_options
+from option_coordinator import load_team
 
 _FASTEST = 1000.0
 

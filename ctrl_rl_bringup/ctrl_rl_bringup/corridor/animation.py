@@ -8,10 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.io.atomic_write import atomic_write
-from ctrl_rl_core.plots import draw_world
 from ctrl_rl_core.ros.node import seconds
-from ctrl_rl_core.tasks.task import load_navigation_task
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -20,6 +17,7 @@ from PIL import Image
 
 from ctrl_rl_bags import BagError, read_messages
 from ctrl_rl_bringup.corridor.report import DriveReport
+from ctrl_rl_core import atomic_write, draw_world, load_navigation_task
 
 Array = NDArray[np.float64]
 _COLOURS = 48

@@ -8,9 +8,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from ctrl_rl_core.io.atomic_write import atomic_write
-from ctrl_rl_core.tasks.task import task_file
-
 from ctrl_rl_bringup.corridor.report import DriveReport, read_drive
 from ctrl_rl_bringup.runner.monitor import EpisodeProgress, Monitor
 from ctrl_rl_bringup.runner.prepare import new_run, value_files
@@ -26,6 +23,7 @@ from ctrl_rl_bringup.runner.stack import (
     value_nodes,
     watchdog,
 )
+from ctrl_rl_core import atomic_write, task_file
 from ctrl_rl_msgs.msg import TaskOutcome
 from koopman_lqr_controller import find_policy
 

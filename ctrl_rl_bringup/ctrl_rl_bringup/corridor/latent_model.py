@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.errors import CtrlRlError
 from ctrl_rl_core.ros.node import seconds
 from koopman_lqr_controller.nodes.arrival import ENDED
 from numpy.typing import NDArray
 
 from ctrl_rl_bags import bag_info, read_messages
 from ctrl_rl_bringup.runner.recorded_parameters import recorded_parameters
+from ctrl_rl_core import CtrlRlError
 from koopman_lqr_controller import digest, find_policy, load_policy
 
 Array = NDArray[np.float64]

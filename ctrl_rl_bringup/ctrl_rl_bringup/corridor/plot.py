@@ -5,14 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from ctrl_rl_core.plots import draw_world, save_figure
-from ctrl_rl_core.tasks.task import NavigationTask, load_navigation_task
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 
 from ctrl_rl_bringup.corridor.report import DriveReport
 from ctrl_rl_bringup.runner.monitor import OUTCOMES
+from ctrl_rl_core import NavigationTask, draw_world, load_navigation_task, save_figure
 
 
 def draw_drive(drive: DriveReport, path: Path) -> None:

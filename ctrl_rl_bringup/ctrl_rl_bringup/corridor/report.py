@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from ctrl_rl_core.ros.node import seconds
-from ctrl_rl_core.tasks.task import load_navigation_task
 from numpy.typing import NDArray
 
 from ctrl_rl_bags import BagError, bag_info, read_messages
@@ -17,6 +16,7 @@ from ctrl_rl_bringup.corridor.latent_model import LatentModel, read_latent_model
 from ctrl_rl_bringup.runner.monitor import OUTCOMES
 from ctrl_rl_bringup.runner.recorded_parameters import recorded_parameters
 from ctrl_rl_bringup.runner.transport import answer_latencies, lost_messages, read_sent
+from ctrl_rl_core import load_navigation_task
 from ctrl_rl_msgs.msg import TaskOutcome
 
 Array = NDArray[np.float64]

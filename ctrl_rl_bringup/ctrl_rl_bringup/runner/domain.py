@@ -10,11 +10,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 import rclpy
-from ctrl_rl_core.errors import CtrlRlError
 from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.topic_endpoint_info import TopicEndpointInfo
+
+from ctrl_rl_core import CtrlRlError
 
 _VARIABLE = "ROS_DOMAIN_ID"
 _OWN_TOPICS = frozenset({"scan", "odom", "cmd_vel", "clock", "episode", "ground_truth", "joint_option_step"})

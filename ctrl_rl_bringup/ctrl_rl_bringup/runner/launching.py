@@ -12,7 +12,6 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from ctrl_rl_core.errors import CtrlRlError
 from launch import LaunchContext, LaunchDescription
 from launch.action import Action
 from launch.actions import DeclareLaunchArgument, EmitEvent, ExecuteProcess, OpaqueFunction, RegisterEventHandler
@@ -24,6 +23,7 @@ from launch_ros.actions import Node
 
 from ctrl_rl_bringup.runner.domain import keep_domain, stay_local
 from ctrl_rl_bringup.runner.stack import NodeSpec
+from ctrl_rl_core import CtrlRlError
 
 _PACKAGE = "ctrl_rl_bringup"
 _OF_ALL = {

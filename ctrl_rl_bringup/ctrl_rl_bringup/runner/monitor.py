@@ -12,14 +12,13 @@ from typing import Any
 
 import rclpy
 from ctrl_rl_bags.recording.message_types import message_class
-from ctrl_rl_core.errors import CtrlRlError
-from ctrl_rl_core.ros.node import RESULT
 from rclpy.node import Node
 from std_srvs.srv import SetBool
 
 from ctrl_rl_bringup.runner.progress import ProgressDisplay
 from ctrl_rl_bringup.runner.session import uninterrupted
 from ctrl_rl_bringup.runner.stack import RAW, DriveConfig
+from ctrl_rl_core import RESULT, CtrlRlError
 from ctrl_rl_msgs.msg import EpisodeStatus, TaskOutcome
 from ctrl_rl_msgs.srv import ResetWorld, StepWorld
 

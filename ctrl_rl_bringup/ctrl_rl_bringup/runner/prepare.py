@@ -5,10 +5,8 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from ctrl_rl_core.errors import CtrlRlError
-from ctrl_rl_core.tasks.task import load_navigation_task
-
 from ctrl_rl_bringup.runner.stack import DriveConfig
+from ctrl_rl_core import CtrlRlError, load_navigation_task
 
 
 def new_run(options: DriveConfig) -> None:

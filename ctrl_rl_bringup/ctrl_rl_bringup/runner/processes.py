@@ -12,10 +12,10 @@ from types import TracebackType
 
 import yaml
 from ament_index_python.packages import PackageNotFoundError, get_package_prefix
-from ctrl_rl_core.errors import CtrlRlError
 
 from ctrl_rl_bringup.runner.session import uninterrupted
 from ctrl_rl_bringup.runner.stack import NodeSpec
+from ctrl_rl_core import CtrlRlError
 
 _STOP_S = 15.0
 _FULL_BYTES = 1_000_000

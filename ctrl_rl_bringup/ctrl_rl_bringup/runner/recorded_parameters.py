@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from ctrl_rl_core.errors import CtrlRlError
 from ctrl_rl_core.io.checked_json import parse_json
+
+from ctrl_rl_core import CtrlRlError
 
 
 def recorded_parameters(custom_data: Mapping[str, str], node: str) -> dict[str, Any]:

@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from ctrl_rl_bags.format.copy import read_serialized
 from numpy.typing import NDArray
+
+from ctrl_rl_bags import read_serialized
 
 _CDR_HEADER = 4
 _STAMP = struct.Struct("<iI")

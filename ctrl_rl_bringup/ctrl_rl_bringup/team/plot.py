@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ctrl_rl_core.plots import draw_map, save_figure
-from ctrl_rl_core.tasks.task import NavigationTask
 from matplotlib import pyplot as plt
 from option_coordinator.plots import draw_spans
-from option_coordinator.teams.team_file import TeamFile
 
 from ctrl_rl_bringup.team.report import TeamRun
+from ctrl_rl_core import NavigationTask, draw_map, save_figure
+from option_coordinator import TeamFile
 
 
 def draw_team(run: TeamRun, task: NavigationTask, team: TeamFile, path: Path) -> None:

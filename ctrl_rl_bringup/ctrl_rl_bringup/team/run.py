@@ -6,12 +6,10 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from ctrl_rl_core.tasks.task import task_file
 from option_coordinator.nodes.messages import EXCHANGE
-from option_coordinator.policies.policy_file import OptionPolicy, policy_file
 from option_coordinator.protocol.protocol_types import GrantStatus
 from option_coordinator.scripted.policy_queries import SCRIPTED
-from option_coordinator.teams.team_file import TeamFile, Work, load_room, load_team, team_file
+from option_coordinator.teams.team_file import Work, load_room
 
 from ctrl_rl_bringup.runner.monitor import RECORDER, Monitor, MonitorError
 from ctrl_rl_bringup.runner.prepare import new_run
@@ -20,7 +18,9 @@ from ctrl_rl_bringup.runner.progress import ProgressDisplay
 from ctrl_rl_bringup.runner.session import ros
 from ctrl_rl_bringup.runner.stack import RAW, recorder
 from ctrl_rl_bringup.team.stack import TeamConfig, agents, coordinator, team_simulator, watchdogs
+from ctrl_rl_core import task_file
 from ctrl_rl_msgs.msg import AgentStatus, JointOptionStep, OptionGrant
+from option_coordinator import OptionPolicy, TeamFile, load_team, policy_file, team_file
 
 _SILENT_S = 60.0
 

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-from option_coordinator.policies.policy_file import shipped_policies
-from option_coordinator.teams.team_file import TeamFile, load_team, room_file
+from option_coordinator.teams.team_file import room_file
 
 from ctrl_rl_bringup.runner.stack import RAW, DriveConfig, NodeSpec, simulator, watchdog
+from option_coordinator import TeamFile, load_team, shipped_policies
 
 _LEASE = 0.5
 _HEARTBEAT = 0.1

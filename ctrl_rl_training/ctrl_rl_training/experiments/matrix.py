@@ -13,11 +13,11 @@ from pathlib import Path
 from queue import Empty
 from typing import Any
 
-from ctrl_rl_core.processes.exclusive_lock import exclusive_lock
 from ctrl_rl_core.processes.ray_workers import Tell, map_in_ray, require_ray
-from ctrl_rl_core.processes.workers import CONTEXT, map_in_processes
+from ctrl_rl_core.processes.workers import CONTEXT
 from tqdm import tqdm
 
+from ctrl_rl_core import exclusive_lock, map_in_processes
 from ctrl_rl_training.experiments.run import Run, RunOptions
 from ctrl_rl_training.experiments.run_folder import result_file
 from ctrl_rl_training.experiments.trainer import train

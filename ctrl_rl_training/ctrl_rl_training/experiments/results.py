@@ -10,8 +10,8 @@ from typing import Any, TypeVar
 import numpy as np
 from ctrl_rl_core.io.checked_json import read_json
 from ctrl_rl_core.io.file_checks import FileError, raise_as
-from ctrl_rl_core.io.results import Result, ResultsError
 
+from ctrl_rl_core import Result, ResultsError
 from ctrl_rl_training.experiments.figure_data import Figures
 from ctrl_rl_training.experiments.run import Run
 from ctrl_rl_training.experiments.run_folder import read_result, result_file

@@ -14,12 +14,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
-from ctrl_rl_core.errors import CtrlRlError
-from ctrl_rl_core.io.atomic_write import atomic_write
 from ctrl_rl_core.io.checked_json import with_digest
 from ctrl_rl_core.io.file_checks import raise_as
 from pydantic import ValidationError
 
+from ctrl_rl_core import CtrlRlError, atomic_write
 from ctrl_rl_training.errors import TrainingError
 from ctrl_rl_training.experiments.run import Learning, Run, RunOptions
 from ctrl_rl_training.experiments.run_folder import Progress, check_same, read_result, result_file

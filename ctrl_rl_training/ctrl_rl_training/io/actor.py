@@ -12,13 +12,13 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from ctrl_rl_core.io.atomic_write import atomic_write
 from ctrl_rl_core.io.checked_tensors import encode_tensors, read_tensors
 from ctrl_rl_core.io.file_checks import FileError, raise_as
 from ctrl_rl_core.io.schema import Anything, Schema
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
+from ctrl_rl_core import atomic_write
 from ctrl_rl_training.errors import TrainingError
 
 Array = NDArray[np.float32]

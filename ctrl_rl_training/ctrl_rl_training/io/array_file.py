@@ -6,9 +6,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from ctrl_rl_core.io.atomic_write import atomic_write
 from ctrl_rl_core.io.checked_tensors import TYPES, encode_tensors, read_tensors
 from numpy.typing import NDArray
+
+from ctrl_rl_core import atomic_write
 
 _HEADER_KEY = "checkpoint"
 

@@ -11,13 +11,13 @@ from typing import Any
 import gymnasium
 import numpy as np
 import torch
-from ctrl_rl_core.tasks.task import NavigationTask
 from sb3_contrib import TRPO
 from stable_baselines3 import DDPG, PPO
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.noise import OrnsteinUhlenbeckActionNoise
 from stable_baselines3.common.vec_env import DummyVecEnv
 
+from ctrl_rl_core import NavigationTask
 from ctrl_rl_training.errors import TrainingError
 from ctrl_rl_training.io.actor import Actor
 from ctrl_rl_training.sb3.algorithm_names import ALGORITHMS

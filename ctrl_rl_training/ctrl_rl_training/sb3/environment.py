@@ -10,13 +10,12 @@ from typing import Any, cast
 
 import gymnasium
 import numpy as np
-from ctrl_rl_core.tasks.task import NavigationTask
 from gymnasium import spaces
 from numpy.typing import NDArray
-from sim_bridge.environments import NavigationEnv
-from sim_bridge.simulation.world import SimulationOptions
 
+from ctrl_rl_core import NavigationTask
 from ctrl_rl_training.errors import TrainingError
+from sim_bridge import NavigationEnv, SimulationOptions
 
 Vector = NDArray[np.float32]
 Environment = gymnasium.Env[Vector, Vector]

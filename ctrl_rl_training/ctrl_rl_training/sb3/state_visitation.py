@@ -7,13 +7,12 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
-from ctrl_rl_core.io.atomic_write import atomic_write
 from ctrl_rl_core.io.checked_tensors import encode_tensors, read_tensors
 from ctrl_rl_core.io.file_checks import FileError, raise_as
-from ctrl_rl_core.tasks.regions import ANGLES, position_indices
-from ctrl_rl_core.tasks.task import NavigationTask
+from ctrl_rl_core.tasks.regions import ANGLES
 from numpy.typing import NDArray
 
+from ctrl_rl_core import NavigationTask, atomic_write, position_indices
 from ctrl_rl_training.errors import TrainingError
 
 FORMAT = "visits-1"

@@ -12,12 +12,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from ctrl_rl_core.tasks.outcome import Outcome
-from ctrl_rl_core.tasks.task import NavigationTask, task_digest
 from stable_baselines3 import DDPG
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 
+from ctrl_rl_core import NavigationTask, Outcome, task_digest
 from ctrl_rl_training.experiments.run import Point, Run, RunOptions, Tell
 from ctrl_rl_training.sb3.algorithms import extract_actor
 from ctrl_rl_training.sb3.checkpoint import load_checkpoint, save_checkpoint

@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from ctrl_rl_core.command import at_least, checked, folder_to_write, make_command, what_to_install
-from ctrl_rl_core.errors import CtrlRlError
-from ctrl_rl_core.io.atomic_write import atomic_write
 
+from ctrl_rl_core import CtrlRlError, atomic_write
 from koopman_lqr_controller.cli.bag_options import PolicyOption, TopicOptions, read_segments
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.identification.evaluation import time_step_mismatch

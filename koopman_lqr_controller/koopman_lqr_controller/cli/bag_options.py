@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
-from ctrl_rl_core.command import CommandError, FileToWrite, checked, finite_number
+from ctrl_rl_core.command import FileToWrite, checked, finite_number
 from tqdm import tqdm
 
+from ctrl_rl_core import CommandError
 from koopman_lqr_controller.data.trajectory_segments import TrajectorySegment, load_segments
 from koopman_lqr_controller.policies.koopman_policy import ObservationFn
 

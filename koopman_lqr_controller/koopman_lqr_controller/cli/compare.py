@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
-from ctrl_rl_core.command import CommandError, FolderToWrite
-from ctrl_rl_core.io.results import write_results
+from ctrl_rl_core.command import FolderToWrite
 from ctrl_rl_training.cli import Positive, make_command, make_old_command, one_of
 
+from ctrl_rl_core import CommandError, write_results
 from koopman_lqr_controller.cli.run_options import CONSOLIDATION, LearningOptions, given_words
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.training.environments.benchmark_tasks import find_task

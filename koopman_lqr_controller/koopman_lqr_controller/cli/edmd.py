@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ctrl_rl_core.command import make_command
-from ctrl_rl_core.tasks.task import load_navigation_task, task_digest
 
+from ctrl_rl_core import load_navigation_task, task_digest
 from koopman_lqr_controller.cli.bag_options import BagOptions, OutputOptions, read_segments
 from koopman_lqr_controller.data.trajectory_segments import check_held_out, mean_time_step, to_snapshots
 from koopman_lqr_controller.identification.two_stage import train

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 import tyro
 from ctrl_rl_core.command import FileToWrite, at_least
-from ctrl_rl_core.io.results import write_results
 from ctrl_rl_training.cli import NotNegative, Positive, make_command, make_old_command, one_of
 
+from ctrl_rl_core import write_results
 from koopman_lqr_controller.cli.run_options import LearningOptions, as_command, given_words
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.training.environments.benchmark_tasks import BENCHMARK_TASKS, find_task, task_of_manifest

@@ -10,10 +10,9 @@ from typing import Annotated, Any
 
 import tyro
 from ctrl_rl_core.command import OptionalFileToWrite, at_least, make_command
-from ctrl_rl_core.geometry.units import Interval
-from ctrl_rl_core.io.atomic_write import atomic_write
 from tqdm import tqdm
 
+from ctrl_rl_core import Interval, atomic_write
 from koopman_lqr_controller.cli.bag_options import BagOptions, OutputOptions, PolicyOption, read_segments
 from koopman_lqr_controller.data.trajectory_segments import (
     TrajectorySegment,

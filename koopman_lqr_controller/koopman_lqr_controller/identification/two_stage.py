@@ -9,8 +9,8 @@ from operator import add
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.geometry.units import Interval
 
+from ctrl_rl_core import Interval
 from koopman_lqr_controller.control.riccati import solve_lqr
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.models.edmd import Snapshots, fit, persistence_error

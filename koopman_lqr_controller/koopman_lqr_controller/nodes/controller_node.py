@@ -7,12 +7,12 @@ from array import array
 from typing import ClassVar, NamedTuple
 
 import numpy as np
-from ctrl_rl_core.ros.node import RESULT, Status, run_node, seconds
-from ctrl_rl_core.ros.parameters import Parameter
+from ctrl_rl_core.ros.node import Status, seconds
 from diagnostic_msgs.msg import DiagnosticStatus
 from numpy.typing import NDArray
 from std_msgs.msg import Header
 
+from ctrl_rl_core import RESULT, Parameter, run_node
 from ctrl_rl_msgs.msg import EpisodeStatus, LatentState
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.nodes.arrival import ENDED, Arrival

@@ -8,15 +8,12 @@ from collections import deque
 from typing import ClassVar, Generic, NamedTuple, TypeVar
 
 import numpy as np
-from ctrl_rl_core.driving.lidar_velocity_node import LIDAR_PARAMETERS, LidarVelocityNode
-from ctrl_rl_core.driving.scan import ScanGeometry
-from ctrl_rl_core.driving.velocity_node import VelocityError
-from ctrl_rl_core.errors import CtrlRlError
 from ctrl_rl_core.ros.node import Status
-from ctrl_rl_core.ros.parameters import Parameter
 from numpy.typing import NDArray
 from sensor_msgs.msg import LaserScan
 from std_msgs.msg import Header
+
+from ctrl_rl_core import LIDAR_PARAMETERS, CtrlRlError, LidarVelocityNode, Parameter, ScanGeometry, VelocityError
 
 DRIVER_PARAMETERS = (
     *LIDAR_PARAMETERS,

@@ -9,9 +9,8 @@ from __future__ import annotations
 from typing import ClassVar
 
 import numpy as np
-from ctrl_rl_core.ros.node import run_node
-from ctrl_rl_core.ros.parameters import Parameter
 
+from ctrl_rl_core import Parameter, run_node
 from koopman_lqr_controller.arrays import Array
 from koopman_lqr_controller.nodes.lidar_driver import DRIVER_PARAMETERS, LidarDriver, PendingDecision, SensorReading
 from koopman_lqr_controller.sensing.observables import CorridorObservables

@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.io.atomic_write import atomic_write
 from ctrl_rl_core.io.checked_tensors import LARGEST, Tensors, encode_tensors, read_tensors
 from ctrl_rl_core.io.file_checks import FileError, raise_as, read_bytes, short_path, short_repr
 from numpy.typing import NDArray
 
+from ctrl_rl_core import atomic_write
 from koopman_lqr_controller.control.latent_controller import LatentController
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.models.edmd import LinearModel

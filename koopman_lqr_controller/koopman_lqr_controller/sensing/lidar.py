@@ -14,9 +14,9 @@ from typing import NamedTuple
 
 import numpy as np
 from ctrl_rl_core.driving.scan import MOST_BEAMS
-from ctrl_rl_core.driving.scan import ScanGeometry as ScanGeometry
 from numpy.typing import NDArray
 
+from ctrl_rl_core import ScanGeometry as ScanGeometry
 from koopman_lqr_controller.arrays import Array
 from koopman_lqr_controller.errors import KoopmanError
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from ctrl_rl_core.systems.system import System
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
+from ctrl_rl_core import System
 from oc_baseline_node.mpc.shortest_path import ShortestPathPlanner
 from oc_baseline_node.problems.problem import OptimalControlProblem
 

@@ -8,9 +8,9 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.geometry.shapes import signed_distance
 from numpy.typing import ArrayLike, NDArray
 
+from ctrl_rl_core import signed_distance
 from oc_baseline_node.mpc.initial_guess import InitialGuesses, equilibrium_control, shift_trajectory
 from oc_baseline_node.mpc.transcription import NonlinearProgram, SolverName, trajectory_cost, transcribe
 from oc_baseline_node.problems.problem import OptimalControlProblem

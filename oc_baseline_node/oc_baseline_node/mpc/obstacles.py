@@ -15,7 +15,8 @@ from math import cos, pi, sin
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.geometry.shapes import Box, Shape
+
+from ctrl_rl_core import Box, Shape
 
 EXPONENT = 6
 """Exponent of the superellipse around a box: the higher, the closer to the box and the slower to solve."""

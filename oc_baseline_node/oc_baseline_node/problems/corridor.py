@@ -14,11 +14,10 @@ from math import inf, pi
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.geometry.shapes import ArcPath
-from ctrl_rl_core.systems.models import Dynamics, Quantity
-from ctrl_rl_core.systems.system import System
+from ctrl_rl_core.systems.models import Dynamics
 from numpy.typing import ArrayLike, NDArray
 
+from ctrl_rl_core import ArcPath, Quantity, System
 from oc_baseline_node.errors import OcError
 
 NAMES = ("s", "lateral", "heading")

@@ -10,9 +10,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from ctrl_rl_core.systems.models import SYSTEM_MODELS
-from ctrl_rl_core.tasks.task import NavigationTask
 
+from ctrl_rl_core import SYSTEM_MODELS, NavigationTask
 from oc_baseline_node.errors import OcError
 from oc_baseline_node.problems.problem import Form, OptimalControlProblem, formulate
 

@@ -6,14 +6,21 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
-from ctrl_rl_core.geometry.shapes import Disc, Shape, signed_distance
-from ctrl_rl_core.geometry.units import Interval
-from ctrl_rl_core.systems.system import System, make_system
-from ctrl_rl_core.tasks.regions import Region, position_indices
 from ctrl_rl_core.tasks.schema.optimal_control import OptimalControlSpec
-from ctrl_rl_core.tasks.task import NavigationTask, task_digest
 from numpy.typing import ArrayLike, NDArray
 
+from ctrl_rl_core import (
+    Disc,
+    Interval,
+    NavigationTask,
+    Region,
+    Shape,
+    System,
+    make_system,
+    position_indices,
+    signed_distance,
+    task_digest,
+)
 from oc_baseline_node.errors import OcError
 from oc_baseline_node.problems.corridor import in_plane, path_car
 

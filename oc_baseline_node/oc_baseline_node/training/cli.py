@@ -6,8 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from ctrl_rl_core.command import CommandError, FolderToWrite, note_old_name
-from ctrl_rl_core.tasks.task import load_navigation_task
+from ctrl_rl_core.command import FolderToWrite, note_old_name
 from ctrl_rl_training.cli import (
     SimulatedOptions,
     TaskPlotOptions,
@@ -18,6 +17,7 @@ from ctrl_rl_training.cli import (
     train_and_collect,
 )
 
+from ctrl_rl_core import CommandError, load_navigation_task
 from oc_baseline_node.training.experiments.methods import GROUPS, METHODS
 
 _MAIN = ("oc_ppo", "ppo", "oc_corrected")

@@ -7,13 +7,12 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from ctrl_rl_core.plots import save_figure
-from ctrl_rl_core.tasks.task import NavigationTask
 from ctrl_rl_training.experiments.figure_data import DrivenPath, Figures, ReturnCurve
 from ctrl_rl_training.plots import draw_curve, draw_paths
 from matplotlib import pyplot as plt
 from pydantic import Field, model_validator
 
+from ctrl_rl_core import NavigationTask, save_figure
 from oc_baseline_node.training.experiments.methods import GROUPS, METHODS
 
 _COLOURS = {"oc_ppo": "tab:red", "oc_corrected": "tab:blue", "ppo": "0.3"}

@@ -9,8 +9,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from ctrl_rl_core.tasks.regions import Region
 
+from ctrl_rl_core import Region
 from oc_baseline_node.errors import OcError
 from oc_baseline_node.mpc.initial_guess import braking_guess
 from oc_baseline_node.mpc.mpc import Mpc, MpcSolution

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from ctrl_rl_core.io.atomic_write import atomic_write, is_temporary
+from ctrl_rl_core.io.atomic_write import is_temporary
 from ctrl_rl_core.io.checked_arrays import encode_arrays, read_arrays
 from ctrl_rl_core.io.checked_json import read_json, with_digest
 from ctrl_rl_core.io.file_checks import FileError, raise_as
@@ -19,6 +19,7 @@ from ctrl_rl_core.io.schema import Name, Number, Schema, Sha256
 from numpy.typing import NDArray
 from pydantic import Field
 
+from ctrl_rl_core import atomic_write
 from oc_baseline_node.errors import OcError
 from oc_baseline_node.problems.problem import OptimalControlProblem
 from oc_baseline_node.values.returns import returns, rewards, step_discount

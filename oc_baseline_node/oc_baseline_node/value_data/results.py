@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from ctrl_rl_core.io.results import Result
 
+from ctrl_rl_core import Result
 from oc_baseline_node.value_data.dataset import ValueData
 from oc_baseline_node.values.mlp_value import MlpValue
 

@@ -9,12 +9,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from ctrl_rl_core.processes.exclusive_lock import exclusive_lock
 from ctrl_rl_core.processes.ray_workers import Tell, map_in_ray, require_ray
-from ctrl_rl_core.processes.workers import map_in_processes
-from ctrl_rl_core.tasks.task import NavigationTask
 from tqdm import tqdm
 
+from ctrl_rl_core import NavigationTask, exclusive_lock, map_in_processes
 from oc_baseline_node.problems.problem import Form, OptimalControlProblem, formulate
 from oc_baseline_node.value_data.chunk_solver import ChunkSolver
 from oc_baseline_node.value_data.dataset import (

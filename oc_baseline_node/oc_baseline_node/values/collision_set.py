@@ -10,13 +10,13 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 import numpy as np
-from ctrl_rl_core.geometry.shapes import Box, Disc, Shape, signed_distance
 from ctrl_rl_core.io.schema import Number, Positive, Schema
-from ctrl_rl_core.tasks.regions import position_indices, wrap
+from ctrl_rl_core.tasks.regions import wrap
 from ctrl_rl_core.tasks.rewards import tilt_reward
-from ctrl_rl_core.tasks.task import NavigationTask
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
+
+from ctrl_rl_core import Box, Disc, NavigationTask, Shape, position_indices, signed_distance
 
 Array = NDArray[np.float64]
 

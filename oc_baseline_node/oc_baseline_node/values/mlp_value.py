@@ -15,9 +15,10 @@ from typing import Any
 import numpy as np
 from ctrl_rl_core.io.checked_tensors import encode_tensors
 from ctrl_rl_core.values.value_function import batches
-from ctrl_rl_core.values.value_grid import Axis, ValueGrid
+from ctrl_rl_core.values.value_grid import Axis
 from numpy.typing import ArrayLike, NDArray
 
+from ctrl_rl_core import ValueGrid
 from oc_baseline_node.errors import OcError
 from oc_baseline_node.values.collision_set import CollisionSet
 

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from ctrl_rl_core.tasks.outcome import Outcome
 from ctrl_rl_core.tasks.regions import wrap
-from ctrl_rl_core.tasks.rewards import terminal_reward, tilt_reward
-from ctrl_rl_core.tasks.task import NavigationTask
-from ctrl_rl_core.tasks.task_sets import TaskSets
+from ctrl_rl_core.tasks.rewards import tilt_reward
 from numpy.typing import ArrayLike, NDArray
+
+from ctrl_rl_core import NavigationTask, Outcome, TaskSets, terminal_reward
 
 Array = NDArray[np.float64]
 

@@ -8,15 +8,13 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from ctrl_rl_core.io.atomic_write import atomic_write
 from ctrl_rl_core.io.checked_tensors import Tensors, kind_of, read_tensors
 from ctrl_rl_core.io.file_checks import FileError, raise_as, short_path
 from ctrl_rl_core.io.schema import Name, Number, Positive, Schema, Sha256
 from ctrl_rl_core.values.grid_file import AxisHeader
-from ctrl_rl_core.values.value_function import ValueFunction
-from ctrl_rl_core.values.value_grid import ValueGrid
 from pydantic import ConfigDict, Field, model_validator
 
+from ctrl_rl_core import ValueFunction, ValueGrid, atomic_write
 from oc_baseline_node.errors import OcError
 from oc_baseline_node.values.collision_set import CollisionHeader, CollisionSet
 from oc_baseline_node.values.mlp_value import HEADER_KEY, MlpValue

@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
-from ctrl_rl_core.ros.node import Status, SuiteNode, ok, run_node, warn
-from ctrl_rl_core.ros.parameters import Parameter, ParameterError
+from ctrl_rl_core.ros.node import Status, ok, warn
 from rclpy.duration import Duration
 
+from ctrl_rl_core import Parameter, ParameterError, SuiteNode, run_node
 from ctrl_rl_msgs.msg import AgentStatus, CoordinatorStatus, JointOptionStep, OptionGrant, OptionRequest
 from option_coordinator.errors import OptionError
 from option_coordinator.nodes.clocks import STEADY, Clocks, steady_time

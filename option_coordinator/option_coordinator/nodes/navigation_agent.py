@@ -5,16 +5,21 @@ from __future__ import annotations
 from typing import ClassVar
 
 import numpy as np
-from ctrl_rl_core.driving.lidar_velocity_node import LIDAR_PARAMETERS, LidarVelocityNode
-from ctrl_rl_core.driving.scan import ScanGeometry
-from ctrl_rl_core.driving.velocity_node import VelocityError
-from ctrl_rl_core.geometry.odometry import OdometryReader
-from ctrl_rl_core.ros.node import Status, ok, run_node
-from ctrl_rl_core.ros.parameters import Parameter, ParameterError
+from ctrl_rl_core.ros.node import Status, ok
 from nav_msgs.msg import Odometry
 from numpy.typing import NDArray
 from sensor_msgs.msg import LaserScan
 
+from ctrl_rl_core import (
+    LIDAR_PARAMETERS,
+    LidarVelocityNode,
+    OdometryReader,
+    Parameter,
+    ParameterError,
+    ScanGeometry,
+    VelocityError,
+    run_node,
+)
 from option_coordinator.navigation.delivery import Delivery
 from option_coordinator.navigation.reactive_planner import STAND, ReactivePlanner, scan_points
 from option_coordinator.nodes.option_agent import OptionAgent

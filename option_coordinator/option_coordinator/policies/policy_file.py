@@ -14,12 +14,12 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from ctrl_rl_core.io.atomic_write import atomic_write
 from ctrl_rl_core.io.checked_tensors import encode_tensors, read_tensors
 from ctrl_rl_core.io.file_checks import one_line, raise_as, short_path
 from ctrl_rl_core.io.schema import Anything, Name, Schema
 from pydantic import Field
 
+from ctrl_rl_core import atomic_write
 from option_coordinator.errors import OptionError
 from option_coordinator.options.decision import NONE, Decision
 from option_coordinator.options.options import Agent

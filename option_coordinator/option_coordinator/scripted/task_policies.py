@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Protocol
 
 import numpy as np
-from ctrl_rl_core.tasks.option_tasks import ToolDelivery
 
+from ctrl_rl_core import ToolDelivery
 from option_coordinator.environments.option_env import OptionEnvironment
 from option_coordinator.environments.tasks.team_delivery import TeamDeliverySimulation
 from option_coordinator.environments.tasks.tool_delivery import (

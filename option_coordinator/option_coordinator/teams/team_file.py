@@ -13,14 +13,13 @@ from itertools import combinations
 from pathlib import Path as FilePath
 from typing import Annotated, Literal
 
-from ctrl_rl_core.errors import CtrlRlError
 from ctrl_rl_core.geometry.units import Point, PositiveTime, TimeStep
 from ctrl_rl_core.io.checked_yaml import read_yaml
 from ctrl_rl_core.io.file_checks import FileError, raise_as, short_path, short_repr
 from ctrl_rl_core.tasks.schema.parts import Part, Reward, Samples, TaskHeader
-from ctrl_rl_core.tasks.task import NavigationTask, load_navigation_task, task_names
 from pydantic import Field, PrivateAttr, Strict, model_validator
 
+from ctrl_rl_core import CtrlRlError, NavigationTask, load_navigation_task, task_names
 from option_coordinator.errors import OptionError
 from option_coordinator.options.options import Agent
 from option_coordinator.protocol.team_settings import RobotSpec

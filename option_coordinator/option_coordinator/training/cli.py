@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
-from ctrl_rl_core.command import CommandError, FolderToWrite
+from ctrl_rl_core.command import FolderToWrite
 from ctrl_rl_training.cli import (
     ExperimentOptions,
     PlotOptions,
@@ -20,6 +20,7 @@ from ctrl_rl_training.cli import (
 )
 from ctrl_rl_training.evaluation import EvaluateOptions, report
 
+from ctrl_rl_core import CommandError
 from option_coordinator.cli import ReplayOptions, prepare_replay
 from option_coordinator.environments.roll_out import play_episodes
 from option_coordinator.environments.tasks import load_option_task, make_environment

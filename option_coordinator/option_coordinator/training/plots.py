@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from ctrl_rl_core.io.schema import Name
-from ctrl_rl_core.plots import save_figure
 from ctrl_rl_training.experiments.figure_data import Figures, ValueCurve
 from ctrl_rl_training.plots import draw_curve, over_seeds
 from matplotlib import pyplot as plt
 from matplotlib.ticker import ScalarFormatter, SymmetricalLogLocator
 from pydantic import Field
 
+from ctrl_rl_core import save_figure
 from option_coordinator.training.experiments.methods import METHODS
 
 _COLOURS = (

@@ -6,14 +6,19 @@ from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
-from ctrl_rl_core.ros.node import RESULT, run_node
-from ctrl_rl_core.ros.parameters import Parameter
-from ctrl_rl_core.ros.value_server import SERVER_PARAMETERS, Valued, ValueServer
-from ctrl_rl_core.tasks.task import load_navigation_task
-from ctrl_rl_core.values.value_function import ValueFunction
+from ctrl_rl_core.ros.value_server import Valued
 from nav_msgs.msg import Odometry
 from numpy.typing import NDArray
 
+from ctrl_rl_core import (
+    RESULT,
+    SERVER_PARAMETERS,
+    Parameter,
+    ValueFunction,
+    ValueServer,
+    load_navigation_task,
+    run_node,
+)
 from ctrl_rl_msgs.msg import TaskOutcome, TaskReward
 from ttr_reward_node.rewards.reward_evaluator import RewardEvaluator
 from ttr_reward_node.values.value_file import load_value

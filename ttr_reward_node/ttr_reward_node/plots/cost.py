@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.plots import save_figure
 from matplotlib import pyplot as plt
 
+from ctrl_rl_core import save_figure
 from ttr_reward_node.verification.cost import exponent
 
 

@@ -6,12 +6,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from ctrl_rl_core.plots import draw_world, save_figure
-from ctrl_rl_core.tasks.regions import position_indices
-from ctrl_rl_core.tasks.task import NavigationTask
 from matplotlib import pyplot as plt
 from numpy.typing import NDArray
 
+from ctrl_rl_core import NavigationTask, draw_world, position_indices, save_figure
 from ttr_reward_node.errors import TimeToReachError
 from ttr_reward_node.verification.decomposition_error import DecompositionErrors
 

@@ -7,14 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.plots import draw_world, save_figure
 from ctrl_rl_core.tasks.regions import ANGLES
-from ctrl_rl_core.tasks.task import NavigationTask
 from ctrl_rl_core.values.plane import plane_of
-from ctrl_rl_core.values.value_function import ValueFunction
 from matplotlib import pyplot as plt
 from numpy.typing import NDArray
 
+from ctrl_rl_core import NavigationTask, ValueFunction, draw_world, save_figure
 from ttr_reward_node.errors import TimeToReachError
 
 Array = NDArray[np.float64]

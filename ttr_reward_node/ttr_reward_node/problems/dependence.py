@@ -12,9 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from ctrl_rl_core.systems.models import Quantity
-from ctrl_rl_core.systems.system import System
-
+from ctrl_rl_core import Quantity, System
 from ttr_reward_node.errors import TimeToReachError
 
 AFFINE = 1

@@ -6,11 +6,9 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from ctrl_rl_core.geometry.shapes import Box, Disc, Shape, signed_distance
-from ctrl_rl_core.geometry.units import Interval
-from ctrl_rl_core.values.grid_axis import Axis
 from numpy.typing import NDArray
 
+from ctrl_rl_core import Axis, Box, Disc, Interval, Shape, signed_distance
 from ttr_reward_node.errors import TimeToReachError
 
 Array = NDArray[np.float64]

@@ -21,16 +21,22 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.geometry.shapes import World
-from ctrl_rl_core.geometry.units import Interval, parse_interval
-from ctrl_rl_core.systems.system import System
-from ctrl_rl_core.tasks.regions import Region, position_indices
+from ctrl_rl_core.geometry.units import parse_interval
 from ctrl_rl_core.tasks.schema.system import STATE_UNITS
 from ctrl_rl_core.tasks.schema.world import CorridorSpec
-from ctrl_rl_core.tasks.task import NavigationTask, load_navigation_task, task_digest
-from ctrl_rl_core.values.grid_axis import Axis
 from numpy.typing import NDArray
 
+from ctrl_rl_core import (
+    Axis,
+    Interval,
+    NavigationTask,
+    Region,
+    System,
+    World,
+    load_navigation_task,
+    position_indices,
+    task_digest,
+)
 from ttr_reward_node.errors import TimeToReachError
 from ttr_reward_node.problems.dependence import check_game
 from ttr_reward_node.problems.obstacles import make_clearance

@@ -7,11 +7,9 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.systems.system import System
-from ctrl_rl_core.tasks.regions import Region, position_indices
-from ctrl_rl_core.values.grid_axis import Axis
 from numpy.typing import NDArray
 
+from ctrl_rl_core import Axis, Region, System, position_indices
 from ttr_reward_node.errors import TimeToReachError
 
 

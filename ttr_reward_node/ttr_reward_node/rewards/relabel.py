@@ -8,19 +8,21 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ctrl_rl_bags.format.checks import BagError, DamagedError, fields_of
-from ctrl_rl_bags.format.copy import copy_bag
-from ctrl_rl_bags.format.metadata import Topic
-from ctrl_rl_bags.format.reader import bag_info, open_bag
-from ctrl_rl_bags.format.topics import SerializedMessage
+from ctrl_rl_bags.format.checks import DamagedError, fields_of
 from ctrl_rl_bags.format.type_definitions import BagTypes
-from ctrl_rl_bags.recording.message_types import message_definition
-from ctrl_rl_bags.recording.qos import to_bag_qos
-from ctrl_rl_core.geometry.odometry import OdometryReader
-from ctrl_rl_core.ros.node import RESULT
-from ctrl_rl_core.values.value_function import ValueFunction
 from rosbags.typesys import get_types_from_msg
 
+from ctrl_rl_bags import (
+    BagError,
+    SerializedMessage,
+    Topic,
+    bag_info,
+    copy_bag,
+    message_definition,
+    open_bag,
+    to_bag_qos,
+)
+from ctrl_rl_core import RESULT, OdometryReader, ValueFunction
 from ttr_reward_node.errors import TimeToReachError
 from ttr_reward_node.rewards.reward_evaluator import RewardEvaluator
 

@@ -6,13 +6,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from ctrl_rl_core.tasks.outcome import Outcome
-from ctrl_rl_core.tasks.rewards import terminal_reward
-from ctrl_rl_core.tasks.task import NavigationTask
-from ctrl_rl_core.tasks.task_sets import TaskSets
-from ctrl_rl_core.values.value_function import ValueFunction, check_function
+from ctrl_rl_core.values.value_function import check_function
 from numpy.typing import NDArray
 
+from ctrl_rl_core import NavigationTask, Outcome, TaskSets, ValueFunction, terminal_reward
 from ttr_reward_node.rewards.rewards import KIND, check_informative, longest_time, time_to_reach_reward
 
 

@@ -17,13 +17,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from ctrl_rl_core.tasks.outcome import Outcome
-from ctrl_rl_core.tasks.regions import ANGLES, Region, position_indices, wrap
-from ctrl_rl_core.tasks.rewards import terminal_reward
-from ctrl_rl_core.tasks.task import NavigationTask
-from ctrl_rl_core.values.value_function import ValueFunction, check_function
+from ctrl_rl_core.tasks.regions import ANGLES, wrap
+from ctrl_rl_core.values.value_function import check_function
 from numpy.typing import ArrayLike, NDArray
 
+from ctrl_rl_core import NavigationTask, Outcome, Region, ValueFunction, position_indices, terminal_reward
 from ttr_reward_node.errors import TimeToReachError
 
 Array = NDArray[np.float64]

@@ -18,14 +18,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.geometry.shapes import Disc
-from ctrl_rl_core.geometry.units import Interval
-from ctrl_rl_core.systems.models import Dynamics, Equations, Quantity
-from ctrl_rl_core.systems.system import System
-from ctrl_rl_core.tasks.regions import Region, position_indices
-from ctrl_rl_core.tasks.task import NavigationTask
+from ctrl_rl_core.systems.models import Dynamics, Equations
 from numpy.typing import NDArray
 
+from ctrl_rl_core import Disc, Interval, NavigationTask, Quantity, Region, System, position_indices
 from ttr_reward_node.errors import TimeToReachError
 from ttr_reward_node.problems.dependence import dependences
 from ttr_reward_node.problems.problem import Clearance, TimeToReachProblem, problem_from_task

@@ -18,9 +18,9 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.tasks.regions import position_indices
 from numpy.typing import NDArray
 
+from ctrl_rl_core import position_indices
 from ttr_reward_node.kernels.boundary_conditions import FIXED, NEAR, BoundaryConditions
 from ttr_reward_node.kernels.entry_points import kernels
 from ttr_reward_node.kernels.stencil import StepTable, make_grid

@@ -6,8 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from ctrl_rl_core.values.value_grid import ValueGrid
 from numpy.typing import NDArray
+
+from ctrl_rl_core import ValueGrid
 
 Progress = Callable[[int, float], None]
 """Called after each sweep with its number and the largest change of phi [s]."""

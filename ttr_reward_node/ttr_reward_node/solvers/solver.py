@@ -13,10 +13,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.tasks.task import NavigationTask
-from ctrl_rl_core.values.value_function import ValueFunction
-from ctrl_rl_core.values.value_grid import ValueGrid
 
+from ctrl_rl_core import NavigationTask, ValueFunction, ValueGrid
 from ttr_reward_node.errors import TimeToReachError
 from ttr_reward_node.problems.problem import TimeToReachProblem, problem_from_task
 from ttr_reward_node.rewards.rewards import longest_time

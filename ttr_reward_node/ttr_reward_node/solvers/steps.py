@@ -15,9 +15,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from ctrl_rl_core.systems.system import System
 from numpy.typing import NDArray
 
+from ctrl_rl_core import System
 from ttr_reward_node.problems.dependence import dependences
 from ttr_reward_node.problems.problem import TimeToReachProblem
 

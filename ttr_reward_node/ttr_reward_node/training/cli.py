@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Annotated
 
 from ctrl_rl_core.command import FolderToWrite, note_old_name
-from ctrl_rl_core.io.results import ResultsError
 from ctrl_rl_training.cli import (
     SimulatedOptions,
     TaskPlotOptions,
@@ -19,6 +18,7 @@ from ctrl_rl_training.cli import (
 )
 from ctrl_rl_training.sb3.algorithm_names import ALGORITHMS
 
+from ctrl_rl_core import ResultsError
 from ttr_reward_node.errors import TimeToReachError
 from ttr_reward_node.rewards.rewards import REWARDS
 

@@ -9,9 +9,9 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-from ctrl_rl_core.tasks.outcome import Outcome
 from ctrl_rl_training.sb3.environment import Environment, Vector, make_environment
 
+from ctrl_rl_core import Outcome
 from ttr_reward_node.rewards.rewards import Reward
 
 

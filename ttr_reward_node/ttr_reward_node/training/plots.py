@@ -7,16 +7,14 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from ctrl_rl_core.io.results import ResultsError
 from ctrl_rl_core.io.schema import Schema
-from ctrl_rl_core.plots import draw_world, save_figure
-from ctrl_rl_core.tasks.regions import ANGLES, position_indices
-from ctrl_rl_core.tasks.task import NavigationTask
+from ctrl_rl_core.tasks.regions import ANGLES
 from ctrl_rl_training.experiments.figure_data import DrivenPath, Figures, SuccessCurve
 from ctrl_rl_training.plots import draw_curve, over_seeds
 from matplotlib import pyplot as plt
 from pydantic import Field, model_validator
 
+from ctrl_rl_core import NavigationTask, ResultsError, draw_world, position_indices, save_figure
 from ttr_reward_node.rewards.rewards import REWARDS
 from ttr_reward_node.training.results import STAGES
 

@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.io.results import Result
 from ctrl_rl_training.experiments.results import collect_rows, curves_of, finished_runs, metric, metrics_of_speed
 from ctrl_rl_training.experiments.run_folder import result_file
 from ctrl_rl_training.sb3.state_visitation import load_visits
 from numpy.typing import NDArray
 
+from ctrl_rl_core import Result
 from ttr_reward_node.training.training import RewardRun
 
 THESIS_SAMPLES = {"quad_ttr": 90_000.0}

@@ -8,13 +8,13 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from ctrl_rl_core.tasks.task import NavigationTask, load_navigation_task
 from ctrl_rl_training.sb3.algorithm_names import ALGORITHMS
 from ctrl_rl_training.sb3.algorithms import make_algorithm
 from ctrl_rl_training.sb3.environment import Environment
 from ctrl_rl_training.sb3.training import SimulatedRun
 from stable_baselines3.common.base_class import BaseAlgorithm
 
+from ctrl_rl_core import NavigationTask, load_navigation_task
 from ttr_reward_node.rewards.rewards import REWARDS, Reward, make_reward
 from ttr_reward_node.training.environment import make_rewarded
 from ttr_reward_node.values.value_file import load_value

@@ -15,11 +15,11 @@ import numpy as np
 from ctrl_rl_core.io.checked_tensors import encode_tensors, read_tensors
 from ctrl_rl_core.io.file_checks import FileError, raise_as, short_repr
 from ctrl_rl_core.io.schema import Name, Schema
-from ctrl_rl_core.values.grid_axis import Axis, GridError
 from ctrl_rl_core.values.grid_file import AxisHeader, GridText, write
-from ctrl_rl_core.values.value_grid import ValueGrid
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
+
+from ctrl_rl_core import Axis, GridError, ValueGrid
 
 HEADER_KEY = "decomposed_value"
 _FORMAT = 1

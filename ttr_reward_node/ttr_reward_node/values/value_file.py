@@ -6,9 +6,8 @@ from os import PathLike
 
 from ctrl_rl_core.io.checked_tensors import kind_of
 from ctrl_rl_core.io.file_checks import raise_as
-from ctrl_rl_core.values.grid_axis import GridError
-from ctrl_rl_core.values.value_grid import ValueGrid
 
+from ctrl_rl_core import GridError, ValueGrid
 from ttr_reward_node.values.decomposed_value import HEADER_KEY, DecomposedValue
 
 

@@ -12,12 +12,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.geometry.shapes import World
-from ctrl_rl_core.tasks.regions import position_indices
-from ctrl_rl_core.tasks.task import NavigationTask, load_navigation_task
-from ctrl_rl_core.values.value_function import ValueFunction, check_function
+from ctrl_rl_core.values.value_function import check_function
 from numpy.typing import NDArray
 
+from ctrl_rl_core import NavigationTask, ValueFunction, World, load_navigation_task, position_indices
 from ttr_reward_node.errors import TimeToReachError
 from ttr_reward_node.problems.problem import TimeToReachProblem, problem_from_task
 from ttr_reward_node.rewards.rewards import KIND

@@ -13,11 +13,8 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.geometry.units import Interval
-from ctrl_rl_core.systems.system import make_system
-from ctrl_rl_core.tasks.regions import Region
-from ctrl_rl_core.values.grid_axis import Axis
 
+from ctrl_rl_core import Axis, Interval, Region, make_system
 from ttr_reward_node.problems.problem import TimeToReachProblem
 from ttr_reward_node.solvers.decomposition import PLANAR_QUADROTOR_4D, PLANAR_QUADROTOR_FIVE, Decomposition, split
 from ttr_reward_node.solvers.solver import memory_needed, solve

@@ -11,10 +11,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from ctrl_rl_core.geometry.units import Interval
 from ctrl_rl_core.values.jit_cache import cached_njit
 from numpy.typing import NDArray
 
+from ctrl_rl_core import Interval
 from ttr_reward_node.errors import TimeToReachError
 from ttr_reward_node.problems.problem import TimeToReachProblem
 from ttr_reward_node.verification.dubins_words import TURNS, end_of, positive, word

@@ -13,11 +13,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from ctrl_rl_core.geometry.shapes import World
-from ctrl_rl_core.tasks.regions import position_indices
-from ctrl_rl_core.values.value_function import ValueFunction
 from numpy.typing import ArrayLike, NDArray
 
+from ctrl_rl_core import ValueFunction, World, position_indices
 from ttr_reward_node.errors import TimeToReachError
 from ttr_reward_node.problems.problem import TimeToReachProblem
 from ttr_reward_node.solvers.steps import crossing_time

@@ -8,10 +8,9 @@ from typing import Any
 
 import numpy as np
 from ctrl_rl_core.command import what_to_install
-from ctrl_rl_core.errors import CtrlRlError
-from ctrl_rl_core.tasks.task import load_navigation_task
 from numpy.typing import NDArray
 
+from ctrl_rl_core import CtrlRlError, load_navigation_task
 from koopman_lqr_controller.arrays import Array
 from koopman_lqr_controller.control import linear_analysis
 from koopman_lqr_controller.errors import KoopmanError

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.tasks.task import load_navigation_task, task_digest
 from numpy.typing import NDArray
 
+from ctrl_rl_core import load_navigation_task, task_digest
 from koopman_lqr_controller.arrays import Array
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.policies.edmd_policy import EdmdPolicy

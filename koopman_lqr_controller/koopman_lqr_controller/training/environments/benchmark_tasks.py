@@ -9,8 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from ctrl_rl_core.tasks.task import load_navigation_task, task_digest
-
+from ctrl_rl_core import load_navigation_task, task_digest
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.training.settings import Settings
 

@@ -16,20 +16,18 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-from ctrl_rl_core.geometry.units import Interval
-from ctrl_rl_core.tasks.outcome import Outcome
 from ctrl_rl_core.tasks.schema.world import CorridorSpec
-from ctrl_rl_core.tasks.task import NavigationTask, load_navigation_task
 from ctrl_rl_core.tasks.task_sets import PathCoordinates
 from gymnasium import spaces
 from numpy.typing import NDArray
-from sim_bridge.simulation.world import SimulatedWorld, SimulationOptions
 
+from ctrl_rl_core import Interval, NavigationTask, Outcome, load_navigation_task
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.policies.latent_policy import RobotInterface
 from koopman_lqr_controller.sensing.lidar import ScanGeometry
 from koopman_lqr_controller.sensing.lidar_observation import LidarObservation
 from koopman_lqr_controller.training.replay import Mirror
+from sim_bridge import SimulatedWorld, SimulationOptions
 
 _BESIDE, _ASKEW = 0.12, 30.0
 """Largest offset from the middle line at which learning begins [m], [deg]."""

@@ -9,12 +9,12 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from ctrl_rl_core.io.file_checks import short_repr
 from ctrl_rl_core.io.schema import Name
-from ctrl_rl_core.plots import save_figure
 from ctrl_rl_training.experiments.figure_data import Figures, ValueCurve
 from ctrl_rl_training.plots import draw_curve, over_seeds
 from matplotlib import pyplot as plt
 from pydantic import Field, model_validator
 
+from ctrl_rl_core import save_figure
 from koopman_lqr_controller.training.experiments.methods import METHODS
 
 _COLOURS = ("tab:blue", "tab:orange", "tab:green", "tab:red", "tab:purple", "tab:brown")

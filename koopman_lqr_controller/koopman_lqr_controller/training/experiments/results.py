@@ -10,9 +10,9 @@ from operator import getitem
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.io.results import Result
 from ctrl_rl_training.experiments.results import Metric, collect_rows, metric
 
+from ctrl_rl_core import Result
 from koopman_lqr_controller.training.environments.benchmark_tasks import BenchmarkTask
 from koopman_lqr_controller.training.experiments.comparisons import COMPARISONS, LEVELS, REFERENCE
 from koopman_lqr_controller.training.experiments.methods import METHODS

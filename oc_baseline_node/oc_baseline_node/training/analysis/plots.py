@@ -7,10 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.plots import draw_map, save_figure
-from ctrl_rl_core.tasks.regions import position_indices
-from ctrl_rl_core.tasks.task import NavigationTask
 from matplotlib import pyplot as plt
+
+from ctrl_rl_core import NavigationTask, draw_map, position_indices, save_figure
 
 _COLOURS = {"MPC": "tab:green", "learnt": "tab:blue"}
 

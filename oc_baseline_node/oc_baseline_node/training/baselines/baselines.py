@@ -6,11 +6,11 @@ from typing import Protocol
 
 import numpy as np
 import torch
-from ctrl_rl_core.tasks.task import NavigationTask
 from ctrl_rl_training.sb3.algorithms import REWARD_SCALE
 from ctrl_rl_training.sb3.environment import observation_scales
 from numpy.typing import NDArray
 
+from ctrl_rl_core import NavigationTask
 from oc_baseline_node.errors import OcError
 from oc_baseline_node.values.mlp_value import MlpValue
 

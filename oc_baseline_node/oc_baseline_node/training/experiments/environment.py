@@ -6,7 +6,8 @@ from typing import Any
 
 import gymnasium
 from ctrl_rl_training.sb3.environment import Environment, Vector
-from sim_bridge.environments import NavigationEnv
+
+from sim_bridge import NavigationEnv
 
 
 class PaidTimeOut(gymnasium.Wrapper[Vector, Vector, Vector, Vector]):

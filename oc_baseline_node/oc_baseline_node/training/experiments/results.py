@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.io.results import Result
 from ctrl_rl_training.experiments.results import (
     as_table,
     collect_rows,
@@ -20,6 +19,7 @@ from ctrl_rl_training.experiments.results import (
     metrics_of_speed,
 )
 
+from ctrl_rl_core import Result
 from oc_baseline_node.training.experiments.methods import METHODS
 from oc_baseline_node.training.experiments.runs import OcRun
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ctrl_rl_core.tasks.task import NavigationTask
 from ctrl_rl_core.values.value_function import check_function
 from ctrl_rl_training.experiments.run import find_method
 from ctrl_rl_training.sb3.algorithms import make_algorithm
@@ -15,6 +14,7 @@ from ctrl_rl_training.sb3.environment import Environment, make_environment
 from ctrl_rl_training.sb3.training import SimulatedRun
 from stable_baselines3.common.base_class import BaseAlgorithm
 
+from ctrl_rl_core import NavigationTask
 from oc_baseline_node.errors import OcError
 from oc_baseline_node.training.baselines.baselines import OcBaseline
 from oc_baseline_node.training.baselines.policy_gradient import (

@@ -8,9 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
-from ctrl_rl_core.tasks.option_tasks import ToolDelivery, WaterFilling
-from ctrl_rl_core.tasks.task import load_task, task_names
-
+from ctrl_rl_core import ToolDelivery, WaterFilling, load_task, task_names
 from option_coordinator.environments.option_env import OptionEnvironment, Synchronisation
 from option_coordinator.environments.tasks.team_delivery import TeamDeliverySimulation
 from option_coordinator.environments.tasks.tool_delivery import ToolDeliverySimulation

@@ -10,11 +10,9 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.geometry.shapes import Disc, Shape
-from ctrl_rl_core.tasks.start_states import draw_starts
-from ctrl_rl_core.tasks.task import load_navigation_task
 from numpy.typing import NDArray
 
+from ctrl_rl_core import Disc, Shape, draw_starts, load_navigation_task
 from option_coordinator.navigation.delivery import Delivery
 from option_coordinator.navigation.reactive_planner import ReactivePlanner
 from option_coordinator.options.options import Agent, Mask, Observation, Scene, SimulationStep

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 from ctrl_rl_core.geometry.units import Point
-from ctrl_rl_core.tasks.option_tasks import ToolDelivery
 
+from ctrl_rl_core import ToolDelivery
 from option_coordinator.options.options import Agent, Mask, Observation, Scene, SimulationStep
 
 GO_TO_WS, GO_TO_TR, GET_TOOL = range(3)

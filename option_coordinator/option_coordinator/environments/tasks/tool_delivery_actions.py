@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from ctrl_rl_core.tasks.option_tasks import ToolDelivery
 
+from ctrl_rl_core import ToolDelivery
 from option_coordinator.environments.tasks.tool_delivery import (
     GET_TOOL,
     IDLE,

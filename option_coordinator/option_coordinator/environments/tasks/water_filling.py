@@ -12,9 +12,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from ctrl_rl_core.tasks.option_tasks import WaterFilling
 from numpy.typing import NDArray
 
+from ctrl_rl_core import WaterFilling
 from option_coordinator.options.options import Agent, Mask, Observation, Scene, SimulationStep
 
 OptionSet = Literal["published", "thesis", "actions"]

@@ -9,7 +9,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ctrl_rl_core.io.results import Result
 from ctrl_rl_training.experiments.results import (
     Metric,
     as_table,
@@ -20,6 +19,7 @@ from ctrl_rl_training.experiments.results import (
     metrics_of_speed,
 )
 
+from ctrl_rl_core import Result
 from option_coordinator.environments.roll_out import play_episodes
 from option_coordinator.environments.tasks import make_environment
 from option_coordinator.scripted.task_policies import references

@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 import torch
-from ctrl_rl_core.tasks.task import task_digest
 from ctrl_rl_training.experiments.run import Point, Run, RunOptions, Tell, find_method
 
+from ctrl_rl_core import task_digest
 from option_coordinator.environments.option_env import OptionEnvironment
 from option_coordinator.environments.roll_out import RollOut
 from option_coordinator.environments.tasks import OptionTask, discount_of, load_option_task, make_environment
