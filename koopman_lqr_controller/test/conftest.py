@@ -13,3 +13,23 @@ def robot() -> Iterator[object]:
     robot = Robot()
     yield robot
     robot.close()
+
+
+@pytest.fixture(scope="module")
+def short_episodes() -> Iterator[None]:
+    """Let the episodes of the control suite be short."""
+    import short_suite
+
+    with pytest.MonkeyPatch.context() as patch:
+        short_suite.shorten(patch.setattr)
+        yield
+
+
+@pytest.fixture(scope="module")
+def runs_here() -> Iterator[None]:
+    """Let commands train in this process."""
+    import short_suite
+
+    with pytest.MonkeyPatch.context() as patch:
+        short_suite.run_here(patch.setattr)
+        yield

@@ -13,7 +13,7 @@ from koopman_lqr_controller.models.encoder import Dense, Encoder
 from koopman_lqr_controller.models.prediction import horizon_errors, law_error
 from koopman_lqr_controller.training.consolidation.distillation import DistillationSettings, distil
 
-SETTINGS = DistillationSettings(hidden=64, updates=800, batch=128)
+SETTINGS = DistillationSettings(hidden=64, updates=500, batch=128)
 GOAL = np.zeros(2)
 
 

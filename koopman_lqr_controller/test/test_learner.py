@@ -13,12 +13,13 @@ import pytest
 import torch
 from ctrl_rl_core.io.checked_json import read_json
 from ctrl_rl_training.errors import TrainingError
+from ctrl_rl_training.experiments.matrix import run_experiments
 from ctrl_rl_training.experiments.run import RunOptions
 from ctrl_rl_training.experiments.run_folder import result_file
 from ctrl_rl_training.experiments.trainer import train
 from koopman_lqr_controller.data.roll_outs import evaluate
 from koopman_lqr_controller.errors import KoopmanError
-from koopman_lqr_controller.policies.policy_file import load_policy
+from koopman_lqr_controller.policies.policy_file import digest, load_policy
 from koopman_lqr_controller.training.agents.actor import AgentInterface
 from koopman_lqr_controller.training.agents.agent import Agent
 from koopman_lqr_controller.training.consolidation.consolidation_config import REPORT_SEED
@@ -28,7 +29,9 @@ from koopman_lqr_controller.training.experiments.trainer import POLICY_FILE
 from koopman_lqr_controller.training.networks.encoder_losses import EncoderBatch
 from koopman_lqr_controller.training.replay import Transitions
 from koopman_lqr_controller.training.settings import Settings
+from short_suite import STEPS
 
+pytestmark = pytest.mark.usefixtures("short_episodes")
 TINY = (("batch", 16), ("first_steps", 30), ("hidden", 16), ("latent", 6))
 RUN = LearningRun("cartpole_swingup", 2, TINY, command="learn --task cartpole_swingup", consolidation=0)
 
@@ -47,6 +50,14 @@ def learnt(folder: Path, run: LearningRun = RUN) -> tuple[dict, bytes]:
 
 
 ENCODER_LOSSES = ("contrastive", "reconstruction", "reconstruction_prediction")
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict, list]:
+    """Give the folder of a whole run, its result, and what it said."""
+    folder, said = tmp_path_factory.mktemp("whole"), []
+    result = train(RUN, options(folder), lambda run, done, best: said.append((run.name, done, best)))
+    return folder, result, said
 
 
 class CutOffError(Exception):
@@ -107,23 +118,23 @@ def test_what_cannot_be_learnt_is_refused(run: LearningRun, words: str, tmp_path
         train(run, options(tmp_path))
 
 
-def test_a_run_that_was_cut_off_ends_bit_by_bit_as_if_it_had_not_been(tmp_path: Path) -> None:
+def test_a_run_that_was_cut_off_ends_bit_by_bit_as_if_it_had_not_been(whole: tuple, tmp_path: Path) -> None:
     """Between chunks, and after the last of them."""
-    whole, cut = tmp_path / "whole", tmp_path / "cut"
-    train(RUN, options(whole))
+    cut = tmp_path / "cut"
     for _ in range(3):
         with pytest.raises(CutOffError):
             train(RUN, options(cut), cut_off)
     assert not result_file(cut, RUN).exists()
     train(RUN, options(cut))
-    assert learnt(cut) == learnt(whole)
+    assert learnt(cut) == learnt(whole[0])
     assert [file.name for file in sorted(result_file(cut, RUN).parent.iterdir())] == [POLICY_FILE, "result.json"]
 
 
-def test_a_run_that_was_killed_goes_on_exactly(tmp_path: Path) -> None:
-    whole, killed = tmp_path / "whole", tmp_path / "killed"
-    train(RUN, options(whole))
+def test_a_run_that_was_killed_goes_on_exactly(whole: tuple, tmp_path: Path) -> None:
+    killed = tmp_path / "killed"
     program = (
+        f"import sys\nsys.path.insert(0, {str(Path(__file__).parent)!r})\n"
+        "import short_suite\nshort_suite.shorten()\n"
         "from pathlib import Path\nfrom ctrl_rl_training.experiments.run import RunOptions\n"
         "from ctrl_rl_training.experiments.trainer import train\n"
         "from koopman_lqr_controller.training.experiments.runs import LearningRun\n"
@@ -137,18 +148,17 @@ def test_a_run_that_was_killed_goes_on_exactly(tmp_path: Path) -> None:
     os.kill(process.pid, signal.SIGKILL)
     process.wait()
     train(RUN, options(killed))
-    assert learnt(killed) == learnt(whole)
+    assert learnt(killed) == learnt(whole[0])
 
 
-def test_what_is_learnt_is_what_is_evaluated_and_says_where_it_comes_from(tmp_path: Path) -> None:
-    said = []
-    result = train(RUN, options(tmp_path), lambda run, done, best: said.append((run.name, done, best)))
+def test_what_is_learnt_is_what_is_evaluated_and_says_where_it_comes_from(whole: tuple) -> None:
+    folder, result, said = whole
     assert [done for _, done, _ in said] == [1, 2, 3, 3]
-    assert said.pop()[2] == "fresh episodes"
+    assert said[-1][2] == "fresh episodes"
     best = result["best"]["return"]
-    assert said[-1][2] == f"{best:.1f}"
+    assert said[-2][2] == f"{best:.1f}"
     assert best == max(max(point["returns"].values()) for point in result["curve"])
-    policy = load_policy(result_file(tmp_path, RUN).with_name(POLICY_FILE))
+    policy = load_policy(result_file(folder, RUN).with_name(POLICY_FILE))
     assert policy.manifest["command"] == RUN.command
     assert policy.manifest["task_digest"] == RUN.problem.digest
     assert policy.manifest["settings"]["latent"] == 6
@@ -156,52 +166,59 @@ def test_what_is_learnt_is_what_is_evaluated_and_says_where_it_comes_from(tmp_pa
     environment = RUN.problem.make(False)
     assert [episode.total for episode in evaluate(policy.controller, environment, 2, REPORT_SEED)] == result["returns"]
     assert evaluate(policy.controller, environment, 1, 1_000_000)[0].total == result["best"]["return"]
-    before = result_file(tmp_path, RUN).stat().st_mtime_ns
-    assert train(RUN, options(tmp_path)) == result
-    assert result_file(tmp_path, RUN).stat().st_mtime_ns == before
+    before = result_file(folder, RUN).stat().st_mtime_ns
+    assert train(RUN, options(folder)) == result
+    assert result_file(folder, RUN).stat().st_mtime_ns == before
 
 
-def test_a_run_made_with_other_settings_is_not_taken(tmp_path: Path) -> None:
+def test_seeds_are_learnt_in_another_process(tmp_path: Path) -> None:
+    runs = [replace(RUN, learner="edmd", seed=seed) for seed in range(2)]
+    results = run_experiments(runs, options(tmp_path, 1), workers=1)
+    assert [result["run"]["seed"] for result in results] == [0, 1]
+    assert [result["digests"] for result in results] == [
+        {POLICY_FILE: digest(result_file(tmp_path, run).with_name(POLICY_FILE))} for run in runs
+    ]
+
+
+def test_a_run_made_with_other_settings_is_not_taken(whole: tuple, tmp_path: Path) -> None:
     with pytest.raises(CutOffError):
         train(RUN, options(tmp_path), cut_off)
     with pytest.raises(TrainingError, match=r"checkpoint\.safetensors: was made with iterations 3, now it is 2: use"):
         train(RUN, options(tmp_path, 2))
-    train(RUN, options(tmp_path))
     with pytest.raises(TrainingError, match=r"result\.json: was made with iterations 3, now it is 2: use"):
-        train(RUN, options(tmp_path, 2))
+        train(RUN, options(whole[0], 2))
 
 
 @pytest.mark.parametrize("change", [{"evaluations": 2}, {"final_evaluations": 3}])
-def test_a_run_that_was_evaluated_otherwise_is_not_taken(change: dict[str, int], tmp_path: Path) -> None:
-    train(RUN, options(tmp_path, 1))
+def test_a_run_that_was_evaluated_otherwise_is_not_taken(change: dict[str, int], whole: tuple) -> None:
     with pytest.raises(TrainingError, match=r"result\.json: was made with .*evaluations"):
-        train(RUN, replace(options(tmp_path, 1), **change))
+        train(RUN, replace(options(whole[0]), **change))
 
 
-def test_what_it_took_is_counted(tmp_path: Path) -> None:
-    result = train(RUN, options(tmp_path))
-    assert [point["episodes"] for point in result["curve"]] == [1, 2, 3], "chunks of 40 actions, episodes of 125"
+def test_what_it_took_is_counted(whole: tuple) -> None:
+    _, result, _ = whole
+    assert [point["episodes"] for point in result["curve"]] == [1, 2, 3], "chunks of 40 actions, episodes of 50"
     assert result["interaction"]["learning"] == {"episodes": 3, "actions": 120}
-    assert result["interaction"]["choosing"] == {"episodes": 6, "actions": 6 * 125}
+    assert result["interaction"]["choosing"] == {"episodes": 6, "actions": 6 * STEPS}
 
 
 @pytest.mark.parametrize("cut", [False, True])
 def test_learning_ends_with_its_episodes(cut: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(BENCHMARK_TASKS, RUN.problem_name, replace(BENCHMARK_TASKS[RUN.problem_name], episodes=2))
-    longer = RunOptions(tmp_path, 3, 150, 1, 2)
+    longer = RunOptions(tmp_path, 3, 60, 1, 2)
     if cut:
         with pytest.raises(CutOffError):
             train(RUN, longer, cut_off)
     result = train(RUN, longer)
-    assert [point["actions"] for point in result["curve"]] == [150], "an episode of 125 actions and one of 25"
-    assert result["interaction"]["learning"] == {"episodes": 2, "actions": 150}
+    assert [point["actions"] for point in result["curve"]] == [60], "an episode of 50 actions and one of 10"
+    assert result["interaction"]["learning"] == {"episodes": 2, "actions": 60}
 
 
 def test_a_chunk_may_end_with_its_episodes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     problem = replace(BENCHMARK_TASKS[RUN.problem_name], chunk_episodes=1, episodes=3)
     monkeypatch.setitem(BENCHMARK_TASKS, RUN.problem_name, problem)
-    result = train(RUN, RunOptions(tmp_path, 4, 300, 1, 2))
-    assert [(point["actions"], point["episodes"]) for point in result["curve"]] == [(125, 1), (250, 2), (375, 3)]
+    result = train(RUN, RunOptions(tmp_path, 4, 120, 1, 2))
+    assert [(point["actions"], point["episodes"]) for point in result["curve"]] == [(50, 1), (100, 2), (150, 3)]
 
 
 def test_updates_may_be_many_or_few(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

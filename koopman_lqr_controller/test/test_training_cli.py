@@ -13,6 +13,7 @@ from koopman_lqr_controller.policies.latent_policy import LatentPolicy
 from koopman_lqr_controller.policies.policy_file import find_policy, load_policy
 from koopman_lqr_controller.training.experiments.trainer import CONSOLIDATED_FILE, POLICY_FILE
 
+pytestmark = pytest.mark.usefixtures("short_episodes", "runs_here")
 TINY = ["--set", "batch=16", "hidden=16", "latent=6", "first_steps=30", "--chunks", "2", "--actions", "60"]
 TINY += ["--episodes", "3", "--consolidation", "5"]
 
@@ -21,7 +22,7 @@ TINY += ["--episodes", "3", "--consolidation", "5"]
 def learnt(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("runs")
     where = ["--folder", str(folder), "--results", str(folder / "results.json")]
-    assert learn(["--task", "cartpole_swingup", "--seeds", "2", "--workers", "1", *where, *TINY]) == 0
+    assert learn(["--task", "cartpole_swingup", "--workers", "1", *where, *TINY]) == 0
     return folder
 
 
@@ -31,12 +32,12 @@ def test_a_run_leaves_policies_and_results(learnt: Path) -> None:
     rows = {(row["method"], row["metric"]): row for row in results["rows"]}
     assert rows["task-oriented Koopman", "return"]["thesis"] == 846.88
     consolidated = "task-oriented Koopman, consolidated"
-    assert all(len(row["values"]) == 2 for row in rows.values())
+    assert all(len(row["values"]) == 1 for row in rows.values())
     assert max(rows[consolidated, "spectral radius of A - B K"]["values"]) < 1.0
     assert max(rows[consolidated, "Riccati residual"]["values"]) < 1e-8
-    assert [len(curve) for curve in results["figures"]["curves"]["steps"]] == [2, 2]
+    assert [len(curve) for curve in results["figures"]["curves"]["steps"]] == [2]
     folders = sorted(folder for folder in learnt.iterdir() if folder.is_dir())
-    assert len(folders) == 2
+    assert len(folders) == 1
     for folder in folders:
         for name, horizon in ((POLICY_FILE, 5), (CONSOLIDATED_FILE, None)):
             policy = load_policy(folder / name)
@@ -45,6 +46,17 @@ def test_a_run_leaves_policies_and_results(learnt: Path) -> None:
             command = policy.manifest["command"]
             assert "learn --task cartpole_swingup --set batch=16" in command
             assert "--chunks 2 --actions 60 --episodes 3 --consolidation 5 --seeds " in command
+
+
+def test_each_seed_has_a_value_a_curve_and_a_folder(tmp_path: Path) -> None:
+    where = ["--folder", str(tmp_path / "runs"), "--results", str(tmp_path / "results.json")]
+    short = ["--chunks", "1", "--actions", "40", "--episodes", "1", "--set", "hidden=16", "latent=6"]
+    assert train(["--task", "cartpole_swingup", "--learner", "edmd", "--seeds", "2", *where, *short]) == 0
+    results = json.loads((tmp_path / "results.json").read_text(encoding="utf-8"))
+    assert results["rows"]
+    assert all(len(row["values"]) == 2 for row in results["rows"])
+    assert [len(curve) for curve in results["figures"]["curves"]["steps"]] == [1, 1]
+    assert sorted(folder.name[-3:] for folder in (tmp_path / "runs").iterdir() if folder.is_dir()) == ["-s0", "-s1"]
 
 
 def test_a_finished_run_is_taken_only_as_it_was_left(

@@ -1,0 +1,28 @@
+"""Shorter episodes of the control suite, and runs in this process, where a test needs no more."""
+
+from koopman_lqr_controller.training.environments.control_suite import ControlSuite
+
+STEPS = 50
+"""Actions of an episode of the cart-pole, instead of 125."""
+
+
+def shorten(patch=setattr) -> None:
+    """Cut the episodes of all environments that are made from now on."""
+    make = ControlSuite.__init__
+
+    def make_short(self, *args, **kwargs) -> None:
+        make(self, *args, **kwargs)
+        self._suite._step_limit = 8 * STEPS
+
+    patch(ControlSuite, "__init__", make_short)
+
+
+def run_here(patch=setattr) -> None:
+    """Train in this process what a command trains in others."""
+    from ctrl_rl_training.experiments import matrix
+
+    def train_all(todo, options, *_) -> None:
+        for run in todo:
+            matrix.train(run, options)
+
+    patch(matrix, "_in_processes", train_all)
