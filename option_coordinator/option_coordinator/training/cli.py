@@ -70,7 +70,9 @@ def _train(options: Train) -> int:
     least = 2 * longest * ITERATIONS  # so that an episode ends in every iteration, whatever the one before overshot
     samples = task.training_samples if options.samples is None else options.samples
     if samples < least:
-        raise CommandError(f"--samples must be at least {least}, not {samples}")
+        raise CommandError(
+            f"--samples must be at least {least}, not {samples}: two longest episodes for each point of the curve"
+        )
     if not 0.0 <= options.drop <= 1.0:
         raise CommandError(f"--drop must be a probability, 0 to 1, not {options.drop:g}")
     from ctrl_rl_training.experiments.run import RunOptions
