@@ -108,15 +108,6 @@ class OptionTrajectory:
             **{field.name: np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(cls)}
         )
 
-    def episodes(self) -> list[Self]:
-        """Return each episode by itself."""
-        ends = np.flatnonzero(self.last) + 1
-        begins = np.concatenate(([0], ends[:-1])) if len(ends) else ends
-        return [
-            type(self)(**{field.name: getattr(self, field.name)[begin:end] for field in fields(self)})
-            for begin, end in zip(begins, ends, strict=True)
-        ]
-
 
 def _rows(decisions: Sequence[Any], name: str) -> NDArray[Any]:
     """Return an attribute of each decision (T, ...)."""

@@ -42,7 +42,6 @@ from option_coordinator.teams.team_file import load_team
 
 _Take = Callable[[Any, ClockReading], Answers]
 _HOUSEKEEPING_S = 0.02
-_RECENT = 1000
 _LAST_WORD = Duration(seconds=0.3)
 _SAID_EVERY_S = 10.0
 _FINE = (
@@ -112,14 +111,13 @@ class OptionCoordinator(SuiteNode):
 
     def __init__(self) -> None:
         super().__init__("option_coordinator")
-        settings = self.settings
         timeouts, discount = self._prepare()
-        self._policy_times: deque[float] = deque(maxlen=_RECENT)
+        self._policy_times: deque[float] = deque(maxlen=1000)
         self._reported: Counter[str] = Counter()
         self._now = Clocks(self)
         self._began = False
         self._held_up = LATE * timeouts.lease
-        chooses, digest = self._chooser(settings["policy"])
+        chooses, digest = self._chooser()
         begin = ClockReading(0.0, 0.0, 0.0)
         self._coordinator = Coordinator(
             self._robots, chooses, digest, begin, timeouts, discount=discount, team=self._team_name()
@@ -140,14 +138,14 @@ class OptionCoordinator(SuiteNode):
         self._window.cancel()
         self.create_timer(_HOUSEKEEPING_S, partial(self._work, self._coordinator.tick), clock=STEADY)
         of_team = f"{len(self._robots)} robots of team '{self._coordinator.team}'"
-        self.get_logger().info(f"policy {self._policy_name(settings['policy'], digest)}, {of_team}")
+        self.get_logger().info(f"policy {self._policy_name(digest)}, {of_team}")
 
     def on_parameter_changed(self, name: str) -> None:
         """Take another policy for all decisions to come."""
         if name == "policy":
-            chooses, digest = self._chooser(self.settings["policy"])
+            chooses, digest = self._chooser()
             self._coordinator.replace_policy(chooses, digest)
-            self.get_logger().info(f"policy {self._policy_name(self.settings['policy'], digest)} from now on")
+            self.get_logger().info(f"policy {self._policy_name(digest)} from now on")
 
     def status(self) -> Status:
         """Report whether this coordinator decides, the states of the robots, and the faults."""
@@ -200,13 +198,13 @@ class OptionCoordinator(SuiteNode):
         timeouts = CoordinatorTimeouts(time_step=step, **{name: settings[name] for name in names})
         return timeouts, discount
 
-    def _chooser(self, name: str) -> tuple[PolicyFn, str]:
+    def _chooser(self) -> tuple[PolicyFn, str]:
         """Return a policy and its digest.
 
         Raises:
             OptionError: There is no such policy, its digest is not the promised one, or it belongs to another team.
         """
-        generator = np.random.default_rng(self.settings["seed"])
+        name, generator = self.settings["policy"], np.random.default_rng(self.settings["seed"])
         if name == "uniform":
             return self._timed(uniform_policy(generator)), ""
         if name == "spread":
@@ -291,8 +289,8 @@ class OptionCoordinator(SuiteNode):
         robots = repr([(robot.agent.name, robot.agent.options) for robot in self._robots])
         return f"robots-{hashlib.sha256(robots.encode()).hexdigest()[:8]}"
 
-    @staticmethod
-    def _policy_name(name: str, digest: str) -> str:
+    def _policy_name(self, digest: str) -> str:
+        name = self.settings["policy"]
         return f"{Path(name).name} ({digest[:12]})" if digest else f"'{name}'"
 
 

@@ -14,13 +14,16 @@ handled here.
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
 
 from rclpy.node import Node
 
 from ctrl_rl_msgs.msg import AgentStatus, CoordinatorStatus, OptionGrant, OptionRequest
 from option_coordinator.nodes.clocks import STEADY, Clocks
 from option_coordinator.nodes.messages import EXCHANGE, grant_of, heartbeat_of, request_message, status_message
+from option_coordinator.protocol.clock_reading import ClockReading
 from option_coordinator.protocol.message_checks import MessageError
 from option_coordinator.protocol.option_client import ClientTimeouts, OptionClient, OptionExecutor, OptionResult
 from option_coordinator.protocol.protocol_types import AgentState, Request
@@ -61,10 +64,10 @@ class OptionAgent:
         prefix = f"{namespace.rstrip('/')}/" if namespace else ""
         self._requests = node.create_publisher(OptionRequest, f"{prefix}option_requests", EXCHANGE)
         self._statuses = node.create_publisher(AgentStatus, f"{prefix}agent_status", EXCHANGE)
-        node.create_subscription(OptionGrant, f"{prefix}option_grants", self._on_grant, EXCHANGE)
-        node.create_subscription(
-            CoordinatorStatus, f"{prefix}coordinator_status", self._on_coordinator_heartbeat, EXCHANGE
-        )
+        hears = partial(self._take, grant_of, self.client.on_grant)
+        node.create_subscription(OptionGrant, f"{prefix}option_grants", hears, EXCHANGE)
+        hears = partial(self._take, heartbeat_of, self.client.on_coordinator_heartbeat)
+        node.create_subscription(CoordinatorStatus, f"{prefix}coordinator_status", hears, EXCHANGE)
         node.create_timer(0.25 * min(timeouts.heartbeat, timeouts.repeat), self._tick, clock=STEADY)
 
     @property
@@ -89,20 +92,13 @@ class OptionAgent:
         self.client.ended(self._now(), OptionResult(reward, steps), terminated)
         self._send_due()
 
-    def _on_grant(self, message: OptionGrant) -> None:
+    def _take(self, read: Callable[[Any], Any], take: Callable[[Any, ClockReading], None], message: Any) -> None:
         try:
-            grant = grant_of(message)
+            take(read(message), self._now())
         except MessageError as error:
             self.client.counts[f"not taken: {error.kind}"] += 1
-            return
-        self.client.on_grant(grant, self._now())
-        self._send_due()
-
-    def _on_coordinator_heartbeat(self, message: CoordinatorStatus) -> None:
-        try:
-            self.client.on_coordinator_heartbeat(heartbeat_of(message), self._now())
-        except MessageError as error:
-            self.client.counts[f"not taken: {error.kind}"] += 1
+        else:
+            self._send_due()
 
     def _tick(self) -> None:
         self.client.tick(self._now())
