@@ -88,16 +88,36 @@ def run_nodes(folder: Path) -> Iterator[Callable[..., NodeProcess]]:
     time.sleep(_GOODBYE_S)
 
 
+def _nodes(folder: Path) -> Iterator[Callable[..., NodeProcess]]:
+    started: list[NodeProcess] = []
+
+    def run(
+        package: str, executable: str, *parameters: str, remap: tuple[str, ...] = (), params_file: Path | None = None
+    ) -> NodeProcess:
+        options = [part for parameter in parameters for part in ("-p", parameter)]
+        options += [part for rule in remap for part in ("-r", rule)]
+        options += ["--params-file", str(params_file)] if params_file else []
+        arguments = ("--ros-args", *options) if options else ()
+        node = NodeProcess(package, executable, arguments, folder / f"{len(started)}-{executable}.log")
+        started.append(node)
+        return node
+
+    yield run
+    for node in started:
+        node.end()
+    time.sleep(_GOODBYE_S)
+
+
 @pytest.fixture
 def run_node(tmp_path: Path) -> Iterator[Callable[..., NodeProcess]]:
-    """Give a function that starts nodes, which end with the test."""
-    yield from run_nodes(tmp_path)
+    """Give a function that starts a node of a package by executable, parameters ("speed:=1.0") and remappings."""
+    yield from _nodes(tmp_path)
 
 
 @pytest.fixture(scope="module")
 def run_shared_node(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[..., NodeProcess]]:
-    """Give a function that starts nodes, which end with the module."""
-    yield from run_nodes(tmp_path_factory.mktemp("nodes"))
+    """Give the same for nodes that the tests of a module share."""
+    yield from _nodes(tmp_path_factory.mktemp("nodes"))
 
 
 @pytest.fixture

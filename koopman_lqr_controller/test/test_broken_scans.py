@@ -1,7 +1,8 @@
 """The controller as a process on scans that are no knowledge, and before obstacles: zeros, and the reason is said."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from itertools import count, islice
 
 import numpy as np
 import pytest
@@ -12,7 +13,22 @@ from robot_side import PATIENCE_S, Robot, answered, ask, corridor
 from sensor_msgs.msg import LaserScan
 from test_controller_guards import diagnosed
 
-SECOND = 1_000_000_000
+BOTH = ("curved_corridor", "curved_corridor_edmd")
+LEARNT = BOTH[:1]
+STAMPS = count(1)
+"""Of scans: the tests share a controller, and each scan is another one."""
+
+
+@pytest.fixture(scope="module")
+def robot(request: pytest.FixtureRequest, run_shared_node: Callable) -> Iterator[Robot]:
+    """Give the robot of a controller with this policy; without the region's guard, as scans alone are looked at."""
+    robot = Robot()
+    policy = f"policy:={request.param}"
+    node = run_shared_node("koopman_lqr_controller", "controller", policy, "scan_timeout:=5.0", "largest_distance:=0.0")
+    robot.wait_for_controller()
+    yield robot
+    node.end()
+    robot.close()
 
 
 def half_covered() -> np.ndarray:
@@ -30,30 +46,41 @@ def half_covered() -> np.ndarray:
     ],
     ids=["all zero", "all infinite", "half zero", "too many beams"],
 )
-@pytest.mark.parametrize("policy", ["curved_corridor", "curved_corridor_edmd"])
+@pytest.mark.parametrize("robot", BOTH, indirect=True)
 def test_it_stands_on_a_broken_scan_says_why_and_goes_on_with_the_next_good_one(
-    robot: Robot, run_node: Callable, policy: str, ranges: np.ndarray, reason: str
+    robot: Robot, ranges: np.ndarray, reason: str
 ) -> None:
-    only_scan_checks = ("scan_timeout:=5.0", "largest_distance:=0.0")
-    run_node("koopman_lqr_controller", "controller", f"policy:={policy}", *only_scan_checks)
-    robot.wait_for_controller()
-    assert ask(robot, corridor(0.0), 1).twist.linear.x > 0.0
-    for stamp in (2, 3):
+    assert ask(robot, corridor(0.0), next(STAMPS)).twist.linear.x > 0.0
+    for stamp in (next(STAMPS), next(STAMPS)):
         twist = ask(robot, ranges, stamp).twist
         assert (twist.linear.x, twist.angular.z) == (0.0, 0.0)
         assert reason in robot.thought_of(stamp).stop
     assert diagnosed(robot, reason).level == DiagnosticStatus.WARN
-    assert ask(robot, corridor(0.0), SECOND).twist.linear.x > 0.0
+    assert ask(robot, corridor(0.0), next(STAMPS)).twist.linear.x > 0.0
 
 
 @pytest.mark.fault
-def test_a_frozen_lidar_stops_a_robot_that_moves(robot: Robot, run_node: Callable) -> None:
-    run_node("koopman_lqr_controller", "controller", "scan_timeout:=5.0")
-    robot.wait_for_controller()
+@pytest.mark.parametrize("robot", BOTH, indirect=True)
+def test_a_wall_ahead_stops_it_whatever_the_policy_wants(robot: Robot) -> None:
+    """Without the region's guard: what is left is the obstacle stop."""
+    stamp = next(STAMPS)
+    bearing = np.arange(360) * 2 * np.pi / 360
+    wall = np.where(np.cos(bearing) > 0, 0.17 / np.maximum(np.cos(bearing), 1e-6), np.inf)
+    assert ask(robot, np.minimum(corridor(0.0), wall), stamp).twist.linear.x <= 0.0
+    if robot.thought_of(stamp).stop:
+        assert "obstacle" in robot.thought_of(stamp).stop
+        diagnosed(robot, "ahead")
+    assert ask(robot, corridor(0.0), next(STAMPS)).twist.linear.x > 0.0
+
+
+@pytest.mark.fault
+@pytest.mark.parametrize("robot", LEARNT, indirect=True)
+def test_a_frozen_lidar_stops_a_robot_that_moves(robot: Robot) -> None:
     moving = Odometry(child_frame_id="robot1/base_link")
     moving.twist.twist.linear.x = 0.2
+    ask(robot, corridor(0.05), next(STAMPS))
     moves = []
-    for stamp in range(1, 6):
+    for stamp in islice(STAMPS, 5):
         robot.odom.publish(moving)
         robot.spin(0.1)
         robot.send(corridor(0.0), stamp, odometry=False)
@@ -64,19 +91,18 @@ def test_a_frozen_lidar_stops_a_robot_that_moves(robot: Robot, run_node: Callabl
         moves.append(answer.twist.linear.x > 0.0)
     assert moves[0]
     assert moves[-2:] == [False, False]
-    assert "lidar frozen" in robot.thought_of(5).stop
+    assert "lidar frozen" in robot.thought_of(stamp).stop
 
 
 @pytest.mark.fault
-def test_a_second_lidar_on_the_topic_stops_it(robot: Robot, run_node: Callable) -> None:
-    run_node("koopman_lqr_controller", "controller", "scan_timeout:=5.0")
-    robot.wait_for_controller()
-    assert ask(robot, corridor(0.0), 1).twist.linear.x > 0.0
+@pytest.mark.parametrize("robot", LEARNT, indirect=True)
+def test_a_second_lidar_on_the_topic_stops_it(robot: Robot) -> None:
+    ask(robot, corridor(0.05), next(STAMPS))  # no lidar that was frozen before
+    assert ask(robot, corridor(0.0), next(STAMPS)).twist.linear.x > 0.0
     other = robot.node.create_publisher(LaserScan, "scan", SCAN_PUBLISHER)
-    stamps = iter(range(2, 1000))
 
     def stopped(words: str) -> bool:
-        stamp = next(stamps)
+        stamp = next(STAMPS)
         ask(robot, corridor(0.0), stamp)
         return words in robot.thought_of(stamp).stop
 
@@ -91,23 +117,9 @@ def test_a_second_lidar_on_the_topic_stops_it(robot: Robot, run_node: Callable) 
             break
     else:
         raise AssertionError("it stands though one lidar is left")
+    last = next(STAMPS)
     scan = LaserScan(angle_increment=2 * math.pi / 360, range_min=0.12, range_max=3.5)
-    scan.header.frame_id, scan.header.stamp = "another", to_stamp(SECOND)
+    scan.header.frame_id, scan.header.stamp = "another", to_stamp(last)
     scan.ranges = corridor(0.0).tolist()
     robot.scan.publish(scan)
-    assert "scans of two lidars" in robot.thought_of(SECOND).stop
-
-
-@pytest.mark.fault
-@pytest.mark.parametrize("policy", ["curved_corridor", "curved_corridor_edmd"])
-def test_a_wall_ahead_stops_it_whatever_the_policy_wants(robot: Robot, run_node: Callable, policy: str) -> None:
-    """Without the region's guard: what is left is the obstacle stop."""
-    run_node("koopman_lqr_controller", "controller", f"policy:={policy}", "scan_timeout:=5.0", "largest_distance:=0.0")
-    robot.wait_for_controller()
-    bearing = np.arange(360) * 2 * np.pi / 360
-    wall = np.where(np.cos(bearing) > 0, 0.17 / np.maximum(np.cos(bearing), 1e-6), np.inf)
-    assert ask(robot, np.minimum(corridor(0.0), wall), 1).twist.linear.x <= 0.0
-    if robot.thought_of(1).stop:
-        assert "obstacle" in robot.thought_of(1).stop
-        diagnosed(robot, "ahead")
-    assert ask(robot, corridor(0.0), 2).twist.linear.x > 0.0
+    assert "scans of two lidars" in robot.thought_of(last).stop

@@ -122,7 +122,7 @@ def test_errors_on_quiet_episodes_do_not_drown_in_those_on_noisy_ones() -> None:
     quiet = noisy_roll_outs(learnt, NearGoal(), [0.0] * 10, 900)
 
     def error(groups: int, seed: int) -> float:
-        found = distil(learnt, episodes, 2, True, replace(SETTINGS, groups=groups), seed)
+        found = distil(learnt, episodes, 2, True, replace(SETTINGS, updates=250, groups=groups), seed)
         return horizon_errors(found.controller.predict, *projected(found.project, quiet), 1)[0]
 
     together, apart = (sum(error(groups, seed) for seed in (0, 1)) for groups in (1, 3))
