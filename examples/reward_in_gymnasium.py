@@ -3,7 +3,7 @@
 python examples/reward_in_gymnasium.py
 """
 
-from ttr_reward_node.training.environment import make_rewarded
+from ttr_reward_node.training.training import make_rewarded
 
 from ctrl_rl_core import load_navigation_task
 from ttr_reward_node import make_reward, problem_from_task, solve

@@ -21,8 +21,8 @@ from oc_baseline_node.training.analysis.mismatch import (
     transition_errors,
     with_extra_mass,
 )
-from oc_baseline_node.training.analysis.plots import draw_paths
 from oc_baseline_node.training.experiments.runs import OcRun
+from oc_baseline_node.training.plots import draw_drives
 
 MPC = Path(__file__).parents[2] / "docs" / "results" / "oc_mpc_quad_navigation.json"
 CAR = load_navigation_task("car_navigation")
@@ -111,7 +111,7 @@ def test_a_file_of_other_results_is_refused_in_one_line(tmp_path, capsys):
 def test_drives_through_a_corridor_are_drawn(tmp_path):
     corridor = load_navigation_task("curved_corridor")
     paths = {"MPC": [{"outcome": "GOAL", "states": [[0.0, 0.0, 0.0], [0.3, 0.1, 0.0]]}], "learnt": []}
-    draw_paths(paths, corridor, tmp_path / "new" / "drives.png")
+    draw_drives(paths, corridor, tmp_path / "new" / "drives.png")
     assert (tmp_path / "new" / "drives.png").read_bytes().startswith(b"\x89PNG")
 
 

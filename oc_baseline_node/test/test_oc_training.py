@@ -12,10 +12,9 @@ from ctrl_rl_training.experiments.run import RunOptions
 from ctrl_rl_training.experiments.trainer import train as train_run
 from ctrl_rl_training.sb3 import algorithms
 from oc_baseline_node.training.cli import plot, train
-from oc_baseline_node.training.experiments.environment import PaidTimeOut
 from oc_baseline_node.training.experiments.methods import GROUPS, METHODS
 from oc_baseline_node.training.experiments.results import collect
-from oc_baseline_node.training.experiments.runs import OcRun, oc_runs
+from oc_baseline_node.training.experiments.runs import OcRun, PaidTimeOut, oc_runs
 
 from ctrl_rl_core import ValueFunctionError, load_navigation_task, task_digest, task_file
 from oc_baseline_node import OcError, learning

@@ -14,10 +14,9 @@ from ctrl_rl_training.sb3 import algorithms
 from ctrl_rl_training.sb3.state_visitation import Visits
 from ttr_reward_node.cli import learning
 from ttr_reward_node.training.cli import plot, train
-from ttr_reward_node.training.environment import make_rewarded
 from ttr_reward_node.training.plots import draw_visits
 from ttr_reward_node.training.results import STAGES, collect
-from ttr_reward_node.training.training import RewardRun, reward_runs
+from ttr_reward_node.training.training import RewardRun, make_rewarded, reward_runs
 
 from ctrl_rl_core import Outcome, load_navigation_task, task_file
 from ttr_reward_node import TimeToReachError, make_reward

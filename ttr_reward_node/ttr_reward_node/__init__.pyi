@@ -4,10 +4,10 @@ from .problems.problem import TimeToReachProblem as TimeToReachProblem
 from .problems.problem import problem_from_task as problem_from_task
 from .problems.problem import with_disturbances as with_disturbances
 from .rewards.relabel import relabel as relabel
-from .rewards.reward_evaluator import EvaluatedReward as EvaluatedReward
-from .rewards.reward_evaluator import RewardEvaluator as RewardEvaluator
 from .rewards.rewards import REWARDS as REWARDS
+from .rewards.rewards import EvaluatedReward as EvaluatedReward
 from .rewards.rewards import Reward as Reward
+from .rewards.rewards import RewardEvaluator as RewardEvaluator
 from .rewards.rewards import distance_reward as distance_reward
 from .rewards.rewards import make_reward as make_reward
 from .rewards.rewards import time_to_reach_reward as time_to_reach_reward

@@ -12,7 +12,7 @@ from ctrl_rl_training.plots import draw_curve, draw_paths
 from matplotlib import pyplot as plt
 from pydantic import Field, model_validator
 
-from ctrl_rl_core import NavigationTask, save_figure
+from ctrl_rl_core import NavigationTask, draw_map, position_indices, save_figure
 from oc_baseline_node.training.experiments.methods import GROUPS, METHODS
 
 _COLOURS = {"oc_ppo": "tab:red", "oc_corrected": "tab:blue", "ppo": "0.3"}
@@ -102,3 +102,23 @@ def draw_advantages(figures: Mapping[str, Any], path: Path) -> Path:
     ax.set_title(f"{figures['task']}: median and 5 to 95 % of the advantages", fontsize=10)
     save_figure(figure, path)
     return path
+
+
+_DRIVES = {"MPC": "tab:green", "learnt": "tab:blue"}
+
+
+def draw_drives(paths: Mapping[str, Sequence[Mapping[str, Any]]], task: NavigationTask, path: Path) -> None:
+    """Draw the paths of controllers, by name, each with how it ended."""
+    plane = position_indices(task.system.build().state_names)
+    figure, ax = plt.subplots(figsize=(5.0, 5.0), layout="constrained")
+    draw_map(ax, task)
+    for controller, entries in paths.items():
+        for index, entry in enumerate(entries):
+            x, y = np.array(entry["states"])[:, plane].T
+            label = f"{controller}: {', '.join(each['outcome'].lower() for each in entries)}" if index == 0 else None
+            ax.plot(x, y, color=_DRIVES[controller], linewidth=1.4, label=label)
+            ax.plot(x[-1], y[-1], "x" if entry["outcome"] == "COLLISION" else "o", color=_DRIVES[controller])
+    ax.set_title(f"{task.name}: in the simulator", fontsize=10)
+    ax.legend(fontsize=8)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    save_figure(figure, path)

@@ -1,6 +1,6 @@
 """Value data: a folder of chunks, each some solved trajectories, and their values (thesis Eq. 3.13).
 
-Reading them needs no solver; `oc_baseline_node.value_data.chunk_solver` makes them.
+Reading them needs no solver; `oc_baseline_node.value_data.workers` makes them.
 """
 
 from __future__ import annotations

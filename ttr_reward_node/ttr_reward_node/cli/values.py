@@ -25,7 +25,7 @@ from tqdm import tqdm
 from ttr_reward_node.errors import TimeToReachError
 from ttr_reward_node.problems.problem import TimeToReachProblem, problem_from_task
 from ttr_reward_node.rewards.relabel import relabel
-from ttr_reward_node.rewards.reward_evaluator import RewardEvaluator
+from ttr_reward_node.rewards.rewards import RewardEvaluator
 from ttr_reward_node.solvers.decomposition import DECOMPOSITIONS, find_decomposition, join, split
 from ttr_reward_node.solvers.memory import gigabytes
 from ttr_reward_node.solvers.solution import Solution

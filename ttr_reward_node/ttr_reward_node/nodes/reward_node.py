@@ -20,7 +20,7 @@ from ctrl_rl_core import (
     run_node,
 )
 from ctrl_rl_msgs.msg import TaskOutcome, TaskReward
-from ttr_reward_node.rewards.reward_evaluator import RewardEvaluator
+from ttr_reward_node.rewards.rewards import RewardEvaluator
 from ttr_reward_node.values.value_file import load_value
 
 

@@ -24,7 +24,7 @@ from ctrl_rl_bags import (
 )
 from ctrl_rl_core import RESULT, OdometryReader, ValueFunction
 from ttr_reward_node.errors import TimeToReachError
-from ttr_reward_node.rewards.reward_evaluator import RewardEvaluator
+from ttr_reward_node.rewards.rewards import RewardEvaluator
 
 REWARD, VALUE = "ctrl_rl_msgs/msg/TaskReward", "ctrl_rl_msgs/msg/StateValue"
 _ODOMETRY = "nav_msgs/msg/Odometry"

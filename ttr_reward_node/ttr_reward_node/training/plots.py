@@ -32,7 +32,7 @@ _Rows = Annotated[list[_Row], Field(min_length=1, max_length=1000)]
 
 
 class Visited(Schema):
-    """How often states were met in each third of the training, see `training_results.collect`."""
+    """How often states were met in each third of the training, see `results.collect`."""
 
     places: Annotated[list[_Rows], Field(min_length=STAGES, max_length=STAGES)]
     turns: Annotated[list[_Row], Field(min_length=STAGES, max_length=STAGES)]
@@ -47,7 +47,7 @@ class Visited(Schema):
 
 
 class Learning(Figures):
-    """What is drawn of learning, see `training_results.collect`."""
+    """What is drawn of learning, see `results.collect`."""
 
     seeds: Annotated[dict[str, Annotated[list[int], Field(max_length=100_000)]], Field(min_length=1)]
     curves: Annotated[dict[str, SuccessCurve], Field(min_length=1, max_length=100)]

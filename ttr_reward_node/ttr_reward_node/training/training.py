@@ -8,16 +8,44 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+import gymnasium
+import numpy as np
 from ctrl_rl_training.sb3.algorithm_names import ALGORITHMS
 from ctrl_rl_training.sb3.algorithms import make_algorithm
-from ctrl_rl_training.sb3.environment import Environment
+from ctrl_rl_training.sb3.environment import Environment, Vector, make_environment
 from ctrl_rl_training.sb3.training import SimulatedRun
 from stable_baselines3.common.base_class import BaseAlgorithm
 
-from ctrl_rl_core import NavigationTask, load_navigation_task
+from ctrl_rl_core import NavigationTask, Outcome, load_navigation_task
 from ttr_reward_node.rewards.rewards import REWARDS, Reward, make_reward
-from ttr_reward_node.training.environment import make_rewarded
 from ttr_reward_node.values.value_file import load_value
+
+
+class RewardWrapper(gymnasium.Wrapper[Vector, Vector, Vector, Vector]):
+    """Pays one of the rewards of Table 3.3 instead of the task's own.
+
+    Args:
+        environment: Environment of a task of the suite.
+        reward: Reward that is paid for the true state.
+    """
+
+    def __init__(self, environment: Environment, reward: Reward) -> None:
+        super().__init__(environment)
+        self._reward = reward
+
+    def step(self, action: Vector) -> tuple[Vector, float, bool, bool, dict[str, Any]]:
+        """Hold an action for the task's time step."""
+        observation, paid, terminated, truncated, info = self.env.step(action)
+        # How an episode ends pays what the task says, whichever the reward: the environment has paid it already.
+        if not (terminated or truncated):
+            paid = self._reward(info["state"][None], np.array([Outcome.RUNNING]))[0]
+        return observation, float(paid), terminated, truncated, info
+
+
+def make_rewarded(reward: Reward, rate: int | None = None) -> Environment:
+    """Return the environment of the reward's task that pays it, at the physics rate `rate` [Hz] or the task's own."""
+    return make_environment(reward.task, rate, lambda environment: RewardWrapper(environment, reward))
+
 
 _FIRST = ("ttr", "sparse", "distance_10")
 """Rewards that are learnt first, in case time runs out."""

@@ -127,7 +127,7 @@ def _mismatch(options: Mismatch) -> int:
 
 def _mpc(options: MpcDrives) -> int:
     from oc_baseline_node.training.analysis.mismatch import run_mpc_episodes
-    from oc_baseline_node.training.analysis.plots import draw_paths
+    from oc_baseline_node.training.plots import draw_drives
 
     task = load_navigation_task(options.task)
     learnt = [] if options.learnt is None else _learnt_paths(options.learnt, task)
@@ -146,7 +146,7 @@ def _mpc(options: MpcDrives) -> int:
         "learnt": learnt[:3],
     }
     picture = options.images / f"{task.name}_mpc.png"
-    draw_paths(paths, task, picture)
+    draw_drives(paths, task, picture)
     print(f"picture    {picture}")
     return _write(options, f"oc_mpc_{task.name}", rows, {"task": task.name, "paths": paths})
 
@@ -167,7 +167,7 @@ def _learnt_paths(file: Path, task: NavigationTask) -> Sequence[Mapping[str, Any
 
 def _gradient(options: Gradient) -> int:
     from oc_baseline_node.training.analysis import gradients
-    from oc_baseline_node.training.analysis.early_policy import find_early_policy
+    from oc_baseline_node.training.analysis.gradients import find_early_policy
     from oc_baseline_node.training.experiments.runs import OcRun
 
     run = OcRun(load_navigation_task(options.task), "oc_ppo", options.seed, options.value)

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import gymnasium
 from ctrl_rl_core.values.value_function import check_function
 from ctrl_rl_training.experiments.run import find_method
 from ctrl_rl_training.sb3.algorithms import make_algorithm
-from ctrl_rl_training.sb3.environment import Environment, make_environment
+from ctrl_rl_training.sb3.environment import Environment, Vector, make_environment
 from ctrl_rl_training.sb3.training import SimulatedRun
 from stable_baselines3.common.base_class import BaseAlgorithm
 
@@ -25,10 +26,30 @@ from oc_baseline_node.training.baselines.policy_gradient import (
 )
 from oc_baseline_node.training.baselines.q_prop import QPropPpo
 from oc_baseline_node.training.baselines.stein import SteinPpo
-from oc_baseline_node.training.experiments.environment import PaidTimeOut
 from oc_baseline_node.training.experiments.methods import METHODS, Method
 from oc_baseline_node.values.mlp_value import MlpValue
 from oc_baseline_node.values.value_file import find_value, load_network
+from sim_bridge import NavigationEnv
+
+
+class PaidTimeOut(gymnasium.Wrapper[Vector, Vector, Vector, Vector]):
+    """Where a task pays for a time-out it is an end like goal and collision, and the return ends with what is paid.
+
+    Where it pays nothing, the limit only cuts the episode: the return goes on with the value of the last state.
+    """
+
+    def __init__(self, environment: Environment) -> None:
+        super().__init__(environment)
+        bare = environment.unwrapped
+        assert isinstance(bare, NavigationEnv)
+        self._paid = bare.task.rewards.timeout != 0.0
+
+    def step(self, action: Vector) -> tuple[Vector, float, bool, bool, dict[str, Any]]:
+        """Hold an action for the task's time step."""
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        if self._paid and truncated:
+            terminated, truncated = True, False
+        return observation, float(reward), terminated, truncated, info
 
 
 @dataclass(frozen=True)
