@@ -43,7 +43,7 @@ from .ros.node import COMMAND as COMMAND
 from .ros.node import RESULT as RESULT
 from .ros.node import SENSOR as SENSOR
 from .ros.node import SuiteNode as SuiteNode
-from .ros.node import run_node as run_node
+from .ros.running import run_node as run_node
 from .ros.parameters import Parameter as Parameter
 from .ros.parameters import ParameterError as ParameterError
 from .ros.value_server import SERVER_PARAMETERS as SERVER_PARAMETERS

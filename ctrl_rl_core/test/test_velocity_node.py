@@ -22,7 +22,8 @@ DRIVER = '''
 import sys
 import numpy as np
 from ctrl_rl_core.ros.parameters import Parameter
-from ctrl_rl_core.ros.node import SENSOR, run_node
+from ctrl_rl_core.ros.node import SENSOR
+from ctrl_rl_core.ros.running import run_node
 from ctrl_rl_core.driving.velocity_node import VELOCITY_PARAMETERS, VelocityError, VelocityNode
 from nav_msgs.msg import Odometry
 

@@ -13,9 +13,10 @@ from rclpy.duration import Duration
 from rclpy.time import Time
 
 from ctrl_rl_core.driving.watchdog import Watchdog
-from ctrl_rl_core.ros.node import COMMAND, Status, SuiteNode, ok, run_node, warn
+from ctrl_rl_core.ros.node import COMMAND, Status, SuiteNode, ok, warn
 from ctrl_rl_core.ros.parameters import Parameter
 from ctrl_rl_core.ros.publishers import other_publishers, publishers_of_other_types
+from ctrl_rl_core.ros.running import run_node
 
 INPUT, OUTPUT = "cmd_vel_raw", "cmd_vel"
 _LAST_ZERO = Duration(seconds=0.3)

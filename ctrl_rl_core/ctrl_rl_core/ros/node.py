@@ -33,7 +33,6 @@ from ctrl_rl_core.errors import CtrlRlError, one_line
 from ctrl_rl_core.ros.callback_faults import Faults
 from ctrl_rl_core.ros.parameter_service import CheckedParameterService
 from ctrl_rl_core.ros.parameters import Parameter, ParameterError, check_all, declare
-from ctrl_rl_core.ros.running import run_node as run_node
 
 SENSOR = qos_profile_sensor_data
 """Subscribers to scan and odom: best effort matches every publisher, the real robot's too."""
