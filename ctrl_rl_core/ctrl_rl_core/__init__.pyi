@@ -43,9 +43,9 @@ from .ros.node import COMMAND as COMMAND
 from .ros.node import RESULT as RESULT
 from .ros.node import SENSOR as SENSOR
 from .ros.node import SuiteNode as SuiteNode
-from .ros.running import run_node as run_node
 from .ros.parameters import Parameter as Parameter
 from .ros.parameters import ParameterError as ParameterError
+from .ros.running import run_node as run_node
 from .ros.value_server import SERVER_PARAMETERS as SERVER_PARAMETERS
 from .ros.value_server import ValueServer as ValueServer
 from .systems.models import SYSTEM_MODELS as SYSTEM_MODELS
