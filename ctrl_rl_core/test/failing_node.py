@@ -101,7 +101,11 @@ class FailingNode(SuiteNode):
             raise FatalError("the work is over")
 
 
-if __name__ == "__main__":
+def main() -> int:
     FailingNode.SHARED_MEMORY = not OPTIONS["--drives"]
     FailingNode.QUICK = not OPTIONS["--slow"]
-    sys.exit(run_node(FailingNode, [argument for argument in sys.argv if argument not in OPTIONS]))
+    return run_node(FailingNode, [argument for argument in sys.argv if argument not in OPTIONS])
+
+
+if __name__ == "__main__":
+    sys.exit(main())

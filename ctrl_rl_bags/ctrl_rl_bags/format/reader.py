@@ -264,17 +264,7 @@ def open_bag(bag: Path | str | Bag, limits: Limits = DEFAULT_LIMITS) -> Iterator
 def read_messages(
     bag: Path | str | Bag, topics: Iterable[str] = (), start: int | None = None, stop: int | None = None
 ) -> Iterator[BagMessage]:
-    """Yield the messages of a bag in the order of their log time.
-
-    Args:
-        bag: Folder or file.
-        topics: Names to read; all if empty.
-        start: First log time [ns], included.
-        stop: Last log time [ns], excluded.
-
-    Raises:
-        BagError: The bag has no such topic, or cannot be read.
-    """
+    """Yield the decoded messages of a folder or file; arguments and errors are those of `Bag.messages`."""
     with open_bag(bag) as opened:
         yield from opened.decoded(topics, start, stop)
 

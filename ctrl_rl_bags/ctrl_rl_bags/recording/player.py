@@ -17,6 +17,7 @@ from rclpy.exceptions import InvalidTopicNameException
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.signals import SignalHandlerOptions
+from rclpy.time import Time
 from rosgraph_msgs.msg import Clock
 from tqdm import tqdm
 
@@ -138,7 +139,8 @@ class _Player:
             while not self._stop.is_set():
                 now = time.monotonic()
                 if self._clock is not None and now >= tick:
-                    self._publish_clock(self._first + int((now - begin) * self._how.rate * 1e9))
+                    bag_time = Time(nanoseconds=self._first + int((now - begin) * self._how.rate * 1e9))
+                    self._clock.publish(Clock(clock=bag_time.to_msg()))
                     tick = now + 1.0 / _CLOCK_HZ
                 if now >= due:
                     break
@@ -146,12 +148,6 @@ class _Player:
             if self._stop.is_set():
                 return
             yield message
-
-    def _publish_clock(self, nanoseconds: int) -> None:
-        message = Clock()
-        message.clock.sec, message.clock.nanosec = divmod(nanoseconds, 10**9)
-        assert self._clock is not None
-        self._clock.publish(message)
 
     def _wait_for_subscribers(self) -> None:
         end = time.monotonic() + self._how.wait

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import asdict
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -32,17 +33,7 @@ def grid_message(grid: ValueGrid, stamp: Time, frame: str) -> ValueGridMsg:
         grid_digest=grid.digest,
         solver=grid.solver,
         residual=float(grid.residual),
-        axes=[
-            GridAxis(
-                name=axis.name,
-                unit=axis.unit,
-                lower=axis.lower,
-                upper=axis.upper,
-                count=axis.count,
-                periodic=axis.periodic,
-            )
-            for axis in grid.axes
-        ],
+        axes=[GridAxis(**asdict(axis)) for axis in grid.axes],
     )
     out.values = float32_array(grid.values)
     return out
