@@ -5,6 +5,8 @@ from .alignment.extractors import Extractor as Extractor
 from .alignment.extractors import Scan as Scan
 from .alignment.resampling import TimeSeries as TimeSeries
 from .alignment.resampling import resample as resample
+from .format.bag_info import BagInfo as BagInfo
+from .format.bag_info import TopicInfo as TopicInfo
 from .format.checks import BagError as BagError
 from .format.copy import bag_topics as bag_topics
 from .format.copy import copy_bag as copy_bag
@@ -13,9 +15,7 @@ from .format.mcap_records import Limits as Limits
 from .format.metadata import Qos as Qos
 from .format.metadata import Topic as Topic
 from .format.reader import Bag as Bag
-from .format.reader import BagInfo as BagInfo
 from .format.reader import BagMessage as BagMessage
-from .format.reader import TopicInfo as TopicInfo
 from .format.reader import bag_info as bag_info
 from .format.reader import open_bag as open_bag
 from .format.reader import read_messages as read_messages

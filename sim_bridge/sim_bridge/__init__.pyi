@@ -4,6 +4,6 @@ from .errors import SimulationError as SimulationError
 from .simulation.episode import EpisodeState as EpisodeState
 from .simulation.lidar import LIDARS as LIDARS
 from .simulation.lidar import LidarScan as LidarScan
-from .simulation.world import OdometryReading as OdometryReading
+from .simulation.odometry import OdometryReading as OdometryReading
+from .simulation.options import SimulationOptions as SimulationOptions
 from .simulation.world import SimulatedWorld as SimulatedWorld
-from .simulation.world import SimulationOptions as SimulationOptions

@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 
 from ctrl_rl_core import NavigationTask, Outcome, load_navigation_task, load_task, task_names
 from sim_bridge.errors import SimulationError
-from sim_bridge.simulation.world import SimulatedWorld, SimulationOptions
+from sim_bridge.simulation.options import SimulationOptions
+from sim_bridge.simulation.world import SimulatedWorld
 
 _FLIGHT_SPEED = 20.0
 _FLIGHT_TURN = 60.0

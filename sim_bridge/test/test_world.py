@@ -45,7 +45,7 @@ def test_the_same_seed_gives_the_same_bits_in_two_processes(tmp_path):
         """
 import hashlib
 from ctrl_rl_core.tasks.task import TaskError, load_navigation_task
-from sim_bridge.simulation.world import SimulatedWorld, SimulationOptions
+from sim_bridge import SimulatedWorld, SimulationOptions
 world = SimulatedWorld(load_navigation_task("curved_corridor"), seed=3, robots=2,
                        options=SimulationOptions(odom_drift=0.05, scan_dropout=0.05, randomise_width=True))
 digest = hashlib.sha256()

@@ -7,21 +7,22 @@ is checked, and `metadata.yaml` must agree with the files.
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
 from typing import Any
 
 import zstandard
 
+from ctrl_rl_bags.format.bag_info import BagInfo, TopicInfo, compare, completed, recover_hint
 from ctrl_rl_bags.format.checks import BagError, DamagedError, open_regular, printable, reason
 from ctrl_rl_bags.format.mcap_reader import McapReader
 from ctrl_rl_bags.format.mcap_records import DEFAULT_LIMITS, Limits, decompress_some
-from ctrl_rl_bags.format.metadata import METADATA_FILE, BagMetadata, Qos, Topic, read_metadata
+from ctrl_rl_bags.format.metadata import METADATA_FILE, BagMetadata, Topic, read_metadata
 from ctrl_rl_bags.format.sqlite_reader import SqliteReader
-from ctrl_rl_bags.format.topics import SerializedMessage, parsed_qos
+from ctrl_rl_bags.format.topics import SerializedMessage
 from ctrl_rl_bags.format.type_definitions import BagTypes, Definition
 
 _ROS1_MAGIC = b"#ROSBAG V"
@@ -42,30 +43,6 @@ class BagMessage:
     type: str
     log_time: int
     data: Any
-
-
-@dataclass(frozen=True)
-class TopicInfo:
-    """Type, number of messages, type hash and offered quality of service of one topic."""
-
-    type: str
-    message_count: int
-    type_hash: str
-    qos: tuple[Qos, ...]
-
-
-@dataclass(frozen=True)
-class BagInfo:
-    """Content of a bag: log times [ns], files, topics by name, custom data, and the parts without a checksum."""
-
-    folder: Path
-    start: int
-    end: int
-    message_count: int
-    files: tuple[str, ...]
-    topics: Mapping[str, TopicInfo]
-    custom_data: Mapping[str, str]
-    unchecked: str = ""
 
 
 class Bag:
@@ -96,7 +73,7 @@ class Bag:
         self._spans: list[tuple[int, int] | None] = []
         self.info = self._read_info(tuple(names))
         if self._metadata:
-            _compare(self._metadata, self.info, self._mixed)
+            compare(self._metadata, self.info, self._mixed)
 
     def messages(
         self, topics: Iterable[str] = (), start: int | None = None, stop: int | None = None
@@ -185,7 +162,7 @@ class Bag:
         for file in self._files:
             with self._open(file) as source:
                 for topic, count in source.topics:
-                    known = self.topics.setdefault(topic.name, _completed(topic, offered))
+                    known = self.topics.setdefault(topic.name, completed(topic, offered))
                     counts[topic.name] = counts.get(topic.name, 0) + count
                     if known.type != topic.type:
                         self._mixed[topic.name] = printable(f"{known.type} and {topic.type}")
@@ -291,13 +268,6 @@ def bag_info(bag: Path | str | Bag, limits: Limits = DEFAULT_LIMITS) -> BagInfo:
         return opened.info
 
 
-def recover_hint(bag: Path | str) -> str:
-    """Return the advice of an error to use `bag recover`; empty where that cannot help."""
-    path = Path(bag)
-    mendable = any(path.glob("*.mcap")) if path.is_dir() else path.suffix == ".mcap"
-    return f"; recover it with ros2 run ctrl_rl_bags bag recover {path}" if mendable else ""
-
-
 def _storage_of(path: Path) -> str:
     """Return the storage of a single file, by its first bytes."""
     try:
@@ -309,42 +279,6 @@ def _storage_of(path: Path) -> str:
         new = path.with_suffix("")
         raise BagError(f"{path} is a ROS 1 bag: convert it first with rosbags-convert --src {path} --dst {new}")
     return "sqlite3" if begin.startswith(b"SQLite") else "mcap"
-
-
-def _completed(topic: Topic, offered: Mapping[str, Any]) -> Topic:
-    """Complete a file of another writer from metadata.yaml."""
-    also = offered.get(topic.name)
-    if also is None:
-        return topic
-    qos = topic.qos or parsed_qos(also.offered_qos_profiles)
-    return replace(topic, type_hash=topic.type_hash or also.type_description_hash, qos=qos)
-
-
-def _compare(metadata: BagMetadata, info: BagInfo, mixed: Mapping[str, str]) -> None:
-    """Refuse a metadata.yaml that contradicts the files, which have checksums where it has none."""
-    said = {
-        it.topic_metadata.name: (it.topic_metadata.type, it.message_count) for it in metadata.topics_with_message_count
-    }
-    found = {name: (topic.type, topic.message_count) for name, topic in info.topics.items()}
-    wrong = next((name for name in sorted(said.keys() | found.keys()) if said.get(name) != found.get(name)), None)
-    if wrong in mixed:
-        return
-    if wrong is not None:
-        words = [
-            f"{kind}, {count} messages" if kind else "no such topic"
-            for kind, count in (said.get(wrong, ("", 0)), found.get(wrong, ("", 0)))
-        ]
-        fault = f"{wrong}: {words[0]}; its files: {words[1]}"
-    elif metadata.message_count != info.message_count:
-        fault = f"{metadata.message_count} messages; its files: {info.message_count}"
-    elif info.message_count and (metadata.starting_time.nanoseconds_since_epoch, metadata.duration.nanoseconds) != (
-        info.start,
-        info.end - info.start,
-    ):
-        fault = "other times than its files"
-    else:
-        return
-    raise BagError(f"{info.folder}: {METADATA_FILE} says {printable(fault)}{recover_hint(info.folder)}")
 
 
 def _uncompressed(file: Path, output: Path) -> Path:

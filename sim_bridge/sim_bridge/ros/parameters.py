@@ -7,7 +7,7 @@ from typing import Any
 
 from ctrl_rl_core import Parameter, ParameterError
 from sim_bridge.simulation.lidar import LIDARS
-from sim_bridge.simulation.world import SimulationOptions
+from sim_bridge.simulation.options import SimulationOptions
 
 PARAMETERS = (
     Parameter("task", "curved_corridor", "Navigation task: a name of the suite, or a .yaml file.", kind="path"),

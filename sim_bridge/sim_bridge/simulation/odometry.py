@@ -2,11 +2,26 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from ctrl_rl_core.tasks.regions import wrap
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class OdometryReading:
+    """Measured motion.
+
+    Attributes:
+        pose: Pose x, y, theta or x, z, psi (3,) [m, m, rad], in a frame that was `map` at the start.
+        velocity: Velocity along the body's first and second axis, and its turn rate (3,) [m/s, m/s, rad/s].
+    """
+
+    pose: Array
+    velocity: Array
 
 
 class Odometry:

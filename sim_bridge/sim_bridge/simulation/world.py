@@ -24,7 +24,8 @@ from sim_bridge.simulation.bodies import Body, make_body
 from sim_bridge.simulation.commands import CommandChannel
 from sim_bridge.simulation.episode import EpisodeState, TerminationChecker
 from sim_bridge.simulation.lidar import Lidar, LidarScan
-from sim_bridge.simulation.odometry import Odometry
+from sim_bridge.simulation.odometry import Odometry, OdometryReading
+from sim_bridge.simulation.options import SimulationOptions
 
 Array = NDArray[np.float64]
 
@@ -41,52 +42,6 @@ class _Purpose(IntEnum):
     WIDTH = 1
     SCAN = 2
     ODOMETRY = 3
-
-
-@dataclass(frozen=True)
-class SimulationOptions:
-    """Settings of a simulation.
-
-    Attributes:
-        rate: Physics steps per second [Hz].
-        gui: Whether PyBullet's window is shown.
-        scan_noise: Standard deviation of a range [m]; None for the task's.
-        scan_dropout: Probability that a beam is lost, None for the task's.
-        scan_rate: Scans per second [Hz], None for the task's.
-        lost_beam: Reading of a lost beam of the task's lidar: "nan", "inf" or "zero".
-        lidar: Name of a lidar in `sim_bridge.LIDARS`.
-        odom_drift: Standard deviation of odometry's relative errors.
-        command_truncation: Whether commands of a drive are cut to hundredths, as the TurtleBot3 firmware does.
-        command_delay: Time from the arrival of a command to its effect [s].
-        command_timeout: Age of a command after which the robot goes idle [s]; 0 for never.
-        randomise_width: Whether the corridor's width is drawn from the task's range at each reset that names none.
-    """
-
-    rate: int = 240
-    gui: bool = False
-    scan_noise: float | None = None
-    scan_dropout: float | None = None
-    scan_rate: float | None = None
-    lost_beam: str = "nan"
-    lidar: str = "task"
-    odom_drift: float = 0.0
-    command_truncation: bool = False
-    command_delay: float = 0.0
-    command_timeout: float = 0.0
-    randomise_width: bool = False
-
-
-@dataclass(frozen=True)
-class OdometryReading:
-    """Measured motion.
-
-    Attributes:
-        pose: Pose x, y, theta or x, z, psi (3,) [m, m, rad], in a frame that was `map` at the start.
-        velocity: Velocity along the body's first and second axis, and its turn rate (3,) [m/s, m/s, rad/s].
-    """
-
-    pose: Array
-    velocity: Array
 
 
 @dataclass

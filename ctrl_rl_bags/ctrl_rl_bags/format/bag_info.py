@@ -1,0 +1,79 @@
+"""What a bag holds by its files, and whether its metadata.yaml agrees with them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from ctrl_rl_bags.format.checks import BagError, printable
+from ctrl_rl_bags.format.metadata import METADATA_FILE, BagMetadata, Qos, Topic
+from ctrl_rl_bags.format.topics import parsed_qos
+
+
+@dataclass(frozen=True)
+class TopicInfo:
+    """Type, number of messages, type hash and offered quality of service of one topic."""
+
+    type: str
+    message_count: int
+    type_hash: str
+    qos: tuple[Qos, ...]
+
+
+@dataclass(frozen=True)
+class BagInfo:
+    """Content of a bag: log times [ns], files, topics by name, custom data, and the parts without a checksum."""
+
+    folder: Path
+    start: int
+    end: int
+    message_count: int
+    files: tuple[str, ...]
+    topics: Mapping[str, TopicInfo]
+    custom_data: Mapping[str, str]
+    unchecked: str = ""
+
+
+def recover_hint(bag: Path | str) -> str:
+    """Return the advice of an error to use `bag recover`; empty where that cannot help."""
+    path = Path(bag)
+    mendable = any(path.glob("*.mcap")) if path.is_dir() else path.suffix == ".mcap"
+    return f"; recover it with ros2 run ctrl_rl_bags bag recover {path}" if mendable else ""
+
+
+def completed(topic: Topic, offered: Mapping[str, Any]) -> Topic:
+    """Complete a file of another writer from metadata.yaml."""
+    also = offered.get(topic.name)
+    if also is None:
+        return topic
+    qos = topic.qos or parsed_qos(also.offered_qos_profiles)
+    return replace(topic, type_hash=topic.type_hash or also.type_description_hash, qos=qos)
+
+
+def compare(metadata: BagMetadata, info: BagInfo, mixed: Mapping[str, str]) -> None:
+    """Refuse a metadata.yaml that contradicts the files, which have checksums where it has none."""
+    said = {
+        it.topic_metadata.name: (it.topic_metadata.type, it.message_count) for it in metadata.topics_with_message_count
+    }
+    found = {name: (topic.type, topic.message_count) for name, topic in info.topics.items()}
+    wrong = next((name for name in sorted(said.keys() | found.keys()) if said.get(name) != found.get(name)), None)
+    if wrong in mixed:
+        return
+    if wrong is not None:
+        words = [
+            f"{kind}, {count} messages" if kind else "no such topic"
+            for kind, count in (said.get(wrong, ("", 0)), found.get(wrong, ("", 0)))
+        ]
+        fault = f"{wrong}: {words[0]}; its files: {words[1]}"
+    elif metadata.message_count != info.message_count:
+        fault = f"{metadata.message_count} messages; its files: {info.message_count}"
+    elif info.message_count and (metadata.starting_time.nanoseconds_since_epoch, metadata.duration.nanoseconds) != (
+        info.start,
+        info.end - info.start,
+    ):
+        fault = "other times than its files"
+    else:
+        return
+    raise BagError(f"{info.folder}: {METADATA_FILE} says {printable(fault)}{recover_hint(info.folder)}")
