@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from koopman_lqr_controller.models.prediction import horizon_errors, law_error, linear_floor, noise_floor
 from koopman_lqr_controller.training.analysis.disturbance_ablation import ablate_disturbances
-from koopman_lqr_controller.training.analysis.policy_world import make_corridor
+from koopman_lqr_controller.training.analysis.policy_world import make_world
 from koopman_lqr_controller.training.environments.corridor import Conditions
 
 from koopman_lqr_controller import find_policy, load_policy
@@ -74,7 +74,7 @@ def test_noise_alone_explains_little_of_what_a_model_of_the_corridor_misses() ->
     policy = load_policy(find_policy("curved_corridor_edmd"))
     disturbances = {"none": Conditions(noise=0.0), "both": Conditions(dropout=0.1)}
     rows = ablate_disturbances(
-        policy.closed_loop_model(), lambda each: make_corridor(policy, each), (0.5,), 1, disturbances
+        policy.closed_loop_model(), lambda each: make_world(policy, each), (0.5,), 1, disturbances
     )
     perfect, hard = rows
     assert [row["name"] for row in rows] == ["none", "both"]

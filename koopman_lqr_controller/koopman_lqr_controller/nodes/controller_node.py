@@ -46,7 +46,7 @@ class _LatentDetails(NamedTuple):
     measured: tuple[float, float]
 
 
-class Controller(LidarDriver[_LatentDetails]):
+class Controller(LidarDriver):
     """Drives a robot from its lidar with a Koopman-LQR policy.
 
     Subscribes to scan and odom, publishes cmd_vel and ~/latent. Each cmd_vel carries the stamp of the scan that it
@@ -136,7 +136,7 @@ class Controller(LidarDriver[_LatentDetails]):
             level = DiagnosticStatus.OK
         return level, message, {**figures, **self._served, **watched}
 
-    def decide(self, reading: SensorReading) -> PendingDecision[_LatentDetails]:
+    def decide(self, reading: SensorReading) -> PendingDecision:
         """Return the policy's command, and why the robot must stand where the latent is not as in training.
 
         Raises:

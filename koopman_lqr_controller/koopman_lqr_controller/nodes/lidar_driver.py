@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from abc import abstractmethod
 from collections import deque
-from typing import ClassVar, Generic, NamedTuple, TypeVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from ctrl_rl_core.ros.node import Status
@@ -21,9 +21,6 @@ DRIVER_PARAMETERS = (
 )
 _RECENT = 1000
 _STAND = np.zeros(2)
-
-
-_Details = TypeVar("_Details")
 
 
 class SensorReading(NamedTuple):
@@ -44,7 +41,7 @@ class SensorReading(NamedTuple):
     header: Header
 
 
-class PendingDecision(NamedTuple, Generic[_Details]):
+class PendingDecision(NamedTuple):
     """Decision about one scan, until its command is sent.
 
     Attributes:
@@ -54,11 +51,11 @@ class PendingDecision(NamedTuple, Generic[_Details]):
     """
 
     command: NDArray[np.float64]
-    details: _Details
+    details: Any = None
     stop: str = ""
 
 
-class LidarDriver(LidarVelocityNode, Generic[_Details]):
+class LidarDriver(LidarVelocityNode):
     """Publishes one cmd_vel for each scan, zero velocity where the scan, the odometry or the decision is unfit."""
 
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = DRIVER_PARAMETERS
@@ -68,16 +65,14 @@ class LidarDriver(LidarVelocityNode, Generic[_Details]):
         self._latencies: deque[float] = deque(maxlen=_RECENT)
 
     @abstractmethod
-    def decide(self, reading: SensorReading) -> PendingDecision[_Details]:
+    def decide(self, reading: SensorReading) -> PendingDecision:
         """Return the decision about one scan.
 
         Raises:
             CtrlRlError: there is no command; the robot then stops, for the reason that the error says.
         """
 
-    def on_command_sent(
-        self, header: Header, command: NDArray[np.float64], problem: str, details: _Details | None
-    ) -> None:
+    def on_command_sent(self, header: Header, command: NDArray[np.float64], problem: str, details: Any) -> None:
         """Note a command after it was sent, or would have been in a dry run; nobody waits for it any more.
 
         Args:
@@ -103,7 +98,7 @@ class LidarDriver(LidarVelocityNode, Generic[_Details]):
     def on_scan(self, message: LaserScan, ranges: NDArray[np.float32], scan: ScanGeometry) -> None:
         """Answer the scan with a command."""
         begin = time.perf_counter()
-        details: _Details | None = None
+        details: Any = None
         try:
             fault = self.input_fault()
             if fault:

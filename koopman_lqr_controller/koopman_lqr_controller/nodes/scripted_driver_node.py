@@ -51,7 +51,7 @@ class ScriptedDriver:
         return np.array([self._speed, -_SIDE_GAIN * off_middle - _AHEAD_GAIN * bend]) + self._noise
 
 
-class ScriptedDriverNode(LidarDriver[None]):
+class ScriptedDriverNode(LidarDriver):
     """Drives a robot between walls with a shaking hand, to record drives that a model can be learned from.
 
     Subscribes to scan and odom, publishes cmd_vel.
@@ -76,10 +76,10 @@ class ScriptedDriverNode(LidarDriver[None]):
         limits = np.array([self.settings["largest_speed"], self.settings["largest_turn_rate"]])
         self.set_limits(-limits, limits)
 
-    def decide(self, reading: SensorReading) -> PendingDecision[None]:
+    def decide(self, reading: SensorReading) -> PendingDecision:
         """Return the scripted command."""
         distances = self._driver.sectors.distances(reading.ranges, reading.scan)
-        return PendingDecision(self._driver.command(distances), None)
+        return PendingDecision(self._driver.command(distances))
 
 
 def main() -> int:

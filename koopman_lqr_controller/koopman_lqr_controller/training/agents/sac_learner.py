@@ -20,14 +20,7 @@ _NOUGHT, _ONE = np.zeros((), np.float32), np.ones((), np.float32)
 
 
 class SacLearner:
-    """SAC with the numbers of the task's settings, where the library has them.
-
-    Args:
-        problem: Task to learn, seen as a vector.
-        environment: To act in.
-        seed: Seed of all random numbers.
-        capacity: Capacity of the replay buffer, for all actions of a run.
-        device: Device of the networks: "cpu" or "cuda".
+    """SAC with the numbers of the task's settings, where the library has them; its replay holds all actions of a run.
 
     Raises:
         KoopmanError: the task shows pictures.

@@ -53,13 +53,7 @@ class LiftedModel(nn.Module):
 class TwoStageLearner(ReplayLearner):
     """A learner that fits a model to random actions, then solves for its LQR.
 
-    Args:
-        problem: Task with a goal, seen as a vector.
-        environment: Environment to act in.
-        seed: Seed of all random numbers.
-        capacity: Capacity of the replay buffer, for all actions of a run.
-        device: Device of the network: "cpu" or "cuda".
-        learnt: Whether psi is trained; else it stays as random as it begins.
+    Its replay must hold all actions of a run. Unless `learnt`, psi stays as random as it begins.
 
     Raises:
         KoopmanError: the task shows pictures, has no goal, or no hand has tuned costs for it.

@@ -20,7 +20,7 @@ from koopman_lqr_controller.policies.koopman_policy import LEARNT, TWO_STAGES, C
 from koopman_lqr_controller.policies.latent_policy import LatentPolicy
 from koopman_lqr_controller.policies.policy_file import KoopmanPolicy
 from koopman_lqr_controller.training.analysis.disturbance_ablation import ablate_disturbances
-from koopman_lqr_controller.training.analysis.policy_world import EpisodeTrajectory, make_corridor, run_episode
+from koopman_lqr_controller.training.analysis.policy_world import EpisodeTrajectory, make_world, run_episode
 from koopman_lqr_controller.training.analysis.true_system import TrueSystem, corridor_system, suite_system
 from koopman_lqr_controller.training.environments.control_suite import ControlSuite
 from koopman_lqr_controller.training.environments.corridor import Corridor
@@ -190,7 +190,7 @@ def _limits(
 ) -> dict[str, Any]:
     count = max(1, episodes // 3)
     return {
-        "rows": ablate_disturbances(loop, partial(make_corridor, policy), (0.0, _NOISE), count, on_progress=on_progress)
+        "rows": ablate_disturbances(loop, partial(make_world, policy), (0.0, _NOISE), count, on_progress=on_progress)
     }
 
 

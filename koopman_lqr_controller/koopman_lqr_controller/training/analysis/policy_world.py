@@ -59,31 +59,20 @@ class LiftedCorridor(Corridor):
         return self._policy.observables.observe(*self.scan(), *self.speeds()).astype(np.float32)
 
 
-def make_world(policy: KoopmanPolicy) -> AnyEnvironment:
-    """Return the environment that a policy is of.
+def make_world(policy: KoopmanPolicy, conditions: Conditions | None = None) -> AnyEnvironment:
+    """Return the environment that a policy is of; with conditions, its corridor with a robot of these.
 
     Raises:
-        KoopmanError: its manifest names none that there is.
+        KoopmanError: its manifest names none that there is, or the task has no corridor.
         ModuleNotFoundError: a simulator is not installed.
     """
     task = str(policy.manifest.get("task"))
     if isinstance(policy, EdmdPolicy):
         if task != _CORRIDOR:
             raise KoopmanError(f"there is no environment for the task {task}")
-        return LiftedCorridor(policy)
-    return task_of_manifest(policy.manifest).make(False)
-
-
-def make_corridor(policy: KoopmanPolicy, conditions: Conditions) -> Corridor:
-    """Return the corridor of a policy's task, with a robot of such conditions.
-
-    Raises:
-        KoopmanError: the task has no corridor.
-        ModuleNotFoundError: a simulator is not installed.
-    """
-    if isinstance(policy, EdmdPolicy):
         return LiftedCorridor(policy, conditions)
-    return Corridor(False, conditions, task_of_manifest(policy.manifest).task)
+    problem = task_of_manifest(policy.manifest)
+    return problem.make(False) if conditions is None else Corridor(False, conditions, problem.task)
 
 
 def run_episode(

@@ -7,7 +7,9 @@ from dataclasses import dataclass, field
 
 _CARTPOLE, _PIXELS, _CHEETAH = "cartpole_swingup", "cartpole_swingup_pixels", "cheetah_run"
 _TASKS = (_CARTPOLE, _PIXELS, _CHEETAH)
-_M, _LATENT = ("iterations_3", "koopman", "iterations_10"), ("latent_30", "latent_100")
+_ABLATIONS = ("iterations_3", "koopman", "iterations_10", "latent_30", "latent_100")
+_HAND_TUNED = ("two_stage", "two_stage_q2", "two_stage_q3", "two_stage_q4", "koopman")
+_SMALL = ("koopman", "latent_6", "latent_4", "network")
 
 Figures = Mapping[tuple[str, str], tuple[float | None, float | None]]
 """By task and method: return and model error; None where the thesis gives none."""
@@ -49,9 +51,8 @@ LEVELS: Mapping[tuple[str, float], float] = {
 """Table 4.1: returns by method and level of the model's error."""
 
 
-def _ablation(task: str, *figures: tuple[float, float]) -> dict[tuple[str, str], tuple[float | None, float | None]]:
-    names = (*_M, *_LATENT)
-    return {(task, name): each for name, each in zip(names, figures, strict=True)}
+def _figures(methods: tuple[str, ...], task: str, *figures: tuple[float | None, float | None]) -> Figures:
+    return {(task, method): each for method, each in zip(methods, figures, strict=True)}
 
 
 COMPARISONS = {
@@ -63,33 +64,22 @@ COMPARISONS = {
     ),
     "table-4.2": Comparison(
         "costs that a hand has tuned against learnt ones",
-        ("two_stage", "two_stage_q2", "two_stage_q3", "two_stage_q4", "koopman"),
-        thesis={
-            (_CARTPOLE, "two_stage"): (188.10, None),
-            (_CARTPOLE, "two_stage_q2"): (109.23, None),
-            (_CARTPOLE, "two_stage_q3"): (70.65, None),
-            (_CARTPOLE, "two_stage_q4"): (124.80, None),
-            (_CARTPOLE, "koopman"): (846.88, None),
-        },
+        _HAND_TUNED,
+        thesis=_figures(_HAND_TUNED, _CARTPOLE, *((value, None) for value in (188.10, 109.23, 70.65, 124.80, 846.88))),
     ),
     "table-4.3": Comparison(
         "fewer latent dimensions, and a network as policy",
-        ("koopman", "latent_6", "latent_4", "network"),
-        thesis={
-            (_CARTPOLE, "koopman"): (846.88, 7.76e-3),
-            (_CARTPOLE, "latent_6"): (834.18, 6.3e-3),
-            (_CARTPOLE, "latent_4"): (253.80, 5.4e-2),
-            (_CARTPOLE, "network"): (841.0, None),
-        },
+        _SMALL,
+        thesis=_figures(_SMALL, _CARTPOLE, (846.88, 7.76e-3), (834.18, 6.3e-3), (253.80, 5.4e-2), (841.0, None)),
     ),
     "table-4.4": Comparison(
         "Riccati iterations and latent dimensions",
-        (*_M, *_LATENT),
+        _ABLATIONS,
         _TASKS,
         {
-            **_ablation(_PIXELS, (863, 0.075), (873, 0.058), (835, 0.269), (848, 0.165), (813, 0.038)),
-            **_ablation(_CARTPOLE, (751, 4.7e-4), (762, 3.1e-4), (769, 4.2e-4), (777, 4.3e-4), (667, 2e-4)),
-            **_ablation(_CHEETAH, (436, 0.732), (464, 0.862), (448, 0.842), (477, 0.653), (235, 0.046)),
+            **_figures(_ABLATIONS, _PIXELS, (863, 0.075), (873, 0.058), (835, 0.269), (848, 0.165), (813, 0.038)),
+            **_figures(_ABLATIONS, _CARTPOLE, (751, 4.7e-4), (762, 3.1e-4), (769, 4.2e-4), (777, 4.3e-4), (667, 2e-4)),
+            **_figures(_ABLATIONS, _CHEETAH, (436, 0.732), (464, 0.862), (448, 0.842), (477, 0.653), (235, 0.046)),
         },
     ),
     "figure-4.3": Comparison("reference cost against ours while learning", ("koopman",), _TASKS, kind="gaps"),

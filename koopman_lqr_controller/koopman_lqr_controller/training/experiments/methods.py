@@ -33,15 +33,12 @@ METHODS = {
         "autoencoder, reconstruction and prediction", (("encoder_loss", "reconstruction_prediction"),)
     ),
     "two_stage": Method("two stages, learnt lifting, Q1", (), "two_stage"),
-    "two_stage_q2": Method("two stages, learnt lifting, Q2", (("cost", "Q2"),), "two_stage"),
-    "two_stage_q3": Method("two stages, learnt lifting, Q3", (("cost", "Q3"),), "two_stage"),
-    "two_stage_q4": Method("two stages, learnt lifting, Q4", (("cost", "Q4"),), "two_stage"),
+    **{
+        f"two_stage_q{number}": Method(f"two stages, learnt lifting, Q{number}", (("cost", f"Q{number}"),), "two_stage")
+        for number in (2, 3, 4)
+    },
     "edmd": Method("two stages, EDMD with random features, Q1", (), "edmd"),
-    "iterations_3": Method("M = 3", (("riccati_iterations", 3),)),
-    "iterations_10": Method("M = 10", (("riccati_iterations", 10),)),
-    "latent_4": Method("latent 4", (("latent", 4),)),
-    "latent_6": Method("latent 6", (("latent", 6),)),
-    "latent_30": Method("latent 30", (("latent", 30),)),
-    "latent_100": Method("latent 100", (("latent", 100),)),
+    **{f"iterations_{number}": Method(f"M = {number}", (("riccati_iterations", number),)) for number in (3, 10)},
+    **{f"latent_{number}": Method(f"latent {number}", (("latent", number),)) for number in (4, 6, 30, 100)},
 }
 """By name; the settings of "koopman" are M = 5 and latent 50."""

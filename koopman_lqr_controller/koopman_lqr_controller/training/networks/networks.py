@@ -17,12 +17,17 @@ _KERNEL = 3
 
 
 class TorchEncoder(nn.Module):
-    """psi: normalise, hidden layers with ReLU, a linear layer, LayerNorm.
+    """psi: normalise, hidden layers with ReLU, a linear layer, LayerNorm; its weights begin at random.
 
-    Attributes:
-        shape: Shape of one observation.
+    Args:
+        shape: (n,) of a vector or (channels, height, width) of an image.
+        latent: Dimensions of z.
+        hidden: Units of each hidden layer of a vector's encoder.
+        depth: Hidden layers, or convolutions of an image.
+        middle: Value that becomes 0; broadcasts to `shape`.
+        unit: Distance above the middle that becomes 1.
         crop: Rows and columns of an image that are looked at, its middle; None for all, and for vectors.
-        layers: Layers in their order.
+        halved: Whether all but the last layer is computed in bfloat16 while it trains.
     """
 
     middle: Tensor
@@ -39,18 +44,6 @@ class TorchEncoder(nn.Module):
         crop: int | None = None,
         halved: bool = False,
     ) -> None:
-        """Make an encoder with random weights.
-
-        Args:
-            shape: (n,) of a vector or (channels, height, width) of an image.
-            latent: Dimensions of z.
-            hidden: Units of each hidden layer of a vector's encoder.
-            depth: Hidden layers, or convolutions of an image.
-            middle: Value that becomes 0; broadcasts to `shape`.
-            unit: Distance above the middle that becomes 1.
-            crop: Rows and columns of an image that are looked at; None for all, and for vectors.
-            halved: Whether all but the last layer is computed in bfloat16 while it trains.
-        """
         super().__init__()
         if len(shape) == 3:
             _check_sizes(shape, crop, depth)
