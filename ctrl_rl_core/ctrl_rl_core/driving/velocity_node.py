@@ -31,7 +31,6 @@ from std_msgs.msg import Header
 from ctrl_rl_core.errors import CtrlRlError
 from ctrl_rl_core.ros.node import COMMAND, Status, SuiteNode, ok, warn
 from ctrl_rl_core.ros.parameters import Parameter
-from ctrl_rl_core.ros.publishers import other_publishers
 
 VELOCITY_PARAMETERS = (
     Parameter("enable_stamped_cmd_vel", True, "Publish cmd_vel as TwistStamped (Jazzy) instead of Twist (Humble)."),
@@ -254,7 +253,7 @@ class VelocityNode(SuiteNode):
 
     def _look_for_rivals(self) -> tuple[str, ...]:
         """Return the other publishers of cmd_vel; log them when they change."""
-        before, self._rivals = self._rivals, other_publishers(self, self._publisher.topic_name)
+        before, self._rivals = self._rivals, self.other_publishers(self._publisher.topic_name)
         if self._rivals and self._rivals != before:
             self.get_logger().warning(self._rivalry())
         return self._rivals

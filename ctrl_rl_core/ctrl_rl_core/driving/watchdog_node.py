@@ -15,7 +15,6 @@ from rclpy.time import Time
 from ctrl_rl_core.driving.watchdog import Watchdog
 from ctrl_rl_core.ros.node import COMMAND, Status, SuiteNode, ok, warn
 from ctrl_rl_core.ros.parameters import Parameter
-from ctrl_rl_core.ros.publishers import other_publishers, publishers_of_other_types
 from ctrl_rl_core.ros.running import run_node
 
 INPUT, OUTPUT = "cmd_vel_raw", "cmd_vel"
@@ -155,7 +154,7 @@ class WatchdogNode(SuiteNode):
 
     def _look_around(self) -> tuple[str, ...]:
         """Return the other publishers of the output; log them when they change."""
-        rivals = other_publishers(self, self._output.topic_name)
+        rivals = self.other_publishers(self._output.topic_name)
         if rivals != self._rivals and rivals:
             self.get_logger().warning(
                 f"{', '.join(rivals)} publishes on {self._output.topic_name} too, past this watchdog: end it, or remap "
@@ -165,7 +164,7 @@ class WatchdogNode(SuiteNode):
         return rivals
 
     def _wrong_type(self) -> str:
-        wrong = publishers_of_other_types(self, self._input.topic_name, self._kind)
+        wrong = self.publishers_of_other_types(self._input.topic_name, self._kind)
         return f": {', '.join(wrong)} is ignored: set enable_stamped_cmd_vel to match it" if wrong else ""
 
 

@@ -28,6 +28,7 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
+from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from ctrl_rl_core.errors import CtrlRlError, one_line
 from ctrl_rl_core.ros.callback_faults import Faults
@@ -132,6 +133,22 @@ class SuiteNode(Node):
         callback = self.faults.guard_service(callback, srv_name)
         return super().create_service(srv_type, srv_name, callback, *args, **kwargs)
 
+    def other_publishers(self, topic: str) -> tuple[str, ...]:
+        """Return the full names of the nodes that publish on `topic`, its resolved name, besides this one, in order.
+
+        A second node of the same name counts as another one: two runs of one controller are the likeliest mistake.
+        """
+        names = sorted(_name_of(info) for info in self.get_publishers_info_by_topic(topic))
+        own = self.get_fully_qualified_name()
+        if own in names:
+            names.remove(own)
+        return tuple(names)
+
+    def publishers_of_other_types(self, topic: str, kind: str) -> tuple[str, ...]:
+        """Return "/name (pkg/msg/Type)" of each publisher on `topic` of another type than `kind`: none is heard."""
+        infos = self.get_publishers_info_by_topic(topic)
+        return tuple(sorted(f"{_name_of(info)} ({info.topic_type})" for info in infos if info.topic_type != kind))
+
     def call_soon(self, callback: Callable[[], Any]) -> None:
         """Call `callback` once what has arrived by now is handled, with the events executor; with others at once."""
         executor = self.executor
@@ -192,6 +209,10 @@ class SuiteNode(Node):
                 return SetParametersResult(successful=False, reason=one_line(error))
             taken.append(name)
         return SetParametersResult(successful=True)
+
+
+def _name_of(info: TopicEndpointInfo) -> str:
+    return f"{info.node_namespace.rstrip('/')}/{info.node_name}"
 
 
 def ok(message: str, **values: object) -> Status:
