@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from ctrl_rl_core import Quantity, System
@@ -68,15 +68,7 @@ def dependences(system: System, *, hold: bool = True) -> tuple[Dependence, ...]:
         found = [rate.dependence if isinstance(rate, _TracedNumber) else Dependence() for rate in rates]
     except (TypeError, ValueError, AttributeError):  # what Python raises for a number that has no value
         controls, disturbances = _true_indices(free_u), _true_indices(free_d)
-        everything = Dependence(
-            frozenset(range(n)),
-            controls,
-            disturbances,
-            _NONLINEAR if controls else 0,
-            _NONLINEAR if disturbances else 0,
-            bool(controls and disturbances),
-        )
-        found = [everything] * n
+        found = [_bent(Dependence(frozenset(range(n)), controls, disturbances))] * n
     return tuple(found)
 
 
@@ -189,16 +181,16 @@ def _apply(*arguments: Any) -> _TracedNumber:
     known = _TracedNumber(Dependence())
     for argument in arguments:
         known = _join(known, argument, max)
-    found = known.dependence
-    return _TracedNumber(
-        Dependence(
-            found.states,
-            found.controls,
-            found.disturbances,
-            _NONLINEAR if found.controls else 0,
-            _NONLINEAR if found.disturbances else 0,
-            bool(found.controls and found.disturbances),
-        )
+    return _TracedNumber(_bent(known.dependence))
+
+
+def _bent(given: Dependence) -> Dependence:
+    """Return the dependence of a function that need not be linear."""
+    return replace(
+        given,
+        control_degree=_NONLINEAR if given.controls else 0,
+        disturbance_degree=_NONLINEAR if given.disturbances else 0,
+        coupled=bool(given.controls and given.disturbances),
     )
 
 
