@@ -29,7 +29,6 @@ from ctrl_rl_core.command import (
 )
 from ctrl_rl_core.io.results import write_results
 from ctrl_rl_core.tasks.task import NavigationTask, load_navigation_task
-from ctrl_rl_core.values.value_function import ValueFunction
 from numpy.typing import NDArray
 
 from oc_baseline_node.errors import OcError
@@ -283,15 +282,12 @@ def _map(options: Map) -> int:
     from oc_baseline_node.plots import draw_heat_map
 
     value = load_value(find_value(options.value))
-    values = draw_heat_map(value, _task_of(value, options.task), options.output, dict(options.at))
+    task = load_navigation_task(options.task or value.task)
+    values = draw_heat_map(value, task, options.output, dict(options.at))
     free = values[np.isfinite(values)]
     print(f"values        {free.min():.4g} .. {free.max():.4g}")
     print(f"picture       {options.output}")
     return 0
-
-
-def _task_of(value: ValueFunction, given: str | None) -> NavigationTask:
-    return load_navigation_task(given or value.task)
 
 
 def _named(problem: OptimalControlProblem, state: NDArray[np.float64]) -> str:

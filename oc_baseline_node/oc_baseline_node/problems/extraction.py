@@ -129,7 +129,9 @@ def assess(model: str, info: RlInfo) -> Candidate:
     reasons = []
     lacking = [name for name in own if name not in info.state]
     if lacking:
-        reasons.append(f"criterion 1: its {', '.join(lacking)} {_is(lacking)} not in the RL state")
+        reasons.append(
+            f"criterion 1: its {', '.join(lacking)} {'is' if len(lacking) == 1 else 'are'} not in the RL state"
+        )
     for name, (_, parts) in info.reward.items():
         unknown = [part for part in parts if part not in own]
         if unknown:
@@ -190,7 +192,3 @@ def _run_together(names: tuple[str, ...]) -> str:
     beams = [name for name in names if name.startswith("d_")]
     rest = [name for name in names if name not in beams]
     return ", ".join([*rest, f"{beams[0]} .. {beams[-1]}"] if beams else rest)
-
-
-def _is(names: list[str]) -> str:
-    return "is" if len(names) == 1 else "are"

@@ -27,8 +27,7 @@ from ttr_reward_node.problems.problem import TimeToReachProblem, problem_from_ta
 from ttr_reward_node.rewards.relabel import relabel
 from ttr_reward_node.rewards.rewards import RewardEvaluator
 from ttr_reward_node.solvers.decomposition import DECOMPOSITIONS, find_decomposition, join, split
-from ttr_reward_node.solvers.memory import gigabytes
-from ttr_reward_node.solvers.solution import Solution
+from ttr_reward_node.solvers.solution import Solution, gigabytes
 from ttr_reward_node.solvers.solver import check_reached, memory_needed, solve
 from ttr_reward_node.values.decomposed_value import DecomposedValue
 from ttr_reward_node.values.value_file import load_value

@@ -15,9 +15,8 @@ from ttr_reward_node.kernels.lax_friedrichs_sweep import Hamiltonian
 from ttr_reward_node.kernels.stencil import make_grid
 from ttr_reward_node.problems.dependence import check_affine_controls
 from ttr_reward_node.problems.problem import TimeToReachProblem
-from ttr_reward_node.solvers.memory import require_memory
 from ttr_reward_node.solvers.semi_lagrangian import flat
-from ttr_reward_node.solvers.solution import Progress, SweepResult
+from ttr_reward_node.solvers.solution import Progress, SweepResult, require_memory
 from ttr_reward_node.solvers.steps import Layout, make_layout, pairs, rates_under_all_pairs, slab_states
 
 _TOLERANCE = 1e-3  # of the time to cross a cell

@@ -26,8 +26,7 @@ from ttr_reward_node.kernels.entry_points import kernels
 from ttr_reward_node.kernels.stencil import StepTable, make_grid
 from ttr_reward_node.kernels.sweep import Nodes, RowHistory, SweepSettings
 from ttr_reward_node.problems.problem import TimeToReachProblem
-from ttr_reward_node.solvers.memory import require_memory
-from ttr_reward_node.solvers.solution import Progress, SweepResult
+from ttr_reward_node.solvers.solution import Progress, SweepResult, require_memory
 from ttr_reward_node.solvers.steps import Layout, Steps, make_layout, make_steps, pairs
 
 CELLS = (2.0, 3.0)

@@ -1,4 +1,4 @@
-"""Results of the solvers."""
+"""Results of the solvers, and the memory that they need."""
 
 from __future__ import annotations
 
@@ -6,9 +6,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from ctrl_rl_core.io.file_checks import available_memory
 from numpy.typing import NDArray
 
 from ctrl_rl_core import ValueGrid
+from ttr_reward_node.errors import TimeToReachError
 
 Progress = Callable[[int, float], None]
 """Called after each sweep with its number and the largest change of phi [s]."""
@@ -45,3 +47,22 @@ class Solution:
     cpu_seconds: float
     reachable: float
     memory: float
+
+
+def require_memory(needed: float, points: int) -> None:
+    """Refuse a problem that does not fit.
+
+    Raises:
+        TimeToReachError: More memory is needed than is free; both are named.
+    """
+    there = available_memory()
+    if needed > there:
+        raise TimeToReachError(
+            f"{points:,} grid points need {gigabytes(needed)} of memory, {gigabytes(there)} are free: "
+            "take fewer points on some axes (counts), or split the system (decomposition)"
+        )
+
+
+def gigabytes(bytes_: float) -> str:
+    """Return a size as text, in GB."""
+    return f"{bytes_ / 1e9:.2f} GB"
