@@ -24,7 +24,7 @@ setup(
     zip_safe=False,
     entry_points={
         "console_scripts": [
-            "animate = ctrl_rl_bringup.cli.drive:animate",
+            "animate = ctrl_rl_bringup.cli.animate:animate",
             "demo = ctrl_rl_bringup.cli.drive:demo",
             "monitor = ctrl_rl_bringup.cli.drive:monitor",
             "options_demo = ctrl_rl_bringup.cli.team:demo",

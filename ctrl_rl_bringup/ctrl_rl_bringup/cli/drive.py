@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
-from ctrl_rl_core.command import FileToWrite, OptionalFileToWrite, at_least
+from ctrl_rl_core.command import OptionalFileToWrite, at_least
 from ctrl_rl_core.io.results import as_markdown
 
 from ctrl_rl_bringup.cli.running import own_arguments, run_alone, run_folder, run_here
@@ -21,7 +21,6 @@ from ctrl_rl_core import (
     parse_options,
     read_benchmarks,
     read_results,
-    run_command,
     write_results,
 )
 from ctrl_rl_msgs.msg import TaskOutcome
@@ -166,17 +165,6 @@ class ReportOptions:
 
 
 @dataclass(frozen=True)
-class AnimateOptions:
-    """Draw a recorded drive as an animated GIF, one frame for each scan."""
-
-    folder: _RunFolder
-    """Folder of the run, with its bag in 'bag'."""
-
-    output: FileToWrite = Path("drive.gif")
-    """File to write."""
-
-
-@dataclass(frozen=True)
 class MonitorOptions:
     """Wait until the nodes of a drive listen to each other, start the simulation, and follow the drive to its end."""
 
@@ -220,12 +208,6 @@ def report() -> int:
     """Report again on the bag of a drive."""
     config = DriveConfig(parse_options("report", ReportOptions).folder)
     return run_here("report", lambda: _report(read_drive(config.bag), config))
-
-
-def animate() -> int:
-    """Draw a recorded drive as an animated GIF."""
-    options = parse_options("animate", AnimateOptions)
-    return run_command("animate", lambda: _animate(options), failure=2)
 
 
 def monitor() -> int:
@@ -301,13 +283,4 @@ def _record_drives(options: RecordOptions) -> int:
     seconds = sum(episode.elapsed for episode in episodes)
     print(f"recorded            {len(episodes)} drives, {seconds:.0f} s of driving")
     print(f"bag                 {config.bag}")
-    return 0
-
-
-def _animate(options: AnimateOptions) -> int:
-    from ctrl_rl_bringup.corridor.animation import animate_drive  # matplotlib takes long to load
-
-    bag = DriveConfig(options.folder).bag
-    animate_drive(bag, read_drive(bag), options.output)
-    print(f"animation           {options.output}, {options.output.stat().st_size / 1000:.0f} kB")
     return 0
