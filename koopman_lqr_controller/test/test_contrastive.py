@@ -6,7 +6,8 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
-from koopman_lqr_controller.training.networks.contrastive import centre_crop, info_nce, noisy, random_crop
+from koopman_lqr_controller.training.networks.encoder_losses import info_nce, noisy, random_crop
+from koopman_lqr_controller.training.networks.networks import centre_crop
 
 
 @given(st.integers(2, 40))

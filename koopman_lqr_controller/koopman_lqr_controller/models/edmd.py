@@ -78,9 +78,7 @@ def persistence_error(data: Snapshots) -> Array:
 def fit(data: Snapshots, regularisation: float = 1e-3) -> LinearModel:
     """Return the least-squares model, K = G^+ M of Eq. 2.34 with Psi(x, u) = [Psi(x), u].
 
-    Args:
-        data: At least as many rows as n + m.
-        regularisation: Ridge, relative to each regressor's variance; 0 is Eq. 2.34 to the letter.
+    The ridge is relative to each regressor's variance; 0 is Eq. 2.34 to the letter. There are n + m rows at least.
 
     Raises:
         KoopmanError: too few rows, or values that are not finite.

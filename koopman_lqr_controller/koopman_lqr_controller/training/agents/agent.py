@@ -21,9 +21,8 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from koopman_lqr_controller.training.agents.actor import AgentInterface, LqrActor, make_actor
-from koopman_lqr_controller.training.networks.contrastive import noisy, random_crop
 from koopman_lqr_controller.training.networks.differentiable_lqr import LatentLqr
-from koopman_lqr_controller.training.networks.encoder_losses import EncoderBatch, make_encoder_loss
+from koopman_lqr_controller.training.networks.encoder_losses import EncoderBatch, make_encoder_loss, noisy, random_crop
 from koopman_lqr_controller.training.networks.networks import TwinCritic, follow
 from koopman_lqr_controller.training.replay import Transitions
 from koopman_lqr_controller.training.settings import Settings

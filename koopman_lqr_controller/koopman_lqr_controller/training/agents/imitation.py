@@ -23,8 +23,8 @@ from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.models.edmd import LinearModel
 from koopman_lqr_controller.policies.latent_policy import LatentPolicy, RobotInterface
 from koopman_lqr_controller.sensing.lidar_observation import LidarObservation
-from koopman_lqr_controller.training.networks.contrastive import info_nce, noisy
 from koopman_lqr_controller.training.networks.differentiable_lqr import LatentLqr
+from koopman_lqr_controller.training.networks.encoder_losses import info_nce, noisy
 from koopman_lqr_controller.training.networks.networks import TorchEncoder, follow
 
 

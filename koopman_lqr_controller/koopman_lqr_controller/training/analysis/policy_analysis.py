@@ -69,7 +69,7 @@ def analyse(
     add("policy", lambda: _policy(policy, loop))
     on_progress("poles")
     add("poles", lambda: _poles(loop))
-    add("true_poles", lambda: _true_poles(policy, loop, _there(world)))
+    add("true_poles", lambda: _true_poles(policy, loop, world))
     on_progress("controllability")
     add("controllability", lambda: _controllability(loop))
     add("costs", lambda: {"Q": loop.Q.tolist(), "R": loop.R.tolist()})
@@ -92,12 +92,6 @@ def analyse(
     add("tsne", lambda: _tsne(loop, _some(data, world)))
     add("closed_loop", lambda: _closed_loop(loop, _some(quiet, world)))
     return {**parts, "left_out": left_out}
-
-
-def _there(world: Any) -> Any:
-    if isinstance(world, CtrlRlError):
-        raise world
-    return world
 
 
 def _some(data: Sequence[EpisodeTrajectory], world: Any) -> Sequence[EpisodeTrajectory]:
@@ -127,6 +121,8 @@ def _poles(loop: ClosedLoopModel) -> dict[str, Any]:
 
 
 def _true_poles(policy: KoopmanPolicy, loop: ClosedLoopModel, world: Any) -> dict[str, Any]:
+    if isinstance(world, CtrlRlError):
+        raise world
     true = _true_system(policy, world)
     out = {
         "about": true.about,

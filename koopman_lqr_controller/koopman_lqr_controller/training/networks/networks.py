@@ -11,7 +11,6 @@ from torch import Tensor, nn
 
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.models import encoder as deployed
-from koopman_lqr_controller.training.networks.contrastive import centre_crop
 
 _KERNEL = 3
 
@@ -243,3 +242,9 @@ def follow(slow: nn.Module, fast: nn.Module, rate: float) -> None:
     """Move one module's parameters towards another's."""
     with torch.no_grad():
         torch._foreach_lerp_(list(slow.parameters()), list(fast.parameters()), rate)
+
+
+def centre_crop(images: Tensor, size: int) -> Tensor:
+    """Return the middle window (..., size, size) of images (..., height, width)."""
+    top, left = ((length - size) // 2 for length in images.shape[-2:])
+    return images[..., top : top + size, left : left + size]
