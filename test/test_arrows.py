@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-METHODS = ("ttr_reward_node", "oc_baseline_node", "koopman_lqr_controller", "option_coordinator")
+METHODS = ("ttr_reward_node", "oc_baseline_node", "koopman_lqr_controller", "option_coordinator", "ctrl_rl_navigation")
 MAY_IMPORT = {
     "ctrl_rl_core": set(),
     "ctrl_rl_bags": {"ctrl_rl_core"},

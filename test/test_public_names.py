@@ -46,6 +46,7 @@ def test_there_are_public_names() -> None:
     assert {stub.parent.name for stub in STUBS} >= {
         "ctrl_rl_core",
         "ctrl_rl_bags",
+        "ctrl_rl_navigation",
         "sim_bridge",
         "ttr_reward_node",
         "oc_baseline_node",

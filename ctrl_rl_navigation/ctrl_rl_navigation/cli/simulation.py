@@ -1,0 +1,220 @@
+"""Drives of the navigator in the simulator, in one process and without ROS."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from ctrl_rl_core.driving.scan import ScanError, view_scan
+from numpy.typing import NDArray
+from pydantic import PrivateAttr
+
+from ctrl_rl_core import Box, DriveSafety, NavigationTask, ObstacleStop, OccupancyMap, ScanGeometry, ScanHealth, World
+from ctrl_rl_navigation.driving.navigator import Decision, Goal, Navigator, NavigatorOptions, NavigatorState
+from ctrl_rl_navigation.robot import DriveLimits
+from sim_bridge import SimulatedWorld, SimulationOptions
+
+Array = NDArray[np.float64]
+
+LIDAR_X = -0.032
+"""Position of the burger's lidar ahead of its middle [m]."""
+_ENDED = (NavigatorState.REACHED, NavigatorState.UNREACHABLE)
+_FAR = 1e4
+
+
+class MapTask(NavigationTask):
+    """A burger among the occupied cells of a map; it starts at a given pose and ends nowhere."""
+
+    _boxes: tuple[Box, ...] = PrivateAttr(default=())
+
+    def build_world(self, width: float | None = None) -> World:  # noqa: ARG002
+        """Return the map's boxes as obstacles."""
+        return World(walls=(), obstacles=self._boxes, path=None, width=None)
+
+
+def make_task(map_: OccupancyMap, pose: Array) -> MapTask:
+    """Return the task of a robot that starts at a pose (3,) [m, m, rad] of a map."""
+    x, y, theta = map(float, pose)
+    task = MapTask.model_validate(
+        {
+            "name": "map",
+            "kind": "navigation",
+            "about": "A TurtleBot3 burger drives on a map.",
+            "source": "a map",
+            "system": {"model": "dubins_car", "controls": {"v": "0.22 m/s", "omega": "-2.84 .. 2.84 rad/s"}},
+            "robot": {
+                "body": "turtlebot3_burger",
+                "commands": {"v": "-0.22 .. 0.22 m/s", "omega": "-2.84 .. 2.84 rad/s"},
+            },
+            "arena": {"x": f"-{_FAR} .. {_FAR} m", "y": f"-{_FAR} .. {_FAR} m", "wall_thickness": "0.1 m"},
+            "start": {"x": f"{x} m", "y": f"{y} m", "theta": f"{theta} rad"},
+            "goal": {"disc": {"centre": f"({_FAR}, {_FAR}) m", "radius": "0.1 m"}},
+            "episode": {"steps": 10_000_000, "time_step": "0.1 s"},
+            "rewards": {"goal": 0, "collision": 0},
+            "lidar": {
+                "beams": 360,
+                "field": "0.0 .. 360.0 deg",
+                "range": "0.12 .. 3.5 m",
+                "rate": "5.0 Hz",
+                "noise": "0.01 m",
+            },
+        }
+    )
+    task._boxes = map_.boxes()
+    return task
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Errors of the pose in the map.
+
+    Attributes:
+        drift: Standard deviation of odometry's relative errors.
+        position: Standard deviation of each coordinate of a localiser's pose [m].
+        heading: Standard deviation of its heading [rad].
+        rate: Corrections of the localiser per second [Hz].
+    """
+
+    drift: float = 0.05
+    position: float = 0.05
+    heading: float = math.radians(3.0)
+    rate: float = 2.0
+
+
+class Localiser:
+    """Corrects a drifting odometry at a rate, each time with another error."""
+
+    def __init__(self, world: SimulatedWorld, errors: Errors, random: np.random.Generator) -> None:
+        self._world, self._errors, self._random = world, errors, random
+        self._next = 0.0
+        self._correction = np.zeros(3)
+
+    def odometry(self) -> Array:
+        """Return the pose by odometry (3,)."""
+        return self._world.odometry().pose
+
+    def pose(self) -> Array:
+        """Return the pose in the map (3,) as a localiser and odometry tell it."""
+        odometry = self.odometry()
+        if self._world.elapsed >= self._next:
+            self._next = self._world.elapsed + 1.0 / self._errors.rate
+            size = (self._errors.position, self._errors.position, self._errors.heading)
+            told = self._world.pose() + size * self._random.standard_normal(3)
+            self._correction = compose(told, inverse(odometry))
+        return compose(self._correction, odometry)
+
+
+def compose(first: Array, second: Array) -> Array:
+    """Return a pose (3,) given in the frame of another one (3,), in the frame of that one's."""
+    c, s = math.cos(first[2]), math.sin(first[2])
+    x, y = first[0] + c * second[0] - s * second[1], first[1] + s * second[0] + c * second[1]
+    return np.array((x, y, first[2] + second[2]))
+
+
+def inverse(pose: Array) -> Array:
+    """Return the inverse of a pose (3,)."""
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    return np.array((-c * pose[0] - s * pose[1], s * pose[0] - c * pose[1], -pose[2]))
+
+
+def move(points: Array, pose: Array) -> Array:
+    """Return points (n, 2) of a frame in the frame that its pose (3,) is given in."""
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    return np.column_stack(
+        (pose[0] + c * points[:, 0] - s * points[:, 1], pose[1] + s * points[:, 0] + c * points[:, 1])
+    )
+
+
+@dataclass(frozen=True)
+class Drive:
+    """The end of a drive.
+
+    Attributes:
+        state: State of the navigator at the end.
+        collided: Whether the robot touched something.
+        seconds: Simulated duration [s].
+        distance: True distance from the goal at the end [m].
+        waited: Part of the duration in which the robot stood [s].
+        solves: Number of values that were solved.
+    """
+
+    state: NavigatorState
+    collided: bool
+    seconds: float
+    distance: float
+    waited: float
+    solves: int
+
+
+class DriveSimulation:
+    """A robot with the navigator, the obstacle stop below it, and a localiser with errors."""
+
+    def __init__(
+        self, map_: OccupancyMap, pose: Array, seed: int, errors: Errors, limits: DriveLimits | None = None
+    ) -> None:
+        self.limits = limits or DriveLimits()
+        self._options = NavigatorOptions(inline=True)
+        self.world = SimulatedWorld(make_task(map_, pose), seed, options=SimulationOptions(odom_drift=errors.drift))
+        self.navigator = Navigator(self.limits, self._options)
+        self.navigator.set_map(map_)
+        self.localiser = Localiser(self.world, errors, np.random.default_rng((seed, 7)))
+        stop = ObstacleStop(0.125, 0.02, 0.5, 0.3)
+        self._safety = DriveSafety(ScanHealth(0.0, 6.3, 0), stop, LIDAR_X, 0.15 + stop.reach(0.33, 0.5))
+        self._echoes = np.empty((0, 2))
+        self._scan_pose, self._scan_at = self.localiser.odometry(), 0.0
+        self.trace: list[Array] = []
+
+    def drive(self, goal: Goal, longest: float) -> Drive:
+        """Drive to a goal, for at most `longest` seconds."""
+        world, rate = self.world, self.world.options.rate
+        begin, waited, solves = world.elapsed, 0.0, self.navigator.solves
+        self.navigator.set_goal(goal)
+        period = round(self._options.period * rate)
+        next_scan = world.elapsed
+        state, collided = NavigatorState.WAITING, False
+        while world.elapsed - begin < longest:
+            pose = self.localiser.pose()
+            if world.elapsed >= next_scan - 1e-9:
+                next_scan += 1.0 / world.lidar.spec.rate
+                self._look(pose)
+            decision = self._step(pose)
+            state = decision.state
+            waited += self._options.period * (not decision.command.any())
+            if state in _ENDED and abs(world.velocity()[0]) < 0.01:
+                break
+            world.step(period)
+            if world.episode().clearance <= 0.0:
+                collided = True
+                break
+        distance = math.dist(world.pose()[:2], goal.position)
+        return Drive(state, collided, world.elapsed - begin, distance, waited, self.navigator.solves - solves)
+
+    def _look(self, pose: Array) -> None:
+        """Take a scan."""
+        scan = self.world.laser_scan()
+        geometry = ScanGeometry(len(scan.ranges), scan.angle_min, scan.angle_increment, scan.range_min, scan.range_max)
+        now = self.world.elapsed
+        forward, _, turn = self.world.odometry().velocity
+        self._safety.update(now, round(1e9 * now), "scan", scan.ranges, geometry, (forward, turn))
+        self._echoes = view_scan(scan.ranges, geometry, math.inf, LIDAR_X).points
+        self._scan_pose, self._scan_at = self.localiser.odometry(), now
+        self.navigator.see(now, pose, self._echoes)
+
+    def _step(self, pose: Array) -> Decision:
+        """Send one command."""
+        now = self.world.elapsed
+        since = compose(inverse(self.localiser.odometry()), self._scan_pose)
+        decision = self.navigator.decide(now, pose, move(self._echoes, since))
+        try:
+            command, _ = self._safety.limit(decision.command, self.world.odometry().velocity[0], now - self._scan_at)
+        except ScanError:
+            command = np.zeros(2)
+        self.navigator.sent(command)
+        self.world.command(0, command)
+        self.trace.append(self.world.pose())
+        return decision
+
+    def close(self) -> None:
+        """Give the physics client back."""
+        self.world.close()

@@ -1,0 +1,94 @@
+"""Obstacles that the scan sees and the map has not, on the cells of the map; they fade when nothing sees them again."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrl_rl_core import OccupancyMap
+
+Array = NDArray[np.float64]
+
+FARTHEST = 2.0
+"""Distance up to which echoes are kept [m]: farther ones are displaced by an error of the heading."""
+_ERROR, _HEADING_ERROR = 0.12, 0.06
+"""Errors of a pose [m], [rad]: echoes that are nearer to a wall of the map may be that wall."""
+_BEHIND = 0.2
+"""Distance by which an echo must lie behind a kept obstacle to take it away [m]."""
+_BINS = 360
+
+
+class ObstacleLayer:
+    """Cells with an obstacle, and when each was seen last.
+
+    Args:
+        map_: Map that the echoes are compared with.
+        clearance: Distances to the map's own obstacles (rows, columns) [m].
+        memory: Time after which an obstacle that nothing sees is forgotten [s].
+    """
+
+    def __init__(self, map_: OccupancyMap, clearance: NDArray[np.float32], memory: float) -> None:
+        self._map, self._clearance, self._memory = map_, clearance, memory
+        self._seen: dict[tuple[int, int], float] = {}
+
+    def __len__(self) -> int:
+        """Return the number of cells with an obstacle."""
+        return len(self._seen)
+
+    def points(self) -> Array:
+        """Return the middles of the cells with an obstacle (n, 2) [m]."""
+        cells = np.array(list(self._seen), np.intp).reshape(-1, 2)
+        return self._map.cell_to_world(cells[:, 0], cells[:, 1])
+
+    def clear(self) -> None:
+        """Forget all obstacles."""
+        self._seen.clear()
+
+    def update(self, now: float, pose: Array, points: Array, close_to_walls: bool = False) -> None:
+        """Take the echoes of a scan.
+
+        Args:
+            now: Steady time [s].
+            pose: Pose of the robot at the scan (3,) [m, m, rad].
+            points: Echoes in the robot's frame (n, 2) [m].
+            close_to_walls: Whether echoes close to a wall of the map count as obstacles, too.
+        """
+        self._fade(now, pose, points)
+        distance = np.hypot(points[:, 0], points[:, 1])
+        near = distance < FARTHEST
+        c, s = math.cos(pose[2]), math.sin(pose[2])
+        x, y = points[near, 0], points[near, 1]
+        placed = np.column_stack((pose[0] + c * x - s * y, pose[1] + s * x + c * y))
+        rows, columns = self._map.world_to_cell(placed)
+        height, width = self._clearance.shape
+        inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
+        rows, columns, distance = rows[inside], columns[inside], distance[near][inside]
+        error = 0.0 if close_to_walls else _ERROR + _HEADING_ERROR * distance
+        new = self._clearance[rows, columns] > error
+        for cell in zip(rows[new].tolist(), columns[new].tolist(), strict=True):
+            self._seen[cell] = now
+
+    def _fade(self, now: float, pose: Array, points: Array) -> None:
+        """Forget what is old, and what the scan sees through."""
+        if not self._seen:
+            return
+        self._seen = {cell: at for cell, at in self._seen.items() if now - at <= self._memory}
+        kept = self.points() - pose[:2]
+        away = np.hypot(kept[:, 0], kept[:, 1])
+        bearing = np.arctan2(kept[:, 1], kept[:, 0]) - pose[2]
+        seen_to = np.zeros(_BINS)  # nothing is known where a beam has no echo
+        bins = _bin(np.arctan2(points[:, 1], points[:, 0]))
+        order = np.argsort(-np.hypot(points[:, 0], points[:, 1]))  # the nearest echo of a bin is written last
+        seen_to[bins[order]] = np.hypot(points[order, 0], points[order, 1])
+        # The beams beside count as well, because an obstacle's edge is displaced by an error of the heading.
+        least = np.minimum(seen_to, np.minimum(np.roll(seen_to, 3), np.roll(seen_to, -3)))
+        through = least[_bin(bearing)] > away + _BEHIND
+        gone = [cell for cell, is_gone in zip(list(self._seen), through.tolist(), strict=True) if is_gone]
+        for cell in gone:
+            del self._seen[cell]
+
+
+def _bin(bearing: Array) -> NDArray[np.intp]:
+    return np.rint(np.mod(bearing, 2.0 * math.pi) * (_BINS / (2.0 * math.pi))).astype(np.intp) % _BINS

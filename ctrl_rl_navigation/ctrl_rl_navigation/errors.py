@@ -1,0 +1,7 @@
+"""Errors of this package that a user can fix."""
+
+from ctrl_rl_core import CtrlRlError
+
+
+class NavigationError(CtrlRlError):
+    """A goal cannot be driven to; the message is the reason."""

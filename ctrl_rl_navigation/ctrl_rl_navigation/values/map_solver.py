@@ -1,0 +1,167 @@
+"""Solves the time to reach a goal on a map: speeds by the clearance, then fast marching from the goal."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrl_rl_core import OccupancyMap
+from ctrl_rl_navigation.errors import NavigationError
+from ctrl_rl_navigation.robot import DriveLimits
+from ctrl_rl_navigation.values.fast_marching import BORDER, Front, make_front, march, seed, widen
+from ctrl_rl_navigation.values.map_value import MapValue
+
+SLOWEST = 0.6
+"""Share of the full speed beside an obstacle, which makes ways through the open a bit dearer than they are long."""
+EASE = 0.2
+"""Additional clearance from which on the speed is full [m]."""
+_BAND = 0.35
+"""Depth to which places too near to an obstacle have a time as well [m]: a pose with an error may lie there."""
+_BURIED = 0.1
+"""Depth to which even places inside of an obstacle have one [m]."""
+_BAND_SPEED = 0.1
+"""Share of the full speed there, so that each of them leads back into the open."""
+_CHUNK = 20_000
+"""Cells between two looks at whether the work is still wanted."""
+
+Array = NDArray[np.float64]
+Report = Callable[[float], None]
+
+
+class CancelledError(Exception):
+    """The value is not wanted any more."""
+
+
+class MapSolver:
+    """Times to reach on one map for one robot.
+
+    Attributes:
+        map: Map that is solved on.
+        limits: Size and speed of the robot.
+        clearance: Distances to obstacles of the map at its cells (rows, columns) [m].
+    """
+
+    def __init__(self, map_: OccupancyMap, limits: DriveLimits, slowest: float = SLOWEST) -> None:
+        """Prepare what all goals share.
+
+        Args:
+            map_: Map with the obstacles.
+            limits: Size and speed of the robot.
+            slowest: Share of the full speed beside an obstacle; 1.0 for the shortest time.
+        """
+        self.map, self.limits, self._slowest = map_, limits, slowest
+        self.clearance = map_.clearance()
+
+    def solve(
+        self,
+        goal: tuple[float, float],
+        radius: float,
+        obstacles: Array | None = None,
+        report: Report | None = None,
+        wanted: Callable[[], bool] | None = None,
+    ) -> MapValue:
+        """Return the time to reach a disc.
+
+        Args:
+            goal: Middle of the disc [m].
+            radius: Radius of the disc [m].
+            obstacles: Places of obstacles that the map has not (n, 2) [m].
+            report: Takes the share of the cells that is done, 0 to 1.
+            wanted: Tells whether the value is still wanted.
+
+        Raises:
+            NavigationError: The goal lies off the map, or no place of the disc has room for the robot.
+            CancelledError: The value is not wanted any more.
+        """
+        begin = time.monotonic()
+        clearance = self.clearance if obstacles is None else self._with_obstacles(obstacles)
+        open_ = clearance >= self.limits.room
+        front = make_front(np.where(open_, self._slowness(clearance), 0.0))
+        seed(front, *self._seeds(front, goal, radius, clearance, open_))
+        self._run(front, int(np.count_nonzero(open_)), report, wanted)
+        # First what is free but tight, then what is solid: so no time passes through a wall from behind.
+        slow = self.map.resolution / (_BAND_SPEED * self.limits.speed)
+        for places, depth in (((clearance > 0.0) & ~open_, _BAND), (clearance <= 0.0, _BURIED)):
+            widen(front, np.pad(np.where(places, slow, 0.0), BORDER).ravel())
+            while march(front, _CHUNK, math.ceil(depth / self.map.resolution)):
+                self._check(wanted)
+        times = self._inside(front, open_.shape).astype(np.float32)
+        return MapValue(times, self.map, goal, radius, time.monotonic() - begin)
+
+    def _slowness(self, clearance: NDArray[np.float32]) -> Array:
+        """Return the time to cross each cell [s]."""
+        ease = np.clip((clearance - self.limits.room) / EASE, 0.0, 1.0)
+        speed = self.limits.speed * (self._slowest + (1.0 - self._slowest) * ease)
+        return np.asarray(self.map.resolution / speed, np.float64)
+
+    def _with_obstacles(self, points: Array) -> NDArray[np.float32]:
+        """Return the clearance with more obstacles; only the cells near them change."""
+        out = self.clearance.copy()
+        reach = self.limits.room + EASE
+        cells = math.ceil(reach / self.map.resolution)
+        height, width = out.shape
+        offsets = np.arange(-cells, cells + 1)
+        places = self.map.to_grid(points)
+        for row, column in places[np.isfinite(places).all(axis=1)]:
+            rows = offsets + round(row)
+            columns = offsets + round(column)
+            rows, columns = rows[(rows >= 0) & (rows < height)], columns[(columns >= 0) & (columns < width)]
+            if rows.size and columns.size:
+                distance = np.hypot(rows[:, None] - row, columns - column) * self.map.resolution
+                part = out[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+                np.minimum(part, distance, out=part, casting="unsafe")
+        return out
+
+    def _seeds(
+        self,
+        front: Front,
+        goal: tuple[float, float],
+        radius: float,
+        clearance: NDArray[np.float32],
+        open_: NDArray[np.bool_],
+    ) -> tuple[NDArray[np.int64], Array]:
+        """Return the cells in and close around the disc, and their exact times [s]."""
+        row, column = self.map.to_grid(goal)
+        height, width = open_.shape
+        if not (-0.5 <= row < height - 0.5 and -0.5 <= column < width - 0.5):
+            raise NavigationError(f"the goal ({goal[0]:.2f}, {goal[1]:.2f}) lies off the map")
+        reach = math.ceil(radius / self.map.resolution + 3.0)
+        rows, columns = np.mgrid[-reach : reach + 1, -reach : reach + 1].reshape(2, -1)
+        rows, columns = rows + round(row), columns + round(column)
+        inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
+        rows, columns = rows[inside], columns[inside]
+        distance = np.hypot(rows - row, columns - column) * self.map.resolution
+        t = np.linspace(0.0, 1.0, 4 * reach + 1)
+        between_rows = np.rint(row + t * (rows[:, None] - row)).astype(int).clip(0, height - 1)
+        between_columns = np.rint(column + t * (columns[:, None] - column)).astype(int).clip(0, width - 1)
+        # Within sight of the goal, which itself may lie closer to a wall than the robot can come.
+        seen = open_[rows, columns] & (clearance[between_rows, between_columns] > 0.0).all(axis=1)
+        if not (seen & (distance <= radius)).any():
+            here = float(clearance[min(max(round(row), 0), height - 1), min(max(round(column), 0), width - 1)])
+            raise NavigationError(
+                f"the goal ({goal[0]:.2f}, {goal[1]:.2f}) is {here:.2f} m from an obstacle or unknown space: "
+                f"the robot needs {self.limits.room:.2f} m"
+            )
+        rows, columns, distance = rows[seen], columns[seen], distance[seen]
+        cells = (rows + BORDER) * front.stride + columns + BORDER
+        seconds = np.maximum(distance - radius, 0.0) / self.map.resolution * front.slowness[cells]
+        return cells.astype(np.int64), seconds
+
+    def _run(self, front: Front, total: int, report: Report | None, wanted: Callable[[], bool] | None) -> None:
+        left = 1
+        while left:
+            left = march(front, _CHUNK, 0)
+            self._check(wanted)
+            if report is not None:
+                report(min(1.0, float(front.counts[1]) / max(total, 1)))
+
+    def _check(self, wanted: Callable[[], bool] | None) -> None:
+        if wanted is not None and not wanted():
+            raise CancelledError
+
+    def _inside(self, front: Front, shape: tuple[int, ...]) -> Array:
+        return front.times.reshape(-1, front.stride)[BORDER:-BORDER, BORDER:-BORDER].reshape(shape)

@@ -1,0 +1,142 @@
+"""The navigator drives a simulated burger: to goals, past obstacles that the map has not, and not where it must not."""
+
+import math
+
+import numpy as np
+import pytest
+from ctrl_rl_navigation.cli.simulation import DriveSimulation, Errors
+from ctrl_rl_navigation.driving.navigator import Goal, Navigator, NavigatorOptions, NavigatorState
+
+from ctrl_rl_core import OccupancyMap
+from ctrl_rl_navigation import DriveLimits
+
+NONE = np.empty((0, 2))
+
+
+def room(*blocks: tuple[slice, slice]) -> OccupancyMap:
+    """Return a room of 3 m by 2 m with blocks in it."""
+    cells = np.zeros((44, 64), np.int8)
+    cells[:2], cells[-2:], cells[:, :2], cells[:, -2:] = 100, 100, 100, 100
+    for block in blocks:
+        cells[block] = 100
+    return OccupancyMap(cells, 0.05)
+
+
+POST = (slice(17, 25), slice(28, 36))
+DOOR_CLOSED = (slice(0, 44), slice(30, 32))
+
+
+def drive_between(world: OccupancyMap, known: OccupancyMap, errors: Errors) -> tuple[DriveSimulation, object]:
+    simulation = DriveSimulation(world, np.array((0.5, 1.05, 2.0)), 1, errors)
+    simulation.navigator.set_map(known)
+    return simulation, simulation.drive(Goal((2.7, 1.05)), 60.0)
+
+
+def test_it_reaches_the_goal_round_an_obstacle_with_drift_and_an_error_of_the_pose() -> None:
+    simulation, drive = drive_between(room(POST), room(POST), Errors())
+    simulation.close()
+    assert drive.state is NavigatorState.REACHED
+    assert not drive.collided
+    assert drive.distance < 0.35
+    assert drive.seconds < 1.6 * 2.1 / DriveLimits().speed
+
+
+def test_it_goes_round_an_obstacle_that_the_map_has_not() -> None:
+    simulation, drive = drive_between(room(POST), room(), Errors())
+    simulation.close()
+    assert (drive.state, drive.collided) == (NavigatorState.REACHED, False)
+    assert drive.solves > 1
+
+
+def test_it_stands_where_an_obstacle_closes_the_only_way_and_says_so() -> None:
+    simulation, drive = drive_between(room(DOOR_CLOSED), room(), Errors(position=1e-3, heading=1e-3))
+    simulation.close()
+    assert drive.state is NavigatorState.BLOCKED
+    assert not drive.collided
+    assert drive.waited > 20.0
+
+
+def test_without_a_way_on_the_map_it_says_so_at_once_and_does_not_move() -> None:
+    simulation, drive = drive_between(room(DOOR_CLOSED), room(DOOR_CLOSED), Errors())
+    simulation.close()
+    assert drive.state is NavigatorState.UNREACHABLE
+    assert drive.seconds < 0.5
+
+
+@pytest.fixture
+def navigator() -> Navigator:
+    navigator = Navigator(DriveLimits(), NavigatorOptions(inline=True))
+    navigator.set_map(room())
+    return navigator
+
+
+def test_it_waits_for_what_it_lacks_and_stands_off_the_map(navigator: Navigator) -> None:
+    pose = np.array((1.0, 1.0, 0.0))
+    assert Navigator(DriveLimits()).decide(0.0, pose, NONE).message == "waiting for a map"
+    assert navigator.decide(0.0, pose, NONE).message == "waiting for a goal"
+    navigator.set_goal(Goal((2.5, 1.0)))
+    assert navigator.decide(0.1, pose, NONE).state is NavigatorState.DRIVING
+    outside = navigator.decide(0.2, np.array((-3.0, 1.0, 0.0)), NONE)
+    assert (outside.state, outside.command.tolist()) == (NavigatorState.WAITING, [0.0, 0.0])
+    assert "off the map" in outside.message
+    assert navigator.decide(0.3, pose, NONE).state is NavigatorState.DRIVING
+
+
+def test_goals_are_cancelled_and_replaced(navigator: Navigator) -> None:
+    pose = np.array((1.0, 1.0, 0.0))
+    assert not navigator.cancel()
+    navigator.set_goal(Goal((2.5, 1.0)))
+    assert navigator.decide(0.0, pose, NONE).command[0] > 0.0
+    assert navigator.remaining_distance == pytest.approx(1.5, abs=0.15)
+    navigator.set_goal(Goal((0.3, 1.0)))
+    behind = navigator.decide(0.1, pose, NONE)
+    assert abs(behind.command[1]) > 0.3
+    assert behind.remaining_time == pytest.approx(0.7 / 0.22 + math.pi / 2.0, abs=1.5)
+    assert navigator.cancel()
+    assert navigator.decide(0.2, pose, NONE).state is NavigatorState.CANCELLED
+    navigator.set_goal(Goal((9.0, 1.0)))
+    refused = navigator.decide(0.3, pose, NONE)
+    assert (refused.state, refused.message) == (
+        NavigatorState.UNREACHABLE,
+        "the goal (9.00, 1.00) lies off the map",
+    )
+    navigator.set_goal(Goal((1.05, 1.0), heading=math.pi / 2.0))
+    turning = navigator.decide(0.4, pose, NONE)
+    assert turning.command[0] == 0.0
+    assert turning.command[1] > 0.0
+    assert navigator.decide(0.5, np.array((1.0, 1.0, 1.5)), NONE).state is NavigatorState.REACHED
+
+
+def test_a_solve_in_the_background_leaves_the_old_goal_until_it_is_ready() -> None:
+    navigator = Navigator(DriveLimits())
+    navigator.set_map(room())
+    pose = np.array((1.0, 1.0, 0.0))
+    navigator.set_goal(Goal((2.5, 1.0)))
+    assert navigator._job is not None
+    assert navigator._job.finished.wait(60.0)
+    assert navigator.decide(0.0, pose, NONE).state is NavigatorState.DRIVING
+    first = navigator.goal
+    navigator.set_goal(Goal((2.5, 0.5)))
+    assert navigator.goal is first
+    assert navigator._job.finished.wait(60.0)
+    navigator.decide(0.1, pose, NONE)
+    assert navigator.goal == Goal((2.5, 0.5))
+
+
+def test_obstacles_of_the_scan_fade_and_are_seen_through(navigator: Navigator) -> None:
+    layer, pose = navigator.layer, np.array((0.5, 1.0, 0.0))
+    assert layer is not None
+    bearings = np.radians(np.arange(360))
+    ring = np.column_stack((np.cos(bearings), np.sin(bearings)))
+    navigator.see(0.0, pose, 0.4 * ring[:10])
+    count = len(layer)
+    assert count > 0
+    assert np.linalg.norm(layer.points() - pose[:2], axis=1) == pytest.approx(0.4, abs=0.04)
+    navigator.see(1.0, pose, NONE)
+    assert len(layer) == count  # nothing is known there
+    navigator.see(2.0, pose, np.column_stack((np.full(20, 2.4), np.linspace(-0.5, 1.0, 20)))[:0])
+    navigator.see(20.0, pose, NONE)
+    assert len(layer) == 0
+    navigator.see(21.0, pose, 0.4 * ring[:10])
+    navigator.see(21.2, pose, 2.0 * np.r_[ring[-20:], ring[:30]])
+    assert all(math.dist(point, pose[:2]) > 1.0 for point in layer.points())
