@@ -30,6 +30,7 @@ setup(
             "options_demo = ctrl_rl_bringup.cli.team:demo",
             "options_monitor = ctrl_rl_bringup.cli.team:monitor",
             "options_report = ctrl_rl_bringup.cli.team:report",
+            "preflight = ctrl_rl_bringup.cli.preflight:preflight",
             "record_drives = ctrl_rl_bringup.cli.drive:record_drives",
             "report = ctrl_rl_bringup.cli.drive:report",
             "results = ctrl_rl_bringup.cli.drive:results",

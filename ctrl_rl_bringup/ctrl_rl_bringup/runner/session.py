@@ -3,17 +3,25 @@
 from __future__ import annotations
 
 import signal
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
 import rclpy
 from ctrl_rl_core.processes.signals import STOP_SIGNALS, handle_signals
-from rclpy.signals import SignalHandlerOptions
+from ctrl_rl_core.ros.running import initialise
 
 
 @contextmanager
-def ros() -> Iterator[None]:
-    """Let rclpy be there; a signal raises KeyboardInterrupt once, those that follow must wait for the end."""
+def ros(arguments: list[str] | None = None) -> Iterator[None]:
+    """Let rclpy be there; a signal raises KeyboardInterrupt once, those that follow must wait for the end.
+
+    Args:
+        arguments: Words of a command line with ROS arguments; those of the process unless given.
+
+    Raises:
+        ParameterError: A ROS argument is wrong, or ROS cannot run here.
+    """
 
     def interrupt(_number: int, _frame: object) -> None:
         for number in STOP_SIGNALS:
@@ -22,7 +30,7 @@ def ros() -> Iterator[None]:
 
     with handle_signals(interrupt):
         # rclpy's own handlers would close the context under whoever is waiting in it.
-        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+        initialise(sys.argv if arguments is None else arguments)
         try:
             yield
         finally:

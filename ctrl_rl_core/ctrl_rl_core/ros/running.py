@@ -96,7 +96,7 @@ def run_node(kind: type[SuiteNode], arguments: list[str] | None = None) -> int:
         with interruptible():
             if not kind.SHARED_MEMORY:
                 _leave_out_shared_memory()
-            extra = _initialise(arguments)
+            extra = initialise(arguments)
             if extra:
                 raise ParameterError(f"unknown argument '{extra[0]}': see --help")
             node = kind()  # type: ignore[call-arg]
@@ -117,8 +117,12 @@ def run_node(kind: type[SuiteNode], arguments: list[str] | None = None) -> int:
     return 0
 
 
-def _initialise(arguments: list[str]) -> list[str]:
-    """Start rclpy with the process's signals left alone and return the arguments that are not ROS's."""
+def initialise(arguments: list[str]) -> list[str]:
+    """Start rclpy with the process's signals left alone and return the arguments that are not ROS's.
+
+    Raises:
+        ParameterError: A ROS argument is wrong, or the process has too few files or no folder for its log.
+    """
     _check_open_files()
     _check_log_folder()
     try:

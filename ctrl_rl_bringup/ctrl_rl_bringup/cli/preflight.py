@@ -1,0 +1,177 @@
+"""The command `preflight`: look at a live robot, and say go or no-go."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any, Literal
+
+from ctrl_rl_core.command import EXIT_USAGE, CommandError, FiniteNumber, folder_to_write, parse_options, run_command
+from rclpy.executors import SingleThreadedExecutor
+from tqdm import tqdm
+
+from ctrl_rl_bringup.cli.running import own_arguments, run_folder
+from ctrl_rl_bringup.preflight.finding import Finding, Limits, left_out
+from ctrl_rl_bringup.preflight.inspection import inspect_moving, inspect_standing, may_go
+from ctrl_rl_bringup.preflight.listener import Listener
+from ctrl_rl_bringup.preflight.motion_checks import Motion
+from ctrl_rl_bringup.preflight.mover import Mover, mover_parameters, run_pattern
+from ctrl_rl_bringup.preflight.report import as_text, write_report
+from ctrl_rl_bringup.runner.session import ros
+
+_LONGEST_S = 600.0
+_QUESTION = {
+    "air": "The wheels will turn. Are they in the air?",
+    "floor": "The robot will turn by 45 degrees and drive 16 cm ahead and back. Is a metre around it free?",
+}
+
+
+@dataclass(frozen=True)
+class PreflightOptions(Limits):
+    """Look at a live robot, or at the simulator, and say what is wrong before it drives: GO or NO-GO, and what to do.
+
+    Exit code 0: go; 1: no-go; 2: the command line is wrong, or the report cannot be written.
+    ROS arguments may follow, as in: preflight --ros-args -r scan:=lidar_scan
+    """
+
+    output: Path | None = None
+    """Folder of the report, preflight.txt and preflight.json; runs/preflight-<date>-<time> unless given."""
+
+    seconds: FiniteNumber = 5.0
+    """Time to listen, once scan and odometry have come [s]."""
+
+    wait: FiniteNumber = 10.0
+    """Longest time to wait for scan and odometry [s]."""
+
+    namespace: str = ""
+    """Namespace of the robot."""
+
+    unstamped: bool = False
+    """Commands will be Twist (Humble) instead of TwistStamped (Jazzy)."""
+
+    commands: str = "cmd_vel"
+    """Topic that commands will be sent on: cmd_vel_raw where the watchdog runs."""
+
+    move: Literal["none", "air", "floor"] = "none"
+    """Drive a short pattern, wheels in the air or in a metre of free space, and hold odometry and scans to it."""
+
+    yes: bool = False
+    """Move without asking."""
+
+    def check(self) -> None:
+        """Refuse values that make no sense.
+
+        Raises:
+            CommandError: One does not.
+        """
+        for name, least, largest in (("seconds", 1.0, _LONGEST_S), ("wait", 0.0, _LONGEST_S)):
+            if not least <= getattr(self, name) <= largest:
+                raise CommandError(f"--{name} {getattr(self, name):g}: must be {least:g} to {largest:g} s")
+        signed = ("lidar_x", "lidar_yaw")
+        for each in fields(Limits):
+            if each.name not in signed and getattr(self, each.name) < 0.0:
+                raise CommandError(
+                    f"--{each.name.replace('_', '-')} {getattr(self, each.name):g}: must not be negative"
+                )
+        if not (abs(self.lidar_x) <= 1.0 and abs(self.lidar_yaw) <= 3.1416):
+            raise CommandError("--lidar-x must be -1 to 1 m, --lidar-yaw -3.1416 to 3.1416 rad")
+        if self.move != "none" and not self.yes and not sys.stdin.isatty():
+            raise CommandError(f"--move {self.move} asks before it moves the robot: run it in a terminal, or add --yes")
+
+    def limits(self) -> Limits:
+        """Return the limits of the checks alone."""
+        return Limits(**{each.name: getattr(self, each.name) for each in fields(Limits)})
+
+
+def preflight() -> int:
+    """Look at a live robot and say go or no-go."""
+    options = parse_options("preflight", PreflightOptions, own_arguments())
+    return run_command("preflight", lambda: _preflight(options), failure=EXIT_USAGE)
+
+
+def _preflight(options: PreflightOptions) -> int:
+    options.check()
+    folder = run_folder(options.output, "preflight")
+    try:
+        folder_to_write(str(folder))
+    except ValueError as error:
+        raise CommandError(str(error)) from None
+    moves = options.move != "none" and _agreed(options)
+    with ros(_ros_arguments(options)), _listener(options) as (listener, executor):
+        findings = _stand(options, listener, executor)
+        findings += _move(options, listener, executor, may_go(findings)) if moves else [_not_moved(options)]
+    write_report(folder, findings, options.limits())
+    print(as_text(findings))
+    print(f"report  {folder / 'preflight.txt'}")
+    return 0 if may_go(findings) else 1
+
+
+def _stand(options: PreflightOptions, listener: Listener, executor: SingleThreadedExecutor) -> list[Finding]:
+    """Listen to a robot that stands, and return what is found."""
+    print("preflight: waiting for scan and odometry", file=sys.stderr)
+    listener.wait(executor, options.wait)
+    print(f"preflight: listening for {options.seconds:g} s", file=sys.stderr)
+    with tqdm(total=options.seconds, unit="s", bar_format="{l_bar}{bar}| {n:.0f} s", disable=None) as bar:
+        heard = listener.listen(executor, options.seconds, lambda passed: _show(bar, passed))
+    return inspect_standing(heard, options.limits())
+
+
+def _move(
+    options: PreflightOptions, listener: Listener, executor: SingleThreadedExecutor, healthy: bool
+) -> list[Finding]:
+    """Drive the pattern where the standing robot is healthy, and return what is found."""
+    if not healthy:
+        return [left_out("drive", "the robot is not moved before the above is mended")]
+    mover = Mover()
+    executor.add_node(mover)
+    try:
+        listener.heard.scans.clear()
+        listener.heard.odometry.clear()
+        parts = run_pattern(mover, executor, lambda name: print(f"preflight: {name}", file=sys.stderr))
+    finally:
+        executor.remove_node(mover)
+        mover.destroy_node()
+    return inspect_moving(Motion(listener.heard, parts), options.limits(), options.move == "floor")
+
+
+def _not_moved(options: PreflightOptions) -> Finding:
+    reason = "not agreed to" if options.move != "none" else "no --move air or --move floor"
+    return left_out("drive", f"{reason}: odometry and lidar are not held to commands, nor what stops the robot")
+
+
+def _agreed(options: PreflightOptions) -> bool:
+    """Return whether the user lets the robot move."""
+    if options.yes:
+        return True
+    print(f"{_QUESTION[options.move]} [yes/no] ", end="", flush=True, file=sys.stderr)
+    return sys.stdin.readline().strip().lower() in ("y", "yes")
+
+
+def _ros_arguments(options: PreflightOptions) -> list[str]:
+    """Return the process's words with the options that rclpy is to know."""
+    namespace = options.namespace.strip("/")
+    out = [*sys.argv, "--ros-args"]
+    out += ["-r", f"__ns:=/{namespace}"] if namespace else []
+    for parameter in mover_parameters(options.move == "air", options.unstamped, options.lidar_x, options.lidar_yaw):
+        out += ["-p", f"preflight_mover:{parameter}"]
+    if options.commands != "cmd_vel":
+        out += ["-r", f"preflight_mover:cmd_vel:={options.commands}"]
+    return out
+
+
+@contextmanager
+def _listener(options: PreflightOptions) -> Iterator[tuple[Listener, SingleThreadedExecutor]]:
+    listener, executor = Listener(options.unstamped, options.commands), SingleThreadedExecutor()
+    executor.add_node(listener)
+    try:
+        yield listener, executor
+    finally:
+        executor.shutdown()
+        listener.destroy_node()
+
+
+def _show(bar: tqdm[Any], passed: float) -> None:
+    bar.update(passed - bar.n)

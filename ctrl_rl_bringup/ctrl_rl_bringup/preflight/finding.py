@@ -1,0 +1,110 @@
+"""Findings of a pre-flight, and its limits."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+from ctrl_rl_core.command import FiniteNumber
+
+
+class Level(Enum):
+    """How bad a finding is."""
+
+    OK = "ok"
+    NOTE = "note"
+    NO_GO = "NO-GO"
+    LEFT_OUT = "left out"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What one check found.
+
+    Attributes:
+        check: Name of the check.
+        level: Severity: ok, to note, no-go, or left out.
+        text: The finding in one line, with its figures.
+        advice: Remedy for the user; empty where nothing is to be done.
+    """
+
+    check: str
+    level: Level
+    text: str
+    advice: str = ""
+
+
+def ok(check: str, text: str) -> Finding:
+    """Return a finding that nothing is wrong."""
+    return Finding(check, Level.OK, text)
+
+
+def note(check: str, text: str, advice: str = "") -> Finding:
+    """Return a finding that a user should know, but that does not keep the robot from driving."""
+    return Finding(check, Level.NOTE, text, advice)
+
+
+def no_go(check: str, text: str, advice: str) -> Finding:
+    """Return a finding that keeps the robot from driving."""
+    return Finding(check, Level.NO_GO, text, advice)
+
+
+def left_out(check: str, text: str) -> Finding:
+    """Return that a check was not made, and why."""
+    return Finding(check, Level.LEFT_OUT, text)
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Limits of the checks; the defaults are those of a TurtleBot3 burger under this suite's controllers."""
+
+    scan_rate: FiniteNumber = 4.0
+    """Least scans per second [Hz]."""
+
+    odom_rate: FiniteNumber = 10.0
+    """Least odometry messages per second [Hz]."""
+
+    largest_gap: FiniteNumber = 0.5
+    """Longest silence of scan or odometry [s]; the controllers stop the robot after 0.5 s."""
+
+    largest_age: FiniteNumber = 0.5
+    """Largest age of a stamp on arrival, by this computer's clock [s]."""
+
+    largest_lead: FiniteNumber = 0.1
+    """Largest lead of a stamp over this computer's clock [s]."""
+
+    echo_share: FiniteNumber = 0.3
+    """Least share of beams with an echo, 0 to 1."""
+
+    field: FiniteNumber = 180.0
+    """Least field of view of the lidar [deg]."""
+
+    lidar_x: FiniteNumber = -0.032
+    """Position of the lidar ahead of base_link that the controller is told [m]."""
+
+    lidar_yaw: FiniteNumber = 0.0
+    """Direction of the scan's zero bearing in the robot's frame that the controller is told [rad]."""
+
+    lidar_x_tolerance: FiniteNumber = 0.05
+    """Largest difference between lidar_x and TF [m]."""
+
+    lidar_yaw_tolerance: FiniteNumber = 0.1
+    """Largest difference between lidar_yaw and TF [rad]."""
+
+    least_charge: FiniteNumber = 0.2
+    """Least charge of the battery, 0 to 1."""
+
+    least_voltage: FiniteNumber = 11.0
+    """Least voltage of the battery, for drivers that tell no charge [V]."""
+
+    map_share: FiniteNumber = 0.6
+    """Least share of echoes that lie near an occupied cell of the map, 0 to 1."""
+
+    map_distance: FiniteNumber = 0.15
+    """Distance from an occupied cell up to which an echo counts as near [m]."""
+
+    scale_tolerance: FiniteNumber = 0.2
+    """Largest relative difference between commands, odometry and scan while the robot moves."""
+
+    largest_delay: FiniteNumber = 0.5
+    """Largest time from a command to its effect in odometry [s]."""

@@ -1,0 +1,173 @@
+"""The node that hears a robot: sensors, frames, battery, map, and who is at each topic."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from ctrl_rl_core.driving.scan import ScanGeometry
+from ctrl_rl_core.errors import CtrlRlError
+from ctrl_rl_core.geometry.odometry import yaw_of
+from ctrl_rl_core.navigation.occupancy_map import OccupancyMap
+from ctrl_rl_core.ros.node import LATCHED, seconds
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from nav_msgs.msg import OccupancyGrid, Odometry
+from rclpy.executors import Executor
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import BatteryState, LaserScan
+
+from ctrl_rl_bringup.preflight.frames import FrameTree, Link, pose_matrix
+from ctrl_rl_bringup.preflight.recording import (
+    Battery,
+    Endpoint,
+    OdometrySample,
+    Recording,
+    ScanSample,
+    Times,
+    Topic,
+)
+
+try:
+    from tf2_msgs.msg import TFMessage
+except ImportError:  # an install by wheels that was built without it
+    TFMessage = None
+
+_ANY = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
+"""Hears every publisher, and keeps what comes in bunches."""
+_STATIC = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+_STEP_S = 0.1
+
+
+class Listener(Node):
+    """Records what a robot tells; with a namespace or remappings, of the robot that these name.
+
+    Args:
+        unstamped: Whether commands will be Twist instead of TwistStamped.
+        command_topic: Topic that commands will be sent on.
+
+    Attributes:
+        heard: The recording so far.
+    """
+
+    def __init__(self, unstamped: bool = False, command_topic: str = "cmd_vel") -> None:
+        super().__init__("preflight")
+        self.heard = Recording(unstamped=unstamped, command_topic=command_topic)
+        self._clock_offset = 0.0
+        self.create_subscription(Clock, "/clock", self._on_clock, _ANY)
+        self.create_subscription(LaserScan, "scan", self._on_scan, _ANY)
+        self.create_subscription(Odometry, "odom", self._on_odometry, _ANY)
+        self.create_subscription(BatteryState, "battery_state", self._on_battery, _ANY)
+        self.create_subscription(OccupancyGrid, "map", self._on_map, LATCHED)
+        self.create_subscription(PoseWithCovarianceStamped, "amcl_pose", self._on_pose, LATCHED)
+        if TFMessage is not None:
+            self.heard.frames = FrameTree()
+            self.create_subscription(TFMessage, "/tf", lambda message: self._on_frames(message, False), _ANY)
+            self.create_subscription(TFMessage, "/tf_static", lambda message: self._on_frames(message, True), _STATIC)
+
+    def wait(self, executor: Executor, patience: float) -> None:
+        """Return once scan and odometry have come, or after some time [s]."""
+        deadline = time.monotonic() + patience
+        while time.monotonic() < deadline and not (self.heard.scans and self.heard.odometry):
+            executor.spin_once(timeout_sec=_STEP_S)
+
+    def listen(self, executor: Executor, duration: float, progress: Callable[[float], None]) -> Recording:
+        """Record for some time [s], tell the time that has passed [s] now and then, and return the recording."""
+        heard = self.heard
+        heard.scans.clear()
+        heard.odometry.clear()
+        heard.begin = time.monotonic()
+        while time.monotonic() < heard.begin + duration:
+            executor.spin_once(timeout_sec=_STEP_S)
+            progress(min(duration, time.monotonic() - heard.begin))
+        heard.end = time.monotonic()
+        self.look_around()
+        return heard
+
+    def look_around(self) -> None:
+        """Note who publishes and subscribes the topics of the recording."""
+        names = ("scan", "odom", "cmd_vel", self.heard.command_topic, "battery_state", "map", "/tf", "/tf_static")
+        for name in names:
+            full = self.resolve_topic_name(name)
+            self.heard.topics[name] = Topic(
+                full,
+                self._others(self.get_publishers_info_by_topic(full)),
+                self._others(self.get_subscriptions_info_by_topic(full)),
+            )
+
+    def _others(self, infos: list[Any]) -> tuple[Endpoint, ...]:
+        """Return the endpoints that are not this program's."""
+        own = self.get_fully_qualified_name()
+        names = [f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in infos]
+        return tuple(
+            Endpoint(name, info.topic_type, info.qos_profile)
+            for name, info in sorted(zip(names, infos, strict=True), key=lambda pair: pair[0])
+            if name != own
+        )
+
+    def _now(self) -> float:
+        """Return the time that stamps are held to [s]: the simulation's where there is a /clock."""
+        return time.monotonic() + self._clock_offset if self.heard.simulated else time.time()
+
+    def _times(self, header: Any) -> Times:
+        stamp = seconds(header.stamp)
+        return Times(time.monotonic(), self._now() - stamp, stamp)
+
+    def _on_clock(self, message: Clock) -> None:
+        self.heard.simulated = True
+        self._clock_offset = seconds(message.clock) - time.monotonic()
+
+    def _on_scan(self, message: LaserScan) -> None:
+        ranges = np.frombuffer(message.ranges, np.float32).copy()
+        geometry = ScanGeometry(
+            len(ranges), message.angle_min, message.angle_increment, message.range_min, message.range_max
+        )
+        frame = message.header.frame_id
+        self.heard.scans.append(ScanSample(self._times(message.header), frame, ranges, geometry, message.angle_max))
+
+    def _on_odometry(self, message: Odometry) -> None:
+        pose, twist, q = message.pose.pose, message.twist.twist, message.pose.pose.orientation
+        self.heard.odometry.append(
+            OdometrySample(
+                self._times(message.header),
+                message.header.frame_id,
+                message.child_frame_id,
+                (pose.position.x, pose.position.y, yaw_of(q)),
+                (twist.linear.x, twist.angular.z),
+                float(np.linalg.norm((q.x, q.y, q.z, q.w))),
+            )
+        )
+
+    def _on_battery(self, message: BatteryState) -> None:
+        percentage = float(message.percentage)  # 0 to 1 by its definition, 0 to 100 by some drivers
+        self.heard.battery = Battery(percentage / 100.0 if percentage > 1.0 else percentage, float(message.voltage))
+
+    def _on_map(self, message: OccupancyGrid) -> None:
+        try:
+            self.heard.map = (message.header.frame_id, OccupancyMap.from_message(message))
+            self.heard.map_fault = ""
+        except CtrlRlError as error:
+            self.heard.map, self.heard.map_fault = None, str(error)
+
+    def _on_pose(self, message: PoseWithCovarianceStamped) -> None:
+        pose = message.pose.pose
+        self.heard.map_pose = (
+            message.header.frame_id,
+            (pose.position.x, pose.position.y, yaw_of(pose.orientation)),
+        )
+
+    def _on_frames(self, message: Any, static: bool) -> None:
+        tree = self.heard.frames
+        if tree is None:
+            return
+        for each in message.transforms:
+            moved, turned = each.transform.translation, each.transform.rotation
+            matrix = pose_matrix((moved.x, moved.y, moved.z), (turned.x, turned.y, turned.z, turned.w))
+            if matrix is None:
+                continue  # its frame then hangs in no tree, and `check_tree` says so
+            age = float("nan") if static else self._now() - seconds(each.header.stamp)
+            parent, child = each.header.frame_id.lstrip("/"), each.child_frame_id.lstrip("/")
+            tree.add(Link(parent, child, matrix, age, static))

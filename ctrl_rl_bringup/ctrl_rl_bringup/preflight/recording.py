@@ -1,0 +1,152 @@
+"""What a pre-flight heard: messages as plain data, and who publishes and subscribes what."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+from ctrl_rl_core.driving.scan import ScanGeometry
+from ctrl_rl_core.navigation.occupancy_map import OccupancyMap
+from numpy.typing import NDArray
+
+from ctrl_rl_bringup.preflight.frames import FrameTree
+
+_MOST = 50_000
+"""Messages of a topic that are kept: ten minutes at 80 Hz."""
+Points = NDArray[np.float64]
+
+
+class Times(NamedTuple):
+    """When a message came, and when it was made.
+
+    Attributes:
+        arrival: Steady time of this computer on arrival [s].
+        age: Time of this computer, or of the simulation, on arrival minus the message's stamp [s].
+        stamp: Stamp of the message [s].
+    """
+
+    arrival: float
+    age: float
+    stamp: float
+
+
+@dataclass(frozen=True)
+class ScanSample:
+    """One sensor_msgs/LaserScan.
+
+    Attributes:
+        times: When it came, and when it was made.
+        frame: Frame of the lidar.
+        ranges: Ranges (beams,) [m].
+        geometry: Bearings and limits of its beams in the lidar's frame.
+        angle_max: Bearing of the last beam, as the message claims it [rad].
+    """
+
+    times: Times
+    frame: str
+    ranges: NDArray[np.float32]
+    geometry: ScanGeometry
+    angle_max: float
+
+    def points(self, lidar_x: float, lidar_yaw: float) -> Points:
+        """Return its echoes in the robot's frame (n, 2) [m], for a lidar of this position [m] and direction [rad]."""
+        scan = self.geometry
+        echo = np.flatnonzero(
+            (self.ranges >= max(scan.range_min, 1e-6)) & (self.ranges <= scan.range_max) & np.isfinite(self.ranges)
+        )
+        bearings = lidar_yaw + scan.angle_min + scan.angle_increment * echo
+        ranges = self.ranges[echo].astype(np.float64)
+        return np.stack((lidar_x + ranges * np.cos(bearings), ranges * np.sin(bearings)), axis=1)
+
+
+@dataclass(frozen=True)
+class OdometrySample:
+    """One nav_msgs/Odometry.
+
+    Attributes:
+        times: When it came, and when it was made.
+        frame: Frame that the pose is given in.
+        child: Frame that it places.
+        pose: x, y, yaw [m, m, rad].
+        twist: Speed [m/s] and turn rate [rad/s].
+        norm: Length of the pose's quaternion, which must be 1.
+    """
+
+    times: Times
+    frame: str
+    child: str
+    pose: tuple[float, float, float]
+    twist: tuple[float, float]
+    norm: float
+
+
+class Battery(NamedTuple):
+    """Charge, 0 to 1, and voltage [V] of a sensor_msgs/BatteryState; NaN where the driver does not tell."""
+
+    charge: float
+    voltage: float
+
+
+class Endpoint(NamedTuple):
+    """A publisher or subscriber of a topic: full name of its node, message type, and quality of service."""
+
+    node: str
+    kind: str
+    qos: Any
+
+
+@dataclass(frozen=True)
+class Topic:
+    """Who is at a topic.
+
+    Attributes:
+        name: Full name of the topic.
+        publishers: Publishers, this program's own left out.
+        subscribers: Subscribers, this program's own left out.
+    """
+
+    name: str
+    publishers: tuple[Endpoint, ...] = ()
+    subscribers: tuple[Endpoint, ...] = ()
+
+
+@dataclass
+class Recording:
+    """What was heard in some time.
+
+    Attributes:
+        begin: Steady time at which the time began [s].
+        end: Steady time at which it ended [s].
+        simulated: Whether a /clock gave the time.
+        scans: Scans, in order of arrival.
+        odometry: Odometry, in order of arrival.
+        battery: Last state of the battery; None where none came.
+        frames: Frames by /tf and /tf_static; None where tf2_msgs is not installed.
+        map: Map and its frame; None where none came.
+        map_fault: Reason why a map that came is unusable; empty where it is not.
+        map_pose: Frame, and x, y, yaw [m, m, rad] in it, of the last amcl_pose; None where none came.
+        topics: Who is at each topic, by the names that this program uses.
+        unstamped: Whether commands will be Twist instead of TwistStamped.
+        command_topic: Topic that commands will be sent on, a key of `topics`.
+    """
+
+    begin: float = 0.0
+    end: float = 0.0
+    simulated: bool = False
+    scans: deque[ScanSample] = field(default_factory=partial(deque, maxlen=_MOST))
+    odometry: deque[OdometrySample] = field(default_factory=partial(deque, maxlen=_MOST))
+    battery: Battery | None = None
+    frames: FrameTree | None = None
+    map: tuple[str, OccupancyMap] | None = None
+    map_fault: str = ""
+    map_pose: tuple[str, tuple[float, float, float]] | None = None
+    topics: dict[str, Topic] = field(default_factory=dict)
+    unstamped: bool = False
+    command_topic: str = "cmd_vel"
+
+    def topic(self, name: str) -> Topic:
+        """Return who is at a topic, by the name that this program uses."""
+        return self.topics.get(name, Topic(name))

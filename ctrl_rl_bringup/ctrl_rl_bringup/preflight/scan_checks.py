@@ -1,0 +1,92 @@
+"""Checks of the scans' content: beams, echoes, and whether they change."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+from ctrl_rl_core.driving.scan import DIRECTIONS, ScanError, view_scan
+
+from ctrl_rl_bringup.preflight.finding import Finding, Limits, no_go, note, ok
+from ctrl_rl_bringup.preflight.recording import Recording, ScanSample
+
+_AHEAD = np.arange(-30, 31) * DIRECTIONS // 360
+"""Directions of the cone ahead of the robot that must hold an echo."""
+
+
+def check_beams(heard: Recording, limits: Limits) -> Iterator[Finding]:
+    """Find scans of impossible or contradictory geometry, and lidars that see too little."""
+    if not heard.scans:
+        return
+    check = "beams"
+    for scan in heard.scans:
+        try:
+            scan.geometry.check()
+        except ScanError as error:
+            yield no_go(check, str(error), "the lidar's driver is set up for another lidar: see its model parameter")
+            return
+    last = heard.scans[-1].geometry
+    counts = [scan.geometry.beams for scan in heard.scans]
+    field = math.degrees(abs(last.angle_increment) * last.beams)
+    count = f"{min(counts)}" if min(counts) == max(counts) else f"{min(counts)} to {max(counts)}"
+    first = math.degrees(last.angle_min)
+    words = f"{count} beams over {field:.0f} deg from {first:.0f} deg, {last.range_min:g} to {last.range_max:g} m"
+    wrong = max(abs(_claimed_beams(scan) - scan.geometry.beams) for scan in heard.scans)
+    if field < limits.field:
+        yield no_go(check, f"{words}: at least {limits.field:g} deg are needed", "use another lidar, or --field")
+    elif wrong > max(2.0, 0.05 * max(counts)):
+        yield note(check, f"{words}; angle_min, angle_max and angle_increment fit {wrong:.0f} beams more or less")
+    else:
+        yield ok(check, words)
+
+
+def check_echoes(heard: Recording, limits: Limits) -> Iterator[Finding]:
+    """Find scans without echoes: a lidar that is dead or covered, or that stands in the open."""
+    views, ranges = [], []
+    for scan in heard.scans:
+        turned = replace(scan.geometry, angle_min=scan.geometry.angle_min + limits.lidar_yaw)
+        try:
+            views.append(view_scan(scan.ranges, turned, math.inf, limits.lidar_x))
+        except ScanError:
+            continue  # `check_beams` says so
+        ranges.append(scan.ranges)
+    if not views:
+        return
+    share = float(np.median([view.share for view in views]))
+    each = np.concatenate(ranges)
+    parts = {"NaN": np.isnan(each), "infinite": np.isinf(each), "zero": each == 0.0, "negative": each < 0.0}
+    others = ", ".join(f"{100 * part.mean():.0f} % {name}" for name, part in parts.items() if part.any())
+    words = f"{100 * share:.0f} % of the beams have an echo" + (f" ({others})" if others else "")
+    if share < limits.echo_share:
+        advice = "uncover and clean the lidar, see whether it turns; in the open no lidar policy can drive"
+        yield no_go("echoes", f"{words}: at least {100 * limits.echo_share:.0f} % are needed", advice)
+        return
+    ahead = np.any([view.seen[_AHEAD] for view in views], axis=0)
+    field = np.any([view.field[_AHEAD] for view in views], axis=0)
+    if not field.any():
+        yield no_go("echoes", f"{words}; the lidar does not look ahead", "turn it, or tell --lidar-yaw")
+    elif not ahead.any():
+        yield no_go("echoes", f"{words}; none within 30 deg ahead", "uncover the lidar, or put something ahead of it")
+    else:
+        yield ok("echoes", words)
+
+
+def check_frozen(heard: Recording, _limits: Limits) -> Iterator[Finding]:
+    """Find a lidar that sends the same scan again and again; the noise of a real one never repeats."""
+    contents = [scan.ranges.tobytes() for scan in heard.scans]
+    if len(contents) < 2:
+        return
+    repeated = sum(before == after for before, after in pairwise(contents))
+    if repeated == len(contents) - 1 or repeated > max(2, len(contents) // 4):
+        advice = "start the lidar's driver again; a simulated lidar needs noise to pass"
+        yield no_go("scan changes", f"{repeated} of {len(contents)} scans are the same as the one before", advice)
+    else:
+        yield ok("scan changes", f"{len(contents) - repeated} different scans")
+
+
+def _claimed_beams(scan: ScanSample) -> float:
+    """Return the count of beams that the angles of a scan claim."""
+    return 1.0 + (scan.angle_max - scan.geometry.angle_min) / scan.geometry.angle_increment
