@@ -10,7 +10,7 @@ setup(
     maintainer="Seed 5ee16a79 maintainers",
     maintainer_email="maintainers@users.noreply.h-seed-5ee16a79.example",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={NAME: ["py.typed", "*.pyi", "tasks/task_files/*.yaml"]},
+    package_data={NAME: ["py.typed", "*.pyi", "tasks/task_files/*.yaml", "policies/pretrained/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
@@ -21,8 +21,13 @@ setup(
     entry_points={
         "console_scripts": [
             "bag = ctrl_rl_core.moved:bag",
+            "policy = ctrl_rl_core.policies.policy_node:main",
             "recorder = ctrl_rl_core.moved:recorder",
             "watchdog = ctrl_rl_core.driving.watchdog_node:main",
+        ],
+        "ctrl_rl.policies": [
+            "actor = ctrl_rl_core.policies.actor_policy:KIND",
+            "onnx = ctrl_rl_core.policies.onnx_policy:KIND",
         ],
     },
 )

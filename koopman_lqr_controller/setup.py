@@ -34,5 +34,6 @@ setup(
             "scripted_driver = koopman_lqr_controller.nodes.scripted_driver_node:main",
             "train = koopman_lqr_controller.cli.learning:train",
         ],
+        "ctrl_rl.policies": ["policy = koopman_lqr_controller.policies.driving:KIND"],
     },
 )

@@ -24,6 +24,7 @@ setup(
             "baseline = oc_baseline_node.node:main",
             "oc = oc_baseline_node.cli:main",
             "evaluate = oc_baseline_node.learning:evaluate",
+            "export = oc_baseline_node.learning:export",
             "plot = oc_baseline_node.learning:plot",
             "train = oc_baseline_node.learning:train",
             "training_figures = oc_baseline_node.learning:training_figures",

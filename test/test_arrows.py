@@ -41,7 +41,7 @@ RUN_TIME_MODULES = (
     "ctrl_rl_core.values.value_grid",
     "ctrl_rl_core.ros.value_server",
     "ctrl_rl_core.driving.watchdog_node",
-    "ctrl_rl_training.io.actor",
+    "ctrl_rl_core.policies.actor",
     "oc_baseline_node.node",
     "koopman_lqr_controller.nodes.controller_node",
     "koopman_lqr_controller.nodes.scripted_driver_node",

@@ -27,6 +27,7 @@ setup(
             "solve = ttr_reward_node.cli.values:solve_value",
             "ttr_experiments = ttr_reward_node.cli.experiments:main",
             "evaluate = ttr_reward_node.cli.learning:evaluate",
+            "export = ttr_reward_node.cli.learning:export",
             "plot = ttr_reward_node.cli.learning:plot",
             "train = ttr_reward_node.cli.learning:train",
             "training_figures = ttr_reward_node.cli.learning:training_figures",

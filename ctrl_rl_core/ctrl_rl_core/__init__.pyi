@@ -35,6 +35,15 @@ from .navigation.occupancy_map import OccupancyMap as OccupancyMap
 from .plots import draw_map as draw_map
 from .plots import draw_world as draw_world
 from .plots import save_figure as save_figure
+from .policies.actor import Actor as Actor
+from .policies.errors import PolicyError as PolicyError
+from .policies.manifest import PolicyManifest as PolicyManifest
+from .policies.observation import Sensors as Sensors
+from .policies.policy import Policy as Policy
+from .policies.policy import PolicyKind as PolicyKind
+from .policies.policy import find_policy as find_policy
+from .policies.policy import load_policy as load_policy
+from .policies.task_interface import interface_of as interface_of
 from .processes.exclusive_lock import LockError as LockError
 from .processes.exclusive_lock import exclusive_lock as exclusive_lock
 from .processes.workers import WorkersError as WorkersError

@@ -16,7 +16,7 @@ ROOT = Path(__file__).parents[2]
 def test_a_network_given_to_the_controller_is_named_and_what_takes_it(tmp_path: Path) -> None:
     file = tmp_path / "network.safetensors"
     save_file({"weight_0": np.zeros((2, 2), np.float32)}, file, {"actor": json.dumps({"format": "actor-1"})})
-    with pytest.raises(FileError, match=r"is an actor-1 network .*Actor; no node drives by it; wanted is a Koopman"):
+    with pytest.raises(FileError, match=r"is an actor-1 network .*policy \(policy:=FILE\); wanted is a Koopman"):
         read_tensors(file, "policy")
 
 

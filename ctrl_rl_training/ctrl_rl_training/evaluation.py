@@ -78,7 +78,7 @@ def report(options: EvaluateOptions, task: str, succeeded: Sequence[bool] | None
 
 
 def _evaluate_actor(options: EvaluateOptions) -> int:
-    from ctrl_rl_training.io.actor import Actor
+    from ctrl_rl_core import Actor
     from ctrl_rl_training.sb3.environment import DEPLOYED_RATE, make_environment, observation_names
     from ctrl_rl_training.sb3.roll_out import SUCCESS, evaluate
 

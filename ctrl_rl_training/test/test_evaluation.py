@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 from ctrl_rl_training.evaluation import evaluate, mean_interval, success_interval
-from ctrl_rl_training.io.actor import Actor
 from ctrl_rl_training.sb3.environment import observation_names, observation_scales
 
-from ctrl_rl_core import load_navigation_task, read_results, task_digest
+from ctrl_rl_core import Actor, load_navigation_task, read_results, task_digest
 
 
 def write(file, changes=()):

@@ -4,9 +4,9 @@ import time
 from collections.abc import Callable
 
 import pytest
+from ctrl_rl_core.driving.arrival import ENDED, Arrival
 from hypothesis import given
 from hypothesis import strategies as st
-from koopman_lqr_controller.nodes.arrival import ENDED, Arrival
 from nav_msgs.msg import Odometry
 from robot_side import Robot, ask, corridor
 

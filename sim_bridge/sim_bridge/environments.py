@@ -15,6 +15,7 @@ from typing import Any
 
 import gymnasium
 import numpy as np
+from ctrl_rl_core.policies.task_interface import state_ranges
 from gymnasium import spaces
 from numpy.typing import NDArray
 
@@ -23,10 +24,6 @@ from sim_bridge.errors import SimulationError
 from sim_bridge.simulation.options import SimulationOptions
 from sim_bridge.simulation.world import SimulatedWorld
 
-_FLIGHT_SPEED = 20.0
-_FLIGHT_TURN = 60.0
-_MARGIN = 5.0
-"""Margin around the arena or corridor in which positions are still observed [m]."""
 _LARGEST_SEED = 2**32
 
 Vector = NDArray[np.float32]
@@ -74,11 +71,11 @@ class NavigationEnv(gymnasium.Env[Vector, Vector]):
         self._steps_per_action = _whole_steps(self.task, options.rate)
         self._commands = np.array(list(self.task.robot.commands.values()))
         self.world = SimulatedWorld(self.task, width=width, options=options)
-        names, low, high = _observed_state(self.task)
+        ranges = state_ranges(self.task)
         beams, reach = self.task.lidar.beams, self.task.lidar.range
-        self.observation_names = (*names, *(f"beam_{index}" for index in range(beams)))
-        self._low = np.array([*low, *[reach.low] * beams], dtype=np.float32)
-        self._high = np.array([*high, *[reach.high] * beams], dtype=np.float32)
+        self.observation_names = (*ranges, *(f"beam_{index}" for index in range(beams)))
+        self._low = np.array([*(low for low, _ in ranges.values()), *[reach.low] * beams], dtype=np.float32)
+        self._high = np.array([*(high for _, high in ranges.values()), *[reach.high] * beams], dtype=np.float32)
         self.observation_space = spaces.Box(self._low, self._high)
         self.action_space = spaces.Box(-1.0, 1.0, (2,), dtype=np.float32)
 
@@ -134,23 +131,6 @@ def _whole_steps(task: NavigationTask, rate: int) -> int:
             f"at {rate} Hz: choose a rate at which it is a whole number"
         )
     return round(steps)
-
-
-def _observed_state(task: NavigationTask) -> tuple[list[str], list[float], list[float]]:
-    """Return names, least and largest values of the observation before the beams."""
-    names = list(task.observed_states)
-    bounds = {"theta": (-np.pi, np.pi), "psi": (-np.pi, np.pi)}
-    bounds |= dict.fromkeys(("v", "v_x", "v_z"), (-_FLIGHT_SPEED, _FLIGHT_SPEED))
-    bounds["omega"] = (-_FLIGHT_TURN, _FLIGHT_TURN)
-    if task.arena is not None:
-        places = [("x", tuple(task.arena.bounds[0])), (task.plane[1], tuple(task.arena.bounds[1]))]
-    else:
-        assert task.corridor is not None
-        path = task.corridor.path
-        points = path.pose(np.linspace(0.0, path.length, 200))
-        places = [(name, (points[:, axis].min(), points[:, axis].max())) for axis, name in enumerate(("x", "y"))]
-    bounds |= {name: (low - _MARGIN, high + _MARGIN) for name, (low, high) in places}
-    return names, [bounds[name][0] for name in names], [bounds[name][1] for name in names]
 
 
 def register_environments() -> tuple[str, ...]:

@@ -21,7 +21,7 @@ MOST_BEAMS = 20_000
 DIRECTIONS = 360
 """Directions around the robot in which a scan is asked for echoes."""
 _TURN = 2.0 * math.pi
-_BEARINGS = np.arange(DIRECTIONS) * (_TURN / DIRECTIONS)
+_BEARINGS = np.arange(DIRECTIONS, dtype=np.float64) * (_TURN / DIRECTIONS)
 
 
 class ScanError(CtrlRlError):
@@ -101,16 +101,16 @@ def view_scan(ranges: NDArray[np.float32], scan: ScanGeometry, reach: float, for
     )  # what is too close is at the least distance
     points = np.empty((len(near), 2))
     points[:, 0], points[:, 1] = forward + distances * np.cos(bearings), distances * np.sin(bearings)
-    field, nearest = _nearest_beams(scan)
+    field, nearest = nearest_beams(scan, _BEARINGS)
     return ScanView(float(np.count_nonzero(echo)) / scan.beams, points, field & echo[nearest], field)
 
 
-def _nearest_beams(scan: ScanGeometry) -> tuple[NDArray[np.bool_], NDArray[np.intp]]:
-    """Return whether each direction has a beam (DIRECTIONS,), and the one that is nearest to it (DIRECTIONS,)."""
+def nearest_beams(scan: ScanGeometry, bearings: NDArray[np.float64]) -> tuple[NDArray[np.bool_], NDArray[np.intp]]:
+    """Return whether each of some bearings (n,) [rad] has a beam (n,), and the one that is nearest to it (n,)."""
     step = abs(scan.angle_increment)
     first = scan.angle_min if scan.angle_increment > 0.0 else scan.angle_min + scan.angle_increment * (scan.beams - 1)
     half = max(0.5 * step, math.pi / DIRECTIONS)
-    offset = (_BEARINGS - (first - half)) % _TURN - half  # from -half: what lies just before the first beam is its own
+    offset = (bearings - (first - half)) % _TURN - half  # from -half: what lies just before the first beam is its own
     beam = np.rint(offset / step).astype(np.intp)
     field = offset <= step * (scan.beams - 1) + half
     np.clip(beam, 0, scan.beams - 1, out=beam)

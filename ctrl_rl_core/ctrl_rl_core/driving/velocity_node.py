@@ -21,15 +21,14 @@ from typing import ClassVar
 
 import numpy as np
 from builtin_interfaces.msg import Time as Stamp
-from geometry_msgs.msg import Twist, TwistStamped
 from numpy.typing import ArrayLike, NDArray
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.time import Time
-from std_msgs.msg import Header
 
+from ctrl_rl_core.driving.command_output import CommandOutput, VelocityOutput
 from ctrl_rl_core.errors import CtrlRlError
-from ctrl_rl_core.ros.node import COMMAND, Status, SuiteNode, ok, warn
+from ctrl_rl_core.ros.node import Status, SuiteNode, ok, warn
 from ctrl_rl_core.ros.parameters import Parameter
 
 VELOCITY_PARAMETERS = (
@@ -47,8 +46,6 @@ VELOCITY_PARAMETERS = (
 _SOME_BASE = "base_link"
 """The frame of the commands until odometry names one."""
 _LAST_WORD = Duration(seconds=0.3)
-_STAND = np.zeros(2)
-_STAND.flags.writeable = False
 
 
 class VelocityError(CtrlRlError):
@@ -58,10 +55,13 @@ class VelocityError(CtrlRlError):
 class VelocityNode(SuiteNode):
     """Publishes cmd_vel for one robot: finite, within limits, zero without recent input and when the node stops.
 
+    With another output, zero stands for the command of a robot that has nothing to do.
+
     In a dry run everything happens but the sending.
 
     Attributes:
         TIMEOUT: Name of the parameter with the age of an input that stops the robot [s].
+        output: Publisher of the commands.
         low: Lower limits of speed [m/s] and turn rate [rad/s] (2,).
         high: Upper limits of speed [m/s] and turn rate [rad/s] (2,).
         problem: The reason why the robot stands; empty while it drives.
@@ -81,13 +81,9 @@ class VelocityNode(SuiteNode):
             needs: Names of the inputs without which the robot stops, as in "no recent NAME".
         """
         super().__init__(name)
-        stamped: bool = self.settings["enable_stamped_cmd_vel"]
-        # One message object for all commands, because making one takes as long as a decision.
-        self._out = TwistStamped() if stamped else Twist()
-        self._header, self._twist = (self._out.header, self._out.twist) if stamped else (Header(), self._out)
-        self._header.frame_id = self.settings["base_frame"] or _SOME_BASE
-        self._publisher = self.create_publisher(type(self._out), "cmd_vel", COMMAND)
-        self.low, self.high = _STAND, _STAND
+        self.output = self.make_output()
+        self.output.header.frame_id = self.settings["base_frame"] or _SOME_BASE
+        self.low, self.high = self.output.rest, self.output.rest
         # Ages are measured on a steady clock, because the system clock may be set while the robot drives. The clock of
         # a simulation may stand still: then `wall_timeout` counts, which is longer, since it may also be slow.
         simulated = self.get_parameter("use_sim_time").value
@@ -105,6 +101,10 @@ class VelocityNode(SuiteNode):
         self.problem = f"waiting for {' and '.join(needs)}"
         self.create_timer(0.5 * self.timeout, self._watch, clock=self._ages)
 
+    def make_output(self) -> CommandOutput:
+        """Return where commands go; called once, when the parameters are known. Override it for other robots."""
+        return VelocityOutput(self, self.settings["enable_stamped_cmd_vel"])
+
     def set_limits(self, low: ArrayLike, high: ArrayLike) -> None:
         """Set lower and upper limits of speed [m/s] and turn rate [rad/s], (2,) each.
 
@@ -120,12 +120,12 @@ class VelocityNode(SuiteNode):
     def use_frame(self, name: str) -> None:
         """Send commands in this frame, unless the parameter base_frame names another."""
         if name and not self.settings["base_frame"]:
-            self._header.frame_id = name
+            self.output.header.frame_id = name
 
     @property
     def frame(self) -> str:
         """The frame of the commands."""
-        return str(self._header.frame_id)
+        return str(self.output.header.frame_id)
 
     def note_input(self, what: str) -> None:
         """Note that a usable input has just arrived."""
@@ -150,7 +150,8 @@ class VelocityNode(SuiteNode):
         """
         v, omega = command.tolist()
         if not (math.isfinite(v) and math.isfinite(omega)):
-            raise VelocityError(f"the command is {v} m/s, {omega} rad/s: not finite")
+            first, second = self.output.units
+            raise VelocityError(f"the command is {v} {first}, {omega} {second}: not finite")
         return np.minimum(np.maximum(command, self.low), self.high)
 
     def drive(self, command: NDArray[np.float64], stamp: Stamp | None = None) -> NDArray[np.float64]:
@@ -167,7 +168,7 @@ class VelocityNode(SuiteNode):
         """
         if self.faults.failing:
             self.halt(f"callback failed: {self.faults.last}", stamp)
-            return _STAND
+            return self.output.rest
         command, problem = self.make_safe(self.clip(command))
         if not self.settings["dry_run"]:
             self.counts["commands"] += 1
@@ -191,7 +192,7 @@ class VelocityNode(SuiteNode):
             stamp: Time of the input that it answers; now unless given.
         """
         if not self.settings["dry_run"]:
-            self._send(_STAND, stamp)
+            self._send(self.output.rest, stamp)
         self._say(problem)
 
     def on_callback_error(self, _error: Exception) -> None:
@@ -204,13 +205,13 @@ class VelocityNode(SuiteNode):
     def on_parameter_changed(self, name: str) -> None:
         """Stop the robot when a dry run begins; it must not keep the last command."""
         if name == "dry_run" and self.settings["dry_run"] and self.moving:
-            self._send(_STAND, None)
+            self._send(self.output.rest, None)
 
     def stop(self) -> None:
         """Leave the robot standing: the zero velocity has arrived before the publisher goes."""
         if not self.settings["dry_run"]:
-            self._send(_STAND, None)
-            self._publisher.wait_for_all_acked(_LAST_WORD)
+            self._send(self.output.rest, None)
+            self.output.publisher.wait_for_all_acked(_LAST_WORD)
 
     def status(self) -> Status:
         """Return whether commands are sent, and the names of other publishers."""
@@ -253,23 +254,21 @@ class VelocityNode(SuiteNode):
 
     def _look_for_rivals(self) -> tuple[str, ...]:
         """Return the other publishers of cmd_vel; log them when they change."""
-        before, self._rivals = self._rivals, self.other_publishers(self._publisher.topic_name)
+        before, self._rivals = self._rivals, self.other_publishers(self.output.publisher.topic_name)
         if self._rivals and self._rivals != before:
             self.get_logger().warning(self._rivalry())
         return self._rivals
 
     def _rivalry(self) -> str:
-        names, topic = ", ".join(self._rivals), self._publisher.topic_name
+        names, topic = ", ".join(self._rivals), self.output.publisher.topic_name
         return f"{names} publishes on {topic} too: the robot follows the latest command of any"
 
     def _elapsed(self, then: Time) -> float:
         return float((self._ages.now() - then).nanoseconds) * 1e-9
 
     def _send(self, command: NDArray[np.float64], stamp: Stamp | None) -> None:
-        self._header.stamp = self.get_clock().now().to_msg() if stamp is None else stamp
-        self._twist.linear.x, self._twist.angular.z = v, omega = command.tolist()
-        self.moving = v != 0.0 or omega != 0.0
-        self._publisher.publish(self._out)
+        self.moving = bool((command != self.output.rest).any())
+        self.output.send(command, self.get_clock().now().to_msg() if stamp is None else stamp)
 
 
 def _kind(problem: str) -> str:

@@ -45,7 +45,7 @@ _ZEROS = b"0" * 64
 KINDS = {
     "policy": "a Koopman policy, for koopman_lqr_controller's controller (policy:=FILE)",
     "option_policy": "a joint option policy, for option_coordinator's coordinator (policy:=FILE)",
-    "actor": "an actor-1 network of a learning run, for Python's ctrl_rl_training.io.actor.Actor; no node drives by it",
+    "actor": "an actor-1 network of a learning run, for ctrl_rl_core's policy (policy:=FILE)",
     "checkpoint": "a learning run's checkpoint, for the command that wrote it, which goes on from there",
     "visits": "states that a learning run visited, for the figures that its package draws",
     "value_grid": "a value grid, for ttr_reward_node's reward or oc_baseline_node's baseline (grid:=FILE)",

@@ -17,9 +17,8 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.noise import OrnsteinUhlenbeckActionNoise
 from stable_baselines3.common.vec_env import DummyVecEnv
 
-from ctrl_rl_core import NavigationTask
+from ctrl_rl_core import Actor, NavigationTask
 from ctrl_rl_training.errors import TrainingError
-from ctrl_rl_training.io.actor import Actor
 from ctrl_rl_training.sb3.algorithm_names import ALGORITHMS
 from ctrl_rl_training.sb3.environment import observation_scales
 

@@ -9,7 +9,7 @@ import numpy as np
 from ctrl_rl_core.tasks.outcome import Outcome
 from numpy.typing import NDArray
 
-from ctrl_rl_training.io.actor import Actor
+from ctrl_rl_core import Actor
 from ctrl_rl_training.sb3.environment import Environment, Vector
 
 SUCCESS = Outcome.GOAL.name

@@ -8,6 +8,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +17,7 @@ from stable_baselines3 import DDPG
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 
-from ctrl_rl_core import NavigationTask, Outcome, task_digest
+from ctrl_rl_core import NavigationTask, Outcome, interface_of, task_digest
 from ctrl_rl_training.experiments.run import Point, Run, RunOptions, Tell
 from ctrl_rl_training.sb3.algorithms import extract_actor
 from ctrl_rl_training.sb3.checkpoint import load_checkpoint, save_checkpoint
@@ -134,12 +135,14 @@ class _Learning:
             episodes = evaluate(actor, environment, self._options.final_evaluations, 2 * _EVALUATION_SEED)
         finally:
             environment.close()
-        actor.save(folder / "policy.safetensors")
-        self._visits.save(folder / "visits.safetensors")
         outcomes = [episode.outcome for episode in episodes]
+        metrics = {"success": _rate(outcomes), "episodes": len(outcomes)}
+        told = replace(actor, manifest={**manifest, "metrics": metrics}, interface=interface_of(run.task))
+        told.save(folder / "policy.safetensors")
+        self._visits.save(folder / "visits.safetensors")
         lasted = [len(episode.states) - 1 for episode in episodes if episode.outcome == SUCCESS]
         return {
-            "success": _rate(outcomes),
+            "success": metrics["success"],
             "ended": _count(outcomes),
             "seconds_to_goal": float(np.mean(lasted)) * run.task.episode.time_step if lasted else None,
             "returns": [episode.total for episode in episodes],

@@ -7,16 +7,14 @@ from array import array
 from typing import ClassVar, NamedTuple
 
 import numpy as np
+from ctrl_rl_core.driving.episode_driver import MAX_DISTANCE, EpisodeDriver
+from ctrl_rl_core.driving.lidar_driver import DRIVER_PARAMETERS, PendingDecision, SensorReading
 from ctrl_rl_core.ros.node import Status, seconds
-from diagnostic_msgs.msg import DiagnosticStatus
 from numpy.typing import NDArray
 from std_msgs.msg import Header
 
 from ctrl_rl_core import RESULT, Parameter, run_node
-from ctrl_rl_msgs.msg import EpisodeStatus, LatentState
-from koopman_lqr_controller.errors import KoopmanError
-from koopman_lqr_controller.nodes.arrival import ENDED, Arrival
-from koopman_lqr_controller.nodes.lidar_driver import DRIVER_PARAMETERS, LidarDriver, PendingDecision, SensorReading
+from ctrl_rl_msgs.msg import LatentState
 from koopman_lqr_controller.policies.koopman_policy import Decision
 from koopman_lqr_controller.policies.policy_file import DEFAULT_POLICY, KoopmanPolicy, digest, find_policy, load_policy
 from koopman_lqr_controller.safety.guards import Guard
@@ -46,7 +44,7 @@ class _LatentDetails(NamedTuple):
     measured: tuple[float, float]
 
 
-class Controller(LidarDriver):
+class Controller(EpisodeDriver):
     """Drives a robot from its lidar with a Koopman-LQR policy.
 
     Subscribes to scan and odom, publishes cmd_vel and ~/latent. Each cmd_vel carries the stamp of the scan that it
@@ -91,14 +89,7 @@ class Controller(LidarDriver):
             live=True,
         ),
         Parameter("most_retries", 5, "Largest number of retries in a row; 0 for none.", 0, 1000, live=True),
-        Parameter(
-            "max_distance",
-            0.0,
-            "Distance by odometry after which the robot stands until this parameter is set again [m]; 0.0 for none.",
-            0.0,
-            1e6,
-            live=True,
-        ),
+        MAX_DISTANCE,
     )
 
     def __init__(self) -> None:
@@ -107,8 +98,6 @@ class Controller(LidarDriver):
         self._policy: KoopmanPolicy
         self._next: NDArray[np.float64] | None = None
         self._next_since = math.nan
-        self._arrival = Arrival(self.settings["max_distance"])
-        self.create_subscription(EpisodeStatus, "episode", self._on_episode, RESULT)
         self._load(self.settings["policy"])
 
     def on_parameter_changed(self, name: str) -> None:
@@ -117,9 +106,6 @@ class Controller(LidarDriver):
             self._load(self.settings["policy"])
         elif name in (*_LIMITS, *_RETRIES):
             self._set_guard()
-        elif name == "max_distance":
-            self._arrival.max_distance = self.settings["max_distance"]
-            self._arrival.begin()
         else:
             super().on_parameter_changed(name)
 
@@ -131,22 +117,17 @@ class Controller(LidarDriver):
             "prediction": self._not_watched("largest_error") or self._out_of_step or "watched",
             "retries": f"{self._guard.retries.used} of {self._guard.retries.most}",
         }
-        watched["driven [m]"] = f"{self._arrival.travelled:.2f}"
-        if self.problem.startswith(ENDED) and not figures["other publishers"]:  # it stands because all is done
-            level = DiagnosticStatus.OK
         return level, message, {**figures, **self._served, **watched}
 
     def decide(self, reading: SensorReading) -> PendingDecision:
         """Return the policy's command, and why the robot must stand where the latent is not as in training.
 
         Raises:
-            KoopmanError: there is no command, or the drive is over.
+            KoopmanError: there is no command.
+            VelocityError: the drive is over.
         """
         now, predicted, error = seconds(reading.header.stamp), None, math.nan
-        self._arrival.moved(now, reading.v)
-        over = self._arrival.reason()
-        if over:
-            raise KoopmanError(over)
+        self.check_drive(now, reading.v)
         decision = self._policy.decide(reading.ranges, reading.scan, reading.v, reading.omega)
         if self._next is not None and self._in_step(now - self._next_since):
             predicted = self._next
@@ -176,13 +157,6 @@ class Controller(LidarDriver):
             self._next = self._policy.predict(z, np.array(details.measured) if dry else command)
             self._next_since = seconds(header.stamp)
         self._latent.publish(out)
-
-    def _on_episode(self, message: EpisodeStatus) -> None:
-        """Stand at once where a simulator says that the episode is over: the next scan may be a while away."""
-        self._arrival.episode(message.episode, message.outcome.value)
-        over = self._arrival.reason()
-        if over and self.moving:
-            self.halt(over)
 
     def _load(self, name: str) -> None:
         """Read, try out and take over a policy.

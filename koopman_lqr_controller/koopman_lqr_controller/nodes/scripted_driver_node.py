@@ -9,10 +9,10 @@ from __future__ import annotations
 from typing import ClassVar
 
 import numpy as np
+from ctrl_rl_core.driving.lidar_driver import DRIVER_PARAMETERS, LidarDriver, PendingDecision, SensorReading
 
 from ctrl_rl_core import Parameter, run_node
 from koopman_lqr_controller.arrays import Array
-from koopman_lqr_controller.nodes.lidar_driver import DRIVER_PARAMETERS, LidarDriver, PendingDecision, SensorReading
 from koopman_lqr_controller.sensing.observables import CorridorObservables
 
 _SIDE_GAIN = 1.8

@@ -8,19 +8,22 @@ from collections import deque
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from ctrl_rl_core.ros.node import Status
 from numpy.typing import NDArray
 from sensor_msgs.msg import LaserScan
 from std_msgs.msg import Header
 
-from ctrl_rl_core import LIDAR_PARAMETERS, CtrlRlError, LidarVelocityNode, Parameter, ScanGeometry, VelocityError
+from ctrl_rl_core.driving.lidar_velocity_node import LIDAR_PARAMETERS, LidarVelocityNode
+from ctrl_rl_core.driving.scan import ScanGeometry
+from ctrl_rl_core.driving.velocity_node import VelocityError
+from ctrl_rl_core.errors import CtrlRlError
+from ctrl_rl_core.ros.node import Status
+from ctrl_rl_core.ros.parameters import Parameter
 
 DRIVER_PARAMETERS = (
     *LIDAR_PARAMETERS,
     Parameter("scan_timeout", 0.5, "Age of the last scan or odometry that stops the robot [s].", 0.05, 10.0),
 )
 _RECENT = 1000
-_STAND = np.zeros(2)
 
 
 class SensorReading(NamedTuple):
@@ -93,7 +96,7 @@ class LidarDriver(LidarVelocityNode):
     def on_stale_input(self, problem: str) -> None:
         """Report that the robot stands without a scan to answer."""
         header = Header(stamp=self.get_clock().now().to_msg(), frame_id=self.frame)
-        self.on_command_sent(header, _STAND, problem, None)
+        self.on_command_sent(header, self.output.rest, problem, None)
 
     def on_scan(self, message: LaserScan, ranges: NDArray[np.float32], scan: ScanGeometry) -> None:
         """Answer the scan with a command."""
@@ -110,7 +113,7 @@ class LidarDriver(LidarVelocityNode):
             command = self.drive(pending.command, message.header.stamp)
         except CtrlRlError as error:
             self.halt(str(error), message.header.stamp)
-            self.on_command_sent(message.header, _STAND, str(error), details)
+            self.on_command_sent(message.header, self.output.rest, str(error), details)
             return
         self._latencies.append(time.perf_counter() - begin)
         self.on_command_sent(message.header, command, self.problem, details)

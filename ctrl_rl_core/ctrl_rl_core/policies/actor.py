@@ -1,4 +1,4 @@
-"""A learnt policy, deployed: a small network in NumPy, and its file.
+"""A learnt actor: a small network in NumPy, and its file.
 
 actor = Actor.load("policy.safetensors")
 command = actor.command(observation)      # what the task's sensors say, in SI units -> v, omega or T_1, T_2
@@ -12,32 +12,33 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from ctrl_rl_core.io.checked_tensors import encode_tensors, read_tensors
-from ctrl_rl_core.io.file_checks import FileError, raise_as
-from ctrl_rl_core.io.schema import Anything, Schema
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
-from ctrl_rl_core import atomic_write
-from ctrl_rl_training.errors import TrainingError
+from ctrl_rl_core.io.atomic_write import atomic_write
+from ctrl_rl_core.io.checked_tensors import encode_tensors, read_tensors
+from ctrl_rl_core.io.file_checks import FileError, raise_as
+from ctrl_rl_core.io.schema import Anything, Schema
+from ctrl_rl_core.policies.errors import PolicyError
+from ctrl_rl_core.policies.manifest import PolicyManifest
 
 Array = NDArray[np.float32]
 
 FORMAT = "actor-1"
 _HEADER_KEY = "actor"
+_VECTORS = ("middle", "unit", "low", "high")
+_LAYER_NORM_EPSILON = np.float32(1e-5)  # torch's
 
 
 class _Header(Schema):
-    """What a policy says of itself, see `Actor`."""
+    """Header of an actor's file, see `Actor`."""
 
     format: Literal["actor-1"]
     layers: Annotated[int, Field(ge=1, le=100)]
-    activation: Literal["normalized_tanh", "normalized_relu"]
+    activation: Literal["normalized_tanh", "normalized_relu", "tanh", "relu"]
     squashed: bool
     manifest: Anything
-
-
-_LAYER_NORM_EPSILON = np.float32(1e-5)  # torch's
+    interface: PolicyManifest | None = None
 
 
 @dataclass(frozen=True)
@@ -47,14 +48,15 @@ class Actor:
     Attributes:
         weights: Weights of each layer (out, in).
         biases: Biases of each layer (out,).
-        activation: Function after each layer but the last, "normalized_tanh" or "normalized_relu": the outputs are
-            brought to mean 0 and variance 1 over its units, then go through it.
-        squashed: whether the last layer ends in tanh; else actions are cut at -1 and 1.
+        activation: Function after each layer but the last, "tanh" or "relu"; of "normalized_tanh" and "normalized_relu"
+            the outputs are first brought to mean 0 and variance 1 over the layer's units.
+        squashed: Whether the last layer ends in tanh; else actions are cut off at -1 and 1.
         middle: Observation that becomes 0 in the network's input, in the observation's units (n,).
         unit: Distance above the middle that becomes 1 (n,).
-        low: least commands, those of action -1 (m,).
-        high: largest commands, those of action 1 (m,).
-        manifest: anything else worth keeping: task, names of the observation, figures.
+        low: Least commands, those of action -1 (m,).
+        high: Largest commands, those of action 1 (m,).
+        manifest: Origin of the policy: task, names of the observation, figures; plain JSON values.
+        interface: Observation and commands on a robot; None in files of before there were interfaces.
     """
 
     weights: tuple[Array, ...]
@@ -66,15 +68,18 @@ class Actor:
     low: Array
     high: Array
     manifest: Mapping[str, Any] = field(default_factory=dict)
+    interface: PolicyManifest | None = None
 
     def scaled_action(self, scaled: ArrayLike) -> Array:
         """Return the action in [-1, 1] (m,) for an observation in the network's own units (n,)."""
         x = np.asarray(scaled, dtype=np.float32)
+        kind = self.activation.removeprefix("normalized_")
         for index, (W, b) in enumerate(zip(self.weights, self.biases, strict=True)):
             x = W @ x + b
             if index < len(self.weights) - 1:
-                x = (x - x.mean()) / np.sqrt(x.var() + _LAYER_NORM_EPSILON)
-                x = np.tanh(x) if self.activation == "normalized_tanh" else np.maximum(x, 0.0)
+                if kind != self.activation:
+                    x = (x - x.mean()) / np.sqrt(x.var() + _LAYER_NORM_EPSILON)
+                x = np.tanh(x) if kind == "tanh" else np.maximum(x, 0.0)
         return np.tanh(x) if self.squashed else np.clip(x, -1.0, 1.0)
 
     def command(self, observation: ArrayLike) -> Array:
@@ -87,24 +92,26 @@ class Actor:
         tensors = {name: getattr(self, name) for name in _VECTORS}
         for index, (W, b) in enumerate(zip(self.weights, self.biases, strict=True)):
             tensors |= {f"weight_{index}": W, f"bias_{index}": b}
-        manifest = {
+        header = {
             "format": FORMAT,
             "layers": len(self.weights),
             "activation": self.activation,
             "squashed": self.squashed,
             "manifest": dict(self.manifest),
         }
+        if self.interface is not None:
+            header["interface"] = self.interface.model_dump(exclude_defaults=True)
         plain = {name: np.ascontiguousarray(tensor, dtype=np.float32) for name, tensor in tensors.items()}
-        atomic_write(path, encode_tensors(plain, _HEADER_KEY, manifest))
+        atomic_write(path, encode_tensors(plain, _HEADER_KEY, header))
 
     @classmethod
     def load(cls, path: Path | str) -> Self:
         """Read a policy.
 
         Raises:
-            TrainingError: the file is missing or is not such a policy; the message names it.
+            PolicyError: The file is missing or is not such a policy; the message names it.
         """
-        with raise_as(TrainingError, path, "learn it again"):
+        with raise_as(PolicyError, path, "learn it again"):
             header, tensors, _ = read_tensors(path, _HEADER_KEY, types=("F32",))
             told = _Header.model_validate(header)
             layers = range(told.layers)
@@ -117,6 +124,7 @@ class Actor:
                 activation=told.activation,
                 squashed=told.squashed,
                 manifest=told.manifest,
+                interface=told.interface,
                 **{name: tensors[name] for name in _VECTORS},
             )
             actor.check()
@@ -126,7 +134,7 @@ class Actor:
         """Refuse tensors that do not fit each other.
 
         Raises:
-            TrainingError: they do not.
+            PolicyError: They do not.
         """
         width, commands = self.middle.shape, self.low.shape
         fits = len(width) == len(commands) == 1 and self.unit.shape == width and self.high.shape == commands
@@ -134,7 +142,9 @@ class Actor:
             fits = fits and W.ndim == 2 and W.shape[1:] == width and b.shape == W.shape[:1]
             width = b.shape
         if not fits or width != commands or not (self.unit > 0.0).all():
-            raise TrainingError("its tensors do not fit each other")
-
-
-_VECTORS = ("middle", "unit", "low", "high")
+            raise PolicyError("its tensors do not fit each other")
+        if self.interface is not None and (self.interface.size, 2) != (len(self.middle), len(self.low)):
+            raise PolicyError(
+                f"its network takes {len(self.middle)} numbers and gives {len(self.low)}, its interface has "
+                f"{self.interface.size} and 2"
+            )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from ctrl_rl_core import Outcome
+from ctrl_rl_core.tasks.outcome import Outcome
 
 ENDED = "the drive is over: "
 """First words of every reason of this module."""

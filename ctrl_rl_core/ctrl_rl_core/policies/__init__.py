@@ -1,0 +1,1 @@
+"""Learnt policies as a robot runs them: their interface, observation and files."""

@@ -1,0 +1,51 @@
+"""Actors as policies of a node: `policy.safetensors` of a learning run, and those that come with this package."""
+
+from __future__ import annotations
+
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrl_rl_core.policies.actor import Actor
+from ctrl_rl_core.policies.errors import PolicyError
+from ctrl_rl_core.policies.manifest import PolicyManifest
+from ctrl_rl_core.policies.policy import NetworkPolicy, PolicyKind
+from ctrl_rl_core.policies.task_interface import interface_of
+from ctrl_rl_core.tasks.task import load_navigation_task, task_digest, task_names
+
+
+def load_actor_policy(path: Path) -> NetworkPolicy:
+    """Return the policy of an actor's file.
+
+    Raises:
+        PolicyError: It is no such file, or does not say what it observes.
+    """
+    actor = Actor.load(path)
+    manifest = actor.interface or _known_interface(actor)
+
+    def network(observation: NDArray[np.float32]) -> NDArray[np.float32]:
+        return actor.scaled_action((observation - actor.middle) / actor.unit)
+
+    told = [str(actor.manifest[key]) for key in ("task", "algorithm", "reward") if key in actor.manifest]
+    return NetworkPolicy(manifest, network, ", ".join(told) or "an actor")
+
+
+def shipped_actors() -> dict[str, Path]:
+    """Return the actors that come with this package, by name."""
+    folder = Path(str(files("ctrl_rl_core"))) / "policies" / "pretrained"
+    return {file.stem: file for file in sorted(folder.glob("*.safetensors"))}
+
+
+def _known_interface(actor: Actor) -> PolicyManifest:
+    """Return the interface of an actor that does not say it: its task's, where that is one of the suite's."""
+    name = str(actor.manifest.get("task"))
+    if name in task_names():
+        task = load_navigation_task(name)
+        if task_digest(task) == actor.manifest.get("task_digest"):
+            return interface_of(task)
+    raise PolicyError("does not say what it observes: write it anew with `export --task FILE` of its package")
+
+
+KIND = PolicyKind(load_actor_policy, shipped_actors)

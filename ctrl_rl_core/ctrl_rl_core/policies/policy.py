@@ -1,0 +1,164 @@
+"""Policies of any kind as a node drives by them, and how they are found and read.
+
+A package adds its own kind of file by an entry point of the group `ctrl_rl.policies`, which names a `PolicyKind`:
+
+    entry_points={"ctrl_rl.policies": ["my_header_key = my_package.my_module:KIND"]}
+
+Its name is the header key of the safetensors files, or the ending of files that are none, as in `onnx`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrl_rl_core.driving.scan import ScanGeometry
+from ctrl_rl_core.io.checked_tensors import kind_of
+from ctrl_rl_core.io.file_checks import one_line, raise_as, short_path
+from ctrl_rl_core.policies.errors import PolicyError
+from ctrl_rl_core.policies.manifest import PolicyManifest
+from ctrl_rl_core.policies.observation import ObservationBuilder, Sensors
+
+Array = NDArray[np.float64]
+GROUP = "ctrl_rl.policies"
+_SOME_SCAN = ScanGeometry(360, 0.0, 2.0 * np.pi / 360, 0.1, 30.0)
+
+
+class Policy(Protocol):
+    """A policy that gives one robot its commands.
+
+    Attributes:
+        robot: Kind of robot, a key of `manifest.COMMAND_NAMES`.
+        limits: Least and largest command (2,), (2,).
+        rest: Command of a robot that has nothing to do (2,).
+        period: Time between two decisions [s]; None to decide at each scan.
+        needs: Inputs besides scan and odometry: "pose", "goal", both or none.
+        description: Kind and origin of the policy in a few words.
+    """
+
+    robot: str
+    limits: tuple[Array, Array]
+    rest: Array
+    period: float | None
+    needs: frozenset[str]
+    description: str
+
+    def command(self, sensors: Sensors) -> Array:
+        """Return the command (2,): speed [m/s] and turn rate [rad/s], or thrusts T_1 and T_2 [N].
+
+        Raises:
+            CtrlRlError: It gives none, so that the robot must stand.
+        """
+
+
+class PolicyKind(NamedTuple):
+    """A kind of policy files.
+
+    Attributes:
+        load: Returns the policy of a file, or raises CtrlRlError with one line that says what is wrong.
+        shipped: Returns the files that come with the package, by name.
+    """
+
+    load: Callable[[Path], Policy]
+    shipped: Callable[[], Mapping[str, Path]] = dict
+
+
+class NetworkPolicy:
+    """A network with the interface that its manifest describes."""
+
+    def __init__(
+        self, manifest: PolicyManifest, network: Callable[[NDArray[np.float32]], NDArray[Any]], description: str
+    ) -> None:
+        """Make a policy.
+
+        Args:
+            manifest: Interface of the policy.
+            network: Function from an observation (n,) to outputs (`manifest.action.outputs`,).
+            description: Kind and origin of the policy in a few words.
+        """
+        self.robot: str = manifest.robot
+        self.period, self.description = manifest.period, description
+        self.limits = np.array(manifest.action.low), np.array(manifest.action.high)
+        self.rest: Array = np.array(manifest.rest)
+        self.needs = frozenset[str](each for each in ("pose", "goal") if manifest.observes(each))
+        if "goal" in self.needs:
+            self.needs |= {"pose"}
+        self._observe, self._network, self._action = ObservationBuilder(manifest), network, manifest.action
+
+    def command(self, sensors: Sensors) -> Array:
+        """Return the command (2,); not finite where the network's outputs are not.
+
+        Raises:
+            PolicyError: A part of the observation is missing.
+        """
+        with np.errstate(all="ignore"):  # the node refuses what is not finite, and says so
+            return self._action.command(np.asarray(self._network(self._observe(sensors)), dtype=np.float64))
+
+
+def find_policy(name_or_path: str) -> Path:
+    """Return the file of a shipped policy by name, or the path itself.
+
+    Raises:
+        PolicyError: There is no such policy.
+    """
+    path = Path(name_or_path)
+    if path.suffix:
+        return path.expanduser()
+    shipped = shipped_policies()
+    if name_or_path not in shipped:
+        there = ", ".join(shipped) or "none"
+        asked = f"no policy '{short_path(name_or_path)}'" if name_or_path else "no policy is given (parameter policy)"
+        raise PolicyError(f"{asked}: there are {there}, or give a file")
+    return shipped[name_or_path]
+
+
+def shipped_policies() -> dict[str, Path]:
+    """Return the policies that come with the installed packages, by name."""
+    return {name: file for entry in _entries().values() for name, file in sorted(_kind(entry).shipped().items())}
+
+
+def load_policy(path: Path) -> Policy:
+    """Read a policy of any kind and try it on a scan.
+
+    Raises:
+        PolicyError: No such file, it holds no policy, or what reads it is not installed.
+    """
+    with raise_as(PolicyError, path):
+        ending, entries = path.suffix.removeprefix(".").lower(), _entries()
+        keys = (ending,) if ending in entries else kind_of(path)
+        entry = next((entries[key] for key in keys if key in entries), None)
+        if entry is None:
+            raise PolicyError(f"holds no policy that a node can drive by: there are readers for {', '.join(entries)}")
+        policy = _kind(entry).load(path)
+        _try(policy)
+    return policy
+
+
+def _try(policy: Policy) -> None:
+    """Refuse a policy whose command is not a pair of finite numbers in a plain situation."""
+    from nav_msgs.msg import Odometry
+
+    wall = np.ones(_SOME_SCAN.beams, np.float32)
+    sensors = Sensors(wall, _SOME_SCAN, Odometry(), np.zeros(3), np.ones(3), policy.rest)
+    command = policy.command(sensors)
+    if command.shape != (2,) or not np.isfinite(command).all():
+        raise PolicyError(f"its command in front of a wall at 1 m is {one_line(command.tolist(), 60)}: not two numbers")
+
+
+def _entries() -> dict[str, EntryPoint]:
+    return {entry.name: entry for entry in sorted(entry_points(group=GROUP))}
+
+
+def _kind(entry: EntryPoint) -> PolicyKind:
+    try:
+        kind = entry.load()
+    except Exception as error:  # whatever another package does while it is imported
+        raise PolicyError(f"the reader '{entry.name}' ({entry.value}) cannot be loaded: {one_line(error)}") from None
+    if not isinstance(kind, PolicyKind):
+        raise PolicyError(f"the reader '{entry.name}' ({entry.value}) is no PolicyKind")
+    return kind

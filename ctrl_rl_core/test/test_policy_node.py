@@ -1,0 +1,188 @@
+"""The policy node on topics: what it sends, what stops it, and another policy while it drives."""
+
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rclpy
+from ctrl_rl_core.ros.node import ODOM_PUBLISHER, SCAN_PUBLISHER, float32_array, to_stamp
+from geometry_msgs.msg import PoseStamped, TwistStamped
+from nav_msgs.msg import Odometry
+from policy_files import FLY, actor, manifest, write
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import SetParameters
+from sensor_msgs.msg import LaserScan
+
+from ctrl_rl_core import COMMAND, PolicyManifest
+from ctrl_rl_msgs.msg import RotorThrusts
+
+STEP = 10**8
+GOAL = [{"source": "goal", "names": ["ahead", "left"]}]
+
+
+class Robot:
+    """The other side of the topics: sends scans, and hears the commands."""
+
+    def __init__(self, kind: type, topic: str) -> None:
+        self.node = rclpy.create_node("robot")
+        self.odom = self.node.create_publisher(Odometry, "odom", ODOM_PUBLISHER)
+        self.scan = self.node.create_publisher(LaserScan, "scan", SCAN_PUBLISHER)
+        self.goal = self.node.create_publisher(PoseStamped, "goal_pose", 1)
+        self.answers: dict[int, tuple[float, float]] = {}
+        self.last = (0.0, 0.0)
+        self._sent = 0
+        self.node.create_subscription(kind, topic, self._hear, COMMAND)
+
+    def _hear(self, message: TwistStamped | RotorThrusts) -> None:
+        self.last = (
+            (message.t1, message.t2)
+            if isinstance(message, RotorThrusts)
+            else (message.twist.linear.x, message.twist.angular.z)
+        )
+        self.answers[message.header.stamp.sec * 10**9 + message.header.stamp.nanosec] = self.last
+
+    def wait(self, done: Callable[[], bool], seconds: float = 30.0) -> bool:
+        deadline = time.monotonic() + seconds
+        while not done():
+            if time.monotonic() > deadline:
+                return False
+            rclpy.spin_once(self.node, timeout_sec=0.02)
+        return True
+
+    def ask(self, v: float = 0.0, odometry: bool = True) -> tuple[float, float]:
+        """Return the command that answers one more scan, of a room of 3 m."""
+        self._sent += 1
+        stamp = self._sent * STEP
+        if odometry:
+            message = Odometry(child_frame_id="base_link")
+            message.header.frame_id = "odom"
+            message.twist.twist.linear.x = v
+            self.odom.publish(message)
+            self.wait(lambda: False, 0.02)
+        ranges = float32_array(np.full(360, 3.0) + 1e-3 * np.random.default_rng(self._sent).random(360))
+        scan = LaserScan(angle_increment=2 * np.pi / 360, range_min=0.12, range_max=10.0, ranges=ranges)
+        scan.header.stamp = to_stamp(stamp)
+        self.scan.publish(scan)
+        assert self.wait(lambda: stamp in self.answers), "no answer"
+        return self.answers[stamp]
+
+    def begin(self) -> None:
+        """Return once the node answers scans."""
+        topics = ("scan", "odom", "goal_pose")
+        assert self.wait(lambda: all(self.node.count_subscribers(topic) for topic in topics))
+        self.wait(lambda: False, 0.5)  # the last match is seen here before it is seen by both of its ends
+
+    def set_policy(self, file: Path) -> str:
+        """Give the node another policy and return why it refuses, empty where it takes it."""
+        client = self.node.create_client(SetParameters, "policy/set_parameters")
+        assert client.wait_for_service(30.0)
+        value = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=str(file))
+        future = client.call_async(SetParameters.Request(parameters=[Parameter(name="policy", value=value)]))
+        assert self.wait(future.done)
+        return future.result().results[0].reason
+
+
+@pytest.fixture
+def robot() -> Iterator[Callable[[type, str], Robot]]:
+    rclpy.init()
+    robots: list[Robot] = []
+
+    def make(kind: type = TwistStamped, topic: str = "cmd_vel") -> Robot:
+        robots.append(Robot(kind, topic))
+        return robots[-1]
+
+    yield make
+    for each in robots:
+        each.node.destroy_node()
+    rclpy.try_shutdown()
+
+
+def exploding(folder: Path) -> Path:
+    """Return a policy whose network overflows to NaN as soon as the robot moves."""
+    interface, file = manifest(), folder / "exploding.safetensors"
+    first, second = np.zeros((2, interface.size), np.float32), np.zeros((2, 2), np.float32)
+    first[:, 4] = 3e38
+    second[:, 0], second[:, 1] = 3e38, -3e38
+    made = actor(interface, activation="relu", weights=(first, second), biases=(np.zeros(2, np.float32),) * 2)
+    made.save(file)
+    return file
+
+
+def test_it_drives_holds_swaps_and_stands(robot: Callable, run_node: Callable, tmp_path: Path) -> None:
+    """One node goes through all of it: to start one takes longer than to answer a hundred scans."""
+    slow, fast = write(tmp_path, "slow"), write(tmp_path, "fast", (1.0, 0.5), period=0.3)
+    waits = write(tmp_path, "waits", observation=GOAL)
+    node = run_node("ctrl_rl_core", "policy", f"policy:={slow}", "scan_timeout:=5.0")
+    body = robot()
+    body.begin()
+    assert body.ask(odometry=False) == (0.0, 0.0), "without odometry"
+    assert body.ask() == pytest.approx((0.1, 0.0))
+    assert body.set_policy(fast) == ""
+    assert body.ask() == pytest.approx((0.2, 0.5))
+    node.wait_for("policy slow.safetensors (")
+    node.wait_for("it decides every 0.3 s")
+
+    flies = tmp_path / "flies.safetensors"
+    actor(PolicyManifest.model_validate(FLY)).save(flies)
+    broken = tmp_path / "broken.safetensors"
+    broken.write_bytes(slow.read_bytes()[:200])
+    for file, reason in (
+        (flies, "flies.safetensors is for a planar_quadrotor, this node moves a differential_drive"),
+        (broken, "broken.safetensors: is not a whole safetensors file"),
+        (tmp_path / "none.safetensors", "none.safetensors: there is no such file"),
+    ):
+        assert reason in body.set_policy(file)
+        assert body.ask() == pytest.approx((0.2, 0.5)), "the one before drives on"
+
+    assert body.set_policy(waits) == ""
+    assert body.ask() == (0.0, 0.0)
+    node.wait_for("stopping: waiting for goal_pose in the frame 'odom'")
+    goal = PoseStamped()
+    for frame, driven in (("map", (0.0, 0.0)), ("odom", (0.1, 0.0))):
+        goal.header.frame_id = frame
+        body.goal.publish(goal)
+        node.wait_for(f"goal (0.00, 0.00) m in '{frame}'")
+        assert body.ask() == pytest.approx(driven)
+    goal.pose.position.x = float("nan")
+    body.goal.publish(goal)
+    node.wait_for("goal_pose refused: x nan")
+
+    assert body.set_policy(exploding(tmp_path)) == ""
+    assert body.ask() == pytest.approx((0.1, 0.0))
+    assert body.ask(v=0.1) == (0.0, 0.0)
+    node.wait_for("stopping: the command is nan m/s, nan rad/s: not finite")
+    assert body.ask() == pytest.approx((0.1, 0.0))
+    code, _ = node.stop()
+    assert code == 0
+    assert body.wait(lambda: body.last == (0.0, 0.0)), "the last command is zero"
+    assert "Traceback" not in node.output
+
+
+def test_a_command_holds_for_the_policy_s_period(robot: Callable, run_node: Callable, tmp_path: Path) -> None:
+    """The policy turns by the speed that it sees when it decides, at each third scan."""
+    interface, file = manifest(period=0.3), tmp_path / "policy.safetensors"
+    first, second = np.zeros((1, interface.size), np.float32), np.ones((2, 1), np.float32)
+    first[0, 4] = 1.0
+    none = (np.zeros(1, np.float32), np.zeros(2, np.float32))
+    actor(interface, activation="relu", weights=(first, second), biases=none).save(file)
+    run_node("ctrl_rl_core", "policy", f"policy:={file}", "scan_timeout:=5.0")
+    body = robot()
+    body.begin()
+    turns = [body.ask(v=0.01 * count)[1] for count in range(1, 8)]
+    assert turns == pytest.approx([0.01, 0.01, 0.01, 0.04, 0.04, 0.04, 0.07], abs=1e-6)
+
+
+def test_a_quadrotor_is_flown_on_its_rotors_and_hovers_when_blind(
+    robot: Callable, run_node: Callable, tmp_path: Path
+) -> None:
+    file = tmp_path / "policy.safetensors"
+    actor(PolicyManifest.model_validate(FLY), (0.5, 0.0)).save(file)
+    node = run_node("ctrl_rl_core", "policy", f"policy:={file}", "scan_timeout:=1.0")
+    body = robot(RotorThrusts, "rotor_thrusts")
+    body.begin()
+    assert body.ask() == pytest.approx((9.5, 8.0))
+    assert body.wait(lambda: body.last == pytest.approx((6.13, 6.13))), "no scan comes any more"
+    node.wait_for("stopping: no recent scan")
+    assert body.node.count_publishers("cmd_vel") == 0
