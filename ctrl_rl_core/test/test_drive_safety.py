@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from ctrl_rl_core.driving.scan import DIRECTIONS, MOST_BEAMS, view_scan
 from ctrl_rl_core.driving.scan_health import MIXED
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from ctrl_rl_core import DriveSafety, ObstacleStop, ScanError, ScanGeometry, ScanHealth
@@ -158,6 +158,7 @@ def test_points_lie_where_the_beams_met_something() -> None:
     opening=st.floats(0.1, TURN),
     clockwise=st.booleans(),
 )
+@example(beams=720, angle_min=0.0, opening=TURN, clockwise=True)
 @settings(max_examples=200, deadline=None)
 def test_each_direction_is_seen_by_the_beam_that_is_nearest_to_it(
     beams: int, angle_min: float, opening: float, clockwise: bool

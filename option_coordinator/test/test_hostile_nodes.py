@@ -89,13 +89,14 @@ def test_epochs_and_numbers_out_of_reach_stop_no_granting_and_make_no_second_dec
     rig.robot("r0", lasts=0.1)
     rig.robot("r1", lasts=0.1)
     goes_on(rig)
+    rig.until(lambda: any(status.agent == "r0" for status in rig.statuses), "r0 is heard")
+    life = next(status.incarnation for status in reversed(rig.statuses) if status.agent == "r0")
     for epoch in (2**62 - 1, 2**64 - 1, 2**62, 2**61 - 1):
         rig.say(AgentState.WAITING, agent="nobody", coordinator_epoch=epoch)
-        rig.say(AgentState.WAITING, agent="r0", incarnation=rig.statuses[-1].incarnation, coordinator_epoch=epoch)
+        rig.say(AgentState.WAITING, agent="r0", incarnation=life, coordinator_epoch=epoch)
         words.publish(CoordinatorStatus(coordinator_epoch=epoch))
         words.publish(CoordinatorStatus(coordinator_epoch=epoch, team="another"))
     for request_id in (2**64 - 1, 2**62 - 1, 10**6, 900):
-        life = next(status.incarnation for status in reversed(rig.statuses) if status.agent == "r0")
         rig.ask("r0", request_id=request_id, incarnation=life)
     goes_on(rig, grants=20)
     before = len(rig.grants)

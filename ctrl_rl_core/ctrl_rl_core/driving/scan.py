@@ -110,8 +110,9 @@ def nearest_beams(scan: ScanGeometry, bearings: NDArray[np.float64]) -> tuple[ND
     step = abs(scan.angle_increment)
     first = scan.angle_min if scan.angle_increment > 0.0 else scan.angle_min + scan.angle_increment * (scan.beams - 1)
     half = max(0.5 * step, math.pi / DIRECTIONS)
-    offset = (bearings - (first - half)) % _TURN - half  # from -half: what lies just before the first beam is its own
-    beam = np.rint(offset / step).astype(np.intp)
-    field = offset <= step * (scan.beams - 1) + half
-    np.clip(beam, 0, scan.beams - 1, out=beam)
+    offset = (bearings - first + 0.5 * step) % _TURN - 0.5 * step
+    after_last, before_first = offset - step * (scan.beams - 1), _TURN - offset
+    field = np.minimum(after_last, before_first) <= half
+    beam = np.minimum(np.rint(offset / step).astype(np.intp), scan.beams - 1)
+    beam[before_first < after_last] = 0
     return field, beam if scan.angle_increment > 0.0 else scan.beams - 1 - beam
