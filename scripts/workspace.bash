@@ -25,7 +25,18 @@ if ! command -v ros2 >/dev/null; then
     prefix=$(python -c 'import sys; from ament_index_python import get_package_prefix as p; print(p(sys.argv[1]))' "$2" 2>/dev/null) \
       || { echo "ros2: no package '$2' in this workspace" >&2; return 1; }
     [[ -x $prefix/lib/$2/$3 ]] || { echo "ros2: no executable '$3'; package '$2' has: $(ls "$prefix/lib/$2" 2>/dev/null | xargs)" >&2; return 1; }
-    "$prefix/lib/$2/$3" "${@:4}"
+    if ((BASHPID == $$)); then
+      "$prefix/lib/$2/$3" "${@:4}"
+      return
+    fi
+    # In the background or a pipe bash runs this function as a process of its own: who ends that one means the node.
+    local node code=0
+    (trap - INT; exec "$prefix/lib/$2/$3" "${@:4}") <&0 &
+    node=$!
+    trap 'kill "$node" 2>/dev/null' TERM
+    wait "$node" || code=$?
+    while kill -0 "$node" 2>/dev/null; do code=0; wait "$node" || code=$?; done  # a signal may end `wait` before the node
+    return "$code"
   }
   export -f ros2
 fi

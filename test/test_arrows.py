@@ -34,6 +34,7 @@ HEAVY = {
     "dm_control",
 }
 RUN_TIME_MODULES = (
+    "ctrl_rl_bringup.cli.preflight",
     "ctrl_rl_bags.recording.recorder_node",
     "ctrl_rl_bags.cli",
     "ctrl_rl_core.systems.system",

@@ -2,13 +2,21 @@
 
 import os
 import pty
+import signal
 import subprocess
 import sys
+import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+import rclpy
 from ament_index_python.packages import get_package_prefix
-from commands import command
+from commands import command, start
+from nav_msgs.msg import Odometry
+from rclpy.node import Node
+
+from ctrl_rl_core import SENSOR
 
 sys.path.insert(0, str(Path(__file__).parent / "preflight"))
 
@@ -70,6 +78,34 @@ def test_nobody_moves_the_robot_without_a_yes(tmp_path: Path) -> None:
     assert "not agreed to" in out
 
 
+@pytest.mark.fault
+def test_interrupted_while_the_robot_turns_it_leaves_it_standing(run_node: Callable, tmp_path: Path) -> None:
+    rclpy.init()
+    node, rates = Node("onlooker"), list[float]()
+    node.create_subscription(Odometry, "odom", lambda said: rates.append(said.twist.twist.angular.z), SENSOR)
+
+    def until(condition: Callable[[], bool], what: str) -> None:
+        deadline = time.monotonic() + 120.0
+        while not condition():
+            assert time.monotonic() < deadline, f"{what}: {rates[-5:]}"
+            rclpy.spin_once(node, timeout_sec=0.02)
+
+    try:
+        run_node("sim_bridge", "bridge", "cmd_vel_timeout:=0.0")
+        moving = ("--move", "floor", "--yes", "--seconds", "1", "--wait", "60")
+        process = start("preflight", *moving, *PATIENT, "--output", tmp_path / "run")
+        until(lambda: bool(rates) and rates[-1] > 0.3, "it never turned")
+        process.send_signal(signal.SIGINT)
+        assert process.wait(60) == 130
+        until(lambda: max(abs(rate) for rate in rates[-10:]) < 1e-3, "it turns on")
+        _, errors = process.communicate()
+        assert "preflight: interrupted" in errors
+        assert "Traceback" not in errors
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
+
+
 @pytest.mark.parametrize(
     ("words", "arguments"),
     [
@@ -77,6 +113,7 @@ def test_nobody_moves_the_robot_without_a_yes(tmp_path: Path) -> None:
         ("--scan-rate -1: must not be negative", ("--scan-rate", "-1")),
         ("add --yes", ("--move", "floor")),
         ("is a file: name a folder", ("--output", __file__)),
+        ("wrong ROS arguments", ("--commands", "no topic")),
         ("unknown ROS argument", ("--ros-args", "--nonsense")),
     ],
 )

@@ -2,7 +2,9 @@
 
 import os
 import re
+import signal
 import subprocess
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -16,7 +18,7 @@ _BLOCK = re.compile(r"^```bash\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
 def pages() -> list[object]:
     names = sorted(page.stem for page in TUTORIALS.glob("*.md"))
-    assert len(names) >= 6
+    assert len(names) >= 7
     patient = pytest.mark.timeout(1800)
     return [pytest.param(name, marks=(patient,) if name in QUICK else (patient, pytest.mark.slow)) for name in names]
 
@@ -26,5 +28,13 @@ def test_a_tutorial_works_as_written(name: str, tmp_path: Path) -> None:
     blocks = _BLOCK.findall((TUTORIALS / f"{name}.md").read_text(encoding="utf-8"))
     assert blocks
     script = "\n".join(("set -eo pipefail", f". '{ROOT}/scripts/workspace.bash'", *blocks))
-    answer = subprocess.run(["bash", "-c", script], cwd=tmp_path, capture_output=True, text=True, env=os.environ)
-    assert answer.returncode == 0, f"{answer.stdout}\n{answer.stderr}"
+    pipe = subprocess.PIPE
+    shell = subprocess.Popen(
+        ["bash", "-c", script], cwd=tmp_path, stdout=pipe, stderr=pipe, text=True, start_new_session=True
+    )
+    try:
+        out, errors = shell.communicate()
+    finally:
+        with suppress(ProcessLookupError):  # what it left in the background
+            os.killpg(shell.pid, signal.SIGKILL)
+    assert shell.returncode == 0, f"{out}\n{errors}"

@@ -1,4 +1,4 @@
-"""ros2 launch ctrl_rl_bringup robot.launch.py [policy:=...] [stamped:=true]: controller and watchdog for a real robot.
+"""ros2 launch ctrl_rl_bringup robot.launch.py [policy:=...] [dry_run:=true]: controller and watchdog for a real robot.
 
 The watchdog stops the robot when the controller dies. It is started again when it dies itself, and begins with zeros.
 """
@@ -17,6 +17,8 @@ def generate_launch_description() -> LaunchDescription:
     stamped = ParameterValue(LaunchConfiguration("stamped"), value_type=bool)
     timeout = ParameterValue(LaunchConfiguration("timeout"), value_type=float)
     policy = ParameterValue(LaunchConfiguration("policy"), value_type=str)
+    dry_run = ParameterValue(LaunchConfiguration("dry_run"), value_type=bool)
+    max_distance = ParameterValue(LaunchConfiguration("max_distance"), value_type=float)
     return LaunchDescription(
         [
             DeclareLaunchArgument("policy", default_value=DEFAULT_POLICY, description="policy name or file"),
@@ -25,6 +27,17 @@ def generate_launch_description() -> LaunchDescription:
             ),
             DeclareLaunchArgument(
                 "timeout", default_value="0.5", description="age of the last command that stops the robot [s]"
+            ),
+            DeclareLaunchArgument(
+                "commands",
+                default_value="cmd_vel_raw",
+                description="topic that the controller commands on; cmd_vel_auto where twist_mux is in between",
+            ),
+            DeclareLaunchArgument("dry_run", default_value="false", description="compute commands, but send none"),
+            DeclareLaunchArgument(
+                "max_distance",
+                default_value="0.0",
+                description="distance after which it stands [m]; 0.0 for any",
             ),
             Node(
                 package="ctrl_rl_core",
@@ -36,8 +49,15 @@ def generate_launch_description() -> LaunchDescription:
             Node(
                 package="koopman_lqr_controller",
                 executable="controller",
-                parameters=[{"enable_stamped_cmd_vel": stamped, "policy": policy}],
-                remappings=[("cmd_vel", "cmd_vel_raw")],
+                parameters=[
+                    {
+                        "enable_stamped_cmd_vel": stamped,
+                        "policy": policy,
+                        "dry_run": dry_run,
+                        "max_distance": max_distance,
+                    }
+                ],
+                remappings=[("cmd_vel", LaunchConfiguration("commands"))],
                 output="screen",
             ),
         ]

@@ -5,10 +5,11 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
+import tyro
 from ctrl_rl_core.command import EXIT_USAGE, CommandError, FiniteNumber, folder_to_write, parse_options, run_command
 from rclpy.executors import SingleThreadedExecutor
 from tqdm import tqdm
@@ -23,6 +24,8 @@ from ctrl_rl_bringup.preflight.report import as_text, write_report
 from ctrl_rl_bringup.runner.session import ros
 
 _LONGEST_S = 600.0
+_EPILOG = """Exit code 0: go; 1: no-go; 2: the command line is wrong, or the report cannot be written.
+ROS arguments may follow, as in: preflight --ros-args -r scan:=lidar_scan"""
 _QUESTION = {
     "air": "The wheels will turn. Are they in the air?",
     "floor": "The robot will turn by 45 degrees and drive 16 cm ahead and back. Is a metre around it free?",
@@ -30,12 +33,8 @@ _QUESTION = {
 
 
 @dataclass(frozen=True)
-class PreflightOptions(Limits):
-    """Look at a live robot, or at the simulator, and say what is wrong before it drives: GO or NO-GO, and what to do.
-
-    Exit code 0: go; 1: no-go; 2: the command line is wrong, or the report cannot be written.
-    ROS arguments may follow, as in: preflight --ros-args -r scan:=lidar_scan
-    """
+class PreflightOptions:
+    """Look at a live robot, or at the simulator, and say before it drives what is wrong: GO or NO-GO."""
 
     output: Path | None = None
     """Folder of the report, preflight.txt and preflight.json; runs/preflight-<date>-<time> unless given."""
@@ -61,6 +60,8 @@ class PreflightOptions(Limits):
     yes: bool = False
     """Move without asking."""
 
+    limits: Annotated[Limits, tyro.conf.arg(name="")] = field(default_factory=Limits)
+
     def check(self) -> None:
         """Refuse values that make no sense.
 
@@ -72,27 +73,22 @@ class PreflightOptions(Limits):
                 raise CommandError(f"--{name} {getattr(self, name):g}: must be {least:g} to {largest:g} s")
         signed = ("lidar_x", "lidar_yaw")
         for each in fields(Limits):
-            if each.name not in signed and getattr(self, each.name) < 0.0:
-                raise CommandError(
-                    f"--{each.name.replace('_', '-')} {getattr(self, each.name):g}: must not be negative"
-                )
-        if not (abs(self.lidar_x) <= 1.0 and abs(self.lidar_yaw) <= 3.1416):
+            value, option = getattr(self.limits, each.name), each.name.replace("_", "-")
+            if each.name not in signed and value < 0.0:
+                raise CommandError(f"--{option} {value:g}: must not be negative")
+        if not (abs(self.limits.lidar_x) <= 1.0 and abs(self.limits.lidar_yaw) <= 3.1416):
             raise CommandError("--lidar-x must be -1 to 1 m, --lidar-yaw -3.1416 to 3.1416 rad")
         if self.move != "none" and not self.yes and not sys.stdin.isatty():
             raise CommandError(f"--move {self.move} asks before it moves the robot: run it in a terminal, or add --yes")
 
-    def limits(self) -> Limits:
-        """Return the limits of the checks alone."""
-        return Limits(**{each.name: getattr(self, each.name) for each in fields(Limits)})
-
 
 def preflight() -> int:
     """Look at a live robot and say go or no-go."""
-    options = parse_options("preflight", PreflightOptions, own_arguments())
-    return run_command("preflight", lambda: _preflight(options), failure=EXIT_USAGE)
+    return run_command("preflight", _preflight, failure=EXIT_USAGE)
 
 
-def _preflight(options: PreflightOptions) -> int:
+def _preflight() -> int:
+    options = parse_options("preflight", PreflightOptions, own_arguments(), _EPILOG)
     options.check()
     folder = run_folder(options.output, "preflight")
     try:
@@ -103,7 +99,7 @@ def _preflight(options: PreflightOptions) -> int:
     with ros(_ros_arguments(options)), _listener(options) as (listener, executor):
         findings = _stand(options, listener, executor)
         findings += _move(options, listener, executor, may_go(findings)) if moves else [_not_moved(options)]
-    write_report(folder, findings, options.limits())
+    write_report(folder, findings, options.limits)
     print(as_text(findings))
     print(f"report  {folder / 'preflight.txt'}")
     return 0 if may_go(findings) else 1
@@ -116,7 +112,7 @@ def _stand(options: PreflightOptions, listener: Listener, executor: SingleThread
     print(f"preflight: listening for {options.seconds:g} s", file=sys.stderr)
     with tqdm(total=options.seconds, unit="s", bar_format="{l_bar}{bar}| {n:.0f} s", disable=None) as bar:
         heard = listener.listen(executor, options.seconds, lambda passed: _show(bar, passed))
-    return inspect_standing(heard, options.limits())
+    return inspect_standing(heard, options.limits)
 
 
 def _move(
@@ -134,7 +130,7 @@ def _move(
     finally:
         executor.remove_node(mover)
         mover.destroy_node()
-    return inspect_moving(Motion(listener.heard, parts), options.limits(), options.move == "floor")
+    return inspect_moving(Motion(listener.heard, parts), options.limits, options.move == "floor")
 
 
 def _not_moved(options: PreflightOptions) -> Finding:
@@ -155,7 +151,9 @@ def _ros_arguments(options: PreflightOptions) -> list[str]:
     namespace = options.namespace.strip("/")
     out = [*sys.argv, "--ros-args"]
     out += ["-r", f"__ns:=/{namespace}"] if namespace else []
-    for parameter in mover_parameters(options.move == "air", options.unstamped, options.lidar_x, options.lidar_yaw):
+    for parameter in mover_parameters(
+        options.move == "air", options.unstamped, options.limits.lidar_x, options.limits.lidar_yaw
+    ):
         out += ["-p", f"preflight_mover:{parameter}"]
     if options.commands != "cmd_vel":
         out += ["-r", f"preflight_mover:cmd_vel:={options.commands}"]

@@ -7,10 +7,11 @@ from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
 
+from rclpy._rclpy_pybind11 import UnknownROSArgsError
 from rclpy.utilities import remove_ros_args
 
 from ctrl_rl_bringup.runner.domain import own_domain, stay_local
-from ctrl_rl_core import run_command
+from ctrl_rl_core import CommandError, run_command
 
 
 def run_here(program: str, work: Callable[[], int]) -> int:
@@ -35,5 +36,12 @@ def run_folder(output: Path | None, name: str) -> Path:
 
 
 def own_arguments() -> list[str]:
-    """Return the process's arguments without those that ROS's launch adds after --ros-args."""
-    return list(remove_ros_args(sys.argv)[1:])
+    """Return the process's arguments without those that ROS's launch adds after --ros-args.
+
+    Raises:
+        CommandError: One of those is unknown to ROS.
+    """
+    try:
+        return list(remove_ros_args(sys.argv)[1:])
+    except UnknownROSArgsError as error:
+        raise CommandError(f"unknown ROS argument {error}: see --help") from None

@@ -95,7 +95,7 @@ class Limits:
     """Least charge of the battery, 0 to 1."""
 
     least_voltage: FiniteNumber = 11.0
-    """Least voltage of the battery, for drivers that tell no charge [V]."""
+    """Least voltage of the battery [V]; the default is that of a burger's three cells."""
 
     map_share: FiniteNumber = 0.6
     """Least share of echoes that lie near an occupied cell of the map, 0 to 1."""

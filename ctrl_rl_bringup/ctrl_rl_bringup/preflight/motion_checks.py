@@ -141,7 +141,10 @@ def check_turn_by_scan(motion: Motion, limits: Limits) -> Iterator[Finding]:
             check, f"the scans do not tell (mismatch {best:.3f} m): {words}", "repeat it where there is more to see"
         )
     elif seen * turn < 0.0:
-        advice = "the lidar is mirrored or upside-down: mount it upright, or let its driver turn the scan (inverted)"
+        advice = (
+            "the lidar is mirrored or upside-down: mount it upright, or let its driver turn the scan (inverted); "
+            "where the robot itself turned to the right, motors and encoders are both swapped"
+        )
         yield no_go(check, f"the scan turns the wrong way: {words}", advice)
     else:
         yield _scale_finding(check, "odometry", [seen / turn], limits.scale_tolerance)
@@ -168,7 +171,10 @@ def check_shift_by_scan(motion: Motion, limits: Limits) -> Iterator[Finding]:
     elif abs(angles[best]) > math.radians(20.0) and floor < _CLEARER * told:
         yaw = float(wrap(limits.lidar_yaw - angles[best]))
         words = f"driving ahead moves the scan as if the lidar were turned by {yaw:.2f} rad, not {limits.lidar_yaw:.2f}"
-        advice = f"turn the lidar, or start the controllers (and this) with lidar_yaw {yaw:.2f} and correct the URDF"
+        advice = (
+            f"turn the lidar, or start the controllers (and this) with lidar_yaw {yaw:.2f} and correct the URDF; "
+            "where the robot itself drove back, motors and encoders are both swapped"
+        )
         yield no_go(check, words, advice)
     else:
         yield ok(check, f"the scans move as a lidar turned by {limits.lidar_yaw:.2f} rad sees it")

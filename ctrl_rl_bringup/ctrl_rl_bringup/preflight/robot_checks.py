@@ -37,19 +37,24 @@ def check_odometry(heard: Recording, _limits: Limits) -> Iterator[Finding]:
 
 
 def check_battery(heard: Recording, limits: Limits) -> Iterator[Finding]:
-    """Find an empty battery; many drivers tell its voltage alone, some a charge in percent."""
+    """Find an empty battery; many drivers tell its voltage alone."""
     if heard.battery is None:
         name = heard.topic("battery_state").name
         yield note("battery", f"nothing on {name}", "look at the battery yourself: a burger's LiPo needs 11 V and more")
         return
     charge, voltage = heard.battery
-    known = math.isfinite(charge) and charge > 0.0
-    words = f"{100 * charge:.0f} %" if known else f"{voltage:.1f} V"
-    if not known and not voltage > 0.0:
+    told = []
+    if math.isfinite(charge) and charge > 0.0:
+        told.append((f"{100 * charge:.0f} %", charge >= limits.least_charge))
+    if math.isfinite(voltage) and voltage > 0.0:
+        told.append((f"{voltage:.1f} V", voltage >= limits.least_voltage))
+    words = ", ".join(word for word, _ in told)
+    if not told:
         yield note("battery", "its driver tells neither charge nor voltage", "look at the battery yourself")
-    elif charge < limits.least_charge if known else voltage < limits.least_voltage:
-        least = f"{100 * limits.least_charge:.0f} %" if known else f"{limits.least_voltage:g} V"
-        yield no_go("battery", f"{words}: at least {least} is needed", "charge or change it")
+    elif not all(enough for _, enough in told):
+        least = f"{100 * limits.least_charge:.0f} % and {limits.least_voltage:g} V"
+        advice = "charge or change it; a battery of another kind: --least-voltage"
+        yield no_go("battery", f"{words}: at least {least} are needed", advice)
     else:
         yield ok("battery", words)
 

@@ -13,6 +13,8 @@ from ctrl_rl_bringup.preflight.recording import Points
 
 _FARTHEST = 0.3
 """Distance at which an echo without a counterpart counts [m]."""
+_MOST = 250
+"""Echoes of the second scan that are looked up, spread evenly; more tell no more."""
 Array = NDArray[np.float64]
 
 
@@ -25,7 +27,7 @@ def turn_mismatches(before: Points, after: Points, turns: Array) -> Array:
         turns: Turns to try (n,), counter-clockwise [rad].
     """
     c, s = np.cos(turns), np.sin(turns)
-    x, y = after[:, 0], after[:, 1]
+    x, y = _thinned(after).T
     moved = np.stack((np.outer(c, x) - np.outer(s, y), np.outer(s, x) + np.outer(c, y)), axis=-1)
     return _mismatches(before, moved)
 
@@ -38,7 +40,11 @@ def shift_mismatches(before: Points, after: Points, shifts: Points) -> Array:
         after: Echoes after it (k, 2) [m].
         shifts: Moves to try, in the robot's frame (n, 2) [m].
     """
-    return _mismatches(before, after[None, :, :] + shifts[:, None, :])
+    return _mismatches(before, _thinned(after)[None, :, :] + shifts[:, None, :])
+
+
+def _thinned(points: Points) -> Points:
+    return points[:: len(points) // _MOST + 1]
 
 
 def _mismatches(before: Points, moved: NDArray[np.float64]) -> Array:
