@@ -5,7 +5,7 @@ NAME = "sim_bridge"
 setup(
     name=NAME,
     version="0.1.0",
-    description="PyBullet worlds that stand in for the robots: the bridge node and Gymnasium environments.",
+    description="Simulated worlds that stand in for the robots: the bridge node and Gymnasium environments.",
     license="Apache-2.0",
     maintainer="Seed 5ee16a79 maintainers",
     maintainer_email="maintainers@users.noreply.h-seed-5ee16a79.example",

@@ -12,9 +12,10 @@ from __future__ import annotations
 import argparse
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from sim_bridge.engines.pybullet_engine import PybulletEngine
 
 from ctrl_rl_core import (
     LIDAR_PARAMETERS,
@@ -38,10 +39,9 @@ PERIOD = 48
 """Physics steps from scan to scan, 0.2 s."""
 LONGEST = 400
 """Scans of an episode that has not ended by then: the robot stands."""
-REAL = SimulationOptions(
-    lidar="lds02", scan_dropout=0.1, command_truncation=True, command_delay=0.1, randomise_width=True
-)
-LDS01 = SimulationOptions(lidar="lds01", command_truncation=True, command_delay=0.1, randomise_width=True)
+FREE = SimulationOptions(engine="pybullet", randomise_width=True)
+LDS01 = replace(FREE, lidar="lds01", command_truncation=True, command_delay=0.1)
+REAL = replace(LDS01, lidar="lds02", scan_dropout=0.1)
 
 Break = Callable[[LidarScan, int, list[LidarScan]], LidarScan]
 
@@ -116,7 +116,7 @@ def box(pose: np.ndarray, _random: np.random.Generator) -> Shape:
 
 
 SCENES = {
-    "free": Scene(SimulationOptions(randomise_width=True)),
+    "free": Scene(FREE),
     "free, LDS-01": Scene(LDS01),
     "free, LDS-02, drop-out": Scene(REAL),
     "all zero": Scene(fault=lambda scan, _step, _seen: changed(scan, 0.0 * np.ones(len(scan.ranges)))),
@@ -143,7 +143,7 @@ def episode(policy: KoopmanPolicy, scene: Scene, seed: int, bare: bool, largest_
         s = random.uniform(2.5, 5.0)
         if scene.obstacle is not None:
             shape = scene.obstacle(path.pose(s), random)
-            world._physics.add_fixed((shape,), "xy")
+            engine_of(world).add_fixed((shape,), "xy")
         safety = None if bare else new_safety()
         guard = Guard(policy.distribution, largest_distance, 1.0, 1.0)
         if not bare:
@@ -181,15 +181,22 @@ def come_nearer(world: SimulatedWorld, path: object, s: float, step: float) -> f
     """Move the obstacle along the path until it is near the robot, where whoever comes stops as well."""
     from sim_bridge.engines.quiet_pybullet import pybullet
 
-    physics = world._physics
-    body = physics.fixed[-1]
+    engine = engine_of(world)
+    body = engine.fixed[-1]
     here, there = path.pose(s)[:2], path.pose(s - step)[:2]  # type: ignore[attr-defined]
     if np.hypot(*(world.pose()[:2] - there)) < 0.35:
         return s
-    position, attitude = pybullet.getBasePositionAndOrientation(body, physicsClientId=physics.client)
+    position, attitude = pybullet.getBasePositionAndOrientation(body, physicsClientId=engine.client)
     moved = (position[0] + there[0] - here[0], position[1] + there[1] - here[1], position[2])
-    pybullet.resetBasePositionAndOrientation(body, moved, attitude, physicsClientId=physics.client)
+    pybullet.resetBasePositionAndOrientation(body, moved, attitude, physicsClientId=engine.client)
     return s - step
+
+
+def engine_of(world: SimulatedWorld) -> PybulletEngine:
+    """Return the engine of a world, in which obstacles are put up and moved behind its back."""
+    engine = world._engine
+    assert isinstance(engine, PybulletEngine)
+    return engine
 
 
 def new_safety() -> DriveSafety:

@@ -35,6 +35,7 @@ PYPI_ONLY = {
     "lazy_loader": "lazy_loader",
     "lz4": "lz4",
     "mcap": "mcap",
+    "mujoco": "mujoco",
     "pybullet": "pybullet",
     "rosbags": "rosbags",
     "safetensors": "safetensors",

@@ -1,3 +1,4 @@
+from .engines.choice import ENGINES as ENGINES
 from .environments import NavigationEnv as NavigationEnv
 from .environments import register_environments as register_environments
 from .errors import SimulationError as SimulationError

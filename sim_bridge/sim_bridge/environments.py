@@ -4,7 +4,7 @@
     environment = gymnasium.make("ctrl_rl/car_ttr-v0")
     environments = gymnasium.make_vec("ctrl_rl/curved_corridor-v0", num_envs=4, vectorization_mode="sync")
 
-Each environment owns a PyBullet client; close it when done. Without an import of this module, write
+Each environment owns a physics engine; close it when done. Without an import of this module, write
 "sim_bridge.environments:ctrl_rl/car_ttr-v0".
 """
 
@@ -98,7 +98,7 @@ class NavigationEnv(gymnasium.Env[Vector, Vector]):
         return self._observation(), episode.reward(self.task.rewards), terminated, truncated, self._info()
 
     def close(self) -> None:
-        """Give the physics client back."""
+        """Give the physics engine back."""
         self.world.close()
 
     def _observation(self) -> Vector:

@@ -1,8 +1,11 @@
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from ctrl_rl_core import NavigationTask, load_navigation_task
+from sim_bridge import ENGINES, SimulatedWorld, SimulationOptions
 
 ROOM = """
 name: room
@@ -35,3 +38,29 @@ def make_room(tmp_path: Path):
         return load_navigation_task(file)
 
     return make
+
+
+@pytest.fixture(params=[name for name in ENGINES if name != "auto"])
+def engine(request: pytest.FixtureRequest) -> str:
+    """Each engine that is installed."""
+    name: str = request.param
+    pytest.importorskip(name)
+    return name
+
+
+@pytest.fixture
+def simulate(engine: str) -> Iterator[Callable[..., SimulatedWorld]]:
+    """A function that simulates a task, or one of the suite by its name, with options of the simulation."""
+    worlds = []
+
+    def make(
+        task: NavigationTask | str, seed: int = 0, robots: int = 1, width: float | None = None, **options: Any
+    ) -> SimulatedWorld:
+        known = load_navigation_task(task) if isinstance(task, str) else task
+        settings = SimulationOptions(**{"engine": engine, **options})
+        worlds.append(SimulatedWorld(known, seed, robots, width, settings))
+        return worlds[-1]
+
+    yield make
+    for world in worlds:
+        world.close()

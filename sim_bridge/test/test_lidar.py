@@ -2,7 +2,6 @@ import numpy as np
 import pytest
 
 from ctrl_rl_core import load_navigation_task
-from sim_bridge import SimulatedWorld, SimulationOptions
 
 
 def room_ranges(origin, heading, bearings, largest):
@@ -16,16 +15,15 @@ def room_ranges(origin, heading, bearings, largest):
 
 
 @pytest.mark.parametrize(("x", "theta"), [(0.0, 0.0), (0.8, 0.7), (-1.5, -2.2)])
-def test_ranges_in_a_room_are_those_by_hand(make_room, x, theta):
-    world = SimulatedWorld(make_room(x, theta))
+def test_ranges_in_a_room_are_those_by_hand(simulate, make_room, x, theta):
+    world = simulate(make_room(x, theta))
     origin = np.array((x, 0.0)) - 0.032 * np.array((np.cos(theta), np.sin(theta)))
     expected = room_ranges(origin, theta, world.lidar.bearings, 3.5)
     np.testing.assert_allclose(world.scan(0), expected, atol=2e-3)
-    world.close()
 
 
-def test_ranges_meet_the_surfaces_of_the_task_geometry():
-    world = SimulatedWorld(load_navigation_task("curved_corridor"), seed=2, options=SimulationOptions(scan_noise=0.0))
+def test_ranges_meet_the_surfaces_of_the_task_geometry(simulate):
+    world = simulate("curved_corridor", seed=2, scan_noise=0.0)
     ranges, frame = world.scan(0), world._robots[0].body.sensor()
     hit = np.isfinite(ranges)
     assert hit.sum() > 300
@@ -36,67 +34,57 @@ def test_ranges_meet_the_surfaces_of_the_task_geometry():
         @ frame.axes[:, :2]
     )
     assert np.abs(world.geometry.signed_distance(ends)).max() < 2e-3
-    world.close()
 
 
-def test_discs_and_boxes_stand_where_the_task_says(make_room):
+def test_discs_and_boxes_stand_where_the_task_says(simulate, make_room):
     obstacles = """
   - disc: {centre: "(1.0, 0.0) m", radius: 0.25 m}
   - box: {centre: "(-1.0, 0.0) m", size: "(0.4, 0.6) m"}"""
-    world = SimulatedWorld(make_room(obstacles=obstacles))
+    world = simulate(make_room(obstacles=obstacles))
     ranges = world.scan(0)
     assert ranges[0] == pytest.approx(0.75 + 0.032, abs=1e-3)
     assert ranges[180] == pytest.approx(0.8 - 0.032, abs=1e-3)
     assert ranges[90] == pytest.approx(1.5, abs=1e-3)
-    world.close()
 
 
-def test_nothing_within_reach_is_plus_infinity_and_too_near_is_minus_infinity(make_room):
+def test_nothing_within_reach_is_plus_infinity_and_too_near_is_minus_infinity(simulate, make_room):
     obstacles = """
   - box: {centre: "(0.14, 0.0) m", size: "(0.1, 0.02) m"}"""
-    world = SimulatedWorld(make_room(x=0.0, obstacles=obstacles))
+    world = simulate(make_room(x=0.0, obstacles=obstacles))
     assert world.scan(0)[0] == pytest.approx(0.122, abs=1e-3)
-    world.close()
-    world = SimulatedWorld(make_room(x=0.007, obstacles=obstacles))
+    world = simulate(make_room(x=0.007, obstacles=obstacles))
     assert world.scan(0)[0] == -np.inf  # 0.115 m, and 0.12 m is the least
-    world.close()
-    world = SimulatedWorld(make_room(x=-1.8))
+    world = simulate(make_room(x=-1.8))
     assert world.scan(0)[0] == np.inf
-    world.close()
 
 
-def test_a_sensor_inside_an_obstacle_sees_all_of_it_too_near(make_room):
+def test_a_sensor_inside_an_obstacle_sees_all_of_it_too_near(simulate, make_room):
     obstacles = """
   - box: {centre: "(0.0, 0.0) m", size: "(1.0, 1.0) m"}"""
-    world = SimulatedWorld(make_room(obstacles=obstacles))
+    world = simulate(make_room(obstacles=obstacles))
     assert (world.scan(0) == -np.inf).all()
     assert world.clearance(0) < 0.0
-    world.close()
 
 
-def test_noise_has_the_deviation_asked_for(make_room):
+def test_noise_has_the_deviation_asked_for(simulate, make_room):
     task = make_room()
-    clean = SimulatedWorld(task)
-    noisy = SimulatedWorld(task, options=SimulationOptions(scan_noise=0.02))
+    clean = simulate(task)
+    noisy = simulate(task, scan_noise=0.02)
     error = np.concatenate([noisy.scan(0) - clean.scan(0) for _ in range(20)])
     assert error.std() == pytest.approx(0.02, rel=0.05)
     assert abs(error.mean()) < 0.001
-    clean.close()
-    noisy.close()
 
 
 @pytest.mark.parametrize(("lost_beam", "test"), [("nan", np.isnan), ("inf", np.isposinf), ("zero", lambda r: r == 0.0)])
-def test_lost_beams_read_as_asked(make_room, lost_beam, test):
-    world = SimulatedWorld(make_room(), options=SimulationOptions(scan_dropout=0.25, lost_beam=lost_beam))
+def test_lost_beams_read_as_asked(simulate, make_room, lost_beam, test):
+    world = simulate(make_room(), scan_dropout=0.25, lost_beam=lost_beam)
     share = np.mean([test(world.scan(0)) for _ in range(20)])
     assert share == pytest.approx(0.25, abs=0.03)
-    world.close()
 
 
-def test_robots_see_each_other_but_not_themselves():
+def test_robots_see_each_other_but_not_themselves(simulate):
     task = load_navigation_task("curved_corridor")
-    options = SimulationOptions(scan_noise=0.0)
-    alone, pair = SimulatedWorld(task, seed=5, options=options), SimulatedWorld(task, seed=5, robots=2, options=options)
+    alone, pair = (simulate(task, seed=5, robots=count, scan_noise=0.0) for count in (1, 2))
     np.testing.assert_array_equal(alone.pose(0), pair.pose(0))
     without, with_other = alone.scan(0), pair.scan(0)
     changed = without != with_other
@@ -106,12 +94,10 @@ def test_robots_see_each_other_but_not_themselves():
     assert with_other[changed].min() == pytest.approx(distance - 0.035, abs=0.002)
     bearing = np.arctan2(offset[1], offset[0]) - pair.pose(0)[2]
     assert np.abs(np.angle(np.exp(1j * (pair.lidar.bearings[changed] - bearing)))).max() < 0.15
-    alone.close()
-    pair.close()
 
 
-def test_beams_of_the_quadrotor_turn_with_it_in_the_x_z_plane():
-    world = SimulatedWorld(load_navigation_task("quad_ttr"), seed=4)
+def test_beams_of_the_quadrotor_turn_with_it_in_the_x_z_plane(simulate):
+    world = simulate("quad_ttr", seed=4)
     ranges, pose = world.scan(0), world.pose(0)
     bearings = world.lidar.bearings[np.isfinite(ranges)]
     x_axis = np.array((np.cos(pose[2]), -np.sin(pose[2])))
@@ -124,23 +110,19 @@ def test_beams_of_the_quadrotor_turn_with_it_in_the_x_z_plane():
     down = np.argmin(np.abs(world.lidar.bearings + np.pi / 2))
     assert ranges[down] == pytest.approx((pose[1] - 0.6) / np.cos(pose[2]), abs=2e-3)
     assert ranges[up] < 9.85 - pose[1]  # a box hangs above the start
-    world.close()
 
 
-def test_an_lds01_reads_zero_where_it_measures_nothing(make_room):
-    options = SimulationOptions(lidar="lds01", scan_dropout=0.1)
-    world = SimulatedWorld(make_room(x=-1.8), options=options)
+def test_an_lds01_reads_zero_where_it_measures_nothing(simulate, make_room):
+    world = simulate(make_room(x=-1.8), lidar="lds01", scan_dropout=0.1)
     scan = world.laser_scan(0)
     assert len(scan.ranges) == 360
     assert scan.ranges[0] == 0.0  # the wall ahead is 3.8 m away, beyond its reach
     assert np.isfinite(scan.ranges).all()
     assert 0.05 < np.mean(scan.ranges == 0.0) < 0.4
-    world.close()
 
 
-def test_an_lds02_varies_its_beams_claims_much_and_fills_with_nan(make_room):
-    options = SimulationOptions(lidar="lds02", scan_dropout=0.1, scan_noise=0.0)
-    world = SimulatedWorld(make_room(x=0.3, theta=0.4), options=options)
+def test_an_lds02_varies_its_beams_claims_much_and_fills_with_nan(simulate, make_room):
+    world = simulate(make_room(x=0.3, theta=0.4), lidar="lds02", scan_dropout=0.1, scan_noise=0.0)
     scans = [world.laser_scan(0) for _ in range(20)]
     counts = {len(scan.ranges) for scan in scans}
     assert len(counts) > 3
@@ -154,4 +136,3 @@ def test_an_lds02_varies_its_beams_claims_much_and_fills_with_nan(make_room):
         assert 0.8 < seen.mean() < 0.98
         assert np.isnan(scan.ranges[~seen]).all()
         np.testing.assert_allclose(scan.ranges[seen], room_ranges(origin, 0.4, bearings, 8.0)[seen], atol=2e-3)
-    world.close()

@@ -6,7 +6,6 @@ import pytest
 from ctrl_rl_core.tasks.task_sets import PathCoordinates
 
 from ctrl_rl_core import TaskError, load_navigation_task
-from sim_bridge import SimulatedWorld, SimulationOptions
 
 
 def drive(world, steps=25):
@@ -25,9 +24,9 @@ def drive(world, steps=25):
 
 
 @pytest.mark.parametrize("name", ["curved_corridor", "car_ttr", "quad_trap"])
-def test_the_same_seed_gives_the_same_bits_after_a_reset_and_in_a_new_world(name):
-    options = SimulationOptions(odom_drift=0.05, scan_noise=0.01, scan_dropout=0.05)
-    worlds = [SimulatedWorld(load_navigation_task(name), seed=7, robots=1, options=options) for _ in range(2)]
+def test_the_same_seed_gives_the_same_bits_after_a_reset_and_in_a_new_world(simulate, name):
+    options = {"odom_drift": 0.05, "scan_noise": 0.01, "scan_dropout": 0.05}
+    worlds = [simulate(name, seed=7, robots=1, **options) for _ in range(2)]
     first = drive(worlds[0])
     assert drive(worlds[0]) != first
     worlds[0].reset(8)
@@ -35,19 +34,18 @@ def test_the_same_seed_gives_the_same_bits_after_a_reset_and_in_a_new_world(name
     worlds[0].reset(7)
     assert drive(worlds[0]) == first
     assert drive(worlds[1]) == first
-    for world in worlds:
-        world.close()
 
 
-def test_the_same_seed_gives_the_same_bits_in_two_processes(tmp_path):
+def test_the_same_seed_gives_the_same_bits_in_two_processes(engine, tmp_path):
     script = tmp_path / "drive.py"
     script.write_text(
         """
-import hashlib
-from ctrl_rl_core.tasks.task import TaskError, load_navigation_task
-from sim_bridge import SimulatedWorld, SimulationOptions
-world = SimulatedWorld(load_navigation_task("curved_corridor"), seed=3, robots=2,
-                       options=SimulationOptions(odom_drift=0.05, scan_dropout=0.05, randomise_width=True))
+import hashlib, sys
+from ctrl_rl_core import load_navigation_task
+from sim_bridge.simulation.options import SimulationOptions
+from sim_bridge.simulation.world import SimulatedWorld
+options = SimulationOptions(engine=sys.argv[1], odom_drift=0.05, scan_dropout=0.05, randomise_width=True)
+world = SimulatedWorld(load_navigation_task("curved_corridor"), seed=3, robots=2, options=options)
 digest = hashlib.sha256()
 for step in range(60):
     for robot in range(2):
@@ -58,24 +56,23 @@ for step in range(60):
 print("digest", digest.hexdigest())
 """
     )
-    runs = [subprocess.run([sys.executable, script], capture_output=True, text=True, check=True) for _ in range(2)]
+    command = [sys.executable, script, engine]
+    runs = [subprocess.run(command, capture_output=True, text=True, check=True) for _ in range(2)]
     digests = [line for run in runs for line in run.stdout.splitlines() if line.startswith("digest")]
     assert len(digests) == 2
     assert digests[0] == digests[1]
 
 
-def test_noise_of_one_robot_does_not_depend_on_how_often_another_is_read():
+def test_noise_of_one_robot_does_not_depend_on_how_often_another_is_read(simulate):
     task = load_navigation_task("curved_corridor")
-    first, second = (SimulatedWorld(task, seed=1, robots=2) for _ in range(2))
+    first, second = (simulate(task, seed=1, robots=2) for _ in range(2))
     for _ in range(5):
         first.scan(0)
     np.testing.assert_array_equal(first.scan(1), second.scan(1))
-    first.close()
-    second.close()
 
 
-def test_clearance_is_that_of_the_body_and_a_bump_is_a_collision(make_room):
-    world = SimulatedWorld(make_room(x=1.5))
+def test_clearance_is_that_of_the_body_and_a_bump_is_a_collision(simulate, make_room):
+    world = simulate(make_room(x=1.5))
     assert world.clearance(0) == pytest.approx(0.5 - 0.037, abs=2e-3)  # its front is 0.037 m ahead of the wheels' axis
     world.command(0, (0.2, 0.0))
     while world.episode(0).outcome.name == "RUNNING":
@@ -89,22 +86,29 @@ def test_clearance_is_that_of_the_body_and_a_bump_is_a_collision(make_room):
     assert episode.outcome.name == "COLLISION"  # latched
     assert episode.clearance > 0.2
     assert episode.smallest_clearance <= 0.0
-    world.close()
 
 
-def test_a_touch_between_two_looks_is_not_missed(make_room):
-    world = SimulatedWorld(make_room(x=1.9))
+@pytest.mark.parametrize("name", ["car_ttr", "car_navigation"])
+def test_clearance_of_a_round_robot_is_its_distance_to_the_geometry(simulate, name):
+    world = simulate(name)
+    for seed in range(5):
+        world.reset(seed)
+        expected = float(world.geometry.signed_distance(world.pose(0)[:2])) - 0.177
+        assert world.clearance(0) == pytest.approx(expected, abs=2e-3)
+
+
+def test_a_touch_between_two_looks_is_not_missed(simulate, make_room):
+    world = simulate(make_room(x=1.9))
     world.command(0, (0.22, 0.0))
     world.step(90)
     world.command(0, (-0.22, 0.0))
     world.step(240)
     assert world.clearance(0) > 0.1
     assert world.episode(0).outcome.name == "COLLISION"
-    world.close()
 
 
-def test_driving_along_the_path_reaches_the_goal_with_full_progress():
-    world = SimulatedWorld(load_navigation_task("curved_corridor"), seed=0, options=SimulationOptions(scan_noise=0.0))
+def test_driving_along_the_path_reaches_the_goal_with_full_progress(simulate):
+    world = simulate("curved_corridor", seed=0, scan_noise=0.0)
     path = world.geometry.path
     coordinates, last = PathCoordinates(path), 0.0
     while world.episode(0).outcome.name == "RUNNING":
@@ -120,34 +124,31 @@ def test_driving_along_the_path_reaches_the_goal_with_full_progress():
     assert world.episode(0).outcome.name == "GOAL"
     assert world.episode(0).progress == pytest.approx(1.0, abs=0.01)
     assert 25.0 < world.elapsed < 45.0
-    world.close()
 
 
-def test_quadrotor_that_tilts_too_far_has_crashed():
-    world = SimulatedWorld(load_navigation_task("quad_ttr"), seed=0)
+def test_quadrotor_that_tilts_too_far_has_crashed(simulate):
+    world = simulate("quad_ttr", seed=0)
     world.command(0, (12.0, 0.0))
     world.step(60)
     episode = world.episode(0)
     assert episode.outcome.name == "COLLISION"
     assert episode.tilted
     assert episode.clearance > 0.0
-    world.close()
 
 
-def test_doing_nothing_times_out():
+def test_doing_nothing_times_out(simulate):
     task = load_navigation_task("car_ttr")
-    world = SimulatedWorld(task, seed=0)
+    world = simulate(task, seed=0)
     world.step(round(240 * task.episode.steps * task.episode.time_step) - 1)
     assert world.episode(0).outcome.name == "RUNNING"
     world.step(1)
     assert world.episode(0).outcome.name == "TIMEOUT"
-    world.close()
 
 
-def test_odometry_is_true_without_drift_and_drifts_with_it():
+def test_odometry_is_true_without_drift_and_drifts_with_it(simulate):
     task = load_navigation_task("curved_corridor")
     for drift, largest in ((0.0, 1e-12), (0.05, 0.1)):
-        world = SimulatedWorld(task, seed=1, options=SimulationOptions(odom_drift=drift))
+        world = simulate(task, seed=1, odom_drift=drift)
         np.testing.assert_allclose(world.odometry(0).pose, world.pose(0))
         world.command(0, (0.2, 0.2))
         for _ in range(90):
@@ -157,41 +158,36 @@ def test_odometry_is_true_without_drift_and_drifts_with_it():
         assert error <= largest
         assert (error > 1e-3) == (drift > 0.0)
         np.testing.assert_allclose(world.measured_state(0)[:2], reading.pose[:2])
-        world.close()
 
 
-def test_width_is_the_one_asked_for_or_drawn_from_the_task():
+def test_width_is_the_one_asked_for_or_drawn_from_the_task(simulate):
     task = load_navigation_task("curved_corridor")
-    world = SimulatedWorld(task, width=0.65)
+    world = simulate(task, width=0.65)
     assert world.geometry.width == 0.65
-    world.close()
-    world = SimulatedWorld(task, options=SimulationOptions(randomise_width=True))
+    world = simulate(task, randomise_width=True)
     widths = set()
     for seed in range(4):
         world.reset(seed)
         widths.add(world.geometry.width)
         assert world.geometry.width in task.corridor.width_range
     assert len(widths) == 4
-    world.close()
     with pytest.raises(TaskError, match="width"):
-        SimulatedWorld(task, width=3.0)
+        simulate(task, width=3.0)
 
 
-def test_starts_keep_robots_apart_and_too_many_are_refused():
+def test_starts_keep_robots_apart_and_too_many_are_refused(simulate):
     for name, count in (("curved_corridor", 6), ("car_ttr", 2)):
-        world = SimulatedWorld(load_navigation_task(name), seed=2, robots=count)
+        world = simulate(name, seed=2, robots=count)
         assert min(world.clearance(robot) for robot in range(count)) > 0.02
-        world.close()
     with pytest.raises(TaskError, match="no room for 20 robots"):
-        SimulatedWorld(load_navigation_task("car_ttr"), robots=20)
+        simulate("car_ttr", robots=20)
 
 
-def test_a_start_lies_in_the_start_set():
+def test_a_start_lies_in_the_start_set(simulate):
     for name in ("car_ttr", "quad_ttr", "car_navigation", "quad_trap"):
         task = load_navigation_task(name)
-        world = SimulatedWorld(task)
+        world = simulate(task)
         for seed in range(5):
             world.reset(seed)
             assert task.start.region.contains(world.system.state_names, world.state(0))
             assert world.episode(0).outcome.name == "RUNNING"
-        world.close()

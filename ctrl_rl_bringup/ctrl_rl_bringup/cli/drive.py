@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import tyro
 from ctrl_rl_core.command import OptionalFileToWrite, at_least
@@ -28,6 +28,7 @@ from koopman_lqr_controller import DEFAULT_POLICY
 
 _RunFolder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER")]
 _SIMULATOR_PARAMETERS = {
+    "engine": "engine",
     "lidar": "lidar",
     "scan_rate": "scan_rate",
     "dropout": "scan_dropout",
@@ -61,6 +62,9 @@ class _RunOptions:
 
     random_width: bool = False
     """Draw the corridor's width from the task's range."""
+
+    engine: Literal["pybullet", "mujoco"] | None = None
+    """Physics engine of the simulator; PyBullet unless given, or MuJoCo where PyBullet is not installed."""
 
     gui: bool = False
     """Show PyBullet's window."""

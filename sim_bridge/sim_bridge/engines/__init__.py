@@ -1,1 +1,1 @@
-"""The physics engine behind the simulation."""
+"""The physics engines behind the simulation, and the seam that they share."""

@@ -35,7 +35,7 @@ LONGEST_STEP = 10.0
 
 
 class Bridge(SuiteNode):
-    """Runs a task's world in PyBullet and takes the place of its robots: sensors out, commands in."""
+    """Runs a task's world in a physics engine and takes the place of its robots: sensors out, commands in."""
 
     PARAMETERS = PARAMETERS
 
@@ -67,7 +67,9 @@ class Bridge(SuiteNode):
         self.create_service(StepWorld, "~/step", self._on_step)
         self._begin_episode()
         self.create_timer(TICK, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
-        self.get_logger().info(f"task '{task.name}' with {len(frames)} robot(s), seed {settings['seed']}")
+        self.get_logger().info(
+            f"task '{task.name}' with {len(frames)} robot(s), seed {settings['seed']}, in {self._world.engine}"
+        )
 
     def _subscribe(self, robot: int, frames: Frames) -> None:
         if frames.plane == "xz":

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from ctrl_rl_core import Parameter, ParameterError
+from sim_bridge.engines.choice import ENGINES
 from sim_bridge.simulation.lidar import LIDARS
 from sim_bridge.simulation.options import SimulationOptions
 
@@ -15,6 +16,9 @@ PARAMETERS = (
     Parameter("seed", 0, "Draws starts, noise and drift of the first episode.", 0),
     Parameter(
         "speed_factor", 1.0, "Simulation time per wall time; 0.0 for as fast as it goes.", 0.0, 1000.0, live=True
+    ),
+    Parameter(
+        "engine", "auto", "Physics engine; auto is pybullet where it is installed, else mujoco.", choices=ENGINES
     ),
     Parameter("gui", False, "Show PyBullet's window."),
     Parameter("start_paused", False, "Wait for ~/pause or ~/step."),
@@ -62,6 +66,7 @@ def simulation_options(settings: Mapping[str, Any]) -> SimulationOptions:
     if settings["randomise_width"] and settings["corridor_width"] > 0.0:
         raise ParameterError("parameters 'corridor_width' and 'randomise_width' contradict each other: set one of them")
     return SimulationOptions(
+        engine=settings["engine"],
         rate=settings["physics_rate"],
         gui=settings["gui"],
         scan_noise=_given(settings["scan_noise"]),

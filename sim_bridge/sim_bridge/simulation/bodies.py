@@ -1,4 +1,4 @@
-"""Robot bodies that carry out commands in a physics world, behind one protocol.
+"""Robot bodies that carry out commands in a physics world, behind one protocol, whatever the engine.
 
 A body takes two commands within its limits, and has a pose in the task's plane.
 """
@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrl_rl_core import NavigationTask, System
-from sim_bridge.engines.physics import Physics
-from sim_bridge.engines.quiet_pybullet import pybullet
+from sim_bridge.engines.engine import Engine, FlyingRobot, PlanarJoints, WheelBase, WheeledRobot
 from sim_bridge.errors import SimulationError
 from sim_bridge.simulation.lidar import SensorPose
 
@@ -26,15 +25,11 @@ class Body(Protocol):
     """A robot's body in the physics world.
 
     Attributes:
-        id: PyBullet's number of the body.
-        mask: Collision mask of rays that pass through it.
         radius: Radius of a circle around its origin that holds all of it [m].
         bounds: Least and largest commands (2, 2): [v, omega] [m/s, rad/s] or [t1, t2] [N].
         idle: Command of a robot that gets none (2,).
     """
 
-    id: int
-    mask: int
     radius: float
     bounds: Array
     idle: Array
@@ -53,6 +48,9 @@ class Body(Protocol):
 
     def sensor(self) -> SensorPose:
         """Return where its lidar is."""
+
+    def wheel_angles(self) -> tuple[float, float] | None:
+        """Return how far its left and right wheel have turned [rad]; None where it has none."""
 
     def top_speed(self, horizon: float) -> float:
         """Return a bound on the speed of any of its points within the next `horizon` seconds [m/s]."""
@@ -110,17 +108,22 @@ DRIVES: Mapping[str, DriveParameters] = {
 class DifferentialDrive:
     """Two wheels on velocity motors with a first-order lag and limited torque, standing on a floor; a `Body`."""
 
-    def __init__(self, physics: Physics, drive: DriveParameters, bounds: Array, radius: float, pose: Array) -> None:
-        self._client, self._drive = physics.client, drive
-        self.id, self.mask = physics.load(drive.urdf, (pose[0], pose[1], 0.0), yaw=pose[2])
-        joints = physics.joints(self.id)
-        self._wheels = [joints["wheel_left_joint"], joints["wheel_right_joint"]]
+    def __init__(self, base: WheelBase, rate: int, drive: DriveParameters, bounds: Array, radius: float) -> None:
+        """Stand still.
+
+        Args:
+            base: The robot in the engine.
+            rate: Physics steps per second [Hz].
+            drive: Parameters of the drive.
+            bounds: Least and largest commands where the drive sets none (2, 2).
+            radius: Radius of a circle that holds the robot [m].
+        """
+        self._base, self._drive = base, drive
         self.bounds = bounds if drive.bounds is None else np.array(drive.bounds)
         self.idle = np.zeros(2)
         self.radius = radius
-        self._share = -math.expm1(-1.0 / (physics.rate * drive.lag))
+        self._share = -math.expm1(-1.0 / (rate * drive.lag))
         self._speeds = (0.0, 0.0)
-        self._turn_motors()
 
     def act(self, command: Array) -> None:  # noqa: D102 - see Body
         v, turn = float(command[0]), 0.5 * self._drive.wheel_separation * float(command[1])
@@ -132,30 +135,16 @@ class DifferentialDrive:
         right += self._share * (wanted[1] - right)
         settled = abs(left - wanted[0]) + abs(right - wanted[1]) < 1e-6
         self._speeds = wanted if settled else (left, right)
-        self._turn_motors()
-
-    def _turn_motors(self) -> None:
-        pybullet.setJointMotorControlArray(
-            self.id,
-            self._wheels,
-            pybullet.VELOCITY_CONTROL,
-            targetVelocities=self._speeds,
-            forces=[self._drive.torque] * 2,
-            physicsClientId=self._client,
-        )
+        self._base.turn_wheels(*self._speeds)
 
     def pose(self) -> Array:  # noqa: D102
-        (x, y, _), q = pybullet.getBasePositionAndOrientation(self.id, physicsClientId=self._client)
-        return np.array((x, y, math.atan2(2 * (q[3] * q[2] + q[0] * q[1]), 1 - 2 * (q[1] * q[1] + q[2] * q[2]))))
+        return self._base.pose()
 
     def velocity(self) -> Array:  # noqa: D102
-        linear, angular = pybullet.getBaseVelocity(self.id, physicsClientId=self._client)
-        return np.array((linear[0], linear[1], angular[2]))
+        return self._base.velocity()
 
     def quaternion(self) -> tuple[float, float, float, float]:  # noqa: D102
-        attitude: tuple[float, float, float, float]
-        _, attitude = pybullet.getBasePositionAndOrientation(self.id, physicsClientId=self._client)
-        return attitude
+        return self._base.quaternion()
 
     def sensor(self) -> SensorPose:  # noqa: D102
         x, y, theta = self.pose()
@@ -163,6 +152,9 @@ class DifferentialDrive:
         along, aside, height = self._drive.lidar
         origin = np.array((x + c * along - s * aside, y + s * along + c * aside, height))
         return SensorPose(origin, np.array(((c, s, 0.0), (-s, c, 0.0))))
+
+    def wheel_angles(self) -> tuple[float, float] | None:  # noqa: D102
+        return self._base.wheel_angles()
 
     def top_speed(self, horizon: float) -> float:  # noqa: ARG002, D102 - its wheels bound it
         v, omega = np.abs(self.bounds).max(axis=1)
@@ -172,38 +164,28 @@ class DifferentialDrive:
 class PlanarQuadrotor:
     """Two rotor pairs in the x-z plane, thesis Eq. 3.10; a `Body`.
 
-    PyBullet's step alone is first order. Here its joint speeds are those of half a step ago (leapfrog, second
+    An engine's step alone is first order. Here its joint speeds are those of half a step ago (leapfrog, second
     order): the first push lasts half a step, and where the command changes, old and new push for half a step each.
     """
 
-    def __init__(self, physics: Physics, system: System, radius: float, pose: Array, velocity: Array) -> None:
-        self._client, self._rate = physics.client, physics.rate
+    def __init__(self, joints: PlanarJoints, rate: int, system: System, radius: float) -> None:
+        """Fly freely until the first command.
+
+        Args:
+            joints: The robot in the engine.
+            rate: Physics steps per second [Hz].
+            system: Model of thesis Eq. 3.10 with its parameters.
+            radius: Radius of a circle that holds the robot [m].
+        """
+        self._joints, self._rate = joints, rate
         self._rates = system.equations(math, system.parameters)
         mass, inertia = system.parameters["m"], system.parameters["I_yy"]
         self._weight = np.array((mass, mass, inertia))
-        self.id, self.mask = physics.load("planar_quadrotor.urdf", (0.0, 0.0, 0.0), rooted=True)
-        joints = physics.joints(self.id)
-        self._joints = [joints["x"], joints["z"], joints["psi"]]
         self.bounds = system.control_bounds.T
         self.idle = np.clip(np.full(2, 0.5 * mass * system.parameters["g"]), self.bounds[:, 0], self.bounds[:, 1])
         self.radius = radius
         self._command: Array | None = None
         self._acceleration = np.zeros(3)
-        self._free_joints(pose, velocity)
-
-    def _free_joints(self, pose: Array, velocity: Array) -> None:
-        pybullet.changeDynamics(
-            self.id,
-            self._joints[2],
-            mass=self._weight[0],
-            localInertiaDiagonal=(self._weight[2],) * 3,
-            physicsClientId=self._client,
-        )
-        for joint, place, rate in zip(self._joints, pose, velocity, strict=True):
-            pybullet.resetJointState(self.id, joint, place, rate, physicsClientId=self._client)
-        pybullet.setJointMotorControlArray(
-            self.id, self._joints, pybullet.VELOCITY_CONTROL, forces=[0.0] * 3, physicsClientId=self._client
-        )
 
     def act(self, command: Array) -> None:  # noqa: D102
         x, z, psi = self.pose().tolist()
@@ -213,9 +195,7 @@ class PlanarQuadrotor:
         before = now if command is self._command else self._accelerations(state, self._command)
         self._command, self._acceleration = command, now
         force = 0.5 * (before + now) * self._weight
-        pybullet.setJointMotorControlArray(
-            self.id, self._joints, pybullet.TORQUE_CONTROL, forces=force.tolist(), physicsClientId=self._client
-        )
+        self._joints.push(force)
 
     def _accelerations(self, state: tuple[float, ...], command: Array | None) -> Array:
         if command is None:
@@ -224,15 +204,10 @@ class PlanarQuadrotor:
         return np.array((rates[1], rates[3], rates[5]))
 
     def pose(self) -> Array:  # noqa: D102
-        return np.array([joint[0] for joint in self._states()])
+        return self._joints.pose()
 
     def velocity(self) -> Array:  # noqa: D102
-        return np.array([joint[1] for joint in self._states()]) + 0.5 / self._rate * self._acceleration
-
-    def _states(self) -> tuple[tuple[float, float], ...]:
-        states: tuple[tuple[float, float], ...]
-        states = pybullet.getJointStates(self.id, self._joints, physicsClientId=self._client)
-        return states
+        return self._joints.velocity() + 0.5 / self._rate * self._acceleration
 
     def quaternion(self) -> tuple[float, float, float, float]:  # noqa: D102
         psi = float(self.pose()[2])
@@ -242,6 +217,9 @@ class PlanarQuadrotor:
         x, z, psi = self.pose()
         c, s = math.cos(psi), math.sin(psi)
         return SensorPose(np.array((x, 0.0, z)), np.array(((c, 0.0, -s), (s, 0.0, c))))
+
+    def wheel_angles(self) -> tuple[float, float] | None:  # noqa: D102
+        return None
 
     def top_speed(self, horizon: float) -> float:  # noqa: D102
         v_x, v_z, omega = self.velocity()
@@ -253,28 +231,30 @@ class PlanarQuadrotor:
         )
 
 
-def make_body(physics: Physics, task: NavigationTask, system: System, state: Array) -> Body:
+def make_body(engine: Engine, task: NavigationTask, system: System, state: Array) -> Body:
     """Put the task's robot into the world at a start state (n,), ordered as its system names it.
 
     Raises:
         SimulationError: The body cannot have such a state.
     """
-    names = system.state_names
-    named = dict(zip(names, state.tolist(), strict=True))
+    named = dict(zip(system.state_names, state.tolist(), strict=True))
+    radius = task.robot.radius
     if task.robot.body == "planar_quadrotor":
-        _need(task, system, {"x", "v_x", "z", "v_z", "psi", "omega"})
-        pose = np.array([named[name] for name in ("x", "z", "psi")])
-        velocity = np.array([named[name] for name in ("v_x", "v_z", "omega")])
-        return PlanarQuadrotor(physics, system, task.robot.radius, pose, velocity)
-    _need(task, system, {"x", "y", "theta"})
+        pose, velocity = _take(task, named, "x", "z", "psi"), _take(task, named, "v_x", "v_z", "omega")
+        mass, inertia = (system.parameters[name] for name in ("m", "I_yy"))
+        joints = engine.add_flying(FlyingRobot("planar_quadrotor.urdf", pose, velocity, mass, inertia))
+        return PlanarQuadrotor(joints, engine.rate, system, radius)
+    drive = DRIVES[task.robot.body]
     bounds = np.array([task.robot.commands[name] for name in ("v", "omega")])
-    pose = np.array([named[name] for name in ("x", "y", "theta")])
-    return DifferentialDrive(physics, DRIVES[task.robot.body], bounds, task.robot.radius, pose)
+    base = engine.add_wheeled(WheeledRobot(drive.urdf, _take(task, named, "x", "y", "theta"), drive.torque))
+    return DifferentialDrive(base, engine.rate, drive, bounds, radius)
 
 
-def _need(task: NavigationTask, system: System, needed: set[str]) -> None:
-    if not needed <= set(system.state_names):
+def _take(task: NavigationTask, state: Mapping[str, float], *names: str) -> Array:
+    """Return components of a state, by name, as an array."""
+    if missing := set(names) - state.keys():
         raise SimulationError(
-            f"task '{task.name}': body '{task.robot.body}' needs a system with {', '.join(sorted(needed))}: "
-            f"'{system.name}' has {', '.join(system.state_names)}"
+            f"task '{task.name}': body '{task.robot.body}' needs a system with {', '.join(sorted(missing))}: "
+            f"'{task.system.model}' has {', '.join(state)}"
         )
+    return np.array([state[name] for name in names])

@@ -11,7 +11,7 @@ import numpy as np
 from ctrl_rl_core.tasks.schema.robot import LidarSpec
 from numpy.typing import NDArray
 
-from sim_bridge.engines.physics import Physics
+from sim_bridge.engines.engine import Engine
 
 LOST_BEAM = {"nan": np.nan, "inf": np.inf, "zero": 0.0}
 """Readings of a lost beam by name; the LDS-01 of the burger writes 0."""
@@ -83,14 +83,14 @@ class Lidar:
         self._lost = LOST_BEAM[lost_beam]
 
     def scan(
-        self, physics: Physics, frame: SensorPose, mask: int, random: np.random.Generator, buried: bool = False
+        self, engine: Engine, frame: SensorPose, robot: int, random: np.random.Generator, buried: bool = False
     ) -> LidarScan:
         """Return one turn.
 
         Args:
-            physics: The world to look at.
+            engine: The world to look at.
             frame: Where the sensor is.
-            mask: Overlooks the robot that carries it.
+            robot: Number of the robot that carries it, which it overlooks.
             random: Noise, drop-out, and the count of beams where it varies.
             buried: The sensor is inside a shape, where rays meet no surface: all beams are too close.
         """
@@ -99,7 +99,7 @@ class Lidar:
             ranges = np.zeros(len(bearings))
         else:
             reach = largest * np.stack((np.cos(bearings), np.sin(bearings)), axis=1)
-            free = physics.cast(frame.origin, frame.origin + reach @ frame.axes, mask)
+            free = engine.cast(frame.origin, frame.origin + reach @ frame.axes, robot)
             ranges = np.where(free < 1.0, free * largest, np.inf)
         # Drawn whether used or not: two noise levels with the same seed then differ by scale alone.
         error, lot = random.standard_normal(len(bearings)), random.random(len(bearings))

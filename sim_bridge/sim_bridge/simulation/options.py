@@ -10,6 +10,7 @@ class SimulationOptions:
     """Settings of a simulation.
 
     Attributes:
+        engine: Physics engine: "pybullet", "mujoco", or "auto" for PyBullet where it is installed, else MuJoCo.
         rate: Physics steps per second [Hz].
         gui: Whether PyBullet's window is shown.
         scan_noise: Standard deviation of a range [m]; None for the task's.
@@ -24,6 +25,7 @@ class SimulationOptions:
         randomise_width: Whether the corridor's width is drawn from the task's range at each reset that names none.
     """
 
+    engine: str = "auto"
     rate: int = 240
     gui: bool = False
     scan_noise: float | None = None

@@ -19,7 +19,7 @@ from ctrl_rl_core.tasks.regions import wrap
 from numpy.typing import ArrayLike, NDArray
 
 from ctrl_rl_core import NavigationTask, System, World, draw_starts
-from sim_bridge.engines.physics import Physics
+from sim_bridge.engines.choice import make_engine
 from sim_bridge.simulation.bodies import Body, make_body
 from sim_bridge.simulation.commands import CommandChannel
 from sim_bridge.simulation.episode import EpisodeState, TerminationChecker
@@ -29,9 +29,8 @@ from sim_bridge.simulation.options import SimulationOptions
 
 Array = NDArray[np.float64]
 
-GRAVITY = 9.81
 TOUCH = 5e-4
-"""Bodies nearer than this touch [m]: PyBullet's contacts hold them apart by less."""
+"""Bodies nearer than this touch [m]: an engine's contacts hold them apart by less."""
 _JUDGED_PER_SECOND = 30
 
 
@@ -69,6 +68,7 @@ class SimulatedWorld:
         geometry: Walls and obstacles of this episode.
         seed: Seed of this episode.
         lidar: Lidar of each robot.
+        engine: Name of the physics engine.
         steps: Physics steps since the reset.
     """
 
@@ -90,7 +90,7 @@ class SimulatedWorld:
             options: Settings of the simulation; the defaults unless given.
 
         Raises:
-            SimulationError: The robots find no room, or PyBullet gives no client.
+            SimulationError: The robots find no room, or the engine cannot be had.
             TaskError: The width does not suit the task.
         """
         self.options = options or SimulationOptions()
@@ -104,7 +104,8 @@ class SimulatedWorld:
         self._sense = 1.0 if self.plane == "xy" else -1.0  # psi turns clockwise in the x-z plane
         self._judge_every = max(1, self.options.rate // _JUDGED_PER_SECOND)
         self._robots: list[_Robot] = []
-        self._physics = Physics(self.options.rate, self.options.gui)
+        self._engine = make_engine(self.options.engine, self.options.rate, self.options.gui)
+        self.engine: str = self._engine.name
         try:
             self.reset(seed)
         except Exception:
@@ -120,15 +121,14 @@ class SimulatedWorld:
         geometry = self.task.build_world(self._draw_width(seed))
         random = np.random.default_rng((seed, 0, _Purpose.START))
         starts = draw_starts(self.task, self.system, geometry, self._count, self.task.robot.radius, random)
-        self._physics.clear(GRAVITY if self.plane == "xy" else 0.0)
-        if self.plane == "xy":
-            self._physics.add_floor()
-        self._physics.add_fixed((*geometry.walls, *geometry.obstacles), self.plane)
+        self._engine.begin(self.plane, (*geometry.walls, *geometry.obstacles))
         self.geometry: World = geometry
         self.seed = seed
         self.steps = 0
         self._termination = TerminationChecker(self.task, self.system, geometry.path)
-        self._robots = [self._make_robot(index, start) for index, start in enumerate(starts)]
+        bodies = [make_body(self._engine, self.task, self.system, start) for start in starts]
+        self._engine.finish()
+        self._robots = [self._make_robot(index, body) for index, body in enumerate(bodies)]
         self._check()
 
     def _draw_width(self, seed: int) -> float | None:
@@ -137,8 +137,7 @@ class SimulatedWorld:
             return self._width
         return float(np.random.default_rng((seed, 0, _Purpose.WIDTH)).uniform(*corridor.width_range))
 
-    def _make_robot(self, index: int, start: Array) -> _Robot:
-        body = make_body(self._physics, self.task, self.system, start)
+    def _make_robot(self, index: int, body: Body) -> _Robot:
         options, rate = self.options, self.options.rate
         channel = CommandChannel(
             body.bounds,
@@ -179,7 +178,7 @@ class SimulatedWorld:
         for _ in range(count):
             for robot in self._robots:
                 robot.body.act(robot.channel.at(self.steps))
-            self._physics.step()
+            self._engine.step()
             self.steps += 1
             if self.steps >= self._next_check:
                 self._check()
@@ -196,6 +195,10 @@ class SimulatedWorld:
         """Return the true velocity along the body's axes in the plane and its turn rate (3,) [m/s, m/s, rad/s]."""
         body = self._robots[robot].body
         return self._in_body_axes(body.pose()[2], body.velocity())
+
+    def wheel_angles(self, robot: int = 0) -> tuple[float, float] | None:
+        """Return how far the left and right wheel have turned [rad]; None for a robot without wheels."""
+        return self._robots[robot].body.wheel_angles()
 
     def state(self, robot: int = 0) -> Array:
         """Return the true state (n,) as the task's system names it, angles in [-pi, pi)."""
@@ -230,15 +233,14 @@ class SimulatedWorld:
         if self.clearance(robot) <= 0.0:
             place = frame.origin[[0, 1] if self.plane == "xy" else [0, 2]]
             buried = bool(self.geometry.signed_distance(place) < 0.0)
-        return self.lidar.scan(self._physics, frame, entry.body.mask, entry.scan_random, buried)
+        return self.lidar.scan(self._engine, frame, robot, entry.scan_random, buried)
 
     def clearance(self, robot: int = 0) -> float:
         """Return the distance of the body to the nearest wall, obstacle or robot [m]; 0 or less where it touches."""
         entry = self._robots[robot]
         if entry.measured_at != self.steps:
-            others = [*self._physics.fixed, *(other.body.id for other in self._robots if other is not entry)]
             known = entry.episode.clearance
-            distance = self._physics.distance(entry.body.id, others, 1.0 if math.isinf(known) else known + 0.1)
+            distance = self._engine.distance(robot, 1.0 if math.isinf(known) else known + 0.1)
             entry.episode.record_clearance(distance if distance > TOUCH else min(distance, 0.0))
             entry.measured_at = self.steps
         return entry.episode.clearance
@@ -249,8 +251,8 @@ class SimulatedWorld:
         return self._robots[robot].episode
 
     def close(self) -> None:
-        """Give the physics client back; a second call does nothing."""
-        self._physics.close()
+        """Give the physics engine back; a second call does nothing."""
+        self._engine.close()
 
     def _check(self) -> None:
         """Check all robots, and set the time of the next check: at 30 Hz, or sooner where one could touch something."""

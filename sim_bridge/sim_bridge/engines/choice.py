@@ -1,0 +1,49 @@
+"""Which engine a simulation gets."""
+
+from __future__ import annotations
+
+import functools
+import logging
+from importlib.util import find_spec
+
+from sim_bridge.engines.engine import Engine
+from sim_bridge.errors import SimulationError
+
+ENGINES = ("auto", "pybullet", "mujoco")
+"""Names of engines; "auto" is PyBullet where it is installed, else MuJoCo."""
+
+
+@functools.cache
+def default_engine() -> str:
+    """Return the engine that "auto" stands for; where PyBullet is missing, one line says so once."""
+    if find_spec("pybullet") is not None:
+        return "pybullet"
+    logging.getLogger("sim_bridge").warning("PyBullet is not installed: the simulation runs in MuJoCo")
+    return "mujoco"
+
+
+def make_engine(name: str, rate: int, gui: bool = False) -> Engine:
+    """Return a new engine of a name in `ENGINES`.
+
+    Args:
+        name: Name of the engine.
+        rate: Physics steps per second [Hz].
+        gui: Whether a window shows the world; PyBullet has one.
+
+    Raises:
+        SimulationError: There is no such engine, it is not installed, or it has no window.
+    """
+    if name not in ENGINES:
+        raise SimulationError(f"there is no engine '{name}': choose one of {', '.join(ENGINES)}")
+    name = default_engine() if name == "auto" else name
+    if find_spec(name) is None:
+        raise SimulationError(f"engine '{name}' is not installed: install {name}, or run with engine auto")
+    if name == "pybullet":
+        from sim_bridge.engines.pybullet_engine import PybulletEngine
+
+        return PybulletEngine(rate, gui)
+    if gui:
+        raise SimulationError("engine 'mujoco' has no window here: run with gui false, or with engine pybullet")
+    from sim_bridge.engines.mujoco_engine import MujocoEngine
+
+    return MujocoEngine(rate)

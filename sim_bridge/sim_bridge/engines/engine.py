@@ -1,0 +1,172 @@
+"""The seam between the simulation and a physics engine: what a world asks of an engine, in the terms of a task.
+
+A world in the x-y plane stands on a floor; one in the x-z plane hangs in space (its floor is a wall of the task).
+Robots are numbered from 0 in the order in which they are added.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrl_rl_core import Box, Shape
+
+URDF_FOLDER = Path(__file__).parents[1] / "urdf"
+GRAVITY = 9.81
+WALL_HEIGHT = 0.5
+"""Height of walls and obstacles in the x-y plane [m]: higher than every lidar."""
+SLAB_DEPTH = 2.0
+"""Depth of walls and obstacles across the x-z plane [m]."""
+MOST_ROBOTS = 29
+"""Most robots of a world: in PyBullet each has a bit of its own, so that a lidar can overlook its carrier."""
+SEARCH_LIMIT = 100.0
+"""Distances beyond this count as infinite [m]."""
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class WheeledRobot:
+    """A robot on a floor, driven by two wheels.
+
+    Attributes:
+        urdf: File name in `urdf/`; wheels turn about `wheel_left_joint` and `wheel_right_joint`.
+        pose: Pose x, y, theta of the root link at the start (3,) [m, m, rad].
+        torque: Largest torque of one wheel [N m].
+        friction: Friction coefficient between wheel and floor.
+    """
+
+    urdf: str
+    pose: Array
+    torque: float
+    friction: float = 1.0
+
+
+@dataclass(frozen=True)
+class FlyingRobot:
+    """A robot that is held in the x-z plane by joints `x`, `z` and `psi` without friction.
+
+    Attributes:
+        urdf: File name in `urdf/`.
+        pose: Joint positions x, z, psi at the start (3,) [m, m, rad].
+        velocity: Joint speeds at the start (3,) [m/s, m/s, rad/s].
+        mass: Mass of the whole robot [kg].
+        inertia: Moment of inertia about y [kg m^2].
+    """
+
+    urdf: str
+    pose: Array
+    velocity: Array
+    mass: float
+    inertia: float
+
+
+class WheelBase(Protocol):
+    """A wheeled robot in an engine."""
+
+    def turn_wheels(self, left: float, right: float) -> None:
+        """Set the speeds that the wheels' motors hold [rad/s]."""
+
+    def wheel_angles(self) -> tuple[float, float]:
+        """Return how far the left and right wheel have turned [rad]."""
+
+    def pose(self) -> Array:
+        """Return x, y, theta (3,) [m, m, rad]."""
+
+    def velocity(self) -> Array:
+        """Return the rates of `pose` (3,) [m/s, m/s, rad/s]."""
+
+    def quaternion(self) -> tuple[float, float, float, float]:
+        """Return the attitude (x, y, z, w)."""
+
+
+class PlanarJoints(Protocol):
+    """A flying robot in an engine; a step moves the joints by their speeds after it (semi-implicit Euler)."""
+
+    def push(self, force: Array) -> None:
+        """Set force along x and z and moment about psi (3,) [N, N, N m] for the next step."""
+
+    def pose(self) -> Array:
+        """Return x, z, psi (3,) [m, m, rad]."""
+
+    def velocity(self) -> Array:
+        """Return the joint speeds (3,) [m/s, m/s, rad/s]."""
+
+
+class Engine(Protocol):
+    """A physics engine that holds one world and runs in whole steps.
+
+    A world is built by `begin`, one `add_...` for each robot, and `finish`; a next `begin` empties it.
+
+    Attributes:
+        name: Name of the engine.
+        rate: Physics steps per second [Hz].
+    """
+
+    name: str
+    rate: int
+
+    def begin(self, plane: str, shapes: Sequence[Shape]) -> None:
+        """Begin a world of walls and obstacles in a plane, "xy" or "xz"."""
+
+    def add_wheeled(self, robot: WheeledRobot) -> WheelBase:
+        """Add a wheeled robot.
+
+        Raises:
+            SimulationError: Too many robots.
+        """
+
+    def add_flying(self, robot: FlyingRobot) -> PlanarJoints:
+        """Add a flying robot.
+
+        Raises:
+            SimulationError: Too many robots.
+        """
+
+    def finish(self) -> None:
+        """Make the world ready for steps, ray casts and distances."""
+
+    def step(self) -> None:
+        """Advance by 1 / rate."""
+
+    def cast(self, origin: Array, ends: Array, robot: int) -> Array:
+        """Return the part of each ray from `origin` (3,) to `ends` (n, 3) that is free (n,); 1 where all of it is.
+
+        Args:
+            origin: Where the rays begin [m].
+            ends: Where they end, all equally far [m].
+            robot: Number of the robot that the rays pass through.
+        """
+
+    def distance(self, robot: int, guess: float) -> float:
+        """Return the distance of a robot to the nearest wall, obstacle or robot [m].
+
+        Negative where they overlap; inf for nothing within `SEARCH_LIMIT`.
+
+        Args:
+            robot: Number of the robot.
+            guess: Where to begin the search [m]; costs least when a little more than the answer.
+        """
+
+    def close(self) -> None:
+        """Give the engine back; a second call does nothing."""
+
+
+def placed(shape: Shape, plane: str) -> tuple[list[float], list[float], list[float]]:
+    """Return half extents, position and quaternion (x, y, z, w) of a plane shape in space."""
+    size = shape.size if isinstance(shape, Box) else (0.0, 0.0)
+    angle = shape.angle if isinstance(shape, Box) else 0.0
+    first, second = shape.centre
+    s, c = math.sin(0.5 * angle), math.cos(0.5 * angle)
+    if plane == "xy":
+        return [0.5 * size[0], 0.5 * size[1], 0.5 * WALL_HEIGHT], [first, second, 0.5 * WALL_HEIGHT], [0.0, 0.0, s, c]
+    extents, position = [0.5 * size[0], 0.5 * SLAB_DEPTH, 0.5 * size[1]], [first, 0.0, second]
+    if isinstance(shape, Box):
+        return extents, position, [0.0, -s, 0.0, c]  # counter-clockwise from x to z is about -y
+    return extents, position, [math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5)]  # a disc is a cylinder across the plane

@@ -1,0 +1,140 @@
+"""MuJoCo's models of worlds: walls and obstacles of a plane, and robots from their URDF files."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from xml.etree import ElementTree as ET
+
+import mujoco
+
+from ctrl_rl_core import Box, Shape
+from sim_bridge.engines.engine import (
+    GRAVITY,
+    SLAB_DEPTH,
+    URDF_FOLDER,
+    WALL_HEIGHT,
+    FlyingRobot,
+    WheeledRobot,
+    placed,
+)
+
+WHEELS = ("wheel_left_joint", "wheel_right_joint")
+PLANAR_JOINTS = ("x", "z", "psi")
+MOTOR = "_motor"
+"""What the name of a motor's joint ends with, after the wheel's."""
+ROOT = "base_footprint"
+
+_HULL_FRICTION = 0.25  # of a hull along a wall, as two surfaces of PyBullet's default 0.5 have it
+_SHAFT = 1e6  # moment of inertia of a motor's shaft [kg m^2]: nothing slows it
+_LIGHT = 1e-9  # mass [kg] and moment of inertia [kg m^2] of a rail, which MuJoCo wants to have some
+
+
+def prefix(robot: int) -> str:
+    """Return what the names of a robot's parts begin with."""
+    return f"{robot}/"
+
+
+def build_model(
+    rate: int, plane: str, shapes: Sequence[Shape], robots: Sequence[WheeledRobot | FlyingRobot]
+) -> mujoco.MjModel:
+    """Return a world's model; where robots start is left to the state.
+
+    Args:
+        rate: Physics steps per second [Hz].
+        plane: Plane of the world, "xy" or "xz".
+        shapes: Walls and obstacles; shape i is the geom `fixed_geom(plane, i)`.
+        robots: Robots; the names of robot i's parts begin with `prefix(i)`.
+    """
+    spec = mujoco.MjSpec()
+    spec.compiler.fusestatic = True
+    option = spec.option
+    option.timestep = 1.0 / rate
+    option.gravity = (0.0, 0.0, -GRAVITY if plane == "xy" else 0.0)
+    option.integrator = mujoco.mjtIntegrator.mjINT_EULER  # with its implicit kin the wheels hop
+    option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    if plane == "xy":
+        spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=(1.0, 1.0, 1.0), friction=(0.0, 0.0, 0.0))
+    for shape in shapes:
+        _add_fixed(spec, shape, plane)
+    for number, robot in enumerate(robots):
+        child = _wheeled(robot, rate) if isinstance(robot, WheeledRobot) else _flying(robot)
+        spec.attach(child, prefix=prefix(number), frame=spec.worldbody.add_frame())
+    return spec.compile()
+
+
+def fixed_geom(plane: str, shape: int) -> int:
+    """Return the geom of a wall or obstacle."""
+    return shape + (plane == "xy")
+
+
+def _add_fixed(spec: mujoco.MjSpec, shape: Shape, plane: str) -> None:
+    extent, position, (x, y, z, w) = placed(shape, plane)
+    kind, size = mujoco.mjtGeom.mjGEOM_BOX, extent
+    if not isinstance(shape, Box):
+        height = WALL_HEIGHT if plane == "xy" else SLAB_DEPTH
+        kind, size = mujoco.mjtGeom.mjGEOM_CYLINDER, [shape.radius, 0.5 * height, 0.0]
+    spec.worldbody.add_geom(
+        type=kind,
+        size=size,
+        pos=position,
+        quat=(w, x, y, z),
+        friction=(_HULL_FRICTION, 0.0, 0.0),
+    )
+
+
+def _wheeled(robot: WheeledRobot, rate: int) -> mujoco.MjSpec:
+    spec = _load(robot.urdf)
+    spec.body(ROOT).add_freejoint(name=ROOT)
+    for name in WHEELS:
+        joint = spec.joint(name)
+        for rim in joint.parent.geoms:
+            rim.friction = (robot.friction, 0.0, 0.0)
+            rim.priority = 1
+        _add_motor(spec, name, robot.torque, rate)
+    return spec
+
+
+def _add_motor(spec: mujoco.MjSpec, wheel: str, torque: float, rate: int) -> None:
+    """Add a motor: a heavy shaft that turns as it is told, and a clutch to the wheel that slips at the torque [N m].
+
+    A velocity actuator would not do: MuJoCo finds the contacts' forces without regard to it, and wheels would creep.
+    """
+    shaft = spec.worldbody.add_body(name=wheel + MOTOR, mass=1.0, inertia=(1.0, 1.0, 1.0))
+    shaft.add_joint(name=wheel + MOTOR, axis=(0.0, 1.0, 0.0), armature=_SHAFT)
+    clutch = spec.add_tendon(
+        name=wheel,
+        frictionloss=torque,
+        solref_friction=(-1.0, -float(rate)),  # stiffness and damping: the wheel has the shaft's speed a step later
+        solimp_friction=(0.9999, 0.9999, 0.001, 0.5, 2.0),  # as hard as it can be
+    )
+    clutch.wrap_joint(wheel, 1.0)
+    clutch.wrap_joint(wheel + MOTOR, -1.0)
+
+
+def _flying(robot: FlyingRobot) -> mujoco.MjSpec:
+    spec = _load(robot.urdf)
+    for name in PLANAR_JOINTS:
+        joint = spec.joint(name)
+        joint.limited = mujoco.mjtLimited.mjLIMITED_FALSE
+        body, last = joint.parent, name == PLANAR_JOINTS[-1]
+        body.mass = robot.mass if last else _LIGHT
+        body.fullinertia = (*(robot.inertia if last else _LIGHT,) * 3, 0.0, 0.0, 0.0)
+    return spec
+
+
+def _load(urdf: str) -> mujoco.MjSpec:
+    """Return a robot as its URDF file has it, with the friction that MuJoCo's reader overlooks."""
+    file = URDF_FOLDER / urdf
+    spec = mujoco.MjSpec.from_file(str(file))
+    slippery = {
+        link.get("name")
+        for link in ET.parse(file).iter("link")
+        if (friction := link.find("contact/lateral_friction")) is not None and float(friction.get("value", "1")) == 0.0
+    }
+    for body in spec.bodies:
+        for geom in body.geoms:
+            smooth = body.name in slippery
+            geom.friction = (0.0 if smooth else _HULL_FRICTION, 0.0, 0.0)
+            geom.condim = 1 if smooth else 3
+            geom.priority = 2 if smooth else 0
+    return spec

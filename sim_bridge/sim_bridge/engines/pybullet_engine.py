@@ -1,0 +1,249 @@
+"""Worlds in PyBullet: the one place that owns a client of it."""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ctrl_rl_core import Box, Shape
+from sim_bridge.engines.engine import (
+    GRAVITY,
+    MOST_ROBOTS,
+    SEARCH_LIMIT,
+    SLAB_DEPTH,
+    URDF_FOLDER,
+    WALL_HEIGHT,
+    Array,
+    FlyingRobot,
+    WheeledRobot,
+    placed,
+)
+from sim_bridge.engines.quiet_pybullet import pybullet
+from sim_bridge.errors import SimulationError
+
+_SHAPES_PER_BODY = 16  # a limit of PyBullet; merged shapes make stepping, ray casts and resets cheaper
+_SOLVER_ITERATIONS = 30  # speeds of a drive within 0.3 %; PyBullet's 50 cost half as much again
+_ALL_GROUPS = 0x7FFFFFFF
+
+
+def _check_display() -> None:
+    """Raise SimulationError where there is no display: PyBullet would end the process with an error of X."""
+    display = os.environ.get("DISPLAY", "")
+    local = re.fullmatch(r":(\d+)(\.\d+)?", display)
+    if not display:
+        raise SimulationError("there is no display for a window (DISPLAY is not set): run with gui false")
+    if local and not Path(f"/tmp/.X11-unix/X{local[1]}").exists():
+        raise SimulationError(f"there is no display {display} for a window: run with gui false")
+
+
+class PybulletEngine:
+    """An `Engine` on a PyBullet client.
+
+    Attributes:
+        client: PyBullet's number of the client.
+        rate: Physics steps per second [Hz].
+        fixed: PyBullet bodies of walls and obstacles.
+        robots: PyBullet bodies of the robots.
+    """
+
+    name = "pybullet"
+
+    def __init__(self, rate: int, gui: bool = False) -> None:
+        self.rate = rate
+        if gui:
+            _check_display()
+        self.client = pybullet.connect(pybullet.GUI if gui else pybullet.DIRECT)
+        if self.client < 0:
+            raise SimulationError("PyBullet gives no physics client: without a display run with gui false")
+        self.fixed: list[int] = []
+        self.robots: list[int] = []
+
+    def begin(self, plane: str, shapes: Sequence[Shape]) -> None:  # noqa: D102 - see Engine
+        pybullet.resetSimulation(physicsClientId=self.client)  # contact caches included
+        pybullet.setGravity(0.0, 0.0, -GRAVITY if plane == "xy" else 0.0, physicsClientId=self.client)
+        pybullet.setPhysicsEngineParameter(
+            fixedTimeStep=1.0 / self.rate,
+            numSolverIterations=_SOLVER_ITERATIONS,
+            deterministicOverlappingPairs=1,
+            physicsClientId=self.client,
+        )
+        self.fixed.clear()
+        self.robots.clear()
+        if plane == "xy":
+            self._add_floor()
+        self.add_fixed(shapes, plane)
+
+    def _add_floor(self) -> None:
+        shape = pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=self.client)
+        floor = pybullet.createMultiBody(0, shape, physicsClientId=self.client)
+        pybullet.changeDynamics(floor, -1, lateralFriction=1.0, physicsClientId=self.client)
+
+    def add_fixed(self, shapes: Sequence[Shape], plane: str) -> None:
+        """Add walls and obstacles of a plane, "xy" or "xz"."""
+        for begin in range(0, len(shapes), _SHAPES_PER_BODY):
+            parts = shapes[begin : begin + _SHAPES_PER_BODY]
+            places = [placed(part, plane) for part in parts]
+            shape = pybullet.createCollisionShapeArray(
+                shapeTypes=[pybullet.GEOM_BOX if isinstance(part, Box) else pybullet.GEOM_CYLINDER for part in parts],
+                halfExtents=[extent for extent, _, _ in places],
+                radii=[0.0 if isinstance(part, Box) else part.radius for part in parts],
+                lengths=[WALL_HEIGHT if plane == "xy" else SLAB_DEPTH] * len(parts),
+                collisionFramePositions=[position for _, position, _ in places],
+                collisionFrameOrientations=[orientation for _, _, orientation in places],
+                physicsClientId=self.client,
+            )
+            self.fixed.append(pybullet.createMultiBody(0, shape, physicsClientId=self.client))
+
+    def add_wheeled(self, robot: WheeledRobot) -> PybulletWheels:  # noqa: D102
+        x, y, theta = robot.pose
+        body = self._load(robot.urdf, (x, y, 0.0), (0.0, 0.0, math.sin(0.5 * theta), math.cos(0.5 * theta)))
+        return PybulletWheels(self.client, body, self._joints(body), robot)
+
+    def add_flying(self, robot: FlyingRobot) -> PybulletJoints:  # noqa: D102
+        body = self._load(robot.urdf, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), rooted=True)
+        return PybulletJoints(self.client, body, self._joints(body), robot)
+
+    def _load(self, urdf: str, position: Sequence[float], attitude: Sequence[float], rooted: bool = False) -> int:
+        """Load a robot without any damping, which rays can overlook."""
+        if len(self.robots) == MOST_ROBOTS:
+            raise SimulationError(f"a world holds at most {MOST_ROBOTS} robots")
+        body: int = pybullet.loadURDF(
+            str(URDF_FOLDER / urdf),
+            position,
+            attitude,
+            useFixedBase=rooted,
+            flags=pybullet.URDF_USE_IMPLICIT_CYLINDER | pybullet.URDF_USE_INERTIA_FROM_FILE,
+            physicsClientId=self.client,
+        )
+        own = _own_bit(len(self.robots))
+        for link in range(-1, pybullet.getNumJoints(body, physicsClientId=self.client)):
+            pybullet.changeDynamics(
+                body, link, linearDamping=0.0, angularDamping=0.0, jointDamping=0.0, physicsClientId=self.client
+            )
+            pybullet.setCollisionFilterGroupMask(body, link, own, _ALL_GROUPS, physicsClientId=self.client)
+        self.robots.append(body)
+        return body
+
+    def _joints(self, body: int) -> dict[str, int]:
+        """Return the joints of a body by name."""
+        count = pybullet.getNumJoints(body, physicsClientId=self.client)
+        names = (pybullet.getJointInfo(body, joint, physicsClientId=self.client)[1] for joint in range(count))
+        return {name.decode(): joint for joint, name in enumerate(names)}
+
+    def finish(self) -> None:
+        """Do nothing: all that was added is there."""
+
+    def step(self) -> None:  # noqa: D102
+        pybullet.stepSimulation(physicsClientId=self.client)
+
+    def cast(self, origin: Array, ends: Array, robot: int) -> Array:  # noqa: D102
+        hits = pybullet.rayTestBatch(
+            np.broadcast_to(origin, ends.shape).copy(),
+            ends,
+            collisionFilterMask=_ALL_GROUPS & ~_own_bit(robot),
+            physicsClientId=self.client,
+        )
+        return np.array([hit[2] for hit in hits])
+
+    def distance(self, robot: int, guess: float) -> float:  # noqa: D102
+        body = self.robots[robot]
+        others = [*self.fixed, *(other for other in self.robots if other != body)]
+        reach = max(guess, 0.05)
+        while reach < SEARCH_LIMIT:
+            nearest = math.inf
+            for other in others:
+                for point in pybullet.getClosestPoints(body, other, reach, physicsClientId=self.client):
+                    nearest = min(nearest, point[8])
+            if nearest < math.inf:
+                return nearest
+            reach *= 3.0
+        return math.inf
+
+    def close(self) -> None:  # noqa: D102
+        if self.client >= 0:
+            pybullet.disconnect(physicsClientId=self.client)
+            self.client = -1
+
+
+class PybulletWheels:
+    """A `WheelBase` in PyBullet."""
+
+    def __init__(self, client: int, body: int, joints: Mapping[str, int], robot: WheeledRobot) -> None:
+        self._client, self._body, self._torque = client, body, robot.torque
+        self._wheels = [joints["wheel_left_joint"], joints["wheel_right_joint"]]
+        if robot.friction != 1.0:  # that of the URDF
+            for wheel in self._wheels:
+                pybullet.changeDynamics(body, wheel, lateralFriction=robot.friction, physicsClientId=client)
+        self.turn_wheels(0.0, 0.0)
+
+    def turn_wheels(self, left: float, right: float) -> None:  # noqa: D102 - see WheelBase
+        pybullet.setJointMotorControlArray(
+            self._body,
+            self._wheels,
+            pybullet.VELOCITY_CONTROL,
+            targetVelocities=(left, right),
+            forces=[self._torque] * 2,
+            physicsClientId=self._client,
+        )
+
+    def wheel_angles(self) -> tuple[float, float]:  # noqa: D102
+        left, right = pybullet.getJointStates(self._body, self._wheels, physicsClientId=self._client)
+        return left[0], right[0]
+
+    def pose(self) -> Array:  # noqa: D102
+        (x, y, _), q = pybullet.getBasePositionAndOrientation(self._body, physicsClientId=self._client)
+        return np.array((x, y, math.atan2(2 * (q[3] * q[2] + q[0] * q[1]), 1 - 2 * (q[1] * q[1] + q[2] * q[2]))))
+
+    def velocity(self) -> Array:  # noqa: D102
+        linear, angular = pybullet.getBaseVelocity(self._body, physicsClientId=self._client)
+        return np.array((linear[0], linear[1], angular[2]))
+
+    def quaternion(self) -> tuple[float, float, float, float]:  # noqa: D102
+        attitude: tuple[float, float, float, float]
+        _, attitude = pybullet.getBasePositionAndOrientation(self._body, physicsClientId=self._client)
+        return attitude
+
+
+class PybulletJoints:
+    """`PlanarJoints` in PyBullet."""
+
+    def __init__(self, client: int, body: int, joints: Mapping[str, int], robot: FlyingRobot) -> None:
+        self._client, self._body = client, body
+        self._joints = [joints["x"], joints["z"], joints["psi"]]
+        pybullet.changeDynamics(
+            body,
+            self._joints[2],
+            mass=robot.mass,
+            localInertiaDiagonal=(robot.inertia,) * 3,
+            physicsClientId=client,
+        )
+        for joint, place, rate in zip(self._joints, robot.pose, robot.velocity, strict=True):
+            pybullet.resetJointState(body, joint, place, rate, physicsClientId=client)
+        pybullet.setJointMotorControlArray(
+            body, self._joints, pybullet.VELOCITY_CONTROL, forces=[0.0] * 3, physicsClientId=client
+        )
+
+    def push(self, force: Array) -> None:  # noqa: D102 - see PlanarJoints
+        pybullet.setJointMotorControlArray(
+            self._body, self._joints, pybullet.TORQUE_CONTROL, forces=force.tolist(), physicsClientId=self._client
+        )
+
+    def pose(self) -> Array:  # noqa: D102
+        return np.array([joint[0] for joint in self._states()])
+
+    def velocity(self) -> Array:  # noqa: D102
+        return np.array([joint[1] for joint in self._states()])
+
+    def _states(self) -> tuple[tuple[float, float], ...]:
+        states: tuple[tuple[float, float], ...]
+        states = pybullet.getJointStates(self._body, self._joints, physicsClientId=self._client)
+        return states
+
+
+def _own_bit(robot: int) -> int:
+    return 1 << (robot + 2)
