@@ -34,6 +34,7 @@ setup(
             "record_drives = ctrl_rl_bringup.cli.drive:record_drives",
             "report = ctrl_rl_bringup.cli.drive:report",
             "results = ctrl_rl_bringup.cli.drive:results",
+            "transfer = ctrl_rl_bringup.cli.transfer:transfer",
             "trials = ctrl_rl_bringup.cli.drive:trials",
         ],
     },

@@ -10,16 +10,19 @@ import time
 import numpy as np
 import pytest
 import rclpy
-from ctrl_rl_core.ros.node import seconds
+from ctrl_rl_core.ros.node import LATCHED, seconds
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import Twist, TwistStamped
-from nav_msgs.msg import Odometry
+from geometry_msgs.msg import PoseWithCovarianceStamped, Twist, TwistStamped
+from nav_msgs.msg import OccupancyGrid, Odometry
 from rclpy.duration import Duration
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import LaserScan
+from sensor_msgs.msg import JointState, LaserScan
+from std_msgs.msg import String
 from std_srvs.srv import SetBool
+from tf2_msgs.msg import TFMessage
+from visualization_msgs.msg import MarkerArray
 
-from ctrl_rl_core import RESULT, SENSOR
+from ctrl_rl_core import RESULT, SENSOR, OccupancyMap
 from ctrl_rl_msgs.msg import EpisodeStatus, RotorThrusts, TaskOutcome
 from ctrl_rl_msgs.srv import ResetWorld, StepWorld
 
@@ -268,6 +271,54 @@ def test_a_quadrotor_flies_by_rotor_thrusts(start):
     assert client.close() == 0
 
 
+def planar(pose):
+    """A message's pose or transform as x, y, heading."""
+    place = getattr(pose, "position", None) or pose.translation
+    turn = getattr(pose, "orientation", None) or pose.rotation
+    return np.array((place.x, place.y, 2 * math.atan2(turn.z, turn.w)))
+
+
+def test_every_frame_hangs_on_the_map_which_shows_the_walls(start):
+    client = start(
+        engine="mujoco", start_paused="true", odom_drift=0.1, localisation="noisy", localisation_rate=2.0, seed=3
+    )
+    client.listen(TFMessage, "/tf", 100)
+    for kind, topic in ((TFMessage, "/tf_static"), (OccupancyGrid, "map"), (MarkerArray, "walls")):
+        client.listen(kind, topic, LATCHED)
+    client.listen(String, "robot_description", LATCHED)
+    client.listen(PoseWithCovarianceStamped, "amcl_pose", LATCHED)
+    client.listen(JointState, "joint_states", 10)
+    for _ in range(4):
+        client.speeds(0.2, 0.1)
+        client.call("step", duration=0.5)
+    heard = client.heard
+    client.until(
+        lambda: heard["odom"] and seconds(heard["odom"][-1].header.stamp) >= 1.99 and len(heard["amcl_pose"]) > 3
+    )
+    client.until(lambda: all(heard[topic] for topic in ("/tf_static", "map", "walls", "robot_description")))
+    client.until(lambda: heard["/tf"][-1].transforms[0].header.stamp == heard["odom"][-1].header.stamp)
+    moving = {each.child_frame_id: each for each in heard["/tf"][-1].transforms}
+    parents = {name: each.header.frame_id for name, each in moving.items()}
+    parents |= {each.child_frame_id: each.header.frame_id for each in heard["/tf_static"][-1].transforms}
+    for frame in ("odom", "base_scan", "wheel_left_link", "wheel_right_link"):
+        while frame in parents:
+            frame = parents[frame]
+        assert frame == "map"
+    x, y, turn = planar(moving["odom"].transform)
+    base, truth = planar(moving["base_footprint"].transform), planar(heard["ground_truth"][-1].pose.pose)
+    told = np.array((x, y)) + np.array(((np.cos(turn), -np.sin(turn)), (np.sin(turn), np.cos(turn)))) @ base[:2]
+    assert 0.0 < np.hypot(*(told - truth[:2])) < 0.3
+    assert abs(turn + base[2] - truth[2]) < 0.3
+    assert heard["amcl_pose"][-1].pose.covariance[0] == pytest.approx(0.05**2)
+    assert np.diff([seconds(each.header.stamp) for each in heard["amcl_pose"]]) == pytest.approx(0.5)
+    assert heard["joint_states"][-1].position[0] == pytest.approx(0.2 * 2.0 / 0.033, rel=0.15)
+    assert 'robot name="turtlebot3_burger"' in heard["robot_description"][-1].data
+    drawn = OccupancyMap.from_message(heard["map"][-1])
+    assert drawn.at(truth[:2]) == 0
+    assert all(drawn.at((m.pose.position.x, m.pose.position.y)) == 100 for m in heard["walls"][-1].markers[1:])
+    assert client.close() == 0
+
+
 REFUSALS = (
     ({"task": "nowhere"}, "no task 'nowhere'"),
     ({"task": "water_filling"}, "a navigation task is needed"),
@@ -276,6 +327,8 @@ REFUSALS = (
     ({"corridor_width": "3.0"}, "width 3 m"),
     ({"corridor_width": "0.7", "randomise_width": "true"}, "contradict"),
     ({"robots": "['a', 'a']"}, "each namespace"),
+    ({"engine": "ode"}, "'engine' is 'ode'"),
+    ({"localisation_rate": "0.0"}, "'localisation_rate' is out of range"),
     ({"robots": "['a b']"}, "no namespace"),
     ({"task": "car_ttr", "robots": str([f"r{i}" for i in range(20)])}, "no room for 20 robots"),
 )

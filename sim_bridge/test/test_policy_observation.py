@@ -6,9 +6,8 @@ from ctrl_rl_core.driving.scan import ScanGeometry
 from ctrl_rl_core.policies.observation import ObservationBuilder
 from nav_msgs.msg import Odometry
 from sim_bridge.environments import NavigationEnv
-from sim_bridge.ros.frames import Frames
-from sim_bridge.ros.publishers import _fill
-from sim_bridge.simulation.world import SimulationOptions
+from sim_bridge.ros.publishers import fill_odometry
+from sim_bridge.simulation.options import SimulationOptions
 
 from ctrl_rl_core import Sensors, interface_of, load_navigation_task
 
@@ -16,7 +15,7 @@ from ctrl_rl_core import Sensors, interface_of, load_navigation_task
 def sensors_of(world) -> Sensors:
     """Return what the bridge would publish now."""
     message, reading = Odometry(), world.odometry(0)
-    _fill(message, 0, Frames("", world.plane), reading.pose, reading.velocity)
+    fill_odometry(message, world.plane, 0, reading)
     seen = world.laser_scan(0)
     scan = ScanGeometry(len(seen.ranges), seen.angle_min, seen.angle_increment, seen.range_min, seen.range_max)
     x, y, theta = reading.pose

@@ -23,11 +23,9 @@ def state_ranges(task: NavigationTask) -> dict[str, tuple[float, float]]:
     """Return the least and the largest value of each observed component of the state, in SI units."""
     ranges = {"theta": (-math.pi, math.pi), "psi": (-math.pi, math.pi), "omega": TURN_RANGE}
     ranges |= dict.fromkeys(("v", "v_x", "v_z"), SPEED_RANGE)
-    if task.arena is not None:
-        places = dict(zip(("x", task.plane[1]), task.arena.bounds, strict=True)).items()
-        sides = {name: (side.low, side.high) for name, side in places}
+    if task.corridor is None:
+        sides = {name: (side.low, side.high) for name, side in task.plane_bounds.items()}
     else:
-        assert task.corridor is not None
         path = task.corridor.path
         points = path.pose(np.linspace(0.0, path.length, 200))
         sides = {name: (points[:, axis].min(), points[:, axis].max()) for axis, name in enumerate(("x", "y"))}

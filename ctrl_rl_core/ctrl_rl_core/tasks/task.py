@@ -24,12 +24,15 @@ from ctrl_rl_core.systems.models import SYSTEM_MODELS
 from ctrl_rl_core.tasks.option_tasks import ToolDelivery, WaterFilling
 from ctrl_rl_core.tasks.schema.optimal_control import GridSpec, OptimalControlSpec
 from ctrl_rl_core.tasks.schema.parts import EpisodeSpec, RewardSpec, Several, TaskHeader
+from ctrl_rl_core.tasks.schema.randomisation import CONDITIONS, Randomisation
 from ctrl_rl_core.tasks.schema.robot import LidarSpec, RobotSpec
 from ctrl_rl_core.tasks.schema.system import SystemSpec
-from ctrl_rl_core.tasks.schema.world import ArenaSpec, CorridorSpec, ObstacleSpec, RegionSpec
+from ctrl_rl_core.tasks.schema.world import ArenaSpec, CorridorSpec, MapSpec, ObstacleSpec, RegionSpec
 
 FOLDER = FilePath(__file__).parent / "task_files"
 _PROSE = {"about", "source", "differences"}
+_YOUNG = {"map", "randomisation"}
+"""Parts that tasks did not always have: a task without them keeps its digest."""
 
 
 class TaskError(CtrlRlError):
@@ -44,6 +47,7 @@ class NavigationTask(TaskHeader):
     robot: RobotSpec
     arena: ArenaSpec | None = None
     corridor: CorridorSpec | None = None
+    map: MapSpec | None = None
     start: RegionSpec
     goal: RegionSpec
     trap: RegionSpec | None = None
@@ -53,11 +57,17 @@ class NavigationTask(TaskHeader):
     lidar: LidarSpec
     grid: dict[str, GridSpec] = Field(default_factory=dict)
     optimal_control: OptimalControlSpec | None = None
+    randomisation: Randomisation = Field(default_factory=dict)
 
     @model_validator(mode="after")
     def _one_place(self) -> NavigationTask:
-        if (self.arena is None) == (self.corridor is None):
-            raise ValueError("needs either 'arena' or 'corridor'")
+        if [self.arena, self.corridor, self.map].count(None) != 2:
+            raise ValueError("needs either 'arena', 'corridor' or 'map'")
+        if self.map is not None and self.plane != "xy":
+            raise ValueError("map: only a ground robot has one")
+        rolling = [name for name in self.randomisation if CONDITIONS[name].wheels and self.plane != "xy"]
+        if rolling:
+            raise ValueError(f"randomisation.{rolling[0]}: a flying robot has no wheels")
         names = {"s", "lateral", "heading"} if self.corridor else set(self.system.build().state_names)
         for key in ("start", "goal", "trap"):
             region: RegionSpec | None = getattr(self, key)
@@ -82,6 +92,8 @@ class NavigationTask(TaskHeader):
         """Bounds of the space within the walls, by coordinate [m]; around a corridor at its widest."""
         if self.arena is not None:
             return dict(zip(self.plane, self.arena.bounds, strict=True))
+        if self.map is not None:
+            return dict(zip(self.plane, self.map.bounds, strict=True))
         assert self.corridor is not None
         path, half = self.corridor.path, 0.5 * self.corridor.width_range.high
         points = path.pose(np.linspace(0.0, path.length, 1000))[:, :2]
@@ -98,8 +110,10 @@ class NavigationTask(TaskHeader):
         if self.corridor is None:
             if width is not None:
                 raise TaskError(f"task '{self.name}' has no corridor: its width cannot be set")
-            assert self.arena is not None
-            return World(walls=self.arena.walls(), obstacles=shapes, path=None, width=None)
+            place = self.arena or self.map
+            assert place is not None
+            walls = place.walls() if isinstance(place, ArenaSpec) else place.walls
+            return World(walls=walls, obstacles=shapes, path=None, width=None)
         width = self.corridor.width if width is None else width
         if width not in self.corridor.width_range:
             low, high = self.corridor.width_range
@@ -144,7 +158,7 @@ def load_task(name_or_path: str | FilePath) -> Task:
     with raise_as(TaskError, path):
         content = read_yaml(path)
         try:
-            task = _READER.validate_python(content)
+            task = _READER.validate_python(content, context={"folder": path.parent})
         except ValidationError as error:
             raise FileError(first_error(error, _KINDS)) from None
         if task.name != path.stem:
@@ -166,4 +180,5 @@ def load_navigation_task(name_or_path: str | FilePath) -> NavigationTask:
 
 def task_digest(task: TaskHeader) -> str:
     """Return the SHA-256 (hex) of the task's content in SI units; prose and layout of the file do not count."""
-    return hashlib.sha256(task.model_dump_json(exclude=_PROSE).encode()).hexdigest()
+    unused = {name for name in _YOUNG if not getattr(task, name, None)}
+    return hashlib.sha256(task.model_dump_json(exclude=_PROSE | unused).encode()).hexdigest()

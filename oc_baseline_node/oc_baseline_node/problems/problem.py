@@ -153,6 +153,8 @@ def formulate(task: NavigationTask, form: Form = "free_speed", clearance: float 
         raise OcError(f"no form '{form}': there are {', '.join(FORMS)}")
     d_min = max(oc.clearance, task.robot.radius + _ROOM) if clearance is None else clearance
     system = _system(task, oc, form)
+    if task.map is not None:
+        raise OcError(f"task '{task.name}': an optimal control problem is of an arena or a corridor, not of a map")
     if task.corridor is not None:
         if task.obstacles:
             raise OcError(f"task '{task.name}': an optimal control problem in a corridor takes no obstacles")

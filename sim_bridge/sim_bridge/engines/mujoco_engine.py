@@ -14,6 +14,10 @@ from sim_bridge.engines.engine import MOST_ROBOTS, SEARCH_LIMIT, Array, FlyingRo
 from sim_bridge.engines.mujoco_model import MOTOR, PLANAR_JOINTS, ROOT, WHEELS, build_model, fixed_geom, prefix
 from sim_bridge.errors import SimulationError
 
+_FAR = 1
+_SEEN = np.array((1, 0, 0, 0, 0, 0), np.uint8)
+"""Groups of geoms that rays meet: what is beyond their reach is set apart, since each ray looks at each geom."""
+
 
 class MujocoEngine:
     """An `Engine` on a model and state of MuJoCo; the model is kept while walls, obstacles and robots are the same.
@@ -78,6 +82,9 @@ class MujocoEngine:
         self._place_geoms()
         rays = ends - origin
         reach = float(np.sqrt(rays[0] @ rays[0]))
+        in_reach = self._gaps(origin) <= reach
+        first = fixed_geom(self._plane, 0)
+        self._model.geom_group[first : first + len(in_reach)] = np.where(in_reach, 0, _FAR)
         count = len(rays)
         hit, distance = np.empty(count, dtype=np.int32), np.empty(count)
         mujoco.mj_multiRay(
@@ -85,7 +92,7 @@ class MujocoEngine:
             self._data,
             origin,
             (rays / reach).ravel(),
-            None,
+            _SEEN,
             True,
             self._robots[robot].body,
             hit,
@@ -100,9 +107,7 @@ class MujocoEngine:
         self._place_geoms()
         own = self._robots[robot]
         nearest = SEARCH_LIMIT
-        centre = self._data.xpos[own.body][[0, 1] if self._plane == "xy" else [0, 2]]
-        beside = np.maximum(np.maximum(self._fixed[:, :2] - centre, centre - self._fixed[:, 2:]), 0.0)
-        least = np.hypot(*beside.T) - own.radius
+        least = self._gaps(self._data.xpos[own.body]) - own.radius
         for index in np.argsort(least, kind="stable").tolist():
             if least[index] >= nearest:
                 break
@@ -111,6 +116,12 @@ class MujocoEngine:
             if other is not own:
                 nearest = min(nearest, self._between(own.geoms, other.geoms, nearest))
         return nearest if nearest < SEARCH_LIMIT else math.inf
+
+    def _gaps(self, point: Array) -> Array:
+        """Return the distance of a point (3,) to the box around each wall and obstacle (n,) [m]."""
+        place = point[[0, 1] if self._plane == "xy" else [0, 2]]
+        beside = np.maximum(np.maximum(self._fixed[:, :2] - place, place - self._fixed[:, 2:]), 0.0)
+        return np.hypot(*beside.T)
 
     def _between(self, geoms: Sequence[int], others: Sequence[int], limit: float) -> float:
         """Return the least distance between geoms of two bodies [m], or the limit."""
@@ -157,8 +168,8 @@ class MujocoWheels(_MujocoRobot):
     """A `WheelBase` in MuJoCo."""
 
     def __init__(self, robot: WheeledRobot) -> None:
-        super().__init__(robot, (robot.urdf, robot.torque, robot.friction), ROOT)
-        self._pose = robot.pose
+        super().__init__(robot, (robot.urdf, robot.torque), ROOT)
+        self._pose, self._friction = robot.pose, robot.friction
 
     def _start(self, model: mujoco.MjModel, own: str) -> None:
         joint = model.joint(own + ROOT)
@@ -166,6 +177,10 @@ class MujocoWheels(_MujocoRobot):
         self._place, self._rate = slice(place, place + 7), slice(rate, rate + 6)
         self._wheels = [int(model.joint(own + name).qposadr[0]) for name in WHEELS]
         self._motors = [int(model.joint(own + name + MOTOR).dofadr[0]) for name in WHEELS]
+        wheels = {int(model.joint(own + name).bodyid[0]) for name in WHEELS}
+        for geom in self.geoms:
+            if int(model.geom_bodyid[geom]) in wheels:
+                model.geom_friction[geom, 0] = self._friction
         x, y, theta = self._pose
         self._data.qpos[self._place] = (x, y, 0.0, math.cos(0.5 * theta), 0.0, 0.0, math.sin(0.5 * theta))
 

@@ -88,8 +88,7 @@ def _wheeled(robot: WheeledRobot, rate: int) -> mujoco.MjSpec:
     for name in WHEELS:
         joint = spec.joint(name)
         for rim in joint.parent.geoms:
-            rim.friction = (robot.friction, 0.0, 0.0)
-            rim.priority = 1
+            rim.priority = 1  # over the floor: the wheel's friction holds, which is set when the robot is placed
         _add_motor(spec, name, robot.torque, rate)
     return spec
 
@@ -135,6 +134,7 @@ def _load(urdf: str) -> mujoco.MjSpec:
         for geom in body.geoms:
             smooth = body.name in slippery
             geom.friction = (0.0 if smooth else _HULL_FRICTION, 0.0, 0.0)
+            geom.group = 0
             geom.condim = 1 if smooth else 3
             geom.priority = 2 if smooth else 0
     return spec

@@ -27,6 +27,7 @@ from sim_bridge.engines.quiet_pybullet import pybullet
 from sim_bridge.errors import SimulationError
 
 _SHAPES_PER_BODY = 16  # a limit of PyBullet; merged shapes make stepping, ray casts and resets cheaper
+_FEW = 16  # fixed bodies that are all searched: telling which are near would cost more
 _SOLVER_ITERATIONS = 30  # speeds of a drive within 0.3 %; PyBullet's 50 cost half as much again
 _ALL_GROUPS = 0x7FFFFFFF
 
@@ -62,6 +63,7 @@ class PybulletEngine:
             raise SimulationError("PyBullet gives no physics client: without a display run with gui false")
         self.fixed: list[int] = []
         self.robots: list[int] = []
+        self._boxes: list[Array] = []
 
     def begin(self, plane: str, shapes: Sequence[Shape]) -> None:  # noqa: D102 - see Engine
         pybullet.resetSimulation(physicsClientId=self.client)  # contact caches included
@@ -73,6 +75,7 @@ class PybulletEngine:
             physicsClientId=self.client,
         )
         self.fixed.clear()
+        self._boxes.clear()
         self.robots.clear()
         if plane == "xy":
             self._add_floor()
@@ -98,6 +101,7 @@ class PybulletEngine:
                 physicsClientId=self.client,
             )
             self.fixed.append(pybullet.createMultiBody(0, shape, physicsClientId=self.client))
+            self._boxes.append(self._box(self.fixed[-1]))
 
     def add_wheeled(self, robot: WheeledRobot) -> PybulletWheels:  # noqa: D102
         x, y, theta = robot.pose
@@ -152,17 +156,32 @@ class PybulletEngine:
 
     def distance(self, robot: int, guess: float) -> float:  # noqa: D102
         body = self.robots[robot]
-        others = [*self.fixed, *(other for other in self.robots if other != body)]
+        others = [other for other in self.robots if other != body]
+        gaps = self._gaps(robot)
         reach = max(guess, 0.05)
         while reach < SEARCH_LIMIT:
             nearest = math.inf
-            for other in others:
+            near = self.fixed if gaps is None else [self.fixed[index] for index in np.flatnonzero(gaps < reach)]
+            for other in (*near, *others):
                 for point in pybullet.getClosestPoints(body, other, reach, physicsClientId=self.client):
                     nearest = min(nearest, point[8])
             if nearest < math.inf:
                 return nearest
             reach *= 3.0
         return math.inf
+
+    def _gaps(self, robot: int) -> Array | None:
+        """Return a lower bound on a robot's distance to each body of `fixed` (n,) [m]; None where these are few."""
+        if len(self.fixed) <= _FEW:
+            return None
+        (least, largest), boxes = self._box(self.robots[robot]), np.array(self._boxes)
+        return np.linalg.norm(np.maximum(np.maximum(boxes[:, 0] - largest, least - boxes[:, 1]), 0.0), axis=1)
+
+    def _box(self, body: int) -> Array:
+        """Return the box along the axes that holds all links of a body: least and largest corner (2, 3) [m]."""
+        links = range(-1, pybullet.getNumJoints(body, physicsClientId=self.client))
+        boxes = np.array([pybullet.getAABB(body, link, physicsClientId=self.client) for link in links])
+        return np.stack((boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)))
 
     def close(self) -> None:  # noqa: D102
         if self.client >= 0:

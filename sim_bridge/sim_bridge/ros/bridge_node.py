@@ -18,10 +18,13 @@ from std_srvs.srv import SetBool
 from ctrl_rl_core import COMMAND, CtrlRlError, Outcome, ParameterError, SuiteNode, load_navigation_task, run_node
 from ctrl_rl_msgs.msg import RotorThrusts
 from ctrl_rl_msgs.srv import ResetWorld, StepWorld
-from sim_bridge.ros.frames import Frames, TransformPublisher, fixed_transforms
+from sim_bridge.ros.frames import Frames, TransformPublisher
+from sim_bridge.ros.localisation import LocalisationPublisher
+from sim_bridge.ros.map_publisher import MapPublisher
 from sim_bridge.ros.pacing import Pacer, Schedule, SpeedMeter
 from sim_bridge.ros.parameters import PARAMETERS, simulation_options
 from sim_bridge.ros.publishers import ClockPublisher, RobotPublisher
+from sim_bridge.ros.robot_model import RobotModel
 from sim_bridge.simulation.world import SimulatedWorld
 
 TICK = 0.005
@@ -57,8 +60,13 @@ class Bridge(SuiteNode):
         self._refused = 0
         self._pacer, self._meter = Pacer(self._rate), SpeedMeter()
         frames = [Frames(namespace, task.plane) for namespace in self._namespaces]
-        transforms = TransformPublisher(self, [t for each in frames for t in fixed_transforms(each, task)])
-        self._robots = [RobotPublisher(self, self._world, robot, each, transforms) for robot, each in enumerate(frames)]
+        models = [RobotModel(each, task) for each in frames]
+        transforms = TransformPublisher(self, [fixed for model in models for fixed in model.fixed])
+        self._robots = []
+        for robot, (each, model) in enumerate(zip(frames, models, strict=True)):
+            localisation = LocalisationPublisher(self, self._world, robot, each, settings)
+            self._robots.append(RobotPublisher(self, self._world, robot, each, transforms, model, localisation))
+        self._map = MapPublisher(self, self._world) if task.plane == "xy" else None
         self._clock_publisher = ClockPublisher(self, settings["clock_rate"])
         for robot, each in enumerate(frames):
             self._subscribe(robot, each)
@@ -129,6 +137,10 @@ class Bridge(SuiteNode):
 
     def _begin_episode(self) -> None:
         self._ended: set[int] = set()
+        if self._map is not None:
+            self._map.publish(self._time)
+        for robot in self._robots:
+            robot.begin_episode()
         self._scans = Schedule(self._world.lidar.spec.rate, self._rate)
         self._odometry = Schedule(self.settings["odom_rate"], self._rate)
         self._publish_due()

@@ -1,23 +1,23 @@
-"""Names of topics and frames of one robot, and its transforms where this ROS has tf2_msgs."""
+"""Names of topics and frames of one robot, and publishers of messages and transforms."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from ctrl_rl_core.ros.node import LATCHED
 from geometry_msgs.msg import TransformStamped
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
 
-from ctrl_rl_core import NavigationTask
-from sim_bridge.simulation.bodies import DRIVES
-
 try:
     from tf2_msgs.msg import TFMessage
 except ImportError:  # the ROS wheels have none; scan and odometry need none either
     TFMessage = None
+
+WORLD_FRAME = "map"
+"""Frame of the world, in which the truth is told."""
 
 
 @dataclass(frozen=True)
@@ -52,23 +52,27 @@ class Frames:
         return self.topic("base_scan")
 
 
-def fixed_transforms(frames: Frames, task: NavigationTask) -> list[TransformStamped]:
-    """Return the static transforms between base and lidar."""
-    if frames.plane == "xz":
-        # The lidar turns about its own z, which points along -y of the body: bearings run from x to z.
-        scan = _transform(frames.base, frames.scan, (0.0, 0.0, 0.0))
-        scan.transform.rotation.x = scan.transform.rotation.w = math.sqrt(0.5)
-        return [scan]
-    drive = DRIVES[task.robot.body]
-    x, y, z = drive.lidar
-    return [
-        _transform(frames.base, frames.topic("base_link"), (0.0, 0.0, drive.base_height)),
-        _transform(frames.topic("base_link"), frames.scan, (x, y, z - drive.base_height)),
-    ]
+class CountedPublisher:
+    """A publisher that counts its messages.
+
+    Attributes:
+        topic: Its resolved name.
+        count: Number of messages sent.
+    """
+
+    def __init__(self, node: Node, kind: type, topic: str, qos: Any) -> None:
+        self._publisher = node.create_publisher(kind, topic, qos)
+        self.topic: str = self._publisher.topic_name
+        self.count = 0
+
+    def publish(self, message: Any) -> None:
+        """Send one message."""
+        self._publisher.publish(message)
+        self.count += 1
 
 
 class TransformPublisher:
-    """/tf from odometry and /tf_static, or nothing where tf2_msgs is missing."""
+    """/tf and /tf_static, or nothing where tf2_msgs is missing."""
 
     def __init__(self, node: Node, fixed: Sequence[TransformStamped]) -> None:
         self._moving = self._fixed = None
@@ -78,18 +82,23 @@ class TransformPublisher:
         self._fixed = node.create_publisher(TFMessage, "/tf_static", LATCHED)
         self._fixed.publish(TFMessage(transforms=list(fixed)))
 
-    def publish(self, odometry: Odometry) -> None:
-        """Send the transform that an odometry message tells."""
-        if self._moving is None:
-            return
-        position = odometry.pose.pose.position
-        out = _transform(odometry.header.frame_id, odometry.child_frame_id, (position.x, position.y, position.z))
-        out.header.stamp = odometry.header.stamp
-        out.transform.rotation = odometry.pose.pose.orientation
-        self._moving.publish(TFMessage(transforms=[out]))
+    def publish(self, transforms: Sequence[TransformStamped]) -> None:
+        """Send transforms that change with time."""
+        if self._moving is not None:
+            self._moving.publish(TFMessage(transforms=list(transforms)))
 
 
-def _transform(parent: str, child: str, translation: tuple[float, float, float]) -> TransformStamped:
+def odometry_transform(odometry: Odometry) -> TransformStamped:
+    """Return the transform that an odometry message tells."""
+    position = odometry.pose.pose.position
+    out = transform(odometry.header.frame_id, odometry.child_frame_id, (position.x, position.y, position.z))
+    out.header.stamp = odometry.header.stamp
+    out.transform.rotation = odometry.pose.pose.orientation
+    return out
+
+
+def transform(parent: str, child: str, translation: tuple[float, float, float]) -> TransformStamped:
+    """Return a transform without a turn."""
     out = TransformStamped(child_frame_id=child)
     out.header.frame_id = parent
     out.transform.translation.x, out.transform.translation.y, out.transform.translation.z = translation

@@ -7,6 +7,7 @@ from typing import Any
 
 from ctrl_rl_core import Parameter, ParameterError
 from sim_bridge.engines.choice import ENGINES
+from sim_bridge.ros.localisation import KINDS
 from sim_bridge.simulation.lidar import LIDARS
 from sim_bridge.simulation.options import SimulationOptions
 
@@ -42,6 +43,19 @@ PARAMETERS = (
         0.0,
         0.5,
     ),
+    Parameter(
+        "localisation",
+        "exact",
+        "Who tells where the robots are in the map: the truth, the truth with errors, or nobody.",
+        choices=KINDS,
+    ),
+    Parameter("localisation_error", 0.05, "Standard deviation of each noisy coordinate [m].", 0.0, 2.0),
+    Parameter("localisation_heading_error", 0.0524, "Standard deviation of a noisy heading [rad].", 0.0, 1.0),
+    Parameter("localisation_rate", 5.0, "Poses in the map per second [Hz].", 0.1, 60.0),
+    Parameter("friction", 1.0, "Friction coefficient between wheels and floor.", 0.01, 10.0),
+    Parameter("wheel_radius", 1.0, "True radius of the wheels over the one that the robot counts with.", 0.5, 2.0),
+    Parameter("motor_lag", 0.0, "Time constant of the wheels' speed; 0.0 for the robot's own [s].", 0.0, 5.0),
+    Parameter("randomise", True, "Draw from the ranges of the task file at each reset, if it has any."),
     Parameter("corridor_width", 0.0, "Free width of a corridor [m]; 0.0 for the task's.", 0.0),
     Parameter("randomise_width", False, "Draw the width from the task's range at each reset."),
     Parameter("enable_stamped_cmd_vel", True, "cmd_vel is a TwistStamped (Jazzy), else a Twist (Humble)."),
@@ -78,6 +92,10 @@ def simulation_options(settings: Mapping[str, Any]) -> SimulationOptions:
         command_truncation=settings["command_truncation"],
         command_delay=settings["command_delay"],
         command_timeout=settings["cmd_vel_timeout"],
+        friction=settings["friction"],
+        wheel_radius=settings["wheel_radius"],
+        motor_lag=settings["motor_lag"] or None,
+        randomise=settings["randomise"],
         randomise_width=settings["randomise_width"],
     )
 

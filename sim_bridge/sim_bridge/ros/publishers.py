@@ -3,61 +3,56 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
-from ctrl_rl_core.ros.node import ODOM_PUBLISHER, SCAN_PUBLISHER, float32_array, to_stamp
+from ctrl_rl_core.ros.node import LATCHED, ODOM_PUBLISHER, SCAN_PUBLISHER, float32_array, to_stamp
 from nav_msgs.msg import Odometry
 from numpy.typing import NDArray
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import LaserScan
+from sensor_msgs.msg import JointState, LaserScan
+from std_msgs.msg import String
 
 from ctrl_rl_core import RESULT
 from ctrl_rl_msgs.msg import EpisodeStatus
-from sim_bridge.ros.frames import Frames, TransformPublisher
+from sim_bridge.ros.frames import WORLD_FRAME, CountedPublisher, Frames, TransformPublisher, odometry_transform
+from sim_bridge.ros.localisation import LocalisationPublisher
+from sim_bridge.ros.robot_model import RobotModel
+from sim_bridge.simulation.odometry import OdometryReading
 from sim_bridge.simulation.world import SimulatedWorld
 
 Array = NDArray[np.float64]
-WORLD_FRAME = "map"
 _LATE_JOINER_S = 1.0
 
 
-class CountedPublisher:
-    """A publisher that counts its messages.
-
-    Attributes:
-        topic: Its resolved name.
-        count: Number of messages sent.
-    """
-
-    def __init__(self, node: Node, kind: type, topic: str, qos: Any) -> None:
-        self._publisher = node.create_publisher(kind, topic, qos)
-        self.topic: str = self._publisher.topic_name
-        self.count = 0
-
-    def publish(self, message: Any) -> None:
-        """Send one message."""
-        self._publisher.publish(message)
-        self.count += 1
-
-
 class RobotPublisher:
-    """Scan, odometry, ground truth and episode status of one robot of a world.
+    """Scan, odometry, ground truth, episode status, transforms and model of one robot of a world.
 
     Attributes:
         publishers: One for each topic.
     """
 
     def __init__(
-        self, node: Node, world: SimulatedWorld, robot: int, frames: Frames, transforms: TransformPublisher
+        self,
+        node: Node,
+        world: SimulatedWorld,
+        robot: int,
+        frames: Frames,
+        transforms: TransformPublisher,
+        model: RobotModel,
+        localisation: LocalisationPublisher,
     ) -> None:
         self._world, self._robot, self._frames, self._transforms = world, robot, frames, transforms
+        self._model, self._localisation = model, localisation
         self._scan = CountedPublisher(node, LaserScan, frames.topic("scan"), SCAN_PUBLISHER)
         self._odom = CountedPublisher(node, Odometry, frames.topic("odom"), ODOM_PUBLISHER)
         self._truth = CountedPublisher(node, Odometry, frames.topic("ground_truth"), ODOM_PUBLISHER)
         self._episode = CountedPublisher(node, EpisodeStatus, frames.topic("episode"), RESULT)
-        self.publishers = (self._scan, self._odom, self._truth, self._episode)
+        self._joints = CountedPublisher(node, JointState, frames.topic("joint_states"), ODOM_PUBLISHER)
+        self._description = CountedPublisher(node, String, frames.topic("robot_description"), LATCHED)
+        self._description.publish(model.description)
+        told = () if localisation.publisher is None else (localisation.publisher,)
+        self.publishers = (self._scan, self._odom, self._truth, self._episode, self._joints, *told)
         # A message is serialised while it is published, so each is made once and filled again and again.
         self._scan_message = LaserScan(scan_time=1.0 / world.lidar.spec.rate)
         self._scan_message.header.frame_id = frames.scan
@@ -65,6 +60,10 @@ class RobotPublisher:
         self._truth_message = _empty_odometry(WORLD_FRAME, frames.base)
         self._episode_message = EpisodeStatus()
         self._episode_message.header.frame_id = WORLD_FRAME
+
+    def begin_episode(self) -> None:
+        """Begin another episode."""
+        self._localisation.begin_episode()
 
     def publish_scan(self, time: int) -> None:
         """Send the ranges at simulation time `time` [ns]."""
@@ -77,13 +76,18 @@ class RobotPublisher:
         self._scan.publish(message)
 
     def publish_odometry(self, time: int) -> None:
-        """Send odometry, its transform and the ground truth at simulation time `time` [ns]."""
+        """Send odometry, transforms, joint states and the ground truth at simulation time `time` [ns]."""
         reading = self._world.odometry(self._robot)
-        _fill(self._odom_message, time, self._frames, reading.pose, reading.velocity)
+        fill_odometry(self._odom_message, self._frames.plane, time, reading)
         self._odom.publish(self._odom_message)
-        self._transforms.publish(self._odom_message)
+        transforms = [*self._localisation.update(time, reading.pose), odometry_transform(self._odom_message)]
+        angles = self._world.wheel_angles(self._robot)
+        if angles is not None:
+            self._joints.publish(self._model.joint_state(to_stamp(time), angles))
+            transforms += self._model.wheels(to_stamp(time), angles)
+        self._transforms.publish(transforms)
         pose, velocity = self._world.pose(self._robot), self._world.velocity(self._robot)
-        _fill(self._truth_message, time, self._frames, pose, velocity)
+        fill_odometry(self._truth_message, self._frames.plane, time, OdometryReading(pose, velocity))
         attitude = self._truth_message.pose.pose.orientation
         attitude.x, attitude.y, attitude.z, attitude.w = self._world.quaternion(self._robot)
         self._truth.publish(self._truth_message)
@@ -122,14 +126,14 @@ def _empty_odometry(parent: str, child: str) -> Odometry:
     return message
 
 
-def _fill(message: Odometry, time: int, frames: Frames, pose: Array, velocity: Array) -> None:
-    """Write pose and body velocity of the plane, x-y or x-z, into a message."""
+def fill_odometry(message: Odometry, plane: str, time: int, reading: OdometryReading) -> None:
+    """Write pose and body velocity of a plane, "xy" or "xz", into a message stamped `time` [ns]."""
     message.header.stamp = to_stamp(time)
-    first, second, angle = pose.tolist()
-    along, aside, turn = velocity.tolist()
+    first, second, angle = reading.pose.tolist()
+    along, aside, turn = reading.velocity.tolist()
     position, attitude, twist = message.pose.pose.position, message.pose.pose.orientation, message.twist.twist
     position.x, twist.linear.x, attitude.w = first, along, math.cos(0.5 * angle)
-    if frames.plane == "xy":
+    if plane == "xy":
         position.y, twist.linear.y, twist.angular.z, attitude.z = second, aside, turn, math.sin(0.5 * angle)
     else:
         position.z, twist.linear.z, twist.angular.y, attitude.y = second, aside, turn, math.sin(0.5 * angle)

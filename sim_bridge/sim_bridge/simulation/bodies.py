@@ -17,6 +17,7 @@ from ctrl_rl_core import NavigationTask, System
 from sim_bridge.engines.engine import Engine, FlyingRobot, PlanarJoints, WheelBase, WheeledRobot
 from sim_bridge.errors import SimulationError
 from sim_bridge.simulation.lidar import SensorPose
+from sim_bridge.simulation.options import SimulationOptions
 
 Array = NDArray[np.float64]
 
@@ -108,27 +109,31 @@ DRIVES: Mapping[str, DriveParameters] = {
 class DifferentialDrive:
     """Two wheels on velocity motors with a first-order lag and limited torque, standing on a floor; a `Body`."""
 
-    def __init__(self, base: WheelBase, rate: int, drive: DriveParameters, bounds: Array, radius: float) -> None:
+    def __init__(
+        self, base: WheelBase, drive: DriveParameters, bounds: Array, radius: float, options: SimulationOptions
+    ) -> None:
         """Stand still.
 
         Args:
             base: The robot in the engine.
-            rate: Physics steps per second [Hz].
             drive: Parameters of the drive.
             bounds: Least and largest commands where the drive sets none (2, 2).
             radius: Radius of a circle that holds the robot [m].
+            options: Settings of the episode.
         """
         self._base, self._drive = base, drive
         self.bounds = bounds if drive.bounds is None else np.array(drive.bounds)
         self.idle = np.zeros(2)
         self.radius = radius
-        self._share = -math.expm1(-1.0 / (rate * drive.lag))
+        lag = drive.lag if options.motor_lag is None else options.motor_lag
+        self._share = -math.expm1(-1.0 / (options.rate * lag))
+        self._counted = drive.wheel_radius / options.wheel_radius  # turns as if the wheels had their true radius
         self._speeds = (0.0, 0.0)
 
     def act(self, command: Array) -> None:  # noqa: D102 - see Body
         v, turn = float(command[0]), 0.5 * self._drive.wheel_separation * float(command[1])
         left, right = self._speeds
-        wanted = ((v - turn) / self._drive.wheel_radius, (v + turn) / self._drive.wheel_radius)
+        wanted = ((v - turn) / self._counted, (v + turn) / self._counted)
         if wanted == self._speeds:
             return
         left += self._share * (wanted[0] - left)
@@ -154,11 +159,13 @@ class DifferentialDrive:
         return SensorPose(origin, np.array(((c, s, 0.0), (-s, c, 0.0))))
 
     def wheel_angles(self) -> tuple[float, float] | None:  # noqa: D102
-        return self._base.wheel_angles()
+        left, right = self._base.wheel_angles()
+        share = self._counted / self._drive.wheel_radius
+        return share * left, share * right
 
     def top_speed(self, horizon: float) -> float:  # noqa: ARG002, D102 - its wheels bound it
         v, omega = np.abs(self.bounds).max(axis=1)
-        return float(1.2 * (v + omega * self.radius))
+        return float(1.2 * (v + omega * self.radius) * (self._drive.wheel_radius / self._counted))
 
 
 class PlanarQuadrotor:
@@ -231,7 +238,7 @@ class PlanarQuadrotor:
         )
 
 
-def make_body(engine: Engine, task: NavigationTask, system: System, state: Array) -> Body:
+def make_body(engine: Engine, task: NavigationTask, system: System, state: Array, options: SimulationOptions) -> Body:
     """Put the task's robot into the world at a start state (n,), ordered as its system names it.
 
     Raises:
@@ -246,8 +253,9 @@ def make_body(engine: Engine, task: NavigationTask, system: System, state: Array
         return PlanarQuadrotor(joints, engine.rate, system, radius)
     drive = DRIVES[task.robot.body]
     bounds = np.array([task.robot.commands[name] for name in ("v", "omega")])
-    base = engine.add_wheeled(WheeledRobot(drive.urdf, _take(task, named, "x", "y", "theta"), drive.torque))
-    return DifferentialDrive(base, engine.rate, drive, bounds, radius)
+    pose = _take(task, named, "x", "y", "theta")
+    base = engine.add_wheeled(WheeledRobot(drive.urdf, pose, drive.torque, options.friction))
+    return DifferentialDrive(base, drive, bounds, radius, options)
 
 
 def _take(task: NavigationTask, state: Mapping[str, float], *names: str) -> Array:

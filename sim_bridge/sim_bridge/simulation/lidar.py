@@ -67,20 +67,17 @@ class Lidar:
         bearings: Bearings of the task's beams (n,) [rad].
     """
 
-    def __init__(
-        self,
-        spec: LidarSpec,
-        noise: float | None = None,
-        dropout: float | None = None,
-        lost_beam: str = "nan",
-        kind: str = "task",
-    ) -> None:
+    def __init__(self, spec: LidarSpec, lost_beam: str = "nan", kind: str = "task") -> None:
         self.spec, self.kind = spec, kind
-        self.noise = spec.noise if noise is None else noise
-        self.dropout = spec.dropout if dropout is None else dropout
+        self.set_errors(None, None)
         bearings = spec.angle_min + spec.angle_increment * np.arange(spec.beams)
         self.bearings = np.asarray(bearings, dtype=np.float64)
         self._lost = LOST_BEAM[lost_beam]
+
+    def set_errors(self, noise: float | None, dropout: float | None) -> None:
+        """Set the standard deviation of a range [m] and the probability that a beam is lost; None for the task's."""
+        self.noise = self.spec.noise if noise is None else noise
+        self.dropout = self.spec.dropout if dropout is None else dropout
 
     def scan(
         self, engine: Engine, frame: SensorPose, robot: int, random: np.random.Generator, buried: bool = False

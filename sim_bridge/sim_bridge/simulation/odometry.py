@@ -31,10 +31,23 @@ class Odometry:
     and a turn per metre [rad/m] (wheels of unequal size).
     """
 
-    def __init__(self, drift: float, random: np.random.Generator, pose: Array) -> None:
+    def __init__(self, drift: float, random: np.random.Generator, pose: Array, wheel_radius: float = 1.0) -> None:
+        """Start at the true pose.
+
+        Args:
+            drift: Standard deviation of the errors.
+            random: Draws the errors.
+            pose: Pose at the start (3,).
+            wheel_radius: True radius of the wheels over the one that is counted with.
+        """
         self._distance, self._turn, self._bend = drift * random.standard_normal(3)
+        if wheel_radius != 1.0:
+            self._distance, self._turn = (
+                (self._distance + 1.0) / wheel_radius - 1.0,
+                (self._turn + 1.0) / wheel_radius - 1.0,
+            )
         self._true = pose.copy()
-        self._drifting = drift > 0.0
+        self._drifting = drift > 0.0 or wheel_radius != 1.0
         self.pose = pose.copy()
 
     def update(self, true_pose: Array) -> Array:

@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from ctrl_rl_core.geometry.units import Interval
 
 
 @dataclass(frozen=True)
@@ -22,6 +27,11 @@ class SimulationOptions:
         command_truncation: Whether commands of a drive are cut to hundredths, as the TurtleBot3 firmware does.
         command_delay: Time from the arrival of a command to its effect [s].
         command_timeout: Age of a command after which the robot goes idle [s]; 0 for never.
+        friction: Friction coefficient between wheels and floor.
+        wheel_radius: True radius of the wheels over the one that robot and odometry count with.
+        motor_lag: Time constant of the wheels' speed [s]; None for the robot's own.
+        randomise: Whether each episode draws from the task's ranges (`randomisation` of its file), in place of the
+            numbers here.
         randomise_width: Whether the corridor's width is drawn from the task's range at each reset that names none.
     """
 
@@ -37,4 +47,15 @@ class SimulationOptions:
     command_truncation: bool = False
     command_delay: float = 0.0
     command_timeout: float = 0.0
+    friction: float = 1.0
+    wheel_radius: float = 1.0
+    motor_lag: float | None = None
+    randomise: bool = True
     randomise_width: bool = False
+
+    def drawn(self, ranges: Mapping[str, Interval], random: np.random.Generator) -> SimulationOptions:
+        """Return the settings of one episode: numbers drawn from ranges by name, if wanted."""
+        if not ranges or not self.randomise:
+            return self
+        numbers: dict[str, Any] = {name: random.uniform(low, high) for name, (low, high) in sorted(ranges.items())}
+        return replace(self, **numbers)

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from enum import IntEnum
 
 import numpy as np
 from ctrl_rl_core.tasks.regions import wrap
@@ -26,21 +25,13 @@ from sim_bridge.simulation.episode import EpisodeState, TerminationChecker
 from sim_bridge.simulation.lidar import Lidar, LidarScan
 from sim_bridge.simulation.odometry import Odometry, OdometryReading
 from sim_bridge.simulation.options import SimulationOptions
+from sim_bridge.simulation.random_streams import Purpose, stream
 
 Array = NDArray[np.float64]
 
 TOUCH = 5e-4
 """Bodies nearer than this touch [m]: an engine's contacts hold them apart by less."""
 _JUDGED_PER_SECOND = 30
-
-
-class _Purpose(IntEnum):
-    """Streams of random numbers; one for each robot and purpose, so that none depends on how often another is used."""
-
-    START = 0
-    WIDTH = 1
-    SCAN = 2
-    ODOMETRY = 3
 
 
 @dataclass
@@ -66,6 +57,7 @@ class SimulatedWorld:
         system: Model of the task, which names and orders the states.
         options: Settings of the simulation.
         geometry: Walls and obstacles of this episode.
+        conditions: Settings of this episode, with what it drew.
         seed: Seed of this episode.
         lidar: Lidar of each robot.
         engine: Name of the physics engine.
@@ -96,9 +88,9 @@ class SimulatedWorld:
         self.options = options or SimulationOptions()
         self.task = task
         self.system: System = task.system.build()
-        noise, dropout, turns = self.options.scan_noise, self.options.scan_dropout, self.options.scan_rate
+        turns = self.options.scan_rate
         spec = task.lidar if turns is None else task.lidar.model_copy(update={"rate": turns})
-        self.lidar = Lidar(spec, noise, dropout, self.options.lost_beam, self.options.lidar)
+        self.lidar = Lidar(spec, self.options.lost_beam, self.options.lidar)
         self._count, self._width = robots, width
         self.plane = task.plane
         self._sense = 1.0 if self.plane == "xy" else -1.0  # psi turns clockwise in the x-z plane
@@ -119,14 +111,17 @@ class SimulatedWorld:
             SimulationError, TaskError: As for a new world.
         """
         geometry = self.task.build_world(self._draw_width(seed))
-        random = np.random.default_rng((seed, 0, _Purpose.START))
+        conditions = self.options.drawn(self.task.randomisation, stream(seed, Purpose.CONDITIONS))
+        random = stream(seed, Purpose.START)
         starts = draw_starts(self.task, self.system, geometry, self._count, self.task.robot.radius, random)
         self._engine.begin(self.plane, (*geometry.walls, *geometry.obstacles))
         self.geometry: World = geometry
+        self.conditions: SimulationOptions = conditions
+        self.lidar.set_errors(conditions.scan_noise, conditions.scan_dropout)
         self.seed = seed
         self.steps = 0
         self._termination = TerminationChecker(self.task, self.system, geometry.path)
-        bodies = [make_body(self._engine, self.task, self.system, start) for start in starts]
+        bodies = [make_body(self._engine, self.task, self.system, start, conditions) for start in starts]
         self._engine.finish()
         self._robots = [self._make_robot(index, body) for index, body in enumerate(bodies)]
         self._check()
@@ -135,10 +130,10 @@ class SimulatedWorld:
         corridor = self.task.corridor
         if corridor is None or self._width is not None or not self.options.randomise_width:
             return self._width
-        return float(np.random.default_rng((seed, 0, _Purpose.WIDTH)).uniform(*corridor.width_range))
+        return float(stream(seed, Purpose.WIDTH).uniform(*corridor.width_range))
 
     def _make_robot(self, index: int, body: Body) -> _Robot:
-        options, rate = self.options, self.options.rate
+        options, rate = self.conditions, self.options.rate
         channel = CommandChannel(
             body.bounds,
             body.idle,
@@ -152,10 +147,11 @@ class SimulatedWorld:
             channel=channel,
             odometry=Odometry(
                 options.odom_drift,
-                np.random.default_rng((self.seed, index, _Purpose.ODOMETRY)),
+                stream(self.seed, Purpose.ODOMETRY, index),
                 self._counter_clockwise(pose),
+                options.wheel_radius,
             ),
-            scan_random=np.random.default_rng((self.seed, index, _Purpose.SCAN)),
+            scan_random=stream(self.seed, Purpose.SCAN, index),
             start_s=self._termination.start_s(pose),
             episode=EpisodeState(),
         )

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import math
+from functools import cached_property
+from hashlib import sha256
+from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import Field, model_validator
+from pydantic import Field, PrivateAttr, ValidationInfo, computed_field, field_validator, model_validator
 
 from ctrl_rl_core.geometry.shapes import Arc, ArcPath, Box, Disc, Shape, frame_walls
 from ctrl_rl_core.geometry.units import Angle, Interval, LengthInterval, Point, PositiveLength
+from ctrl_rl_core.navigation.occupancy_map import MapError, OccupancyMap
 from ctrl_rl_core.tasks.regions import Region
 from ctrl_rl_core.tasks.schema.parts import Part, Several, interval_map
 from ctrl_rl_core.tasks.schema.system import STATE_UNITS
@@ -89,6 +93,55 @@ class CorridorSpec(Part):
         """Return the walls at a free width [m], with the one behind the start."""
         cap = Box((-0.5 * self.wall_thickness, 0.0), (self.wall_thickness, width + 2 * self.wall_thickness))
         return (cap, *self.path.walls(width, self.wall_thickness))
+
+
+class MapSpec(Part):
+    """A place by its occupancy map: the YAML file of a map in map_server's form. Its occupied cells are walls.
+
+    Attributes:
+        file: Path of the YAML file; in a task file relative to that file.
+    """
+
+    file: str = Field(exclude=True)
+    _map: OccupancyMap = PrivateAttr()
+
+    @field_validator("file")
+    @classmethod
+    def _beside_the_task(cls, value: str, info: ValidationInfo) -> str:
+        folder = (info.context or {}).get("folder")
+        return value if folder is None else str(folder / Path(value).expanduser())
+
+    @model_validator(mode="after")
+    def _readable(self) -> MapSpec:
+        try:
+            self._map = OccupancyMap.load(self.file)
+        except MapError as error:
+            raise ValueError(str(error)) from None
+        return self
+
+    @property
+    def map(self) -> OccupancyMap:
+        """The map."""
+        return self._map
+
+    @computed_field
+    def content(self) -> str:
+        """SHA-256 (hex) of the map's cells and place, wherever its file lies."""
+        place = repr((self.map.cells.shape, self.map.resolution, self.map.origin))
+        return sha256(self.map.cells.tobytes() + place.encode()).hexdigest()
+
+    @property
+    def bounds(self) -> tuple[Interval, Interval]:
+        """Least and largest x and y of the map [m]."""
+        rows, columns = self.map.cells.shape
+        corners = self.map.cell_to_world((-0.5, -0.5, rows - 0.5, rows - 0.5), (-0.5, columns - 0.5) * 2)
+        (left, bottom), (right, top) = corners.min(axis=0).tolist(), corners.max(axis=0).tolist()
+        return Interval(left, right), Interval(bottom, top)
+
+    @cached_property
+    def walls(self) -> tuple[Box, ...]:
+        """Boxes that cover the occupied cells."""
+        return self.map.boxes()
 
 
 class BoxSpec(Part):

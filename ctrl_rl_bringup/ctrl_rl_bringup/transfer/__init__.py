@@ -1,0 +1,1 @@
+"""Shipped policies in both physics engines, as they were learnt and with what may differ on a robot."""

@@ -1,0 +1,23 @@
+"""Streams of random numbers, one for each robot and purpose, so that none depends on how often another is used."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+import numpy as np
+
+
+class Purpose(IntEnum):
+    """Use of a stream."""
+
+    START = 0
+    WIDTH = 1
+    SCAN = 2
+    ODOMETRY = 3
+    LOCALISATION = 4
+    CONDITIONS = 5
+
+
+def stream(seed: int, purpose: Purpose, robot: int = 0) -> np.random.Generator:
+    """Return the stream of an episode's seed."""
+    return np.random.default_rng((seed, robot, purpose))
