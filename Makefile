@@ -5,7 +5,7 @@ SHELL := /bin/bash
 RUN := set -eo pipefail; source scripts/workspace.bash;
 LINKED := ctrl_rl_core ctrl_rl_bags sim_bridge ctrl_rl_training ttr_reward_node oc_baseline_node koopman_lqr_controller option_coordinator ctrl_rl_navigation ctrl_rl_bringup
 
-.PHONY: help setup build demo demo-options trials train ttr oc options koopman test test-all tests lint bench attack behaviour docs picture results lock clean
+.PHONY: help setup build demo demo-car demo-quadrotor demo-options trials train ttr oc options koopman test test-all tests lint bench attack behaviour docs picture results lock clean
 
 help: ## say what there is
 	@grep -E '^[a-z-]+:.*##' Makefile | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 18
@@ -18,6 +18,12 @@ build: setup ## build the workspace with colcon
 
 demo: build ## drive the corridor, record it, report (ARGS="--seed 3 --speed 2")
 	@$(RUN) ros2 run ctrl_rl_bringup demo $(ARGS)
+
+demo-car: build ## drive a car by the policies learnt with the time to reach and with V_oc (ARGS="--seed 3")
+	@$(RUN) for task in car_ttr car_navigation; do ros2 run ctrl_rl_bringup demo --task $$task $(ARGS); done
+
+demo-quadrotor: build ## fly a planar quadrotor by the policies learnt with the time to reach and with V_oc
+	@$(RUN) for task in quad_ttr quad_navigation; do ros2 run ctrl_rl_bringup demo --task $$task $(ARGS); done
 
 demo-options: build ## let three TurtleBots carry parcels under the coordinator, record it, draw who did what when
 	@$(RUN) ros2 run ctrl_rl_bringup options_demo $(ARGS)

@@ -15,6 +15,7 @@ POLICY = Path(__file__).parents[1] / "config" / "security.policy.xml"
 RAW = "cmd_vel:=cmd_vel_raw"
 NODES = (
     ("koopman_lqr_controller", "controller", "koopman_lqr_controller", (RAW,), ()),
+    ("ctrl_rl_core", "policy", "policy", (RAW,), ("policy:=curved_corridor",)),
     ("ctrl_rl_core", "watchdog", "watchdog", (), ()),
     ("ctrl_rl_bags", "recorder", "recorder", (), ("output:={folder}/bag",)),
     ("oc_baseline_node", "baseline", "oc_baseline_node", (), ("grid:=curved_corridor",)),

@@ -50,7 +50,7 @@ def _export(options: ExportOptions) -> int:
     success = (manifest.get("metrics") or {}).get("success")
     told = "" if success is None else f", success {success:.0%} in its environment"
     print(f"policy     {options.output}: {task.name}{told}")
-    print(f"fly or drive by it: ros2 run ctrl_rl_core policy --ros-args -p policy:={options.output}")
+    print(f"try it     ros2 run ctrl_rl_core policy --ros-args -p policy:={options.output}")
     return 0
 
 

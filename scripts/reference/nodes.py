@@ -52,6 +52,7 @@ _RUNNING = (
     RunningNode("sim_bridge", "bridge", ("task:=curved_corridor",)),
     RunningNode("koopman_lqr_controller", "controller"),
     RunningNode("koopman_lqr_controller", "scripted_driver"),
+    RunningNode("ctrl_rl_core", "policy", ("policy:=curved_corridor",)),
     RunningNode("ctrl_rl_core", "watchdog"),
     RunningNode("ttr_reward_node", "reward", ("grid:={grid}",)),
     RunningNode("oc_baseline_node", "baseline", ("grid:=curved_corridor",)),

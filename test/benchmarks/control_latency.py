@@ -11,6 +11,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import rclpy
@@ -68,24 +69,40 @@ class Prober:
 
 def rows() -> list[Row]:
     """Return medians and 99th percentiles, with the ratio to the echo's."""
+    return compare("control", "koopman_lqr_controller", "controller")[0]
+
+
+def compare(
+    name: str, package: str, node_name: str, parameters: tuple[str, ...] = (), scans: int = SCANS
+) -> tuple[list[Row], float]:
+    """Return the rows of a node's latency, and the ratio of its median to the echo's.
+
+    Args:
+        name: Name of the rows.
+        package: Package of the node.
+        node_name: Executable of the node.
+        parameters: Parameters as on the command line.
+        scans: Number of scans that each answers.
+    """
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    controller = executable("koopman_lqr_controller", "controller")
+    given = [word for parameter in parameters for word in ("-p", parameter)]
     processes = [
-        subprocess.Popen([sys.executable, __file__, "echo"]),
+        subprocess.Popen([sys.executable, str(Path(__file__)), "echo"]),
         subprocess.Popen(
-            [controller, "--ros-args", "-r", "__ns:=/controlled", "--log-level", "error"], stdout=subprocess.DEVNULL
+            [executable(package, node_name), "--ros-args", "-r", "__ns:=/controlled", "--log-level", "error", *given],
+            stdout=subprocess.DEVNULL,
         ),
     ]
     rclpy.init()
     node = Node("prober")
     try:
-        probers = {name: Prober(node, name) for name in ("echo", "controlled")}
-        times: dict[str, list[float]] = {name: [] for name in probers}
-        for _ in range(SCANS):
-            for name, prober in probers.items():
+        probers = {each: Prober(node, each) for each in ("echo", "controlled")}
+        times: dict[str, list[float]] = {each: [] for each in probers}
+        for _ in range(scans):
+            for each, prober in probers.items():
                 answer = prober.ask()
                 if answer is not None:
-                    times[name].append(1e3 * answer)
+                    times[each].append(1e3 * answer)
                 time.sleep(PAUSE_S)
     finally:
         node.destroy_node()
@@ -94,13 +111,13 @@ def rows() -> list[Row]:
             process.send_signal(signal.SIGINT)
             process.wait(5.0)
     out: list[Row] = []
-    mine, floor = (float(np.percentile(times[name], 99)) for name in ("controlled", "echo"))
-    out.append(row("control latency, added to p99", mine - floor, "ms", f"bare rclpy echo, {floor:.3f} ms", None))
+    mine, floor = (float(np.percentile(times[each], 99)) for each in ("controlled", "echo"))
+    out.append(row(f"{name} latency, added to p99", mine - floor, "ms", f"bare rclpy echo, {floor:.3f} ms", None))
     for label, percentile in (("median", 50), ("p99", 99)):
-        mine, floor = (float(np.percentile(times[name], percentile)) for name in ("controlled", "echo"))
+        mine, floor = (float(np.percentile(times[each], percentile)) for each in ("controlled", "echo"))
         against = f"bare rclpy echo of the same scan, {floor:.3f} ms"
-        out.append(row(f"control latency, {label}", mine, "ms", against, mine / floor))
-    return out
+        out.append(row(f"{name} latency, {label}", mine, "ms", against, mine / floor))
+    return out, float(np.median(times["controlled"]) / np.median(times["echo"]))
 
 
 if __name__ == "__main__":

@@ -18,6 +18,7 @@ from ctrl_rl_core import (
     CtrlRlError,
     Result,
     atomic_write,
+    load_navigation_task,
     parse_options,
     read_benchmarks,
     read_results,
@@ -93,12 +94,13 @@ class _RunOptions:
     ready_limit: float = DriveConfig.ready_limit
     """Longest time until all nodes must be ready [s]; a busy machine may take minutes."""
 
-    def config(self, name: str, seed: int, policy: str = DEFAULT_POLICY) -> DriveConfig:
+    def config(self, name: str, seed: int, policy: str = "") -> DriveConfig:
         """Return the configuration of a run whose default folder has this name."""
+        task = load_navigation_task(self.task)
         return DriveConfig(
             folder=run_folder(self.output, name),
             task=self.task,
-            policy=policy,
+            policy=policy or (DEFAULT_POLICY if task.corridor else task.name),
             seed=seed,
             speed=self.speed,
             width=self.width,
@@ -117,10 +119,10 @@ class _RunOptions:
 
 @dataclass(frozen=True)
 class DemoOptions(_RunOptions):
-    """Drive a TurtleBot3 through the corridor in the simulator, record it and report."""
+    """Drive, or fly, a robot through a task in the simulator, record it and report."""
 
-    policy: str = DEFAULT_POLICY
-    """Policy name or file."""
+    policy: str = ""
+    """Policy name or file; the one that has learnt the task unless given."""
 
     seed: int = 0
     """Seed of start pose and noise."""
@@ -133,8 +135,8 @@ class TrialsOptions(_RunOptions):
     speed: float = 6.0
     """Simulation time per wall time."""
 
-    policy: str = DEFAULT_POLICY
-    """Policy name or file."""
+    policy: str = ""
+    """Policy name or file; the one that has learnt the task unless given."""
 
     seeds: _Drives = 20  # type: ignore[valid-type]
     """Number of drives, with seeds from 0."""
@@ -257,7 +259,7 @@ def _trials(options: TrialsOptions) -> int:
     reached = [float(episode.outcome == TaskOutcome.GOAL) for episode in episodes]
     times = [episode.elapsed for episode in episodes]
     clearances = [episode.smallest_clearance for episode in episodes]
-    method = ", ".join((f"policy {Path(options.policy).stem}", *_conditions(run)))
+    method = ", ".join((f"policy {Path(run.policy).stem}", *_conditions(run)))
     if options.results:
         rows = [
             Result(method, "goal reached", "1", reached),

@@ -8,6 +8,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from ctrl_rl_core.io.checked_tensors import kind_of
+
 from ctrl_rl_bringup.corridor.report import DriveReport, read_drive
 from ctrl_rl_bringup.runner.monitor import EpisodeProgress, Monitor
 from ctrl_rl_bringup.runner.prepare import new_run, value_files
@@ -17,15 +19,15 @@ from ctrl_rl_bringup.runner.stack import (
     DriveConfig,
     NodeSpec,
     controller,
+    policy_nodes,
     recorder,
     scripted_driver,
     simulator,
     value_nodes,
     watchdog,
 )
-from ctrl_rl_core import atomic_write, task_file
+from ctrl_rl_core import CtrlRlError, atomic_write, find_policy, load_navigation_task, load_policy, task_file
 from ctrl_rl_msgs.msg import TaskOutcome
-from koopman_lqr_controller import find_policy
 
 
 @dataclass(frozen=True)
@@ -39,9 +41,10 @@ class Artifacts:
 def drive(options: DriveConfig) -> DriveReport:
     """Drive once under the controller, with its reward, record everything, and return what the bag says."""
     policy = find_policy(options.policy)
+    drivers = _drivers(options, policy)
     new_run(options)
     values = value_files(options)
-    nodes = [controller(options), watchdog(options.speed), *value_nodes(options, values)]
+    nodes = [*drivers, *value_nodes(options, values)]
     with _running(options, nodes, {"policy": policy, **values}) as monitor:
         monitor.run()
         monitor.follow("driving")
@@ -76,8 +79,9 @@ def follow_running(topics: Sequence[str], ready_limit: float) -> int:
 def drive_seeds(options: DriveConfig, seeds: Sequence[int]) -> list[EpisodeProgress]:
     """Drive under the controller once for each seed, in one recorded session, and return how each drive ended."""
     policy = find_policy(options.policy)
+    drivers = _drivers(options, policy)
     new_run(options)
-    with _running(options, [controller(options), watchdog(options.speed)], {"policy": policy}) as monitor:
+    with _running(options, drivers, {"policy": policy}) as monitor:
         return _episodes(monitor, seeds, "seed")
 
 
@@ -86,6 +90,21 @@ def record_scripted(options: DriveConfig, seeds: Sequence[int]) -> list[EpisodeP
     new_run(options)
     with _running(options, [scripted_driver(options.seed), watchdog(options.speed)], {}) as monitor:
         return _episodes(monitor, seeds, "drive")
+
+
+def _drivers(options: DriveConfig, policy: Path) -> list[NodeSpec]:
+    """Return the nodes that drive by a policy: the controller by a Koopman policy, the policy node by any other.
+
+    Raises:
+        CtrlRlError: The policy is not for the robot of the task.
+    """
+    robot = load_policy(policy).robot
+    task = load_navigation_task(options.task)
+    if (robot == "planar_quadrotor") != (task.plane == "xz"):
+        raise CtrlRlError(f"{policy.name} is for a {robot}, the robot of task '{task.name}' is a {task.robot.body}")
+    if policy.suffix == ".safetensors" and "policy" in kind_of(policy):
+        return [controller(options), watchdog(options.speed)]
+    return policy_nodes(options, task)
 
 
 def _episodes(monitor: Monitor, seeds: Sequence[int], title: str) -> list[EpisodeProgress]:

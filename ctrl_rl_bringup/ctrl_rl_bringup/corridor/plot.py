@@ -13,6 +13,9 @@ from ctrl_rl_bringup.corridor.report import DriveReport
 from ctrl_rl_bringup.runner.monitor import OUTCOMES
 from ctrl_rl_core import NavigationTask, draw_world, load_navigation_task, save_figure
 
+_COMMANDS = {"xy": ("speed\n[m/s]", "turn rate\n[rad/s]"), "xz": ("$T_1$\n[N]", "$T_2$\n[N]")}
+"""Labels of the two commands by the plane of the task."""
+
 
 def draw_drive(drive: DriveReport, path: Path) -> None:
     """Write the picture as a PNG; the file is there whole or not at all."""
@@ -28,7 +31,7 @@ def draw_drive(drive: DriveReport, path: Path) -> None:
         layout="constrained",
     )
     _draw_map(axes["map"], task, drive)
-    _draw_over_time(axes, drive)
+    _draw_over_time(axes, drive, _COMMANDS[task.plane])
     for row in rows:
         axes[row].grid(alpha=0.3)
         axes[row].set_xlim(0.0, max(drive.duration, 1e-3))
@@ -48,7 +51,7 @@ def _draw_map(axes: Axes, task: NavigationTask, drive: DriveReport) -> None:
         plt.colorbar(line, ax=axes, location="bottom", shrink=0.6, label="clearance [m]")
         axes.plot(*points[0], "o", color="black", label="start")
         _mark_times(axes, drive)
-    axes.set(xlabel="x [m]", ylabel="y [m]")
+    axes.set(xlabel="x [m]", ylabel=f"{task.plane[1]} [m]")
     axes.autoscale_view()
     axes.legend(loc="best", frameon=False)
 
@@ -61,14 +64,14 @@ def _mark_times(axes: Axes, drive: DriveReport, step: float = 5.0) -> None:
         axes.annotate(f"{time:g} s", (x, y), (4, 4), textcoords="offset points", fontsize=7)
 
 
-def _draw_over_time(axes: dict[str, Axes], drive: DriveReport) -> None:
+def _draw_over_time(axes: dict[str, Axes], drive: DriveReport, commands: tuple[str, str]) -> None:
     axes["clearance"].plot(*drive.clearance.T, color="tab:blue")
     axes["clearance"].axhline(0.0, color="tab:red", linewidth=1)
     axes["clearance"].set_ylabel("clearance\n[m]")
     axes["speed"].step(drive.commands[:, 0], drive.commands[:, 1], where="post", color="tab:green")
-    axes["speed"].set_ylabel("speed\n[m/s]")
+    axes["speed"].set_ylabel(commands[0])
     axes["turn"].step(drive.commands[:, 0], drive.commands[:, 2], where="post", color="tab:orange")
-    axes["turn"].set_ylabel("turn rate\n[rad/s]")
+    axes["turn"].set_ylabel(commands[1])
     if "reach" in axes:
         axes["reach"].set_ylabel("time to\nreach [s]")
         best = drive.time_to_reach

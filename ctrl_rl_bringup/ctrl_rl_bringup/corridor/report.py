@@ -38,10 +38,10 @@ class DriveReport:
         duration: Time until the outcome [s].
         collisions: Number of episodes that ended in a collision.
         smallest_clearance: Smallest distance from the body to the nearest wall or obstacle [m].
-        truth: True time, x, y in the frame map (n, 3) [s, m, m].
-        odometry: Time, x, y by the robot's wheels, in its own frame odom (n, 3) [s, m, m].
+        truth: True time, x, y (of a quadrotor x, z) in the frame map (n, 3) [s, m, m].
+        odometry: The same by the robot's odometry, in its own frame odom (n, 3) [s, m, m].
         clearance: Time and clearance (n, 2) [s, m].
-        commands: Time, speed, turn rate (n, 3) [s, m/s, rad/s].
+        commands: Time, speed, turn rate (n, 3) [s, m/s, rad/s]; of a quadrotor time, T_1, T_2 [s, N, N].
         rewards: Time, reward, time to reach (n, 3) [s, 1, s]; no rows if none was recorded.
         oc_values: Time, optimal control value (n, 2) [s, 1]; no rows if none was recorded.
         latencies: Time from the publication of a scan to that of the command that answers it [s].
@@ -155,8 +155,10 @@ def read_drive(bag: Path) -> DriveReport:
     """
     stamps: dict[str, list[float]] = defaultdict(list)
     rows: dict[str, list[tuple[float, ...]]] = defaultdict(list)
-    topics = ("/scan", "/odom", "/ground_truth", "/cmd_vel", "/episode", "/reward", "/oc_value")
     info = bag_info(bag)
+    flies = any(topic.endswith("/rotor_thrusts") for topic in info.topics)
+    commands = "/rotor_thrusts" if flies else "/cmd_vel"
+    topics = ("/scan", "/odom", "/ground_truth", commands, "/episode", "/reward", "/oc_value")
     spaces = [topic.removesuffix("/episode") for topic in info.topics if topic.endswith("/episode")]
     space = min(spaces, default="")
     recorded = [space + topic for topic in topics if space + topic in info.topics]
@@ -165,7 +167,7 @@ def read_drive(bag: Path) -> DriveReport:
     for message in read_messages(bag, recorded):
         topic = message.topic.removeprefix(space)
         stamps[topic].append(_stamp(message.data))
-        rows[topic].append(_row(topic, message.data))
+        rows[topic].append(_row(topic, message.data, flies))
     if not rows["/episode"]:
         raise BagError(f"{bag}: no message on {space}/episode: the drive never began")
     begin = stamps["/episode"][0] - rows["/episode"][0][1]
@@ -189,10 +191,10 @@ def read_drive(bag: Path) -> DriveReport:
         truth=track("/ground_truth"),
         odometry=track("/odom"),
         clearance=np.column_stack((episode[:, 1], episode[:, 4])),
-        commands=track("/cmd_vel"),
+        commands=track(commands),
         rewards=track("/reward"),
         oc_values=track("/oc_value"),
-        latencies=answer_latencies(sent.get(f"{space}/scan", ()), sent.get(f"{space}/cmd_vel", ())),
+        latencies=answer_latencies(sent.get(f"{space}/scan", ()), sent.get(space + commands, ())),
         messages=info.message_count,
         lost=lost_messages(sent),
         predictions=latent.steps - (begin, 0.0, 0.0) if latent else np.empty((0, 3)),
@@ -206,7 +208,7 @@ def _stamp(message: Any) -> float:
     return float("nan") if header is None else seconds(header.stamp)
 
 
-def _row(topic: str, message: Any) -> tuple[float, ...]:
+def _row(topic: str, message: Any, flies: bool) -> tuple[float, ...]:
     if topic == "/episode":
         return (
             message.episode,
@@ -216,7 +218,10 @@ def _row(topic: str, message: Any) -> tuple[float, ...]:
             message.clearance,
         )
     if topic in ("/odom", "/ground_truth"):
-        return message.pose.pose.position.x, message.pose.pose.position.y
+        position = message.pose.pose.position
+        return position.x, position.z if flies else position.y
+    if topic == "/rotor_thrusts":
+        return message.t1, message.t2
     if topic == "/cmd_vel":
         twist = getattr(message, "twist", message)
         return twist.linear.x, twist.angular.z

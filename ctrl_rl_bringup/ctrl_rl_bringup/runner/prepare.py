@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ctrl_rl_bringup.runner.stack import DriveConfig
-from ctrl_rl_core import CtrlRlError, load_navigation_task
+from ctrl_rl_core import CtrlRlError, NavigationTask, ValueGrid, load_navigation_task
+
+if TYPE_CHECKING:
+    from ttr_reward_node import DecomposedValue
 
 
 def new_run(options: DriveConfig) -> None:
@@ -31,7 +35,6 @@ def value_files(options: DriveConfig) -> dict[str, Path]:
     package.
     """
     from oc_baseline_node.values.value_file import find_value, shipped_values  # Numba takes long to load
-    from ttr_reward_node.solvers.solver import solve_task
 
     task, out = load_navigation_task(options.task), {}
     if not task.grid:
@@ -41,13 +44,21 @@ def value_files(options: DriveConfig) -> dict[str, Path]:
     else:
         _say("solving the time to reach ...")
         out["time_to_reach"] = options.folder / "time_to_reach.safetensors"
-        grid = solve_task(task, width=options.width or None, inflation=task.robot.radius)
-        grid.save(out["time_to_reach"])
+        _time_to_reach(task, options.width or None).save(out["time_to_reach"])
     if task.name in shipped_values():
         out["oc_value"] = find_value(task.name)
     else:
         _say(f"no optimal control value: there is none of task '{task.name}'; make one with 'oc data' and 'oc fit'")
     return out
+
+
+def _time_to_reach(task: NavigationTask, width: float | None) -> ValueGrid | DecomposedValue:
+    """Return the time to reach; that of a quadrotor, whose whole grid fits into no memory, in two parts."""
+    from ttr_reward_node import find_decomposition, solve_decomposed, solve_task  # Numba takes long to load
+
+    if task.plane == "xy":
+        return solve_task(task, width=width, inflation=task.robot.radius)
+    return solve_decomposed(task, find_decomposition(task.system.build(), "4d+4d"))
 
 
 def _say(text: str) -> None:

@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from ctrl_rl_core import NavigationTask, load_navigation_task
 from koopman_lqr_controller import DEFAULT_POLICY
 
 RAW = "cmd_vel_raw"
 """Topic of the driver's commands, which the watchdog passes on to the robot as cmd_vel."""
+THRUSTS = "rotor_thrusts"
+"""Topic of a quadrotor's commands."""
+_ODOMETRY, _MOST_ODOMETRY = 30.0, 240.0
+"""Default and largest rate of the bridge's odometry [Hz]."""
+_UNGUARDED = {"robot_radius": 0.0, "min_echo_share": 0.0, "largest_gap": 6.3, "frozen_scans": 0}
 _WATCHDOG_S = 2.0
 """A busy machine may stall for a second, in which a simulated robot does not move either."""
 
@@ -76,8 +83,13 @@ class DriveConfig:
 
 
 def simulator(options: DriveConfig) -> NodeSpec:
-    """Return the bridge; it starts paused, so that nothing happens before everyone listens."""
+    """Return the bridge; it starts paused, so that nothing happens before everyone listens.
+
+    Odometry comes with each scan of the task's lidar, at least so often as by the bridge's own default.
+    """
+    scans = load_navigation_task(options.task).lidar.rate
     parameters = {
+        "odom_rate": min(scans * math.ceil(_ODOMETRY / scans), _MOST_ODOMETRY),
         "task": options.task,
         "seed": options.seed,
         "speed_factor": float(options.speed),
@@ -103,10 +115,24 @@ def controller(options: DriveConfig) -> NodeSpec:
     return NodeSpec("koopman_lqr_controller", "controller", parameters, (RAW,), remappings={"cmd_vel": RAW})
 
 
-def watchdog(speed: float, namespace: str = "") -> NodeSpec:
+def policy_nodes(options: DriveConfig, task: NavigationTask) -> list[NodeSpec]:
+    """Return the node that drives or flies by any policy, and the watchdog of a robot on wheels.
+
+    Policies of tasks in an arena have learnt to keep clear of obstacles themselves. The stop in front of obstacles is
+    off: their speeds are too high and their beams too few for it.
+    """
+    parameters: dict[str, Any] = {"use_sim_time": True, "policy": options.policy, **_UNGUARDED}
+    if task.plane == "xz":
+        return [NodeSpec("ctrl_rl_core", "policy", parameters, (THRUSTS,))]
+    driver = NodeSpec("ctrl_rl_core", "policy", parameters, (RAW,), remappings={"cmd_vel": RAW})
+    speed, turn = (max(abs(each.low), abs(each.high)) for each in task.robot.commands.values())
+    return [driver, watchdog(options.speed, largest_speed=speed, largest_turn_rate=turn)]
+
+
+def watchdog(speed: float, namespace: str = "", **limits: float) -> NodeSpec:
     """Return the watchdog between a driver and its robot; in slow simulations it waits longer for a command."""
     timeout = _WATCHDOG_S / min(1.0, speed) if speed > 0.0 else _WATCHDOG_S
-    parameters = {"use_sim_time": True, "timeout": min(timeout, 60.0)}
+    parameters = {"use_sim_time": True, "timeout": min(timeout, 60.0), **limits}
     return NodeSpec("ctrl_rl_core", "watchdog", parameters, namespace=namespace)
 
 

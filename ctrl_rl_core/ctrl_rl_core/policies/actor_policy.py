@@ -28,7 +28,7 @@ def load_actor_policy(path: Path) -> NetworkPolicy:
     def network(observation: NDArray[np.float32]) -> NDArray[np.float32]:
         return actor.scaled_action((observation - actor.middle) / actor.unit)
 
-    told = [str(actor.manifest[key]) for key in ("task", "algorithm", "reward") if key in actor.manifest]
+    told = [str(actor.manifest[key]) for key in ("task", "algorithm", "reward", "method") if key in actor.manifest]
     return NetworkPolicy(manifest, network, ", ".join(told) or "an actor")
 
 

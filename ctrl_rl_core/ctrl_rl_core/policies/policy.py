@@ -10,6 +10,7 @@ Its name is the header key of the safetensors files, or the ending of files that
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
@@ -119,7 +120,11 @@ def find_policy(name_or_path: str) -> Path:
 
 def shipped_policies() -> dict[str, Path]:
     """Return the policies that come with the installed packages, by name."""
-    return {name: file for entry in _entries().values() for name, file in sorted(_kind(entry).shipped().items())}
+    shipped: dict[str, Path] = {}
+    for entry in _entries().values():
+        with suppress(PolicyError):  # a broken package is no reason not to drive by another one's policy
+            shipped |= sorted(_kind(entry).shipped().items())
+    return shipped
 
 
 def load_policy(path: Path) -> Policy:
