@@ -34,7 +34,13 @@ def executables() -> Iterator[Executable]:
         if not file.exists():
             continue
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.Constant) and isinstance(node.value, str) and " = " in node.value:
-                name, _, place = node.value.partition(" = ")
-                module, _, function = place.partition(":")
-                yield Executable(package, name, module, function)
+            if isinstance(node, ast.Dict):
+                for key, scripts in zip(node.keys, node.values, strict=True):
+                    if isinstance(key, ast.Constant) and key.value == "console_scripts":
+                        yield from (_executable(package, line) for line in ast.literal_eval(scripts))
+
+
+def _executable(package: str, line: str) -> Executable:
+    name, _, place = line.partition(" = ")
+    module, _, function = place.partition(":")
+    return Executable(package, name, module, function)
