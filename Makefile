@@ -5,7 +5,7 @@ SHELL := /bin/bash
 RUN := set -eo pipefail; source scripts/workspace.bash;
 LINKED := ctrl_rl_core ctrl_rl_bags sim_bridge ctrl_rl_training ttr_reward_node oc_baseline_node koopman_lqr_controller option_coordinator ctrl_rl_navigation ctrl_rl_bringup
 
-.PHONY: help setup build demo demo-car demo-quadrotor demo-options trials train ttr oc options koopman test test-all tests lint bench attack behaviour docs picture results lock clean
+.PHONY: help setup build demo demo-car demo-quadrotor demo-options trials train ttr oc options koopman test test-all tests lint bench attack behaviour navigator docs picture results lock clean
 
 help: ## say what there is
 	@grep -E '^[a-z-]+:.*##' Makefile | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 18
@@ -101,6 +101,10 @@ attack: build ## fuzz readers and messages, break processes (ARGS="--seconds 60 
 
 behaviour: build ## digests of what short seeded runs leave, to show that nothing changed (ARGS="--output FILE --against FILE")
 	@$(RUN) python test/behaviour $(ARGS)
+
+navigator: build ## drive to 100 random goals on each of the suite's maps (OFFICE=FILE.yaml: on a real one too)
+	@$(RUN) ros2 run ctrl_rl_navigation trials --maps $${OFFICE:+office=$$OFFICE} maze warehouse corridor \
+	--results docs/results/navigator.json $(ARGS)
 
 docs: build ## the documentation site, into site/; broken links are errors
 	@scripts/docs

@@ -23,6 +23,10 @@ setup(
     extras_require={"test": ["pytest"]},
     zip_safe=False,
     entry_points={
-        "console_scripts": [],
+        "console_scripts": [
+            "navigator = ctrl_rl_navigation.nodes.navigator_node:main",
+            "map_server = ctrl_rl_navigation.nodes.map_node:main",
+            "trials = ctrl_rl_navigation.trials:trials",
+        ],
     },
 )

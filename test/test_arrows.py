@@ -43,6 +43,7 @@ RUN_TIME_MODULES = (
     "ctrl_rl_core.ros.value_server",
     "ctrl_rl_core.driving.watchdog_node",
     "ctrl_rl_core.policies.actor",
+    "ctrl_rl_navigation.nodes.navigator_node",
     "oc_baseline_node.node",
     "koopman_lqr_controller.nodes.controller_node",
     "koopman_lqr_controller.nodes.scripted_driver_node",

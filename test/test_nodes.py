@@ -28,6 +28,8 @@ NODES = {
     "reward": ("ttr_reward_node", ("grid:={grid}",)),
     "coordinator": ("option_coordinator", ("team:=delivery_team",)),
     "navigation_agent": ("option_coordinator", ("robot:=robot_1",)),
+    "navigator": ("ctrl_rl_navigation", ("map:=maze",)),
+    "map_server": ("ctrl_rl_navigation", ("map:=maze",)),
 }
 FULL_NAMES = {
     "bridge": "/sim_bridge",
@@ -46,6 +48,8 @@ BAD = {
     "reward": ("grid:={folder}/none.safetensors", "none.safetensors: there is no such file"),
     "coordinator": ("team:=nobody", "no team 'nobody'"),
     "navigation_agent": ("robot:=nobody", "team 'delivery_team' has robot_1"),
+    "navigator": ("map:={folder}/none.yaml", "none.yaml: there is no such file"),
+    "map_server": ("map:=nowhere", "no map 'nowhere': there are corridor, maze, warehouse"),
 }
 
 

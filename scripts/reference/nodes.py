@@ -58,6 +58,8 @@ _RUNNING = (
     RunningNode("oc_baseline_node", "baseline", ("grid:=curved_corridor",)),
     RunningNode("option_coordinator", "coordinator", ("team:=delivery_team", "policy:=delivery_team")),
     RunningNode("option_coordinator", "navigation_agent", ("team:=delivery_team", "robot:=robot_1")),
+    RunningNode("ctrl_rl_navigation", "map_server", ("map:=maze",)),
+    RunningNode("ctrl_rl_navigation", "navigator"),
 )
 
 

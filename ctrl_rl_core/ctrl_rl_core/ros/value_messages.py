@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict
+from typing import Protocol
 
 import numpy as np
 from builtin_interfaces.msg import Time
 from nav_msgs.msg import OccupancyGrid
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from std_msgs.msg import Header
 
 from ctrl_rl_core.ros.node import float32_array
@@ -69,7 +70,7 @@ def slice_message(function: ValueFunction, at: Mapping[str, float], stamp: Time,
     return out
 
 
-def as_percent(values: NDArray[np.float64]) -> NDArray[np.int8]:
+def as_percent(values: NDArray[np.floating]) -> NDArray[np.int8]:
     """Return values (...) scaled to 0 .. 100 over the finite ones; -1 for the others."""
     finite = np.isfinite(values)
     out = np.full(values.shape, _UNKNOWN, dtype=np.int8)
@@ -79,7 +80,16 @@ def as_percent(values: NDArray[np.float64]) -> NDArray[np.int8]:
     return out
 
 
-def answer(function: ValueFunction, request: QueryValues.Request, response: QueryValues.Response) -> None:
+class _Answers(Protocol):
+    """The part of a value function that answers queries."""
+
+    @property
+    def state_names(self) -> tuple[str, ...]: ...
+
+    def value_and_gradient(self, states: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]: ...
+
+
+def answer(function: _Answers, request: QueryValues.Request, response: QueryValues.Response) -> None:
     """Fill the answer to a query; the additional memory does not grow with its size."""
     n = len(function.state_names)
     states = np.asarray(request.states, dtype=float)

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from ctrl_rl_core.driving.scan import ScanError, view_scan
 from numpy.typing import NDArray
-from pydantic import PrivateAttr
 
-from ctrl_rl_core import Box, DriveSafety, NavigationTask, ObstacleStop, OccupancyMap, ScanGeometry, ScanHealth, World
-from ctrl_rl_navigation.driving.navigator import Decision, Goal, Navigator, NavigatorOptions, NavigatorState
+from ctrl_rl_core import DriveSafety, NavigationTask, ObstacleStop, OccupancyMap, ScanGeometry, ScanHealth
+from ctrl_rl_navigation.driving.decision import Decision, Goal, NavigatorOptions, NavigatorState
+from ctrl_rl_navigation.driving.navigator import Navigator
+from ctrl_rl_navigation.errors import NavigationError
 from ctrl_rl_navigation.robot import DriveLimits
 from sim_bridge import SimulatedWorld, SimulationOptions
 
@@ -21,48 +23,47 @@ LIDAR_X = -0.032
 """Position of the burger's lidar ahead of its middle [m]."""
 _ENDED = (NavigatorState.REACHED, NavigatorState.UNREACHABLE)
 _FAR = 1e4
+_BOX = ("centre", "size")
+TASK_NAME = "drive_on_a_map"
+"""Name of the task, and of its file."""
 
 
-class MapTask(NavigationTask):
-    """A burger among the occupied cells of a map; it starts at a given pose and ends nowhere."""
+def task_content(map_: OccupancyMap, pose: Array) -> dict[str, Any]:
+    """Return the content of a task file: a burger that starts at a pose (3,) of a map, among its occupied cells.
 
-    _boxes: tuple[Box, ...] = PrivateAttr(default=())
-
-    def build_world(self, width: float | None = None) -> World:  # noqa: ARG002
-        """Return the map's boxes as obstacles."""
-        return World(walls=(), obstacles=self._boxes, path=None, width=None)
-
-
-def make_task(map_: OccupancyMap, pose: Array) -> MapTask:
-    """Return the task of a robot that starts at a pose (3,) [m, m, rad] of a map."""
+    Raises:
+        NavigationError: The map's origin is turned, which boxes of a task are not.
+    """
     x, y, theta = map(float, pose)
-    task = MapTask.model_validate(
-        {
-            "name": "map",
-            "kind": "navigation",
-            "about": "A TurtleBot3 burger drives on a map.",
-            "source": "a map",
-            "system": {"model": "dubins_car", "controls": {"v": "0.22 m/s", "omega": "-2.84 .. 2.84 rad/s"}},
-            "robot": {
-                "body": "turtlebot3_burger",
-                "commands": {"v": "-0.22 .. 0.22 m/s", "omega": "-2.84 .. 2.84 rad/s"},
-            },
-            "arena": {"x": f"-{_FAR} .. {_FAR} m", "y": f"-{_FAR} .. {_FAR} m", "wall_thickness": "0.1 m"},
-            "start": {"x": f"{x} m", "y": f"{y} m", "theta": f"{theta} rad"},
-            "goal": {"disc": {"centre": f"({_FAR}, {_FAR}) m", "radius": "0.1 m"}},
-            "episode": {"steps": 10_000_000, "time_step": "0.1 s"},
-            "rewards": {"goal": 0, "collision": 0},
-            "lidar": {
-                "beams": 360,
-                "field": "0.0 .. 360.0 deg",
-                "range": "0.12 .. 3.5 m",
-                "rate": "5.0 Hz",
-                "noise": "0.01 m",
-            },
-        }
-    )
-    task._boxes = map_.boxes()
-    return task
+    left, bottom, yaw = map_.origin
+    if yaw != 0.0:
+        raise NavigationError("the map's origin is turned: the simulator has walls along x and y alone")
+    right, top = left + map_.size[0], bottom + map_.size[1]
+    turns = "-2.84 .. 2.84 rad/s"
+    return {
+        "name": TASK_NAME,
+        "kind": "navigation",
+        "about": "A TurtleBot3 burger drives on a map.",
+        "source": "a map",
+        "system": {"model": "dubins_car", "controls": {"v": "0.22 m/s", "omega": turns}},
+        "robot": {"body": "turtlebot3_burger", "commands": {"v": "-0.22 .. 0.22 m/s", "omega": turns}},
+        "arena": {"x": f"{left} .. {right} m", "y": f"{bottom} .. {top} m", "wall_thickness": "0.1 m"},
+        "start": {"x": f"{x} m", "y": f"{y} m", "theta": f"{theta} rad"},
+        "goal": {"disc": {"centre": f"({_FAR}, {_FAR}) m", "radius": "0.1 m"}},
+        "obstacles": [
+            {"box": {name: f"({float(pair[0])}, {float(pair[1])}) m" for name, pair in zip(_BOX, sides, strict=True)}}
+            for sides in ((box.centre, box.size) for box in map_.boxes())
+        ],
+        "episode": {"steps": 10_000_000, "time_step": "0.1 s"},
+        "rewards": {"goal": 0, "collision": 0},
+        "lidar": {
+            "beams": 360,
+            "field": "0.0 .. 360.0 deg",
+            "range": "0.12 .. 3.5 m",
+            "rate": "5.0 Hz",
+            "noise": "0.01 m",
+        },
+    }
 
 
 @dataclass(frozen=True)
@@ -151,11 +152,19 @@ class DriveSimulation:
     """A robot with the navigator, the obstacle stop below it, and a localiser with errors."""
 
     def __init__(
-        self, map_: OccupancyMap, pose: Array, seed: int, errors: Errors, limits: DriveLimits | None = None
+        self,
+        map_: OccupancyMap,
+        pose: Array,
+        seed: int,
+        errors: Errors,
+        limits: DriveLimits | None = None,
+        engine: str = "pybullet",
     ) -> None:
         self.limits = limits or DriveLimits()
         self._options = NavigatorOptions(inline=True)
-        self.world = SimulatedWorld(make_task(map_, pose), seed, options=SimulationOptions(odom_drift=errors.drift))
+        chosen: dict[str, Any] = {} if engine == "pybullet" else {"engine": engine}
+        settings = SimulationOptions(odom_drift=errors.drift, **chosen)
+        self.world = SimulatedWorld(NavigationTask.model_validate(task_content(map_, pose)), seed, options=settings)
         self.navigator = Navigator(self.limits, self._options)
         self.navigator.set_map(map_)
         self.localiser = Localiser(self.world, errors, np.random.default_rng((seed, 7)))

@@ -110,18 +110,19 @@ def _cost(
     """Return the cost of a candidate [s]; inf where the robot could not stop in time."""
     v, omega = motion
     x = y = theta = 0.0
-    way = cost = 0.0
+    way = cost = committed = 0.0
     ends = rules.steps * rules.step
     for k in range(rules.steps):
         first = k * rules.step < candidate[2] - 1e-9
         v = _toward(v, candidate[0] if first else rules.speed, rules.acceleration * rules.step)
         omega = _toward(omega, candidate[1] if first else 0.0, rules.turn_acceleration * rules.step)
+        if k == 0:  # the robot decides anew after this step, and brakes from its speed at the latest
+            committed = v * rules.delay + 0.5 * v * v / rules.braking
         middle = theta + 0.5 * omega * rules.step
         next_x, next_y = x + v * rules.step * math.cos(middle), y + v * rules.step * math.sin(middle)
         gap, hit = _gap(points, now, next_x, next_y, rules.room)
         if hit:
-            stop = v * rules.delay + 0.5 * v * v / rules.braking
-            if way < stop and (v > 1e-3):
+            if way < committed:
                 return np.inf
             cost += ends - k * rules.step + _HIT_COST
             break

@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 
 FARTHEST = 2.0
 """Distance up to which echoes are kept [m]: farther ones are displaced by an error of the heading."""
-_ERROR, _HEADING_ERROR = 0.12, 0.06
+_ERROR, _HEADING_ERROR = 0.15, 0.08
 """Errors of a pose [m], [rad]: echoes that are nearer to a wall of the map may be that wall."""
 _BEHIND = 0.2
 """Distance by which an echo must lie behind a kept obstacle to take it away [m]."""

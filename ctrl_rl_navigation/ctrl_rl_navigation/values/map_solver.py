@@ -25,6 +25,8 @@ _BURIED = 0.1
 """Depth to which even places inside of an obstacle have one [m]."""
 _BAND_SPEED = 0.1
 """Share of the full speed there, so that each of them leads back into the open."""
+_EXACT = 3.0
+"""Width of the ring around the goal's disc whose times are set exactly [cells]."""
 _CHUNK = 20_000
 """Cells between two looks at whether the work is still wanted."""
 
@@ -63,6 +65,7 @@ class MapSolver:
         obstacles: Array | None = None,
         report: Report | None = None,
         wanted: Callable[[], bool] | None = None,
+        widest: float = 0.0,
     ) -> MapValue:
         """Return the time to reach a disc.
 
@@ -72,6 +75,7 @@ class MapSolver:
             obstacles: Places of obstacles that the map has not (n, 2) [m].
             report: Takes the share of the cells that is done, 0 to 1.
             wanted: Tells whether the value is still wanted.
+            widest: Radius of the disc that is taken where no place of the first one has room for the robot [m].
 
         Raises:
             NavigationError: The goal lies off the map, or no place of the disc has room for the robot.
@@ -81,12 +85,15 @@ class MapSolver:
         clearance = self.clearance if obstacles is None else self._with_obstacles(obstacles)
         open_ = clearance >= self.limits.room
         front = make_front(np.where(open_, self._slowness(clearance), 0.0))
-        seed(front, *self._seeds(front, goal, radius, clearance, open_))
+        places = self._around(goal, max(radius, widest), clearance, open_)
+        if not (places[2] <= radius).any():
+            radius = max(radius, widest)
+        seed(front, *self._seeds(front, places, radius))
         self._run(front, int(np.count_nonzero(open_)), report, wanted)
         # First what is free but tight, then what is solid: so no time passes through a wall from behind.
         slow = self.map.resolution / (_BAND_SPEED * self.limits.speed)
-        for places, depth in (((clearance > 0.0) & ~open_, _BAND), (clearance <= 0.0, _BURIED)):
-            widen(front, np.pad(np.where(places, slow, 0.0), BORDER).ravel())
+        for tight, depth in (((clearance > 0.0) & ~open_, _BAND), (clearance <= 0.0, _BURIED)):
+            widen(front, np.pad(np.where(tight, slow, 0.0), BORDER).ravel())
             while march(front, _CHUNK, math.ceil(depth / self.map.resolution)):
                 self._check(wanted)
         times = self._inside(front, open_.shape).astype(np.float32)
@@ -116,20 +123,19 @@ class MapSolver:
                 np.minimum(part, distance, out=part, casting="unsafe")
         return out
 
-    def _seeds(
-        self,
-        front: Front,
-        goal: tuple[float, float],
-        radius: float,
-        clearance: NDArray[np.float32],
-        open_: NDArray[np.bool_],
-    ) -> tuple[NDArray[np.int64], Array]:
-        """Return the cells in and close around the disc, and their exact times [s]."""
+    def _around(
+        self, goal: tuple[float, float], radius: float, clearance: NDArray[np.float32], open_: NDArray[np.bool_]
+    ) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
+        """Return rows, columns and distances [m] of the cells around a goal with room for the robot, in its sight.
+
+        Raises:
+            NavigationError: The goal lies off the map, or no such cell lies within the radius.
+        """
         row, column = self.map.to_grid(goal)
         height, width = open_.shape
         if not (-0.5 <= row < height - 0.5 and -0.5 <= column < width - 0.5):
             raise NavigationError(f"the goal ({goal[0]:.2f}, {goal[1]:.2f}) lies off the map")
-        reach = math.ceil(radius / self.map.resolution + 3.0)
+        reach = math.ceil(radius / self.map.resolution + _EXACT)
         rows, columns = np.mgrid[-reach : reach + 1, -reach : reach + 1].reshape(2, -1)
         rows, columns = rows + round(row), columns + round(column)
         inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
@@ -138,7 +144,7 @@ class MapSolver:
         t = np.linspace(0.0, 1.0, 4 * reach + 1)
         between_rows = np.rint(row + t * (rows[:, None] - row)).astype(int).clip(0, height - 1)
         between_columns = np.rint(column + t * (columns[:, None] - column)).astype(int).clip(0, width - 1)
-        # Within sight of the goal, which itself may lie closer to a wall than the robot can come.
+        # The goal itself may lie closer to a wall than the robot can come.
         seen = open_[rows, columns] & (clearance[between_rows, between_columns] > 0.0).all(axis=1)
         if not (seen & (distance <= radius)).any():
             here = float(clearance[min(max(round(row), 0), height - 1), min(max(round(column), 0), width - 1)])
@@ -146,9 +152,16 @@ class MapSolver:
                 f"the goal ({goal[0]:.2f}, {goal[1]:.2f}) is {here:.2f} m from an obstacle or unknown space: "
                 f"the robot needs {self.limits.room:.2f} m"
             )
-        rows, columns, distance = rows[seen], columns[seen], distance[seen]
-        cells = (rows + BORDER) * front.stride + columns + BORDER
-        seconds = np.maximum(distance - radius, 0.0) / self.map.resolution * front.slowness[cells]
+        return rows[seen], columns[seen], distance[seen]
+
+    def _seeds(
+        self, front: Front, places: tuple[NDArray[np.intp], NDArray[np.intp], Array], radius: float
+    ) -> tuple[NDArray[np.int64], Array]:
+        """Return the cells in and close around the disc, and their exact times [s]."""
+        rows, columns, distance = places
+        near = distance <= radius + _EXACT * self.map.resolution
+        cells = ((rows + BORDER) * front.stride + columns + BORDER)[near]
+        seconds = np.maximum(distance[near] - radius, 0.0) / self.map.resolution * front.slowness[cells]
         return cells.astype(np.int64), seconds
 
     def _run(self, front: Front, total: int, report: Report | None, wanted: Callable[[], bool] | None) -> None:

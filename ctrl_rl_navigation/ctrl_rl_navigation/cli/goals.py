@@ -1,0 +1,73 @@
+"""Random starts and goals on a map, and the time that a drive between them takes at best."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrl_rl_core import OccupancyMap
+from ctrl_rl_navigation.errors import NavigationError
+from ctrl_rl_navigation.robot import DriveLimits
+from ctrl_rl_navigation.values.map_solver import MapSolver
+
+Array = NDArray[np.float64]
+
+_START_GAP = 0.1
+"""Clearance of a start beyond what the robot needs [m]."""
+_FREE = 0
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One drive to make.
+
+    Attributes:
+        start: Start pose (3,) [m, m, rad].
+        goal: Position of the goal [m].
+        reachable: Whether the map has a way to the goal.
+    """
+
+    start: Array
+    goal: tuple[float, float]
+    reachable: bool
+
+
+class GoalMaker:
+    """Draws trials, and knows their best times.
+
+    The best time is the time to reach with the full speed everywhere, solved on the same map for the same size of the
+    robot, and the time to turn on the spot into its descent at the full rate. Accelerations are left out.
+    """
+
+    def __init__(self, map_: OccupancyMap, limits: DriveLimits, tolerance: float) -> None:
+        self._map, self._limits, self._tolerance = map_, limits, tolerance
+        self._solver = MapSolver(map_, limits, slowest=1.0)
+
+    def draw(self, random: np.random.Generator, count: int) -> Iterator[Trial]:
+        """Yield trials: starts with some room, goals on any free cell of the map."""
+        roomy = np.argwhere(self._solver.clearance >= self._limits.room + _START_GAP)
+        free = np.argwhere(self._map.cells == _FREE)
+        if not len(roomy):
+            raise NavigationError("the map has no room for the robot")
+        for _ in range(count):
+            row, column = roomy[random.integers(len(roomy))]
+            start = np.append(self._map.cell_to_world(row, column), random.uniform(-math.pi, math.pi))
+            goal = self._map.cell_to_world(*free[random.integers(len(free))])
+            place = (float(goal[0]), float(goal[1]))
+            yield Trial(start, place, math.isfinite(self.best_time(start, place)))
+
+    def best_time(self, pose: Array, goal: tuple[float, float]) -> float:
+        """Return the best time from a pose (3,) to a goal [s]; inf where no way leads there."""
+        try:
+            value = self._solver.solve(goal, self._tolerance)
+        except NavigationError:
+            return math.inf
+        times, gradient = value.value_and_gradient(pose[:2])
+        if not np.isfinite(times) or times <= 0.0:
+            return float(times)
+        down = math.atan2(-gradient[1], -gradient[0])
+        return float(times) + abs(math.remainder(down - float(pose[2]), 2.0 * math.pi)) / self._limits.turn_rate

@@ -1,0 +1,132 @@
+"""The command `trials`: random drives on maps in the simulator, counted and timed."""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from ctrl_rl_core.command import parse_options, run_command
+from ctrl_rl_core.io.results import Result, write_results
+
+from ctrl_rl_core import OccupancyMap
+from ctrl_rl_navigation.cli.goals import GoalMaker
+from ctrl_rl_navigation.cli.nodes import drive_through_nodes
+from ctrl_rl_navigation.cli.outcome import Options, Outcome
+from ctrl_rl_navigation.cli.simulation import DriveSimulation, Errors
+from ctrl_rl_navigation.driving.decision import Goal, NavigatorOptions, NavigatorState
+from ctrl_rl_navigation.errors import NavigationError
+from ctrl_rl_navigation.maps import map_file
+from ctrl_rl_navigation.robot import DriveLimits
+
+_LONGEST, _SPARE_S = 4.0, 30.0
+"""A drive may take so many times its best time, and so much more [s]."""
+_NEAR_S = 3.0
+"""Best time below which a drive is not timed [s]: its accelerations are no small part of it."""
+
+
+def named_file(word: str) -> tuple[str, Path]:
+    """Return name and file of a map of the command line.
+
+    Raises:
+        NavigationError: There is no map of that name.
+    """
+    name, equals, file = word.partition("=")
+    return (name, Path(file)) if equals else (Path(word).stem, map_file(word))
+
+
+def drive_all(map_: OccupancyMap, options: Options) -> Iterator[Outcome]:
+    """Yield the outcome of each trial on a map."""
+    limits, tolerance = DriveLimits(), NavigatorOptions().tolerance
+    errors = Errors(options.drift, options.position_error, math.radians(options.heading_error))
+    maker = GoalMaker(map_, limits, tolerance)
+    trials = maker.draw(np.random.default_rng((options.seed, 1)), options.goals)
+    for number, trial in enumerate(trials):
+        best = maker.best_time(trial.start, trial.goal) if trial.reachable else math.inf
+        simulation = DriveSimulation(map_, trial.start, options.seed + number, errors, limits, options.engine)
+        try:
+            begin = time.monotonic()
+            longest = _LONGEST * (best if trial.reachable else 0.0) + _SPARE_S
+            drive = simulation.drive(Goal(trial.goal), longest)
+            told = drive.state is NavigatorState.UNREACHABLE and not trial.reachable
+            yield Outcome(trial, drive, best, time.monotonic() - begin if told else math.nan)
+        finally:
+            simulation.close()
+
+
+def rows_of(method: str, outcomes: list[Outcome]) -> list[Result]:
+    """Return the rows of a map and engine."""
+    reachable = [each for each in outcomes if each.trial.reachable]
+    others = [each for each in outcomes if not each.trial.reachable]
+    timed = [each.drive.seconds / each.best for each in reachable if each.arrived and each.best >= _NEAR_S]
+    rows = [
+        Result(method, "arrived", "1", [float(each.arrived) for each in reachable]),
+        Result(method, "collisions", "1", [float(each.drive.collided) for each in outcomes]),
+        Result(method, "time over optimal", "1", timed),
+        Result(method, "median time over optimal", "1", [float(np.median(timed))] if timed else []),
+        Result(
+            method,
+            "unreachable said",
+            "1",
+            [float(each.drive.state is NavigatorState.UNREACHABLE) for each in others],
+        ),
+        Result(method, "time until unreachable is said", "s", [e.answered for e in others if e.answered >= 0.0]),
+    ]
+    return [row for row in rows if row.values]
+
+
+def _say(name: str, number: int, goals: int, outcome: Outcome) -> None:
+    drive = outcome.drive
+    what = "collision" if drive.collided else drive.state.name.lower()
+    best = f", best {outcome.best:.1f} s" if outcome.trial.reachable else ""
+    text = (
+        f"{name} {number + 1}/{goals}: {what} after {drive.seconds:.1f} s{best}, {drive.distance:.2f} m from the goal"
+    )
+    print(text, flush=True)
+
+
+def _work(options: Options) -> int:
+    files = [named_file(word) for word in options.maps]
+    maps = [(name, file, OccupancyMap.load(file)) for name, file in files]
+    if not all(math.isfinite(x) and x >= 0.0 for x in (options.drift, options.position_error, options.heading_error)):
+        raise NavigationError("errors of pose and odometry must be finite and not negative")
+    rows: list[Result] = []
+    failed = 0
+    for name, file, map_ in maps:
+        outcomes = []
+        drives = drive_through_nodes(file, map_, options) if options.ros else drive_all(map_, options)
+        for number, outcome in enumerate(drives):
+            outcomes.append(outcome)
+            _say(name, number, options.goals, outcome)
+        found = rows_of(f"{name}, {options.engine}{', nodes' if options.ros else ''}", outcomes)
+        rows += found
+        failed += sum(each.trial.reachable and not each.arrived for each in outcomes)
+        print(f"{name}: " + ", ".join(f"{row.metric} {np.mean(row.values):.3f}" for row in found), flush=True)
+    if options.results is not None:
+        write_results(options.results, "navigator", [options.seed], _with_others(options.results, rows))
+    return 0 if failed == 0 else 1
+
+
+def _with_others(path: Path, rows: list[Result]) -> list[Result]:
+    """Return the rows with those of other methods that a results file has already."""
+    from ctrl_rl_core.io.results import read_results
+
+    if not path.exists():
+        return rows
+    ours = {row.method for row in rows}
+    before = [each for each in read_results(path.parent) if each.experiment == "navigator"]
+    kept = [row for each in before for row in each.rows if row.method not in ours]
+    return [*(Result(row.method, row.metric, row.unit, row.values) for row in kept), *rows]
+
+
+def main() -> int:
+    """Entry point of `ros2 run ctrl_rl_navigation trials`."""
+    options = parse_options("trials", Options)
+    return run_command("trials", lambda: _work(options))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,86 @@
+"""Messages of the navigator: goals in, status, path and value out."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from ctrl_rl_core.navigation.transform_tree import Transform
+from ctrl_rl_core.ros.value_messages import as_percent
+from geometry_msgs.msg import Pose, PoseStamped
+from nav_msgs.msg import OccupancyGrid, Path
+from numpy.typing import NDArray
+from std_msgs.msg import Header
+
+from ctrl_rl_msgs.msg import NavigatorStatus
+from ctrl_rl_navigation.driving.decision import Decision, Goal
+from ctrl_rl_navigation.driving.navigator import Navigator
+from ctrl_rl_navigation.errors import NavigationError
+from ctrl_rl_navigation.values.map_value import MapValue
+
+_PATH_STEP = 5
+"""Places of a path from one pose of its message to the next."""
+_NO_TURN = 1e-6
+
+
+def goal_from(message: PoseStamped, frame: Transform, with_heading: bool) -> Goal:
+    """Return the goal of a message.
+
+    Args:
+        message: Goal in a frame of its own.
+        frame: Pose of that frame in the map's.
+        with_heading: Whether the heading counts; a message without an orientation has none.
+
+    Raises:
+        NavigationError: A coordinate is not finite.
+    """
+    place, q = message.pose.position, message.pose.orientation
+    if not all(map(math.isfinite, (place.x, place.y, q.x, q.y, q.z, q.w))):
+        raise NavigationError(f"the goal ({place.x}, {place.y}) is not finite")
+    norm = math.sqrt(q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w)
+    turned = norm > _NO_TURN
+    rotation = np.array((q.x, q.y, q.z, q.w)) / norm if turned else np.array((0.0, 0.0, 0.0, 1.0))
+    x, y, heading = (frame @ Transform(np.array((place.x, place.y, 0.0)), rotation)).pose.tolist()
+    return Goal((x, y), heading if turned and with_heading else None)
+
+
+def status_message(navigator: Navigator, decision: Decision, header: Header) -> NavigatorStatus:
+    """Return what the navigator does as a message."""
+    out = NavigatorStatus(header=header, state=int(decision.state), message=decision.message)
+    if navigator.goal is not None:
+        out.goal = _pose(*navigator.goal.position, navigator.goal.heading or 0.0)
+    out.remaining_time = decision.remaining_time
+    out.remaining_distance = navigator.remaining_distance
+    out.solving = navigator.solving
+    return out
+
+
+def path_message(path: NDArray[np.float64], header: Header) -> Path:
+    """Return a path (n, 2) [m] as a message; the poses look along it."""
+    places = np.concatenate((path[:-1:_PATH_STEP], path[-1:])) if len(path) else path
+    steps = np.diff(places, axis=0)
+    headings = np.arctan2(steps[:, 1], steps[:, 0]).tolist() if len(places) > 1 else []
+    headings += headings[-1:] or [0.0]
+    out = Path(header=header)
+    out.poses = [
+        PoseStamped(header=header, pose=_pose(x, y, heading))
+        for (x, y), heading in zip(places.tolist(), headings, strict=False)
+    ]
+    return out
+
+
+def slice_message(value: MapValue, stamp: Time, frame: str) -> OccupancyGrid:
+    """Return a value as a map: 0 at the goal, 100 where the time is the largest, -1 where no way leads."""
+    out: Any = value.map.to_message(stamp, frame)
+    del out.data[:]
+    out.data.frombytes(as_percent(value.times).tobytes())
+    return out
+
+
+def _pose(x: float, y: float, yaw: float) -> Pose:
+    out = Pose()
+    out.position.x, out.position.y = x, y
+    out.orientation.z, out.orientation.w = math.sin(0.5 * yaw), math.cos(0.5 * yaw)
+    return out

@@ -1,0 +1,234 @@
+"""The navigator node: map, goal, pose and scan in; velocity, path, value and status out."""
+
+from __future__ import annotations
+
+import sys
+from typing import Any, ClassVar
+
+import numpy as np
+from ctrl_rl_core.navigation.transform_tree import TransformError
+from ctrl_rl_core.ros.node import LATCHED, Status, ok, warn
+from ctrl_rl_core.ros.value_messages import answer
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import OccupancyGrid, Odometry, Path
+from numpy.typing import NDArray
+from rclpy.clock import Clock, ClockType
+from sensor_msgs.msg import LaserScan
+from std_msgs.msg import Header
+from std_srvs.srv import Trigger
+
+from ctrl_rl_core import CtrlRlError, LidarVelocityNode, OccupancyMap, Parameter, ScanGeometry, VelocityError, run_node
+from ctrl_rl_msgs.msg import NavigatorStatus
+from ctrl_rl_msgs.srv import QueryValues
+from ctrl_rl_navigation.driving.decision import Decision, NavigatorOptions, NavigatorState
+from ctrl_rl_navigation.driving.navigator import Navigator, warm_up
+from ctrl_rl_navigation.maps import load_map
+from ctrl_rl_navigation.nodes.messages import goal_from, path_message, slice_message, status_message
+from ctrl_rl_navigation.nodes.parameters import ANY_HEADING, NAVIGATOR_PARAMETERS
+from ctrl_rl_navigation.nodes.pose_input import PoseInput
+from ctrl_rl_navigation.robot import DriveLimits
+
+_STATUS_PERIOD = 0.5
+_GUARD_GAP = 0.005
+"""Distance by which the look-ahead stays farther from obstacles than the obstacle stop asks [m]."""
+_LAST_ZEROS = 10
+"""Zero commands at the end of a drive; then the topic is left to others."""
+_FINE = (NavigatorState.DRIVING, NavigatorState.REACHED, NavigatorState.SOLVING)
+_STAND = np.zeros(2)
+
+
+class NavigatorNode(LidarVelocityNode):
+    """Drives a robot to goals on a map by the time to reach them.
+
+    Subscribes to map, goal_pose, scan, odom, and /tf or amcl_pose; publishes cmd_vel, path, ~/status and ~/slice, and
+    answers ~/query and ~/cancel. Without a recent scan, odometry and pose on the map the robot stands still.
+    """
+
+    PARAMETERS: ClassVar[tuple[Parameter, ...]] = NAVIGATOR_PARAMETERS
+
+    def __init__(self) -> None:
+        super().__init__("navigator")
+        value = self.settings
+        limits = DriveLimits(
+            value["max_speed"],
+            value["max_turn_rate"],
+            value["acceleration"],
+            value["turn_acceleration"],
+            value["robot_radius"],
+            value["obstacle_margin"] + _GUARD_GAP,
+        )
+        self.set_limits((0.0, -limits.turn_rate), (limits.speed, limits.turn_rate))
+        self._navigator = Navigator(
+            limits,
+            NavigatorOptions(
+                tolerance=value["goal_tolerance"],
+                heading_tolerance=value["goal_heading_tolerance"],
+                memory=value["obstacle_memory"],
+                period=value["control_period"],
+                delay=value["control_period"] + 0.1,
+                deceleration=value["deceleration"],
+            ),
+        )
+        warm_up(limits)
+        self._decision = Decision(_STAND, NavigatorState.WAITING, "waiting for a map")
+        self._map: OccupancyMap | None = None
+        self._zeros = 0
+        self._shown: tuple[Any, Any] = (None, None)
+        self._input = PoseInput(self, self._now)
+        self._told = self.create_publisher(NavigatorStatus, "~/status", LATCHED)
+        self._path = self.create_publisher(Path, "path", LATCHED)
+        self._slice = self.create_publisher(OccupancyGrid, "~/slice", LATCHED)
+        if value["map"]:
+            self._use(load_map(value["map"]))
+        else:
+            self.create_subscription(OccupancyGrid, "map", self._on_map, LATCHED)
+        self.create_service(QueryValues, "~/query", self._on_query)
+        self.create_service(Trigger, "~/cancel", self._on_cancel)
+        self.create_timer(value["control_period"], self._tick)
+        self.create_timer(_STATUS_PERIOD, self._tell, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.create_subscription(PoseStamped, "goal_pose", self._on_goal, 10)  # last: now goals are heard
+
+    def on_odometry(self, message: Odometry) -> None:
+        """Keep the pose by odometry."""
+        self._input.on_odometry(message, self.frame)
+
+    def on_scan(self, message: LaserScan, ranges: NDArray[np.float32], scan: ScanGeometry) -> None:
+        """Keep the echoes, and the obstacles among them."""
+        stamp = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+        if not self._input.on_scan(stamp, ranges, scan, self.settings["lidar_x"]):
+            return
+        try:
+            pose, echoes = self._input.seen(self._input.pose())
+        except TransformError:
+            return
+        self._navigator.see(self._now(), pose, echoes)
+
+    def status(self) -> Status:
+        """Return what the navigator does."""
+        level, message, figures = super().status()
+        decision = self._decision
+        figures = {
+            **figures,
+            "state": decision.state.name.lower(),
+            "remaining time [s]": f"{decision.remaining_time:.1f}",
+            "remaining distance [m]": f"{self._navigator.remaining_distance:.1f}",
+            "values solved": self._navigator.solves,
+            "refused": self._input.refused,
+        }
+        if self._rivals or decision.state is NavigatorState.DRIVING:
+            return level, message, figures
+        return (ok if decision.state in _FINE or self._is_idle() else warn)(decision.message, **figures)
+
+    def _now(self) -> float:
+        return float(self._ages.now().nanoseconds) * 1e-9
+
+    def _use(self, map_: OccupancyMap) -> None:
+        """Use a map unless it is the present one."""
+        before = self._map
+        if before is None or before.origin != map_.origin or not np.array_equal(before.cells, map_.cells):
+            self._map = map_
+            self._navigator.set_map(map_)
+            width, height = map_.size
+            self.get_logger().info(f"a map of {width:.1f} x {height:.1f} m at {map_.resolution:g} m")
+
+    def _on_map(self, message: OccupancyGrid) -> None:
+        frame = message.header.frame_id.lstrip("/")
+        if frame not in ("", self.settings["map_frame"]):
+            self.get_logger().warning(f"a map in frame '{frame}' is not used: parameter 'map_frame' names another")
+            return
+        try:
+            self._use(OccupancyMap.from_message(message))
+        except CtrlRlError as error:
+            self.get_logger().error(f"the map is not used: {error}")
+
+    def _on_goal(self, message: PoseStamped) -> None:
+        try:
+            frame = self._input.frame_in_map(message.header.frame_id)
+            goal = goal_from(message, frame, self.settings["goal_heading_tolerance"] < ANY_HEADING)
+        except CtrlRlError as error:
+            self.get_logger().error(f"the goal is refused: {error}")
+            return
+        self.get_logger().info(f"goal ({goal.position[0]:.2f}, {goal.position[1]:.2f})")
+        self._navigator.set_goal(goal)
+
+    def _on_cancel(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        response.success = self._navigator.cancel()
+        response.message = "the goal is given up" if response.success else "there is no goal"
+        self._tick()
+        return response
+
+    def _on_query(self, request: QueryValues.Request, response: QueryValues.Response) -> QueryValues.Response:
+        value = self._navigator.value
+        if value is None:
+            response.success, response.message = False, "there is no value: no goal is driven to"
+            return response
+        answer(value, request, response)
+        return response
+
+    def _tick(self) -> None:
+        """Decide, send, and say what has changed."""
+        before = self._decision
+        self._decision = self._decide()
+        if (before.state, _words(before.message)) != (self._decision.state, _words(self._decision.message)):
+            self.get_logger().info(self._decision.message)
+            self._tell()
+        self._show()
+
+    def _decide(self) -> Decision:
+        """Return the decision that was carried out."""
+        problem = self.input_fault()
+        try:
+            pose = self._input.pose()
+        except TransformError as error:
+            problem = problem or str(error)
+        if problem:
+            self._navigator.poll(self._now())
+            self._navigator.sent(_STAND)
+            if self._navigator.goal is not None and not self._is_idle():
+                self.halt(problem)
+            return Decision(_STAND, NavigatorState.WAITING, problem)
+        decision = self._navigator.decide(self._now(), pose, self._input.echoes())
+        self._zeros = 0 if decision.command.any() or decision.state is NavigatorState.DRIVING else self._zeros + 1
+        if self._zeros > _LAST_ZEROS and not self.moving:
+            self.problem = ""
+            return decision
+        try:
+            self._navigator.sent(self.drive(decision.command))
+        except VelocityError as error:
+            self.halt(str(error))
+            self._navigator.sent(_STAND)
+            return Decision(_STAND, NavigatorState.WAITING, str(error), decision.remaining_time)
+        return decision
+
+    def _is_idle(self) -> bool:
+        return self._zeros > _LAST_ZEROS
+
+    def _tell(self) -> None:
+        """Publish the status."""
+        header = Header(stamp=self.get_clock().now().to_msg(), frame_id=self.settings["map_frame"])
+        self._told.publish(status_message(self._navigator, self._decision, header))
+
+    def _show(self) -> None:
+        """Publish path and value where they have changed."""
+        path, value = self._navigator.path, self._navigator.value
+        stamp, frame = self.get_clock().now().to_msg(), self.settings["map_frame"]
+        if path is not self._shown[0]:
+            self._path.publish(path_message(path, Header(stamp=stamp, frame_id=frame)))
+        if value is not None and value is not self._shown[1]:
+            self._slice.publish(slice_message(value, stamp, frame))
+            self.get_logger().info(f"the value of the goal is solved in {value.seconds:.2f} s")
+        self._shown = (path, value)
+
+
+def _words(message: str) -> str:
+    """Return a message without its figures."""
+    return "".join(letter for letter in message if not letter.isdigit())
+
+
+def main() -> int:
+    """Entry point of `ros2 run ctrl_rl_navigation navigator`."""
+    return run_node(NavigatorNode)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,52 @@
+"""Parameters of the navigator node."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+from ctrl_rl_core.navigation.pose_source import POSE_SOURCES
+
+from ctrl_rl_core import LIDAR_PARAMETERS, Parameter
+
+_ALL_WAY = 6.3
+_CHANGED: dict[str, dict[str, Any]] = {
+    # A map tells what is around, so that a scan with few echoes is no reason to stand: a hall may be wider than the
+    # lidar looks.
+    "min_echo_share": {"default": 0.02},
+    "largest_gap": {"default": _ALL_WAY},
+    # Values and roll-outs are made for one size of the robot.
+    "robot_radius": {"live": False, "minimum": 0.01},
+    "obstacle_margin": {"live": False},
+    "deceleration": {"live": False},
+    "reaction_time": {"live": False},
+}
+
+NAVIGATOR_PARAMETERS = (
+    *(replace(parameter, **_CHANGED.get(parameter.name, {})) for parameter in LIDAR_PARAMETERS),
+    Parameter("scan_timeout", 0.5, "Age of the last scan or odometry that stops the robot [s].", 0.05, 10.0),
+    Parameter("map", "", "Name of a map, or a .yaml file of map_server; empty for the topic `map`.", kind="path"),
+    Parameter("map_frame", "map", "Frame of the map.", kind="name"),
+    Parameter(
+        "pose",
+        "tf",
+        "Source of the pose: the transform from map_frame to the robot, or the topic amcl_pose and odometry since.",
+        choices=POSE_SOURCES,
+    ),
+    Parameter("pose_timeout", 2.0, "Age of a transform that stops the robot [s].", 0.05, 60.0),
+    Parameter("control_period", 0.1, "Time from command to command [s].", 0.02, 0.5),
+    Parameter("max_speed", 0.22, "Largest speed [m/s].", 0.01, 5.0),
+    Parameter("max_turn_rate", 2.0, "Largest turn rate [rad/s].", 0.05, 10.0),
+    Parameter("acceleration", 1.0, "Largest change of the speed [m/s^2].", 0.05, 20.0),
+    Parameter("turn_acceleration", 6.0, "Largest change of the turn rate [rad/s^2].", 0.05, 100.0),
+    Parameter("goal_tolerance", 0.15, "Distance from the goal at which it is reached [m].", 0.03, 2.0),
+    Parameter(
+        "goal_heading_tolerance",
+        0.2,
+        "Error of the heading at which the goal is reached; 3.2 for any heading [rad].",
+        0.02,
+        3.2,
+    ),
+    Parameter("obstacle_memory", 10.0, "Time after which an obstacle that no scan sees is forgotten [s].", 0.5, 3600.0),
+)
+ANY_HEADING = 3.1415

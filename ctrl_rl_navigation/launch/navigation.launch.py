@@ -1,0 +1,73 @@
+"""ros2 launch ctrl_rl_navigation navigation.launch.py map:=office.yaml: navigator and watchdog for a real robot.
+
+The watchdog stops the robot when the navigator dies. It is started again when it dies itself, and begins with zeros.
+Without `map` the map comes from another node on the topic `map`; a localiser (AMCL, slam_toolbox) is started elsewhere.
+"""
+
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument
+from launch.conditions import IfCondition
+from launch.substitutions import LaunchConfiguration, PathJoinSubstitution, PythonExpression
+from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
+from launch_ros.substitutions import FindPackageShare
+
+ARGUMENTS = {
+    "map": ("", "map_server's .yaml file, or the name of a map of the suite; empty for the topic map"),
+    "pose": ("tf", "where the pose comes from: tf (map -> base) or amcl_pose"),
+    "stamped": ("true", "cmd_vel is a TwistStamped (Jazzy), else a Twist (Humble)"),
+    "timeout": ("0.5", "age of the last command that stops the robot [s]"),
+    "max_speed": ("0.22", "largest speed [m/s]"),
+    "rviz": ("false", "whether to start RViz"),
+}
+
+
+def generate_launch_description() -> LaunchDescription:
+    """Return map server, navigator, watchdog, and RViz where it is wanted."""
+    given = {name: LaunchConfiguration(name) for name in ARGUMENTS}
+    stamped = ParameterValue(given["stamped"], value_type=bool)
+    view = PathJoinSubstitution([FindPackageShare("ctrl_rl_navigation"), "config", "navigation.rviz"])
+    return LaunchDescription(
+        [
+            *(
+                DeclareLaunchArgument(name, default_value=default, description=meaning)
+                for name, (default, meaning) in ARGUMENTS.items()
+            ),
+            Node(
+                package="ctrl_rl_navigation",
+                executable="map_server",
+                parameters=[{"map": ParameterValue(given["map"], value_type=str)}],
+                condition=IfCondition(PythonExpression(["'", given["map"], "' != ''"])),
+                output="screen",
+            ),
+            Node(
+                package="ctrl_rl_core",
+                executable="watchdog",
+                parameters=[
+                    {"enable_stamped_cmd_vel": stamped, "timeout": ParameterValue(given["timeout"], value_type=float)}
+                ],
+                output="screen",
+                respawn=True,
+            ),
+            Node(
+                package="ctrl_rl_navigation",
+                executable="navigator",
+                parameters=[
+                    {
+                        "enable_stamped_cmd_vel": stamped,
+                        "pose": ParameterValue(given["pose"], value_type=str),
+                        "max_speed": ParameterValue(given["max_speed"], value_type=float),
+                    }
+                ],
+                remappings=[("cmd_vel", "cmd_vel_raw")],
+                output="screen",
+            ),
+            Node(
+                package="rviz2",
+                executable="rviz2",
+                arguments=["-d", view],
+                condition=IfCondition(given["rviz"]),
+                output="log",
+            ),
+        ]
+    )

@@ -1,0 +1,62 @@
+"""The command that drives random goals: what it counts, what it writes, and what it refuses."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from ctrl_rl_core.io.results import read_results
+from ctrl_rl_navigation.cli.trials import main
+
+from ctrl_rl_core import OccupancyMap
+
+
+@pytest.fixture
+def closet(tmp_path: Path) -> Path:
+    """Write the map of a room of 2.5 m by 2 m with a closet of half its size that has no door."""
+    cells = np.zeros((44, 84), np.int8)
+    cells[:2], cells[-2:], cells[:, :2], cells[:, -2:], cells[:, 52:54] = (100,) * 5
+    OccupancyMap(cells, 0.05).save(tmp_path / "closet.yaml")
+    return tmp_path / "closet.yaml"
+
+
+def run(monkeypatch: pytest.MonkeyPatch, *words: object) -> int:
+    monkeypatch.setattr(sys, "argv", ["trials", *map(str, words)])
+    return main()
+
+
+def test_it_counts_drives_and_keeps_the_rows_of_other_maps(
+    closet: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    results = tmp_path / "out" / "navigator.json"
+    words = ("--goals", 6, "--seed", 2, "--results", results)
+    assert run(monkeypatch, "--maps", f"closet={closet}", *words) == 0
+    told = capsys.readouterr().out
+    assert "closet 6/6: " in told
+    (experiment,) = read_results(results.parent)
+    figures = {row.metric: row for row in experiment.rows}
+    assert figures["arrived"].mean == 1.0
+    assert figures["collisions"].mean == 0.0
+    assert figures["unreachable said"].mean == 1.0
+    assert len(figures["arrived"].values) + len(figures["unreachable said"].values) == 6
+    assert 0.8 < figures["time over optimal"].mean < 2.0
+    assert run(monkeypatch, "--maps", f"again={closet}", "--goals", 1, "--results", results) == 0
+    (experiment,) = read_results(results.parent)
+    assert {row.method for row in experiment.rows} == {"closet, pybullet", "again, pybullet"}
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--maps", "nowhere"), "no map 'nowhere': there are corridor, maze, warehouse"),
+        (("--maps", "office=none.yaml"), "none.yaml: there is no such file"),
+        (("--drift", "nan"), "must be finite"),
+    ],
+)
+def test_what_does_not_serve_is_refused_in_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], words: tuple[str, ...], said: str
+) -> None:
+    assert run(monkeypatch, *words, "--goals", "1") == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("trials: ")
+    assert said in line
