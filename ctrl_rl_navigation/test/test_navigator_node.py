@@ -2,21 +2,27 @@
 
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import rclpy
+import yaml
 from ctrl_rl_core.ros.node import LATCHED
-from geometry_msgs.msg import PoseStamped
-from nav_msgs.msg import OccupancyGrid, Path
+from ctrl_rl_navigation.cli.simulation import TASK_NAME, task_content
+from geometry_msgs.msg import PoseStamped, TransformStamped
+from nav_msgs.msg import OccupancyGrid
+from nav_msgs.msg import Path as PathMessage
 from std_srvs.srv import Trigger
+from tf2_msgs.msg import TFMessage
 
+from ctrl_rl_core import OccupancyMap
 from ctrl_rl_msgs.msg import NavigatorStatus
 from ctrl_rl_msgs.srv import QueryValues
 
-START_TO_GOAL = (2.0, 1.0)
-"""Place in the corridor, behind its first turn."""
+GOAL = (2.5, 0.5)
+START = np.array((0.5, 1.0, 2.0))
 
 
 class Operator:
@@ -25,11 +31,12 @@ class Operator:
     def __init__(self) -> None:
         self.node = rclpy.create_node("operator")
         self.status: list[NavigatorStatus] = []
-        self.paths: list[Path] = []
+        self.paths: list[PathMessage] = []
         self.slices: list[OccupancyGrid] = []
+        self._tf = self.node.create_publisher(TFMessage, "/tf_static", LATCHED)
         self._goal = self.node.create_publisher(PoseStamped, "goal_pose", 10)
         self.node.create_subscription(NavigatorStatus, "navigator/status", self.status.append, LATCHED)
-        self.node.create_subscription(Path, "path", self.paths.append, LATCHED)
+        self.node.create_subscription(PathMessage, "path", self.paths.append, LATCHED)
         self.node.create_subscription(OccupancyGrid, "navigator/slice", self.slices.append, LATCHED)
 
     def wait(self, fits: Callable[[], bool], timeout: float = 120.0) -> None:
@@ -52,6 +59,12 @@ class Operator:
         self.status.clear()
         self._goal.publish(message)
 
+    def localise(self) -> None:
+        """Say that odometry has its origin in that of the map."""
+        message = TransformStamped(child_frame_id="odom")
+        message.header.frame_id, message.transform.rotation.w = "map", 1.0
+        self._tf.publish(TFMessage(transforms=[message]))
+
     def call(self, kind: Any, name: str, request: Any) -> Any:
         client = self.node.create_client(kind, name)
         assert client.wait_for_service(60.0)
@@ -69,9 +82,23 @@ def operator():
     rclpy.try_shutdown()
 
 
-def test_it_drives_to_goals_and_tells_what_it_does(run_node: Callable, operator: Operator) -> None:
-    run_node("sim_bridge", "bridge", "task:=curved_corridor", "localisation:=noisy", "speed_factor:=4.0", "seed:=3")
-    navigator = run_node("ctrl_rl_navigation", "navigator", "use_sim_time:=true")
+@pytest.fixture
+def room(tmp_path: Path) -> Path:
+    """Write map and task of a room with a post in its middle."""
+    cells = np.zeros((44, 64), np.int8)
+    cells[:2], cells[-2:], cells[:, :2], cells[:, -2:], cells[17:25, 28:36] = (100,) * 5
+    map_ = OccupancyMap(cells, 0.05)
+    map_.save(tmp_path / "room.yaml")
+    (tmp_path / f"{TASK_NAME}.yaml").write_text(yaml.safe_dump(task_content(map_, START), sort_keys=False))
+    return tmp_path
+
+
+def test_it_drives_to_goals_and_tells_what_it_does(run_node: Callable, operator: Operator, room: Path) -> None:
+    run_node("sim_bridge", "bridge", f"task:={room}/{TASK_NAME}.yaml", "localisation:=none", "speed_factor:=4.0")
+    run_node("ctrl_rl_navigation", "map_server", f"map:={room}/room.yaml", "topic:=floor")
+    navigator = run_node("ctrl_rl_navigation", "navigator", "use_sim_time:=true", remap=("map:=floor",))
+    operator.wait_for(NavigatorStatus.WAITING, "no transform from 'map' to 'base_footprint'")
+    operator.localise()
     operator.wait_for(NavigatorStatus.WAITING, "waiting for a goal")
 
     operator.click(50.0, 0.0)
@@ -79,18 +106,20 @@ def test_it_drives_to_goals_and_tells_what_it_does(run_node: Callable, operator:
     assert "off the map" in refused.message
     asked = operator.call(QueryValues, "navigator/query", QueryValues.Request(states=[0.5, 0.0]))
     assert not asked.success
+    operator.click(1.0, 1.0, "nowhere")
+    navigator.wait_for("the goal is refused: no transform from 'map' to 'nowhere'")
 
-    operator.click(*START_TO_GOAL)
+    operator.click(*GOAL)
     driving = operator.wait_for(NavigatorStatus.DRIVING)
     assert driving.header.frame_id == "map"
-    assert (driving.goal.position.x, driving.goal.position.y) == START_TO_GOAL
+    assert (driving.goal.position.x, driving.goal.position.y) == GOAL
     operator.wait(lambda: any(each.remaining_distance > 1.0 for each in operator.status))
     assert operator.status[-1].remaining_time > 5.0
     operator.wait(lambda: bool(operator.paths and operator.slices))
     last = operator.paths[-1].poses[-1].pose.position
-    assert np.hypot(last.x - START_TO_GOAL[0], last.y - START_TO_GOAL[1]) < 0.2
+    assert np.hypot(last.x - GOAL[0], last.y - GOAL[1]) < 0.2
     assert max(operator.slices[-1].data) == 100
-    asked = operator.call(QueryValues, "navigator/query", QueryValues.Request(states=[*START_TO_GOAL, 0.5, 0.0]))
+    asked = operator.call(QueryValues, "navigator/query", QueryValues.Request(states=[*GOAL, 0.5, 1.0]))
     assert asked.success
     assert asked.values[0] == pytest.approx(0.0, abs=0.5)
     assert asked.values[1] > 5.0
@@ -98,16 +127,8 @@ def test_it_drives_to_goals_and_tells_what_it_does(run_node: Callable, operator:
     operator.wait_for(NavigatorStatus.CANCELLED)
     assert not operator.call(Trigger, "navigator/cancel", Trigger.Request()).success
 
-    operator.click(*START_TO_GOAL)
+    operator.click(*GOAL)
     reached = operator.wait_for(NavigatorStatus.REACHED)
     assert reached.remaining_time == 0.0
     assert navigator.stop()[0] == 0
     assert "Traceback" not in navigator.output
-
-
-def test_it_stands_without_a_pose_and_says_which_link_is_missing(run_node: Callable, operator: Operator) -> None:
-    run_node("sim_bridge", "bridge", "task:=curved_corridor", "localisation:=none", "speed_factor:=4.0")
-    navigator = run_node("ctrl_rl_navigation", "navigator", "use_sim_time:=true", "map:=maze")
-    operator.click(1.0, 1.0, "nowhere")
-    navigator.wait_for("the goal is refused: no transform from 'map' to 'nowhere'")
-    operator.wait_for(NavigatorStatus.WAITING, "no transform from 'map' to 'base_footprint'")
