@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.ndimage import distance_transform_edt
 
 from ctrl_rl_core.errors import CtrlRlError
 from ctrl_rl_core.geometry.odometry import yaw_of
@@ -195,6 +194,8 @@ class OccupancyMap:
             blocked = np.pad(blocked | (self.cells == UNKNOWN), 1, constant_values=True)
         if not blocked.any():
             return np.full(self.cells.shape, np.inf, np.float32)
+        from scipy.ndimage import distance_transform_edt  # takes long to load
+
         distance = np.maximum(distance_transform_edt(~blocked) - 0.5, 0.0) * self.resolution
         return (distance if unknown_is_free else distance[1:-1, 1:-1]).astype(np.float32)
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 from ctrl_rl_core.ros.node import LATCHED, to_stamp
 from nav_msgs.msg import OccupancyGrid
 from rclpy.node import Node
@@ -50,8 +49,7 @@ class MapPublisher:
         world = self._world
         if world.task.map is not None:
             return world.task.map.map
-        places = np.array([world.pose(robot)[:2] for robot in range(len(world))])
-        return draw_map(world.task, world.geometry, places)
+        return draw_map(world.task, world.geometry)
 
 
 def _marker(shape: Shape, colour: tuple[float, float, float]) -> Marker:

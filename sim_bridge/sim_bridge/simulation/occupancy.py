@@ -5,11 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from ctrl_rl_core.navigation.occupancy_map import FREE, OCCUPIED, UNKNOWN
-from scipy.ndimage import label
+from ctrl_rl_core.navigation.occupancy_map import FREE, OCCUPIED
 
 from ctrl_rl_core import NavigationTask, OccupancyMap, World
-from sim_bridge.simulation.localisation import Array
 
 RESOLUTION = 0.05
 """Side length of a cell, but in the largest worlds [m]."""
@@ -17,13 +15,12 @@ _MOST_CELLS = 1_000_000
 _MARGIN = 0.3
 
 
-def draw_map(task: NavigationTask, world: World, places: Array) -> OccupancyMap:
+def draw_map(task: NavigationTask, world: World) -> OccupancyMap:
     """Return the map of a world in the x-y plane: what a wall or obstacle touches is occupied.
 
     Args:
         task: Task of the world, which bounds the map.
         world: Walls and obstacles.
-        places: Positions of robots (n, 2) [m]: free cells that they cannot get to are unknown.
     """
     (left, right), (bottom, top) = (task.plane_bounds[name] for name in ("x", "y"))
     left, right, bottom, top = left - _MARGIN, right + _MARGIN, bottom - _MARGIN, top + _MARGIN
@@ -31,10 +28,5 @@ def draw_map(task: NavigationTask, world: World, places: Array) -> OccupancyMap:
     shape = (math.ceil((top - bottom) / resolution), math.ceil((right - left) / resolution))
     empty = OccupancyMap(np.zeros(shape, np.int8), resolution, (left, bottom, 0.0))
     distance = world.signed_distance(empty.cell_to_world(*np.indices(shape)))
-    cells = np.where(distance < 0.5 * resolution, OCCUPIED, UNKNOWN).astype(np.int8)
-    parts, _ = label(cells != OCCUPIED)
-    rows, columns = empty.world_to_cell(places)
-    inside = (rows >= 0) & (rows < shape[0]) & (columns >= 0) & (columns < shape[1])
-    reached = np.unique(parts[rows[inside], columns[inside]])
-    cells[np.isin(parts, reached[reached > 0])] = FREE
+    cells = np.where(distance < 0.5 * resolution, OCCUPIED, FREE).astype(np.int8)
     return OccupancyMap(cells, resolution, empty.origin)
