@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+from functools import partial
 from multiprocessing.connection import wait as wait_for_any
 from typing import Any, TypeVar
 
@@ -20,8 +21,8 @@ Item = TypeVar("Item")
 Answer = TypeVar("Answer")
 _TICK = 1.0
 
-CONTEXT = multiprocessing.get_context("spawn")
-"""Spawned, because a forked copy of threads and of libraries' state is unsafe."""
+CONTEXT = multiprocessing.get_context("forkserver")
+"""Forked from a server without threads that has imported what the work needs: once for all workers, and safely."""
 
 
 class WorkersError(CtrlRlError):
@@ -50,6 +51,7 @@ def map_in_processes(
         WorkersError: A worker was killed.
         Exception: Any error of `work`; items that have not begun are dropped.
     """
+    _preload(work, *items[:1])
     with ProcessPoolExecutor(workers, CONTEXT, _begin, (prepare, terms)) as pool:
         with _deaf_to_interrupts():
             waiting: set[Future[Answer]] = {pool.submit(work, item) for item in items}
@@ -70,6 +72,12 @@ def map_in_processes(
             raise
         finally:
             pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _preload(work: Callable[..., Any], *items: object) -> None:
+    """Let the server import the modules of a function and of items before it forks; in vain once it has begun."""
+    function = work.func if isinstance(work, partial) else work
+    CONTEXT.set_forkserver_preload([function.__module__, *(type(item).__module__ for item in items)])
 
 
 @contextmanager

@@ -89,7 +89,10 @@ class CollisionSet:
     def rewards(self, names: tuple[str, ...], states: Array) -> Array:
         """Return what is paid (N,) at states (N, n) with components `names`; NaN outside the set."""
         out = np.full(len(states), np.nan)
-        out[signed_distance(self.shapes, states[:, position_indices(names)]) <= self.radius] = self.reward
+        points = states[:, position_indices(names)]
+        new = np.append(True, np.any(points[1:] != points[:-1], axis=1))[: len(points)]  # a grid repeats each point
+        collides = signed_distance(self.shapes, points[new]) <= self.radius
+        out[collides[np.cumsum(new) - 1]] = self.reward
         if "psi" in names:
             out[np.abs(wrap(states[:, names.index("psi")])) > self.tilt_limit] = self.tilt_reward
         return out
