@@ -3,10 +3,11 @@
 import math
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
-from ctrl_rl_navigation.cli.simulation import DriveSimulation, Errors
+from ctrl_rl_navigation.cli.simulation import Drive, DriveSimulation, Errors
 from ctrl_rl_navigation.driving.decision import Decision, Goal, NavigatorOptions, NavigatorState
 from ctrl_rl_navigation.driving.navigator import Navigator
 
@@ -29,14 +30,17 @@ POST = (slice(17, 25), slice(28, 36))
 DOOR_CLOSED = (slice(0, 44), slice(30, 32))
 
 
-def drive_between(world: OccupancyMap, known: OccupancyMap, errors: Errors) -> tuple[DriveSimulation, object]:
-    simulation = DriveSimulation(world, np.array((0.5, 1.05, 2.0)), 1, errors)
+def drive_between(
+    world: OccupancyMap, known: OccupancyMap, errors: Errors, folder: Path
+) -> tuple[DriveSimulation, Drive]:
+    world.save(folder / "world.yaml")
+    simulation = DriveSimulation(folder / "world.yaml", np.array((0.5, 1.05, 2.0)), 1, errors)
     simulation.navigator.set_map(known)
     return simulation, simulation.drive(Goal((2.7, 1.05)), 60.0)
 
 
-def test_it_reaches_the_goal_round_an_obstacle_with_drift_and_an_error_of_the_pose() -> None:
-    simulation, drive = drive_between(room(POST), room(POST), Errors())
+def test_it_reaches_the_goal_round_an_obstacle_with_drift_and_an_error_of_the_pose(tmp_path: Path) -> None:
+    simulation, drive = drive_between(room(POST), room(POST), Errors(), tmp_path)
     simulation.close()
     assert drive.state is NavigatorState.REACHED
     assert not drive.collided
@@ -44,23 +48,23 @@ def test_it_reaches_the_goal_round_an_obstacle_with_drift_and_an_error_of_the_po
     assert drive.seconds < 1.6 * 2.1 / DriveLimits().speed
 
 
-def test_it_goes_round_an_obstacle_that_the_map_has_not() -> None:
-    simulation, drive = drive_between(room(POST), room(), Errors())
+def test_it_goes_round_an_obstacle_that_the_map_has_not(tmp_path: Path) -> None:
+    simulation, drive = drive_between(room(POST), room(), Errors(), tmp_path)
     simulation.close()
     assert (drive.state, drive.collided) == (NavigatorState.REACHED, False)
     assert drive.solves > 1
 
 
-def test_it_stands_where_an_obstacle_closes_the_only_way_and_says_so() -> None:
-    simulation, drive = drive_between(room(DOOR_CLOSED), room(), Errors(position=1e-3, heading=1e-3))
+def test_it_stands_where_an_obstacle_closes_the_only_way_and_says_so(tmp_path: Path) -> None:
+    simulation, drive = drive_between(room(DOOR_CLOSED), room(), Errors(position=1e-3, heading=1e-3), tmp_path)
     simulation.close()
     assert drive.state is NavigatorState.BLOCKED
     assert not drive.collided
     assert drive.waited > 20.0
 
 
-def test_without_a_way_on_the_map_it_says_so_at_once_and_does_not_move() -> None:
-    simulation, drive = drive_between(room(DOOR_CLOSED), room(DOOR_CLOSED), Errors())
+def test_without_a_way_on_the_map_it_says_so_at_once_and_does_not_move(tmp_path: Path) -> None:
+    simulation, drive = drive_between(room(DOOR_CLOSED), room(DOOR_CLOSED), Errors(), tmp_path)
     simulation.close()
     assert drive.state is NavigatorState.UNREACHABLE
     assert drive.seconds < 0.5

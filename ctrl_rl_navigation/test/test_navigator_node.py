@@ -89,7 +89,9 @@ def room(tmp_path: Path) -> Path:
     cells[:2], cells[-2:], cells[:, :2], cells[:, -2:], cells[17:25, 28:36] = (100,) * 5
     map_ = OccupancyMap(cells, 0.05)
     map_.save(tmp_path / "room.yaml")
-    (tmp_path / f"{TASK_NAME}.yaml").write_text(yaml.safe_dump(task_content(map_, START), sort_keys=False))
+    (tmp_path / f"{TASK_NAME}.yaml").write_text(
+        yaml.safe_dump(task_content(tmp_path / "room.yaml", START), sort_keys=False)
+    )
     return tmp_path
 
 

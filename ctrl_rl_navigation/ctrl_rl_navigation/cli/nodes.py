@@ -87,7 +87,7 @@ def _start(package: str, executable: str, log: Path, parameters: dict[str, Any])
 
 
 @contextmanager
-def _nodes(file: Path, map_: OccupancyMap, start: Any, options: Options) -> Iterator[_Operator]:
+def _nodes(file: Path, start: Any, options: Options) -> Iterator[_Operator]:
     """Give an operator beside running nodes; they end with the context.
 
     Raises:
@@ -97,7 +97,7 @@ def _nodes(file: Path, map_: OccupancyMap, start: Any, options: Options) -> Iter
     with tempfile.TemporaryDirectory(prefix="trials_") as name:
         folder = Path(name)
         task = folder / f"{TASK_NAME}.yaml"
-        task.write_text(yaml.safe_dump(task_content(map_, start), sort_keys=False))
+        task.write_text(yaml.safe_dump(task_content(file, start), sort_keys=False))
         simulator = {
             "task": task,
             "seed": options.seed,
@@ -141,7 +141,7 @@ def drive_through_nodes(file: Path, map_: OccupancyMap, options: Options) -> Ite
     rclpy.init()
     try:
         while trials:
-            with _nodes(file, map_, trials[0].start, options) as operator:
+            with _nodes(file, trials[0].start, options) as operator:
                 while trials:
                     outcome = _drive(operator, maker, trials.pop(0).goal)
                     yield outcome

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from ctrl_rl_core.driving.scan import ScanError, view_scan
 from numpy.typing import NDArray
+from sim_bridge.simulation.localisation import Localiser, correction
 
 from ctrl_rl_core import DriveSafety, NavigationTask, ObstacleStop, OccupancyMap, ScanGeometry, ScanHealth
 from ctrl_rl_navigation.driving.decision import Decision, Goal, NavigatorOptions, NavigatorState
 from ctrl_rl_navigation.driving.navigator import Navigator
-from ctrl_rl_navigation.errors import NavigationError
 from ctrl_rl_navigation.robot import DriveLimits
 from sim_bridge import SimulatedWorld, SimulationOptions
 
@@ -23,22 +24,14 @@ LIDAR_X = -0.032
 """Position of the burger's lidar ahead of its middle [m]."""
 _ENDED = (NavigatorState.REACHED, NavigatorState.UNREACHABLE)
 _FAR = 1e4
-_BOX = ("centre", "size")
+_LDS01 = {"beams": 360, "field": "0.0 .. 360.0 deg", "range": "0.12 .. 3.5 m", "rate": "5.0 Hz", "noise": "0.01 m"}
 TASK_NAME = "drive_on_a_map"
 """Name of the task, and of its file."""
 
 
-def task_content(map_: OccupancyMap, pose: Array) -> dict[str, Any]:
-    """Return the content of a task file: a burger that starts at a pose (3,) of a map, among its occupied cells.
-
-    Raises:
-        NavigationError: The map's origin is turned, which boxes of a task are not.
-    """
+def task_content(map_file: Path, pose: Array) -> dict[str, Any]:
+    """Return the content of a task file: a burger that starts at a pose (3,) of a map and has nowhere to arrive."""
     x, y, theta = map(float, pose)
-    left, bottom, yaw = map_.origin
-    if yaw != 0.0:
-        raise NavigationError("the map's origin is turned: the simulator has walls along x and y alone")
-    right, top = left + map_.size[0], bottom + map_.size[1]
     turns = "-2.84 .. 2.84 rad/s"
     return {
         "name": TASK_NAME,
@@ -47,28 +40,18 @@ def task_content(map_: OccupancyMap, pose: Array) -> dict[str, Any]:
         "source": "a map",
         "system": {"model": "dubins_car", "controls": {"v": "0.22 m/s", "omega": turns}},
         "robot": {"body": "turtlebot3_burger", "commands": {"v": "-0.22 .. 0.22 m/s", "omega": turns}},
-        "arena": {"x": f"{left} .. {right} m", "y": f"{bottom} .. {top} m", "wall_thickness": "0.1 m"},
+        "map": {"file": str(map_file.expanduser().resolve())},
         "start": {"x": f"{x} m", "y": f"{y} m", "theta": f"{theta} rad"},
         "goal": {"disc": {"centre": f"({_FAR}, {_FAR}) m", "radius": "0.1 m"}},
-        "obstacles": [
-            {"box": {name: f"({float(pair[0])}, {float(pair[1])}) m" for name, pair in zip(_BOX, sides, strict=True)}}
-            for sides in ((box.centre, box.size) for box in map_.boxes())
-        ],
         "episode": {"steps": 10_000_000, "time_step": "0.1 s"},
         "rewards": {"goal": 0, "collision": 0},
-        "lidar": {
-            "beams": 360,
-            "field": "0.0 .. 360.0 deg",
-            "range": "0.12 .. 3.5 m",
-            "rate": "5.0 Hz",
-            "noise": "0.01 m",
-        },
+        "lidar": _LDS01,
     }
 
 
 @dataclass(frozen=True)
 class Errors:
-    """Errors of the pose in the map.
+    """Errors of the pose in the map: those of the bridge's localiser, which vary slowly.
 
     Attributes:
         drift: Standard deviation of odometry's relative errors.
@@ -80,14 +63,15 @@ class Errors:
     drift: float = 0.05
     position: float = 0.05
     heading: float = math.radians(3.0)
-    rate: float = 2.0
+    rate: float = 5.0
 
 
-class Localiser:
-    """Corrects a drifting odometry at a rate, each time with another error."""
+class LocalisedPose:
+    """The pose in the map by a drifting odometry that a localiser corrects at a rate."""
 
     def __init__(self, world: SimulatedWorld, errors: Errors, random: np.random.Generator) -> None:
-        self._world, self._errors, self._random = world, errors, random
+        self._world, self._period = world, 1.0 / errors.rate
+        self._localiser = Localiser(errors.position, errors.heading, errors.rate, random)
         self._next = 0.0
         self._correction = np.zeros(3)
 
@@ -96,13 +80,11 @@ class Localiser:
         return self._world.odometry().pose
 
     def pose(self) -> Array:
-        """Return the pose in the map (3,) as a localiser and odometry tell it."""
+        """Return the pose in the map (3,)."""
         odometry = self.odometry()
         if self._world.elapsed >= self._next:
-            self._next = self._world.elapsed + 1.0 / self._errors.rate
-            size = (self._errors.position, self._errors.position, self._errors.heading)
-            told = self._world.pose() + size * self._random.standard_normal(3)
-            self._correction = compose(told, inverse(odometry))
+            self._next = self._world.elapsed + self._period
+            self._correction = correction(self._localiser.update(self._world.pose()), odometry)
         return compose(self._correction, odometry)
 
 
@@ -153,7 +135,7 @@ class DriveSimulation:
 
     def __init__(
         self,
-        map_: OccupancyMap,
+        map_file: Path,
         pose: Array,
         seed: int,
         errors: Errors,
@@ -162,12 +144,12 @@ class DriveSimulation:
     ) -> None:
         self.limits = limits or DriveLimits()
         self._options = NavigatorOptions(inline=True)
-        chosen: dict[str, Any] = {} if engine == "pybullet" else {"engine": engine}
-        settings = SimulationOptions(odom_drift=errors.drift, **chosen)
-        self.world = SimulatedWorld(NavigationTask.model_validate(task_content(map_, pose)), seed, options=settings)
+        settings = SimulationOptions(odom_drift=errors.drift, engine=engine)
+        task = NavigationTask.model_validate(task_content(map_file, pose))
+        self.world = SimulatedWorld(task, seed, options=settings)
         self.navigator = Navigator(self.limits, self._options)
-        self.navigator.set_map(map_)
-        self.localiser = Localiser(self.world, errors, np.random.default_rng((seed, 7)))
+        self.navigator.set_map(OccupancyMap.load(map_file))
+        self.localiser = LocalisedPose(self.world, errors, np.random.default_rng((seed, 7)))
         stop = ObstacleStop(0.125, 0.02, 0.5, 0.3)
         self._safety = DriveSafety(ScanHealth(0.0, 6.3, 0), stop, LIDAR_X, 0.15 + stop.reach(0.33, 0.5))
         self._echoes = np.empty((0, 2))

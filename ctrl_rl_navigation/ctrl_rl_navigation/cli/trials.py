@@ -38,7 +38,7 @@ def named_file(word: str) -> tuple[str, Path]:
     return (name, Path(file)) if equals else (Path(word).stem, map_file(word))
 
 
-def drive_all(map_: OccupancyMap, options: Options) -> Iterator[Outcome]:
+def drive_all(file: Path, map_: OccupancyMap, options: Options) -> Iterator[Outcome]:
     """Yield the outcome of each trial on a map."""
     limits, tolerance = DriveLimits(), NavigatorOptions().tolerance
     errors = Errors(options.drift, options.position_error, math.radians(options.heading_error))
@@ -46,7 +46,7 @@ def drive_all(map_: OccupancyMap, options: Options) -> Iterator[Outcome]:
     trials = maker.draw(np.random.default_rng((options.seed, 1)), options.goals)
     for number, trial in enumerate(trials):
         best = maker.best_time(trial.start, trial.goal) if trial.reachable else math.inf
-        simulation = DriveSimulation(map_, trial.start, options.seed + number, errors, limits, options.engine)
+        simulation = DriveSimulation(file, trial.start, options.seed + number, errors, limits, options.engine)
         try:
             begin = time.monotonic()
             longest = _LONGEST * (best if trial.reachable else 0.0) + _SPARE_S
@@ -93,20 +93,18 @@ def _work(options: Options) -> int:
     maps = [(name, file, OccupancyMap.load(file)) for name, file in files]
     if not all(math.isfinite(x) and x >= 0.0 for x in (options.drift, options.position_error, options.heading_error)):
         raise NavigationError("errors of pose and odometry must be finite and not negative")
-    rows: list[Result] = []
     failed = 0
     for name, file, map_ in maps:
         outcomes = []
-        drives = drive_through_nodes(file, map_, options) if options.ros else drive_all(map_, options)
+        drives = drive_through_nodes(file, map_, options) if options.ros else drive_all(file, map_, options)
         for number, outcome in enumerate(drives):
             outcomes.append(outcome)
             _say(name, number, options.goals, outcome)
         found = rows_of(f"{name}, {options.engine}{', nodes' if options.ros else ''}", outcomes)
-        rows += found
+        if options.results is not None:  # map by map, since each takes minutes
+            write_results(options.results, "navigator", [options.seed], _with_others(options.results, found))
         failed += sum(each.trial.reachable and not each.arrived for each in outcomes)
         print(f"{name}: " + ", ".join(f"{row.metric} {np.mean(row.values):.3f}" for row in found), flush=True)
-    if options.results is not None:
-        write_results(options.results, "navigator", [options.seed], _with_others(options.results, rows))
     return 0 if failed == 0 else 1
 
 
