@@ -108,14 +108,14 @@ def test_starts_are_free_and_spread_over_the_state_space(name: str) -> None:
 
 
 def test_data_depend_on_the_seed_alone_and_not_on_the_processes(car: OptimalControlProblem, tmp_path: Path) -> None:
-    settings = DataSettings(4, chunk=2)
+    settings = DataSettings(2, chunk=1)
     alone, wall, cpu = make_data(car, settings, tmp_path / "alone", progress=False)
-    assert alone.states.shape == (4, 141, 3)
-    assert alone.controls.shape == (4, 140, 2)
+    assert alone.states.shape == (2, 141, 3)
+    assert alone.controls.shape == (2, 140, 2)
     assert 0.0 < cpu < wall * 2 + 1.0
     together, *_ = make_data(car, settings, tmp_path / "together", workers=2, progress=False)
     assert same(alone, together)
-    other, *_ = make_data(car, DataSettings(4, chunk=2, seed=1), tmp_path / "other", progress=False)
+    other, *_ = make_data(car, DataSettings(2, chunk=1, seed=1), tmp_path / "other", progress=False)
     assert not same(alone, other)
 
 
@@ -142,8 +142,8 @@ def test_after_a_kill_the_rest_is_made_and_all_is_the_same(car: OptimalControlPr
 
 def test_a_quadrotors_doomed_starts_are_told_from_the_rest(tmp_path: Path) -> None:
     problem = formulate(load_navigation_task("quad_navigation"))
-    data, *_ = make_data(problem, DataSettings(8, chunk=8), tmp_path / "quad", progress=False)
-    assert len(data.states) == 8
+    data, *_ = make_data(problem, DataSettings(4, chunk=4), tmp_path / "quad", progress=False)
+    assert len(data.states) == 4
     assert len(data.unsolved) == len(data.reasons) == len(data.doomed) > 0
     assert data.success_rate < data.success_rate_of_viable <= 1.0
     assert all(reason.startswith("ipopt: ") for reason in data.reasons)
