@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 import rclpy
 from ctrl_rl_core.ros.node import ODOM_PUBLISHER, SCAN_PUBLISHER, float32_array, to_stamp
-from geometry_msgs.msg import PoseStamped, TwistStamped
+from geometry_msgs.msg import PoseStamped, TransformStamped, TwistStamped
 from nav_msgs.msg import Odometry
 from policy_files import FLY, actor, manifest, write
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from sensor_msgs.msg import LaserScan
+from tf2_msgs.msg import TFMessage
 
 from ctrl_rl_core import COMMAND, PolicyManifest
 from ctrl_rl_msgs.msg import RotorThrusts
@@ -138,7 +139,7 @@ def test_it_drives_holds_swaps_and_stands(robot: Callable, run_node: Callable, t
 
     assert body.set_policy(waits) == ""
     assert body.ask() == (0.0, 0.0)
-    node.wait_for("stopping: waiting for goal_pose in the frame 'odom'")
+    node.wait_for("stopping: waiting for goal_pose")
     goal = PoseStamped()
     for frame, driven in (("map", (0.0, 0.0)), ("odom", (0.1, 0.0))):
         goal.header.frame_id = frame
@@ -158,6 +159,28 @@ def test_it_drives_holds_swaps_and_stands(robot: Callable, run_node: Callable, t
     assert code == 0
     assert body.wait(lambda: body.last == (0.0, 0.0)), "the last command is zero"
     assert "Traceback" not in node.output
+
+
+def test_the_pose_comes_from_transforms_where_that_is_asked_for(
+    robot: Callable, run_node: Callable, tmp_path: Path
+) -> None:
+    file = write(tmp_path, observation=GOAL)
+    node = run_node("ctrl_rl_core", "policy", f"policy:={file}", "pose:=tf", "goal_tolerance:=0.5", "scan_timeout:=5.0")
+    body = robot()
+    transforms = body.node.create_publisher(TFMessage, "/tf", 10)
+    body.begin()
+    goal = PoseStamped()
+    goal.header.frame_id, goal.pose.position.x = "map", 2.0
+    body.goal.publish(goal)
+    node.wait_for("goal (2.00, 0.00) m in 'map'")
+    assert body.ask() == (0.0, 0.0)
+    node.wait_for("stopping: no transform from 'map' to 'base_link'")
+    for x, driven in ((0.0, 0.1), (1.8, 0.0)):
+        link = TransformStamped(child_frame_id="base_link")
+        link.header.frame_id, link.transform.translation.x = "map", x
+        transforms.publish(TFMessage(transforms=[link]))
+        body.wait(lambda: False, 0.2)
+        assert body.ask() == pytest.approx((driven, 0.0))
 
 
 def test_a_command_holds_for_the_policy_s_period(robot: Callable, run_node: Callable, tmp_path: Path) -> None:

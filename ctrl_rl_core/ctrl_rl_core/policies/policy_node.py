@@ -17,11 +17,12 @@ from ctrl_rl_core.driving.command_output import CommandOutput, ThrustOutput
 from ctrl_rl_core.driving.episode_driver import MAX_DISTANCE, EpisodeDriver
 from ctrl_rl_core.driving.lidar_driver import DRIVER_PARAMETERS, PendingDecision, SensorReading
 from ctrl_rl_core.driving.velocity_node import VelocityError
-from ctrl_rl_core.geometry.odometry import OdometryReader, yaw_of
+from ctrl_rl_core.geometry.odometry import yaw_of
 from ctrl_rl_core.io.file_checks import raise_as, read_bytes
 from ctrl_rl_core.policies.errors import PolicyError
 from ctrl_rl_core.policies.observation import Sensors
 from ctrl_rl_core.policies.policy import Policy, find_policy, load_policy
+from ctrl_rl_core.policies.pose_input import POSE_PARAMETERS, PoseInput
 from ctrl_rl_core.ros.node import COMMAND, Status, seconds
 from ctrl_rl_core.ros.parameters import Parameter
 from ctrl_rl_core.ros.running import run_node
@@ -29,17 +30,16 @@ from ctrl_rl_msgs.msg import EpisodeStatus
 
 Array = NDArray[np.float64]
 _LARGEST = 1e9
-_READ_POSE = OdometryReader(("x", "y", "theta"))
 
 
 class PolicyNode(EpisodeDriver):
     """Drives a robot on wheels, or flies a planar quadrotor, by the policy of a file.
 
-    Subscribes to scan, odom, goal_pose and episode; publishes cmd_vel, or rotor_thrusts for a quadrotor. Each command
-    carries the stamp of the scan that it answers. A policy with a period of its own decides once in a period and holds
-    its command between, which each scan limits anew. Where a part of the observation is missing or too old, the robot
-    stands still, and a quadrotor gets the thrusts that carry its weight. Another policy for the same kind of robot may
-    be given while it drives.
+    Subscribes to scan, odom, goal_pose, episode and what the parameter `pose` names; publishes cmd_vel, or
+    rotor_thrusts for a quadrotor. Each command carries the stamp of the scan that it answers. A policy with a period of
+    its own decides once in a period and holds its command between, which each scan limits anew. Where a part of the
+    observation is missing or too old, the robot stands still, and a quadrotor gets the thrusts that carry its weight.
+    Another policy for the same kind of robot may be given while it drives.
     """
 
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = (
@@ -52,6 +52,7 @@ class PolicyNode(EpisodeDriver):
             live=True,
             kind="path",
         ),
+        *POSE_PARAMETERS,
         Parameter(
             "goal_tolerance",
             0.0,
@@ -71,6 +72,7 @@ class PolicyNode(EpisodeDriver):
         self._goal: Array | None = None
         self._goal_frame = ""
         self._episode: int | None = None
+        self._poses = PoseInput(self, self.timeout, lambda: self._ages.now().nanoseconds * 1e-9)
         self.create_subscription(PoseStamped, "goal_pose", self._on_goal, COMMAND)
 
     def make_output(self) -> CommandOutput:
@@ -94,6 +96,7 @@ class PolicyNode(EpisodeDriver):
     def on_odometry(self, message: Odometry) -> None:
         """Keep it for the next decision."""
         self._odometry = message
+        self._poses.on_odometry(message, self.frame)
 
     def on_episode(self, message: EpisodeStatus) -> None:
         """Decide anew when an episode begins."""
@@ -126,35 +129,24 @@ class PolicyNode(EpisodeDriver):
     def status(self) -> Status:
         """Return whether commands flow, and which policy gives them."""
         level, message, figures = super().status()
-        return level, message, {**figures, **self._served}
+        refused = {"refused pose": self._poses.refused} if self._poses.refused else {}
+        return level, message, {**figures, **self._served, **refused}
 
     def _decide(self, reading: SensorReading) -> Array:
         policy = self._policy
         self._decided_at = math.nan  # after an error the next scan decides anew
         assert self._odometry is not None  # the input is fit
-        pose = _READ_POSE(self._odometry) if "pose" in policy.needs else None
+        pose = self._poses.pose() if "pose" in policy.needs else None
         goal = None
         if "goal" in policy.needs:
-            goal = self._usable_goal()
+            if self._goal is None:
+                raise PolicyError("waiting for goal_pose")
+            goal = self._poses.place(self._goal, self._goal_frame)
             tolerance = self.settings["goal_tolerance"]
             if pose is not None and tolerance > 0.0 and math.dist(pose[:2], goal[:2]) <= tolerance:
                 return self.output.rest
         sensors = Sensors(reading.ranges, reading.scan, self._odometry, pose, goal, self._command)
         return self.clip(policy.command(sensors))
-
-    def _usable_goal(self) -> Array:
-        """Return the goal in the frame of the odometry (3,).
-
-        Raises:
-            PolicyError: There is none.
-        """
-        assert self._odometry is not None
-        frame = self._odometry.header.frame_id
-        if self._goal is None:
-            raise PolicyError(f"waiting for goal_pose in the frame '{frame}'")
-        if self._goal_frame != frame:
-            raise PolicyError(f"goal_pose is in the frame '{self._goal_frame}', the pose in '{frame}'")
-        return self._goal
 
     def _is_due(self, now: float) -> bool:
         """Return whether the scan at a time [s] is the nearest to the end of the period."""
@@ -171,7 +163,7 @@ class PolicyNode(EpisodeDriver):
         if not (np.abs(goal) < _LARGEST).all():  # NaN, too
             self.get_logger().warning(f"goal_pose refused: x {position.x}, y {position.y} or its heading is no place")
             return
-        self._goal, self._goal_frame = goal, message.header.frame_id
+        self._goal, self._goal_frame = goal, message.header.frame_id.lstrip("/")
         self._decided_at = math.nan
         self.get_logger().info(f"goal ({goal[0]:.2f}, {goal[1]:.2f}) m in '{self._goal_frame}'")
 
