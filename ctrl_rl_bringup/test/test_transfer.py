@@ -26,10 +26,9 @@ def test_each_shift_changes_options_of_the_simulation():
 
 
 def test_a_cell_says_how_its_drives_ended():
-    said = []
-    (cell,) = drive_cells({"edmd": (POLICY, TASK)}, ["mujoco"], ["nominal"], [5], said.append)
+    (cell,) = drive_cells({"edmd": (POLICY, TASK)}, ["mujoco"], ["nominal"], [5])
     assert (cell.reached, cell.collided) == ((True,), (False,))
-    assert said == [f"{'edmd':<24} {'nominal':<26} {'mujoco':<9}   1 of 1 reach the goal"]
+    assert cell.text() == f"{'edmd':<24} {'nominal':<26} {'mujoco':<9}   1 of 1 reach the goal, 0 collide"
     assert [row.method for row in cell.results()] == ["edmd, mujoco, nominal"] * 2
 
 

@@ -11,7 +11,7 @@ from ctrl_rl_core.command import CommandError, OptionalFileToWrite, at_least
 from ctrl_rl_core.policies.policy import shipped_policies
 
 from ctrl_rl_bringup.cli.running import run_here
-from ctrl_rl_bringup.transfer.table import SHIFTS, drive_cells, transfer_ratios
+from ctrl_rl_bringup.transfer.table import SHIFTS, Cell, drive_cells, transfer_ratios
 from ctrl_rl_core import find_policy, load_navigation_task, load_policy, parse_options, write_results
 
 _HOME = "pybullet"
@@ -62,11 +62,13 @@ def _transfer(options: TransferOptions) -> int:
         if policy.robot != robot:
             raise CommandError(f"policy {name} is for a {policy.robot}, task '{task.name}' has a {robot}")
     seeds = range(options.seeds)
-    told = lambda line: print(line, flush=True)  # noqa: E731
-    cells = list(drive_cells(policies, options.engines, options.shifts, seeds, told))
+    cells: list[Cell] = []
+    for cell in drive_cells(policies, options.engines, options.shifts, seeds):
+        print(cell.text(), flush=True)
+        cells.append(cell)
+        if options.results:  # after each, so that an end before the last loses little
+            write_results(options.results, "transfer", list(seeds), [row for each in cells for row in each.results()])
     ratios = transfer_ratios(cells, _HOME)
     for name, ratio in ratios.items():
         print(f"{name}: {ratio:.3f} of its success in {_HOME}")
-    if options.results:
-        write_results(options.results, "transfer", list(seeds), [row for cell in cells for row in cell.results()])
     return 1 if any(ratio < options.least_ratio for ratio in ratios.values()) else 0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -55,6 +55,11 @@ class Cell:
         """Share of the episodes that ended at the goal."""
         return sum(self.reached) / len(self.reached)
 
+    def text(self) -> str:
+        """Return the cell in a line."""
+        count = f"{sum(self.reached):>3} of {len(self.reached)} reach the goal, {sum(self.collided)} collide"
+        return f"{self.policy:<24} {self.shift:<26} {self.engine:<9} {count}"
+
     def results(self) -> list[Result]:
         """Return the rows of the table of results."""
         method = f"{self.policy}, {self.engine}, {self.shift}"
@@ -69,7 +74,6 @@ def drive_cells(
     engines: Sequence[str],
     shifts: Sequence[str],
     seeds: Sequence[int],
-    said: Callable[[str], None],
 ) -> Iterator[Cell]:
     """Drive each policy in its task, in each engine under each shift.
 
@@ -78,18 +82,15 @@ def drive_cells(
         engines: Names of engines.
         shifts: Names of shifts, of `SHIFTS`.
         seeds: Seeds of the episodes.
-        said: Told each cell in a line.
     """
-    for name, (policy, task) in policies.items():
-        for shift in shifts:
+    for shift in shifts:
+        for name, (policy, task) in policies.items():
             for engine in engines:
                 nominal = SimulationOptions(engine=engine, randomise=False, randomise_width=task.corridor is not None)
                 options = replace(nominal, **SHIFTS[shift])
                 ends = [play_episode(policy, task, seed, options).outcome for seed in seeds]
                 reached = tuple(end is Outcome.GOAL for end in ends)
-                cell = Cell(name, engine, shift, reached, tuple(end is Outcome.COLLISION for end in ends))
-                said(f"{name:<24} {shift:<26} {engine:<9} {sum(cell.reached):>3} of {len(ends)} reach the goal")
-                yield cell
+                yield Cell(name, engine, shift, reached, tuple(end is Outcome.COLLISION for end in ends))
 
 
 def transfer_ratios(cells: Sequence[Cell], home: str) -> dict[str, float]:
