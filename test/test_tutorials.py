@@ -28,13 +28,14 @@ def test_a_tutorial_works_as_written(name: str, tmp_path: Path) -> None:
     blocks = _BLOCK.findall((TUTORIALS / f"{name}.md").read_text(encoding="utf-8"))
     assert blocks
     script = "\n".join(("set -eo pipefail", f". '{ROOT}/scripts/workspace.bash'", *blocks))
-    pipe = subprocess.PIPE
-    shell = subprocess.Popen(
-        ["bash", "-c", script], cwd=tmp_path, stdout=pipe, stderr=pipe, text=True, start_new_session=True
-    )
+    said = tmp_path / "said.txt"  # no pipe, which what it starts in the background would hold open
+    with said.open("wb") as log:
+        shell = subprocess.Popen(
+            ["bash", "-c", script], cwd=tmp_path, stdout=log, stderr=subprocess.STDOUT, start_new_session=True
+        )
     try:
-        out, errors = shell.communicate()
+        shell.wait()
     finally:
         with suppress(ProcessLookupError):  # what it left in the background
             os.killpg(shell.pid, signal.SIGKILL)
-    assert shell.returncode == 0, f"{out}\n{errors}"
+    assert shell.returncode == 0, said.read_text(errors="replace")

@@ -182,7 +182,7 @@ NO_GO = [
     (
         frame_checks.check_tree,
         healthy(frames=tree(link("odom", "base_footprint", age=3.0), link("base_footprint", "base_scan"))),
-        "3.00 s behind",
+        "is 3.00 s behind the clock",
     ),
     (
         frame_checks.check_odometry_agrees,

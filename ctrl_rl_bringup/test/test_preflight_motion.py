@@ -156,8 +156,8 @@ def test_the_pattern_ends_with_a_zero_and_stays_within_a_metre() -> None:
 
 
 def test_only_with_the_wheels_in_the_air_obstacles_do_not_stop_it() -> None:
-    assert "robot_radius:=0.0" in tuple(mover_parameters(True, False, -0.032, 0.0))
-    on_the_floor = tuple(mover_parameters(False, True, -0.032, 0.0))
+    assert "robot_radius:=0.0" in tuple(mover_parameters(True, False, LIMITS))
+    on_the_floor = tuple(mover_parameters(False, True, LIMITS))
     assert "enable_stamped_cmd_vel:=false" in on_the_floor
     assert not any(each.startswith(("robot_radius", "frozen")) for each in on_the_floor)
 

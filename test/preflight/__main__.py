@@ -39,7 +39,7 @@ class Options:
 def main() -> int:
     """Run all faults; 0 where each is found and the healthy robot passes."""
     options = parse_options("preflight", Options)
-    chosen = options.only or (HEALTHY_NAME, *FAULTS)
+    chosen = options.only or (*FAULTS, HEALTHY_NAME)
     if unknown := sorted(set(chosen) - {HEALTHY_NAME, *FAULTS}):
         print(f"preflight: no fault '{unknown[0]}': there are {', '.join(FAULTS)}", file=sys.stderr)
         return EXIT_USAGE

@@ -151,7 +151,7 @@ BREAKS = {
     "slow scan": Break({"scan": lambda message, number: message if number % 5 == 0 else None}),
     "odometry with gaps": Break({"odom": lambda message, number: message if number % 75 < 40 else None}),
     "commands with another QoS": Break(commands=DurabilityPolicy.TRANSIENT_LOCAL),
-    "clock behind": Break(dict.fromkeys(("scan", "odom", "tf"), _later(-2))),
+    "clock behind": Break(dict.fromkeys(("scan", "odom", "tf"), _later(-1))),
     "clock ahead": Break(dict.fromkeys(("scan", "odom", "tf"), _later(60))),
     "no static frames": Break({"tf_static": _hold}),
     "two parents": Break({"tf": _second_parent}),

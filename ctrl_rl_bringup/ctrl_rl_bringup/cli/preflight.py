@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 
 import tyro
 from ctrl_rl_core.command import EXIT_USAGE, CommandError, FiniteNumber, folder_to_write, parse_options, run_command
-from rclpy.executors import SingleThreadedExecutor
+from rclpy.executors import Executor, SingleThreadedExecutor
 from tqdm import tqdm
 
 from ctrl_rl_bringup.cli.running import own_arguments, run_folder
@@ -105,7 +105,7 @@ def _preflight() -> int:
     return 0 if may_go(findings) else 1
 
 
-def _stand(options: PreflightOptions, listener: Listener, executor: SingleThreadedExecutor) -> list[Finding]:
+def _stand(options: PreflightOptions, listener: Listener, executor: Executor) -> list[Finding]:
     """Listen to a robot that stands, and return what is found."""
     print("preflight: waiting for scan and odometry", file=sys.stderr)
     listener.wait(executor, options.wait)
@@ -115,9 +115,7 @@ def _stand(options: PreflightOptions, listener: Listener, executor: SingleThread
     return inspect_standing(heard, options.limits)
 
 
-def _move(
-    options: PreflightOptions, listener: Listener, executor: SingleThreadedExecutor, healthy: bool
-) -> list[Finding]:
+def _move(options: PreflightOptions, listener: Listener, executor: Executor, healthy: bool) -> list[Finding]:
     """Drive the pattern where the standing robot is healthy, and return what is found."""
     if not healthy:
         return [left_out("drive", "the robot is not moved before the above is mended")]
@@ -151,9 +149,7 @@ def _ros_arguments(options: PreflightOptions) -> list[str]:
     namespace = options.namespace.strip("/")
     out = [*sys.argv, "--ros-args"]
     out += ["-r", f"__ns:=/{namespace}"] if namespace else []
-    for parameter in mover_parameters(
-        options.move == "air", options.unstamped, options.limits.lidar_x, options.limits.lidar_yaw
-    ):
+    for parameter in mover_parameters(options.move == "air", options.unstamped, options.limits):
         out += ["-p", f"preflight_mover:{parameter}"]
     if options.commands != "cmd_vel":
         out += ["-r", f"preflight_mover:cmd_vel:={options.commands}"]
@@ -161,7 +157,7 @@ def _ros_arguments(options: PreflightOptions) -> list[str]:
 
 
 @contextmanager
-def _listener(options: PreflightOptions) -> Iterator[tuple[Listener, SingleThreadedExecutor]]:
+def _listener(options: PreflightOptions) -> Iterator[tuple[Listener, Executor]]:
     listener, executor = Listener(options.unstamped, options.commands), SingleThreadedExecutor()
     executor.add_node(listener)
     try:

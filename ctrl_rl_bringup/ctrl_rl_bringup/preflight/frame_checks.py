@@ -59,7 +59,8 @@ def check_tree(heard: Recording, limits: Limits) -> Iterator[Finding]:
         age = 0.0 if moving is None else moving.age
         if age > limits.largest_age or age < -limits.largest_lead:
             advice = "set the clocks of robot and computer by one server"
-            yield no_go("frame tree", f"{odom} -> {base} is {age:.2f} s behind the clock", advice)
+            words = f"{age:.2f} s behind" if age > 0.0 else f"{-age:.2f} s ahead of"
+            yield no_go("frame tree", f"{odom} -> {base} is {words} the clock", advice)
         else:
             yield ok("frame tree", f"{odom} -> {base} -> {scan}")
 

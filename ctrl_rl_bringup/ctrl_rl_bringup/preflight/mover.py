@@ -18,6 +18,8 @@ from ctrl_rl_core.driving.velocity_node import VelocityError
 from ctrl_rl_core.ros.parameters import Parameter
 from rclpy.executors import Executor
 
+from ctrl_rl_bringup.preflight.finding import Limits
+
 SPEED, TURN_RATE = 0.08, 0.5
 """Speed [m/s] and turn rate [rad/s] of the pattern."""
 REST_S = 1.2
@@ -103,11 +105,12 @@ class Mover(LidarVelocityNode):
         return "" if np.array_equal(sent, command) else self.problem
 
 
-def mover_parameters(in_the_air: bool, unstamped: bool, lidar_x: float, lidar_yaw: float) -> Iterator[str]:
+def mover_parameters(in_the_air: bool, unstamped: bool, limits: Limits) -> Iterator[str]:
     """Yield the parameters of a mover as `name:=value`; in the air no scan can say what is in the way."""
     yield f"enable_stamped_cmd_vel:={str(not unstamped).lower()}"
-    yield f"lidar_x:={float(lidar_x)}"
-    yield f"lidar_yaw:={float(lidar_yaw)}"
+    yield f"lidar_x:={float(limits.lidar_x)}"
+    yield f"lidar_yaw:={float(limits.lidar_yaw)}"
+    yield f"scan_timeout:={min(max(2.0 * limits.largest_gap, 0.05), 10.0)}"
     if in_the_air:
         yield from ("robot_radius:=0.0", "min_echo_share:=0.0", "largest_gap:=6.3", "frozen_scans:=0")
 
