@@ -50,7 +50,7 @@ DELAY = 0.005
 """Time from a scan to the effect of its command in the simulator [s]; measured are 2 ms on a busy machine."""
 ARRIVAL_S = 0.015
 """Wall time from the arrival of a command here until it has surely arrived at the simulator, too [s]."""
-REPEATS = 5
+REPEATS = 3
 """Runs of the latency, each with its own processes."""
 
 
@@ -193,10 +193,16 @@ def _kept(options: Options) -> list[Result]:
 
 
 def measure(options: Options) -> int:
-    """Measure, print and write."""
+    """Measure, print, and write after each figure."""
     found, seeds = _kept(options), range(options.seeds)
+    ratios = []
+    for _ in range(REPEATS):
+        _, ratio = compare("policy node", "ctrl_rl_core", "policy", (f"policy:={POLICY}",), scans=500)
+        ratios.append(ratio)
+        print(f"latency over echo    {ratio:.3f}", flush=True)
+    found.append(Result(POLICY, "latency over echo", "1", ratios))
+    _write(options, found)
     for task in options.tasks:
-        load_navigation_task(task)
         own, driven = in_environment(task, seeds), through_node(task, seeds)
         difference = [float(there) - float(here) for there, here in zip(driven, own, strict=True)]
         found += [
@@ -204,16 +210,14 @@ def measure(options: Options) -> int:
             Result(task, "success through the node", "1", [float(each) for each in driven]),
             Result(task, "success difference", "1", [float(np.mean(difference))]),
         ]
+        _write(options, found)
         print(f"{task:<20} {np.mean(own):7.1%} in the environment, {np.mean(driven):7.1%} through the node", flush=True)
-    ratios = []
-    for _ in range(REPEATS):
-        _, ratio = compare("policy node", "ctrl_rl_core", "policy", (f"policy:={POLICY}",), scans=500)
-        ratios.append(ratio)
-        print(f"latency over echo    {ratio:.3f}", flush=True)
-    found.append(Result(POLICY, "latency over echo", "1", ratios))
-    if options.results is not None:
-        write_results(options.results, "policy_node", list(seeds), found)
     return 0
+
+
+def _write(options: Options, found: list[Result]) -> None:
+    if options.results is not None:
+        write_results(options.results, "policy_node", list(range(options.seeds)), found)
 
 
 if __name__ == "__main__":
