@@ -50,7 +50,7 @@ DELAY = 0.005
 """Time from a scan to the effect of its command in the simulator [s]; measured are 2 ms on a busy machine."""
 ARRIVAL_S = 0.015
 """Wall time from the arrival of a command here until it has surely arrived at the simulator, too [s]."""
-REPEATS = 3
+REPEATS = 5
 """Runs of the latency, each with its own processes."""
 
 
