@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import sys
 import tempfile
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,6 +20,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from planted import FAULTS, HEALTHY, Answer, look_at
 
+_BUSY = ("--scan-rate", "2", "--odom-rate", "5", "--largest-gap", "1")
 HEALTHY_NAME = "healthy robot"
 
 
@@ -35,6 +37,12 @@ class Options:
     seeds: Positive = 1
     """Number of robots for each fault, with seeds from 0."""
 
+    jobs: Positive = 1
+    """Number of robots at a time."""
+
+    busy: bool = False
+    """Bear a busy machine: scans at 2 Hz and gaps of 1 s pass where the fault is none of time."""
+
 
 def main() -> int:
     """Run all faults; 0 where each is found and the healthy robot passes."""
@@ -44,12 +52,10 @@ def main() -> int:
         print(f"preflight: no fault '{unknown[0]}': there are {', '.join(FAULTS)}", file=sys.stderr)
         return EXIT_USAGE
     rows, said = [], {}
-    for number, name in enumerate(chosen):
-        with tempfile.TemporaryDirectory() as folder:
-            answers = [
-                look_at(name, Path(folder) / str(seed), 1 + (os.getpid() + number * options.seeds + seed) % 100, seed)
-                for seed in range(options.seeds)
-            ]
+    with ThreadPoolExecutor(options.jobs) as pool:
+        looks = {name: pool.submit(look, name, number * options.seeds, options) for number, name in enumerate(chosen)}
+    for name in chosen:
+        answers = looks[name].result()
         found = [float(answer.finds(FAULTS.get(name, HEALTHY))) for answer in answers]
         rows.append(Result(name, "passed" if name == HEALTHY_NAME else "found", "1", found))
         said[name] = [_no_gos(answer) for answer in answers]
@@ -59,6 +65,21 @@ def main() -> int:
     if options.results is not None:
         write_results(options.results, "preflight", range(options.seeds), rows, {"no-go": said})
     return 0 if all(min(row.values) == 1.0 for row in rows) else 1
+
+
+def look(name: str, first: int, options: Options) -> list[Answer]:
+    """Return what is said of robots with one fault, each in a ROS domain of its own, from number `first` on."""
+    with tempfile.TemporaryDirectory() as folder:
+        return [
+            look_at(
+                name,
+                Path(folder) / str(seed),
+                1 + (os.getpid() + first + seed) % 100,
+                seed,
+                _BUSY if options.busy else (),
+            )
+            for seed in range(options.seeds)
+        ]
 
 
 def _no_gos(answer: Answer) -> list[str]:

@@ -99,6 +99,21 @@ def _large_wheels(message: Odometry, _number: int) -> Odometry:
     return message
 
 
+def _in_tf(change: Callable[[Odometry], None]) -> Change:
+    """Return the change of transforms that a change of the pose of odometry makes."""
+
+    def changed(message: TFMessage, _number: int) -> TFMessage:
+        for each in message.transforms:
+            odometry, moved = Odometry(), each.transform.translation
+            odometry.pose.pose.position.x, odometry.pose.pose.position.y = moved.x, moved.y
+            odometry.pose.pose.orientation = each.transform.rotation
+            change(odometry)
+            moved.x, moved.y = odometry.pose.pose.position.x, odometry.pose.pose.position.y
+        return message
+
+    return changed
+
+
 def _torn_pose(message: Odometry, _number: int) -> Odometry:
     """Speeds of the wheels, a pose that stands still."""
     message.pose.pose.position.x = message.pose.pose.position.y = 0.0
@@ -166,8 +181,8 @@ BREAKS = {
     "map of another place": Break(map_shift=0.6),
     "mirrored lidar": Break({"scan": _ranges(_mirrored)}),
     "lidar mounted turned": Break({"scan": _ranges(_quarter_turn)}),
-    "swapped wheels": Break({"odom": _swapped_wheels}),
-    "wrong wheel radius": Break({"odom": _large_wheels}),
+    "swapped wheels": Break({"odom": _swapped_wheels, "tf": _in_tf(lambda odometry: _swapped_wheels(odometry, 0))}),
+    "wrong wheel radius": Break({"odom": _large_wheels, "tf": _in_tf(lambda odometry: _large_wheels(odometry, 0))}),
     "pose stands still": Break({"odom": _torn_pose}),
     "motors off": Break({"cmd_vel": _hold}),
 }
