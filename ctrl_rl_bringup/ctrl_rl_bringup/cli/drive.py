@@ -218,7 +218,7 @@ def report() -> int:
 
 def monitor() -> int:
     """Start the simulation once the nodes of a drive listen to each other, and follow the drive to its end."""
-    options = parse_options("monitor", MonitorOptions, own_arguments())
+    options = parse_options("monitor", MonitorOptions, own_arguments("monitor"))
     return run_here(
         "monitor", lambda: follow_running(list(filter(None, options.topics.split(","))), options.ready_limit)
     )

@@ -88,7 +88,7 @@ def preflight() -> int:
 
 
 def _preflight() -> int:
-    options = parse_options("preflight", PreflightOptions, own_arguments(), _EPILOG)
+    options = parse_options("preflight", PreflightOptions, own_arguments("preflight"), _EPILOG)
     options.check()
     folder = run_folder(options.output, "preflight")
     try:

@@ -11,7 +11,7 @@ from rclpy._rclpy_pybind11 import UnknownROSArgsError
 from rclpy.utilities import remove_ros_args
 
 from ctrl_rl_bringup.runner.domain import own_domain, stay_local
-from ctrl_rl_core import CommandError, run_command
+from ctrl_rl_core import run_command
 
 
 def run_here(program: str, work: Callable[[], int]) -> int:
@@ -35,13 +35,13 @@ def run_folder(output: Path | None, name: str) -> Path:
     return output or Path("runs") / f"{name}-{datetime.now():%Y%m%d-%H%M%S}"
 
 
-def own_arguments() -> list[str]:
+def own_arguments(program: str) -> list[str]:
     """Return the process's arguments without those that ROS's launch adds after --ros-args.
 
-    Raises:
-        CommandError: One of those is unknown to ROS.
+    One that is unknown to ROS is wrong usage: it is said in one line, and the process ends with 2.
     """
     try:
         return list(remove_ros_args(sys.argv)[1:])
     except UnknownROSArgsError as error:
-        raise CommandError(f"unknown ROS argument {error}: see --help") from None
+        print(f"{program}: unknown ROS argument {error}: see {program} --help", file=sys.stderr)
+        raise SystemExit(2) from None

@@ -91,7 +91,7 @@ def report() -> int:
 
 def monitor() -> int:
     """Start the simulation once a team's nodes listen to each other, and follow the work to its end."""
-    options = parse_options("options_monitor", MonitorOptions, own_arguments())
+    options = parse_options("options_monitor", MonitorOptions, own_arguments("options_monitor"))
     return run_here("options_monitor", lambda: follow_running_team(load_team(options.team), options.ready_limit))
 
 
