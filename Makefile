@@ -87,7 +87,7 @@ test-all: build ## the same, slow tests too
 	@$(MAKE) --no-print-directory -j2 lint tests SLOW=1
 
 tests: build
-	@$(RUN) python -m pytest -n $$(( $$(nproc) + 1 )) --dist loadfile --no-loadscope-reorder $(if $(SLOW),,-m "not slow") $(ARGS)
+	@$(RUN) python -m pytest -n $$(nproc) --dist loadfile --no-loadscope-reorder $(if $(SLOW),,-m "not slow") $(ARGS)
 
 lint: setup ## ruff and mypy
 	@.venv/bin/ruff check . && .venv/bin/ruff format --check . && .venv/bin/mypy $(LINKED)

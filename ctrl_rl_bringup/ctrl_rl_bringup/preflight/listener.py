@@ -117,7 +117,11 @@ class Listener(Node):
         return Times(time.monotonic(), self._now() - stamp, stamp)
 
     def _on_clock(self, message: Clock) -> None:
-        self.heard.simulated = True
+        heard = self.heard
+        if not heard.simulated:  # ages of what came before were held to the wrong clock
+            heard.simulated, heard.begin = True, time.monotonic()
+            heard.scans.clear()
+            heard.odometry.clear()
         self._clock_offset = seconds(message.clock) - time.monotonic()
 
     def _on_scan(self, message: LaserScan) -> None:
