@@ -12,6 +12,7 @@ from .driving.velocity_node import VELOCITY_PARAMETERS as VELOCITY_PARAMETERS
 from .driving.velocity_node import VelocityError as VelocityError
 from .driving.velocity_node import VelocityNode as VelocityNode
 from .errors import CtrlRlError as CtrlRlError
+from .geometry.motion import Motion as Motion
 from .geometry.odometry import OdometryError as OdometryError
 from .geometry.odometry import OdometryReader as OdometryReader
 from .geometry.shapes import Arc as Arc
@@ -63,6 +64,8 @@ from .systems.models import SystemModel as SystemModel
 from .systems.system import System as System
 from .systems.system import SystemModelError as SystemModelError
 from .systems.system import make_system as make_system
+from .tasks.mover_draws import MoverPlan as MoverPlan
+from .tasks.mover_draws import draw_movers as draw_movers
 from .tasks.option_tasks import ToolDelivery as ToolDelivery
 from .tasks.option_tasks import WaterFilling as WaterFilling
 from .tasks.outcome import Outcome as Outcome

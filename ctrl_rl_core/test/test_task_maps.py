@@ -91,10 +91,12 @@ def test_a_flying_robot_draws_nothing_about_wheels(tmp_path):
         load(tmp_path, {**content, "randomisation": {"friction": "0.5 .. 1.0"}})
 
 
-def test_a_task_without_map_and_ranges_keeps_its_digest():
+def test_a_task_without_map_movers_and_ranges_keeps_its_digest():
     for name in task_names():
         task = load_task(name)
-        before = task.model_dump_json(exclude={"about", "source", "differences", "map", "randomisation"})
+        if getattr(task, "movers", ()):
+            continue
+        before = task.model_dump_json(exclude={"about", "source", "differences", "map", "movers", "randomisation"})
         assert task_digest(task) == sha256(before.encode()).hexdigest()
         if isinstance(task, NavigationTask):
             shifted = task.model_copy(update={"randomisation": {"odom_drift": (0.0, 0.1)}})

@@ -2,9 +2,11 @@ from .engines.choice import ENGINES as ENGINES
 from .environments import NavigationEnv as NavigationEnv
 from .environments import register_environments as register_environments
 from .errors import SimulationError as SimulationError
+from .simulation.episode import Contact as Contact
 from .simulation.episode import EpisodeState as EpisodeState
 from .simulation.lidar import LIDARS as LIDARS
 from .simulation.lidar import LidarScan as LidarScan
+from .simulation.movers import MoverStates as MoverStates
 from .simulation.odometry import OdometryReading as OdometryReading
 from .simulation.options import SimulationOptions as SimulationOptions
 from .simulation.world import SimulatedWorld as SimulatedWorld

@@ -20,6 +20,7 @@ arena: {x: -2.0 .. 2.0 m, y: -1.5 .. 1.5 m, wall_thickness: 0.2 m}
 start: {x: START_X m, y: 0.0 m, theta: START_THETA rad}
 goal: {x: 100.0 m}
 OBSTACLES
+MOVERS
 episode: {steps: 100000, time_step: 0.2 s}
 rewards: {goal: 1, collision: -1}
 lidar: {beams: 360, field: 0.0 .. 360.0 deg, range: 0.12 .. 3.5 m, rate: 5.0 Hz}
@@ -28,11 +29,12 @@ lidar: {beams: 360, field: 0.0 .. 360.0 deg, range: 0.12 .. 3.5 m, rate: 5.0 Hz}
 
 @pytest.fixture
 def make_room(tmp_path: Path):
-    """A function that returns the room as a task: start x and heading, obstacles as YAML."""
+    """A function that returns the room as a task: start x and heading, obstacles and movers as YAML."""
 
-    def make(x: float = 0.0, theta: float = 0.0, obstacles: str = "") -> NavigationTask:
+    def make(x: float = 0.0, theta: float = 0.0, obstacles: str = "", movers: str = "") -> NavigationTask:
         text = ROOM.replace("START_X", str(x)).replace("START_THETA", str(theta))
         text = text.replace("OBSTACLES", f"obstacles: {obstacles}" if obstacles else "")
+        text = text.replace("MOVERS", f"movers: {movers}" if movers else "")
         file = tmp_path / "room.yaml"
         file.write_text(text)
         return load_navigation_task(file)

@@ -23,7 +23,7 @@ from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
 
 from ctrl_rl_core import RESULT, SENSOR, OccupancyMap
-from ctrl_rl_msgs.msg import EpisodeStatus, RotorThrusts, TaskOutcome
+from ctrl_rl_msgs.msg import EpisodeStatus, Movers, RotorThrusts, TaskOutcome
 from ctrl_rl_msgs.srv import ResetWorld, StepWorld
 
 PROGRAM = [
@@ -332,6 +332,22 @@ REFUSALS = (
     ({"robots": "['a b']"}, "no namespace"),
     ({"task": "car_ttr", "robots": str([f"r{i}" for i in range(20)])}, "no room for 20 robots"),
 )
+
+
+def test_movers_are_told_with_each_odometry(start):
+    client = start(start_paused=True, task="walkers", seed=2)
+    client.listen(Movers, "movers", SENSOR)
+    client.listen(MarkerArray, "mover_markers", SENSOR)
+    client.until(lambda: client.node.count_publishers("movers") and client.node.count_publishers("mover_markers"))
+    while not (client.heard["movers"] and client.heard["mover_markers"]):
+        assert client.call("step", duration=0.1).success
+        rclpy.spin_once(client.node, timeout_sec=0.05)
+    message, markers = client.heard["movers"][-1], client.heard["mover_markers"][-1].markers
+    assert message.header.frame_id == "map"
+    assert [mover.id for mover in message.movers] == [0, 1, 2]
+    assert all(mover.radius == pytest.approx(0.15) for mover in message.movers)
+    assert all(0.1 <= math.hypot(mover.velocity.x, mover.velocity.y) <= 0.3 for mover in message.movers)
+    assert len(markers) == 3
 
 
 def test_a_bad_parameter_ends_with_one_message(in_turn):

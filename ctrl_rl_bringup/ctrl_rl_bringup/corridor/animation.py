@@ -12,6 +12,7 @@ from ctrl_rl_core.ros.node import seconds
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.patches import Circle
 from numpy.typing import NDArray
 from PIL import Image
 
@@ -51,9 +52,12 @@ def animate_drive(bag: Path, drive: DriveReport, path: Path) -> None:
     (driven,) = axes["map"].plot([], [], color="tab:blue", linewidth=2)
     (robot,) = axes["map"].plot([], [], "o", color="tab:blue", markersize=9)
     (nose,) = axes["map"].plot([], [], color="white", linewidth=2)
+    movers = [Circle(mover.at(0.0), mover.radius, color="tab:red", alpha=0.6, linewidth=0) for mover in drive.movers]
+    for circle in movers:
+        axes["map"].add_patch(circle)
     clock = axes["map"].set_title(" ", family="monospace")
     marks = [mark for name, series in _series(drive).items() for mark in _draw_series(axes[name], name, series, drive)]
-    moving = (echoes, driven, robot, nose, clock, *marks)
+    moving = (echoes, driven, robot, nose, clock, *marks, *movers)
     for artist in moving:
         artist.set_animated(True)
     canvas = FigureCanvasAgg(figure)
@@ -70,6 +74,8 @@ def animate_drive(bag: Path, drive: DriveReport, path: Path) -> None:
         driven.set_data(*drive.truth[drive.truth[:, 0] <= time, 1:].T)
         robot.set_data([x], [y])
         nose.set_data([x, x + 0.1 * np.cos(yaw)], [y, y + 0.1 * np.sin(yaw)])
+        for circle, mover in zip(movers, drive.movers, strict=True):
+            circle.set_center(mover.at(time))
         clock.set_text(f"{time:4.1f} s")
         for mark in marks:
             mark.set_xdata([time, time])

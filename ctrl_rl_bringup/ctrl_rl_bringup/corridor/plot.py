@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
+from matplotlib.patches import Circle
 
 from ctrl_rl_bringup.corridor.report import DriveReport
 from ctrl_rl_bringup.runner.monitor import OUTCOMES
@@ -51,9 +52,18 @@ def _draw_map(axes: Axes, task: NavigationTask, drive: DriveReport) -> None:
         plt.colorbar(line, ax=axes, location="bottom", shrink=0.6, label="clearance [m]")
         axes.plot(*points[0], "o", color="black", label="start")
         _mark_times(axes, drive)
+    _draw_movers(axes, drive)
     axes.set(xlabel="x [m]", ylabel=f"{task.plane[1]} [m]")
     axes.autoscale_view()
     axes.legend(loc="best", frameon=False)
+
+
+def _draw_movers(axes: Axes, drive: DriveReport) -> None:
+    """Draw where the moving obstacles went, and where they were at the end."""
+    for mover in drive.movers:
+        driven = mover.track[mover.track[:, 0] <= drive.duration]
+        axes.plot(*driven[:, 1:].T, ":", color="tab:red", linewidth=1)
+        axes.add_patch(Circle(mover.at(drive.duration), mover.radius, color="tab:red", alpha=0.6, linewidth=0))
 
 
 def _mark_times(axes: Axes, drive: DriveReport, step: float = 5.0) -> None:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ctrl_rl_bags import BagError, bag_info, read_messages
 from ctrl_rl_bringup.corridor.latent_model import LatentModel, read_latent_model
+from ctrl_rl_bringup.corridor.mover_tracks import MOVERS, MoverTrack, read_movers
 from ctrl_rl_bringup.runner.monitor import OUTCOMES
 from ctrl_rl_bringup.runner.recorded_parameters import recorded_parameters
 from ctrl_rl_bringup.runner.transport import answer_latencies, lost_messages, read_sent
@@ -49,6 +50,7 @@ class DriveReport:
         lost: Number of messages published while the recorder listened, but not recorded.
         predictions: Time, one-step error of the latent model, and that of "nothing changes" (n, 3).
         latent: Latent model of the controller; None if another driver drove.
+        movers: Moving obstacles of the task.
         promised: Kinds of files that the run was started with: "policy", "time_to_reach", "oc_value" and so on.
     """
 
@@ -69,6 +71,7 @@ class DriveReport:
     lost: int
     predictions: Array
     latent: LatentModel | None
+    movers: tuple[MoverTrack, ...] = ()
     promised: frozenset[str] = frozenset()
 
     @property
@@ -199,6 +202,7 @@ def read_drive(bag: Path) -> DriveReport:
         lost=lost_messages(sent),
         predictions=latent.steps - (begin, 0.0, 0.0) if latent else np.empty((0, 3)),
         latent=latent,
+        movers=read_movers(bag, begin) if MOVERS in info.topics else (),
         promised=frozenset(key.removeprefix(_DIGEST) for key in info.custom_data if key.startswith(_DIGEST)),
     )
 

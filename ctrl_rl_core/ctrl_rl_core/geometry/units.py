@@ -10,7 +10,7 @@ import re
 from collections.abc import Callable
 from typing import Annotated, Any, NamedTuple
 
-from pydantic import BeforeValidator
+from pydantic import AfterValidator, BeforeValidator
 
 from ctrl_rl_core.io.file_checks import short_repr
 
@@ -160,8 +160,21 @@ def _vector(unit: str) -> Callable[[Any], tuple[float, ...]]:
     return lambda value: parse_vector(value, unit, 2)
 
 
+def _not_negative(interval: Interval) -> Interval:
+    if interval.low < 0.0:
+        raise ValueError(f"{interval.low:g}: must be at least 0")
+    return interval
+
+
+def _positive(interval: Interval) -> Interval:
+    if interval.low < _LEAST:
+        raise ValueError(f"{interval.low:g}: must be at least {_LEAST:g}")
+    return interval
+
+
 Length = Annotated[float, BeforeValidator(_scalar("m"))]
 PositiveLength = Annotated[float, BeforeValidator(_scalar("m", positive=True))]
+Time = Annotated[float, BeforeValidator(_scalar("s"))]
 PositiveTime = Annotated[float, BeforeValidator(_scalar("s", positive=True))]
 TimeStep = Annotated[float, BeforeValidator(_scalar("s", positive=True, largest=60.0))]
 """From one step of a policy to the next [s]."""
@@ -171,4 +184,6 @@ PositiveSpeed = Annotated[float, BeforeValidator(_scalar("m/s", positive=True))]
 PositiveRate = Annotated[float, BeforeValidator(_scalar("Hz", positive=True))]
 LengthInterval = Annotated[Interval, BeforeValidator(_interval("m"))]
 AngleInterval = Annotated[Interval, BeforeValidator(_interval("rad"))]
+TimeInterval = Annotated[Interval, BeforeValidator(_interval("s")), AfterValidator(_not_negative)]
+PositiveSpeedInterval = Annotated[Interval, BeforeValidator(_interval("m/s")), AfterValidator(_positive)]
 Point = Annotated[tuple[float, float], BeforeValidator(_vector("m"))]

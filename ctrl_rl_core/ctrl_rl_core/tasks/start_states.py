@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrl_rl_core.geometry.shapes import World
+from ctrl_rl_core.geometry.shapes import Disc, World
 from ctrl_rl_core.systems.system import System
 from ctrl_rl_core.tasks.regions import position_indices, wrap
 from ctrl_rl_core.tasks.task import NavigationTask, TaskError
@@ -17,11 +19,17 @@ _LAYOUTS = 50
 """Number of layouts that are tried before the start set counts as too small. One failure proves little: the first
 robots may happen to leave no room for another."""
 _GAP = 0.1
-"""Free space between two robots at the start [m]."""
+"""Free space between two robots, or a robot and a mover, at the start [m]."""
 
 
 def draw_starts(
-    task: NavigationTask, system: System, world: World, count: int, radius: float, random: np.random.Generator
+    task: NavigationTask,
+    system: System,
+    world: World,
+    count: int,
+    radius: float,
+    random: np.random.Generator,
+    movers: Sequence[Disc] = (),
 ) -> list[Array]:
     """Return one start state (n,) for each of `count` robots, ordered as the system names its components.
 
@@ -34,21 +42,30 @@ def draw_starts(
         count: The number of robots.
         radius: The radius of a circle that holds a robot [m].
         random: The generator that the states are drawn from.
+        movers: Discs of the moving obstacles at the start, which no robot may touch.
 
     Raises:
         TaskError: The start set has no room for so many robots.
     """
     most = 0
     for _ in range(_LAYOUTS):
-        layout = _draw_layout(task, system, world, count, radius, random)
+        layout = _draw_layout(task, system, world, count, radius, random, movers)
         if len(layout) == count:
             return layout
         most = max(most, len(layout))
+    if not most:
+        raise TaskError(f"task '{task.name}' has no room for a robot at its start: move a wall, an obstacle or a mover")
     raise TaskError(f"task '{task.name}' has no room for {count} robots at its start: use {most} or fewer")
 
 
 def _draw_layout(
-    task: NavigationTask, system: System, world: World, count: int, radius: float, random: np.random.Generator
+    task: NavigationTask,
+    system: System,
+    world: World,
+    count: int,
+    radius: float,
+    random: np.random.Generator,
+    movers: Sequence[Disc],
 ) -> list[Array]:
     """Return the start states of as many robots as found room one after the other."""
     place = position_indices(system.state_names)
@@ -60,6 +77,7 @@ def _draw_layout(
             if state is None:
                 state = task.start.region.sample(system.state_names, random)
             apart = all(np.linalg.norm(state[place] - other[place]) >= distance for other in layout)
+            apart = apart and all(disc.signed_distance(state[place]) >= radius + _GAP for disc in movers)
             # The first robot may start anywhere in the start set: a long thin body may come nearer to a wall than its
             # radius.
             if apart and (index == 0 or world.signed_distance(state[place]) >= radius):

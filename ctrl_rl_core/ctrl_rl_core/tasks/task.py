@@ -22,6 +22,7 @@ from ctrl_rl_core.io.checked_yaml import read_yaml
 from ctrl_rl_core.io.file_checks import FileError, first_error, raise_as, short_path, short_repr
 from ctrl_rl_core.systems.models import SYSTEM_MODELS
 from ctrl_rl_core.tasks.option_tasks import ToolDelivery, WaterFilling
+from ctrl_rl_core.tasks.schema.movers import MOST_MOVERS, MoverSpec
 from ctrl_rl_core.tasks.schema.optimal_control import GridSpec, OptimalControlSpec
 from ctrl_rl_core.tasks.schema.parts import EpisodeSpec, RewardSpec, Several, TaskHeader
 from ctrl_rl_core.tasks.schema.randomisation import CONDITIONS, Randomisation
@@ -31,7 +32,7 @@ from ctrl_rl_core.tasks.schema.world import ArenaSpec, CorridorSpec, MapSpec, Ob
 
 FOLDER = FilePath(__file__).parent / "task_files"
 _PROSE = {"about", "source", "differences"}
-_YOUNG = {"map", "randomisation"}
+_YOUNG = {"map", "movers", "randomisation"}
 """Parts that tasks did not always have: a task without them keeps its digest."""
 
 
@@ -52,6 +53,7 @@ class NavigationTask(TaskHeader):
     goal: RegionSpec
     trap: RegionSpec | None = None
     obstacles: Several[ObstacleSpec] = ()
+    movers: Several[MoverSpec] = Field(default=(), max_length=MOST_MOVERS)
     episode: EpisodeSpec
     rewards: RewardSpec
     lidar: LidarSpec

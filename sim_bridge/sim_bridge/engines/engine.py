@@ -23,6 +23,8 @@ WALL_HEIGHT = 0.5
 """Height of walls and obstacles in the x-y plane [m]: higher than every lidar."""
 SLAB_DEPTH = 2.0
 """Depth of walls and obstacles across the x-z plane [m]."""
+MOVER_MASS = 1e5
+"""Mass of a mover [kg]: no robot slows it."""
 MOST_ROBOTS = 29
 """Most robots of a world: in PyBullet each has a bit of its own, so that a lidar can overlook its carrier."""
 SEARCH_LIMIT = 100.0
@@ -99,10 +101,17 @@ class PlanarJoints(Protocol):
         """Return the joint speeds (3,) [m/s, m/s, rad/s]."""
 
 
+class MovingDisc(Protocol):
+    """A disc that goes its way whatever it meets."""
+
+    def move(self, position: tuple[float, float], velocity: tuple[float, float]) -> None:
+        """Put it at a position [m], and let it move at a velocity [m/s] in the next step."""
+
+
 class Engine(Protocol):
     """A physics engine that holds one world and runs in whole steps.
 
-    A world is built by `begin`, one `add_...` for each robot, and `finish`; a next `begin` empties it.
+    A world is built by `begin`, one `add_...` for each robot and mover, and `finish`; a next `begin` empties it.
 
     Attributes:
         name: Name of the engine.
@@ -129,6 +138,12 @@ class Engine(Protocol):
             SimulationError: Too many robots.
         """
 
+    def add_mover(self, radius: float, position: tuple[float, float]) -> MovingDisc:
+        """Add a mover of a radius at a position [m]; robots and rays meet it, walls and other movers do not.
+
+        It is a `WALL_HEIGHT` high cylinder in the x-y plane, and a `SLAB_DEPTH` deep one across the x-z plane.
+        """
+
     def finish(self) -> None:
         """Make the world ready for steps, ray casts and distances."""
 
@@ -145,7 +160,7 @@ class Engine(Protocol):
         """
 
     def distance(self, robot: int, guess: float) -> float:
-        """Return the distance of a robot to the nearest wall, obstacle or robot [m].
+        """Return the distance of a robot to the nearest wall, obstacle, mover or robot [m].
 
         Negative where they overlap; inf for nothing within `SEARCH_LIMIT`.
 
@@ -153,6 +168,9 @@ class Engine(Protocol):
             robot: Number of the robot.
             guess: Where to begin the search [m]; costs least when a little more than the answer.
         """
+
+    def mover_distance(self, robot: int, mover: int, limit: float) -> float:
+        """Return the distance of a robot to a mover, numbered in the order of adding, or `limit` if less [m]."""
 
     def close(self) -> None:
         """Give the engine back; a second call does nothing."""

@@ -11,7 +11,16 @@ from numpy.typing import NDArray
 
 from ctrl_rl_core import Box, Shape
 from sim_bridge.engines.engine import MOST_ROBOTS, SEARCH_LIMIT, Array, FlyingRobot, WheeledRobot
-from sim_bridge.engines.mujoco_model import MOTOR, PLANAR_JOINTS, ROOT, WHEELS, build_model, fixed_geom, prefix
+from sim_bridge.engines.mujoco_model import (
+    MOTOR,
+    PLANAR_JOINTS,
+    ROOT,
+    WHEELS,
+    build_model,
+    fixed_geom,
+    mover_name,
+    prefix,
+)
 from sim_bridge.errors import SimulationError
 
 _FAR = 1
@@ -33,10 +42,11 @@ class MujocoEngine:
         self._built: tuple[object, ...] = ()
         self._plane, self._shapes = "xy", tuple[Shape, ...]()
         self._robots: list[_MujocoRobot] = []
+        self._movers: list[MujocoMover] = []
 
     def begin(self, plane: str, shapes: Sequence[Shape]) -> None:  # noqa: D102 - see Engine
         self._plane, self._shapes = plane, tuple(shapes)
-        self._robots = []
+        self._robots, self._movers = [], []
 
     def add_wheeled(self, robot: WheeledRobot) -> MujocoWheels:  # noqa: D102
         wheels = MujocoWheels(robot)
@@ -48,21 +58,29 @@ class MujocoEngine:
         self._add(joints)
         return joints
 
+    def add_mover(self, radius: float, position: tuple[float, float]) -> MujocoMover:  # noqa: D102
+        self._movers.append(MujocoMover(radius, position))
+        return self._movers[-1]
+
     def _add(self, robot: _MujocoRobot) -> None:
         if len(self._robots) == MOST_ROBOTS:
             raise SimulationError(f"a world holds at most {MOST_ROBOTS} robots")
         self._robots.append(robot)
 
     def finish(self) -> None:  # noqa: D102
-        wanted = (self._plane, self._shapes, tuple(robot.kind for robot in self._robots))
+        radii = tuple(mover.radius for mover in self._movers)
+        wanted = (self._plane, self._shapes, tuple(robot.kind for robot in self._robots), radii)
         if wanted != self._built:
-            self._model = build_model(self.rate, self._plane, self._shapes, [robot.robot for robot in self._robots])
+            robots = [robot.robot for robot in self._robots]
+            self._model = build_model(self.rate, self._plane, self._shapes, robots, radii)
             self._data = mujoco.MjData(self._model)
             self._fixed = np.array([_bounds(shape) for shape in self._shapes]).reshape(-1, 4)
             self._built = wanted
         mujoco.mj_resetData(self._model, self._data)
         for number, robot in enumerate(self._robots):
             robot.place(self._model, self._data, number)
+        for number, mover in enumerate(self._movers):
+            mover.place(self._model, self._data, number)
         self._moved()
 
     def _moved(self) -> None:
@@ -115,7 +133,13 @@ class MujocoEngine:
         for other in self._robots:
             if other is not own:
                 nearest = min(nearest, self._between(own.geoms, other.geoms, nearest))
+        for mover in self._movers:
+            nearest = min(nearest, self._between(own.geoms, [mover.geom], nearest))
         return nearest if nearest < SEARCH_LIMIT else math.inf
+
+    def mover_distance(self, robot: int, mover: int, limit: float) -> float:  # noqa: D102
+        self._place_geoms()
+        return self._between(self._robots[robot].geoms, [self._movers[mover].geom], limit)
 
     def _gaps(self, point: Array) -> Array:
         """Return the distance of a point (3,) to the box around each wall and obstacle (n,) [m]."""
@@ -225,6 +249,30 @@ class MujocoJoints(_MujocoRobot):
 
     def velocity(self) -> Array:  # noqa: D102
         return np.array(self._data.qvel[self._rates])
+
+
+class MujocoMover:
+    """A `MovingDisc` in MuJoCo: a heavy body on two rails, since contacts overlook the speed of a `mocap` body.
+
+    Attributes:
+        radius: Radius of the disc [m].
+        geom: MuJoCo's number of its geom.
+    """
+
+    def __init__(self, radius: float, position: tuple[float, float]) -> None:
+        self.radius, self._position = radius, position
+
+    def place(self, model: mujoco.MjModel, data: mujoco.MjData, number: int) -> None:
+        """Begin at the start of an episode."""
+        self._data = data
+        self.geom = int(model.geom(mover_name(number)).id)
+        joints = [model.joint(mover_name(number, axis)) for axis in range(2)]
+        self._places = [int(joint.qposadr[0]) for joint in joints]
+        self._rates = [int(joint.dofadr[0]) for joint in joints]
+        self.move(self._position, (0.0, 0.0))
+
+    def move(self, position: tuple[float, float], velocity: tuple[float, float]) -> None:  # noqa: D102
+        self._data.qpos[self._places], self._data.qvel[self._rates] = position, velocity
 
 
 def _bounds(shape: Shape) -> NDArray[np.float64]:

@@ -7,9 +7,10 @@ from xml.etree import ElementTree as ET
 
 import mujoco
 
-from ctrl_rl_core import Box, Shape
+from ctrl_rl_core import Box, Disc, Shape
 from sim_bridge.engines.engine import (
     GRAVITY,
+    MOVER_MASS,
     SLAB_DEPTH,
     URDF_FOLDER,
     WALL_HEIGHT,
@@ -25,6 +26,7 @@ MOTOR = "_motor"
 ROOT = "base_footprint"
 
 _HULL_FRICTION = 0.25  # of a hull along a wall, as two surfaces of PyBullet's default 0.5 have it
+_MOVERS = 2  # contact bit of movers
 _SHAFT = 1e6  # moment of inertia of a motor's shaft [kg m^2]: nothing slows it
 _LIGHT = 1e-9  # mass [kg] and moment of inertia [kg m^2] of a rail, which MuJoCo wants to have some
 
@@ -35,7 +37,11 @@ def prefix(robot: int) -> str:
 
 
 def build_model(
-    rate: int, plane: str, shapes: Sequence[Shape], robots: Sequence[WheeledRobot | FlyingRobot]
+    rate: int,
+    plane: str,
+    shapes: Sequence[Shape],
+    robots: Sequence[WheeledRobot | FlyingRobot],
+    movers: Sequence[float] = (),
 ) -> mujoco.MjModel:
     """Return a world's model; where robots start is left to the state.
 
@@ -44,6 +50,7 @@ def build_model(
         plane: Plane of the world, "xy" or "xz".
         shapes: Walls and obstacles; shape i is the geom `fixed_geom(plane, i)`.
         robots: Robots; the names of robot i's parts begin with `prefix(i)`.
+        movers: Radii of the movers [m].
     """
     spec = mujoco.MjSpec()
     spec.compiler.fusestatic = True
@@ -59,7 +66,14 @@ def build_model(
     for number, robot in enumerate(robots):
         child = _wheeled(robot, rate) if isinstance(robot, WheeledRobot) else _flying(robot)
         spec.attach(child, prefix=prefix(number), frame=spec.worldbody.add_frame())
+    for number, radius in enumerate(movers):
+        _add_mover(spec, number, radius, plane)
     return spec.compile()
+
+
+def mover_name(mover: int, axis: int | None = None) -> str:
+    """Return the name of a mover's geom, or of its joint along the first or second axis of the plane."""
+    return f"mover{mover}" if axis is None else f"mover{mover}_{axis}"
 
 
 def fixed_geom(plane: str, shape: int) -> int:
@@ -68,12 +82,25 @@ def fixed_geom(plane: str, shape: int) -> int:
 
 
 def _add_fixed(spec: mujoco.MjSpec, shape: Shape, plane: str) -> None:
+    _add_shape(spec.worldbody, shape, plane)
+
+
+def _add_mover(spec: mujoco.MjSpec, number: int, radius: float, plane: str) -> None:
+    """Add a heavy cylinder on two rails, which walls and other movers do not touch."""
+    body = spec.worldbody.add_body(name=mover_name(number), mass=MOVER_MASS, inertia=(1.0, 1.0, 1.0))
+    for axis, direction in enumerate(((1.0, 0.0, 0.0), (0.0, 1.0, 0.0) if plane == "xy" else (0.0, 0.0, 1.0))):
+        body.add_joint(name=mover_name(number, axis), type=mujoco.mjtJoint.mjJNT_SLIDE, axis=direction)
+    geom = _add_shape(body, Disc((0.0, 0.0), radius), plane)
+    geom.name, geom.contype, geom.conaffinity, geom.mass = mover_name(number), _MOVERS, 0, 0.0
+
+
+def _add_shape(body: mujoco.MjsBody, shape: Shape, plane: str) -> mujoco.MjsGeom:
     extent, position, (x, y, z, w) = placed(shape, plane)
     kind, size = mujoco.mjtGeom.mjGEOM_BOX, extent
     if not isinstance(shape, Box):
         height = WALL_HEIGHT if plane == "xy" else SLAB_DEPTH
         kind, size = mujoco.mjtGeom.mjGEOM_CYLINDER, [shape.radius, 0.5 * height, 0.0]
-    spec.worldbody.add_geom(
+    return body.add_geom(
         type=kind,
         size=size,
         pos=position,
@@ -135,6 +162,7 @@ def _load(urdf: str) -> mujoco.MjSpec:
             smooth = body.name in slippery
             geom.friction = (0.0 if smooth else _HULL_FRICTION, 0.0, 0.0)
             geom.group = 0
+            geom.conaffinity = 1 | _MOVERS
             geom.condim = 1 if smooth else 3
             geom.priority = 2 if smooth else 0
     return spec

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from ctrl_rl_core import Box, Shape
+from ctrl_rl_core import Box, Disc, Shape
 from sim_bridge.engines.engine import (
     GRAVITY,
     MOST_ROBOTS,
@@ -23,13 +23,13 @@ from sim_bridge.engines.engine import (
     WheeledRobot,
     placed,
 )
+from sim_bridge.engines.pybullet_bodies import ALL_GROUPS, PybulletJoints, PybulletMover, PybulletWheels
 from sim_bridge.engines.quiet_pybullet import pybullet
 from sim_bridge.errors import SimulationError
 
 _SHAPES_PER_BODY = 16  # a limit of PyBullet; merged shapes make stepping, ray casts and resets cheaper
 _FEW = 16  # fixed bodies that are all searched: telling which are near would cost more
 _SOLVER_ITERATIONS = 30  # speeds of a drive within 0.3 %; PyBullet's 50 cost half as much again
-_ALL_GROUPS = 0x7FFFFFFF
 
 
 def _check_display() -> None:
@@ -50,6 +50,7 @@ class PybulletEngine:
         rate: Physics steps per second [Hz].
         fixed: PyBullet bodies of walls and obstacles.
         robots: PyBullet bodies of the robots.
+        movers: PyBullet bodies of the movers.
     """
 
     name = "pybullet"
@@ -63,6 +64,7 @@ class PybulletEngine:
             raise SimulationError("PyBullet gives no physics client: without a display run with gui false")
         self.fixed: list[int] = []
         self.robots: list[int] = []
+        self.movers: list[int] = []
         self._boxes: list[Array] = []
 
     def begin(self, plane: str, shapes: Sequence[Shape]) -> None:  # noqa: D102 - see Engine
@@ -77,6 +79,8 @@ class PybulletEngine:
         self.fixed.clear()
         self._boxes.clear()
         self.robots.clear()
+        self.movers.clear()
+        self._plane = plane
         if plane == "xy":
             self._add_floor()
         self.add_fixed(shapes, plane)
@@ -112,6 +116,11 @@ class PybulletEngine:
         body = self._load(robot.urdf, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), rooted=True)
         return PybulletJoints(self.client, body, self._joints(body), robot)
 
+    def add_mover(self, radius: float, position: tuple[float, float]) -> PybulletMover:  # noqa: D102
+        mover = PybulletMover(self.client, self.rate, self._plane, Disc(position, radius))
+        self.movers.append(mover.body)
+        return mover
+
     def _load(self, urdf: str, position: Sequence[float], attitude: Sequence[float], rooted: bool = False) -> int:
         """Load a robot without any damping, which rays can overlook."""
         if len(self.robots) == MOST_ROBOTS:
@@ -129,7 +138,7 @@ class PybulletEngine:
             pybullet.changeDynamics(
                 body, link, linearDamping=0.0, angularDamping=0.0, jointDamping=0.0, physicsClientId=self.client
             )
-            pybullet.setCollisionFilterGroupMask(body, link, own, _ALL_GROUPS, physicsClientId=self.client)
+            pybullet.setCollisionFilterGroupMask(body, link, own, ALL_GROUPS, physicsClientId=self.client)
         self.robots.append(body)
         return body
 
@@ -149,7 +158,7 @@ class PybulletEngine:
         hits = pybullet.rayTestBatch(
             np.broadcast_to(origin, ends.shape).copy(),
             ends,
-            collisionFilterMask=_ALL_GROUPS & ~_own_bit(robot),
+            collisionFilterMask=ALL_GROUPS & ~_own_bit(robot),
             physicsClientId=self.client,
         )
         return np.array([hit[2] for hit in hits])
@@ -162,13 +171,18 @@ class PybulletEngine:
         while reach < SEARCH_LIMIT:
             nearest = math.inf
             near = self.fixed if gaps is None else [self.fixed[index] for index in np.flatnonzero(gaps < reach)]
-            for other in (*near, *others):
+            for other in (*near, *others, *self.movers):
                 for point in pybullet.getClosestPoints(body, other, reach, physicsClientId=self.client):
                     nearest = min(nearest, point[8])
             if nearest < math.inf:
                 return nearest
             reach *= 3.0
         return math.inf
+
+    def mover_distance(self, robot: int, mover: int, limit: float) -> float:  # noqa: D102
+        body, other = self.robots[robot], self.movers[mover]
+        points = pybullet.getClosestPoints(body, other, limit, physicsClientId=self.client)
+        return min((point[8] for point in points), default=limit)
 
     def _gaps(self, robot: int) -> Array | None:
         """Return a lower bound on a robot's distance to each body of `fixed` (n,) [m]; None where these are few."""
@@ -187,81 +201,6 @@ class PybulletEngine:
         if self.client >= 0:
             pybullet.disconnect(physicsClientId=self.client)
             self.client = -1
-
-
-class PybulletWheels:
-    """A `WheelBase` in PyBullet."""
-
-    def __init__(self, client: int, body: int, joints: Mapping[str, int], robot: WheeledRobot) -> None:
-        self._client, self._body, self._torque = client, body, robot.torque
-        self._wheels = [joints["wheel_left_joint"], joints["wheel_right_joint"]]
-        if robot.friction != 1.0:  # that of the URDF
-            for wheel in self._wheels:
-                pybullet.changeDynamics(body, wheel, lateralFriction=robot.friction, physicsClientId=client)
-        self.turn_wheels(0.0, 0.0)
-
-    def turn_wheels(self, left: float, right: float) -> None:  # noqa: D102 - see WheelBase
-        pybullet.setJointMotorControlArray(
-            self._body,
-            self._wheels,
-            pybullet.VELOCITY_CONTROL,
-            targetVelocities=(left, right),
-            forces=[self._torque] * 2,
-            physicsClientId=self._client,
-        )
-
-    def wheel_angles(self) -> tuple[float, float]:  # noqa: D102
-        left, right = pybullet.getJointStates(self._body, self._wheels, physicsClientId=self._client)
-        return left[0], right[0]
-
-    def pose(self) -> Array:  # noqa: D102
-        (x, y, _), q = pybullet.getBasePositionAndOrientation(self._body, physicsClientId=self._client)
-        return np.array((x, y, math.atan2(2 * (q[3] * q[2] + q[0] * q[1]), 1 - 2 * (q[1] * q[1] + q[2] * q[2]))))
-
-    def velocity(self) -> Array:  # noqa: D102
-        linear, angular = pybullet.getBaseVelocity(self._body, physicsClientId=self._client)
-        return np.array((linear[0], linear[1], angular[2]))
-
-    def quaternion(self) -> tuple[float, float, float, float]:  # noqa: D102
-        attitude: tuple[float, float, float, float]
-        _, attitude = pybullet.getBasePositionAndOrientation(self._body, physicsClientId=self._client)
-        return attitude
-
-
-class PybulletJoints:
-    """`PlanarJoints` in PyBullet."""
-
-    def __init__(self, client: int, body: int, joints: Mapping[str, int], robot: FlyingRobot) -> None:
-        self._client, self._body = client, body
-        self._joints = [joints["x"], joints["z"], joints["psi"]]
-        pybullet.changeDynamics(
-            body,
-            self._joints[2],
-            mass=robot.mass,
-            localInertiaDiagonal=(robot.inertia,) * 3,
-            physicsClientId=client,
-        )
-        for joint, place, rate in zip(self._joints, robot.pose, robot.velocity, strict=True):
-            pybullet.resetJointState(body, joint, place, rate, physicsClientId=client)
-        pybullet.setJointMotorControlArray(
-            body, self._joints, pybullet.VELOCITY_CONTROL, forces=[0.0] * 3, physicsClientId=client
-        )
-
-    def push(self, force: Array) -> None:  # noqa: D102 - see PlanarJoints
-        pybullet.setJointMotorControlArray(
-            self._body, self._joints, pybullet.TORQUE_CONTROL, forces=force.tolist(), physicsClientId=self._client
-        )
-
-    def pose(self) -> Array:  # noqa: D102
-        return np.array([joint[0] for joint in self._states()])
-
-    def velocity(self) -> Array:  # noqa: D102
-        return np.array([joint[1] for joint in self._states()])
-
-    def _states(self) -> tuple[tuple[float, float], ...]:
-        states: tuple[tuple[float, float], ...]
-        states = pybullet.getJointStates(self._body, self._joints, physicsClientId=self._client)
-        return states
 
 
 def _own_bit(robot: int) -> int:

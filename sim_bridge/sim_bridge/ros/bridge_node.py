@@ -21,6 +21,7 @@ from ctrl_rl_msgs.srv import ResetWorld, StepWorld
 from sim_bridge.ros.frames import Frames, TransformPublisher
 from sim_bridge.ros.localisation import LocalisationPublisher
 from sim_bridge.ros.map_publisher import MapPublisher
+from sim_bridge.ros.mover_publisher import MoverPublisher
 from sim_bridge.ros.pacing import Pacer, Schedule, SpeedMeter
 from sim_bridge.ros.parameters import PARAMETERS, simulation_options
 from sim_bridge.ros.publishers import ClockPublisher, RobotPublisher
@@ -67,6 +68,7 @@ class Bridge(SuiteNode):
             localisation = LocalisationPublisher(self, self._world, robot, each, settings)
             self._robots.append(RobotPublisher(self, self._world, robot, each, transforms, model, localisation))
         self._map = MapPublisher(self, self._world) if task.plane == "xy" else None
+        self._movers = MoverPublisher(self, self._world) if task.movers else None
         self._clock_publisher = ClockPublisher(self, settings["clock_rate"])
         for robot, each in enumerate(frames):
             self._subscribe(robot, each)
@@ -121,6 +123,8 @@ class Bridge(SuiteNode):
             if scan:
                 robot.publish_scan(self._time)
         if odometry:
+            if self._movers is not None:
+                self._movers.publish(self._time)
             self._say_how_it_ended()
 
     def _say_how_it_ended(self) -> None:
@@ -130,8 +134,9 @@ class Bridge(SuiteNode):
                 continue
             self._ended.add(robot)
             name = f" of {namespace}" if namespace else ""
+            contact = "" if episode.contact is None else f" {episode.contact.words}"
             self.get_logger().info(
-                f"episode {self._episode}{name}: {episode.outcome.words} after {self._world.elapsed:.2f} s, "
+                f"episode {self._episode}{name}: {episode.outcome.words}{contact} after {self._world.elapsed:.2f} s, "
                 f"closest {episode.smallest_clearance:.3f} m"
             )
 
@@ -196,8 +201,8 @@ class Bridge(SuiteNode):
         }
         for robot in self._robots:
             values |= {f"published.{publisher.topic}": publisher.count for publisher in robot.publishers}
-        clock = self._clock_publisher.publisher
-        values[f"published.{clock.topic}"] = clock.count
+        others = (self._clock_publisher.publisher, *(self._movers.publishers if self._movers else ()))
+        values |= {f"published.{publisher.topic}": publisher.count for publisher in others}
         if self._paused:
             return ok("paused", **values)
         if factor < 0.9 * wanted:

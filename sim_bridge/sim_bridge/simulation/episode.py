@@ -15,6 +15,25 @@ from ctrl_rl_core import ArcPath, NavigationTask, Outcome, System, terminal_rewa
 Array = NDArray[np.float64]
 
 
+@dataclass(frozen=True)
+class Contact:
+    """The contact that ended an episode.
+
+    Attributes:
+        speed: Largest speed of any point of the robot just before [m/s]: about 0 where it stood.
+        mover: Number of the mover that it met; None for a wall, an obstacle or another robot.
+    """
+
+    speed: float
+    mover: int | None
+
+    @property
+    def words(self) -> str:
+        """The contact in words, for people."""
+        met = "" if self.mover is None else f"with mover {self.mover} "
+        return f"{met}at {self.speed:.2f} m/s"
+
+
 @dataclass
 class EpisodeState:
     """Outcome, clearance and progress of one robot.
@@ -22,13 +41,15 @@ class EpisodeState:
     Attributes:
         outcome: Outcome, latched by the first terminal event.
         tilted: Whether the collision is a tilt beyond the task's limit.
-        clearance: Distance to the nearest wall, obstacle or robot when it was last measured [m].
+        contact: Contact that ended it; None without one.
+        clearance: Distance to the nearest wall, obstacle, mover or robot when it was last measured [m].
         smallest_clearance: Smallest clearance of the episode [m].
         progress: Part of the path from start to goal that is done; NaN without a path.
     """
 
     outcome: Outcome = Outcome.RUNNING
     tilted: bool = False
+    contact: Contact | None = None
     clearance: float = math.inf
     smallest_clearance: float = math.inf
     progress: float = math.nan

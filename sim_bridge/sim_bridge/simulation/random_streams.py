@@ -16,6 +16,7 @@ class Purpose(IntEnum):
     ODOMETRY = 3
     LOCALISATION = 4
     CONDITIONS = 5
+    MOVERS = 6
 
 
 def stream(seed: int, purpose: Purpose, robot: int = 0) -> np.random.Generator:

@@ -14,17 +14,18 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from ctrl_rl_core.tasks.regions import wrap
 from numpy.typing import ArrayLike, NDArray
 
-from ctrl_rl_core import NavigationTask, System, World, draw_starts
+from ctrl_rl_core import Disc, NavigationTask, Outcome, System, World, draw_movers, draw_starts
 from sim_bridge.engines.choice import make_engine
 from sim_bridge.simulation.bodies import Body, make_body
 from sim_bridge.simulation.commands import CommandChannel
-from sim_bridge.simulation.episode import EpisodeState, TerminationChecker
+from sim_bridge.simulation.episode import Contact, EpisodeState, TerminationChecker
 from sim_bridge.simulation.lidar import Lidar, LidarScan
+from sim_bridge.simulation.movers import Movers, MoverStates
 from sim_bridge.simulation.odometry import Odometry, OdometryReading
 from sim_bridge.simulation.options import SimulationOptions
+from sim_bridge.simulation.plane_frame import PlaneFrame
 from sim_bridge.simulation.random_streams import Purpose, stream
 
 Array = NDArray[np.float64]
@@ -44,6 +45,7 @@ class _Robot:
     episode: EpisodeState
     measured_at: int = -1  # physics step of the last measured clearance
     judged_at: int = -1
+    speed: float = 0.0  # of its fastest point when it was last judged
 
 
 class SimulatedWorld:
@@ -93,7 +95,7 @@ class SimulatedWorld:
         self.lidar = Lidar(spec, self.options.lost_beam, self.options.lidar)
         self._count, self._width = robots, width
         self.plane = task.plane
-        self._sense = 1.0 if self.plane == "xy" else -1.0  # psi turns clockwise in the x-z plane
+        self._frame = PlaneFrame(self.plane, self.system)
         self._judge_every = max(1, self.options.rate // _JUDGED_PER_SECOND)
         self._robots: list[_Robot] = []
         self._engine = make_engine(self.options.engine, self.options.rate, self.options.gui)
@@ -112,8 +114,10 @@ class SimulatedWorld:
         """
         geometry = self.task.build_world(self._draw_width(seed))
         conditions = self.options.drawn(self.task.randomisation, stream(seed, Purpose.CONDITIONS))
+        plans = draw_movers(self.task, geometry, stream(seed, Purpose.MOVERS))
+        discs = [Disc(plan.motion.position(0.0), plan.radius) for plan in plans]
         random = stream(seed, Purpose.START)
-        starts = draw_starts(self.task, self.system, geometry, self._count, self.task.robot.radius, random)
+        starts = draw_starts(self.task, self.system, geometry, self._count, self.task.robot.radius, random, discs)
         self._engine.begin(self.plane, (*geometry.walls, *geometry.obstacles))
         self.geometry: World = geometry
         self.conditions: SimulationOptions = conditions
@@ -122,6 +126,7 @@ class SimulatedWorld:
         self.steps = 0
         self._termination = TerminationChecker(self.task, self.system, geometry.path)
         bodies = [make_body(self._engine, self.task, self.system, start, conditions) for start in starts]
+        self._movers = Movers(self._engine, plans, self.options.rate, self.task.robot.radius)
         self._engine.finish()
         self._robots = [self._make_robot(index, body) for index, body in enumerate(bodies)]
         self._check()
@@ -148,7 +153,7 @@ class SimulatedWorld:
             odometry=Odometry(
                 options.odom_drift,
                 stream(self.seed, Purpose.ODOMETRY, index),
-                self._counter_clockwise(pose),
+                self._frame.counter_clockwise(pose),
                 options.wheel_radius,
             ),
             scan_random=stream(self.seed, Purpose.SCAN, index),
@@ -174,6 +179,8 @@ class SimulatedWorld:
         for _ in range(count):
             for robot in self._robots:
                 robot.body.act(robot.channel.at(self.steps))
+            if self._movers:
+                self._movers.advance(self.steps, self._places)
             self._engine.step()
             self.steps += 1
             if self.steps >= self._next_check:
@@ -190,7 +197,7 @@ class SimulatedWorld:
     def velocity(self, robot: int = 0) -> Array:
         """Return the true velocity along the body's axes in the plane and its turn rate (3,) [m/s, m/s, rad/s]."""
         body = self._robots[robot].body
-        return self._in_body_axes(body.pose()[2], body.velocity())
+        return self._frame.in_body_axes(body.pose()[2], body.velocity())
 
     def wheel_angles(self, robot: int = 0) -> tuple[float, float] | None:
         """Return how far the left and right wheel have turned [rad]; None for a robot without wheels."""
@@ -199,20 +206,17 @@ class SimulatedWorld:
     def state(self, robot: int = 0) -> Array:
         """Return the true state (n,) as the task's system names it, angles in [-pi, pi)."""
         body = self._robots[robot].body
-        return self._named(body.pose(), body.velocity())
+        return self._frame.named(body.pose(), body.velocity())
 
     def measured_state(self, robot: int = 0) -> Array:
         """Return the state (n,) as odometry has it."""
         reading = self.odometry(robot)
-        forward, sideways, turn = reading.velocity
-        angle = self._sense * reading.pose[2]
-        c, s = math.cos(angle), math.sin(angle)
-        return self._named(reading.pose, np.array((c * forward - s * sideways, s * forward + c * sideways, turn)))
+        return self._frame.named(reading.pose, self._frame.from_body_axes(reading.pose[2], reading.velocity))
 
     def odometry(self, robot: int = 0) -> OdometryReading:
         """Return the measured pose and velocity."""
         entry = self._robots[robot]
-        pose = self._counter_clockwise(entry.odometry.update(self._counter_clockwise(entry.body.pose())))
+        pose = self._frame.counter_clockwise(entry.odometry.update(self._frame.counter_clockwise(entry.body.pose())))
         forward, sideways, turn = self.velocity(robot)
         forward, turn = entry.odometry.speeds(forward, turn)
         return OdometryReading(pose, np.array((forward, sideways, turn)))
@@ -228,16 +232,19 @@ class SimulatedWorld:
         buried = False
         if self.clearance(robot) <= 0.0:
             place = frame.origin[[0, 1] if self.plane == "xy" else [0, 2]]
-            buried = bool(self.geometry.signed_distance(place) < 0.0)
+            buried = bool(self.geometry.signed_distance(place) < 0.0) or self._movers.hold(place)
         return self.lidar.scan(self._engine, frame, robot, entry.scan_random, buried)
 
     def clearance(self, robot: int = 0) -> float:
-        """Return the distance of the body to the nearest wall, obstacle or robot [m]; 0 or less where it touches."""
+        """Return the distance of the body to the nearest wall, obstacle, mover or robot [m]; at most 0 in touch."""
         entry = self._robots[robot]
         if entry.measured_at != self.steps:
             known = entry.episode.clearance
             distance = self._engine.distance(robot, 1.0 if math.isinf(known) else known + 0.1)
+            running = entry.episode.outcome is Outcome.RUNNING
             entry.episode.record_clearance(distance if distance > TOUCH else min(distance, 0.0))
+            if running and entry.episode.outcome is Outcome.COLLISION:
+                entry.episode.contact = Contact(entry.speed, self._movers.touching(robot, TOUCH))
             entry.measured_at = self.steps
         return entry.episode.clearance
 
@@ -246,9 +253,18 @@ class SimulatedWorld:
         self._bring_up_to_date(robot)
         return self._robots[robot].episode
 
+    def movers(self) -> MoverStates:
+        """Return where the task's moving obstacles are now."""
+        return self._movers.states()
+
     def close(self) -> None:
         """Give the physics engine back; a second call does nothing."""
         self._engine.close()
+
+    def _places(self) -> list[tuple[float, float]]:
+        """Return the robots' positions [m]."""
+        poses = [robot.body.pose() for robot in self._robots]
+        return [(float(pose[0]), float(pose[1])) for pose in poses]
 
     def _check(self) -> None:
         """Check all robots, and set the time of the next check: at 30 Hz, or sooner where one could touch something."""
@@ -256,7 +272,7 @@ class SimulatedWorld:
             self._bring_up_to_date(robot)
         horizon = self._judge_every / self.options.rate
         speeds = [entry.body.top_speed(horizon) for entry in self._robots]
-        closing = max(speeds) * (2.0 if self._count > 1 else 1.0)
+        closing = max(speeds) + max(max(speeds) if self._count > 1 else 0.0, self._movers.top_speed)
         free = min(entry.episode.clearance for entry in self._robots)
         steps = self._judge_every
         if free < closing * horizon:
@@ -269,22 +285,7 @@ class SimulatedWorld:
             return
         entry.judged_at = self.steps
         self.clearance(robot)
-        self._termination.check(entry.episode, self.state(robot), entry.body.pose(), self.elapsed, entry.start_s)
-
-    def _named(self, pose: Array, velocity: Array) -> Array:
-        angle = float(wrap(pose[2]))
-        if self.plane == "xy":
-            values = {"x": pose[0], "y": pose[1], "theta": angle, "omega": velocity[2]}
-            values["v"] = velocity[0] * math.cos(angle) + velocity[1] * math.sin(angle)
-        else:
-            values = {"x": pose[0], "z": pose[1], "psi": angle}
-            values |= {"v_x": velocity[0], "v_z": velocity[1], "omega": velocity[2]}
-        return np.array([values[name] for name in self.system.state_names])
-
-    def _in_body_axes(self, angle: float, velocity: Array) -> Array:
-        c, s = math.cos(angle), self._sense * math.sin(angle)
-        return np.array((c * velocity[0] + s * velocity[1], c * velocity[1] - s * velocity[0], velocity[2]))
-
-    def _counter_clockwise(self, pose: Array) -> Array:
-        """Return a pose (3,) with its angle counter-clockwise in the plane; its own inverse."""
-        return pose * (1.0, 1.0, self._sense)
+        pose, velocity = entry.body.pose(), entry.body.velocity()
+        state = self._frame.named(pose, velocity)
+        self._termination.check(entry.episode, state, pose, self.elapsed, entry.start_s)
+        entry.speed = float(math.hypot(velocity[0], velocity[1]) + abs(velocity[2]) * entry.body.radius)
