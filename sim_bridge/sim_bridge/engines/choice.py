@@ -9,8 +9,8 @@ from importlib.util import find_spec
 from sim_bridge.engines.engine import Engine
 from sim_bridge.errors import SimulationError
 
-ENGINES = ("auto", "pybullet", "mujoco")
-"""Names of engines; "auto" is PyBullet where it is installed, else MuJoCo."""
+ENGINES = ("auto", "pybullet", "mujoco", "planar")
+"""Names of engines; "auto" is PyBullet where it is installed, else MuJoCo. "planar" needs neither."""
 
 
 @functools.cache
@@ -36,14 +36,18 @@ def make_engine(name: str, rate: int, gui: bool = False) -> Engine:
     if name not in ENGINES:
         raise SimulationError(f"there is no engine '{name}': choose one of {', '.join(ENGINES)}")
     name = default_engine() if name == "auto" else name
+    if gui and name != "pybullet":
+        raise SimulationError(f"engine '{name}' has no window here: run with gui false, or with engine pybullet")
+    if name == "planar":
+        from sim_bridge.engines.planar_engine import PlanarEngine
+
+        return PlanarEngine(rate)
     if find_spec(name) is None:
         raise SimulationError(f"engine '{name}' is not installed: install {name}, or run with engine auto")
     if name == "pybullet":
         from sim_bridge.engines.pybullet_engine import PybulletEngine
 
         return PybulletEngine(rate, gui)
-    if gui:
-        raise SimulationError("engine 'mujoco' has no window here: run with gui false, or with engine pybullet")
     from sim_bridge.engines.mujoco_engine import MujocoEngine
 
     return MujocoEngine(rate)

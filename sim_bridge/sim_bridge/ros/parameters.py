@@ -19,7 +19,10 @@ PARAMETERS = (
         "speed_factor", 1.0, "Simulation time per wall time; 0.0 for as fast as it goes.", 0.0, 1000.0, live=True
     ),
     Parameter(
-        "engine", "auto", "Physics engine; auto is pybullet where it is installed, else mujoco.", choices=ENGINES
+        "engine",
+        "auto",
+        "Physics engine; auto is pybullet where installed, else mujoco; planar has no contacts.",
+        choices=ENGINES,
     ),
     Parameter("gui", False, "Show PyBullet's window."),
     Parameter("start_paused", False, "Wait for ~/pause or ~/step."),

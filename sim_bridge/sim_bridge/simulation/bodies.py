@@ -129,6 +129,8 @@ class DifferentialDrive:
         self._share = -math.expm1(-1.0 / (options.rate * lag))
         self._counted = drive.wheel_radius / options.wheel_radius  # turns as if the wheels had their true radius
         self._speeds = (0.0, 0.0)
+        v, omega = np.abs(self.bounds).max(axis=1)
+        self._top_speed = float(1.2 * (v + omega * radius) * (drive.wheel_radius / self._counted))
 
     def act(self, command: Array) -> None:  # noqa: D102 - see Body
         v, turn = float(command[0]), 0.5 * self._drive.wheel_separation * float(command[1])
@@ -164,8 +166,7 @@ class DifferentialDrive:
         return share * left, share * right
 
     def top_speed(self, horizon: float) -> float:  # noqa: ARG002, D102 - its wheels bound it
-        v, omega = np.abs(self.bounds).max(axis=1)
-        return float(1.2 * (v + omega * self.radius) * (self._drive.wheel_radius / self._counted))
+        return self._top_speed
 
 
 class PlanarQuadrotor:

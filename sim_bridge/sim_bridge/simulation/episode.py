@@ -75,9 +75,9 @@ class TerminationChecker:
     """Decides the outcome of an episode by the task's sets."""
 
     def __init__(self, task: NavigationTask, system: System, path: ArcPath | None) -> None:
-        self._names = system.state_names if path is None else PATH_NAMES
-        self._goal = task.goal.region
-        self._trap = None if task.trap is None else task.trap.region
+        names = system.state_names if path is None else PATH_NAMES
+        self._in_goal = task.goal.region.make_test(names)
+        self._in_trap = None if task.trap is None else task.trap.region.make_test(names)
         self._tilt_limit = math.inf if task.robot.tilt_limit is None else task.robot.tilt_limit
         self._time_limit = task.episode.steps * task.episode.time_step
         self._path = None if path is None else PathCoordinates(path)
@@ -103,9 +103,9 @@ class TerminationChecker:
             episode.progress = min(max((state[0] - start_s) / way, 0.0), 1.0) if 0.0 < way < math.inf else math.nan
         if abs(pose[2]) > self._tilt_limit:
             episode.end(Outcome.COLLISION, tilted=True)
-        elif self._goal.contains(self._names, state):
+        elif self._in_goal(place := state.tolist()):
             episode.end(Outcome.GOAL)
-        elif self._trap is not None and self._trap.contains(self._names, state):
+        elif self._in_trap is not None and self._in_trap(place):
             episode.end(Outcome.TRAP)
         elif elapsed >= self._time_limit - 1e-9:
             episode.end(Outcome.TIMEOUT)

@@ -15,7 +15,8 @@ class SimulationOptions:
     """Settings of a simulation.
 
     Attributes:
-        engine: Physics engine: "pybullet", "mujoco", or "auto" for PyBullet where it is installed, else MuJoCo.
+        engine: Physics engine: "pybullet", "mujoco", "planar" (no contact forces, several times as fast), or "auto" for
+            PyBullet where it is installed, else MuJoCo.
         rate: Physics steps per second [Hz].
         gui: Whether PyBullet's window is shown.
         scan_noise: Standard deviation of a range [m]; None for the task's.
@@ -27,7 +28,7 @@ class SimulationOptions:
         command_truncation: Whether commands of a drive are cut to hundredths, as the TurtleBot3 firmware does.
         command_delay: Time from the arrival of a command to its effect [s].
         command_timeout: Age of a command after which the robot goes idle [s]; 0 for never.
-        friction: Friction coefficient between wheels and floor.
+        friction: Friction coefficient between wheels and floor; the planar engine's wheels never slip.
         wheel_radius: True radius of the wheels over the one that robot and odometry count with.
         motor_lag: Time constant of the wheels' speed [s]; None for the robot's own.
         randomise: Whether each episode draws from the task's ranges (`randomisation` of its file), in place of the

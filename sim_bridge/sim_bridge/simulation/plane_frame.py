@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from ctrl_rl_core.tasks.regions import wrap
+from ctrl_rl_core.tasks.regions import wrap_one
 from numpy.typing import NDArray
 
 from ctrl_rl_core import System
@@ -27,7 +27,7 @@ class PlaneFrame:
             pose: x, y, theta or x, z, psi (3,) [m, m, rad].
             velocity: Its rates (3,) [m/s, m/s, rad/s].
         """
-        angle = float(wrap(pose[2]))
+        angle = wrap_one(float(pose[2]))
         if self._plane == "xy":
             values = {"x": pose[0], "y": pose[1], "theta": angle, "omega": velocity[2]}
             values["v"] = velocity[0] * math.cos(angle) + velocity[1] * math.sin(angle)

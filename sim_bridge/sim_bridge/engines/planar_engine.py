@@ -1,0 +1,252 @@
+"""Worlds in the plane without contact forces: as fast as learning wants them.
+
+A drive rolls without slipping, by motors of limited torque; a quadrotor moves by its rigid-body equations. Distances
+and lidar rays are exact. Nothing pushes back: a robot that touches something has collided, and then passes through it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+
+from ctrl_rl_core import Box, Disc, Shape
+from sim_bridge.engines.engine import MOST_ROBOTS, SEARCH_LIMIT, WALL_HEIGHT, Array, FlyingRobot, WheeledRobot
+from sim_bridge.engines.planar_geometry import COLUMNS, SEEN, cast, nearest, place, wheel_speeds
+from sim_bridge.engines.planar_parts import outline, wheeled_model
+from sim_bridge.errors import SimulationError
+
+
+class PlanarEngine:
+    """An `Engine` of rigid bodies in a plane, without contact forces; friction plays no part.
+
+    Attributes:
+        rate: Physics steps per second [Hz].
+    """
+
+    name = "planar"
+
+    def __init__(self, rate: int) -> None:
+        self.rate = rate
+        self._plane, self._fixed = "xy", tuple[Shape, ...]()
+        self._shapes = np.zeros((0, COLUMNS))
+        self._robots: list[_PlanarRobot] = []
+        self._movers: list[PlanarMover] = []
+
+    def begin(self, plane: str, shapes: Sequence[Shape]) -> None:  # noqa: D102 - see Engine
+        fixed = tuple(shapes)
+        if (plane, fixed) != (self._plane, self._fixed):
+            self._plane, self._fixed = plane, fixed
+            self._shapes = np.array([_row(shape) for shape in fixed]).reshape(-1, COLUMNS)
+        self._robots, self._movers = [], []
+
+    def add_wheeled(self, robot: WheeledRobot) -> PlanarWheels:  # noqa: D102
+        wheels = PlanarWheels(robot, self.rate)
+        self._add(wheels)
+        return wheels
+
+    def add_flying(self, robot: FlyingRobot) -> PlanarFlight:  # noqa: D102
+        joints = PlanarFlight(robot, self.rate)
+        self._add(joints)
+        return joints
+
+    def add_mover(self, radius: float, position: tuple[float, float]) -> PlanarMover:  # noqa: D102
+        self._movers.append(PlanarMover(radius, position, 1.0 / self.rate))
+        return self._movers[-1]
+
+    def _add(self, robot: _PlanarRobot) -> None:
+        if len(self._robots) == MOST_ROBOTS:
+            raise SimulationError(f"a world holds at most {MOST_ROBOTS} robots")
+        self._robots.append(robot)
+
+    def finish(self) -> None:  # noqa: D102
+        movers = [_row(Disc(mover.position, mover.radius)) for mover in self._movers]
+        standing = self._shapes[: len(self._fixed)]
+        first = len(standing) + len(movers)
+        outlines = [outline(robot.urdf, self._plane) for robot in self._robots]
+        self._parts = np.concatenate([np.zeros((0, 7)), *(each.parts for each in outlines)])
+        self._outer = [each.outer for each in outlines]
+        ends = np.cumsum([first, *(len(each.parts) for each in outlines)])
+        self._ranges = [(int(low), int(high)) for low, high in pairwise(ends)]
+        moving = np.concatenate((np.array(movers).reshape(-1, COLUMNS), np.zeros((len(self._parts), COLUMNS))))
+        self._shapes = np.concatenate((standing, moving))
+        self._shapes[first:, 4:7] = self._parts[:, 2:5]
+        self._placed = False
+
+    def step(self) -> None:  # noqa: D102
+        for robot in self._robots:
+            robot.advance()
+        for mover in self._movers:
+            mover.advance()
+        self._placed = False
+
+    def _place(self) -> None:
+        """Bring all robots and movers to where they are."""
+        if self._placed:
+            return
+        for robot, (low, high) in zip(self._robots, self._ranges, strict=True):
+            x, y, angle = robot.place()
+            place(self._shapes, self._parts, low, high, x, y, angle)
+        for index, mover in enumerate(self._movers, len(self._fixed)):
+            self._shapes[index, :2] = mover.position
+        self._placed = True
+
+    def cast(self, origin: Array, ends: Array, robot: int) -> Array:  # noqa: D102
+        self._place()
+        first, second, across = (0, 1, 2) if self._plane == "xy" else (0, 2, 1)
+        height = origin[across]
+        robots = len(self._shapes) - len(self._parts)
+        self._shapes[:robots, SEEN] = self._plane == "xz" or height <= WALL_HEIGHT
+        self._shapes[robots:, SEEN] = (self._parts[:, 5] <= height) & (height <= self._parts[:, 6])
+        self._shapes[slice(*self._ranges[robot]), SEEN] = 0.0
+        free = np.empty(len(ends))
+        cast(self._shapes, origin[first], origin[second], (ends - origin)[:, [first, second]], free)
+        return free
+
+    def distance(self, robot: int, guess: float) -> float:  # noqa: ARG002, D102 - nothing is searched
+        self._place()
+        found: float = nearest(self._shapes, *self._ranges[robot], self._outer[robot], SEARCH_LIMIT)
+        return found if found < SEARCH_LIMIT else math.inf
+
+    def mover_distance(self, robot: int, mover: int, limit: float) -> float:  # noqa: D102
+        self._place()
+        first, last = self._ranges[robot]
+        rows = np.concatenate((self._shapes[[len(self._fixed) + mover]], self._shapes[first:last]))
+        found: float = nearest(rows, 1, len(rows), self._outer[robot], limit)
+        return found
+
+    def close(self) -> None:
+        """Do nothing: there is nothing to give back."""
+
+
+class _PlanarRobot:
+    """A robot of the planar engine.
+
+    Attributes:
+        urdf: File that its outline comes from.
+    """
+
+    urdf: str
+
+    def advance(self) -> None:
+        """Move for a physics step."""
+        raise NotImplementedError
+
+    def place(self) -> tuple[float, float, float]:
+        """Return position and counter-clockwise angle in the plane [m, m, rad]."""
+        raise NotImplementedError
+
+
+class PlanarWheels(_PlanarRobot):
+    """A `WheelBase` that rolls without slipping."""
+
+    def __init__(self, robot: WheeledRobot, rate: int) -> None:
+        model = wheeled_model(robot.urdf)
+        self.urdf, self._step, self._radius, self._separation = (
+            robot.urdf,
+            1.0 / rate,
+            model.wheel_radius,
+            model.wheel_separation,
+        )
+        # Kinetic energy in the wheels' speeds: equal parts `straight` where both turn alike, `turn` where they differ.
+        straight = 0.5 * model.mass * model.wheel_radius**2 + model.wheel_inertia
+        turn = 2.0 * model.inertia * (model.wheel_radius / model.wheel_separation) ** 2 + model.wheel_inertia
+        self._own, self._shared = 0.5 * (1.0 / straight + 1.0 / turn), 0.5 * (1.0 / straight - 1.0 / turn)
+        self._impulse = robot.torque / rate
+        self._x, self._y, self._theta = robot.pose.tolist()
+        self._speeds, self._wanted = np.zeros(2), np.zeros(2)
+        self._settled = True
+        self._angles = [0.0, 0.0]
+
+    def turn_wheels(self, left: float, right: float) -> None:  # noqa: D102 - see WheelBase
+        self._wanted[0], self._wanted[1] = left, right
+        self._settled = False
+
+    def advance(self) -> None:  # noqa: D102 - see _PlanarRobot
+        if not self._settled:
+            self._settled = wheel_speeds(self._speeds, self._wanted, self._own, self._shared, self._impulse)
+        left, right = self._speeds.tolist()
+        self._angles[0] += left * self._step
+        self._angles[1] += right * self._step
+        way = 0.5 * self._radius * (left + right) * self._step
+        half_turn = 0.5 * self._radius * (right - left) / self._separation * self._step
+        chord = way if abs(half_turn) < 1e-9 else way * math.sin(half_turn) / half_turn
+        self._x += chord * math.cos(self._theta + half_turn)
+        self._y += chord * math.sin(self._theta + half_turn)
+        self._theta += 2.0 * half_turn
+
+    def place(self) -> tuple[float, float, float]:  # noqa: D102
+        return self._x, self._y, self._theta
+
+    def wheel_angles(self) -> tuple[float, float]:  # noqa: D102
+        return self._angles[0], self._angles[1]
+
+    def pose(self) -> Array:  # noqa: D102
+        return np.array((self._x, self._y, math.remainder(self._theta, 2.0 * math.pi)))
+
+    def velocity(self) -> Array:  # noqa: D102
+        left, right = self._speeds.tolist()
+        v = 0.5 * self._radius * (left + right)
+        omega = self._radius * (right - left) / self._separation
+        return np.array((v * math.cos(self._theta), v * math.sin(self._theta), omega))
+
+    def quaternion(self) -> tuple[float, float, float, float]:  # noqa: D102
+        return 0.0, 0.0, math.sin(0.5 * self._theta), math.cos(0.5 * self._theta)
+
+
+class PlanarFlight(_PlanarRobot):
+    """`PlanarJoints` that nothing holds."""
+
+    def __init__(self, robot: FlyingRobot, rate: int) -> None:
+        self.urdf = robot.urdf
+        self._pose, self._velocity = robot.pose.copy(), robot.velocity.copy()
+        self._per_force = 1.0 / (rate * np.array((robot.mass, robot.mass, robot.inertia)))
+        self._step = 1.0 / rate
+
+    def push(self, force: Array) -> None:  # noqa: D102 - see PlanarJoints
+        self._velocity += force * self._per_force
+
+    def advance(self) -> None:  # noqa: D102 - see _PlanarRobot
+        self._pose += self._velocity * self._step
+
+    def place(self) -> tuple[float, float, float]:  # noqa: D102
+        x, z, psi = self._pose.tolist()
+        return x, z, -psi  # psi turns clockwise in the x-z plane
+
+    def pose(self) -> Array:  # noqa: D102
+        return self._pose.copy()
+
+    def velocity(self) -> Array:  # noqa: D102
+        return self._velocity.copy()
+
+
+class PlanarMover:
+    """A `MovingDisc` in the planar engine.
+
+    Attributes:
+        radius: Radius of the disc [m].
+        position: Position of its middle [m].
+    """
+
+    def __init__(self, radius: float, position: tuple[float, float], step: float) -> None:
+        self.radius, self.position, self._step = radius, position, step
+        self._velocity = (0.0, 0.0)
+
+    def move(self, position: tuple[float, float], velocity: tuple[float, float]) -> None:  # noqa: D102 - see MovingDisc
+        self.position, self._velocity = position, velocity
+
+    def advance(self) -> None:
+        """Move for a physics step."""
+        (x, y), (v_x, v_y) = self.position, self._velocity
+        self.position = (x + v_x * self._step, y + v_y * self._step)
+
+
+def _row(shape: Shape) -> tuple[float, ...]:
+    """Return a wall or obstacle as `planar_geometry` has it."""
+    if isinstance(shape, Box):
+        extent, radius, angle = (0.5 * shape.size[0], 0.5 * shape.size[1]), 0.0, shape.angle
+    else:
+        extent, radius, angle = (0.0, 0.0), shape.radius, 0.0
+    return (*shape.centre, math.cos(angle), math.sin(angle), *extent, radius, 1.0)
