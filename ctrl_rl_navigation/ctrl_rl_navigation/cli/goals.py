@@ -7,14 +7,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
 
 from ctrl_rl_core import OccupancyMap
 from ctrl_rl_navigation.errors import NavigationError
 from ctrl_rl_navigation.robot import DriveLimits
 from ctrl_rl_navigation.values.map_solver import MapSolver
-
-Array = NDArray[np.float64]
 
 _START_GAP = 0.1
 """Clearance of a start beyond what the robot needs [m]."""
@@ -26,12 +24,12 @@ class Trial:
     """One drive to make.
 
     Attributes:
-        start: Start pose (3,) [m, m, rad].
+        start: Start pose x, y, theta [m, m, rad].
         goal: Position of the goal [m].
         reachable: Whether the map has a way to the goal.
     """
 
-    start: Array
+    start: tuple[float, float, float]
     goal: tuple[float, float]
     reachable: bool
 
@@ -55,19 +53,21 @@ class GoalMaker:
             raise NavigationError("the map has no room for the robot")
         for _ in range(count):
             row, column = roomy[random.integers(len(roomy))]
-            start = np.append(self._map.cell_to_world(row, column), random.uniform(-math.pi, math.pi))
+            x, y = self._map.cell_to_world(row, column)
+            start = (float(x), float(y), random.uniform(-math.pi, math.pi))
             goal = self._map.cell_to_world(*free[random.integers(len(free))])
             place = (float(goal[0]), float(goal[1]))
             yield Trial(start, place, math.isfinite(self.best_time(start, place)))
 
-    def best_time(self, pose: Array, goal: tuple[float, float]) -> float:
+    def best_time(self, pose: ArrayLike, goal: tuple[float, float]) -> float:
         """Return the best time from a pose (3,) to a goal [s]; inf where no way leads there."""
         try:
             value = self._solver.solve(goal, self._tolerance)
         except NavigationError:
             return math.inf
-        times, gradient = value.value_and_gradient(pose[:2])
+        x, y, theta = np.asarray(pose, np.float64)
+        times, gradient = value.value_and_gradient((x, y))
         if not np.isfinite(times) or times <= 0.0:
             return float(times)
         down = math.atan2(-gradient[1], -gradient[0])
-        return float(times) + abs(math.remainder(down - float(pose[2]), 2.0 * math.pi)) / self._limits.turn_rate
+        return float(times) + abs(math.remainder(down - theta, 2.0 * math.pi)) / self._limits.turn_rate

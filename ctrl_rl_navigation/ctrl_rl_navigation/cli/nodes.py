@@ -87,7 +87,7 @@ def _start(package: str, executable: str, log: Path, parameters: dict[str, Any])
 
 
 @contextmanager
-def _nodes(file: Path, start: Any, options: Options) -> Iterator[_Operator]:
+def _nodes(file: Path, start: Any, options: Options, engine: str) -> Iterator[_Operator]:
     """Give an operator beside running nodes; they end with the context.
 
     Raises:
@@ -101,7 +101,7 @@ def _nodes(file: Path, start: Any, options: Options) -> Iterator[_Operator]:
         simulator = {
             "task": task,
             "seed": options.seed,
-            "engine": options.engine,
+            "engine": engine,
             "speed_factor": _SPEED,
             "odom_drift": float(options.drift),
             "localisation": "noisy",
@@ -133,15 +133,15 @@ def _nodes(file: Path, start: Any, options: Options) -> Iterator[_Operator]:
             operator.node.destroy_node()
 
 
-def drive_through_nodes(file: Path, map_: OccupancyMap, options: Options) -> Iterator[Outcome]:
-    """Yield the outcome of each trial on a map; a drive begins where the one before has ended."""
+def drive_through_nodes(file: Path, map_: OccupancyMap, options: Options, engine: str, made: int) -> Iterator[Outcome]:
+    """Yield the outcome of each trial on a map after those that are made; each begins where the one before ended."""
     limits, tolerance = DriveLimits(), NavigatorOptions().tolerance
     maker = GoalMaker(map_, limits, tolerance)
-    trials = list(maker.draw(np.random.default_rng((options.seed, 1)), options.goals))
+    trials = list(maker.draw(np.random.default_rng((options.seed, 1)), options.goals))[made:]
     rclpy.init()
     try:
         while trials:
-            with _nodes(file, trials[0].start, options) as operator:
+            with _nodes(file, trials[0].start, options, engine) as operator:
                 while trials:
                     outcome = _drive(operator, maker, trials.pop(0).goal)
                     yield outcome
@@ -152,9 +152,9 @@ def drive_through_nodes(file: Path, map_: OccupancyMap, options: Options) -> Ite
 
 
 def _drive(operator: _Operator, maker: GoalMaker, goal: tuple[float, float]) -> Outcome:
-    start = operator.pose.copy()
+    start = operator.pose.tolist()
     best = maker.best_time(start, goal)
-    trial = Trial(start, goal, math.isfinite(best))
+    trial = Trial((start[0], start[1], start[2]), goal, math.isfinite(best))
     longest = _LONGEST * (best if trial.reachable else 0.0) + _SPARE_S
     begin, asked = operator.now, time.monotonic()
     operator.clearance = math.inf

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
 
-from ctrl_rl_core.command import NotNegative, OptionalFileToWrite, Positive
+from ctrl_rl_core.command import FolderToWrite, NotNegative, OptionalFileToWrite, Positive
 
 from ctrl_rl_navigation.cli.goals import Trial
 from ctrl_rl_navigation.cli.simulation import Drive
@@ -25,14 +27,16 @@ class Options:
     """Number of goals on each map."""
     seed: NotNegative = 0
     """Seed of starts, goals and errors."""
-    engine: str = "pybullet"
-    """Engine of the simulation."""
+    engines: tuple[Literal["pybullet", "mujoco"], ...] = ("pybullet",)
+    """Engines of the simulation, one after the other."""
     drift: float = 0.05
     """Standard deviation of odometry's relative errors."""
     position_error: float = 0.05
     """Standard deviation of each coordinate of the localiser's pose [m]."""
     heading_error: float = 3.0
     """Standard deviation of its heading [deg]."""
+    folder: FolderToWrite = Path("runs/navigator")
+    """Folder that keeps the drives of each map and engine: after an interruption trials go on where they were."""
     results: OptionalFileToWrite = None
     """JSON file for the results; rows of other maps and engines that it has are kept."""
     ros: bool = False

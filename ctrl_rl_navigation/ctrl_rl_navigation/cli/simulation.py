@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 from ctrl_rl_core.driving.scan import ScanError, view_scan
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from sim_bridge.simulation.localisation import Localiser, correction
 
 from ctrl_rl_core import DriveSafety, NavigationTask, ObstacleStop, OccupancyMap, ScanGeometry, ScanHealth
@@ -29,9 +29,9 @@ TASK_NAME = "drive_on_a_map"
 """Name of the task, and of its file."""
 
 
-def task_content(map_file: Path, pose: Array) -> dict[str, Any]:
+def task_content(map_file: Path, pose: ArrayLike) -> dict[str, Any]:
     """Return the content of a task file: a burger that starts at a pose (3,) of a map and has nowhere to arrive."""
-    x, y, theta = map(float, pose)
+    x, y, theta = np.asarray(pose, np.float64).tolist()
     turns = "-2.84 .. 2.84 rad/s"
     return {
         "name": TASK_NAME,
@@ -136,7 +136,7 @@ class DriveSimulation:
     def __init__(
         self,
         map_file: Path,
-        pose: Array,
+        pose: ArrayLike,
         seed: int,
         errors: Errors,
         limits: DriveLimits | None = None,

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
+import re
 import sys
 import time
 from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 from ctrl_rl_core.command import parse_options, run_command
-from ctrl_rl_core.io.results import Result, write_results
+from ctrl_rl_core.io.results import Result, read_results, write_results
 
 from ctrl_rl_core import OccupancyMap
+from ctrl_rl_navigation.cli.drive_log import DriveLog
 from ctrl_rl_navigation.cli.goals import GoalMaker
 from ctrl_rl_navigation.cli.nodes import drive_through_nodes
 from ctrl_rl_navigation.cli.outcome import Options, Outcome
@@ -32,21 +36,23 @@ def named_file(word: str) -> tuple[str, Path]:
     """Return name and file of a map of the command line.
 
     Raises:
-        NavigationError: There is no map of that name.
+        NavigationError: There is no map of that name, or the name is none for a file.
     """
     name, equals, file = word.partition("=")
+    if equals and not re.fullmatch(r"\w[\w.-]*", name):
+        raise NavigationError(f"--maps {word}: the name before '=' must consist of letters, digits, '.', '_' and '-'")
     return (name, Path(file)) if equals else (Path(word).stem, map_file(word))
 
 
-def drive_all(file: Path, map_: OccupancyMap, options: Options) -> Iterator[Outcome]:
-    """Yield the outcome of each trial on a map."""
+def drive_all(file: Path, map_: OccupancyMap, options: Options, engine: str, made: int) -> Iterator[Outcome]:
+    """Yield the outcome of each trial on a map after the first ones, which are made."""
     limits, tolerance = DriveLimits(), NavigatorOptions().tolerance
     errors = Errors(options.drift, options.position_error, math.radians(options.heading_error))
     maker = GoalMaker(map_, limits, tolerance)
     trials = maker.draw(np.random.default_rng((options.seed, 1)), options.goals)
-    for number, trial in enumerate(trials):
+    for number, trial in islice(enumerate(trials), made, None):
         best = maker.best_time(trial.start, trial.goal) if trial.reachable else math.inf
-        simulation = DriveSimulation(file, trial.start, options.seed + number, errors, limits, options.engine)
+        simulation = DriveSimulation(file, trial.start, options.seed + number, errors, limits, engine)
         try:
             begin = time.monotonic()
             longest = _LONGEST * (best if trial.reachable else 0.0) + _SPARE_S
@@ -82,10 +88,20 @@ def _say(name: str, number: int, goals: int, outcome: Outcome) -> None:
     drive = outcome.drive
     what = "collision" if drive.collided else drive.state.name.lower()
     best = f", best {outcome.best:.1f} s" if outcome.trial.reachable else ""
-    text = (
-        f"{name} {number + 1}/{goals}: {what} after {drive.seconds:.1f} s{best}, {drive.distance:.2f} m from the goal"
-    )
+    text = f"{name} {number}/{goals}: {what} after {drive.seconds:.1f} s{best}, {drive.distance:.2f} m from the goal"
     print(text, flush=True)
+
+
+def _log(name: str, map_: OccupancyMap, options: Options, engine: str) -> DriveLog:
+    """Return the drives on a map that were made before."""
+    errors = (options.drift, options.position_error, options.heading_error)
+    cells = hashlib.sha256(map_.cells.tobytes() + repr((map_.resolution, map_.origin)).encode()).hexdigest()
+    settings = {"map": cells, "seed": options.seed, "errors": list(errors), "engine": engine, "ros": options.ros}
+    return DriveLog(options.folder / f"{_method(name, options, engine).replace(', ', '-')}.jsonl", settings)
+
+
+def _method(name: str, options: Options, engine: str) -> str:
+    return f"{name}, {engine}{', nodes' if options.ros else ''}"
 
 
 def _work(options: Options) -> int:
@@ -94,24 +110,24 @@ def _work(options: Options) -> int:
     if not all(math.isfinite(x) and x >= 0.0 for x in (options.drift, options.position_error, options.heading_error)):
         raise NavigationError("errors of pose and odometry must be finite and not negative")
     failed = 0
-    for name, file, map_ in maps:
-        outcomes = []
-        drives = drive_through_nodes(file, map_, options) if options.ros else drive_all(file, map_, options)
-        for number, outcome in enumerate(drives):
-            outcomes.append(outcome)
-            _say(name, number, options.goals, outcome)
-        found = rows_of(f"{name}, {options.engine}{', nodes' if options.ros else ''}", outcomes)
-        if options.results is not None:  # map by map, since each takes minutes
-            write_results(options.results, "navigator", [options.seed], _with_others(options.results, found))
-        failed += sum(each.trial.reachable and not each.arrived for each in outcomes)
-        print(f"{name}: " + ", ".join(f"{row.metric} {np.mean(row.values):.3f}" for row in found), flush=True)
+    for engine in options.engines:
+        for name, file, map_ in maps:
+            log = _log(name, map_, options, engine)
+            drive = drive_through_nodes if options.ros else drive_all
+            for outcome in drive(file, map_, options, engine, len(log.outcomes)):
+                log.add(outcome)
+                _say(name, len(log.outcomes), options.goals, outcome)
+            outcomes = log.outcomes[: options.goals]
+            found = rows_of(_method(name, options, engine), outcomes)
+            if options.results is not None:
+                write_results(options.results, "navigator", [options.seed], _with_others(options.results, found))
+            failed += sum(each.trial.reachable and not each.arrived for each in outcomes)
+            print(f"{name}: " + ", ".join(f"{row.metric} {np.mean(row.values):.3f}" for row in found), flush=True)
     return 0 if failed == 0 else 1
 
 
 def _with_others(path: Path, rows: list[Result]) -> list[Result]:
     """Return the rows with those of other methods that a results file has already."""
-    from ctrl_rl_core.io.results import read_results
-
     if not path.exists():
         return rows
     ours = {row.method for row in rows}

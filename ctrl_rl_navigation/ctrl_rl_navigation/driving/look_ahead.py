@@ -17,7 +17,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from ctrl_rl_navigation.robot import DriveLimits
-from ctrl_rl_navigation.values.map_solver import EASE, SLOWEST
+from ctrl_rl_navigation.values.map_solver import EASE, SLOWEST, longest_time_beside
 from ctrl_rl_navigation.values.map_value import MapValue, value_and_slopes
 
 Array = NDArray[np.float64]
@@ -33,7 +33,7 @@ _TURNS = (-1.0, -0.7, -0.45, -0.25, -0.1, 0.0, 0.1, 0.25, 0.45, 0.7, 1.0)
 """Shares of the largest speed and turn rate that are tried."""
 _NEARER = 1e-3
 """Distance by which an echo must come nearer to count [m]."""
-_HIT_COST = 1.0
+_HIT_COST = 0.5
 """Cost of a roll-out that ends before an obstacle, besides the time that it then stands [s]."""
 _CHANGE_COST = 0.02
 """Cost of turning the other way at the full rate [s], so that noise does not decide."""
@@ -56,7 +56,10 @@ class _Rules(NamedTuple):
 
 
 class _Place(NamedTuple):
-    """A map's origin, direction and resolution, and the robot's pose on it."""
+    """A map's origin, direction and resolution, the robot's pose on it, and the goal's disc in the robot's frame.
+
+    The disc's places from which more than `goal_time` is left lie behind a wall.
+    """
 
     x: float
     y: float
@@ -66,6 +69,10 @@ class _Place(NamedTuple):
     robot_x: float
     robot_y: float
     robot_theta: float
+    goal_x: float
+    goal_y: float
+    goal_radius: float
+    goal_time: float
 
 
 @njit(inline="always")
@@ -130,9 +137,9 @@ def _cost(
         way += abs(v) * rules.step
         near = min(max((gap - rules.room) / rules.ease, 0.0), 1.0)
         cost += rules.step / (rules.slowest + (1.0 - rules.slowest) * near)
-        if k % 4 == 3 or k == rules.steps - 1:
+        if math.hypot(x - place.goal_x, y - place.goal_y) <= place.goal_radius:
             value, _ = _time_left(times, place, x, y, theta, rules.turn_rate)
-            if not value > 0.0:
+            if value <= place.goal_time:
                 return cost
     value, turn = _time_left(times, place, x, y, theta, rules.turn_rate)
     return cost + value + turn
@@ -213,8 +220,19 @@ class LookAhead:
             points: Echoes in the robot's frame (n, 2) [m].
         """
         origin = value.map.origin
+        dx, dy = value.goal[0] - pose[0], value.goal[1] - pose[1]
+        c, s = math.cos(pose[2]), math.sin(pose[2])
         place = _Place(
-            origin[0], origin[1], math.cos(origin[2]), math.sin(origin[2]), value.map.resolution, *map(float, pose)
+            origin[0],
+            origin[1],
+            math.cos(origin[2]),
+            math.sin(origin[2]),
+            value.map.resolution,
+            *map(float, pose),
+            float(c * dx + s * dy),
+            float(c * dy - s * dx),
+            value.radius,
+            longest_time_beside(value.radius, self.limits),
         )
         near = points[np.hypot(points[:, 0], points[:, 1]) < self.reach]
         motion = (float(command[0]), float(command[1]))

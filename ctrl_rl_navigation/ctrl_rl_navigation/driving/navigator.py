@@ -14,6 +14,7 @@ from ctrl_rl_navigation.driving.look_ahead import LookAhead
 from ctrl_rl_navigation.driving.obstacle_layer import ObstacleLayer
 from ctrl_rl_navigation.driving.value_keeper import Change, ValueKeeper
 from ctrl_rl_navigation.robot import DriveLimits
+from ctrl_rl_navigation.values.map_solver import longest_time_beside
 from ctrl_rl_navigation.values.map_value import MapValue, path_length
 
 Array = NDArray[np.float64]
@@ -28,6 +29,8 @@ _PATIENCE = 6.0
 """Time without progress after which all echoes around count as obstacles [s]."""
 _PROGRESS = 0.5
 """Least decrease of the time to reach that counts as progress [s]."""
+_SLACK = 0.1
+"""Distance beyond the tolerance at which the robot has arrived where obstacles let it come no nearer [m]."""
 _FADED = 0.7
 """Share of a value's obstacles that must still be there; else it is solved anew."""
 _SAME = 0.15
@@ -147,12 +150,12 @@ class Navigator:
             if self._keeper.at_work:
                 return _stand(NavigatorState.SOLVING, f"solving, {100 * self._keeper.done:.0f} % done")
             return _stand(NavigatorState.WAITING, "waiting for a goal")
-        if math.dist(pose[:2], goal.position) <= self.options.tolerance:
+        left = float(value.value(pose[:2]))
+        if self._is_there(pose, goal, left):
             return self._arrive(pose, goal)
         self._look(now, pose, value)
         if self._taken:
             return _stand(NavigatorState.BLOCKED, "an obstacle that the map has not stands on the goal")
-        left = float(value.value(pose[:2]))
         if not math.isfinite(left):
             return self._no_way(pose)
         return self._drive(now, pose, points, left)
@@ -171,6 +174,14 @@ class Navigator:
             message = f"no progress for {self._tries * _PATIENCE:.0f} s: something is in the way"
             return Decision(choice.command, NavigatorState.BLOCKED, message, left)
         return Decision(choice.command, NavigatorState.DRIVING, "driving", choice.cost)
+
+    def _is_there(self, pose: Array, goal: Goal, left: float) -> bool:
+        """Return whether the goal is reached, but for the heading.
+
+        A robot that has tried in vain to come nearer has arrived a bit farther away as well.
+        """
+        near = self.options.tolerance + (_SLACK if self._tries else 0.0)
+        return math.dist(pose[:2], goal.position) <= near and left <= longest_time_beside(near, self.limits)
 
     def _no_way(self, pose: Array) -> Decision:
         """Return the answer where the value at the robot is infinite."""
@@ -200,7 +211,10 @@ class Navigator:
                 command = np.array((0.0, np.clip(turn, self._command[1] - most, self._command[1] + most)))
                 left = abs(error) / self.limits.turn_rate
                 return Decision(command, NavigatorState.DRIVING, "turning into the heading of the goal", left)
-        self._ended = (NavigatorState.REACHED, "the goal is reached")
+        message, away = "the goal is reached", math.dist(pose[:2], goal.position)
+        if away > self.options.tolerance:
+            message = f"reached to {away:.2f} m: obstacles let the robot come no nearer"
+        self._ended = (NavigatorState.REACHED, message)
         self.path = _NO_PATH
         return _stand(*self._ended)
 

@@ -34,6 +34,11 @@ Array = NDArray[np.float64]
 Report = Callable[[float], None]
 
 
+def longest_time_beside(distance: float, limits: DriveLimits) -> float:
+    """Return the time to reach [s] from which on a place so far from a goal [m] must lie behind a wall."""
+    return distance / (_BAND_SPEED * limits.speed)
+
+
 class CancelledError(Exception):
     """The value is not wanted any more."""
 
