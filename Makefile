@@ -102,9 +102,9 @@ attack: build ## fuzz readers and messages, break processes (ARGS="--seconds 60 
 behaviour: build ## digests of what short seeded runs leave, to show that nothing changed (ARGS="--output FILE --against FILE")
 	@$(RUN) python test/behaviour $(ARGS)
 
-navigator: build ## drive to 100 random goals on each of the suite's maps (OFFICE=FILE.yaml: on a real one too)
+navigator: build ## drive to 100 random goals on each of the suite's maps in both engines (OFFICE=FILE.yaml: on a real one too)
 	@$(RUN) ros2 run ctrl_rl_navigation trials --maps $${OFFICE:+office=$$OFFICE} maze warehouse corridor \
-	--results docs/results/navigator.json $(ARGS)
+	--engines pybullet mujoco --results docs/results/navigator.json $(ARGS)
 
 docs: build ## the documentation site, into site/; broken links are errors
 	@scripts/docs

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import rclpy
 from ctrl_rl_core.ros.node import ODOM_PUBLISHER, SCAN_PUBLISHER, float32_array, to_stamp
-from geometry_msgs.msg import PoseStamped, TransformStamped, TwistStamped
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, TransformStamped, TwistStamped
 from nav_msgs.msg import Odometry
 from policy_files import FLY, actor, manifest, write
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
@@ -179,6 +179,29 @@ def test_the_pose_comes_from_transforms_where_that_is_asked_for(
         link = TransformStamped(child_frame_id="base_link")
         link.header.frame_id, link.transform.translation.x = "map", x
         transforms.publish(TFMessage(transforms=[link]))
+        body.wait(lambda: False, 0.2)
+        assert body.ask() == pytest.approx((driven, 0.0))
+
+
+def test_the_pose_comes_from_a_localiser_and_the_odometry_since_where_that_is_asked_for(
+    robot: Callable, run_node: Callable, tmp_path: Path
+) -> None:
+    file = write(tmp_path, observation=GOAL)
+    words = (f"policy:={file}", "pose:=amcl_pose", "goal_tolerance:=0.5", "scan_timeout:=5.0")
+    node = run_node("ctrl_rl_core", "policy", *words)
+    body = robot()
+    localiser = body.node.create_publisher(PoseWithCovarianceStamped, "amcl_pose", 10)
+    body.begin()
+    goal = PoseStamped()
+    goal.header.frame_id, goal.pose.position.x = "map", 2.0
+    body.goal.publish(goal)
+    node.wait_for("goal (2.00, 0.00) m in 'map'")
+    assert body.ask() == (0.0, 0.0)
+    node.wait_for("stopping: no amcl_pose yet")
+    for frame, x, driven in (("map", 0.0, 0.1), ("moon", 1.8, 0.1), ("map", 1.8, 0.0)):
+        pose = PoseWithCovarianceStamped()
+        pose.header.frame_id, pose.pose.pose.position.x = frame, x
+        localiser.publish(pose)
         body.wait(lambda: False, 0.2)
         assert body.ask() == pytest.approx((driven, 0.0))
 

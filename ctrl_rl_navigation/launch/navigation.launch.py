@@ -18,6 +18,7 @@ ARGUMENTS = {
     "stamped": ("true", "cmd_vel is a TwistStamped (Jazzy), else a Twist (Humble)"),
     "timeout": ("0.5", "age of the last command that stops the robot [s]"),
     "max_speed": ("0.22", "largest speed [m/s]"),
+    "use_sim_time": ("false", "whether time is that of the topic clock, as beside a simulator"),
     "rviz": ("false", "whether to start RViz"),
 }
 
@@ -26,6 +27,7 @@ def generate_launch_description() -> LaunchDescription:
     """Return map server, navigator, watchdog, and RViz where it is wanted."""
     given = {name: LaunchConfiguration(name) for name in ARGUMENTS}
     stamped = ParameterValue(given["stamped"], value_type=bool)
+    clock = {"use_sim_time": ParameterValue(given["use_sim_time"], value_type=bool)}
     view = PathJoinSubstitution([FindPackageShare("ctrl_rl_navigation"), "config", "navigation.rviz"])
     return LaunchDescription(
         [
@@ -36,7 +38,7 @@ def generate_launch_description() -> LaunchDescription:
             Node(
                 package="ctrl_rl_navigation",
                 executable="map_server",
-                parameters=[{"map": ParameterValue(given["map"], value_type=str)}],
+                parameters=[{"map": ParameterValue(given["map"], value_type=str), **clock}],
                 condition=IfCondition(PythonExpression(["'", given["map"], "' != ''"])),
                 output="screen",
             ),
@@ -44,7 +46,11 @@ def generate_launch_description() -> LaunchDescription:
                 package="ctrl_rl_core",
                 executable="watchdog",
                 parameters=[
-                    {"enable_stamped_cmd_vel": stamped, "timeout": ParameterValue(given["timeout"], value_type=float)}
+                    {
+                        "enable_stamped_cmd_vel": stamped,
+                        "timeout": ParameterValue(given["timeout"], value_type=float),
+                        **clock,
+                    }
                 ],
                 output="screen",
                 respawn=True,
@@ -57,6 +63,7 @@ def generate_launch_description() -> LaunchDescription:
                         "enable_stamped_cmd_vel": stamped,
                         "pose": ParameterValue(given["pose"], value_type=str),
                         "max_speed": ParameterValue(given["max_speed"], value_type=float),
+                        **clock,
                     }
                 ],
                 remappings=[("cmd_vel", "cmd_vel_raw")],
@@ -66,6 +73,7 @@ def generate_launch_description() -> LaunchDescription:
                 package="rviz2",
                 executable="rviz2",
                 arguments=["-d", view],
+                parameters=[clock],
                 condition=IfCondition(given["rviz"]),
                 output="log",
             ),

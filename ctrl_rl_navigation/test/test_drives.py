@@ -70,6 +70,27 @@ def test_without_a_way_on_the_map_it_says_so_at_once_and_does_not_move(tmp_path:
     assert drive.seconds < 0.5
 
 
+def test_it_reaches_a_goal_that_is_nearer_to_a_wall_than_it_may_come(tmp_path: Path) -> None:
+    room().save(tmp_path / "world.yaml")
+    simulation = DriveSimulation(tmp_path / "world.yaml", (0.7, 1.0, 0.0), 1, Errors(1e-6, 1e-6, 1e-6))
+    drive = simulation.drive(Goal((0.17, 1.15)), 20.0)
+    simulation.close()
+    assert (drive.state, drive.collided) == (NavigatorState.REACHED, False)
+    assert drive.distance < NavigatorOptions().tolerance + 0.01
+    assert drive.seconds < 8.0  # without waiting for what does not come
+
+
+def test_where_obstacles_let_it_come_no_nearer_it_arrives_a_bit_farther_away(navigator: Navigator) -> None:
+    pose, around = np.array((1.0, 1.0, 0.0)), np.column_stack((np.full(9, 0.17), np.linspace(-0.1, 0.1, 9)))
+    navigator.set_goal(Goal((1.2, 1.0)))
+    assert navigator.decide(0.0, pose, around).state is NavigatorState.DRIVING
+    assert navigator.decide(3.0, pose, around).state is NavigatorState.DRIVING
+    navigator.decide(7.0, pose, around)
+    reached = navigator.decide(7.1, pose, around)
+    assert reached.state is NavigatorState.REACHED
+    assert reached.message == "reached to 0.20 m: obstacles let the robot come no nearer"
+
+
 @pytest.fixture
 def navigator() -> Navigator:
     navigator = Navigator(DriveLimits(), NavigatorOptions(inline=True))

@@ -134,3 +134,19 @@ def test_it_drives_to_goals_and_tells_what_it_does(run_node: Callable, operator:
     assert reached.remaining_time == 0.0
     assert navigator.stop()[0] == 0
     assert "Traceback" not in navigator.output
+
+
+def test_it_drives_by_the_pose_of_a_localiser_and_refuses_goals_that_are_none(
+    run_node: Callable, operator: Operator, room: Path
+) -> None:
+    task = f"task:={room}/{TASK_NAME}.yaml"
+    run_node("sim_bridge", "bridge", task, "localisation:=noisy", "speed_factor:=4.0")
+    words = (f"map:={room}/room.yaml", "pose:=amcl_pose", "use_sim_time:=true")
+    navigator = run_node("ctrl_rl_navigation", "navigator", *words)
+    operator.wait_for(NavigatorStatus.WAITING, "waiting for a goal")
+    operator.click(float("nan"), 0.5)
+    navigator.wait_for("the goal is refused: the goal (nan, 0.5) is not finite")
+    operator.click(1e300, 0.5)
+    navigator.wait_for("the goal is refused: the goal (1e+300, 0.5) is more than 1e+06 m away")
+    operator.click(1.0, 0.5)
+    assert operator.wait_for(NavigatorStatus.REACHED).goal.position.x == 1.0

@@ -29,7 +29,8 @@ def test_it_counts_drives_and_keeps_the_rows_of_other_maps(
     closet: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     results = tmp_path / "out" / "navigator.json"
-    words = ("--goals", 6, "--seed", 2, "--results", results)
+    log = ("--folder", tmp_path / "runs")
+    words = ("--goals", 6, "--seed", 2, "--results", results, *log)
     assert run(monkeypatch, "--maps", f"closet={closet}", *words) == 0
     told = capsys.readouterr().out
     assert "closet 6/6: " in told
@@ -40,9 +41,28 @@ def test_it_counts_drives_and_keeps_the_rows_of_other_maps(
     assert figures["unreachable said"].mean == 1.0
     assert len(figures["arrived"].values) + len(figures["unreachable said"].values) == 6
     assert 0.8 < figures["time over optimal"].mean < 2.0
-    assert run(monkeypatch, "--maps", f"again={closet}", "--goals", 1, "--results", results) == 0
+    assert run(monkeypatch, "--maps", f"again={closet}", "--goals", 1, "--results", results, *log) == 0
     (experiment,) = read_results(results.parent)
     assert {row.method for row in experiment.rows} == {"closet, pybullet", "again, pybullet"}
+
+
+def test_an_interrupted_run_goes_on_where_it_was(
+    closet: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ("--maps", f"closet={closet}", "--seed", 2, "--folder", tmp_path)
+    assert run(monkeypatch, *words, "--goals", 3) == 0
+    log = tmp_path / "closet-pybullet.jsonl"
+    before = log.read_text()
+    log.write_text(before[:-20])  # a kill in the middle of a line
+    capsys.readouterr()
+    assert run(monkeypatch, *words, "--goals", 3) == 0
+    assert [line[:12] for line in capsys.readouterr().out.splitlines()] == ["closet 3/3: ", "closet: arri"]
+    assert len(log.read_text().splitlines()) == len(before.splitlines()) == 4
+    assert run(monkeypatch, *words, "--goals", 3, "--drift", 0.1) == 1
+    assert "has drives with other settings" in capsys.readouterr().err
+    log.write_text(before.replace("{", "[", 2))
+    assert run(monkeypatch, *words, "--goals", 3) == 1
+    assert "closet-pybullet.jsonl: " in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -50,6 +70,7 @@ def test_it_counts_drives_and_keeps_the_rows_of_other_maps(
     [
         (("--maps", "nowhere"), "no map 'nowhere': there are corridor, maze, warehouse"),
         (("--maps", "office=none.yaml"), "none.yaml: there is no such file"),
+        (("--maps", "../office=none.yaml"), "the name before '=' must consist of"),
         (("--drift", "nan"), "must be finite"),
     ],
 )

@@ -146,6 +146,7 @@ class NavigatorNode(LidarVelocityNode):
             frame = self._input.frame_in_map(message.header.frame_id)
             goal = goal_from(message, frame, self.settings["goal_heading_tolerance"] < ANY_HEADING)
         except CtrlRlError as error:
+            self._input.refused = f"goal: {error}"
             self.get_logger().error(f"the goal is refused: {error}")
             return
         self.get_logger().info(f"goal ({goal.position[0]:.2f}, {goal.position[1]:.2f})")
