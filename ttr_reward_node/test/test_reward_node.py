@@ -35,10 +35,25 @@ def grid(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.fixture(scope="module")
+def car_node(run_shared_node: Callable, grid: Path) -> Any:
+    """Serve the car's function to the tests that only ask."""
+    return run_shared_node(NODE, "reward", f"grid:={grid}", "slice:=['theta=1.57']")
+
+
+@pytest.fixture(scope="module")
+def quad(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("grids") / "quad.safetensors"
+    counts = {"x": 21, "z": 21, "v_x": 11, "v_z": 11, "psi": 12, "omega": 7}
+    solve_decomposed("quad_ttr", PLANAR_QUADROTOR_FIVE, counts=counts).save(path)
+    return path
+
+
 class Peer:
-    """The other side: publishes odometry, keeps the answers."""
+    """The other side: publishes odometry, keeps the answers; asks the node of a name."""
 
     def __init__(self) -> None:
+        self.asked = NODE
         rclpy.init()
         self.node = Node("peer")
         self.odom = self.node.create_publisher(Odometry, "odom", ODOM_PUBLISHER)
@@ -58,7 +73,7 @@ class Peer:
             rclpy.spin_once(self.node, timeout_sec=0.02)
 
     def call(self, kind: type, service: str, **fields: Any) -> Any:
-        client = self.node.create_client(kind, f"{NODE}/{service}")
+        client = self.node.create_client(kind, f"{self.asked}/{service}")
         assert client.wait_for_service(120.0)
         future = client.call_async(kind.Request(**fields))
         self.until(future.done)
@@ -94,8 +109,8 @@ def peer() -> Iterator[Peer]:
     rclpy.try_shutdown()
 
 
-def test_each_state_is_valued_and_paid_as_the_task_says(peer: Peer, run_node: Callable, grid: Path) -> None:
-    run_node(NODE, "reward", f"grid:={grid}")
+@pytest.mark.usefixtures("car_node")
+def test_each_state_is_valued_and_paid_as_the_task_says(peer: Peer, grid: Path) -> None:
     function = ValueGrid.load(grid)
     reward, value = peer.ask(FREE, 7)
     phi, gradient = function.value_and_gradient(FREE)
@@ -111,21 +126,18 @@ def test_each_state_is_valued_and_paid_as_the_task_says(peer: Peer, run_node: Ca
     assert (reward.outcome.value, reward.reward) == (TaskOutcome.COLLISION, -400.0)
 
 
-def test_outside_the_grid_it_says_so(peer: Peer, run_node: Callable, grid: Path) -> None:
-    node = run_node(NODE, "reward", f"grid:={grid}")
+def test_outside_the_grid_it_says_so(peer: Peer, car_node: Any, grid: Path) -> None:
     reward, value = peer.ask((4.5, -4.5, -0.8), 1)  # inside, but too close to the wall to turn away
     assert math.isinf(value.value)
     assert reward.reward == pytest.approx(-longest_time(ValueGrid.load(grid)), abs=1e-9)
     _, value = peer.ask(OUTSIDE, 2)
     assert not value.in_domain
     assert math.isnan(value.value)
-    node.wait_for("outside the grid: x = 7, y = 0, theta = 0")
+    car_node.wait_for("outside the grid: x = 7, y = 0, theta = 0")
 
 
-def test_latecomers_get_grid_and_slice_and_many_states_are_answered_at_once(
-    peer: Peer, run_node: Callable, grid: Path
-) -> None:
-    run_node(NODE, "reward", f"grid:={grid}", "slice:=['theta=1.57']")
+@pytest.mark.usefixtures("car_node")
+def test_latecomers_get_grid_and_slice_and_many_states_are_answered_at_once(peer: Peer, grid: Path) -> None:
     grids = peer.listen(ValueGridMsg, f"{NODE}/grid", LATCHED)
     slices = peer.listen(OccupancyGrid, f"{NODE}/slice", LATCHED)
     peer.until(lambda: bool(grids) and bool(slices))
@@ -150,10 +162,20 @@ def test_latecomers_get_grid_and_slice_and_many_states_are_answered_at_once(
     assert answer.message == "2 numbers are not a multiple of 3: x, y, theta"
 
 
-def test_another_grid_is_loaded_while_it_runs_and_a_wrong_one_refused(
-    peer: Peer, run_node: Callable, grid: Path, tmp_path: Path
-) -> None:
-    run_node(NODE, "reward", f"grid:={grid}")
+@pytest.mark.usefixtures("car_node")
+def test_a_grid_that_is_refused_late_changes_nothing(peer: Peer, quad: Path) -> None:
+    before, _ = peer.ask(FREE, 1)
+    answer = peer.set("grid", ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=str(quad)))
+    assert not answer.successful
+    assert "theta" in answer.reason
+    after, value = peer.ask(FREE, 2)
+    assert (after.reward, after.time_to_reach) == (before.reward, before.time_to_reach)
+    assert value.in_domain
+
+
+@pytest.mark.usefixtures("car_node")
+def test_another_grid_is_loaded_while_it_runs_and_a_wrong_one_refused(peer: Peer, tmp_path: Path) -> None:
+    """The last of those that share the node: it serves another function then."""
     first, _ = peer.ask(FREE, 1)
     other = tmp_path / "other.safetensors"
     solve_task("car_ttr", counts=(31, 31, 24), inflation=0.177).save(other)
@@ -187,35 +209,6 @@ def test_a_bad_parameter_ends_it_with_one_clear_message(run_node: Callable, para
     assert "Traceback" not in node.output
 
 
-@pytest.fixture(scope="module")
-def quad(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("grids") / "quad.safetensors"
-    counts = {"x": 21, "z": 21, "v_x": 11, "v_z": 11, "psi": 12, "omega": 7}
-    solve_decomposed("quad_ttr", PLANAR_QUADROTOR_FIVE, counts=counts).save(path)
-    return path
-
-
-def test_a_grid_that_is_refused_late_changes_nothing(peer: Peer, run_node: Callable, grid: Path, quad: Path) -> None:
-    run_node(NODE, "reward", f"grid:={grid}", "slice:=['theta=1.0']")
-    before, _ = peer.ask(FREE, 1)
-    answer = peer.set("grid", ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=str(quad)))
-    assert not answer.successful
-    assert "theta" in answer.reason
-    after, value = peer.ask(FREE, 2)
-    assert (after.reward, after.time_to_reach) == (before.reward, before.time_to_reach)
-    assert value.in_domain
-
-
-def test_what_is_no_longer_served_is_no_longer_latched(peer: Peer, run_node: Callable, grid: Path, quad: Path) -> None:
-    run_node(NODE, "reward", f"grid:={quad}")
-    parts = f"/{NODE}/grid_x"
-    peer.until(lambda: len(peer.node.get_publishers_info_by_topic(parts)) == 1)
-    text = ParameterType.PARAMETER_STRING
-    assert peer.set("grid", ParameterValue(type=text, string_value=str(grid))).successful
-    peer.until(lambda: not peer.node.get_publishers_info_by_topic(parts))
-    assert len(peer.node.get_publishers_info_by_topic(f"/{NODE}/grid")) == 1
-
-
 def test_a_function_of_another_task_is_refused(run_node: Callable, grid: Path) -> None:
     node = run_node(NODE, "reward", f"grid:={grid}", "task:=car_navigation")
     assert node.process.wait(120.0) != 0
@@ -223,10 +216,17 @@ def test_a_function_of_another_task_is_refused(run_node: Callable, grid: Path) -
     assert "Traceback" not in node.output
 
 
-def test_a_decomposed_function_is_served_like_a_single_one(peer: Peer, run_node: Callable, quad: Path) -> None:
+@pytest.fixture(scope="module")
+def quad_node(run_shared_node: Callable, quad: Path) -> Any:
+    """Serve the quadrotor's function, under a name of its own beside the car's node."""
+    return run_shared_node(NODE, "reward", f"grid:={quad}", remap=("__node:=quad_node",))
+
+
+@pytest.mark.usefixtures("quad_node")
+def test_a_decomposed_function_is_served_like_a_single_one(peer: Peer, quad: Path) -> None:
+    peer.asked = "quad_node"
     function = DecomposedValue.load(quad)
-    heard = {name: peer.listen(ValueGridMsg, f"{NODE}/{name}", LATCHED) for name in ("grid_x", "grid_v_z_psi")}
-    run_node(NODE, "reward", f"grid:={quad}")
+    heard = {name: peer.listen(ValueGridMsg, f"quad_node/{name}", LATCHED) for name in ("grid_x", "grid_v_z_psi")}
     states = np.array([[3.0, 0.0, 3.0, 0.0, 0.1, 0.0], [0.0, 1.0, 8.0, -1.0, 0.0, 0.5], [9.0, 0.0, 3.0, 0.0, 0.0, 0.0]])
     answer = peer.call(QueryValues, "query", states=states.ravel().tolist())
     np.testing.assert_allclose(answer.values, function.value(states))
@@ -234,3 +234,15 @@ def test_a_decomposed_function_is_served_like_a_single_one(peer: Peer, run_node:
     assert list(answer.in_domain) == [True, True, False]
     peer.until(lambda: all(heard.values()))
     assert list(heard["grid_v_z_psi"][0].values) == pytest.approx(function.grids[4].values.ravel())
+
+
+@pytest.mark.usefixtures("quad_node")
+def test_what_is_no_longer_served_is_no_longer_latched(peer: Peer, grid: Path) -> None:
+    """The last of those that share the node."""
+    peer.asked = "quad_node"
+    parts = "/quad_node/grid_x"
+    peer.until(lambda: len(peer.node.get_publishers_info_by_topic(parts)) == 1)
+    text = ParameterType.PARAMETER_STRING
+    assert peer.set("grid", ParameterValue(type=text, string_value=str(grid))).successful
+    peer.until(lambda: not peer.node.get_publishers_info_by_topic(parts))
+    assert len(peer.node.get_publishers_info_by_topic("/quad_node/grid")) == 1

@@ -216,30 +216,33 @@ def _between(kind: int, pose: Array, box: Array) -> tuple[float, float, float]:
     """Return the segments of a word of three turns to the best of the box's poses: its corners are narrow ends."""
     size = box[:, 1] - box[:, 0]
     found = np.full(_LATTICE**3, math.inf)
-    end, other = np.empty(3), np.empty(3)
+    end = np.empty(3)
     for i in range(len(found)):
         for k, digit in enumerate((i % _LATTICE, i // _LATTICE % _LATTICE, i // _LATTICE**2)):
             end[k] = box[k, 0] + size[k] * digit / (_LATTICE - 1)
         t, p, q = _segments(kind, pose, end)
         found[i] = t + p + q
     best, segments = math.inf, (math.inf, 0.0, 0.0)
-    for i in np.argsort(found)[:_ENDS]:
+    for _ in range(_ENDS):
+        i = np.argmin(found)
         if found[i] == math.inf:
             break
         for k, digit in enumerate((i % _LATTICE, i // _LATTICE % _LATTICE, i // _LATTICE**2)):
             end[k] = box[k, 0] + size[k] * digit / (_LATTICE - 1)
         length, step = found[i], 1.0 / (_LATTICE - 1)
+        found[i] = math.inf
         while step > 1e-6:
             better = False
             for k in range(6):
-                other[:] = end
                 side = k // 2
-                other[side] += (step if k % 2 else -step) * size[side]
-                other[side] = min(max(other[side], box[side, 0]), box[side, 1])
-                t, p, q = _segments(kind, pose, other)
+                before = end[side]
+                end[side] += (step if k % 2 else -step) * size[side]
+                end[side] = min(max(end[side], box[side, 0]), box[side, 1])
+                t, p, q = _segments(kind, pose, end)
                 if t + p + q < length - 1e-12:
                     length, better = t + p + q, True
-                    end[:] = other
+                else:
+                    end[side] = before
             if not better:
                 step /= 2.0
         if length < best:
