@@ -17,11 +17,12 @@ def robot() -> Iterator[object]:
 
 @pytest.fixture(scope="module")
 def short_episodes() -> Iterator[None]:
-    """Let the episodes of the control suite be short."""
+    """Let the episodes of the control suite be short, and consolidation try few candidates."""
     import short_suite
 
     with pytest.MonkeyPatch.context() as patch:
         short_suite.shorten(patch.setattr)
+        short_suite.shorten_consolidation(patch.setattr)
         yield
 
 

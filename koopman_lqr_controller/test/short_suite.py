@@ -1,8 +1,9 @@
 """Shorter episodes of the control suite, and runs in this process, where a test needs no more."""
 
+from koopman_lqr_controller.training.consolidation.consolidation_config import ConsolidationConfig
 from koopman_lqr_controller.training.environments.control_suite import ControlSuite
 
-STEPS = 50
+STEPS = 25
 """Actions of an episode of the cart-pole, instead of 125."""
 
 
@@ -15,6 +16,13 @@ def shorten(patch=setattr) -> None:
         self._suite._step_limit = 8 * STEPS
 
     patch(ControlSuite, "__init__", make_short)
+
+
+def shorten_consolidation(patch=setattr) -> None:
+    """Try fewer sizes of candidates, after fewer rounds, where the command leaves them out."""
+    make = ConsolidationConfig.of
+    few = {"rounds": 1, "exploratory_latent": 4, "sizes": (4, 6)}
+    patch(ConsolidationConfig, "of", lambda *args, **kwargs: make(*args, **{**few, **kwargs}))
 
 
 def run_here(patch=setattr) -> None:

@@ -15,8 +15,8 @@ from koopman_lqr_controller.training.experiments.methods import LEARNERS, METHOD
 from koopman_lqr_controller.training.experiments.results import collect_comparison
 
 pytestmark = pytest.mark.usefixtures("short_episodes", "runs_here")
-TINY = ["--tasks", "cartpole_swingup", "--seeds", "1", "--workers", "1", "--chunks", "1", "--actions", "60"]
-TINY += ["--episodes", "1", "--consolidation", "0", "--set", "batch=16", "hidden=16", "latent=6", "first_steps=30"]
+TINY = ["--tasks", "cartpole_swingup", "--seeds", "1", "--workers", "1", "--chunks", "1", "--actions", "30"]
+TINY += ["--episodes", "1", "--consolidation", "0", "--set", "batch=16", "hidden=16", "latent=6", "first_steps=15"]
 
 
 @pytest.mark.parametrize("name", COMPARISONS)

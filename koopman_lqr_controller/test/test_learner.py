@@ -32,12 +32,12 @@ from koopman_lqr_controller.training.settings import Settings
 from short_suite import STEPS
 
 pytestmark = pytest.mark.usefixtures("short_episodes")
-TINY = (("batch", 16), ("first_steps", 30), ("hidden", 16), ("latent", 6))
+TINY = (("batch", 16), ("first_steps", 15), ("hidden", 16), ("latent", 6))
 RUN = LearningRun("cartpole_swingup", 2, TINY, command="learn --task cartpole_swingup", consolidation=0)
 
 
 def options(folder: Path, chunks: int = 3) -> RunOptions:
-    return RunOptions(folder, chunks, 40, 1, 2)
+    return RunOptions(folder, chunks, 20, 1, 2)
 
 
 def learnt(folder: Path, run: LearningRun = RUN) -> tuple[dict, bytes]:
@@ -86,8 +86,8 @@ def test_other_ways_of_learning_go_on_exactly_too(run: LearningRun, tmp_path: Pa
         train(run, options(cut, 2), cut_off)
     train(run, options(cut, 2))
     assert learnt(cut, run) == learnt(whole, run)
-    assert [point["actions"] for point in result["curve"]] == [40, 80]
-    assert result["interaction"]["learning"] == {"episodes": 2, "actions": 80}
+    assert [point["actions"] for point in result["curve"]] == [20, 40]
+    assert result["interaction"]["learning"] == {"episodes": 2, "actions": 40}
     assert len(result["returns"]) == 2
     assert ("model_error" in result) == (run.learner != "sac" and ("policy", "network") not in run.changes)
 
@@ -138,7 +138,7 @@ def test_a_run_that_was_killed_goes_on_exactly(whole: tuple, tmp_path: Path) -> 
         "from pathlib import Path\nfrom ctrl_rl_training.experiments.run import RunOptions\n"
         "from ctrl_rl_training.experiments.trainer import train\n"
         "from koopman_lqr_controller.training.experiments.runs import LearningRun\n"
-        f"train({RUN!r}, RunOptions(Path({str(killed)!r}), 3, 40, 1, 2))"
+        f"train({RUN!r}, RunOptions(Path({str(killed)!r}), 3, 20, 1, 2))"
     )
     process = subprocess.Popen([sys.executable, "-c", program])
     checkpoint = result_file(killed, RUN).with_name("checkpoint.safetensors")
@@ -197,28 +197,28 @@ def test_a_run_that_was_evaluated_otherwise_is_not_taken(change: dict[str, int],
 
 def test_what_it_took_is_counted(whole: tuple) -> None:
     _, result, _ = whole
-    assert [point["episodes"] for point in result["curve"]] == [1, 2, 3], "chunks of 40 actions, episodes of 50"
-    assert result["interaction"]["learning"] == {"episodes": 3, "actions": 120}
+    assert [point["episodes"] for point in result["curve"]] == [1, 2, 3], "chunks of 20 actions, episodes of 25"
+    assert result["interaction"]["learning"] == {"episodes": 3, "actions": 60}
     assert result["interaction"]["choosing"] == {"episodes": 6, "actions": 6 * STEPS}
 
 
 @pytest.mark.parametrize("cut", [False, True])
 def test_learning_ends_with_its_episodes(cut: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(BENCHMARK_TASKS, RUN.problem_name, replace(BENCHMARK_TASKS[RUN.problem_name], episodes=2))
-    longer = RunOptions(tmp_path, 3, 60, 1, 2)
+    longer = RunOptions(tmp_path, 3, 30, 1, 2)
     if cut:
         with pytest.raises(CutOffError):
             train(RUN, longer, cut_off)
     result = train(RUN, longer)
-    assert [point["actions"] for point in result["curve"]] == [60], "an episode of 50 actions and one of 10"
-    assert result["interaction"]["learning"] == {"episodes": 2, "actions": 60}
+    assert [point["actions"] for point in result["curve"]] == [30], "an episode of 25 actions and one of 5"
+    assert result["interaction"]["learning"] == {"episodes": 2, "actions": 30}
 
 
 def test_a_chunk_may_end_with_its_episodes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     problem = replace(BENCHMARK_TASKS[RUN.problem_name], chunk_episodes=1, episodes=3)
     monkeypatch.setitem(BENCHMARK_TASKS, RUN.problem_name, problem)
-    result = train(RUN, RunOptions(tmp_path, 4, 120, 1, 2))
-    assert [(point["actions"], point["episodes"]) for point in result["curve"]] == [(50, 1), (100, 2), (150, 3)]
+    result = train(RUN, RunOptions(tmp_path, 4, 60, 1, 2))
+    assert [(point["actions"], point["episodes"]) for point in result["curve"]] == [(25, 1), (50, 2), (75, 3)]
 
 
 def test_updates_may_be_many_or_few(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -227,7 +227,7 @@ def test_updates_may_be_many_or_few(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     for updates, every in ((3, 1), (2, 5)):
         changes = (*TINY, ("update_every", every), ("updates", updates))
         train(replace(RUN, changes=changes), options(tmp_path, 1))
-        assert len(counts) == updates * 10 // every, "40 actions, the first 30 at random"
+        assert len(counts) == updates * 5 // every, "20 actions, the first 15 at random"
         counts.clear()
 
 
@@ -236,7 +236,7 @@ def test_learning_ends_when_nothing_gets_better(tmp_path: Path, monkeypatch: pyt
     result = train(RUN, options(tmp_path, 12))
     ends = [point["actions"] for point in result["curve"]]
     assert len(ends) < 12
-    assert ends[-2:] == [result["best"]["actions"], result["best"]["actions"] + 40]
+    assert ends[-2:] == [result["best"]["actions"], result["best"]["actions"] + 20]
     other = train(replace(RUN, learner="edmd"), options(tmp_path, 12))
     assert len(other["curve"]) == 12, "what is not ours gets all of the budget"
 

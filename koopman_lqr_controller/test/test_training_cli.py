@@ -14,7 +14,7 @@ from koopman_lqr_controller.policies.policy_file import find_policy, load_policy
 from koopman_lqr_controller.training.experiments.trainer import CONSOLIDATED_FILE, POLICY_FILE
 
 pytestmark = pytest.mark.usefixtures("short_episodes", "runs_here")
-TINY = ["--set", "batch=16", "hidden=16", "latent=6", "first_steps=30", "--chunks", "2", "--actions", "60"]
+TINY = ["--set", "batch=16", "hidden=16", "latent=6", "first_steps=15", "--chunks", "2", "--actions", "30"]
 TINY += ["--episodes", "3", "--consolidation", "5"]
 
 
@@ -45,12 +45,12 @@ def test_a_run_leaves_policies_and_results(learnt: Path) -> None:
             assert policy.controller.horizon == horizon
             command = policy.manifest["command"]
             assert "learn --task cartpole_swingup --set batch=16" in command
-            assert "--chunks 2 --actions 60 --episodes 3 --consolidation 5 --seeds " in command
+            assert "--chunks 2 --actions 30 --episodes 3 --consolidation 5 --seeds " in command
 
 
 def test_each_seed_has_a_value_a_curve_and_a_folder(tmp_path: Path) -> None:
     where = ["--folder", str(tmp_path / "runs"), "--results", str(tmp_path / "results.json")]
-    short = ["--chunks", "1", "--actions", "40", "--episodes", "1", "--set", "hidden=16", "latent=6"]
+    short = ["--chunks", "1", "--actions", "20", "--episodes", "1", "--set", "hidden=16", "latent=6"]
     assert train(["--task", "cartpole_swingup", "--learner", "edmd", "--seeds", "2", *where, *short]) == 0
     results = json.loads((tmp_path / "results.json").read_text(encoding="utf-8"))
     assert results["rows"]
