@@ -2,6 +2,7 @@
 
 import json
 import os
+import pickle
 import resource
 import shutil
 import signal
@@ -65,27 +66,6 @@ class NodeProcess:
             except subprocess.TimeoutExpired:
                 self.process.kill()
                 self.process.wait()
-
-
-def run_nodes(folder: Path) -> Iterator[Callable[..., NodeProcess]]:
-    """Give a function that starts a node of a package by executable, parameters ("speed:=1.0") and remappings."""
-    started: list[NodeProcess] = []
-
-    def run(
-        package: str, executable: str, *parameters: str, remap: tuple[str, ...] = (), params_file: Path | None = None
-    ) -> NodeProcess:
-        options = [part for parameter in parameters for part in ("-p", parameter)]
-        options += [part for rule in remap for part in ("-r", rule)]
-        options += ["--params-file", str(params_file)] if params_file else []
-        arguments = ("--ros-args", *options) if options else ()
-        node = NodeProcess(package, executable, arguments, folder / f"{len(started)}-{executable}.log")
-        started.append(node)
-        return node
-
-    yield run
-    for node in started:
-        node.end()
-    time.sleep(_GOODBYE_S)
 
 
 def _nodes(folder: Path) -> Iterator[Callable[..., NodeProcess]]:
@@ -206,6 +186,20 @@ def cut_off() -> Callable[[Callable[..., Any], Any, Any], None]:
         assert not (options.folder / run.name / "result.json").exists()
 
     return learn
+
+
+@pytest.fixture(scope="module")
+def runs_here() -> Iterator[None]:
+    """Let commands train in this process; that runs get through to others is shown by ctrl_rl_training's tests."""
+    from ctrl_rl_training.experiments import matrix
+
+    def train_all(todo: list[Any], options: Any, *_: object) -> None:
+        for run in todo:
+            matrix.train(pickle.loads(pickle.dumps(run)), options)  # noqa: S301 as a worker gets it
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(matrix, "_in_processes", train_all)
+        yield
 
 
 @pytest.fixture

@@ -24,13 +24,3 @@ def short_episodes() -> Iterator[None]:
         short_suite.shorten(patch.setattr)
         short_suite.shorten_consolidation(patch.setattr)
         yield
-
-
-@pytest.fixture(scope="module")
-def runs_here() -> Iterator[None]:
-    """Let commands train in this process."""
-    import short_suite
-
-    with pytest.MonkeyPatch.context() as patch:
-        short_suite.run_here(patch.setattr)
-        yield

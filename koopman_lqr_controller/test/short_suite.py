@@ -1,4 +1,4 @@
-"""Shorter episodes of the control suite, and runs in this process, where a test needs no more."""
+"""Shorter episodes of the control suite, and fewer candidates, where a test needs no more."""
 
 from koopman_lqr_controller.training.consolidation.consolidation_config import ConsolidationConfig
 from koopman_lqr_controller.training.environments.control_suite import ControlSuite
@@ -23,14 +23,3 @@ def shorten_consolidation(patch=setattr) -> None:
     make = ConsolidationConfig.of
     few = {"rounds": 1, "exploratory_latent": 4, "sizes": (4, 6)}
     patch(ConsolidationConfig, "of", lambda *args, **kwargs: make(*args, **{**few, **kwargs}))
-
-
-def run_here(patch=setattr) -> None:
-    """Train in this process what a command trains in others."""
-    from ctrl_rl_training.experiments import matrix
-
-    def train_all(todo, options, *_) -> None:
-        for run in todo:
-            matrix.train(run, options)
-
-    patch(matrix, "_in_processes", train_all)

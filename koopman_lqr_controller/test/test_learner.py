@@ -171,7 +171,8 @@ def test_what_is_learnt_is_what_is_evaluated_and_says_where_it_comes_from(whole:
     assert result_file(folder, RUN).stat().st_mtime_ns == before
 
 
-def test_seeds_are_learnt_in_another_process(tmp_path: Path) -> None:
+@pytest.mark.usefixtures("runs_here")
+def test_seeds_are_learnt_one_after_the_other(tmp_path: Path) -> None:
     runs = [replace(RUN, learner="edmd", seed=seed) for seed in range(2)]
     results = run_experiments(runs, options(tmp_path, 1), workers=1)
     assert [result["run"]["seed"] for result in results] == [0, 1]

@@ -87,11 +87,12 @@ def test_replay_tells_and_draws(tmp_path, capsys):
         assert np.asarray(picture.convert("L")).std() > 10.0
 
 
+@pytest.mark.usefixtures("runs_here")
 def test_commands_from_training_to_replay(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     arguments = ["--task", "tool_delivery", "--methods", "async_autoregressive", "--seeds", "1", "--samples", "7500"]
     arguments += ["--evaluations", "1"]
-    assert train([*arguments, "--results", "r.json", "--workers", "1"]) == 0
+    assert train([*arguments, "--results", "r.json"]) == 0
     assert "any-order autoregressive" in capsys.readouterr().out
     content = json.loads((tmp_path / "r.json").read_text())
     rows = {(row["method"], row["metric"]): row for row in content["rows"]}

@@ -1,6 +1,5 @@
 """Learning: its pieces against closed forms, resuming, and that it learns at all."""
 
-import pickle
 from dataclasses import fields, replace
 from functools import partial
 
@@ -268,13 +267,13 @@ def test_a_folder_of_another_run_is_refused(tmp_path, cut_off):
         train(run, RunOptions(tmp_path, **SHORT))
 
 
-def test_many_runs_at_a_time(tmp_path):
+@pytest.mark.usefixtures("runs_here")
+def test_many_runs_one_after_the_other(tmp_path):
     runs = option_runs("tool_delivery", ["sync_cut", "async"], 1)
     assert [run.method_name for run in runs] == ["async", "sync_cut"]
     assert option_runs("tool_delivery", ["async", "sync_cut", "async"], 1) == runs
     options = RunOptions(tmp_path, **(SHORT | {"iterations": 1}))
-    sent = pickle.loads(pickle.dumps(runs))  # as to the workers, which ctrl_rl_training's tests and test_ray start
-    results = run_experiments(sent, options, workers=1)
+    results = run_experiments(runs, options)
     assert [result["run"]["method"] for result in results] == ["async", "sync_cut"]
     assert run_experiments(runs, options) == results
     result_file(tmp_path, runs[0]).write_text("{", encoding="utf-8")
