@@ -23,10 +23,29 @@ def cached_njit(function: Callable[..., Any], **options: Any) -> Callable[..., A
         compiled = njit(**options)(function)
     cache: Any = getattr(compiled, "_cache", None)
     if hasattr(cache, "_cache_file"):
-        locator = cache._impl.locator
-        cache._cache_file = _CheckedFile(cache._cache_path, cache._impl.filename_base, locator.get_source_stamp())
+        stamps = tuple(sorted((file, *_stamp(file)) for file in _sources(function)))
+        cache._cache_file = _CheckedFile(cache._cache_path, cache._impl.filename_base, stamps)
     out: Callable[..., Any] = compiled
     return out
+
+
+def _sources(function: Any, found: set[Any] | None = None) -> set[str]:
+    """Return the files of a function and of all compiled functions that it calls, whose code is part of its own."""
+    seen = set() if found is None else found
+    seen.add(function)
+    for name in function.__code__.co_names:
+        called = getattr(function.__globals__.get(name), "py_func", None)
+        if called is not None and called not in seen:
+            _sources(called, seen)
+    return {each.__code__.co_filename for each in seen}
+
+
+def _stamp(file: str) -> tuple[float, int]:
+    """Return time of change and size of a file; zeros where it is none."""
+    with suppress(OSError):
+        state = os.stat(file)
+        return state.st_mtime, state.st_size
+    return 0.0, 0
 
 
 class _CheckedFile(IndexDataCacheFile):
