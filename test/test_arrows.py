@@ -10,7 +10,14 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-METHODS = ("ttr_reward_node", "oc_baseline_node", "koopman_lqr_controller", "option_coordinator", "ctrl_rl_navigation")
+METHODS = (
+    "ttr_reward_node",
+    "oc_baseline_node",
+    "koopman_lqr_controller",
+    "option_coordinator",
+    "ctrl_rl_navigation",
+    "ctrl_rl_safety",
+)
 MAY_IMPORT = {
     "ctrl_rl_core": set(),
     "ctrl_rl_bags": {"ctrl_rl_core"},
@@ -45,6 +52,7 @@ RUN_TIME_MODULES = (
     "ctrl_rl_core.policies.policy_node",
     "ctrl_rl_core.policies.onnx_policy",
     "ctrl_rl_navigation.nodes.navigator_node",
+    "ctrl_rl_safety.filter.safety_filter",
     "oc_baseline_node.node",
     "koopman_lqr_controller.nodes.controller_node",
     "koopman_lqr_controller.nodes.scripted_driver_node",

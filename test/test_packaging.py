@@ -12,7 +12,14 @@ import pytest
 from ament_index_python.packages import get_package_prefix
 
 ROOT = Path(__file__).resolve().parents[1]
-METHODS = ("ttr_reward_node", "oc_baseline_node", "koopman_lqr_controller", "option_coordinator", "ctrl_rl_navigation")
+METHODS = (
+    "ttr_reward_node",
+    "oc_baseline_node",
+    "koopman_lqr_controller",
+    "option_coordinator",
+    "ctrl_rl_navigation",
+    "ctrl_rl_safety",
+)
 PACKAGES = sorted(file.parent.name for file in ROOT.glob("*/package.xml"))
 PYTHON_PACKAGES = [package for package in PACKAGES if package != "ctrl_rl_msgs"]
 ROSDEP_KEYS = {

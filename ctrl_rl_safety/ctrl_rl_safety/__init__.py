@@ -1,0 +1,5 @@
+"""Lets commands through to a robot as far as they are provably recoverable."""
+
+import lazy_loader as lazy
+
+__getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)

@@ -1,0 +1,14 @@
+from .errors import SafetyError as SafetyError
+from .filter.safety_filter import SafetyFilter as SafetyFilter
+from .filter.verdict import FilterOptions as FilterOptions
+from .filter.verdict import Mode as Mode
+from .filter.verdict import Reading as Reading
+from .filter.verdict import Verdict as Verdict
+from .models.growth import Growth as Growth
+from .models.robot_model import ROBOTS as ROBOTS
+from .models.robot_model import RobotModel as RobotModel
+from .models.robot_model import find_model as find_model
+from .sets.distance_field import Obstacles as Obstacles
+from .sets.distance_field import obstacles_around as obstacles_around
+from .sets.recoverable_set import RecoverableSet as RecoverableSet
+from .sets.recoverable_set import solve_set as solve_set

@@ -1,0 +1,7 @@
+"""Errors of this package that a user can fix."""
+
+from ctrl_rl_core import CtrlRlError
+
+
+class SafetyError(CtrlRlError):
+    """A robot model, a bag or an option cannot be used; the message is the reason."""

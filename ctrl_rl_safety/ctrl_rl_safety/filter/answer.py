@@ -1,0 +1,209 @@
+"""The answer to a raw command, in one call: the command itself, a turn to unblock, a near one, or braking."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from ctrl_rl_core.values.jit_cache import cached_njit
+from numba import njit
+from numpy.typing import NDArray
+
+from ctrl_rl_safety.filter.certificate import AWAY, Situation, certify, hold, hopeless
+from ctrl_rl_safety.models.growth import Growth
+from ctrl_rl_safety.models.motion import STANDS
+from ctrl_rl_safety.sets.distance_field import FAR, margin_at
+from ctrl_rl_safety.sets.recoverable_set import value_at
+
+Array = NDArray[np.float64]
+
+PASSED, CORRECTED, ESCAPING, UNBLOCKING = 1, 2, 3, 4
+_SPEEDS, _TURNS = 13, 15
+_LAST = 0.05
+"""Weight of the distance to the last command, to which ties go."""
+_RISE = 0.2
+"""Part of the acceleration with which a corrected speed rises."""
+_REFINEMENTS = 4
+
+
+class Request(NamedTuple):
+    """A command that is wanted, and what is known beside it.
+
+    Attributes:
+        raw: Command that is wanted, within the limits [m/s, rad/s].
+        last: Command that was sent last [m/s, rad/s].
+        corrected: Whether that one was not the raw one.
+        turn: Turn rate that would unblock a robot that is held; 0 for none [rad/s].
+        hysteresis: Margin that lets a command pass again after a correction [m].
+        patience: Time steps for which a command must be certified to pass again after a correction.
+        first: Kind of the escape that is tried first.
+        slowest: Least speed that may be commanded [m/s].
+        fastest: Largest speed that may be commanded [m/s].
+        acceleration: Largest change of the speed away from zero [m/s^2].
+        braking: Largest change of the speed towards zero [m/s^2].
+        turn_acceleration: Largest change of the turn rate [rad/s^2].
+    """
+
+    raw: tuple[float, float]
+    last: tuple[float, float]
+    corrected: bool
+    turn: float
+    hysteresis: float
+    patience: int
+    first: int
+    slowest: float
+    fastest: float
+    acceleration: float
+    braking: float
+    turn_acceleration: float
+
+
+class Answer(NamedTuple):
+    """A command and its certificate.
+
+    Attributes:
+        v: Speed to send [m/s].
+        omega: Turn rate [rad/s].
+        mode: One of PASSED, CORRECTED, ESCAPING and UNBLOCKING.
+        margin: Margin of the certificate [m].
+        value: Margin of the state by the recoverable set [m]; NaN without one.
+        kind: Kind of the escape.
+        state: State when the command has its first effect.
+    """
+
+    v: float
+    omega: float
+    mode: int
+    margin: float
+    value: float
+    kind: int
+    state: tuple[float, float, float, float, float]
+
+
+@njit
+def _numbers(low: float, high: float, count: int, wanted: float) -> Any:
+    """Return numbers from low to high, with zero and the wanted one among them where they lie between."""
+    out = np.empty(count + 2)
+    for k in range(count):
+        out[k] = low + (high - low) * k / (count - 1)
+    out[count] = min(max(0.0, low), high)
+    out[count + 1] = min(max(wanted, low), high)
+    return out
+
+
+@njit
+def _window(sit: Any, ask: Any, state: tuple[float, float, float, float, float]) -> Any:
+    """Return the speeds and turn rates that the robot's limits tell apart until the next command."""
+    time = sit.motion.step * (sit.hold + 1.0 / sit.motion.share)
+    up, down = ask.acceleration * time, max(ask.acceleration, ask.braking) * time
+    around = ask.turn_acceleration * time
+    v, omega = state[3], state[4]
+    below, above = (up, down) if v < 0.0 else (down, up)
+    low_v, high_v = max(ask.slowest, v - below), min(ask.fastest, v + above)
+    if ask.corrected:  # a speed that was corrected rises slowly, so that it does not fall again at once
+        rise = _RISE * up
+        low_v, high_v = max(low_v, min(ask.last[0], v, 0.0) - rise), min(high_v, max(ask.last[0], v, 0.0) + rise)
+    low_w, high_w = max(-sit.turn_rate, omega - around), min(sit.turn_rate, omega + around)
+    return (
+        _numbers(min(low_v, high_v), max(low_v, high_v), _SPEEDS, ask.raw[0]),
+        _numbers(min(low_w, high_w), max(low_w, high_w), _TURNS, ask.raw[1]),
+    )
+
+
+@njit
+def _nearest(sit: Any, ask: Any, state: tuple[float, float, float, float, float], t: float) -> Any:
+    """Return the certified command nearest to the raw one, its margin and its escape; a margin below zero for none."""
+    speeds, turns = _window(sit, ask, state)
+    wide_v, wide_w = max(speeds.max() - speeds.min(), 1e-3), max(turns.max() - turns.min(), 1e-3)
+    costs = np.empty(len(speeds) * len(turns))
+    for i in range(len(speeds)):
+        for j in range(len(turns)):
+            dv, dw = (speeds[i] - ask.raw[0]) / wide_v, (turns[j] - ask.raw[1]) / wide_w
+            ev, ew = (speeds[i] - ask.last[0]) / wide_v, (turns[j] - ask.last[1]) / wide_w
+            costs[i * len(turns) + j] = math.sqrt(dv * dv + dw * dw) + _LAST * math.sqrt(ev * ev + ew * ew)
+    stands = abs(state[3]) < STANDS
+    for place in np.argsort(costs):
+        command = (speeds[place // len(turns)], turns[place % len(turns)])
+        # A robot that stands after a correction does not begin to move by the noise of a scan.
+        needed = ask.hysteresis if stands and ask.corrected and abs(command[0]) >= STANDS else 0.0
+        if hopeless(sit, state, command):
+            continue
+        margin, kind = certify(sit, state, t, command, sit.hold, ask.first, needed)
+        if margin < needed:
+            continue
+        share, step = 1.0, 0.5
+        for _ in range(_REFINEMENTS):
+            tried = share - step
+            between = (ask.raw[0] + tried * (command[0] - ask.raw[0]), ask.raw[1] + tried * (command[1] - ask.raw[1]))
+            found, which = certify(sit, state, t, between, sit.hold, kind, needed)
+            if found >= needed:
+                share, margin, kind = tried, found, which
+            step *= 0.5
+        v, omega = ask.raw[0] + share * (command[0] - ask.raw[0]), ask.raw[1] + share * (command[1] - ask.raw[1])
+        return v, omega, margin, kind
+    return 0.0, 0.0, -FAR, ask.first
+
+
+@njit
+def _braking(sit: Any, ask: Any, state: tuple[float, float, float, float, float], t: float) -> Any:
+    """Return full braking with the turn rate that leaves the most room, its margin and its escape."""
+    best, which, turn = -FAR, ask.first, 0.0
+    for k in range(5):
+        tried = sit.turn_rate * (0.0, -1.0, 1.0, -0.5, 0.5)[k]
+        margin, kind = certify(sit, state, t, (0.0, tried), sit.hold, ask.first, FAR)
+        if margin > best:
+            best, which, turn = margin, kind, tried
+    return 0.0, turn, best, which
+
+
+@njit
+def _from_here(sit: Any, x: float, y: float, t: float) -> Any:
+    """Return the situation of a robot at a place, which counts from there where it has less room than it needs.
+
+    The disturbance is left out then: a robot that stands must be able to turn, and to go where there is more room.
+    """
+    room = sit.rooms[1]
+    if margin_at(sit.obstacles, sit.growth, x, y, t, (room, -FAR)) >= 0.0:
+        return sit
+    growth = Growth(0.0, sit.growth.mover_speed, 0.0, 0.0)
+    gap = margin_at(sit.obstacles, growth, x, y, 0.0, (room, -FAR))
+    rooms = (room + min(gap - 2.0 * AWAY, 0.0), room)
+    guide, motion = sit.guide, sit.motion
+    return Situation(sit.obstacles, growth, motion, guide, rooms, True, sit.hold, sit.turn_rate, sit.lag)
+
+
+@cached_njit
+def answer(sit: Any, ask: Any, begin: Array, t: float, commands: Array) -> Any:
+    """Return the `Answer` to a request.
+
+    Args:
+        sit: Echoes, motion and set.
+        ask: The command that is wanted.
+        begin: State by odometry (5,).
+        t: Age of the echoes at that state [s].
+        commands: Commands of each time step until a new one has an effect (n, 2).
+    """
+    state = (begin[0], begin[1], begin[2], begin[3], begin[4])
+    first = FAR
+    for k in range(len(commands)):
+        state, t, margin = hold(sit, state, t, commands[k, 0], commands[k, 1], 1)
+        first = min(first, margin)
+    guide, value = sit.guide, math.nan
+    if guide.ready:
+        value = value_at(guide.values, guide.x, guide.y, guide.cell, guide.top, state[0], state[1], state[2], state[3])
+    sit = _from_here(sit, state[0], state[1], t)
+    again = ask.corrected and abs(ask.raw[0]) >= STANDS
+    extra, steps = (ask.hysteresis, ask.patience) if again else (0.0, sit.hold)
+    margin, kind = certify(sit, state, t, ask.raw, steps, ask.first, extra)
+    if margin >= extra and ask.turn == 0.0:
+        return Answer(ask.raw[0], ask.raw[1], PASSED, min(margin, first), value, kind, state)
+    if ask.turn != 0.0:
+        margin, kind = certify(sit, state, t, (0.0, ask.turn), sit.hold, ask.first, 0.0)
+        if margin >= 0.0:
+            return Answer(0.0, ask.turn, UNBLOCKING, min(margin, first), value, kind, state)
+    v, omega, margin, kind = _nearest(sit, ask, state, t)
+    if margin >= 0.0:
+        return Answer(v, omega, CORRECTED, min(margin, first), value, kind, state)
+    v, omega, margin, kind = _braking(sit, ask, state, t)
+    return Answer(v, omega, ESCAPING, min(margin, first), value, kind, state)

@@ -1,0 +1,230 @@
+"""Certifies a command: rolls it out until the next one can have an effect, and then an escape until the robot stands.
+
+The disc of each place on the way is checked against all grown echoes. Between two places it lies within half of the way
+between them, which is added to its radius. A command is certified where some escape leaves a margin of zero or more.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from ctrl_rl_core.values.jit_cache import cached_njit
+from numba import njit
+from numpy.typing import NDArray
+
+from ctrl_rl_safety.models.growth import Growth
+from ctrl_rl_safety.models.motion import STANDS, Motion, next_state
+from ctrl_rl_safety.sets.distance_field import CAP, FAR, Obstacles, margin_at
+from ctrl_rl_safety.sets.recoverable_set import value_at
+
+Array = NDArray[np.float64]
+
+FAMILY = 5
+"""Escapes of a constant turn rate; the first one after them is chosen by the recoverable set."""
+MOST_STEPS = 1000
+_STEPS_A_TURN = 4
+"""Time steps for which an escape by the set holds a turn rate."""
+_TURNS = 7
+AWAY = 1e-3
+"""Least gain of a motion that begins too near to something [m]."""
+
+
+class Guide(NamedTuple):
+    """The recoverable set as machine code takes it.
+
+    Attributes:
+        values: Values of the set; one node where there is none.
+        x: Position of its first column [m].
+        y: Position of its first row [m].
+        cell: Distance of its nodes [m].
+        top: Speed of its last level [m/s].
+        ready: Whether there is a set.
+    """
+
+    values: NDArray[np.float32]
+    x: float
+    y: float
+    cell: float
+    top: float
+    ready: bool
+
+
+NO_GUIDE = Guide(np.zeros((1, 1, 1, 1), np.float32), 0.0, 0.0, 1.0, 1.0, False)
+
+
+class Situation(NamedTuple):
+    """Everything that a certificate is made of.
+
+    Attributes:
+        obstacles: Echoes in the frame of the odometry.
+        growth: Bounds of motion.
+        motion: Motion of the robot for one time step.
+        guide: Recoverable set, if any.
+        rooms: Radius that the disc needs beside standing and beside moving echoes [m].
+        close: Whether the robot begins with less room than it needs; it may then only turn, or go where there is more.
+        hold: Time steps until the command after this one has an effect.
+        turn_rate: Largest turn rate [rad/s].
+        lag: Time constant of the speeds [s].
+    """
+
+    obstacles: Obstacles
+    growth: Growth
+    motion: Motion
+    guide: Guide
+    rooms: tuple[float, float]
+    close: bool
+    hold: int
+    turn_rate: float
+    lag: float
+
+
+@njit(inline="always")
+def _checked(sit: Any, x: float, y: float, v: float, t: float) -> float:
+    """Return the margin of a place; what comes to a robot that stands is no fault of its own."""
+    slack = 0.5 * abs(v) * sit.motion.step
+    aside = sit.rooms[1] + slack if abs(v) >= STANDS else -FAR
+    return margin_at(sit.obstacles, sit.growth, x, y, t, (sit.rooms[0] + slack, aside))
+
+
+@njit
+def hold(
+    sit: Any, state: tuple[float, float, float, float, float], t: float, v_c: float, omega_c: float, steps: int
+) -> Any:
+    """Return the state, the time and the least margin after some steps of one command."""
+    x, y, theta, v, omega = state
+    least = FAR
+    for _ in range(steps):
+        x, y, theta, v, omega = next_state(x, y, theta, v, omega, v_c, omega_c, sit.motion)
+        t += sit.motion.step
+        least = min(least, _checked(sit, x, y, v, t))
+    return (x, y, theta, v, omega), t, least
+
+
+@njit
+def _best_turn(sit: Any, state: tuple[float, float, float, float, float]) -> float:
+    """Return the turn rate whose next state has the largest value while braking [rad/s]."""
+    best, most = 0.0, -FAR
+    for k in range(_TURNS):
+        turn = sit.turn_rate * (2.0 * k / (_TURNS - 1) - 1.0)
+        x, y, theta, v, omega = state
+        for _ in range(_STEPS_A_TURN):
+            x, y, theta, v, omega = next_state(x, y, theta, v, omega, 0.0, turn, sit.motion)
+        guide = sit.guide
+        value = value_at(guide.values, guide.x, guide.y, guide.cell, guide.top, x, y, theta, v)
+        value -= 1e-4 * abs(turn)
+        if value > most:
+            best, most = turn, value
+    return best
+
+
+@njit
+def _escape(sit: Any, state: tuple[float, float, float, float, float], t: float, kind: int, floor: float) -> float:
+    """Return the least margin of an escape; it may be any number below `floor` once it is below."""
+    x, y, theta, v, omega = state
+    turn = omega if kind == 0 else sit.turn_rate * (2.0 * (kind - 1) / (FAMILY - 2) - 1.0)
+    least = FAR
+    for k in range(MOST_STEPS):
+        if abs(v) < STANDS or least < floor:
+            break
+        if kind == FAMILY and k % _STEPS_A_TURN == 0:
+            turn = _best_turn(sit, (x, y, theta, v, omega))
+        x, y, theta, v, omega = next_state(x, y, theta, v, omega, 0.0, turn, sit.motion)
+        t += sit.motion.step
+        least = min(least, _checked(sit, x, y, v, t))
+    return min(least, _checked(sit, x, y, v, t) - abs(v) * sit.lag)
+
+
+@njit
+def _tried(kind: int, first: int, ready: bool) -> bool:
+    """Return whether an escape is tried besides the first one; where there is a set, it stands for most of them."""
+    if kind == first:
+        return False
+    return kind == FAMILY or kind == 0 if ready else kind < FAMILY
+
+
+@njit
+def escape_from(
+    sit: Any, state: tuple[float, float, float, float, float], t: float, first: int, needed: float
+) -> tuple[float, int]:
+    """Return margin and kind of the first escape with the margin needed, or of the best one.
+
+    With a margin that can be reached, an escape is given up once it falls short of it.
+    """
+    if first == FAMILY and not sit.guide.ready:
+        first = 0
+    best, which = _escape(sit, state, t, first, -FAR if needed >= FAR else needed), first
+    for k in range(FAMILY + 1):
+        if best >= needed:
+            break
+        kind = FAMILY - k
+        if needed >= FAR or _tried(kind, first, sit.guide.ready):
+            if kind == FAMILY and not sit.guide.ready:
+                continue
+            margin = _escape(sit, state, t, kind, best if needed >= FAR else needed)
+            if margin > best:
+                best, which = margin, kind
+    return best, which
+
+
+@njit
+def certify(
+    sit: Any,
+    state: tuple[float, float, float, float, float],
+    t: float,
+    command: tuple[float, float],
+    steps: int,
+    first: int,
+    needed: float,
+) -> tuple[float, int]:
+    """Return the margin of a command [m] and the kind of its escape.
+
+    Args:
+        sit: Echoes, motion and set.
+        state: State when the command has its first effect.
+        t: Age of the echoes then [s].
+        command: Speed [m/s] and turn rate [rad/s].
+        steps: Time steps for which it is held.
+        first: Kind of the escape that is tried first.
+        needed: Margin that is enough [m].
+    """
+    end, later, least = hold(sit, state, t, command[0], command[1], steps)
+    if sit.close and abs(command[0]) >= STANDS:
+        before = margin_at(sit.obstacles, sit.growth, state[0], state[1], 0.0, (sit.rooms[0], -FAR))
+        gained = margin_at(sit.obstacles, sit.growth, end[0], end[1], 0.0, (sit.rooms[0], -FAR)) - before
+        if gained < AWAY:
+            return min(least, gained - AWAY), first
+    if least < needed and least < 0.0:
+        return least, first
+    margin, kind = escape_from(sit, end, later, first, needed)
+    return min(least, margin, CAP), kind
+
+
+@njit
+def hopeless(sit: Any, state: tuple[float, float, float, float, float], command: tuple[float, float]) -> bool:
+    """Return whether the set says that no escape can follow a command, so that looking for one is in vain."""
+    guide = sit.guide
+    if not guide.ready or sit.close:
+        return False
+    x, y, theta, v, omega = state
+    for _ in range(sit.hold):
+        x, y, theta, v, omega = next_state(x, y, theta, v, omega, command[0], command[1], sit.motion)
+    if abs(v) < STANDS:
+        return False
+    return value_at(guide.values, guide.x, guide.y, guide.cell, guide.top, x, y, theta, v) < -0.5 * guide.cell
+
+
+@cached_njit
+def escape_path(sit: Any, state: Any, kind: int) -> Array:
+    """Return the states (n, 5) of an escape until the robot stands, the turn rate's commands in place of the rates."""
+    out = np.empty((MOST_STEPS, 5))
+    x, y, theta, v, omega = state
+    turn = omega if kind == 0 else sit.turn_rate * (2.0 * (kind - 1) / (FAMILY - 2) - 1.0)
+    count = 0
+    while count < MOST_STEPS and abs(v) >= STANDS:
+        if kind == FAMILY and count % _STEPS_A_TURN == 0:
+            turn = _best_turn(sit, (x, y, theta, v, omega))
+        x, y, theta, v, omega = next_state(x, y, theta, v, omega, 0.0, turn, sit.motion)
+        out[count] = np.array((x, y, theta, v, turn))
+        count += 1
+    return out[:count].copy()

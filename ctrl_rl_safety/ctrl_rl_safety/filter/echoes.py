@@ -1,0 +1,101 @@
+"""Echoes of a scan as surfaces, and which of them are known to stand.
+
+Two neighbouring echoes nearer to each other than the robot is wide may belong to one surface: places between them are
+added, so that the robot's disc does not dip in between. An echo is known to stand where every scan of some time before
+has an echo near it. It belongs to a mover otherwise.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+import numpy as np
+from ctrl_rl_core.values.jit_cache import cached_njit
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+SAME = 0.06
+"""Distance up to which two echoes of different scans may come from one place [m]."""
+_FEWEST = 3
+_MOST_POINTS = 3000
+_THIN = 0.01
+
+
+def surfaces(points: Array, spacing: float, widest: float) -> tuple[Array, Array]:
+    """Return echoes with places between neighbours (m, 2), and places on the gaps that are wider (k, 2) [m].
+
+    Args:
+        points: Echoes in the order of their beams (n, 2) [m].
+        spacing: Largest distance between two places of a surface [m].
+        widest: Distance of neighbours up to which they may belong to one surface [m].
+    """
+    if len(points) < 2:
+        return points, np.empty((0, 2))
+    if len(points) > _MOST_POINTS:
+        _, first = np.unique(np.floor(points / _THIN).astype(np.int64), axis=0, return_index=True)
+        points = points[np.sort(first)][:: math.ceil(len(first) / _MOST_POINTS)]
+    following = np.roll(points, -1, axis=0)
+    gaps = np.hypot(*(following - points).T)
+    joined = gaps < widest
+    return (
+        np.concatenate((points, _between(points[joined], following[joined], gaps[joined], spacing))),
+        _between(points[~joined], following[~joined], gaps[~joined], widest),
+    )
+
+
+def _between(begin: Array, end: Array, lengths: Array, spacing: float) -> Array:
+    """Return places on lines (n, 2) to (n, 2) at most `spacing` apart, without the ends (m, 2)."""
+    counts = np.minimum(np.ceil(lengths / spacing).astype(np.intp) - 1, 200)
+    line = np.repeat(np.arange(len(counts)), counts)
+    place = np.arange(len(line)) - np.repeat(np.cumsum(counts) - counts, counts) + 1
+    share = (place / (counts[line] + 1))[:, None]
+    out: Array = begin[line] + share * (end[line] - begin[line])
+    return out
+
+
+@cached_njit
+def _near_any(points: Array, others: Array, distance: float) -> NDArray[np.bool_]:
+    out = np.zeros(len(points), np.bool_)
+    square, count, last = distance * distance, len(others), 0
+    for i in range(len(points)):
+        for k in range(count):
+            j = (last + k) % count
+            dx, dy = points[i, 0] - others[j, 0], points[i, 1] - others[j, 1]
+            if dx * dx + dy * dy <= square:
+                out[i], last = True, j
+                break
+    return out
+
+
+class EchoMemory:
+    """The scans of the last while, in a frame that stands still.
+
+    Args:
+        span: Time for which an echo must have been there to be known to stand [s].
+    """
+
+    def __init__(self, span: float) -> None:
+        self._span = span
+        self._scans: deque[tuple[float, Array]] = deque(maxlen=200)
+
+    def update(self, now: float, points: Array) -> NDArray[np.bool_]:
+        """Take a scan at a steady time [s] and return which of its places (n, 2) are known to stand (n,)."""
+        while len(self._scans) > 1 and self._scans[1][0] <= now - self._span:
+            self._scans.popleft()
+        known = np.zeros(len(points), np.bool_)
+        enough = bool(self._scans) and self._scans[0][0] <= now - self._span and len(self._scans) >= _FEWEST
+        if enough:
+            known[:] = True
+            for _, before in self._scans:
+                if len(before):
+                    known[known] = _near_any(points[known], before, SAME)
+                else:
+                    known[:] = False
+        self._scans.append((now, points))
+        return known
+
+    def clear(self) -> None:
+        """Forget all scans, as the frame has jumped."""
+        self._scans.clear()

@@ -1,0 +1,206 @@
+"""Answers raw commands with certified ones; steady time is an argument, and there is no ROS.
+
+safety = SafetyFilter(find_model("turtlebot3_burger"))
+safety.see(now, pose, echoes)
+safety.use(safety.solve())      # in a thread; without it the escapes of constant turn rates remain
+verdict = safety.decide(now, Reading(pose, v, omega), raw)
+safety.sent(now, verdict.command)
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrl_rl_safety.errors import SafetyError
+from ctrl_rl_safety.filter.answer import PASSED, Answer, Request, answer
+from ctrl_rl_safety.filter.certificate import NO_GUIDE, Guide, Situation, escape_path
+from ctrl_rl_safety.filter.echoes import SAME, EchoMemory, surfaces
+from ctrl_rl_safety.filter.unblocking import Unblocking
+from ctrl_rl_safety.filter.verdict import FilterOptions, Mode, Reading, Verdict
+from ctrl_rl_safety.models.growth import Growth
+from ctrl_rl_safety.models.motion import motion_of
+from ctrl_rl_safety.models.robot_model import RobotModel
+from ctrl_rl_safety.sets.distance_field import NODES, Obstacles, obstacles_around
+from ctrl_rl_safety.sets.recoverable_set import RecoverableSet, brake_ladder, solve_set
+
+Array = NDArray[np.float64]
+
+STEP = 0.02
+"""Time step of the roll-outs [s]."""
+_LEAST_CELL = 0.025
+_LATEST = 0.5
+"""Age of a scan that the local grid is made for [s]."""
+_NONE: Array = np.empty((0, 2))
+_PATIENCE = 15
+"""Time steps for which a command must stay recoverable to pass again after a correction, besides its own."""
+_UNBLOCKING = 0.3
+"""Part of the largest turn rate with which a robot is turned."""
+_SIDE = 0.25
+"""Spacing of the places on a surface over the robot's radius: the disc dips in by less than 1 % of its radius."""
+_SET_AGE = 0.5
+"""Age of a set that still chooses escapes [s]."""
+
+
+class SafetyFilter:
+    """Keeps one robot in its recoverable set.
+
+    Attributes:
+        model: Constants of the robot.
+        options: Settings of the filter.
+        reach: Distance from the robot up to which echoes matter [m].
+        obstacles: Echoes of the last scan; None before the first one.
+    """
+
+    def __init__(self, model: RobotModel, options: FilterOptions | None = None) -> None:
+        self.model, self.options = model, options or FilterOptions()
+        value = self.options
+        creep = (SAME + 2.0 * model.range_error) / value.standing_time
+        self._growth = Growth(model.disturbance, value.mover_speed, value.mover_acceleration, creep)
+        self._motion = motion_of(model, STEP)
+        self._hold = max(1, math.ceil(value.period / STEP))
+        self._room = model.radius + model.range_error
+        ladder = brake_ladder(model)
+        top = float(ladder.speeds[-1])
+        latest = _LATEST + model.scan_age + model.delay + value.period
+        half = top * latest + model.stopping_distance(top) + self._room
+        self._cell = max(2.0 * half / (NODES - 1), _LEAST_CELL)
+        coming = (value.mover_speed + model.disturbance) * (latest + ladder.time_to_stand(top))
+        self.reach = 0.71 * self._cell * NODES + self._room + coming
+        self._memory = EchoMemory(value.standing_time)
+        self._unblocking = Unblocking(value.unblock_after)
+        self.obstacles: Obstacles | None = None
+        self._seen_at = -math.inf
+        self._set: RecoverableSet | None = None
+        self._sent: deque[tuple[float, float, float]] = deque(maxlen=1000)
+        self._corrected = False
+        self._kind = 0
+        self._last_v = 0.0
+
+    def see(self, now: float, pose: Array, echoes: Array, age: float = 0.0) -> None:
+        """Take a scan.
+
+        Args:
+            now: Steady time [s].
+            pose: Pose of the robot when the scan was taken, in the frame of the odometry (3,) [m, m, rad].
+            echoes: Echoes in the robot's frame then, in the order of their beams (n, 2) [m].
+            age: Age of the scan [s].
+        """
+        near = echoes[np.hypot(echoes[:, 0], echoes[:, 1]) < self.reach]
+        wide = 2.0 * self.model.radius
+        places, edges = surfaces(near, _SIDE * self.model.radius, wide)
+        moving = _moved(edges, pose) if self.options.occluded_movers else _NONE
+        places = _moved(places, pose)
+        if self.options.mover_speed > 0.0:
+            stands = self._memory.update(now, places)
+            moving = np.concatenate((moving, places[~stands]))
+            places = places[stands]
+        self.obstacles = obstacles_around(places, moving, (float(pose[0]), float(pose[1])), self._cell)
+        self._seen_at = now - age - self.model.scan_age
+
+    def solve(self) -> RecoverableSet | None:
+        """Return the recoverable set of the last scan; None before the first one. It may run in another thread."""
+        obstacles, seen_at = self.obstacles, self._seen_at
+        if obstacles is None:
+            return None
+        commit = self.model.delay + self.options.period
+        return solve_set(obstacles, self.model, self._growth, self.model.scan_age, self._last_v, commit, stamp=seen_at)
+
+    def use(self, found: RecoverableSet | None) -> None:
+        """Use a set for escapes from now on; None for the family of constant turn rates alone."""
+        self._set = found
+
+    @property
+    def recoverable(self) -> RecoverableSet | None:
+        """The set in use."""
+        return self._set
+
+    def forget(self) -> None:
+        """Forget scans and set, as the frame of the odometry has jumped."""
+        self._memory.clear()
+        self._set = self.obstacles = None
+
+    def sent(self, now: float, command: Array) -> None:
+        """Note a command (2,) that went to the robot."""
+        self._sent.append((now, float(command[0]), float(command[1])))
+
+    def decide(self, now: float, reading: Reading, raw: Array) -> Verdict:
+        """Return the command to send in place of a raw one (2,) [m/s, rad/s].
+
+        Raises:
+            SafetyError: There was no scan yet.
+        """
+        if self.obstacles is None:
+            raise SafetyError("no scan yet")
+        self._last_v = reading.v
+        (slowest, least_turn), (fastest, most_turn) = self.model.limits
+        wanted = (min(max(float(raw[0]), slowest), fastest), min(max(float(raw[1]), least_turn), most_turn))
+        state = np.array((*reading.pose, reading.v, reading.omega))
+        standing = self.obstacles.standing
+        turn = _UNBLOCKING * most_turn * self._unblocking.turn(now, wanted, state, standing, self._room)
+        ask = Request(
+            wanted,
+            self._sent[-1][1:] if self._sent else (0.0, 0.0),
+            self._corrected,
+            turn,
+            self.options.hysteresis,
+            self._hold + _PATIENCE,
+            self._kind,
+            slowest,
+            fastest,
+            self.model.acceleration,
+            self.model.braking,
+            self.model.turn_acceleration,
+        )
+        age = now - reading.age - self._seen_at
+        found = Answer(
+            *answer(self._situation(now, self.obstacles), ask, state, age, self._under_way(now, reading.age))
+        )
+        self._corrected, self._kind = found.mode != PASSED, found.kind
+        self._unblocking.note(now, (found.v, found.omega), wanted, reading.v)
+        command = np.array((found.v, found.omega))
+        return Verdict(command, Mode(found.mode), found.margin, found.value, np.array(found.state), found.kind)
+
+    def escape(self, verdict: Verdict) -> Array:
+        """Return the states (n, 5) of the escape that certifies a verdict."""
+        if self.obstacles is None:
+            return np.empty((0, 5))
+        sit = self._situation(self._seen_at, self.obstacles)
+        path: Array = escape_path(sit, tuple(verdict.state.tolist()), verdict.escape)
+        return path
+
+    def _situation(self, now: float, obstacles: Obstacles) -> Situation:
+        found = self._set
+        guide = NO_GUIDE
+        if found is not None and now - found.stamp <= _SET_AGE + self.model.scan_age:
+            guide = Guide(found.values, found.x, found.y, found.cell, found.top, True)
+        return Situation(
+            obstacles,
+            self._growth,
+            self._motion,
+            guide,
+            (self._room, self._room),
+            False,
+            self._hold,
+            self.model.turn_rate,
+            self.model.lag,
+        )
+
+    def _under_way(self, now: float, age: float) -> Array:
+        """Return the commands of each time step from the odometry until a new one has an effect (n, 2)."""
+        count = math.ceil((age + self.model.delay) / STEP - 1e-9)
+        out = np.zeros((count, 2))
+        times = now - age + STEP * np.arange(count)
+        for sent_at, v, omega in self._sent:
+            out[times >= sent_at + self.model.delay - 1e-9] = (v, omega)
+        return out
+
+
+def _moved(points: Array, pose: Array) -> Array:
+    """Return points (n, 2) of a frame in the one that its pose (3,) is given in."""
+    x, y, theta = (float(each) for each in pose)
+    c, s = math.cos(theta), math.sin(theta)
+    return points @ np.array(((c, s), (-s, c))) + (x, y)

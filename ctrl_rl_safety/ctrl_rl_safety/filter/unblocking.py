@@ -1,0 +1,92 @@
+"""Turns a robot that the filter holds towards the side with more room, so that it does not stand there for ever."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrl_rl_safety.models.motion import STANDS
+
+Array = NDArray[np.float64]
+
+_HEADINGS = np.radians(np.arange(-175.0, 180.0, 5.0))
+_FARTHEST = 1.0
+"""Room beyond which more of it does not matter [m]."""
+_TURN_COST = 0.15
+"""Room that a turn of one radian must bring [m]."""
+_THERE = math.radians(5.0)
+_GAIN = 2.0
+"""Turn rate for each radian that is left, as a part of the one for unblocking [1/rad]."""
+
+
+class Unblocking:
+    """Counts how long a robot is held, and chooses a heading.
+
+    Args:
+        after: Time for which the robot is held before it is turned [s]; 0 for never.
+    """
+
+    def __init__(self, after: float) -> None:
+        self._after = after
+        self._held_since: float | None = None
+        self._heading: float | None = None
+
+    def note(self, now: float, command: tuple[float, float], wanted: tuple[float, float], v: float) -> None:
+        """Note a command that goes to the robot in place of the wanted one, at a steady time [s]."""
+        held = abs(v) < STANDS and abs(command[0]) < STANDS and abs(wanted[0]) >= STANDS
+        if self._heading is not None and abs(wanted[0]) >= STANDS:
+            return
+        if not held:
+            self._held_since = self._heading = None
+        elif self._held_since is None:
+            self._held_since = now
+
+    def turn(self, now: float, wanted: tuple[float, float], state: Array, echoes: Array, room: float) -> float:
+        """Return the turn to make, from -1 to 1, or 0 for none.
+
+        Args:
+            now: Steady time [s].
+            wanted: Command that is wanted [m/s, rad/s].
+            state: State of the robot in the frame of the echoes (5,).
+            echoes: Echoes that stand (2, n) [m].
+            room: Radius that the robot needs [m].
+        """
+        if self._after <= 0.0 or abs(wanted[0]) < STANDS:
+            self._heading = None
+            return 0.0
+        if self._heading is None:
+            if self._held_since is None or now - self._held_since < self._after:
+                return 0.0
+            self._heading = freest_heading(state, math.copysign(1.0, wanted[0]), echoes, room)
+        left = math.remainder(self._heading - float(state[2]), 2.0 * math.pi)
+        if abs(left) < _THERE:
+            self._heading = self._held_since = None
+            return 0.0
+        return math.copysign(max(min(_GAIN * abs(left), 1.0), 0.3), left)
+
+
+def freest_heading(state: Array, sense: float, echoes: Array, room: float) -> float:
+    """Return the heading in which the robot has the most room, near its own if several have [rad].
+
+    Args:
+        state: State of the robot (5,).
+        sense: 1.0 for driving forwards, -1.0 for backwards.
+        echoes: Echoes in the state's frame (2, n) [m].
+        room: Radius that the robot needs [m].
+    """
+    dx, dy = echoes[0] - state[0], echoes[1] - state[1]
+    best, most = 0.0, -math.inf
+    for turn in sorted(_HEADINGS.tolist(), key=abs):
+        c, s = math.cos(state[2] + turn), math.sin(state[2] + turn)
+        along = sense * (c * dx + s * dy)
+        aside = np.abs(c * dy - s * dx)
+        ahead = (aside < room) & (along > 0.0)
+        free = _FARTHEST
+        if ahead.any():
+            free = float(np.min(along[ahead] - np.sqrt(room * room - aside[ahead] ** 2)))
+        score = min(free, _FARTHEST) - _TURN_COST * abs(turn)
+        if score > most + 1e-9:
+            best, most = turn, score
+    return float(state[2]) + best

@@ -1,0 +1,1 @@
+"""Constants of robots, and the motion that follows from a command."""

@@ -1,0 +1,39 @@
+"""How far obstacles may have come after a time, by what is known of them."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from numba import njit
+
+
+class Growth(NamedTuple):
+    """Bounds of motion: of the robot's deviation from its model, and of other movers.
+
+    An echo where there was one all along is known to stand: it may begin to move with `mover_acceleration`, or have
+    been creeping unnoticed. Any other echo may come at `mover_speed`.
+
+    Attributes:
+        disturbance: Bound of the position's deviation for each second of motion [m/s].
+        mover_speed: Largest speed of other movers [m/s]; 0 for a static world.
+        mover_acceleration: Largest acceleration of what is known to stand [m/s^2].
+        creep: Speed below which a mover may be taken for standing [m/s].
+    """
+
+    disturbance: float
+    mover_speed: float = 0.0
+    mover_acceleration: float = 0.0
+    creep: float = 0.0
+
+
+@njit(inline="always")
+def standing_growth(t: float, growth: Any) -> float:
+    """Return the distance by which what is known to stand may be nearer after a time [s]."""
+    begun = (growth.creep + 0.5 * growth.mover_acceleration * t) * t
+    return growth.disturbance * t + min(begun, growth.mover_speed * t)
+
+
+@njit(inline="always")
+def moving_growth(t: float, growth: Any) -> float:
+    """Return the distance by which any other echo may be nearer after a time [s]."""
+    return (growth.disturbance + growth.mover_speed) * t

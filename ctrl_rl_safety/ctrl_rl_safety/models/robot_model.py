@@ -1,0 +1,197 @@
+"""Constants of a robot that drives: size, limits, delay and errors, from a table or a YAML file of one's own.
+
+    name: my_robot
+    radius: 0.2 m
+    speed: 0.5 m/s
+    ...
+
+`ros2 run ctrl_rl_safety identify` writes such a file from a bag.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import yaml
+from ctrl_rl_core.geometry.units import parse_scalar
+from ctrl_rl_core.io.checked_yaml import read_yaml
+from ctrl_rl_core.io.file_checks import raise_as
+
+from ctrl_rl_core import atomic_write
+from ctrl_rl_safety.errors import SafetyError
+
+UNITS: Mapping[str, str] = {
+    "radius": "m",
+    "speed": "m/s",
+    "reverse_speed": "m/s",
+    "turn_rate": "rad/s",
+    "acceleration": "m/s^2",
+    "braking": "m/s^2",
+    "turn_acceleration": "rad/s^2",
+    "lag": "s",
+    "delay": "s",
+    "disturbance": "m/s",
+    "range_error": "m",
+    "scan_age": "s",
+}
+_LARGEST: Mapping[str, float] = {
+    "radius": 5.0,
+    "speed": 20.0,
+    "reverse_speed": 20.0,
+    "turn_rate": 50.0,
+    "acceleration": 100.0,
+    "braking": 100.0,
+    "turn_acceleration": 500.0,
+    "lag": 2.0,
+    "delay": 2.0,
+    "disturbance": 2.0,
+    "range_error": 1.0,
+    "scan_age": 2.0,
+}
+_MAY_BE_ZERO = {"reverse_speed", "lag", "delay", "disturbance", "range_error", "scan_age"}
+
+
+@dataclass(frozen=True)
+class RobotModel:
+    """A disc (x, y, theta, v, omega) that follows its command (v_c, omega_c) late, lagging and with limited rates.
+
+        x' = v cos theta + d_x,  y' = v sin theta + d_y,  theta' = omega,  |(d_x, d_y)| <= disturbance
+        v' = (v_c(t - delay) - v) / lag, within acceleration away from zero and braking towards it
+        omega' = (omega_c(t - delay) - omega) / lag, within turn_acceleration
+
+    Attributes:
+        name: Name of the robot.
+        radius: Radius of the disc around the robot's middle that holds all of it [m].
+        speed: Largest speed forwards [m/s].
+        reverse_speed: Largest speed backwards [m/s].
+        turn_rate: Largest turn rate [rad/s].
+        acceleration: Largest change of the speed away from zero [m/s^2].
+        braking: Largest change of the speed towards zero that the robot surely has [m/s^2].
+        turn_acceleration: Largest change of the turn rate that the robot surely has [rad/s^2].
+        lag: Time constant with which speeds follow their commands [s].
+        delay: Time from a command to its effect [s].
+        disturbance: Bound of the position's deviation from the model, for each second of motion [m/s].
+        range_error: Bound of the error of an echo's place [m].
+        scan_age: Bound of the time by which an echo is older than the stamp of its scan says [s].
+
+    Raises:
+        SafetyError: A number is not finite, negative, zero where it must not be, or too large for a robot.
+    """
+
+    name: str
+    radius: float
+    speed: float
+    reverse_speed: float
+    turn_rate: float
+    acceleration: float
+    braking: float
+    turn_acceleration: float
+    lag: float = 0.0
+    delay: float = 0.0
+    disturbance: float = 0.0
+    range_error: float = 0.0
+    scan_age: float = 0.0
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            if field.name == "name":
+                continue
+            value, largest = getattr(self, field.name), _LARGEST[field.name]
+            least = "0" if field.name in _MAY_BE_ZERO else "more than 0"
+            if not (math.isfinite(value) and 0.0 <= value <= largest and (value > 0.0 or least == "0")):
+                raise SafetyError(f"{field.name} {value} {UNITS[field.name]}: must be {least} to {largest:g}")
+
+    @property
+    def limits(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Least and largest command: speed [m/s] and turn rate [rad/s] each."""
+        return (-self.reverse_speed, -self.turn_rate), (self.speed, self.turn_rate)
+
+    def stopping_distance(self, v: float) -> float:
+        """Return the way that full braking takes from a speed v [m/s], without the delay [m].
+
+        With a lag the speed falls by `braking` down to braking * lag, and exponentially from there.
+        """
+        bend = self.braking * self.lag
+        fast = max(abs(v) - bend, 0.0)
+        return fast * (fast + 2.0 * min(abs(v), bend)) / (2.0 * self.braking) + min(abs(v), bend) * self.lag
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the constants as a YAML file, atomically.
+
+        Raises:
+            OSError: The file cannot be written; the error names it.
+        """
+        content = {name: f"{value:.6g} {UNITS[name]}" for name, value in asdict(self).items() if name != "name"}
+        atomic_write(Path(path), yaml.safe_dump({"name": self.name, **content}, sort_keys=False))
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> RobotModel:
+        """Read a YAML file.
+
+        Raises:
+            SafetyError: The file is missing, wrong, or lacks a constant; the message names it.
+        """
+        with raise_as(SafetyError, path):
+            return cls(**_constants(read_yaml(path)))
+
+
+def _constants(content: Any) -> dict[str, Any]:
+    """Return the constants of a file's content.
+
+    Raises:
+        ValueError, SafetyError: One is missing, unknown, or not a number with its unit.
+    """
+    if not isinstance(content, dict):
+        raise SafetyError("must be a mapping of constants, as `radius: 0.2 m`")
+    known = {field.name: field for field in fields(RobotModel)}
+    if unknown := [str(key) for key in content if key not in known]:
+        raise SafetyError(f"unknown constant '{unknown[0][:60]}': there are {', '.join(known)}")
+    needed = [name for name in known if name in ("name", *UNITS) and name not in _OPTIONAL]
+    if missing := [name for name in needed if name not in content]:
+        raise SafetyError(f"lacks '{missing[0]}'")
+    if not (isinstance(content["name"], str) and 0 < len(content["name"]) <= 100):
+        raise SafetyError("name must be a text of 1 to 100 characters")
+    out: dict[str, Any] = {"name": content["name"]}
+    for name in UNITS.keys() & content.keys():
+        try:
+            out[name] = parse_scalar(content[name], UNITS[name])
+        except ValueError as error:
+            raise SafetyError(f"{name}: {error}") from None
+    return out
+
+
+_OPTIONAL = {"lag", "delay", "disturbance", "range_error", "scan_age"}
+
+ROBOTS: Mapping[str, RobotModel] = {
+    # Limits: ROBOTIS e-manual; accelerations: turtlebot3_navigation2/param/burger.yaml. Lags and delays here and below
+    # are those of `sim_bridge` and of a wireless network, and no robot's own.
+    "turtlebot3_burger": RobotModel(
+        "turtlebot3_burger", 0.123, 0.22, 0.22, 2.84, 2.5, 2.5, 3.2, 0.05, 0.1, 0.02, 0.03, 0.0
+    ),
+    # Kobuki: 0.7 m/s and 180 deg/s by its data sheet; accelerations: turtlebot_bringup/param/defaults/smoother.yaml.
+    "turtlebot2": RobotModel("turtlebot2", 0.177, 0.7, 0.7, 3.14, 1.0, 1.0, 2.0, 0.05, 0.1, 0.03, 0.03, 0.0),
+    # Create 3: 0.306 m/s with its safety features on, 1.9 rad/s, 0.9 m/s^2 (wheel_accel_limit) by its documentation.
+    "turtlebot4": RobotModel("turtlebot4", 0.189, 0.306, 0.306, 1.9, 0.9, 0.9, 7.7, 0.05, 0.15, 0.03, 0.03, 0.13),
+    # jackal_control/config/control.yaml: 2 m/s, 4 rad/s, 20 m/s^2, which its wheels do not have on a floor: they slip
+    # at friction * g. The disc holds its 0.508 m by 0.43 m.
+    "jackal": RobotModel("jackal", 0.333, 2.0, 2.0, 4.0, 4.0, 4.0, 10.0, 0.05, 0.1, 0.05, 0.03, 0.0),
+}
+"""Constants of robots that many have; measure one's own with `identify` before one trusts them."""
+
+
+def find_model(name: str) -> RobotModel:
+    """Return the model of a name in `ROBOTS`, or of a YAML file.
+
+    Raises:
+        SafetyError: There is neither.
+    """
+    if name in ROBOTS:
+        return ROBOTS[name]
+    if name.endswith((".yaml", ".yml")):
+        return RobotModel.load(Path(name).expanduser())
+    raise SafetyError(f"no robot model '{name[:60]}': there are {', '.join(ROBOTS)}, or a .yaml file")

@@ -1,0 +1,66 @@
+"""A light world for property tests: discs that stand or move, a lidar, and a robot that is its own model."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from ctrl_rl_safety.models.motion import STANDS, motion_of, roll_out
+from numpy.typing import NDArray
+
+from ctrl_rl_safety import Reading, RobotModel, SafetyFilter, Verdict
+
+STEP = 0.02
+_BEARINGS = np.radians(np.arange(0.0, 360.0, 2.0))
+
+
+class LightWorld:
+    """One robot at the origin, discs (x, y, vx, vy, radius), and a filter between raw commands and the robot."""
+
+    def __init__(self, model: RobotModel, discs: NDArray[np.float64], safety: SafetyFilter, seed: int) -> None:
+        self.model, self.safety = model, safety
+        self.state, self.time = np.zeros(5), 0.0
+        self._discs, self._random = discs, np.random.default_rng(seed)
+        self._motion = motion_of(model, STEP)
+        self._under_way: list[tuple[float, NDArray[np.float64]]] = []
+        self._held, self._ticks = np.zeros(2), 0
+
+    def scan(self) -> NDArray[np.float64]:
+        x, y, theta = self.state[:3]
+        c, s = np.cos(_BEARINGS + theta), np.sin(_BEARINGS + theta)
+        best = np.full(len(_BEARINGS), 10.0)
+        for (cx, cy), r in zip(self._places(), self._discs[:, 4], strict=True):
+            along = (cx - x) * c + (cy - y) * s
+            aside = (cx - x) ** 2 + (cy - y) ** 2 - along**2
+            hit = (aside < r * r) & (along > 0.0)
+            best[hit] = np.minimum(best[hit], along[hit] - np.sqrt(r * r - aside[hit]))
+        echo = best < 9.0
+        best = best + self._random.uniform(-1.0, 1.0, len(best)) * self.model.range_error
+        return np.column_stack((best * np.cos(_BEARINGS), best * np.sin(_BEARINGS)))[echo]
+
+    def tick(self, raw: NDArray[np.float64], with_set: bool) -> tuple[Verdict, float, float]:
+        """Answer a command, go on for 0.06 s, and return the least clearance from what stands, and from what moves
+        while the robot does."""
+        if self._ticks % 4 == 0:
+            self.safety.see(self.time, self.state[:3].copy(), self.scan())
+            self.safety.use(self.safety.solve() if with_set else None)
+        self._ticks += 1
+        reading = Reading(self.state[:3].copy(), float(self.state[3]), float(self.state[4]))
+        verdict = self.safety.decide(self.time, reading, raw)
+        self.safety.sent(self.time, verdict.command)
+        self._under_way.append((self.time + self.model.delay - 1e-9, verdict.command))
+        standing = moving = math.inf
+        for _ in range(3):
+            while self._under_way and self._under_way[0][0] <= self.time:
+                self._held = self._under_way.pop(0)[1]
+            self.state = roll_out(self.state, self._held[None], self._motion)[1]
+            self.time += STEP
+            gaps = np.hypot(*(self._places() - self.state[:2]).T) - self._discs[:, 4] - self.model.radius
+            stands = (self._discs[:, 2:4] == 0.0).all(axis=1)
+            standing = min(standing, *gaps[stands], math.inf)
+            if abs(self.state[3]) >= STANDS:
+                moving = min(moving, *gaps[~stands], math.inf)
+        return verdict, standing, moving
+
+    def _places(self) -> NDArray[np.float64]:
+        return self._discs[:, :2] + self.time * self._discs[:, 2:4]

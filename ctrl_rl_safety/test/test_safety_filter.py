@@ -1,0 +1,80 @@
+"""Whatever the raw commands are, the robot touches nothing that stands, and no mover while it moves itself."""
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from light_world import LightWorld
+
+from ctrl_rl_safety import ROBOTS, FilterOptions, Mode, Reading, SafetyError, SafetyFilter
+
+LEAST = 0.0
+
+
+def discs(random: np.random.Generator, radius: float, spread: float, movers: int, fastest: float) -> np.ndarray:
+    """Return discs around the origin that leave the robot some room, and movers that come near it."""
+    out = []
+    for _ in range(10):
+        r, angle = random.uniform(0.05, 0.4), random.uniform(-math.pi, math.pi)
+        away = r + radius + random.uniform(0.1, spread)
+        out.append((away * math.cos(angle), away * math.sin(angle), 0.0, 0.0, r))
+    for _ in range(movers):
+        angle, speed = random.uniform(-math.pi, math.pi), random.uniform(0.1, fastest)
+        away, back = random.uniform(1.5, 4.0), angle + math.pi + random.uniform(-0.4, 0.4)
+        out.append(
+            (away * math.cos(angle), away * math.sin(angle), speed * math.cos(back), speed * math.sin(back), 0.2)
+        )
+    return np.array(out)
+
+
+@pytest.mark.parametrize("robot", ["turtlebot3_burger", "jackal"])
+@settings(max_examples=6, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
+@given(seed=st.integers(0, 10_000), movers=st.integers(0, 3), with_set=st.booleans(), full=st.booleans())
+def test_no_raw_command_brings_a_contact(robot: str, seed: int, movers: int, with_set: bool, full: bool) -> None:
+    random, model = np.random.default_rng(seed), ROBOTS[robot]
+    fastest = 0.6
+    safety = SafetyFilter(model, FilterOptions(mover_speed=fastest if movers else 0.0, unblock_after=1.0))
+    spread = 0.5 + 4.0 * model.stopping_distance(model.speed)
+    world = LightWorld(model, discs(random, model.radius, spread, movers, fastest), safety, seed)
+    raw = np.array((model.speed, 0.0))
+    for tick in range(150):
+        if not full and tick % 8 == 0:
+            raw = random.uniform(*model.limits)
+        _, standing, moving = world.tick(raw, with_set)
+        assert standing > LEAST
+        assert moving > LEAST
+
+
+def test_a_recoverable_command_passes_untouched_and_a_wall_stops_the_robot_without_chatter() -> None:
+    model = ROBOTS["turtlebot3_burger"]
+    wall = np.array([(1.0, y, 0.0, 0.0, 0.1) for y in np.arange(-1.0, 1.0, 0.1)])
+    world = LightWorld(model, wall, SafetyFilter(model, FilterOptions(unblock_after=0.0)), 0)
+    raw = np.array((model.speed, 0.0))
+    modes, nearest = [], math.inf
+    for _ in range(120):
+        verdict, standing, _ = world.tick(raw, True)
+        nearest = min(nearest, standing)
+        modes.append(verdict.mode)
+        if verdict.mode is Mode.PASSED:
+            assert verdict.command.tolist() == raw.tolist()
+    changed = modes.index(Mode.CORRECTED)
+    assert set(modes[:changed]) == {Mode.PASSED}
+    assert sum(a is not b and Mode.PASSED in (a, b) for a, b in itertools.pairwise(modes)) <= 2
+    assert 0.0 < nearest < 0.1
+
+
+def test_a_robot_that_is_held_turns_to_the_free_side() -> None:
+    model = ROBOTS["turtlebot3_burger"]
+    wall = np.array([(0.4, y, 0.0, 0.0, 0.1) for y in np.arange(-1.0, 1.0, 0.1)])
+    world = LightWorld(model, wall, SafetyFilter(model, FilterOptions(unblock_after=1.0)), 0)
+    modes = {world.tick(np.array((model.speed, 0.0)), True)[0].mode for _ in range(250)}
+    assert Mode.UNBLOCKING in modes
+    assert np.hypot(*world.state[:2]) > 0.5
+
+
+def test_without_a_scan_there_is_no_answer() -> None:
+    with pytest.raises(SafetyError, match="no scan yet"):
+        SafetyFilter(ROBOTS["turtlebot4"]).decide(0.0, Reading(np.zeros(3), 0.0, 0.0), np.zeros(2))
