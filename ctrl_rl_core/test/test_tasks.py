@@ -12,7 +12,10 @@ from ctrl_rl_core.tasks.task import FOLDER
 from ctrl_rl_core import TaskError, load_navigation_task, load_task, task_digest, task_names
 
 MOVING = ("corridor_crossing", "corridor_cutting_in", "corridor_head_on", "corridor_sudden", "walkers")
-NAVIGATION = ("car_ttr", "quad_ttr", "car_navigation", "quad_navigation", "quad_trap", "curved_corridor", *MOVING)
+NAVIGATION = (
+    *("car_ttr", "car_ttr_randomised", "quad_ttr", "car_navigation", "quad_navigation", "quad_trap"),
+    *("curved_corridor", "corridor_doorways", *MOVING),
+)
 
 
 def changed(tmp_path: Path, name: str, old: str, new: str) -> Path:

@@ -24,6 +24,7 @@ from ctrl_rl_core import (
 from sim_bridge import EpisodeState, SimulatedWorld, SimulationOptions
 
 _DEFAULTS = {parameter.name: parameter.default for parameter in LIDAR_PARAMETERS}
+_THROUGH_DOORWAYS = {"robot_radius": 0.105, "obstacle_margin": 0.01}
 _FASTEST = 1.0
 _STANDS = 60.0
 _READ_POSE = OdometryReader(("x", "y", "theta"))
@@ -53,7 +54,7 @@ class _Driver:
         self._policy, self._world = policy, world
         self._odometry = Odometry()
         self._command, self._decided_at = policy.rest, -math.inf
-        self._safety = _make_safety() if policy.period is None else None
+        self._safety = _make_safety(world.task) if policy.period is None else None
         turns = 1.0 / world.lidar.spec.rate if policy.period is None else policy.period
         self._period = max(1, round(turns * world.options.rate))
 
@@ -90,9 +91,9 @@ class _Driver:
         return self._command
 
 
-def _make_safety() -> DriveSafety:
-    """Return the checks of a lidar's node with their defaults."""
-    value = _DEFAULTS
+def _make_safety(task: NavigationTask) -> DriveSafety:
+    """Return the checks of a lidar's node with their defaults, or with those that leave room in doorways."""
+    value = _DEFAULTS if task.doorways is None else _DEFAULTS | _THROUGH_DOORWAYS
     health = ScanHealth(value["min_echo_share"], value["largest_gap"], value["frozen_scans"])
     obstacles = ObstacleStop(
         value["robot_radius"], value["obstacle_margin"], value["deceleration"], value["reaction_time"]

@@ -2,20 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
+import numpy as np
+from ctrl_rl_core.io.checked_json import digest
+from ctrl_rl_core.tasks.schema.randomisation import CONDITIONS
+
 from ctrl_rl_bringup.transfer.in_process import play_episode
-from ctrl_rl_core import NavigationTask, Outcome, Policy, Result
+from ctrl_rl_core import NavigationTask, Outcome, Policy, Result, task_digest
 from sim_bridge import SimulationOptions
 
 NOMINAL = "nominal"
 SHIFTS: Mapping[str, Mapping[str, Any]] = {
     NOMINAL: {},
     "floor half as rough": {"friction": 0.5},
+    "floor a tenth as rough": {"friction": 0.1},
     "wheels 5 % smaller": {"wheel_radius": 0.95},
     "wheels 5 % larger": {"wheel_radius": 1.05},
+    "wheels 20 % smaller": {"wheel_radius": 0.8},
+    "wheels 20 % larger": {"wheel_radius": 1.2},
+    "commands 0.05 s late": {"command_delay": 0.05},
     "commands 0.2 s late": {"command_delay": 0.2},
     "motors four times slower": {"motor_lag": 0.2},
     "ranges noisy by 3 cm": {"scan_noise": 0.03},
@@ -33,71 +41,130 @@ SHIFTS: Mapping[str, Mapping[str, Any]] = {
 
 
 @dataclass(frozen=True)
-class Cell:
-    """One policy in one engine under one shift.
+class Entry:
+    """What is driven: one policy, or those of several runs of one method.
 
     Attributes:
-        policy: Name of the policy.
-        engine: Name of the engine.
-        shift: Name of the shift.
-        reached: Whether each episode ended at the goal.
-        collided: Whether each episode ended in a collision.
+        name: Name in the table.
+        task: Task to drive in.
+        policies: Policies, each by the digest of its file.
     """
 
-    policy: str
+    name: str
+    task: NavigationTask
+    policies: Mapping[str, Policy]
+
+    def shifts(self, wanted: Iterable[str]) -> list[str]:
+        """Return the shifts that mean something for the task's robot, of those that are wanted."""
+        rolls = self.task.plane == "xy"
+        turtlebot3 = self.task.robot.body.startswith("turtlebot3")
+
+        def suits(shift: str) -> bool:
+            changes = SHIFTS[shift]
+            wheels = any(name in CONDITIONS and CONDITIONS[name].wheels for name in changes)
+            return (rolls or not wheels) and (turtlebot3 or "lidar" not in changes)
+
+        return [shift for shift in wanted if suits(shift)]
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One entry in one engine under one shift.
+
+    Attributes:
+        entry: Name of the entry.
+        engine: Name of the engine.
+        shift: Name of the shift.
+        reached: Whether each episode ended at the goal; of several policies the share of each.
+        collided: Whether each episode ended in a collision; of several policies the share of each.
+        randomised: Whether the policies were learnt with conditions drawn from ranges.
+        digest: Digest of policies, task, conditions and seeds.
+    """
+
+    entry: str
     engine: str
     shift: str
-    reached: tuple[bool, ...]
-    collided: tuple[bool, ...]
+    reached: Sequence[float]
+    collided: Sequence[float]
+    randomised: bool = False
+    digest: str = ""
 
     @property
     def success(self) -> float:
         """Share of the episodes that ended at the goal."""
-        return sum(self.reached) / len(self.reached)
+        return float(np.mean(self.reached))
+
+    @property
+    def method(self) -> str:
+        """Name of its rows in the table of results."""
+        return ", ".join((self.entry, self.engine, self.shift, *(("randomised",) if self.randomised else ())))
 
     def text(self) -> str:
         """Return the cell in a line."""
-        count = f"{sum(self.reached):>3} of {len(self.reached)} reach the goal, {sum(self.collided)} collide"
-        return f"{self.policy:<24} {self.shift:<26} {self.engine:<9} {count}"
+        return f"{self.method:<64} {self.success:4.0%} reach the goal, {np.mean(self.collided):4.0%} collide"
 
     def results(self) -> list[Result]:
         """Return the rows of the table of results."""
-        method = f"{self.policy}, {self.engine}, {self.shift}"
         return [
-            Result(method, "success", "1", [float(each) for each in self.reached]),
-            Result(method, "collision", "1", [float(each) for each in self.collided]),
+            Result(self.method, "success", "1", [float(each) for each in self.reached]),
+            Result(self.method, "collision", "1", [float(each) for each in self.collided]),
         ]
 
 
+def plan_cells(
+    entries: Sequence[Entry], engines: Sequence[str], shifts: Sequence[str], seeds: Sequence[int]
+) -> list[tuple[Entry, Cell]]:
+    """Return the cells to fill, all entries under one shift before the next, so that a part of them compares all."""
+    out = []
+    for shift in shifts:
+        for entry in entries:
+            for engine in engines if entry.shifts([shift]) else ():
+                terms = {
+                    "policies": list(entry.policies),
+                    "task": task_digest(entry.task),
+                    "options": asdict(_options(entry.task, engine, shift)),
+                    "seeds": list(seeds),
+                }
+                drawn = bool(entry.task.randomisation)
+                out.append((entry, Cell(entry.name, engine, shift, (), (), drawn, digest(terms))))
+    return out
+
+
 def drive_cells(
-    policies: Mapping[str, tuple[Policy, NavigationTask]],
-    engines: Sequence[str],
-    shifts: Sequence[str],
-    seeds: Sequence[int],
+    cells: Iterable[tuple[Entry, Cell]], seeds: Sequence[int], on_episode: Callable[[], None] = lambda: None
 ) -> Iterator[Cell]:
-    """Drive each policy in its task, in each engine under each shift.
+    """Drive the episodes of each cell.
 
     Args:
-        policies: Policy and its task by name.
-        engines: Names of engines.
-        shifts: Names of shifts, of `SHIFTS`.
+        cells: Cells that `plan_cells` returned.
         seeds: Seeds of the episodes.
+        on_episode: Function that is called after each episode.
     """
-    for shift in shifts:
-        for name, (policy, task) in policies.items():
-            for engine in engines:
-                nominal = SimulationOptions(engine=engine, randomise=False, randomise_width=task.corridor is not None)
-                options = replace(nominal, **SHIFTS[shift])
-                ends = [play_episode(policy, task, seed, options).outcome for seed in seeds]
-                reached = tuple(end is Outcome.GOAL for end in ends)
-                yield Cell(name, engine, shift, reached, tuple(end is Outcome.COLLISION for end in ends))
+    for entry, cell in cells:
+        options = _options(entry.task, cell.engine, cell.shift)
+        ends = np.empty((len(entry.policies), len(seeds)), object)
+        for row, policy in enumerate(entry.policies.values()):
+            for column, seed in enumerate(seeds):
+                ends[row, column] = play_episode(policy, entry.task, seed, options).outcome
+                on_episode()
+        reached, collided = ends == Outcome.GOAL, ends == Outcome.COLLISION
+        if len(ends) > 1:
+            reached, collided = reached.mean(axis=1, keepdims=True), collided.mean(axis=1, keepdims=True)
+        yield replace(
+            cell, reached=tuple(reached.astype(float).ravel()), collided=tuple(collided.astype(float).ravel())
+        )
 
 
 def transfer_ratios(cells: Sequence[Cell], home: str) -> dict[str, float]:
-    """Return the nominal success of each policy in the other engines, over that in the engine it was learnt in."""
-    nominal = {(cell.policy, cell.engine): cell.success for cell in cells if cell.shift == NOMINAL}
+    """Return the nominal success of each entry in the other engines, over that in the engine it was learnt in."""
+    nominal = {(cell.entry, cell.engine): cell.success for cell in cells if cell.shift == NOMINAL}
     return {
-        f"{policy}, {engine}": success / nominal[policy, home]
-        for (policy, engine), success in nominal.items()
-        if engine != home and nominal.get((policy, home), 0.0) > 0.0
+        f"{entry}, {engine}": success / nominal[entry, home]
+        for (entry, engine), success in nominal.items()
+        if engine != home and nominal.get((entry, home), 0.0) > 0.0
     }
+
+
+def _options(task: NavigationTask, engine: str, shift: str) -> SimulationOptions:
+    nominal = SimulationOptions(engine=engine, randomise=False, randomise_width=task.corridor is not None)
+    return replace(nominal, **SHIFTS[shift])

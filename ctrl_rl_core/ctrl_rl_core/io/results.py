@@ -127,13 +127,19 @@ def read_results(folder: Path) -> list[Experiment]:
     Raises:
         ResultsError: A file is damaged, or was not written by `write_results`.
     """
-    out = []
-    for file in sorted(folder.glob("*.json")):
-        with raise_as(ResultsError, file):
-            content = checked_json.read_json(file)
-            if isinstance(content, dict) and "rows" in content:
-                out.append(Experiment.model_validate(content))
-    return out
+    found = [read_experiment(file) for file in sorted(folder.glob("*.json"))]
+    return [each for each in found if each is not None]
+
+
+def read_experiment(file: Path) -> Experiment | None:
+    """Return the experiment of a file; None where it holds benchmark rows.
+
+    Raises:
+        ResultsError: The file is damaged, or was not written by `write_results`.
+    """
+    with raise_as(ResultsError, file):
+        content = checked_json.read_json(file)
+        return Experiment.model_validate(content) if isinstance(content, dict) and "rows" in content else None
 
 
 def read_benchmarks(file: Path) -> list[Benchmark]:

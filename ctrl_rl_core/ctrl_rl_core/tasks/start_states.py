@@ -79,8 +79,9 @@ def _draw_layout(
             apart = all(np.linalg.norm(state[place] - other[place]) >= distance for other in layout)
             apart = apart and all(disc.signed_distance(state[place]) >= radius + _GAP for disc in movers)
             # The first robot may start anywhere in the start set: a long thin body may come nearer to a wall than its
-            # radius.
-            if apart and (index == 0 or world.signed_distance(state[place]) >= radius):
+            # radius. It must not stand in a partition.
+            anywhere = index == 0 and task.doorways is None
+            if apart and (anywhere or world.signed_distance(state[place]) >= radius):
                 layout.append(state)
                 break
         else:

@@ -28,11 +28,11 @@ from ctrl_rl_core.tasks.schema.parts import EpisodeSpec, RewardSpec, Several, Ta
 from ctrl_rl_core.tasks.schema.randomisation import CONDITIONS, Randomisation
 from ctrl_rl_core.tasks.schema.robot import LidarSpec, RobotSpec
 from ctrl_rl_core.tasks.schema.system import SystemSpec
-from ctrl_rl_core.tasks.schema.world import ArenaSpec, CorridorSpec, MapSpec, ObstacleSpec, RegionSpec
+from ctrl_rl_core.tasks.schema.world import ArenaSpec, CorridorSpec, DoorwaySpec, MapSpec, ObstacleSpec, RegionSpec
 
 FOLDER = FilePath(__file__).parent / "task_files"
 _PROSE = {"about", "source", "differences"}
-_YOUNG = {"map", "movers", "randomisation"}
+_YOUNG = {"map", "movers", "randomisation", "doorways"}
 """Parts that tasks did not always have: a task without them keeps its digest."""
 
 
@@ -49,6 +49,7 @@ class NavigationTask(TaskHeader):
     arena: ArenaSpec | None = None
     corridor: CorridorSpec | None = None
     map: MapSpec | None = None
+    doorways: DoorwaySpec | None = None
     start: RegionSpec
     goal: RegionSpec
     trap: RegionSpec | None = None
@@ -67,6 +68,11 @@ class NavigationTask(TaskHeader):
             raise ValueError("needs either 'arena', 'corridor' or 'map'")
         if self.map is not None and self.plane != "xy":
             raise ValueError("map: only a ground robot has one")
+        if self.doorways is not None:
+            if self.corridor is None:
+                raise ValueError("doorways: only a corridor has them")
+            if self.doorways.reach >= 0.5 * self.corridor.width_range.low:
+                raise ValueError("doorways: width and offset do not fit into the narrowest corridor")
         rolling = [name for name in self.randomisation if CONDITIONS[name].wheels and self.plane != "xy"]
         if rolling:
             raise ValueError(f"randomisation.{rolling[0]}: a flying robot has no wheels")
@@ -102,8 +108,12 @@ class NavigationTask(TaskHeader):
         ends = zip(self.plane, points.min(axis=0) - half, points.max(axis=0) + half, strict=True)
         return {name: Interval(float(low), float(high)) for name, low, high in ends}
 
-    def build_world(self, width: float | None = None) -> World:
-        """Return walls and obstacles; `width` [m] replaces the corridor's nominal one.
+    def build_world(self, width: float | None = None, random: np.random.Generator | None = None) -> World:
+        """Return walls and obstacles.
+
+        Args:
+            width: Free width of the corridor [m]; None for the nominal one.
+            random: Generator of the doorways' places and widths; None for the middle of their ranges.
 
         Raises:
             TaskError: There is no corridor, or its width range does not hold `width`.
@@ -120,6 +130,8 @@ class NavigationTask(TaskHeader):
         if width not in self.corridor.width_range:
             low, high = self.corridor.width_range
             raise TaskError(f"width {width:g} m: task '{self.name}' allows {low:g} to {high:g} m")
+        if self.doorways is not None:
+            shapes += tuple(self.doorways.partitions(self.corridor, width, random))
         return World(walls=self.corridor.walls(width), obstacles=shapes, path=self.corridor.path, width=width)
 
 

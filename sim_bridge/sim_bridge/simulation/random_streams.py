@@ -17,6 +17,7 @@ class Purpose(IntEnum):
     LOCALISATION = 4
     CONDITIONS = 5
     MOVERS = 6
+    DOORWAYS = 7
 
 
 def stream(seed: int, purpose: Purpose, robot: int = 0) -> np.random.Generator:

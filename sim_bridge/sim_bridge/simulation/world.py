@@ -112,7 +112,7 @@ class SimulatedWorld:
         Raises:
             SimulationError, TaskError: As for a new world.
         """
-        geometry = self.task.build_world(self._draw_width(seed))
+        geometry = self.task.build_world(self._draw_width(seed), stream(seed, Purpose.DOORWAYS))
         conditions = self.options.drawn(self.task.randomisation, stream(seed, Purpose.CONDITIONS))
         plans = draw_movers(self.task, geometry, stream(seed, Purpose.MOVERS))
         discs = [Disc(plan.motion.position(0.0), plan.radius) for plan in plans]

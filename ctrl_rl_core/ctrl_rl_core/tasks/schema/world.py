@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from functools import cached_property
 from hashlib import sha256
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 from pydantic import Field, PrivateAttr, ValidationInfo, computed_field, field_validator, model_validator
 
 from ctrl_rl_core.geometry.shapes import Arc, ArcPath, Box, Disc, Shape, frame_walls
-from ctrl_rl_core.geometry.units import Angle, Interval, LengthInterval, Point, PositiveLength
+from ctrl_rl_core.geometry.units import Angle, Interval, Length, LengthInterval, Point, PositiveLength
 from ctrl_rl_core.navigation.occupancy_map import MapError, OccupancyMap
 from ctrl_rl_core.tasks.regions import Region
 from ctrl_rl_core.tasks.schema.parts import Part, Several, interval_map
@@ -93,6 +95,57 @@ class CorridorSpec(Part):
         """Return the walls at a free width [m], with the one behind the start."""
         cap = Box((-0.5 * self.wall_thickness, 0.0), (self.wall_thickness, width + 2 * self.wall_thickness))
         return (cap, *self.path.walls(width, self.wall_thickness))
+
+
+class DoorwaySpec(Part):
+    """Partitions across a corridor at equal distances, each with one doorway.
+
+    Attributes:
+        spacing: Distance along the path between partitions, and to the first from the path's beginning [m].
+        shift: Distance along the path by which an episode moves a partition at most, either way [m].
+        width: Free width of a doorway, drawn for each [m].
+        offset: Distance of a doorway's middle to the left of the path, drawn for each [m].
+        thickness: Thickness of a partition [m].
+    """
+
+    spacing: PositiveLength
+    shift: Length = 0.0
+    width: LengthInterval
+    offset: LengthInterval = Interval(0.0, 0.0)
+    thickness: PositiveLength
+
+    @model_validator(mode="after")
+    def _fits(self) -> DoorwaySpec:
+        if self.width.low <= 0.0:
+            raise ValueError("width: must be more than zero")
+        if not 0.0 <= self.shift <= 0.25 * self.spacing:
+            raise ValueError("shift: must be between zero and a quarter of spacing")
+        return self
+
+    @property
+    def reach(self) -> float:
+        """Largest distance of a doorway's side from the path [m]."""
+        return max(-self.offset.low, self.offset.high) + 0.5 * self.width.high
+
+    def partitions(self, corridor: CorridorSpec, width: float, random: np.random.Generator | None) -> Iterator[Box]:
+        """Yield two boxes for each doorway.
+
+        Args:
+            corridor: Corridor that they stand in.
+            width: Free width of the corridor [m].
+            random: Generator of places and widths; None for the middle of their ranges.
+        """
+        path, outside = corridor.path, 0.5 * width + corridor.wall_thickness
+        for index in range(1, int(path.length / self.spacing + 0.5)):
+            share = np.full(3, 0.5) if random is None else random.uniform(size=3)
+            s = index * self.spacing + self.shift * (2.0 * share[0] - 1.0)
+            middle = self.offset.low + share[1] * self.offset.length
+            half = 0.5 * (self.width.low + share[2] * self.width.length)
+            x, y, heading = path.pose(s).tolist()
+            for near, far in ((middle + half, outside), (-outside, middle - half)):
+                lateral = 0.5 * (near + far)
+                centre = (x - lateral * math.sin(heading), y + lateral * math.cos(heading))
+                yield Box(centre, (self.thickness, far - near), heading)
 
 
 class MapSpec(Part):
