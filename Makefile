@@ -19,11 +19,11 @@ build: setup ## build the workspace with colcon
 demo: build ## drive the corridor, record it, report (ARGS="--seed 3 --speed 2")
 	@$(RUN) ros2 run ctrl_rl_bringup demo $(ARGS)
 
-demo-car: build ## drive a car by a policy learnt with the time to reach (ARGS="--seed 3")
-	@$(RUN) ros2 run ctrl_rl_bringup demo --task car_ttr $(ARGS)
+demo-car: build ## drive a car by a policy learnt with the time to reach (TASK=car_navigation: with V_oc; ARGS="--seed 3")
+	@$(RUN) ros2 run ctrl_rl_bringup demo --task $${TASK:-car_ttr} $(ARGS)
 
-demo-quadrotor: build ## fly a planar quadrotor by a policy learnt with V_oc
-	@$(RUN) ros2 run ctrl_rl_bringup demo --task quad_navigation $(ARGS)
+demo-quadrotor: build ## fly a planar quadrotor by a policy learnt with V_oc (TASK=quad_ttr: with the time to reach)
+	@$(RUN) ros2 run ctrl_rl_bringup demo --task $${TASK:-quad_navigation} $(ARGS)
 
 demo-options: build ## let three TurtleBots carry parcels under the coordinator, record it, draw who did what when
 	@$(RUN) ros2 run ctrl_rl_bringup options_demo $(ARGS)

@@ -23,6 +23,7 @@ setup(
             "bag = ctrl_rl_core.moved:bag",
             "policy = ctrl_rl_core.policies.policy_node:main",
             "recorder = ctrl_rl_core.moved:recorder",
+            "thrust_watchdog = ctrl_rl_core.driving.thrust_watchdog_node:main",
             "watchdog = ctrl_rl_core.driving.watchdog_node:main",
         ],
         "ctrl_rl.policies": [

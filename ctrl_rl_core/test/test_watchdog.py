@@ -24,6 +24,7 @@ from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 
 from ctrl_rl_core import COMMAND
+from ctrl_rl_msgs.msg import RotorThrusts
 
 PATIENCE_S = 120.0
 TIMEOUT, PERIOD, REPEAT = 0.5, 0.1, 2.0
@@ -359,3 +360,46 @@ def test_a_zero_follows_a_command_of_any_stamp(still: Base, stamp: float) -> Non
 
     still.until(driven)
     still.until(lambda: still.stands)
+
+
+@pytest.mark.fault
+def test_a_quadrotor_without_a_pilot_hovers_then_its_rotors_stop(run_node: Callable) -> None:
+    node, thrusts, said = Node("quadrotor"), list[tuple[float, float]](), list[str]()
+    node.create_subscription(RotorThrusts, "rotor_thrusts", lambda got: thrusts.append((got.t1, got.t2)), COMMAND)
+    node.create_subscription(DiagnosticArray, "/diagnostics", lambda got: said.append(got.status[0].message), 10)
+    raw = node.create_publisher(RotorThrusts, "rotor_thrusts_raw", COMMAND)
+
+    def until(condition: Callable[[], bool]) -> None:
+        deadline = time.monotonic() + PATIENCE_S
+        while not condition():
+            assert time.monotonic() < deadline, (thrusts[-10:], said[-2:])
+            rclpy.spin_once(node, timeout_sec=0.02)
+
+    def told(words: str) -> Callable[[], bool]:
+        return lambda: bool(said) and words in said[-1]
+
+    try:
+        watchdog = run_node("ctrl_rl_core", "thrust_watchdog", "timeout:=0.3", "rest_thrust:=6.0", "hover_for:=2.5")
+        until(told("no usable command yet on /rotor_thrusts_raw"))
+        assert thrusts == [], "before its first command a quadrotor on the ground stays there"
+        until(lambda: node.count_publishers("rotor_thrusts") == 1 and raw.get_subscription_count() == 1)
+
+        def flies() -> bool:
+            raw.publish(RotorThrusts(t1=7.0, t2=6.5))
+            return (7.0, 6.5) in thrusts
+
+        until(flies)
+        until(lambda: thrusts[-1] == (6.0, 6.0))
+        until(told("each rotor pair gives 6 N"))
+        until(lambda: thrusts[-1] == (0.0, 0.0))
+        until(told("the rotors stand"))
+        thrusts.clear()
+        until(flies)
+        for t1 in (math.nan, -1.0, 16.0):
+            thrusts.clear()
+            raw.publish(RotorThrusts(t1=t1))
+            until(lambda: bool(thrusts))
+            assert thrusts[-1] in ((6.0, 6.0), (0.0, 0.0))
+        assert "rest thrust instead of a command: t1 is nan N" in watchdog.output
+    finally:
+        node.destroy_node()

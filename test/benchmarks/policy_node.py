@@ -45,7 +45,7 @@ from ctrl_rl_msgs.srv import ResetWorld, StepWorld
 
 POLICY = "curved_corridor"
 """The policy whose latency is taken: the largest observation of those that ship."""
-TASKS = ("car_ttr", "quad_navigation")
+TASKS = ("car_ttr", "car_navigation", "quad_ttr", "quad_navigation")
 DELAY = 0.005
 """Time from a scan to the effect of its command in the simulator [s]; measured are 2 ms on a busy machine."""
 ARRIVAL_S = 0.015

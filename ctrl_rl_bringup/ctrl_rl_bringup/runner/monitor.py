@@ -17,7 +17,7 @@ from std_srvs.srv import SetBool
 
 from ctrl_rl_bringup.runner.progress import ProgressDisplay
 from ctrl_rl_bringup.runner.session import uninterrupted
-from ctrl_rl_bringup.runner.stack import RAW, THRUSTS, DriveConfig
+from ctrl_rl_bringup.runner.stack import RAW, RAW_THRUSTS, DriveConfig
 from ctrl_rl_core import RESULT, CtrlRlError
 from ctrl_rl_msgs.msg import EpisodeStatus, TaskOutcome
 from ctrl_rl_msgs.srv import ResetWorld, StepWorld
@@ -30,8 +30,7 @@ OUTCOMES = {
     TaskOutcome.TIMEOUT: "time-out",
 }
 RECORDER = "recorder"
-_FLOWN = ("scan", "odom", "episode", "/clock", "ground_truth")
-_RECORDED = (*_FLOWN, "cmd_vel")
+_RECORDED = ("scan", "odom", "episode", "/clock", "ground_truth")
 _SAID_EVERY_S = 10.0
 _SILENT_S = 20.0
 _STEP_S = 0.05
@@ -73,7 +72,7 @@ class Monitor:
     ) -> None:
         self._limit = ready_limit
         self._node = Node("monitor")
-        self._topics = (*(_FLOWN if THRUSTS in topics else _RECORDED), *topics)
+        self._topics = (*_RECORDED, "rotor_thrusts" if RAW_THRUSTS in topics else "cmd_vel", *topics)
         self._check = check
         self._episode: EpisodeProgress | None = None
         self._wanted = 0
@@ -202,9 +201,9 @@ class Monitor:
             kind = topic.rsplit("/", 1)[-1]
             if kind in ("scan", "odom") and len(subscribers) < 2:
                 return f"no driver hears {topic}"
-            if kind in ("cmd_vel", THRUSTS) and len(subscribers) < 2:
+            if kind in ("cmd_vel", "rotor_thrusts") and len(subscribers) < 2:
                 return f"the simulator does not hear {topic}"
-            if kind == RAW and len(subscribers) < 2:
+            if kind in (RAW, RAW_THRUSTS) and len(subscribers) < 2:
                 return f"the watchdog does not hear {topic}"
         return (
             "" if self._pause.service_is_ready() and self._reset.service_is_ready() else "no pause and reset services"

@@ -13,8 +13,8 @@ from koopman_lqr_controller import DEFAULT_POLICY
 
 RAW = "cmd_vel_raw"
 """Topic of the driver's commands, which the watchdog passes on to the robot as cmd_vel."""
-THRUSTS = "rotor_thrusts"
-"""Topic of a quadrotor's commands."""
+RAW_THRUSTS = "rotor_thrusts_raw"
+"""Topic of the pilot's commands, which the watchdog passes on to the quadrotor as rotor_thrusts."""
 _ODOMETRY, _MOST_ODOMETRY = 30.0, 240.0
 """Default and largest rate of the bridge's odometry [Hz]."""
 _UNGUARDED = {"robot_radius": 0.0, "min_echo_share": 0.0, "largest_gap": 6.3, "frozen_scans": 0}
@@ -116,14 +116,17 @@ def controller(options: DriveConfig) -> NodeSpec:
 
 
 def policy_nodes(options: DriveConfig, task: NavigationTask) -> list[NodeSpec]:
-    """Return the node that drives or flies by any policy, and the watchdog of a robot on wheels.
+    """Return the node that drives or flies by any policy, and the watchdog of its robot.
 
     Policies of tasks in an arena have learnt to keep clear of obstacles themselves. The stop in front of obstacles is
     off: their speeds are too high and their beams too few for it.
     """
     parameters: dict[str, Any] = {"use_sim_time": True, "policy": options.policy, **_UNGUARDED}
     if task.plane == "xz":
-        return [NodeSpec("ctrl_rl_core", "policy", parameters, (THRUSTS,))]
+        pilot = NodeSpec(
+            "ctrl_rl_core", "policy", parameters, (RAW_THRUSTS,), remappings={"rotor_thrusts": RAW_THRUSTS}
+        )
+        return [pilot, thrust_watchdog(options.speed, task)]
     driver = NodeSpec("ctrl_rl_core", "policy", parameters, (RAW,), remappings={"cmd_vel": RAW})
     speed, turn = (max(abs(each.low), abs(each.high)) for each in task.robot.commands.values())
     return [driver, watchdog(options.speed, largest_speed=speed, largest_turn_rate=turn)]
@@ -131,9 +134,25 @@ def policy_nodes(options: DriveConfig, task: NavigationTask) -> list[NodeSpec]:
 
 def watchdog(speed: float, namespace: str = "", **limits: float) -> NodeSpec:
     """Return the watchdog between a driver and its robot; in slow simulations it waits longer for a command."""
-    timeout = _WATCHDOG_S / min(1.0, speed) if speed > 0.0 else _WATCHDOG_S
-    parameters = {"use_sim_time": True, "timeout": min(timeout, 60.0), **limits}
+    parameters = {"use_sim_time": True, "timeout": _timeout(speed), **limits}
     return NodeSpec("ctrl_rl_core", "watchdog", parameters, namespace=namespace)
+
+
+def thrust_watchdog(speed: float, task: NavigationTask) -> NodeSpec:
+    """Return the watchdog between a pilot and its quadrotor; a paused simulation is no reason to stop the rotors."""
+    system = task.system.build()
+    parameters = {
+        "use_sim_time": True,
+        "timeout": _timeout(speed),
+        "rest_thrust": 0.5 * system.parameters["m"] * system.parameters["g"],
+        "hover_for": 0.0,
+        "largest_thrust": max(each.high for each in task.robot.commands.values()),
+    }
+    return NodeSpec("ctrl_rl_core", "thrust_watchdog", parameters)
+
+
+def _timeout(speed: float) -> float:
+    return min(_WATCHDOG_S / min(1.0, speed) if speed > 0.0 else _WATCHDOG_S, 60.0)
 
 
 def value_nodes(options: DriveConfig, files: Mapping[str, Path]) -> list[NodeSpec]:

@@ -131,7 +131,7 @@ def plan_cells(
 
 
 def drive_cells(
-    cells: Iterable[tuple[Entry, Cell]], seeds: Sequence[int], on_episode: Callable[[], None] = lambda: None
+    cells: Iterable[tuple[Entry, Cell]], seeds: Sequence[int], on_episode: Callable[[], object] = lambda: None
 ) -> Iterator[Cell]:
     """Drive the episodes of each cell.
 

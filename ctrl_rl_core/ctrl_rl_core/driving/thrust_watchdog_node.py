@@ -1,0 +1,82 @@
+"""The node that a planar quadrotor falls back to when its pilot died: `ros2 run ctrl_rl_core thrust_watchdog`."""
+
+from __future__ import annotations
+
+import sys
+
+from ctrl_rl_core.driving.command_watchdog import CommandWatchdog
+from ctrl_rl_core.ros.parameters import Parameter
+from ctrl_rl_core.ros.running import run_node
+from ctrl_rl_msgs.msg import RotorThrusts
+
+
+class ThrustWatchdogNode(CommandWatchdog):
+    """Passes thrusts on; when they stop coming, sends those that carry the weight for a while, and then none.
+
+    Subscribes to rotor_thrusts_raw, publishes rotor_thrusts: remap the pilot's rotor_thrusts to rotor_thrusts_raw.
+    Equal thrusts neither level the robot nor hold its place: they give the next pilot time to take over. A robot that
+    nobody flies for longer must come down, not fly off: its rotors stop. Before the first command nothing is sent, so
+    that a robot on the ground stays there.
+    """
+
+    OUTPUT, REST = "rotor_thrusts", "rest thrust"
+    PARAMETERS = (
+        Parameter(
+            "timeout", 0.25, "Age of the last thrusts after which rest thrusts are sent, in wall time [s].", 0.02, 60.0
+        ),
+        Parameter("rest_rate", 20.0, "Rest thrusts per second while no thrusts come [Hz].", 1.0, 200.0),
+        Parameter("rest_thrust", 6.13125, "Thrust of each rotor pair that carries half the weight [N].", 0.0, 1000.0),
+        Parameter(
+            "hover_for",
+            2.0,
+            "Time after the last thrusts at which the rotors stop [s]; 0.0 for never.",
+            0.0,
+            3600.0,
+        ),
+        Parameter("largest_thrust", 15.0, "A stronger thrust is refused, and rest thrusts sent instead [N].", 0.1, 1e4),
+        CommandWatchdog.BASE_FRAME,
+    )
+
+    def __init__(self) -> None:
+        super().__init__("thrust_watchdog")
+
+    def message_type(self) -> type[RotorThrusts]:
+        """Return the message type of both topics."""
+        return RotorThrusts
+
+    def rhythm(self) -> tuple[float, float]:
+        """Return the rate of rest thrusts [Hz] while no commands come; they are sent for ever."""
+        return self.settings["rest_rate"], 0.0
+
+    def refuse(self, message: RotorThrusts) -> str:
+        """Return why thrusts may not go to the robot, empty where they may."""
+        limit = self.settings["largest_thrust"]
+        for name, value in (("t1", message.t1), ("t2", message.t2)):
+            if not 0.0 <= value <= limit:  # NaN, too
+                return f"{name} is {value:.4g} N, not between 0 and largest_thrust {limit:g}"
+        return ""
+
+    def fill_rest(self, message: RotorThrusts, silent_for: float | None) -> bool:
+        """Write the thrusts of a robot without a pilot; there are none to send before its first command."""
+        if silent_for is None:
+            return False
+        message.t1 = message.t2 = 0.0 if self._is_over(silent_for) else self.settings["rest_thrust"]
+        return True
+
+    def consequence(self, silent_for: float) -> str:
+        """Return what the robot does without commands."""
+        if self._is_over(silent_for):
+            return f"the rotors stand, since hover_for {self.settings['hover_for']:g} s are over"
+        return f"each rotor pair gives {self.settings['rest_thrust']:g} N, which hold neither attitude nor place"
+
+    def _is_over(self, silent_for: float) -> bool:
+        return 0.0 < self.settings["hover_for"] <= silent_for
+
+
+def main() -> int:
+    """Entry point of `ros2 run ctrl_rl_core thrust_watchdog`."""
+    return run_node(ThrustWatchdogNode)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
