@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 from ctrl_rl_core.command import at_least
@@ -50,6 +50,9 @@ class DemoOptions(_TeamOptions):
 
     gui: bool = False
     """Show PyBullet's window."""
+
+    engine: Literal["auto", "pybullet", "mujoco"] = "auto"
+    """Physics engine of the simulator; auto for PyBullet where it is installed, else MuJoCo."""
 
     ready_limit: float = TeamConfig.ready_limit
     """Longest time until all nodes must be ready [s]; a busy machine may take minutes."""

@@ -29,6 +29,7 @@ class TeamConfig:
         seed: Seed of starts, noise and draws.
         speed: Simulation time per wall time.
         gui: Whether PyBullet shows a window.
+        engine: Physics engine of the simulator, "auto" for PyBullet where it is installed, else MuJoCo.
         ready_limit: Longest time until all nodes must be ready [s].
     """
 
@@ -39,6 +40,7 @@ class TeamConfig:
     seed: int = 0
     speed: float = 1.0
     gui: bool = False
+    engine: str = "auto"
     ready_limit: float = DriveConfig.ready_limit
 
     @cached_property
@@ -55,7 +57,13 @@ class TeamConfig:
     def drive(self) -> DriveConfig:
         """The part of the configuration that a single robot has too."""
         return DriveConfig(
-            self.folder, task=self.task, policy=self.policy_name, seed=self.seed, speed=self.speed, gui=self.gui
+            self.folder,
+            task=self.task,
+            policy=self.policy_name,
+            seed=self.seed,
+            speed=self.speed,
+            gui=self.gui,
+            simulation={"engine": self.engine},
         )
 
 
