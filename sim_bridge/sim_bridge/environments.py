@@ -80,9 +80,15 @@ class NavigationEnv(gymnasium.Env[Vector, Vector]):
         self.action_space = spaces.Box(-1.0, 1.0, (2,), dtype=np.float32)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Vector, dict[str, Any]]:
-        """Start an episode; the same seed gives the same start, noise and drift. `options` has no effect."""
+        """Start an episode; the same seed gives the same start, noise and drift.
+
+        Args:
+            seed: Seed of the episode; drawn unless given.
+            options: `start` is the state (n,) to start in, in SI units; drawn from the task's start set unless given.
+        """
         super().reset(seed=seed, options=options)
-        self.world.reset(int(self.np_random.integers(_LARGEST_SEED)) if seed is None else seed)
+        drawn = int(self.np_random.integers(_LARGEST_SEED)) if seed is None else seed
+        self.world.reset(drawn, (options or {}).get("start"))
         return self._observation(), self._info()
 
     def step(self, action: Vector) -> tuple[Vector, float, bool, bool, dict[str, Any]]:

@@ -1,6 +1,6 @@
-"""PPO, TRPO and DDPG of Stable-Baselines3 with one set of numbers each, the same for every reward and task.
+"""PPO, TRPO, DDPG and SAC of Stable-Baselines3 with one set of numbers each, the same for every reward and task.
 
-Every hidden layer is normalised (as the published code does for DDPG): with it all three learn from half the samples.
+Every hidden layer is normalised (as the published code does for DDPG): with it all learn from half the samples.
 """
 
 from __future__ import annotations
@@ -12,9 +12,10 @@ import gymnasium
 import numpy as np
 import torch
 from sb3_contrib import TRPO
-from stable_baselines3 import DDPG, PPO
+from stable_baselines3 import DDPG, PPO, SAC
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.noise import OrnsteinUhlenbeckActionNoise
+from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from ctrl_rl_core import Actor, NavigationTask
@@ -33,6 +34,7 @@ _NOISE, _RETURN = 0.5, 0.3
 """Of the Ornstein-Uhlenbeck process, per step: it wanders for some steps. (The library's own numbers wander for
 hundreds, so that an episode begins without noise; independent noise stays about where the robot stands.)"""
 _ON_POLICY_ENVIRONMENTS = 8
+_OFF_POLICY = ("ddpg", "sac")
 
 
 class NormalizedTanh(torch.nn.Module):
@@ -59,7 +61,7 @@ def number_of_environments(algorithm: str) -> int:
     """
     if algorithm not in ALGORITHMS:
         raise TrainingError(f"no algorithm '{algorithm}': there are {', '.join(ALGORITHMS)}")
-    return 1 if algorithm == "ddpg" else _ON_POLICY_ENVIRONMENTS
+    return 1 if algorithm in _OFF_POLICY else _ON_POLICY_ENVIRONMENTS
 
 
 def make_algorithm(
@@ -87,7 +89,7 @@ def make_algorithm(
     numbers = _NUMBERS[algorithm](samples)
     numbers["policy_kwargs"] |= changes.pop("policy_kwargs", {})
     policy = changes.pop("policy", "MlpPolicy")
-    own: Any = kind or {"ppo": PPO, "trpo": TRPO, "ddpg": DDPG}[algorithm]
+    own: Any = kind or {"ppo": PPO, "trpo": TRPO, "ddpg": DDPG, "sac": SAC}[algorithm]
     made: BaseAlgorithm = own(policy, environments, seed=seed, device="cpu", **{**numbers, **changes})
     return made
 
@@ -129,11 +131,27 @@ def _ddpg(samples: int) -> dict[str, Any]:
     }
 
 
+def _sac(samples: int) -> dict[str, Any]:
+    return {
+        "gamma": _GAMMA,
+        "learning_rate": 1e-3,
+        "buffer_size": samples,
+        "learning_starts": min(2000, samples // 4),
+        "batch_size": 128,
+        "tau": 0.02,
+        "n_steps": 5,
+        "train_freq": (8, "step"),
+        "gradient_steps": 4,
+        "ent_coef": "auto_0.1",
+        "policy_kwargs": {**_network(), "activation_fn": NormalizedRelu},
+    }
+
+
 def _network() -> dict[str, Any]:
     return {"net_arch": list(_HIDDEN), "optimizer_kwargs": {"fused": True}}
 
 
-_NUMBERS = {"ppo": _ppo, "trpo": _trpo, "ddpg": _ddpg}
+_NUMBERS = {"ppo": _ppo, "trpo": _trpo, "ddpg": _ddpg, "sac": _sac}
 
 
 def scaled_reward(environment: gymnasium.Env[Any, Any]) -> gymnasium.Env[Any, Any]:
@@ -143,9 +161,14 @@ def scaled_reward(environment: gymnasium.Env[Any, Any]) -> gymnasium.Env[Any, An
 
 def extract_actor(model: BaseAlgorithm, task: NavigationTask, manifest: Mapping[str, Any]) -> Actor:
     """Return the deterministic policy of an algorithm, as it stands."""
-    on_policy = not isinstance(model, DDPG)
+    on_policy = not isinstance(model, OffPolicyAlgorithm)
     policy: Any = model.policy
-    layers = [*policy.mlp_extractor.policy_net, policy.action_net] if on_policy else list(policy.actor.mu)
+    if on_policy:
+        layers = [*policy.mlp_extractor.policy_net, policy.action_net]
+    elif isinstance(model, SAC):
+        layers = [*policy.actor.latent_pi, policy.actor.mu]
+    else:
+        layers = list(policy.actor.mu)
     linear = [layer for layer in layers if isinstance(layer, torch.nn.Linear)]
     middle, unit = observation_scales(task)
     commands = np.array(list(task.robot.commands.values()), dtype=np.float32)

@@ -22,6 +22,8 @@ Environment = gymnasium.Env[Vector, Vector]
 
 TRAINING_RATE = {"xy": 60, "xz": 120}
 """Physics steps per second while learning [Hz], by plane: a quarter and a half of the nodes' work."""
+PLANAR_RATE = {"xy": 30, "xz": 60}
+"""Those of the planar engine, which is exact between changes of the command."""
 DEPLOYED_RATE = 240
 """Those of the simulated robots that nodes drive [Hz]."""
 _TYPICAL = {"theta": 0.5 * math.pi, "psi": 0.25 * math.pi, "v_x": 2.0, "v_z": 2.0, "v": 1.0, "omega": 2.0}
@@ -67,19 +69,23 @@ def observation_names(task: NavigationTask) -> list[str]:
     return [*task.observed_states, *(f"beam_{index}" for index in range(task.lidar.beams))]
 
 
-def make_environment(task: NavigationTask, rate: int | None = None, *wrappers: Any) -> Environment:
+def make_environment(
+    task: NavigationTask, rate: int | None = None, *wrappers: Any, engine: str = "auto"
+) -> Environment:
     """Return the environment of a task in an arena.
 
     Args:
         task: Task with the rewards.
-        rate: Physics steps per second [Hz]; `TRAINING_RATE` unless given.
+        rate: Physics steps per second [Hz]; `TRAINING_RATE` unless given, `PLANAR_RATE` for the planar engine.
         wrappers: Functions called with the environment before its observations are scaled, e.g. to pay something else.
+        engine: Physics engine, one of `sim_bridge.ENGINES`.
 
     Raises:
         SimulationError: the time step of the task is not a whole number of physics steps.
         TrainingError: the task has no arena.
     """
-    options = SimulationOptions(rate=TRAINING_RATE[task.plane] if rate is None else rate)
+    usual = PLANAR_RATE if engine == "planar" else TRAINING_RATE
+    options = SimulationOptions(engine=engine, rate=usual[task.plane] if rate is None else rate)
     environment: Environment = NavigationEnv(task, options=options)
     for wrap in wrappers:
         environment = wrap(environment)

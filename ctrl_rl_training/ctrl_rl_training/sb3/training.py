@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from stable_baselines3 import DDPG
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
 from ctrl_rl_core import NavigationTask, Outcome, interface_of, task_digest
 from ctrl_rl_training.experiments.run import Point, Run, RunOptions, Tell
@@ -156,7 +156,7 @@ def _iterate(model: BaseAlgorithm, seed: int, samples: int, visits: Visits) -> l
     model._last_obs = None  # makes `learn` reset the environments
     recorder = Recorder(visits)
     model.learn(samples, callback=recorder, reset_num_timesteps=False)
-    if isinstance(model, DDPG) and model.replay_buffer is not None:
+    if isinstance(model, OffPolicyAlgorithm) and model.replay_buffer is not None:
         # What comes next in the replay is another episode: returns over several steps must end here.
         last = model.replay_buffer.pos - 1
         model.replay_buffer.timeouts[last] = np.maximum(

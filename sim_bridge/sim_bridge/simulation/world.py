@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ctrl_rl_core import Disc, NavigationTask, Outcome, System, World, draw_movers, draw_starts
 from sim_bridge.engines.choice import make_engine
+from sim_bridge.errors import SimulationError
 from sim_bridge.simulation.bodies import Body, make_body
 from sim_bridge.simulation.commands import CommandChannel
 from sim_bridge.simulation.episode import Contact, EpisodeState, TerminationChecker
@@ -106,8 +107,12 @@ class SimulatedWorld:
             self.close()
             raise
 
-    def reset(self, seed: int) -> None:
+    def reset(self, seed: int, start: ArrayLike | None = None) -> None:
         """Build everything anew for an episode; on an error the old one goes on.
+
+        Args:
+            seed: Seed of the episode.
+            start: State (n,) in which the only robot starts; drawn from the task's start set unless given.
 
         Raises:
             SimulationError, TaskError: As for a new world.
@@ -118,6 +123,8 @@ class SimulatedWorld:
         discs = [Disc(plan.motion.position(0.0), plan.radius) for plan in plans]
         random = stream(seed, Purpose.START)
         starts = draw_starts(self.task, self.system, geometry, self._count, self.task.robot.radius, random, discs)
+        if start is not None:
+            starts = [self._checked_start(start)]
         self._engine.begin(self.plane, (*geometry.walls, *geometry.obstacles))
         self.geometry: World = geometry
         self.conditions: SimulationOptions = conditions
@@ -130,6 +137,13 @@ class SimulatedWorld:
         self._engine.finish()
         self._robots = [self._make_robot(index, body) for index, body in enumerate(bodies)]
         self._check()
+
+    def _checked_start(self, start: ArrayLike) -> Array:
+        state = np.array(start, dtype=float)
+        if self._count > 1 or state.shape != (len(self.system.state_names),) or not np.isfinite(state).all():
+            names = ", ".join(self.system.state_names)
+            raise SimulationError(f"a start is a finite number for each of {names}, for a world of one robot")
+        return state
 
     def _draw_width(self, seed: int) -> float | None:
         corridor = self.task.corridor

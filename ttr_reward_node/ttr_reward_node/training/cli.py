@@ -16,7 +16,7 @@ from ctrl_rl_training.cli import (
     some_of,
     train_and_collect,
 )
-from ctrl_rl_training.sb3.algorithm_names import ALGORITHMS
+from ctrl_rl_training.sb3.algorithm_names import ALGORITHMS, THESIS_ALGORITHMS
 
 from ctrl_rl_core import ResultsError
 from ttr_reward_node.errors import TimeToReachError
@@ -31,7 +31,7 @@ class Train(SimulatedOptions):
     """Folder of the runs; each has one of its own, and goes on there where it was cut off."""
     grid: Path | None = None
     """Time-to-reach function of the task (.safetensors), for the reward ttr."""
-    algorithms: Annotated[tuple[str, ...], some_of(ALGORITHMS)] = tuple(ALGORITHMS)
+    algorithms: Annotated[tuple[str, ...], some_of(ALGORITHMS)] = THESIS_ALGORITHMS
     """Algorithms to learn with."""
     rewards: Annotated[tuple[str, ...], some_of(REWARDS)] = tuple(REWARDS)
     """Rewards to learn with."""
@@ -55,7 +55,7 @@ def _train(options: Train) -> int:
     from ttr_reward_node.training.results import collect, success_table
     from ttr_reward_node.training.training import reward_runs
 
-    runs = reward_runs(options.task, options.algorithms or tuple(ALGORITHMS), rewards, options.seeds, options.grid)
+    runs = reward_runs(options.task, options.algorithms or THESIS_ALGORITHMS, rewards, options.seeds, options.grid)
     for run in {run.reward: run for run in runs}.values():
         run.environment().close()  # refuses what is wrong before workers start
     train_and_collect(options, runs[0].task, runs, "ttr_training", collect, success_table, options.run_options())

@@ -10,7 +10,7 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-from ctrl_rl_training.sb3.algorithm_names import ALGORITHMS
+from ctrl_rl_training.sb3.algorithm_names import THESIS_ALGORITHMS
 from ctrl_rl_training.sb3.algorithms import make_algorithm
 from ctrl_rl_training.sb3.environment import Environment, Vector, make_environment
 from ctrl_rl_training.sb3.training import SimulatedRun
@@ -57,7 +57,7 @@ class RewardRun(SimulatedRun):
 
     Attributes:
         task_name: Name of the task, or its file.
-        algorithm: One of `ALGORITHMS`.
+        algorithm: One of `ctrl_rl_training.sb3.algorithm_names.ALGORITHMS`.
         reward: One of `REWARDS`.
         seed: Seed of everything random.
         grid: File of the task's time-to-reach function, for the reward "ttr".
@@ -102,7 +102,7 @@ class RewardRun(SimulatedRun):
 
 def reward_runs(
     task_name: str,
-    algorithms: Sequence[str] = ALGORITHMS,
+    algorithms: Sequence[str] = THESIS_ALGORITHMS,
     rewards: Sequence[str] = REWARDS,
     seeds: int = 5,
     grid: Path | None = None,

@@ -1,0 +1,103 @@
+"""The commands `train` and `plot`: the whole ladder, each way with the same networks, samples and seeds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from ctrl_rl_core.command import FolderToWrite, OptionalFileToWrite
+from ctrl_rl_training.cli import (
+    ITERATION,
+    ExperimentOptions,
+    PlotOptions,
+    Positive,
+    make_command,
+    one_of,
+    some_of,
+)
+from ctrl_rl_training.experiments.run import RunOptions
+
+from ctrl_rl_benchmarks.ladder.task_list import LADDER, load_ladder_task
+from ctrl_rl_benchmarks.ways.methods import LEARNERS, WAYS
+from ctrl_rl_core import write_results
+
+_ENGINES = ("planar", "auto", "pybullet", "mujoco")
+_EVALUATIONS, _FINAL_EVALUATIONS = 20, 20
+
+
+@dataclass(frozen=True, kw_only=True)
+class Train(ExperimentOptions):
+    """Learn tasks in each way that a value can be used, from several seeds; go on where an earlier call was cut off.
+
+    Policies are learnt in the planar engine and checked in PyBullet. Interrupted with Ctrl-C, it still prints the table of
+    the runs that are finished and writes its results.
+    """
+
+    folder: FolderToWrite = Path("runs/ladder")
+    """Folder of the runs; each has one of its own, and goes on there where it was cut off."""
+    samples: Positive = 8 * ITERATION
+    """Samples of a run; whole iterations of 10240 are done."""
+    tasks: tuple[str, ...] = LADDER
+    """Tasks: names of the ladder, of the suite, or task files."""
+    ways: Annotated[tuple[str, ...], some_of(WAYS)] = tuple(WAYS)
+    """Ways to use the time to reach, or to do without."""
+    learners: Annotated[tuple[str, ...], some_of(LEARNERS)] = LEARNERS
+    """Learners."""
+    engine: Annotated[str, one_of(_ENGINES)] = "planar"
+    """Physics engine of learning."""
+    results: OptionalFileToWrite = None
+    """JSON file to write table and curves to."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plot(PlotOptions):
+    """Draw success over samples on each task, from the results that `train` wrote."""
+
+    learner: Annotated[str, one_of(LEARNERS)] = "ppo"
+    """Learner whose runs are drawn."""
+
+
+def _train(options: Train) -> int:
+    tasks = {name: load_ladder_task(name) for name in options.tasks or LADDER}
+    # Torch takes seconds to import: not before the arguments are right.
+    from ctrl_rl_training.experiments.matrix import run_experiments
+
+    from ctrl_rl_benchmarks.experiments.results import as_table, collect
+    from ctrl_rl_benchmarks.experiments.runs import ladder_runs
+    from ctrl_rl_benchmarks.ladder.values import find_or_solve
+
+    def tell(line: str) -> None:
+        print(line, flush=True)
+
+    values = {name: find_or_solve(task, options.folder / "values", tell) for name, task in tasks.items()}
+    ways, learners = options.ways or tuple(WAYS), options.learners or LEARNERS
+    runs = ladder_runs(list(tasks), ways, learners, options.seeds, values, options.engine)
+    how = RunOptions(options.folder, -(-options.samples // ITERATION), ITERATION, _EVALUATIONS, _FINAL_EVALUATIONS)
+    try:
+        run_experiments(runs, how, options.workers, "ladder", options.ray)
+    finally:
+        rows, figures = collect(runs, options.folder)
+        if rows:
+            print(as_table(rows))
+        if rows and options.results is not None:
+            write_results(options.results, "ladder", range(options.seeds), rows, {"task": "ladder", **figures})
+            print(f"results    {options.results}")
+    return 0
+
+
+def _plot(options: Plot) -> int:
+    from ctrl_rl_training.experiments.results import read_figures
+
+    from ctrl_rl_benchmarks.experiments.plots import LadderFigures, draw_ladder
+
+    figures = read_figures(options.results, LadderFigures)
+    options.output.mkdir(parents=True, exist_ok=True)
+    picture = options.output / f"ladder_{options.learner}.png"
+    draw_ladder(figures, options.learner, picture)
+    print(f"picture    {picture}")
+    return 0
+
+
+train = make_command("train", Train, _train)
+plot = make_command("plot", Plot, _plot)

@@ -1,0 +1,79 @@
+"""The ways that are compared: same networks, samples and seeds, another use of the value; one setting for all tasks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Literal
+
+GAMMA = 0.99
+"""Discount of a step, for all ways."""
+LEARNERS = ("ppo", "sac")
+"""Learners of the ladder."""
+
+
+@dataclass(frozen=True)
+class Way:
+    """A way to use the time to reach, or to do without.
+
+    Attributes:
+        label: Name in tables and pictures.
+        reward: Reward beside the task's sparse one: "none"; "distance", minus the distance to the goal; "ttr", minus the
+            time to reach (thesis Eq. 3.9); or a kind of pay of `ways.pay`.
+        of: What progress is measured in.
+        baseline: Use of V = 1000 gamma^(phi/dt) by the policy gradient: "frozen" baseline, baseline with a learnt
+            "corrected" part, or critic that "begins" as V.
+        gae_lambda: lambda of the returns.
+        starts: Where training episodes start: as the task says, or in level sets of phi that "grow".
+        demonstrations: Whether the policy is first taught by the greedy control of phi.
+    """
+
+    label: str
+    reward: Literal["none", "distance", "ttr", "progress", "record", "shaping"] = "none"
+    of: Literal["time to reach", "distance"] = "time to reach"
+    baseline: Literal["learnt", "frozen", "corrected", "begins"] = "learnt"
+    gae_lambda: float = 0.95
+    starts: Literal["task", "grow"] = "task"
+    demonstrations: bool = False
+
+    @property
+    def learners(self) -> tuple[str, ...]:
+        """Learners that it works with."""
+        return (
+            LEARNERS if self.baseline == "learnt" and self.gae_lambda == 0.95 and not self.demonstrations else ("ppo",)
+        )
+
+    @property
+    def needs_value(self) -> bool:
+        """Whether it asks the time to reach."""
+        return (self.reward not in ("none", "distance") and self.of == "time to reach") or self.uses_states
+
+    @property
+    def uses_states(self) -> bool:
+        """Whether baseline, starts or demonstrations ask the time to reach."""
+        return self.baseline != "learnt" or self.starts == "grow" or self.demonstrations
+
+
+WAYS: Mapping[str, Way] = MappingProxyType(
+    {
+        "record": Way("nearest yet by time to reach", "record"),
+        "sparse": Way("sparse"),
+        "distance": Way("distance", "distance"),
+        "progress": Way("progress of time to reach", "progress"),
+        "record_distance": Way("nearest yet by distance", "record", "distance"),
+        "progress_distance": Way("progress of distance", "progress", "distance"),
+        "ttr": Way("-time to reach (Eq. 3.9)", "ttr"),
+        "v_corrected": Way("V as baseline, corrected", baseline="corrected"),
+        "shaping": Way("shaping by time to reach", "shaping"),
+        "v_frozen": Way("V as frozen baseline", baseline="frozen"),
+        "v_begins": Way("V as initial critic", baseline="begins"),
+        "growing_starts": Way("starts that grow with V", starts="grow"),
+        "demonstrations": Way("demonstrations by V", demonstrations=True),
+        "record_lambda_0.7": Way("nearest yet, λ = 0.7", "record", gae_lambda=0.7),
+        "v_corrected_lambda_0.7": Way("V corrected, λ = 0.7", baseline="corrected", gae_lambda=0.7),
+    }
+)
+"""All ways by name, those that tell most first."""
+MAIN = ("record", "sparse", "distance", "progress", "record_distance", "progress_distance", "ttr", "v_corrected")
+"""Ways of the figure."""

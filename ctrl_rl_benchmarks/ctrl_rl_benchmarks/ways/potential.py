@@ -1,0 +1,66 @@
+"""Seconds to the goal, by the time to reach or by the distance: what progress is measured in."""
+
+from __future__ import annotations
+
+import math
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrl_rl_core import NavigationTask, ValueFunction, position_indices
+
+Array = NDArray[np.float64]
+_FLIGHT = 2.0
+"""Speed that a distance is divided by where no command is a speed [m/s]."""
+
+
+class Potential(Protocol):
+    """Seconds to the goal.
+
+    Attributes:
+        longest: Largest finite value [s].
+    """
+
+    longest: float
+
+    def __call__(self, state: Array) -> float:
+        """Return the time from a state (n,) to the goal [s]; +inf where there is no way."""
+
+
+class TimeToReach:
+    """The time to reach; a state outside its domain is looked up at the nearest one within."""
+
+    def __init__(self, value: ValueFunction) -> None:
+        grids = value.grids
+        self.longest = max(float(grid.values.max(initial=0.0, where=np.isfinite(grid.values))) for grid in grids)
+        self._value = value
+        self.bounds = np.tile([[-np.inf], [np.inf]], (1, len(value.state_names)))
+        for axis in (axis for grid in grids for axis in grid.axes if not axis.periodic):
+            index = value.state_names.index(axis.name)
+            self.bounds[0, index] = max(self.bounds[0, index], axis.lower)
+            self.bounds[1, index] = min(self.bounds[1, index], axis.upper)
+
+    def __call__(self, state: Array) -> float:  # noqa: D102 - see Potential
+        return float(self._value.value_and_gradient_at(np.clip(state, *self.bounds))[0])
+
+    def times(self, states: Array) -> Array:
+        """Return the times (N,) of states (N, n) [s]; +inf where there is no way."""
+        return self._value.value(np.clip(states, *self.bounds))
+
+
+class DistanceInSeconds:
+    """The straight way to the middle of the goal at the robot's largest speed."""
+
+    def __init__(self, task: NavigationTask) -> None:
+        names = task.system.build().state_names
+        self._first, self._second = position_indices(names)
+        self._goal = task.goal.region.position
+        self._speed = max(map(abs, task.robot.commands["v"])) if "v" in task.robot.commands else _FLIGHT
+        corners = [
+            (x, y) for x in task.plane_bounds[names[self._first]] for y in task.plane_bounds[names[self._second]]
+        ]
+        self.longest = max(math.dist(corner, self._goal) for corner in corners) / self._speed
+
+    def __call__(self, state: Array) -> float:  # noqa: D102 - see Potential
+        return math.dist((state[self._first], state[self._second]), self._goal) / self._speed
