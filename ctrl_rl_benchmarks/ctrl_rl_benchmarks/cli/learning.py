@@ -30,8 +30,8 @@ _EVALUATIONS, _FINAL_EVALUATIONS = 20, 20
 class Train(ExperimentOptions):
     """Learn tasks in each way that a value can be used, from several seeds; go on where an earlier call was cut off.
 
-    Policies are learnt in the planar engine and checked in PyBullet. Interrupted with Ctrl-C, it still prints the table of
-    the runs that are finished and writes its results.
+    Policies are learnt in the planar engine and checked in PyBullet. Interrupted with Ctrl-C, it still prints the table
+    of the runs that are finished and writes its results.
     """
 
     folder: FolderToWrite = Path("runs/ladder")

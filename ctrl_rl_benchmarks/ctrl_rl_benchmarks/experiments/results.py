@@ -23,8 +23,8 @@ def collect(todo: Sequence[LadderRun], folder: Path) -> tuple[list[Result], dict
     """Return the rows and the curves of all runs that are finished.
 
     Returns:
-        For each task, way and learner `success` (in PyBullet), one value a seed, and `samples to 90 %` (in the engine of
-        learning; seeds that never get there are left out and counted); and the `curves` of success by method.
+        For each task, way and learner `success` (in PyBullet), one value a seed, and `samples to 90 %` (in the engine
+        of learning; seeds that never get there are left out and counted); and the `curves` of success by method.
     """
     found = finished_runs(todo, folder, lambda run: run.method)
     metrics = [metric("success", "1", lambda result: result["success"]), *metrics_of_speed(words="90 %")]
@@ -32,7 +32,7 @@ def collect(todo: Sequence[LadderRun], folder: Path) -> tuple[list[Result], dict
 
 
 def as_table(rows: Sequence[Result]) -> str:
-    """Return the success of the ways as text, a line for each task and learner, a column for each way: mean and seeds."""
+    """Return the success of the ways as text: a line for each task and learner, a column for each way."""
     success = {row.method: row.values for row in rows if row.metric == "success"}
     parts = [(*method.split(": ")[:1], *method.split(": ")[1].split(", ")) for method in success]
     ways = list(dict.fromkeys(way for _, way, _ in parts))

@@ -53,7 +53,7 @@ def measure_hardness(
         value: Its time to reach; None where it has none.
         samples: Samples of the untrained policy.
         seed: Seed of starts and actions.
-        engine: Physics engine.
+        engine: Physics engine of the simulated world.
 
     Raises:
         SimulationError, TrainingError: The task cannot be simulated, or has no arena.

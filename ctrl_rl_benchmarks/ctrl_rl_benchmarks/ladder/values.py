@@ -19,7 +19,9 @@ def value_file(task: NavigationTask, folder: Path) -> Path:
 
 
 def find_or_solve(task: NavigationTask, folder: Path, tell: Tell = lambda _: None) -> Path:
-    """Return the file of a task's time to reach, solved now unless it is there; obstacles are wider by the body's radius.
+    """Return the file of a task's time to reach, solved now unless it is there.
+
+    Obstacles are wider by the radius of the body.
 
     Args:
         task: Task with a `grid`.

@@ -1,4 +1,4 @@
-"""V of the time to reach as a baseline: what the sparse reward is worth, 1000 gamma^(phi/dt) where the goal pays 1000."""
+"""V of the time to reach as a baseline: the discounted sparse reward, 1000 gamma^(phi/dt) where the goal pays 1000."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class TimeToReachBaseline:
     def __call__(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return V (N,) for observations (N, d)."""
         states = observations[:, : len(self._unit)].astype(float) * self._unit + self._middle
-        times = self._potential.times(states)
+        times = self._potential.times(states.astype(np.float64))
         steps = np.where(np.isnan(times), np.inf, times) / self._time_step
         return (self._goal * self._gamma**steps).astype(np.float32)
 
@@ -46,10 +46,10 @@ def fit_critic(model: BaseAlgorithm, baseline: TimeToReachBaseline, seed: int) -
     assert environments is not None
     random = np.random.default_rng(seed)
     environments.seed(seed)
-    seen = [environments.reset()]
+    seen = [np.asarray(environments.reset())]
     while len(seen) * len(seen[0]) < _STATES:
         actions = random.uniform(-1.0, 1.0, (len(seen[0]), 2)).astype(np.float32)
-        seen.append(environments.step(actions)[0])
+        seen.append(np.asarray(environments.step(actions)[0]))
     observations = np.concatenate(seen).astype(np.float32)
     inputs, wanted = torch.from_numpy(observations), torch.from_numpy(baseline(observations))[:, None]
     learnt = [each for name, each in policy.named_parameters() if "value_net" in name]

@@ -19,14 +19,15 @@ _STEPS, _BATCH, _RATE, _CONTROLS = 1500, 256, 1e-3, 5
 def demonstrate(
     environment: Environment, task: NavigationTask, potential: TimeToReach, seed: int
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return observations (N, d) and actions (N, 2) of the control that leads to the least time to reach a step ahead."""
+    """Return observations (N, d) and actions (N, 2) of the control with the least time to reach a step ahead."""
     system = task.system.build()
     shares = np.linspace(-1.0, 1.0, _CONTROLS)
     actions = np.stack(np.meshgrid(shares, shares, indexing="ij"), axis=-1).reshape(-1, 2)
     low, high = np.array(list(task.robot.commands.values())).T
     controls = low + 0.5 * (actions + 1.0) * (high - low)
     observation, info = environment.reset(seed=seed)
-    seen, done = [], []
+    seen: list[NDArray[np.float32]] = []
+    done: list[NDArray[np.float32]] = []
     while len(seen) < SAMPLES:
         ends = np.broadcast_to(info["state"], (len(controls), len(info["state"]))).copy()
         for _ in range(5):
