@@ -3,6 +3,7 @@ from .problems.problem import Clearance as Clearance
 from .problems.problem import TimeToReachProblem as TimeToReachProblem
 from .problems.problem import problem_from_task as problem_from_task
 from .problems.problem import with_disturbances as with_disturbances
+from .problems.safety import SafetyGame as SafetyGame
 from .rewards.relabel import relabel as relabel
 from .rewards.rewards import REWARDS as REWARDS
 from .rewards.rewards import EvaluatedReward as EvaluatedReward
@@ -15,6 +16,8 @@ from .solvers.decomposition import DECOMPOSITIONS as DECOMPOSITIONS
 from .solvers.decomposition import Decomposition as Decomposition
 from .solvers.decomposition import find_decomposition as find_decomposition
 from .solvers.decomposition import solve_decomposed as solve_decomposed
+from .solvers.safety import SafetySolution as SafetySolution
+from .solvers.safety import SafetySolver as SafetySolver
 from .solvers.solution import Solution as Solution
 from .solvers.solver import METHODS as METHODS
 from .solvers.solver import memory_needed as memory_needed

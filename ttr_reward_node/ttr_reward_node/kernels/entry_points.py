@@ -15,17 +15,26 @@ from typing import Any, NamedTuple
 
 from ctrl_rl_core.values.jit_cache import cached_njit
 
-from ttr_reward_node.kernels import boundary_conditions, lax_friedrichs_sweep, sweep
+from ttr_reward_node.kernels import boundary_conditions, lax_friedrichs_sweep, safety_sweep, sweep
 
-KERNEL_FILES = ("stencil.py", "row_interpolation.py", "boundary_conditions.py", "sweep.py", "lax_friedrichs_sweep.py")
+KERNEL_FILES = (
+    "stencil.py",
+    "row_interpolation.py",
+    "boundary_conditions.py",
+    "sweep.py",
+    "lax_friedrichs_sweep.py",
+    "safety_stencil.py",
+    "safety_sweep.py",
+)
 
 
 class Kernels(NamedTuple):
-    """`boundary_conditions.find_outcomes`, `sweep.sweep` and `lax_friedrichs_sweep.sweep`."""
+    """`boundary_conditions.find_outcomes`, `sweep.sweep`, `lax_friedrichs_sweep.sweep`, `safety_sweep.step_back`."""
 
     find_outcomes: Callable[..., Any]
     sweep: Callable[..., Any]
     lax_friedrichs: Callable[..., Any]
+    step_back: Callable[..., Any]
 
 
 @cache
@@ -50,6 +59,9 @@ def _make(checksum: int) -> Kernels:
         assert checksum >= 0
         return lax_friedrichs_sweep.sweep(*arguments)
 
-    return Kernels(
-        *(cached_njit(entry, error_model="numpy") for entry in (find_outcomes, semi_lagrangian, lax_friedrichs))
-    )
+    def step_back(*arguments: Any) -> Any:
+        assert checksum >= 0
+        return safety_sweep.step_back(*arguments)
+
+    entries = (find_outcomes, semi_lagrangian, lax_friedrichs, step_back)
+    return Kernels(*(cached_njit(entry, error_model="numpy") for entry in entries))

@@ -40,9 +40,8 @@ from ctrl_rl_core import (
 from ttr_reward_node.errors import TimeToReachError
 from ttr_reward_node.problems.dependence import check_game
 from ttr_reward_node.problems.obstacles import make_clearance
-from ttr_reward_node.problems.problem_checks import check_clearance, check_system, check_target
+from ttr_reward_node.problems.problem_checks import check_axes, check_clearance, check_system, check_target
 
-_MOST_DIMENSIONS = 6  # the kernels' tables have room for the 2^6 corners of a cell
 _STRAIGHT = 1e-9
 
 
@@ -91,19 +90,7 @@ class TimeToReachProblem:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "axes", tuple(self.axes))
-        names = self.system.state_names
-        if tuple(axis.name for axis in self.axes) != names:
-            raise TimeToReachError(
-                f"the axes are {[axis.name for axis in self.axes]}; "
-                f"{self.system.name} needs one for each of {list(names)}"
-            )
-        if not 1 <= len(names) <= _MOST_DIMENSIONS:
-            raise TimeToReachError(
-                f"{self.system.name} has {len(names)} states; the solvers take 1 to {_MOST_DIMENSIONS}"
-            )
-        for axis, state in zip(self.axes, self.system.states, strict=True):
-            if axis.periodic and not state.periodic:
-                raise TimeToReachError(f"axis '{axis.name}' is periodic, but the state is not")
+        check_axes(self.system, self.axes)
         check_system(self.system)
         check_game(self.system)
         check_target(self.target, self.axes)

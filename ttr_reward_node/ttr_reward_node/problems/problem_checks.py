@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from ctrl_rl_core import Axis, Region, System, position_indices
 from ttr_reward_node.errors import TimeToReachError
 
+_MOST_DIMENSIONS = 6  # the kernels' tables have room for the 2^6 corners of a cell
+
 
 def check_system(system: System) -> None:
     """Refuse bounds that are not finite or not in order.
@@ -25,6 +27,24 @@ def check_system(system: System) -> None:
                 f"{system.name}: '{quantity.name}' is in [{quantity.lower:g}, {quantity.upper:g}]: give finite bounds, "
                 "lower <= upper"
             )
+
+
+def check_axes(system: System, axes: Sequence[Axis]) -> None:
+    """Refuse axes that do not suit the states of a system.
+
+    Raises:
+        TimeToReachError: The axes have other names, there are too many, or one is periodic that the state is not.
+    """
+    names = system.state_names
+    if tuple(axis.name for axis in axes) != names:
+        raise TimeToReachError(
+            f"the axes are {[axis.name for axis in axes]}; {system.name} needs one for each of {list(names)}"
+        )
+    if not 1 <= len(names) <= _MOST_DIMENSIONS:
+        raise TimeToReachError(f"{system.name} has {len(names)} states; the solvers take 1 to {_MOST_DIMENSIONS}")
+    for axis, state in zip(axes, system.states, strict=True):
+        if axis.periodic and not state.periodic:
+            raise TimeToReachError(f"axis '{axis.name}' is periodic, but the state is not")
 
 
 def check_target(target: Region, axes: Sequence[Axis]) -> None:

@@ -13,17 +13,30 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrl_rl_core import System
+from ctrl_rl_core import Axis, System
 from ttr_reward_node.problems.dependence import dependences
 from ttr_reward_node.problems.problem import TimeToReachProblem
 
 _BLOCK = 1 << 16  # steps that are computed at once
 _TO_PLANE = 4  # corrections of a step's duration until it ends on the plane
 _STIFF = 0.2  # of the longest step: in shorter ones nothing but the fastest axis moves
+
+
+class Gridded(Protocol):
+    """A problem on a grid: a system and an axis for each of its states."""
+
+    @property
+    def system(self) -> System:
+        """Dynamics of the problem."""
+
+    @property
+    def axes(self) -> tuple[Axis, ...]:
+        """Axes, one for each state."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +82,7 @@ class Steps:
     longest: float
 
 
-def make_layout(problem: TimeToReachProblem) -> Layout:
+def make_layout(problem: Gridded) -> Layout:
     """Find out which axes f depends on."""
     depends = frozenset[int]().union(*(rate.states for rate in dependences(problem.system)))
     outer = tuple(k for k in range(len(problem.axes)) if k in depends)
@@ -81,7 +94,7 @@ def make_layout(problem: TimeToReachProblem) -> Layout:
     return Layout(outer, inner, np.array(counts, dtype=np.int64), np.array(periodic))
 
 
-def slab_states(problem: TimeToReachProblem, layout: Layout) -> NDArray[np.float64]:
+def slab_states(problem: Gridded, layout: Layout) -> NDArray[np.float64]:
     """States (slabs, n) of the outer nodes, in the problem's order; inner components are at their axis's lower end."""
     states = np.empty((layout.slabs, len(problem.axes)))
     states[:] = [axis.lower for axis in problem.axes]

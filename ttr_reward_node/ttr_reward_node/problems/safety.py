@@ -1,0 +1,77 @@
+"""A game of safety on a grid: the system, the axes, and the sets that both players choose from."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrl_rl_core import Axis, System
+from ttr_reward_node.errors import TimeToReachError
+from ttr_reward_node.problems.dependence import AFFINE, check_game, dependences
+from ttr_reward_node.problems.problem_checks import check_axes, check_system
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class SafetyGame:
+    """x' = f(x, u, d): the control u keeps the margin large, the disturbance d makes it small.
+
+    The control may be any of the vertices of its box, which is enough where f is affine in it, as all models of
+    `ctrl_rl_core.systems` are: the best control is then bang-bang. Other systems, and sets that are no boxes, such as a
+    mover's speed in any direction, take finite sets.
+
+    Attributes:
+        system: Dynamics, with the bounds of controls and disturbances.
+        axes: One axis for each state of the system, in its order.
+        controls: Finite set of controls (k, m); None for the vertices of the system's bounds.
+        disturbances: Finite set of disturbances (k, n); None for the vertices of the system's bounds.
+
+    Raises:
+        TimeToReachError: Axes or sets do not suit the system, or its best control or worst disturbance need not lie at
+            the bounds, which alone are tried.
+    """
+
+    system: System
+    axes: tuple[Axis, ...]
+    controls: Array | None = None
+    disturbances: Array | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "axes", tuple(self.axes))
+        check_axes(self.system, self.axes)
+        check_system(self.system)
+        for name, given, width in (
+            ("controls", self.controls, len(self.system.controls)),
+            ("disturbances", self.disturbances, len(self.system.disturbances)),
+        ):
+            if given is not None:
+                object.__setattr__(self, name, _finite_set(name, given, width))
+        if self.controls is None:
+            for state, rate in zip(self.system.states, dependences(self.system), strict=True):
+                if rate.control_degree > AFFINE:
+                    raise TimeToReachError(
+                        f"{self.system.name}: the derivative of '{state.name}' is not affine in the controls, so the "
+                        "best one need not be at the bounds: give `controls`, the ones to choose from"
+                    )
+        if self.disturbances is None:
+            check_game(self.system)
+
+    def pairs(self) -> tuple[Array, Array, int]:
+        """Return controls (p, m) and disturbances (p, n) of all pairs, and how many disturbances, the faster index."""
+        controls = self.controls
+        if controls is None:
+            controls = self.system.control_samples(2) if self.system.controls else np.zeros((1, 0))
+        disturbances = self.system.disturbance_samples(2) if self.disturbances is None else self.disturbances
+        u = np.repeat(controls, len(disturbances), axis=0)
+        return u, np.tile(disturbances, (len(controls), 1)), len(disturbances)
+
+
+def _finite_set(name: str, given: Sequence[Sequence[float]] | Array, width: int) -> Array:
+    points = np.array(given, dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] != width or not len(points) or not np.isfinite(points).all():
+        raise TimeToReachError(f"{name} have shape {points.shape}: give finite numbers, (at least 1, {width})")
+    return points
