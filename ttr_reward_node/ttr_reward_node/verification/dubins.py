@@ -224,7 +224,7 @@ def _between(kind: int, pose: Array, box: Array) -> tuple[float, float, float]:
         found[i] = t + p + q
     best, segments = math.inf, (math.inf, 0.0, 0.0)
     for _ in range(_ENDS):
-        i = np.argmin(found)
+        i = int(np.argmin(found))
         if found[i] == math.inf:
             break
         for k, digit in enumerate((i % _LATTICE, i // _LATTICE % _LATTICE, i // _LATTICE**2)):
