@@ -5,7 +5,7 @@ SHELL := /bin/bash
 RUN := set -eo pipefail; source scripts/workspace.bash;
 LINKED := ctrl_rl_core ctrl_rl_bags sim_bridge ctrl_rl_training ttr_reward_node oc_baseline_node koopman_lqr_controller option_coordinator ctrl_rl_navigation ctrl_rl_safety ctrl_rl_benchmarks ctrl_rl_bringup
 
-.PHONY: help setup build demo demo-car demo-quadrotor demo-options trials train ttr oc options koopman test test-all tests lint bench attack behaviour navigator docs picture results lock clean
+.PHONY: help setup build demo demo-car demo-quadrotor demo-options trials train ttr oc options koopman test test-all tests lint bench avoid-sets attack behaviour navigator docs picture results lock clean
 
 help: ## say what there is
 	@grep -E '^[a-z-]+:.*##' Makefile | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 18
@@ -95,6 +95,10 @@ lint: setup ## ruff and mypy
 bench: build ## the benchmarks, into docs/results/bench.json
 	@scripts/setup requirements/benchmarks.txt
 	@$(RUN) python test/benchmarks --output docs/results/bench.json $(ARGS)
+
+avoid-sets: build ## avoid sets beside closed forms and hj_reachability
+	@scripts/setup requirements/benchmarks.txt
+	@$(RUN) python test/avoid_sets $(ARGS)
 
 attack: build ## fuzz readers and messages, break processes (ARGS="--seconds 60 --seed 1 --report FILE"; default: ten minutes)
 	@$(RUN) python test/attack $(ARGS)

@@ -23,6 +23,22 @@ def test_a_car_is_solved_and_drawn(tmp_path, capsys):
     assert (tmp_path / "car.png").stat().st_size > 10_000
 
 
+@pytest.mark.parametrize(("kind", "more"), [("avoid", []), ("reach_avoid", ["--horizon", "4"])])
+def test_safe_states_are_solved_and_drawn(kind, more, tmp_path, capsys):
+    file = tmp_path / "safe.safetensors"
+    arguments = ["--task", "car_ttr", *COARSE, "--robot-size", "--kind", kind, *more, "--output", str(file)]
+    assert solve_value(arguments) == 0
+    function = load_value(file)
+    assert (function.kind, function.unit) == (kind, "m")
+    goal, wall, far = function.value([[4.0, 4.0, 0.75], [4.75, 0.0, 0.0], [-4.0, -4.0, 0.75]])
+    assert wall < 0.0
+    assert (far > 0.0) == (kind == "avoid")
+    assert kind == "avoid" or goal > -0.05  # in its corner the goal is no place to stay
+    assert "% of the nodes" in capsys.readouterr().out
+    assert slices([str(file), "--at", "theta=0,1.57"]) == 0
+    assert (tmp_path / "safe.png").stat().st_size > 10_000
+
+
 def test_a_quadrotor_is_solved_in_parts(tmp_path):
     file = tmp_path / "quad.safetensors"
     arguments = ["--task", "quad_ttr", *COARSE_QUADROTOR, "--decomposition", "4d+4d", "--output", str(file)]
@@ -51,6 +67,9 @@ def test_what_has_not_converged_says_so(tmp_path, capsys):
         (["--task", "car_ttr", "--disturbance", "d_q=0:1"], "disturbance 'd_q' in [0, 1]: choose from"),
         (["--task", "car_ttr", "--output", "no/such/folder/x.safetensors"], "there is no folder no/such/folder"),
         (["--task", "quad_ttr"], "split the system (decomposition)"),
+        (["--task", "car_ttr", "--horizon", "3"], "--horizon is for --kind avoid"),
+        (["--task", "car_ttr", "--kind", "avoid", "--method", "lax_friedrichs"], "leave them out of avoid"),
+        (["--task", "car_ttr", *COARSE, "--kind", "avoid", "--inflation", "6"], "no state of the grid can avoid"),
     ],
 )
 def test_what_is_wrong_is_said_in_one_line(arguments, words, capsys, tmp_path, monkeypatch):

@@ -39,7 +39,7 @@ class AxisHeader(Schema):
 class GridText(Schema):
     """Description of a grid besides its axes; its fields are those of `ValueGrid`."""
 
-    kind: Literal["time_to_reach", "oc_value"]
+    kind: Literal["time_to_reach", "oc_value", "avoid", "reach_avoid"]
     task: Name
     task_digest: Sha256
     solver: Name

@@ -25,7 +25,7 @@ class ValueFunction(Protocol):
 
     @property
     def kind(self) -> str:
-        """Kind of the values: "time_to_reach" or "oc_value"."""
+        """Kind of the values, one of `value_grid.KIND_UNITS`."""
 
     @property
     def task(self) -> str:

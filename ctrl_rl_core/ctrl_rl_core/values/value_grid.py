@@ -26,7 +26,7 @@ from ctrl_rl_core.values.interpolation import axis_table, gradient_at, gradients
 
 __all__ = ["KIND_UNITS", "Axis", "GridError", "ValueGrid"]
 
-KIND_UNITS = {"time_to_reach": "s", "oc_value": "1"}
+KIND_UNITS = {"time_to_reach": "s", "oc_value": "1", "avoid": "m", "reach_avoid": "m"}
 _MAX_DIMENSIONS = 6
 _FORMAT = 1
 
@@ -37,9 +37,10 @@ class ValueGrid:
 
     Attributes:
         values: Shape (count of axis 0, ...), float32 or float64, read-only. A time to reach is not negative and may be
-            +inf (cannot reach); an optimal control value is finite.
+            +inf (cannot reach); other values are finite.
         axes: One an index of `values`, in the order of the state's components.
-        kind: "time_to_reach" (thesis Eq. 2.18) or "oc_value" (thesis Eq. 3.13).
+        kind: "time_to_reach" (thesis Eq. 2.18), "oc_value" (thesis Eq. 3.13), or "avoid" and "reach_avoid": distance at
+            which all that is to be avoided can be kept, for the second also on the way to a target; safe from 0 on.
         task: Name of the task that the values belong to.
         task_digest: SHA-256 of that task, 64 hexadecimal digits.
         solver: Name of the solver that computed the values.
@@ -84,7 +85,7 @@ class ValueGrid:
 
     @property
     def unit(self) -> str:
-        """Unit of the values: "s" or "1"."""
+        """Unit of the values: "s", "1" or "m"."""
         return KIND_UNITS[self.kind]
 
     @property
@@ -203,5 +204,6 @@ def _check_values(values: NDArray[Any], axes: tuple[Axis, ...], kind: str) -> No
         raise GridError("there are values that are NaN or -inf")
     if kind == "time_to_reach" and values.min() < 0:
         raise GridError(f"a time to reach is negative ({values.min():g} s)")
-    if kind == "oc_value" and np.isinf(values).any():
-        raise GridError("an optimal control value is infinite")
+    if kind != "time_to_reach" and np.isinf(values).any():
+        name = "an optimal control value" if kind == "oc_value" else "a safety value"
+        raise GridError(f"{name} is infinite")

@@ -22,6 +22,7 @@ from ctrl_rl_core.tasks.task import load_navigation_task
 from ctrl_rl_core.values.value_grid import ValueGrid
 from tqdm import tqdm
 
+from ttr_reward_node.cli.safe_sets import solve_and_save
 from ttr_reward_node.errors import TimeToReachError
 from ttr_reward_node.problems.problem import TimeToReachProblem, problem_from_task
 from ttr_reward_node.rewards.relabel import relabel
@@ -65,10 +66,15 @@ _Output = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUTPUT")]
 
 @dataclass(frozen=True)
 class Solve:
-    """Compute the shortest time to a task's goal from every state (thesis Eq. 3.4)."""
+    """Compute the shortest time to a task's goal from every state (thesis Eq. 3.4), or which states are safe."""
 
     task: str
     """Name or .yaml file of the task."""
+    kind: Literal["time_to_reach", "avoid", "reach_avoid"] = "time_to_reach"
+    """Value to compute: the time to the goal; or how far off all obstacles can be avoided [m], also on the way to the
+    goal: states are safe where that is not negative."""
+    horizon: FiniteNumber | None = None
+    """Time for which to avoid, or in which to reach and avoid [s]; for ever where none is given."""
     output: Path | None = None
     """File to write; <task>.safetensors where none is given."""
     overwrite: bool = False
@@ -113,10 +119,10 @@ class Check:
 
 @dataclass(frozen=True)
 class Slices:
-    """Draw slices through a time-to-reach function, as thesis Fig. 3.1 does."""
+    """Draw slices through a time-to-reach function, as thesis Fig. 3.1 does, or through a safety value."""
 
     file: _File
-    """Time-to-reach function (.safetensors)."""
+    """Time-to-reach function or safety value (.safetensors)."""
     task: str | None = None
     """Task to draw with it; the one that the function was made for where none is given."""
     output: Path | None = None
@@ -150,6 +156,10 @@ class Relabel:
 def _problem(options: Solve) -> TimeToReachProblem:
     if options.robot_size and options.inflation is not None:
         raise TimeToReachError("--inflation and --robot-size exclude each other: give one of them")
+    if options.kind == "time_to_reach" and options.horizon is not None:
+        raise TimeToReachError("--horizon is for --kind avoid and reach_avoid: leave it out")
+    if options.kind != "time_to_reach" and (options.decomposition or options.method != "semi_lagrangian"):
+        raise TimeToReachError(f"--decomposition and --method are for times to reach: leave them out of {options.kind}")
     task = load_navigation_task(options.task)
     return problem_from_task(
         task,
@@ -167,6 +177,17 @@ def _solve(options: Solve) -> int:
         raise TimeToReachError(f"{output} exists: name another file with --output, or add --overwrite")
     if not output.parent.is_dir():
         raise TimeToReachError(f"{output}: there is no folder {output.parent}: make it, or name another with --output")
+    if options.kind != "time_to_reach":
+        converged = solve_and_save(
+            problem,
+            options.kind,
+            output,
+            horizon=options.horizon,
+            tolerance=options.tolerance,
+            max_steps=options.max_sweeps,
+            overwrite=options.overwrite,
+        )
+        return 0 if converged else 1
     if options.decomposition is None:
         solutions = [_solve_one(problem, options)]
         value: ValueGrid | DecomposedValue = solutions[0].grid

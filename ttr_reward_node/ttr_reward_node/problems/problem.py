@@ -151,6 +151,13 @@ class TimeToReachProblem:
         assert self.clearance is not None
         return values.reshape([axis.count if k in self.clearance.axes else 1 for k, axis in enumerate(self.axes)])
 
+    def obstacle_notes(self) -> dict[str, str]:
+        """Return a value file's notes on walls and obstacles [m]."""
+        notes = {"obstacles": "no" if self.clearance is None else "yes", "inflation": repr(float(self.inflation))}
+        if self.corridor_width is not None:
+            notes["corridor_width"] = repr(float(self.corridor_width))
+        return notes
+
     def _own_digest(self) -> str:
         system = self.system
         content = {

@@ -79,7 +79,7 @@ def solve(
         solver=method,
         residual=residual,
         notes={
-            **_obstacle_notes(problem),
+            **problem.obstacle_notes(),
             "sweeps": str(sweeps.number),
             "converged": "yes" if sweeps.converged else "no",
             "system": problem.system.name,
@@ -117,14 +117,6 @@ def solve_task(task: NavigationTask | str | Path, method: str = "semi_lagrangian
         TimeToReachError: The task has no such problem, or the solver refuses it.
     """
     return solve(problem_from_task(task, **options), method).grid
-
-
-def _obstacle_notes(problem: TimeToReachProblem) -> dict[str, str]:
-    """Return the value file's notes on walls and obstacles [m]."""
-    notes = {"obstacles": "no" if problem.clearance is None else "yes", "inflation": repr(float(problem.inflation))}
-    if problem.corridor_width is not None:
-        notes["corridor_width"] = repr(float(problem.corridor_width))
-    return notes
 
 
 def _method(name: str) -> Any:
