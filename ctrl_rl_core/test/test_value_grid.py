@@ -335,7 +335,7 @@ AXIS = {"name": "x", "unit": "m", "lower": -1, "upper": 1, "count": 3, "periodic
         ({"axes": [AXIS, {**AXIS, "periodic": 1}]}, "axes.1.periodic: .*valid boolean"),
         ({"axes": [AXIS, {**AXIS, "upper": -1}]}, "give finite lower < upper"),
         ({"axes": [AXIS, {**AXIS, "lower": float("nan")}]}, "axes.1.lower: .*finite"),
-        ({"kind": "speed"}, "kind: is 'speed': .*'time_to_reach' or 'oc_value'"),
+        ({"kind": "speed"}, "kind: is 'speed': .*'time_to_reach', 'oc_value', 'avoid' or 'reach_avoid'"),
         ({"kind": "oc_value"}, "an optimal control value is infinite"),
         ({"kind": 4}, "kind: is 4: "),
         ({"task": ""}, "task: is ''"),

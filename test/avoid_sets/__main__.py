@@ -114,4 +114,5 @@ def mean_error(case: SafetyCase, values: np.ndarray) -> float:
 
 
 if __name__ == "__main__":
+    sys.argv[0] = str(Path(__file__).parent)  # its name in the results
     raise SystemExit(main())

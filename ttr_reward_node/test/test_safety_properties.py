@@ -90,6 +90,20 @@ def test_a_warm_start_ends_where_a_cold_one_does(car):
     assert warm.steps <= cold.steps
 
 
+def test_a_warm_start_from_values_raised_as_the_margin_was_ends_where_a_cold_one_does(car):
+    old, before, after = car.solve(obstacle(0.4, 0.2)), obstacle(0.4, 0.2), obstacle(0.3, -0.1)
+    warm = car.solve(after, initial=old.values + (after - before).max())
+    np.testing.assert_allclose(warm.values, car.solve(after).values, atol=0.01)
+
+
+def test_no_beginning_makes_a_state_safe_that_is_not(car):
+    cold = car.solve(obstacle(0.4, 0.2), tolerance=1e-5)
+    guess = np.random.default_rng(0).uniform(-1.0, 3.0, cold.values.shape)
+    warm = car.solve(obstacle(0.4, 0.2), initial=guess, tolerance=1e-5)
+    assert warm.converged
+    assert (warm.values <= cold.values + 0.01).all()
+
+
 def test_a_grid_that_moves_has_the_values_of_a_new_one(car):
     old, margin = car.solve(obstacle(0.4, 0.2)), obstacle(0.0, 0.4)
     moved = car.shifted(old.values, (4, -2, 0), margin)
