@@ -22,8 +22,8 @@ from ctrl_rl_core import parse_options
 from ttr_reward_node import SafetySolver
 
 ACCURACIES = {"very_high": "hj_reachability WENO5", "low": "hj_reachability first order"}
-STEPS = {"double integrator": 0.06, "air3D": 0.1, "Dubins pursuit": 0.1}
-REPEATS = 3
+STEPS = {"double integrator": 0.06, "air3D": 0.128, "Dubins pursuit": 0.1}
+REPEATS = 5
 INSTALL = "it cannot import hj_reachability: pip install -r requirements/benchmarks.txt, or name a Python that has it"
 
 
