@@ -132,8 +132,8 @@ def test_a_broken_checkpoint_is_named(tmp_path):
 
 
 def test_an_unknown_algorithm_is_named():
-    with pytest.raises(TrainingError, match="no algorithm 'sac': there are ppo, trpo, ddpg"):
-        PlainRun("sac", 0).model(ROLL_OUT)
+    with pytest.raises(TrainingError, match="no algorithm 'a2c': there are ppo, trpo, ddpg, sac"):
+        PlainRun("a2c", 0).model(ROLL_OUT)
 
 
 def test_a_file_that_is_no_policy_is_named(tmp_path):
