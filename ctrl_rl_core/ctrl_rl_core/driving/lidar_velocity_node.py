@@ -68,13 +68,14 @@ _OBSTACLE_STOP = (
         live=True,
     ),
 )
-LIDAR_PARAMETERS = (
+SCAN_PARAMETERS = (
     *VELOCITY_PARAMETERS,
     Parameter("lidar_x", -0.032, "Position of the lidar ahead of base_link [m].", -1.0, 1.0),
     Parameter("lidar_yaw", 0.0, "Direction of the scan's zero bearing in the robot's frame [rad].", -3.1416, 3.1416),
     *_SCAN_CHECKS,
-    *_OBSTACLE_STOP,
 )
+"""Parameters without those of the obstacle stop, for a node that keeps clear of obstacles in its own way."""
+LIDAR_PARAMETERS = (*SCAN_PARAMETERS, *_OBSTACLE_STOP)
 _CHECKED = {parameter.name for parameter in (*_SCAN_CHECKS, *_OBSTACLE_STOP)}
 _FASTER = 1.5
 """A robot may be faster than its commands by this factor."""
@@ -96,7 +97,9 @@ class LidarVelocityNode(VelocityNode):
         self._odometry_fault = ""
         self._received = 0
         self._crowd = ""
-        self._safety = DriveSafety(*self._checks(), forward=self.settings["lidar_x"], reach=self._reach())
+        self._safety = DriveSafety(
+            self._scan_health(), self.obstacle_stop(), forward=self.settings["lidar_x"], reach=self.reach()
+        )
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_subscription(Odometry, "odom", self._on_odometry, SENSOR)
         self._scans = self.create_subscription(LaserScan, "scan", self._on_scan, SENSOR)
@@ -135,7 +138,7 @@ class LidarVelocityNode(VelocityNode):
     def on_parameter_changed(self, name: str) -> None:
         """Apply changed checks from the next scan on."""
         if name in _CHECKED:
-            self._safety.set_checks(*self._checks(), reach=self._reach())
+            self._safety.set_checks(self._scan_health(), self.obstacle_stop(), reach=self.reach())
         else:
             super().on_parameter_changed(name)
 
@@ -149,23 +152,25 @@ class LidarVelocityNode(VelocityNode):
     def set_limits(self, low: ArrayLike, high: ArrayLike) -> None:
         """Set the limits of the commands, and the range of echoes that the fastest of them needs."""
         super().set_limits(low, high)
-        self._safety.reach = self._reach()
+        self._safety.reach = self.reach()
 
-    def _checks(self) -> tuple[ScanHealth, ObstacleStop]:
+    def obstacle_stop(self) -> ObstacleStop:
+        """Return the stop in front of obstacles; override it for a node that keeps clear of them in its own way."""
         value = self.settings
-        return (
-            ScanHealth(value["min_echo_share"], value["largest_gap"], value["frozen_scans"]),
-            ObstacleStop(
-                value["robot_radius"], value["obstacle_margin"], value["deceleration"], value["reaction_time"]
-            ),
+        return ObstacleStop(
+            value["robot_radius"], value["obstacle_margin"], value["deceleration"], value["reaction_time"]
         )
 
-    def _reach(self) -> float:
+    def reach(self) -> float:
         """Return the distance from the lidar at which an echo may stop the robot [m]."""
-        _, obstacles = self._checks()
+        obstacles = self.obstacle_stop()
         top = float(np.abs((self.low[0], self.high[0])).max())
         wide = obstacles.radius + obstacles.margin + abs(self.settings["lidar_x"])
         return wide + obstacles.reach(_FASTER * top, self.timeout)
+
+    def _scan_health(self) -> ScanHealth:
+        value = self.settings
+        return ScanHealth(value["min_echo_share"], value["largest_gap"], value["frozen_scans"])
 
     def _on_odometry(self, message: Odometry) -> None:
         twist = message.twist.twist

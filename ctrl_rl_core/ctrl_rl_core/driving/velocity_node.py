@@ -127,6 +127,10 @@ class VelocityNode(SuiteNode):
         """The frame of the commands."""
         return str(self.output.header.frame_id)
 
+    def now(self) -> float:
+        """Return the time on the clock that ages are measured on [s]."""
+        return float(self._ages.now().nanoseconds) * 1e-9
+
     def note_input(self, what: str) -> None:
         """Note that a usable input has just arrived."""
         self._heard[what], self._heard_at[what] = self._ages.now(), time.monotonic()
@@ -185,15 +189,19 @@ class VelocityNode(SuiteNode):
         return command, ""
 
     def halt(self, problem: str, stamp: Stamp | None = None) -> None:
-        """Send zero velocity, and log the reason when it changes.
+        """Send zero velocity, or what `stopping` says instead, and log the reason when it changes.
 
         Args:
             problem: The reason, for the log and for `diagnostics`.
             stamp: Time of the input that it answers; now unless given.
         """
         if not self.settings["dry_run"]:
-            self._send(self.output.rest, stamp)
+            self._send(self.stopping(), stamp)
         self._say(problem)
+
+    def stopping(self) -> NDArray[np.float64]:
+        """Return the command (2,) of a robot that must stop; override it where another one stops it more safely."""
+        return self.output.rest
 
     def on_callback_error(self, _error: Exception) -> None:
         """Stop the robot until each callback that failed has run again."""

@@ -6,10 +6,10 @@ import math
 from enum import Enum, auto
 
 import numpy as np
+from ctrl_rl_core.processes.background import Job, start_job
 from numpy.typing import NDArray
 
 from ctrl_rl_core import OccupancyMap
-from ctrl_rl_navigation.driving.background import Job, start_job
 from ctrl_rl_navigation.driving.decision import Goal
 from ctrl_rl_navigation.errors import NavigationError
 from ctrl_rl_navigation.robot import DriveLimits

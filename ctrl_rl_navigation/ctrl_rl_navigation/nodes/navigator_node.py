@@ -74,7 +74,7 @@ class NavigatorNode(LidarVelocityNode):
         self._map: OccupancyMap | None = None
         self._zeros = 0
         self._shown: tuple[Any, Any] = (None, None)
-        self._input = PoseInput(self, self._now)
+        self._input = PoseInput(self, self.now)
         self._told = self.create_publisher(NavigatorStatus, "~/status", LATCHED)
         self._path = self.create_publisher(Path, "path", LATCHED)
         self._slice = self.create_publisher(OccupancyGrid, "~/slice", LATCHED)
@@ -101,7 +101,7 @@ class NavigatorNode(LidarVelocityNode):
             pose, echoes = self._input.seen(self._input.pose())
         except TransformError:
             return
-        self._navigator.see(self._now(), pose, echoes)
+        self._navigator.see(self.now(), pose, echoes)
 
     def status(self) -> Status:
         """Return what the navigator does."""
@@ -118,9 +118,6 @@ class NavigatorNode(LidarVelocityNode):
         if self._rivals or decision.state is NavigatorState.DRIVING:
             return level, message, figures
         return (ok if decision.state in _FINE or self._is_idle() else warn)(decision.message, **figures)
-
-    def _now(self) -> float:
-        return float(self._ages.now().nanoseconds) * 1e-9
 
     def _use(self, map_: OccupancyMap) -> None:
         """Use a map unless it is the present one."""
@@ -183,12 +180,12 @@ class NavigatorNode(LidarVelocityNode):
         except TransformError as error:
             problem = problem or str(error)
         if problem:
-            self._navigator.poll(self._now())
+            self._navigator.poll(self.now())
             self._navigator.sent(_STAND)
             if self._navigator.goal is not None and not self._is_idle():
                 self.halt(problem)
             return Decision(_STAND, NavigatorState.WAITING, problem)
-        decision = self._navigator.decide(self._now(), pose, self._input.echoes())
+        decision = self._navigator.decide(self.now(), pose, self._input.echoes())
         self._zeros = 0 if decision.command.any() or decision.state is NavigatorState.DRIVING else self._zeros + 1
         if self._zeros > _LAST_ZEROS and not self.moving:
             self.problem = ""

@@ -215,16 +215,21 @@ def hopeless(sit: Any, state: tuple[float, float, float, float, float], command:
 
 
 @cached_njit
-def escape_path(sit: Any, state: Any, kind: int) -> Array:
-    """Return the states (n, 5) of an escape until the robot stands, the turn rate's commands in place of the rates."""
-    out = np.empty((MOST_STEPS, 5))
+def escape_path(sit: Any, state: Any, command: tuple[float, float], kind: int) -> Array:
+    """Return the states (n, 5) of a command until the next one and of the escape after it, until the robot stands.
+
+    In place of the turn rates stand those that are commanded.
+    """
+    out = np.empty((sit.hold + MOST_STEPS, 5))
     x, y, theta, v, omega = state
-    turn = omega if kind == 0 else sit.turn_rate * (2.0 * (kind - 1) / (FAMILY - 2) - 1.0)
-    count = 0
-    while count < MOST_STEPS and abs(v) >= STANDS:
-        if kind == FAMILY and count % _STEPS_A_TURN == 0:
+    turn, count = command[1], 0
+    while count < sit.hold or (count < len(out) and abs(v) >= STANDS):
+        escapes = count - sit.hold
+        if escapes == 0:
+            turn = omega if kind == 0 else sit.turn_rate * (2.0 * (kind - 1) / (FAMILY - 2) - 1.0)
+        if kind == FAMILY and escapes >= 0 and escapes % _STEPS_A_TURN == 0:
             turn = _best_turn(sit, (x, y, theta, v, omega))
-        x, y, theta, v, omega = next_state(x, y, theta, v, omega, 0.0, turn, sit.motion)
+        x, y, theta, v, omega = next_state(x, y, theta, v, omega, command[0] if escapes < 0 else 0.0, turn, sit.motion)
         out[count] = np.array((x, y, theta, v, turn))
         count += 1
     return out[:count].copy()

@@ -52,7 +52,6 @@ class SafetyFilter:
         model: Constants of the robot.
         options: Settings of the filter.
         reach: Distance from the robot up to which echoes matter [m].
-        obstacles: Echoes of the last scan; None before the first one.
     """
 
     def __init__(self, model: RobotModel, options: FilterOptions | None = None) -> None:
@@ -72,13 +71,13 @@ class SafetyFilter:
         self.reach = 0.71 * self._cell * NODES + self._room + coming
         self._memory = EchoMemory(value.standing_time)
         self._unblocking = Unblocking(value.unblock_after)
-        self.obstacles: Obstacles | None = None
-        self._seen_at = -math.inf
+        self._seen: tuple[Obstacles, float] | None = None
         self._set: RecoverableSet | None = None
         self._sent: deque[tuple[float, float, float]] = deque(maxlen=1000)
         self._corrected = False
         self._kind = 0
         self._last_v = 0.0
+        self._plan: tuple[float, Array] = (-math.inf, np.empty(0))
 
     def see(self, now: float, pose: Array, echoes: Array, age: float = 0.0) -> None:
         """Take a scan.
@@ -98,20 +97,25 @@ class SafetyFilter:
             stands = self._memory.update(now, places)
             moving = np.concatenate((moving, places[~stands]))
             places = places[stands]
-        self.obstacles = obstacles_around(places, moving, (float(pose[0]), float(pose[1])), self._cell)
-        self._seen_at = now - age - self.model.scan_age
+        obstacles = obstacles_around(places, moving, (float(pose[0]), float(pose[1])), self._cell)
+        self._seen = obstacles, now - age - self.model.scan_age
 
     def solve(self) -> RecoverableSet | None:
         """Return the recoverable set of the last scan; None before the first one. It may run in another thread."""
-        obstacles, seen_at = self.obstacles, self._seen_at
-        if obstacles is None:
+        if self._seen is None:
             return None
+        obstacles, seen_at = self._seen
         commit = self.model.delay + self.options.period
         return solve_set(obstacles, self.model, self._growth, self.model.scan_age, self._last_v, commit, stamp=seen_at)
 
     def use(self, found: RecoverableSet | None) -> None:
         """Use a set for escapes from now on; None for the family of constant turn rates alone."""
         self._set = found
+
+    @property
+    def obstacles(self) -> Obstacles | None:
+        """Echoes of the last scan; None before the first one."""
+        return None if self._seen is None else self._seen[0]
 
     @property
     def recoverable(self) -> RecoverableSet | None:
@@ -121,7 +125,7 @@ class SafetyFilter:
     def forget(self) -> None:
         """Forget scans and set, as the frame of the odometry has jumped."""
         self._memory.clear()
-        self._set = self.obstacles = None
+        self._set = self._seen = None
 
     def sent(self, now: float, command: Array) -> None:
         """Note a command (2,) that went to the robot."""
@@ -133,13 +137,14 @@ class SafetyFilter:
         Raises:
             SafetyError: There was no scan yet.
         """
-        if self.obstacles is None:
+        if self._seen is None:
             raise SafetyError("no scan yet")
+        obstacles, seen_at = self._seen
         self._last_v = reading.v
         (slowest, least_turn), (fastest, most_turn) = self.model.limits
         wanted = (min(max(float(raw[0]), slowest), fastest), min(max(float(raw[1]), least_turn), most_turn))
         state = np.array((*reading.pose, reading.v, reading.omega))
-        standing = self.obstacles.standing
+        standing = obstacles.standing
         turn = _UNBLOCKING * most_turn * self._unblocking.turn(now, wanted, state, standing, self._room)
         ask = Request(
             wanted,
@@ -155,22 +160,30 @@ class SafetyFilter:
             self.model.braking,
             self.model.turn_acceleration,
         )
-        age = now - reading.age - self._seen_at
-        found = Answer(
-            *answer(self._situation(now, self.obstacles), ask, state, age, self._under_way(now, reading.age))
-        )
+        age = now - reading.age - seen_at
+        found = Answer(*answer(self._situation(now, obstacles), ask, state, age, self._under_way(now, reading.age)))
         self._corrected, self._kind = found.mode != PASSED, found.kind
         self._unblocking.note(now, (found.v, found.omega), wanted, reading.v)
         command = np.array((found.v, found.omega))
-        return Verdict(command, Mode(found.mode), found.margin, found.value, np.array(found.state), found.kind)
+        verdict = Verdict(command, Mode(found.mode), found.margin, found.value, np.array(found.state), found.kind)
+        if found.margin >= 0.0:
+            self._plan = now + self._hold * STEP, self.escape(verdict)[self._hold :, 4]
+        return verdict
 
     def escape(self, verdict: Verdict) -> Array:
-        """Return the states (n, 5) of the escape that certifies a verdict."""
-        if self.obstacles is None:
+        """Return the states (n, 5) of a verdict's command and of the escape that certifies it, for a picture."""
+        if self._seen is None:
             return np.empty((0, 5))
-        sit = self._situation(self._seen_at, self.obstacles)
-        path: Array = escape_path(sit, tuple(verdict.state.tolist()), verdict.escape)
+        sit = self._situation(self._seen[1], self._seen[0])
+        command = (float(verdict.command[0]), float(verdict.command[1]))
+        path: Array = escape_path(sit, tuple(verdict.state.tolist()), command, verdict.escape)
         return path
+
+    def stopping(self, now: float) -> Array:
+        """Return the command (2,) of the last certified escape at a steady time [s], for when nothing is known."""
+        begun, turns = self._plan
+        place = max(math.floor((now - begun) / STEP), 0)
+        return np.array((0.0, turns[place])) if place < len(turns) else np.zeros(2)
 
     def _situation(self, now: float, obstacles: Obstacles) -> Situation:
         found = self._set
@@ -204,3 +217,16 @@ def _moved(points: Array, pose: Array) -> Array:
     x, y, theta = (float(each) for each in pose)
     c, s = math.cos(theta), math.sin(theta)
     return points @ np.array(((c, s), (-s, c))) + (x, y)
+
+
+def warm_up(model: RobotModel, options: FilterOptions) -> None:
+    """Compile what answering needs, or read it from disk, before it counts."""
+    safety = SafetyFilter(model, options)
+    bearings = np.linspace(-3.0, 3.0, 60)
+    echoes = 2.0 * model.radius * np.column_stack((np.cos(bearings), np.sin(bearings)))
+    reading = Reading(np.zeros(3), 0.5 * model.speed, 0.0)
+    for now in (0.0, 0.1):
+        safety.see(now, reading.pose, echoes)
+        verdict = safety.decide(now, reading, np.array((model.speed, 0.0)))
+        safety.sent(now, verdict.command)
+        safety.use(safety.solve())

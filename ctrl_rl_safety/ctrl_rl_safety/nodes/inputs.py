@@ -1,0 +1,119 @@
+"""Checks of what the sensors send, and odometry with its age: where the robot is, and was when a scan was taken."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from ctrl_rl_core.navigation.pose_source import OdometryTrack
+from numpy.typing import NDArray
+
+from ctrl_rl_core import ScanGeometry
+from ctrl_rl_safety.errors import SafetyError
+from ctrl_rl_safety.filter.verdict import Reading
+
+Array = NDArray[np.float64]
+
+AHEAD = 0.1
+"""Time by which a stamp may lie ahead of this computer's clock [s]; clocks of two computers differ a bit."""
+_FEW, _SOME = 2, 0.02
+"""Beams by which a scan's count may differ from that of its angles, and that part of them."""
+_FARTHEST_JUMP = 0.3
+"""Way beyond that of the largest speed that means another origin of the odometry [m]."""
+
+
+def age_of(what: str, stamp: int, clock: int, timeout: float) -> float:
+    """Return the age of a message that arrives now [s]; zero where its stamp lies ahead a bit.
+
+    Args:
+        what: Name of the message.
+        stamp: Its stamp [ns].
+        clock: Time of the node's clock [ns].
+        timeout: Age from which on it is too old [s].
+
+    Raises:
+        SafetyError: The stamp lies in the future, or the message is too old.
+    """
+    age = 1e-9 * (clock - stamp)
+    if age < -AHEAD:
+        raise SafetyError(f"{what} is stamped {-age:.2f} s ahead of this clock: set the clocks of both computers")
+    if age > timeout:
+        raise SafetyError(f"{what} is {age:.2f} s old on arrival: set the clocks of both computers, or use_sim_time")
+    return max(age, 0.0)
+
+
+def check_count(angle: float, scan: ScanGeometry) -> None:
+    """Check that a scan has about as many ranges as its angles say.
+
+    Args:
+        angle: Angle from its first beam to its last one [rad].
+        scan: Bearings of its beams.
+
+    Raises:
+        SafetyError: It has not: the bearings of its echoes are wrong then.
+    """
+    wanted = 1.0 + angle / scan.angle_increment
+    if not abs(scan.beams - wanted) <= _FEW + _SOME * scan.beams:
+        raise SafetyError(f"the scan has {scan.beams} ranges, and {wanted:.0f} by its angle_min, _max and _increment")
+
+
+class OdometryInput:
+    """The latest odometry.
+
+    Args:
+        fastest: Largest speed of the robot [m/s].
+        timeout: Age from which on odometry is too old [s].
+
+    Attributes:
+        frame: Frame of the poses.
+        jumps: Number of times that the poses jumped, as by a new origin.
+    """
+
+    def __init__(self, fastest: float, timeout: float) -> None:
+        self._fastest, self._timeout = fastest, timeout
+        self._track = OdometryTrack()
+        self._at, self._age, self._stamp = -math.inf, math.inf, 0
+        self._pose, self._v, self._omega = np.full(3, math.nan), 0.0, 0.0
+        self.frame, self.jumps = "odom", 0
+
+    def update(self, message: Any, now: float, clock: int) -> bool:
+        """Take a nav_msgs/Odometry and return whether its poses have jumped.
+
+        Args:
+            message: Odometry whose twist is finite.
+            now: Steady time [s].
+            clock: Time of the node's clock [ns].
+
+        Raises:
+            SafetyError: Its stamp is too old or in the future.
+            TransformError: Its pose is none.
+        """
+        stamp = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+        age = age_of("odometry", stamp, clock, self._timeout)
+        self._track.update(message, now)
+        pose, passed = self._track.latest().pose, 1e-9 * (stamp - self._stamp)
+        way = math.hypot(pose[0] - self._pose[0], pose[1] - self._pose[1])
+        jumped = passed < 0.0 or way > self._fastest * passed + _FARTHEST_JUMP
+        twist = message.twist.twist
+        self._at, self._age, self._stamp, self._pose = now, age, stamp, pose
+        self._v, self._omega, self.frame = twist.linear.x, twist.angular.z, self._track.frame or "odom"
+        self.jumps += jumped
+        return jumped
+
+    def reading(self, now: float) -> Reading:
+        """Return the robot by the last odometry, with its age at a steady time [s]."""
+        return Reading(self._pose, self._v, self._omega, max(now - self._at, 0.0) + self._age)
+
+    def pose_at(self, stamp: int) -> Array:
+        """Return the pose (3,) [m, m, rad] at a stamp [ns], moved on by the last speeds where odometry is older.
+
+        Raises:
+            TransformError: The odometry does not reach to that time.
+        """
+        pose: Array = self._track.at(stamp).pose
+        ahead = 1e-9 * (stamp - self._stamp)
+        if ahead <= 0.0:
+            return pose
+        middle, way = pose[2] + 0.5 * self._omega * ahead, self._v * ahead
+        return pose + np.array((way * math.cos(middle), way * math.sin(middle), self._omega * ahead))

@@ -1,0 +1,63 @@
+"""Parameters of the safety filter's node."""
+
+from __future__ import annotations
+
+from ctrl_rl_core.driving.lidar_velocity_node import SCAN_PARAMETERS
+
+from ctrl_rl_core import Parameter
+from ctrl_rl_safety.filter.verdict import FilterOptions
+
+_DEFAULT = FilterOptions()
+
+FILTER_PARAMETERS = (
+    *SCAN_PARAMETERS,
+    Parameter("scan_timeout", 0.5, "Age of the last scan or odometry that stops the robot [s].", 0.05, 10.0),
+    Parameter("raw_timeout", 0.5, "Age of the last raw command that counts as zero [s].", 0.05, 10.0),
+    Parameter("control_period", 0.05, "Longest time from command to command [s].", 0.02, 0.2),
+    Parameter(
+        "robot",
+        "turtlebot3_burger",
+        "Constants of the robot: turtlebot3_burger, turtlebot2, turtlebot4, jackal, or a .yaml file.",
+        kind="path",
+    ),
+    Parameter(
+        "mover_speed",
+        _DEFAULT.mover_speed,
+        "Largest speed of people and other robots around; 0.0 where nothing else moves [m/s].",
+        0.0,
+        5.0,
+    ),
+    Parameter(
+        "mover_acceleration",
+        _DEFAULT.mover_acceleration,
+        "Largest acceleration of what stood all the time [m/s^2].",
+        0.0,
+        20.0,
+    ),
+    Parameter(
+        "standing_time",
+        _DEFAULT.standing_time,
+        "Time for which an echo must stay in place to count as standing [s].",
+        0.2,
+        20.0,
+    ),
+    Parameter(
+        "occluded_movers",
+        _DEFAULT.occluded_movers,
+        "Whether somebody may step out from behind an edge that the scan shows.",
+    ),
+    Parameter(
+        "hysteresis",
+        _DEFAULT.hysteresis,
+        "Margin with which a raw command must be certified to pass again after a correction [m].",
+        0.0,
+        0.5,
+    ),
+    Parameter(
+        "unblock_after",
+        _DEFAULT.unblock_after,
+        "Time after which a robot that is held turns to the side with more room; 0.0 for never [s].",
+        0.0,
+        3600.0,
+    ),
+)

@@ -1,0 +1,272 @@
+"""The safety filter's node: raw commands, scan and odometry in; certified commands, status and pictures out."""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from collections import Counter, deque
+from typing import ClassVar
+
+import numpy as np
+from builtin_interfaces.msg import Time as Stamp
+from ctrl_rl_core.navigation.transform_tree import TransformError
+from ctrl_rl_core.processes.background import Job, start_job
+from ctrl_rl_core.ros.node import COMMAND, LATCHED, RESULT, Status, warn
+from geometry_msgs.msg import Twist, TwistStamped
+from nav_msgs.msg import OccupancyGrid, Odometry
+from numpy.typing import NDArray
+from rclpy.clock import Clock, ClockType
+from sensor_msgs.msg import LaserScan
+from visualization_msgs.msg import Marker
+
+from ctrl_rl_core import LidarVelocityNode, ObstacleStop, Parameter, ScanGeometry, VelocityError, run_node
+from ctrl_rl_msgs.msg import SafetyStatus
+from ctrl_rl_safety.errors import SafetyError
+from ctrl_rl_safety.filter.safety_filter import SafetyFilter, warm_up
+from ctrl_rl_safety.filter.verdict import FilterOptions, Mode, Verdict
+from ctrl_rl_safety.models.robot_model import find_model
+from ctrl_rl_safety.nodes.inputs import OdometryInput, age_of, check_count
+from ctrl_rl_safety.nodes.messages import WHY, escape_marker, slice_message
+from ctrl_rl_safety.nodes.parameters import FILTER_PARAMETERS
+from ctrl_rl_safety.sets.recoverable_set import RecoverableSet
+
+INPUT = "cmd_vel_raw"
+_JITTER = 1.5
+"""Time between two commands over the period that is asked for, on a busy computer."""
+_QUICKEST = 0.2
+"""Least time from one decision to the next for a raw command, as a part of the period."""
+_PICTURES_S = 0.2
+_RECENT = 1000
+_STAND = np.zeros(2)
+
+
+class SafetyFilterNode(LidarVelocityNode):
+    """Lets velocity commands through as far as the robot can still stop without contact, and changes them else.
+
+    Subscribes to cmd_vel_raw, scan and odom; publishes cmd_vel, ~/status, ~/set and ~/escape. Without a recent raw
+    command, scan and odometry the robot stands still.
+    """
+
+    PARAMETERS: ClassVar[tuple[Parameter, ...]] = FILTER_PARAMETERS
+    _filter: SafetyFilter | None = None
+
+    def __init__(self) -> None:
+        super().__init__("safety_filter")
+        value = self.settings
+        model = find_model(value["robot"])
+        options = FilterOptions(
+            period=_JITTER * value["control_period"],
+            mover_speed=value["mover_speed"],
+            mover_acceleration=value["mover_acceleration"],
+            standing_time=value["standing_time"],
+            hysteresis=value["hysteresis"],
+            unblock_after=value["unblock_after"],
+            occluded_movers=value["occluded_movers"],
+        )
+        warm_up(model, options)
+        self._filter = SafetyFilter(model, options)
+        self._odometry = OdometryInput(max(model.speed, model.reverse_speed), self.timeout)
+        self.set_limits(*model.limits)
+        self._faults_of = {"odometry": "", "scan": "", "raw command": ""}
+        self._raw, self._raw_at = _STAND, -math.inf
+        self._decided_at, self._last_mode = -math.inf, Mode.PASSED
+        self._job: Job[RecoverableSet | None] | None = None
+        self._solved_for: object = None
+        self._counts: Counter[str] = Counter()
+        self._decisions: deque[float] = deque(maxlen=_RECENT)
+        self._solves: deque[float] = deque(maxlen=_RECENT)
+        self._verdict: Verdict | None = None
+        self._told = self.create_publisher(SafetyStatus, "~/status", RESULT)
+        self._set = self.create_publisher(OccupancyGrid, "~/set", LATCHED)
+        self._escape = self.create_publisher(Marker, "~/escape", 1)
+        self._stamped: bool = value["enable_stamped_cmd_vel"]
+        kind = TwistStamped if self._stamped else Twist
+        self._kind = f"geometry_msgs/msg/{kind.__name__}"
+        self.create_timer(value["control_period"], self._tick, clock=self._ages)
+        self.create_timer(_PICTURES_S, self._show, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._commands = self.create_subscription(kind, INPUT, self._on_raw, COMMAND)
+
+    def obstacle_stop(self) -> ObstacleStop:
+        """Return no stop: the certificates keep clear of obstacles."""
+        return ObstacleStop(0.0, 0.0, 1.0, 0.0)
+
+    def reach(self) -> float:
+        """Return the distance from the lidar at which an echo may matter [m]."""
+        return 0.0 if self._filter is None else self._filter.reach + abs(self.settings["lidar_x"])
+
+    def input_fault(self) -> str:
+        """Return why the inputs allow no motion; empty where they do."""
+        return super().input_fault() or next((each for each in self._faults_of.values() if each), "")
+
+    def make_safe(self, command: NDArray[np.float64]) -> tuple[NDArray[np.float64], str]:
+        """Return a command (2,) and why the robot stands where no raw command comes.
+
+        Raises:
+            VelocityError: The inputs allow no motion.
+        """
+        command, problem = super().make_safe(command)
+        return command, problem or self._silence()
+
+    def stopping(self) -> NDArray[np.float64]:
+        """Return the command of the last certified escape, which brakes and may turn."""
+        return _STAND if self._filter is None else self._filter.stopping(self.now())
+
+    def halt(self, problem: str, stamp: Stamp | None = None) -> None:
+        """Let the robot brake, and tell the reason."""
+        super().halt(problem, stamp)
+        if self._filter is not None:
+            now, command = self.now(), self.stopping()
+            self._filter.sent(now, command)
+            self._counts["waiting"] += 1
+            self._tell(command, SafetyStatus.WAITING, problem)
+
+    def on_odometry(self, message: Odometry) -> None:
+        """Keep pose and speeds; after a jump of the frame nothing is known."""
+        if self._filter is None:
+            return
+        now, clock = self.now(), self.get_clock().now().nanoseconds
+        try:
+            jumped = self._odometry.update(message, now, clock)
+        except (SafetyError, TransformError) as error:
+            self._faults_of["odometry"] = str(error)
+            return
+        self._faults_of["odometry"] = ""
+        if jumped:
+            self._filter.forget()
+
+    def on_scan(self, message: LaserScan, _ranges: NDArray[np.float32], scan: ScanGeometry) -> None:
+        """Keep the echoes, and begin to solve the set of the last scan where none is in work."""
+        view = self._safety.view
+        if self._filter is None or view is None:
+            return
+        now, clock = self.now(), self.get_clock().now().nanoseconds
+        stamp = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+        try:
+            check_count(message.angle_max - message.angle_min, scan)
+            age = age_of("scan", stamp, clock, self.timeout)
+            self._filter.see(now, self._odometry.pose_at(stamp), view.points, age)
+        except (SafetyError, TransformError) as error:
+            self._faults_of["scan"] = str(error)
+            return
+        self._faults_of["scan"] = ""
+        self._solve()
+
+    def status(self) -> Status:
+        """Return what the filter does, and how long it takes."""
+        level, message, figures = super().status()
+        figures = {**figures, **{mode.name.lower(): self._counts[mode.name] for mode in Mode}}
+        figures |= {"waiting": self._counts["waiting"], "changes": self._counts["changes"]}
+        figures |= {"odometry jumps": self._odometry.jumps, "sets solved": self._counts["sets"]}
+        for name, times in (("decision", self._decisions), ("set", self._solves)):
+            if times:
+                p50, p99 = np.percentile(times, (50, 99)) * 1e3
+                figures |= {f"{name} p50 [ms]": f"{p50:.2f}", f"{name} p99 [ms]": f"{p99:.2f}"}
+        wrong = self.publishers_of_other_types(self._commands.topic_name, self._kind)
+        if wrong:
+            return warn(f"{', '.join(wrong)} is ignored: set enable_stamped_cmd_vel to match it", **figures)
+        return level, message, figures
+
+    def _on_raw(self, message: TwistStamped | Twist) -> None:
+        twist = message.twist if isinstance(message, TwistStamped) else message
+        raw = np.array((twist.linear.x, twist.angular.z))
+        if not np.isfinite(raw).all():
+            self._faults_of["raw command"] = f"raw command of {raw[0]} m/s and {raw[1]} rad/s"
+            self._tick()
+            return
+        self._faults_of["raw command"] = ""
+        now = self.now()
+        self._raw, self._raw_at = raw, now
+        if now - self._decided_at >= _QUICKEST * self.settings["control_period"]:
+            self._tick()
+
+    def _silence(self) -> str:
+        """Return that no raw command comes; empty where one does."""
+        if self.now() - self._raw_at <= self.settings["raw_timeout"]:
+            return ""
+        return f"no recent command on {self._commands.topic_name}"
+
+    def _tick(self) -> None:
+        """Answer the raw command that is held."""
+        begin, now = time.perf_counter(), self.now()
+        self._decided_at = now
+        self._take_set()
+        assert self._filter is not None  # the timer begins after it
+        problem = self.input_fault()
+        if not problem and self._filter.obstacles is None:
+            problem = "waiting for a scan"
+        if problem:
+            self.halt(problem)
+            return
+        raw = _STAND if self._silence() else self._raw
+        verdict = self._filter.decide(now, self._odometry.reading(now), raw)
+        try:
+            sent = self.drive(verdict.command)
+        except VelocityError as error:
+            self.halt(str(error))
+            return
+        self._filter.sent(now, sent)
+        self._decisions.append(time.perf_counter() - begin)
+        self._verdict = verdict
+        self._counts[verdict.mode.name] += 1
+        self._counts["changes"] += (verdict.mode is Mode.PASSED) != (self._last_mode is Mode.PASSED)
+        self._last_mode = verdict.mode
+        self._tell(sent, int(verdict.mode), self._silence() or WHY[verdict.mode], verdict)
+
+    def _tell(self, sent: NDArray[np.float64], mode: int, why: str, verdict: Verdict | None = None) -> None:
+        out = SafetyStatus(mode=mode, why=why, margin=math.nan, value=math.nan)
+        out.header.stamp, out.header.frame_id = self.get_clock().now().to_msg(), self._odometry.frame
+        out.raw_speed, out.raw_turn_rate = self._raw.tolist()
+        out.speed, out.turn_rate = sent.tolist()
+        out.scan_age = self.age("scan")
+        if verdict is not None:
+            out.margin, out.value = verdict.margin, verdict.value
+        self._told.publish(out)
+
+    def _solve(self) -> None:
+        """Begin to solve the set of the last scan in a thread, unless one is in work."""
+        if self._job is None and self._filter is not None and self._filter.obstacles is not self._solved_for:
+            self._solved_for = self._filter.obstacles
+            solve, begin = self._filter.solve, time.perf_counter()
+
+            def work(_job: Job[RecoverableSet | None]) -> RecoverableSet | None:
+                found = solve()
+                self._solves.append(time.perf_counter() - begin)
+                return found
+
+            self._job = start_job(work)
+
+    def _take_set(self) -> None:
+        """Use the set that is ready, and begin the next one."""
+        job = self._job
+        if job is None or not job.finished.is_set():
+            return
+        self._job = None
+        if job.error is not None:
+            raise job.error
+        if self._filter is not None and self._filter.obstacles is not None:
+            self._filter.use(job.result)
+            self._counts["sets"] += 1
+        self._solve()
+
+    def _show(self) -> None:
+        """Publish the pictures."""
+        verdict, safety = self._verdict, self._filter
+        if verdict is None or safety is None:
+            return
+        stamp, frame = self.get_clock().now().to_msg(), self._odometry.frame
+        found, state = safety.recoverable, verdict.state
+        if found is not None:
+            self._set.publish(slice_message(found, float(state[2]), float(state[3]), stamp, frame))
+        if self._escape.get_subscription_count():
+            width = 2.0 * safety.model.radius
+            self._escape.publish(escape_marker(safety.escape(verdict), verdict.mode, width, stamp, frame))
+
+
+def main() -> int:
+    """Entry point of `ros2 run ctrl_rl_safety safety_filter`."""
+    return run_node(SafetyFilterNode)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,131 @@
+"""A robot in a square room for the node's tests: it follows cmd_vel, and sends odometry and scans with faults."""
+
+import math
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import rclpy
+from ctrl_rl_core.ros.node import COMMAND, LATCHED, float32_array, to_stamp
+from geometry_msgs.msg import TwistStamped
+from nav_msgs.msg import OccupancyGrid, Odometry
+from sensor_msgs.msg import LaserScan
+from visualization_msgs.msg import Marker
+
+from ctrl_rl_msgs.msg import SafetyStatus
+
+HALF = 0.7
+"""Half the side of the room [m]."""
+_BEAMS = 180
+_STEP, _SCAN_S = 0.02, 0.1
+
+
+class Room:
+    """The robot, its room, and whoever sends raw commands.
+
+    Attributes:
+        raw: Raw command that is sent all the time; None for none.
+        scan: Changes a scan before it is sent; returns None for none.
+        odometry: The same for odometry.
+        commands: Commands that arrived at the robot.
+        told: Messages of the filter.
+    """
+
+    def __init__(self) -> None:
+        self.node = rclpy.create_node("room")
+        self.raw: tuple[float, float] | None = (0.0, 0.0)
+        self.scan: Callable[[LaserScan], LaserScan | None] = lambda scan: scan
+        self.odometry: Callable[[Odometry], Odometry | None] = lambda odometry: odometry
+        self.state, self.command = np.zeros(3), (0.0, 0.0)
+        self.commands: list[tuple[float, float]] = []
+        self.told: list[SafetyStatus] = []
+        self.sets: list[OccupancyGrid] = []
+        self.escapes: list[Marker] = []
+        self._stepped = self._scanned = time.monotonic()
+        make, listen = self.node.create_publisher, self.node.create_subscription
+        self._scans, self._odometry = make(LaserScan, "scan", 5), make(Odometry, "odom", 10)
+        self._raw = make(TwistStamped, "cmd_vel_raw", COMMAND)
+        listen(TwistStamped, "cmd_vel", self._on_command, COMMAND)
+        listen(SafetyStatus, "safety_filter/status", self.told.append, 100)
+        listen(OccupancyGrid, "safety_filter/set", self.sets.append, LATCHED)
+        listen(Marker, "safety_filter/escape", self.escapes.append, 1)
+
+    @property
+    def gap(self) -> float:
+        """Distance from the robot's middle to the nearest wall [m]."""
+        return HALF - float(np.abs(self.state[:2]).max())
+
+    def send_raw(self, v: float, omega: float) -> None:
+        message = TwistStamped()
+        message.header.stamp = self.node.get_clock().now().to_msg()
+        message.twist.linear.x, message.twist.angular.z = v, omega
+        self._raw.publish(message)
+
+    def until(self, fits: Callable[[], bool], timeout: float = 120.0) -> None:
+        """Go on until something fits."""
+        deadline = time.monotonic() + timeout
+        while not fits():
+            self._step()
+            rclpy.spin_once(self.node, timeout_sec=0.005)
+            assert time.monotonic() < deadline, (self.told[-1:], self.command, self.state)
+
+    def until_told(self, mode: int, why: str = "") -> SafetyStatus:
+        """Go on until the filter tells a mode anew, with some words in its reason."""
+        self.told.clear()
+        self.until(lambda: any(each.mode == mode and why in each.why for each in self.told))
+        return next(each for each in self.told if each.mode == mode and why in each.why)
+
+    def _on_command(self, message: TwistStamped) -> None:
+        self.command = message.twist.linear.x, message.twist.angular.z
+        self.commands.append(self.command)
+
+    def _step(self) -> None:
+        now = time.monotonic()
+        passed = now - self._stepped
+        if passed < _STEP:
+            return
+        self._stepped = now
+        v, omega = self.command
+        x, y, theta = self.state
+        self.state = np.array(
+            (x + v * math.cos(theta) * passed, y + v * math.sin(theta) * passed, theta + omega * passed)
+        )
+        stamp = self.node.get_clock().now().to_msg()
+        if self.raw is not None:
+            self.send_raw(*self.raw)
+        odometry = Odometry(child_frame_id="base_footprint")
+        odometry.header.stamp, odometry.header.frame_id = stamp, "odom"
+        odometry.pose.pose.position.x, odometry.pose.pose.position.y = self.state[:2].tolist()
+        turn = 0.5 * float(self.state[2])
+        odometry.pose.pose.orientation.z, odometry.pose.pose.orientation.w = math.sin(turn), math.cos(turn)
+        odometry.twist.twist.linear.x, odometry.twist.twist.angular.z = v, omega
+        _publish(self._odometry, self.odometry(odometry))
+        if now - self._scanned >= _SCAN_S:
+            self._scanned = now
+            _publish(self._scans, self.scan(self._look(stamp)))
+
+    def _look(self, stamp: Any) -> LaserScan:
+        bearings = np.arange(_BEAMS) * (2.0 * math.pi / _BEAMS)
+        c, s = np.cos(bearings + self.state[2]), np.sin(bearings + self.state[2])
+        with np.errstate(divide="ignore"):
+            ranges = np.minimum(
+                (HALF - np.sign(c) * self.state[0]) / np.abs(c), (HALF - np.sign(s) * self.state[1]) / np.abs(s)
+            )
+        out = LaserScan(range_min=0.1, range_max=5.0, angle_increment=2.0 * math.pi / _BEAMS)
+        out.angle_max = float(bearings[-1])
+        out.header.stamp, out.header.frame_id = stamp, "base_scan"
+        out.ranges = float32_array(ranges)
+        return out
+
+
+def _publish(publisher: Any, message: Any) -> None:
+    if message is not None:
+        publisher.publish(message)
+
+
+def shifted(message: Any, seconds: float) -> Any:
+    """Return a message stamped earlier or later [s]."""
+    stamp = message.header.stamp
+    message.header.stamp = to_stamp(stamp.sec * 10**9 + stamp.nanosec + round(1e9 * seconds))
+    return message
