@@ -130,14 +130,15 @@ def test_no_arrow_between_rooms_runs_in_a_circle() -> None:
 def runs_on_a_robot(file: Path) -> bool:
     """Tell whether a robot needs a file: learning and the commands that start it are for other machines."""
     package, *rooms = file.relative_to(ROOT).parts[1:]
-    return package not in METHODS or not {"training", "cli"} & set(rooms)
+    return package not in METHODS or not {"training", "trials", "cli"} & set(rooms)
 
 
 def test_what_runs_on_a_robot_imports_no_training_and_no_simulation() -> None:
     for package in METHODS:
         for file in filter(runs_on_a_robot, sources(package)):
             imported = modules_imported(file)
-            above = {name for name in imported if name.startswith((f"{package}.training", f"{package}.cli"))}
+            rooms = tuple(f"{package}.{room}" for room in ("training", "trials.", "cli"))
+            above = {name for name in imported if name.startswith(rooms)}
             assert not above, f"{file.relative_to(ROOT)} imports {sorted(above)}"
 
 

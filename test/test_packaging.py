@@ -75,7 +75,7 @@ def third_party(package: str) -> set[str]:
     """Return the modules that a robot's part of a package imports from outside ROS, this workspace and Python."""
     found = set()
     for file in (ROOT / package / package).rglob("*.py"):
-        if package in METHODS and "training" in file.relative_to(ROOT / package).parts:
+        if package in METHODS and {"training", "trials"} & set(file.relative_to(ROOT / package).parts):
             continue
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
             if isinstance(node, ast.Import):

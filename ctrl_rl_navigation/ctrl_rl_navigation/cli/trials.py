@@ -13,10 +13,10 @@ from pathlib import Path
 
 import numpy as np
 from ctrl_rl_core.command import parse_options, run_command
+from ctrl_rl_core.io.outcome_log import OutcomeLog
 from ctrl_rl_core.io.results import Result, read_results, write_results
 
 from ctrl_rl_core import OccupancyMap
-from ctrl_rl_navigation.cli.drive_log import DriveLog
 from ctrl_rl_navigation.cli.goals import GoalMaker
 from ctrl_rl_navigation.cli.nodes import drive_through_nodes
 from ctrl_rl_navigation.cli.outcome import Options, Outcome
@@ -92,12 +92,13 @@ def _say(name: str, number: int, goals: int, outcome: Outcome) -> None:
     print(text, flush=True)
 
 
-def _log(name: str, map_: OccupancyMap, options: Options, engine: str) -> DriveLog:
+def _log(name: str, map_: OccupancyMap, options: Options, engine: str) -> OutcomeLog[Outcome]:
     """Return the drives on a map that were made before."""
     errors = (options.drift, options.position_error, options.heading_error)
     cells = hashlib.sha256(map_.cells.tobytes() + repr((map_.resolution, map_.origin)).encode()).hexdigest()
     settings = {"map": cells, "seed": options.seed, "errors": list(errors), "engine": engine, "ros": options.ros}
-    return DriveLog(options.folder / f"{_method(name, options, engine).replace(', ', '-')}.jsonl", settings)
+    file = options.folder / f"{_method(name, options, engine).replace(', ', '-')}.jsonl"
+    return OutcomeLog(file, settings, Outcome, NavigationError)
 
 
 def _method(name: str, options: Options, engine: str) -> str:

@@ -1,0 +1,148 @@
+"""The command `trials`: episodes with and without the filter, counted."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from ctrl_rl_core.command import (
+    FolderToWrite,
+    NotNegative,
+    OptionalFileToWrite,
+    Positive,
+    parse_options,
+    run_command,
+    some_of,
+)
+from ctrl_rl_core.io.outcome_log import OutcomeLog
+from ctrl_rl_core.io.results import Result, read_experiment, write_results
+from ctrl_rl_core.policies.policy import shipped_policies
+from tqdm import tqdm
+
+from ctrl_rl_safety.errors import SafetyError
+from ctrl_rl_safety.trials.episodes import ADVERSARIES, GUARDS, Cell, Player, TrialOutcome, task_of
+from ctrl_rl_safety.trials.worlds import PLACES
+
+_ROBOTS = ("turtlebot3_burger", "turtlebot2")
+_EXPERIMENT = "safety_filter"
+
+
+@dataclass(frozen=True)
+class Options:
+    """Drives a simulated robot by adversaries and by policies, with and without the safety filter, and counts contacts.
+
+    A contact is avoidable where the robot moves, or touches something that stands. A mover that runs into a robot that
+    stands is counted apart. Exits with 1 where a robot behind the filter had an avoidable one.
+    """
+
+    sources: tuple[str, ...] = ADVERSARIES
+    """Adversaries (full_speed, random), and policies: names of shipped ones, or POLICY@TASK for another task."""
+    episodes: Positive = 125
+    """Number of episodes of each source, place, robot and guard."""
+    seed: NotNegative = 0
+    """Seed of the first episode; the others follow."""
+    guards: Annotated[tuple[str, ...], some_of(GUARDS)] = ("none", "filter")
+    """Between source and robot: nothing, the filter, or (mismatch) the filter before a robot with 10 % less braking and
+    30 ms more delay than the filter assumes."""
+    places: Annotated[tuple[str, ...], some_of(PLACES)] = PLACES
+    """Rooms of adversaries: boxes that stand, or also two movers of up to 0.4 m/s."""
+    robots: Annotated[tuple[str, ...], some_of(_ROBOTS)] = _ROBOTS
+    """Robots of adversaries."""
+    engine: Literal["planar", "pybullet", "mujoco"] = "planar"
+    """Physics engine."""
+    folder: FolderToWrite = Path("runs/safety_filter")
+    """Folder that keeps the episodes: after an interruption trials go on where they were."""
+    results: OptionalFileToWrite = None
+    """JSON file for the results; rows of other methods that it has are kept."""
+
+
+def cells_of(options: Options) -> list[Cell]:
+    """Return the cells of trials, those of one source side by side.
+
+    Raises:
+        SafetyError: A source is unknown.
+    """
+    out = []
+    for source in options.sources:
+        if source in ADVERSARIES:
+            places = [(place, robot) for place in options.places for robot in options.robots]
+        else:
+            source, _, task = source.partition("@")
+            if source not in shipped_policies() and not Path(source).suffix:
+                known = ", ".join((*ADVERSARIES, *shipped_policies()))
+                raise SafetyError(f"no source '{source[:60]}': there are {known}, or give a policy's file")
+            places = [(task or task_of(Path(source).stem), "")]
+        out += [Cell(source, *place, guard) for place in places for guard in options.guards]
+    return out
+
+
+def rows_of(method: str, outcomes: Sequence[TrialOutcome], bare: Sequence[TrialOutcome] = ()) -> list[Result]:
+    """Return the rows of a cell.
+
+    Args:
+        method: Name of the cell.
+        outcomes: Episodes of the cell.
+        bare: Episodes of the same seeds without a filter; the time lost is that of pairs that both reach the goal.
+    """
+    figures: dict[str, list[float]] = {
+        "avoidable collisions": [float(each.avoidable) for each in outcomes],
+        "run into while standing": [float(each.run_into) for each in outcomes],
+        "commands changed": [each.changed for each in outcomes],
+        "distance": [each.distance for each in outcomes],
+    }
+    if any(each.succeeded for each in (*outcomes, *bare)):
+        figures["success"] = [float(each.succeeded) for each in outcomes]
+        pairs = [(one, other) for one, other in zip(outcomes, bare, strict=False) if one.succeeded and other.succeeded]
+        figures["time lost"] = [one.seconds / other.seconds - 1.0 for one, other in pairs]
+    return [Result(method, name, "m" if name == "distance" else "1", each) for name, each in figures.items() if each]
+
+
+def _finished(cell: Cell, options: Options, bar: tqdm[Any]) -> list[TrialOutcome]:
+    """Return the outcomes of a cell, and play what is missing."""
+    player = Player(cell, options.engine)
+    name = re.sub(r"\W+", "-", f"{cell.method}-{options.engine}")
+    settings = {"cell": cell.method, "engine": options.engine, "seed": options.seed, "terms": player.terms}
+    log = OutcomeLog(options.folder / f"{name}.jsonl", settings, TrialOutcome, SafetyError)
+    bar.set_postfix_str(cell.method)
+    bar.update(min(len(log.outcomes), options.episodes))
+    for seed in range(options.seed + len(log.outcomes), options.seed + options.episodes):
+        log.add(player.play(seed))
+        bar.update()
+    return log.outcomes[: options.episodes]
+
+
+def _work(options: Options) -> int:
+    cells = cells_of(options)
+    outcomes: dict[Cell, list[TrialOutcome]] = {}
+    suffix = "" if options.engine == "planar" else f", {options.engine}"
+    with tqdm(total=len(cells) * options.episodes, unit="episode", disable=None) as bar:
+        for cell in sorted(cells, key=lambda each: each.guard != "none"):  # the time lost is counted from these
+            outcomes[cell] = _finished(cell, options, bar)
+            bare = outcomes.get(replace(cell, guard="none"), [])
+            rows = rows_of(cell.method + suffix, outcomes[cell], bare if cell.guard != "none" else ())
+            with bar.external_write_mode():
+                figures = ", ".join(f"{row.metric} {np.mean(row.values):.3f}" for row in rows)
+                print(f"{cell.method}: {figures}", flush=True)
+            if options.results is not None:
+                write_results(options.results, _EXPERIMENT, [options.seed], _with_others(options.results, rows))
+    hit = sum(each.avoidable for cell, played in outcomes.items() for each in played if cell.guard == "filter")
+    print(f"{hit} avoidable collisions behind the filter")
+    return 0 if hit == 0 else 1
+
+
+def _with_others(path: Path, rows: list[Result]) -> list[Result]:
+    """Return the rows with those of other methods that a results file has already."""
+    before = read_experiment(path) if path.exists() else None
+    ours = {row.method for row in rows}
+    kept = [row for row in (before.rows if before else []) if row.method not in ours]
+    return [*(Result(row.method, row.metric, row.unit, row.values) for row in kept), *rows]
+
+
+def main() -> int:
+    """Entry point of `ros2 run ctrl_rl_safety trials`."""
+    options = parse_options("trials", Options)
+    return run_command("trials", lambda: _work(options))

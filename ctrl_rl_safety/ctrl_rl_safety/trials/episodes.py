@@ -1,0 +1,182 @@
+"""One episode of a trial: who commands, where, which robot, and what stands between them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from ctrl_rl_core.policies.policy import Policy
+
+from ctrl_rl_core import (
+    NavigationTask,
+    Outcome,
+    find_policy,
+    load_navigation_task,
+    load_policy,
+    task_digest,
+    task_names,
+)
+from ctrl_rl_safety.errors import SafetyError
+from ctrl_rl_safety.filter.safety_filter import SafetyFilter
+from ctrl_rl_safety.filter.verdict import FilterOptions
+from ctrl_rl_safety.models.robot_model import ROBOTS, RobotModel
+from ctrl_rl_safety.trials.robot import MOTOR_LAG, TICK, TrialRobot
+from ctrl_rl_safety.trials.sources import Driver, FullSpeed, Random, Source
+from ctrl_rl_safety.trials.worlds import PLACES, room, with_whole_scan
+from sim_bridge import SimulatedWorld, SimulationOptions
+
+ADVERSARIES = ("full_speed", "random")
+GUARDS = {"none": "no filter", "filter": "filter", "mismatch": "filter, robot off its model"}
+"""Names in results; with `mismatch` the robot has 10 % less braking and 30 ms more delay than the filter assumes."""
+_LESS_BRAKING, _MORE_DELAY = 0.9, 0.03
+CAR = RobotModel("car", 0.177, 2.0, 0.8, 0.5, 2.7, 2.7, 3.0, 0.05, 0.0, 0.03, 0.03, 0.0)
+"""The car of `car_ttr` and `car_navigation`. Its motors have 3.1 m/s^2; what the model leaves is for turns."""
+_OF_TASKS = {"turtlebot2": CAR, "turtlebot3_burger": ROBOTS["turtlebot3_burger"]}
+_RATES = {"planar": 60}
+_RATE = 240
+
+
+@dataclass(frozen=True)
+class Cell:
+    """Episodes that share everything but their seed.
+
+    Attributes:
+        source: An adversary, or the name of a policy.
+        place: One of `worlds.PLACES`, or the name of the policy's task.
+        robot: Robot of an adversary, a key of `ROBOTS`; empty for the one of the task.
+        guard: A key of `GUARDS`.
+    """
+
+    source: str
+    place: str
+    robot: str
+    guard: str
+
+    @property
+    def method(self) -> str:
+        """Name of the cell in results."""
+        own = not self.robot and self.source.startswith(self.place)
+        return ", ".join(
+            each for each in (self.source, "" if own else self.place, self.robot, GUARDS[self.guard]) if each
+        )
+
+
+@dataclass(frozen=True)
+class TrialOutcome:
+    """End of one episode.
+
+    Attributes:
+        seed: Seed of the episode.
+        end: Name of its outcome.
+        seconds: Simulated duration [s].
+        avoidable: Whether it ended by a contact that the robot could have avoided.
+        run_into: Whether it ended by a mover that ran into a robot that stood.
+        changed: Part of the commands that the filter changed.
+        distance: Way driven [m].
+    """
+
+    seed: int
+    end: str
+    seconds: float
+    avoidable: bool
+    run_into: bool
+    changed: float
+    distance: float
+
+    @property
+    def succeeded(self) -> bool:
+        """Whether the robot reached its goal."""
+        return self.end == Outcome.GOAL.name
+
+
+def task_of(policy: str) -> str:
+    """Return the task that a policy's name begins with.
+
+    Raises:
+        SafetyError: There is none.
+    """
+    found = max((task for task in task_names() if policy.startswith(task)), key=len, default="")
+    if not found:
+        raise SafetyError(f"policy '{policy[:60]}' does not begin with the name of a task")
+    return found
+
+
+class Player:
+    """Plays the episodes of a cell."""
+
+    def __init__(self, cell: Cell, engine: str) -> None:
+        """Load what all episodes need.
+
+        Args:
+            cell: Who commands, where, which robot, and with which guard.
+            engine: Physics engine, one of `sim_bridge.ENGINES`.
+
+        Raises:
+            CtrlRlError: There is no such policy, task or robot, or the policy is for another kind of robot.
+        """
+        self._cell = cell
+        self._options = SimulationOptions(engine=engine, rate=_RATES.get(engine, _RATE), motor_lag=MOTOR_LAG)
+        self._policy: Policy | None = None
+        self._task: NavigationTask | None = None
+        if cell.place in PLACES:
+            self._model = ROBOTS[cell.robot]
+        else:
+            self._task = with_whole_scan(load_navigation_task(cell.place))
+            if self._task.plane != "xy":
+                raise SafetyError(f"task '{cell.place}' flies: the filter is for robots on wheels")
+            self._model = _OF_TASKS[self._task.robot.body]
+        if cell.source not in ADVERSARIES:
+            self._policy = load_policy(find_policy(cell.source))
+            if self._policy.robot != "differential_drive":
+                raise SafetyError(
+                    f"policy '{cell.source}' is for a {self._policy.robot}: give one of a robot on wheels"
+                )
+
+    @property
+    def terms(self) -> list[str]:
+        """What its episodes depend on, as text: another robot or task makes them others."""
+        return [repr(self._model), "" if self._task is None else task_digest(self._task)]
+
+    def play(self, seed: int) -> TrialOutcome:
+        """Return the end of the episode of a seed; odd ones of adversaries go without the recoverable set."""
+        cell, model = self._cell, self._model
+        task = self._task or room(cell.place, model.name, model, seed)
+        world = SimulatedWorld(task, seed, options=self._options)
+        try:
+            robot = self._robot(world, seed)
+            source = self._source(task, seed)
+            while not robot.over:
+                robot.drive(*source.command(world))
+            return TrialOutcome(
+                seed,
+                world.episode().outcome.name,
+                round(world.elapsed, 4),
+                robot.avoidable,
+                robot.run_into,
+                robot.changed / robot.ticks,
+                round(robot.distance, 4),
+            )
+        finally:
+            world.close()
+
+    def _robot(self, world: SimulatedWorld, seed: int) -> TrialRobot:
+        model, guard, base = self._model, self._cell.guard, self._model
+        if guard == "mismatch":
+            base = replace(model, braking=_LESS_BRAKING * model.braking, delay=model.delay + _MORE_DELAY)
+        fastest = max((_fastest(each) for each in world.task.movers), default=0.0)
+        safety = None
+        if guard != "none":
+            safety = SafetyFilter(model, FilterOptions(period=TICK, mover_speed=fastest))
+        return TrialRobot(world, base, safety, with_set=self._policy is not None or seed % 2 == 0)
+
+    def _source(self, task: NavigationTask, seed: int) -> Source:
+        if self._policy is not None:
+            return Driver(self._policy, task)
+        return FullSpeed(self._model) if self._cell.source == ADVERSARIES[0] else Random(self._model, seed)
+
+
+def _fastest(mover: object) -> float:
+    """Return the largest speed of a mover of a task [m/s]."""
+    way = getattr(mover, "track", None) or getattr(mover, "wander", None)
+    if way is None:
+        raise SafetyError("a mover by key frames has no bound on its speed: give a task without one")
+    return float(way.speed.high)

@@ -1,0 +1,76 @@
+"""Random rooms for adversaries, and the tasks of policies with a lidar that a filter can use."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from ctrl_rl_core.geometry.units import Interval
+from ctrl_rl_core.tasks.schema.robot import BODIES
+
+from ctrl_rl_core import NavigationTask
+from ctrl_rl_safety.models.robot_model import RobotModel
+
+PLACES = ("boxes", "movers")
+MOVER_SPEED = 0.4
+"""Largest speed of movers, which the filter is told [m/s]."""
+_HALVES = {"boxes": (2.5, 2.0), "movers": (3.0, 2.5)}
+_BOXES = {"boxes": 9, "movers": 6}
+_MOVERS = {"boxes": 0, "movers": 2}
+_LIDAR = {"beams": 360, "field": "0.0 .. 360.0 deg", "range": "0.1 .. 8.0 m", "rate": "10.0 Hz", "noise": "0.01 m"}
+_LONGEST_S = 20.0
+
+
+def room(place: str, body: str, model: RobotModel, seed: int) -> NavigationTask:
+    """Return a room with random boxes, and with two wanderers where there are movers.
+
+    Args:
+        place: One of `PLACES`.
+        body: Body of the robot, one of those of task files.
+        model: Constants that bound its commands.
+        seed: Seed of the boxes.
+    """
+    random, half = np.random.default_rng((seed, 7)), _HALVES[place]
+    boxes: list[dict[str, Any]] = []
+    while len(boxes) < _BOXES[place]:
+        x, y = random.uniform(-half[0], half[0]), random.uniform(-half[1], half[1])
+        if np.hypot(x, y) < BODIES[body].radius + 0.65:  # the robot starts in the middle
+            continue
+        sides = random.uniform(0.15, 0.6, 2)
+        size = f"({sides[0]:.3f}, {sides[1]:.3f}) m"
+        boxes.append({"box": {"centre": f"({x:.3f}, {y:.3f}) m", "size": size}})
+    wander = {"radius": "0.2 m", "wander": {"points": 12, "speed": f"0.1 .. {MOVER_SPEED} m/s"}}
+    content = {
+        "name": f"room_of_{place}",
+        "kind": "navigation",
+        "about": "A robot that an adversary drives in a room.",
+        "source": "drawn from a seed",
+        "system": {"model": "dubins_car"},
+        "robot": {
+            "body": body,
+            "commands": {
+                "v": f"{-model.reverse_speed} .. {model.speed} m/s",
+                "omega": f"{-model.turn_rate} .. {model.turn_rate} rad/s",
+            },
+        },
+        "arena": {"x": f"{-half[0]} .. {half[0]} m", "y": f"{-half[1]} .. {half[1]} m", "wall_thickness": "0.1 m"},
+        "start": {"x": "0.0 m", "y": "0.0 m", "theta": "-180.0 .. 180.0 deg"},
+        "goal": {"x": "100.0 m"},
+        "obstacles": boxes,
+        "movers": [wander] * _MOVERS[place],
+        "episode": {"steps": round(_LONGEST_S / 0.2), "time_step": "0.2 s"},
+        "rewards": {"goal": 0, "collision": 0},
+        "lidar": _LIDAR,
+    }
+    return NavigationTask.model_validate(content)
+
+
+def with_whole_scan(task: NavigationTask) -> NavigationTask:
+    """Return a task whose lidar looks all around with 360 beams: the filter must see what it is to avoid.
+
+    A policy of fewer beams takes them from those at its own bearings.
+    """
+    around = {"beams": 360, "field": Interval(-np.pi, np.pi), "placement": "edges"}
+    if task.lidar.beams >= around["beams"]:  # type: ignore[operator]
+        return task
+    return task.model_copy(update={"lidar": task.lidar.model_copy(update={**around, "noise": 0.01})})

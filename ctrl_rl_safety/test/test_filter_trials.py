@@ -1,0 +1,86 @@
+"""The command that counts contacts: what it counts, how it goes on, and what it refuses."""
+
+import dataclasses
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from ctrl_rl_core.io.results import read_results
+from ctrl_rl_safety.trials.command import main
+from ctrl_rl_safety.trials.robot import MOTOR_LAG, TrialRobot
+from ctrl_rl_safety.trials.worlds import room
+
+from ctrl_rl_safety import ROBOTS, FilterOptions, SafetyFilter
+from sim_bridge import SimulatedWorld, SimulationOptions
+
+pytest.importorskip("tyro")
+MODEL = ROBOTS["turtlebot2"]
+SETTINGS = SimulationOptions(engine="planar", rate=60, motor_lag=MOTOR_LAG)
+
+
+def run(monkeypatch: pytest.MonkeyPatch, *words: object) -> int:
+    monkeypatch.setattr(sys, "argv", ["trials", *map(str, words)])
+    return main()
+
+
+def test_it_counts_contacts_goes_on_and_keeps_other_rows(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    results = tmp_path / "out" / "safety_filter.json"
+    words = ("--sources", "full_speed", "--places", "boxes", "--robots", "turtlebot2", "--folder", tmp_path / "runs")
+    assert run(monkeypatch, *words, "--episodes", 1, "--results", results) == 0
+    assert run(monkeypatch, *words, "--episodes", 2, "--guards", "none", "--results", results) == 0
+    (experiment,) = read_results(results.parent)
+    contacts = {row.method: row.values for row in experiment.rows if row.metric == "avoidable collisions"}
+    assert contacts == {
+        "full_speed, boxes, turtlebot2, filter": [0.0],
+        "full_speed, boxes, turtlebot2, no filter": [1.0, 1.0],
+    }
+    log = tmp_path / "runs" / "full_speed-boxes-turtlebot2-no-filter-planar.jsonl"
+    assert len(log.read_text().splitlines()) == 3
+    assert run(monkeypatch, *words, "--seed", 5, "--episodes", 1) == 1
+    assert "has drives with other settings" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        (("--sources", "nobody"), "no source 'nobody': there are full_speed, random"),
+        (("--sources", "quad_ttr"), "task 'quad_ttr' flies: the filter is for robots on wheels"),
+        (("--sources", "car_ttr@quad_trap"), "task 'quad_trap' flies"),
+    ],
+)
+def test_what_cannot_be_driven_is_one_line(
+    words: tuple[str, ...],
+    reason: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert run(monkeypatch, *words, "--episodes", 1, "--folder", tmp_path / "runs") == 1
+    assert reason in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_the_base_moves_by_its_model_whatever_the_physics_engine_would_do() -> None:
+    slow = dataclasses.replace(MODEL, acceleration=0.5, braking=0.5, delay=0.2)
+    world = SimulatedWorld(room("boxes", MODEL.name, MODEL, 1), 1, options=SETTINGS)
+    robot = TrialRobot(world, slow, None)
+    robot.drive(np.array((0.7, 0.0)), 0.2)
+    assert world.velocity()[0] == pytest.approx(0.0, abs=1e-3)
+    robot.drive(np.array((0.7, 0.0)), 0.5)
+    assert world.velocity()[0] == pytest.approx(0.25, abs=0.01)
+    world.close()
+
+
+def test_a_mover_that_runs_into_a_robot_that_stands_is_no_fault_of_the_filter() -> None:
+    outcomes = set()
+    for seed in range(6):
+        world = SimulatedWorld(room("movers", MODEL.name, MODEL, seed), seed, options=SETTINGS)
+        robot = TrialRobot(world, MODEL, SafetyFilter(MODEL, FilterOptions(mover_speed=0.4)), with_set=False)
+        while not robot.over:
+            robot.drive(np.zeros(2), 1.0)
+        assert not robot.avoidable
+        outcomes.add(robot.run_into)
+        world.close()
+    assert True in outcomes
