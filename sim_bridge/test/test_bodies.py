@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 from ctrl_rl_core.tasks.regions import wrap
+from ctrl_rl_core.tasks.schema.robot import RobotSpec
 
 from ctrl_rl_core import load_navigation_task
 
@@ -68,6 +69,19 @@ def test_turtlebot2_obeys_the_bounds_of_its_task(simulate):
     world.step(240)
     assert world.velocity(0)[0] == pytest.approx(2.0, rel=0.02)
     assert world.velocity(0)[2] == pytest.approx(0.5, rel=0.02)
+
+
+def test_jackal_drives_and_turns_as_commanded_in_every_engine(simulate, make_room, engine):
+    commands = {"v": "-0.5 .. 2.0 m/s", "omega": "-4.0 .. 4.0 rad/s"}
+    task = make_room().model_copy(update={"robot": RobotSpec.model_validate({"body": "jackal", "commands": commands})})
+    ends = []
+    for name in (engine, "planar"):
+        world = simulate(task, engine=name)
+        world.command(0, (1.0, 1.0))
+        world.step(world.options.rate)
+        ends.append(world.pose(0))
+        assert world.velocity(0)[[0, 2]] == pytest.approx((1.0, 1.0), abs=0.03)
+    assert ends[0] == pytest.approx(ends[1], abs=0.08)  # less than 0.1 s of driving
 
 
 def test_quadrotor_in_free_flight_follows_eq_3_10(simulate):

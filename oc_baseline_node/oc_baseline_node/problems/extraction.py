@@ -15,7 +15,12 @@ from ctrl_rl_core import SYSTEM_MODELS, NavigationTask
 from oc_baseline_node.errors import OcError
 from oc_baseline_node.problems.problem import Form, OptimalControlProblem, formulate
 
-ROBOT_TYPES: Mapping[str, str] = {"turtlebot3_burger": "car", "turtlebot2": "car", "planar_quadrotor": "quadrotor"}
+ROBOT_TYPES: Mapping[str, str] = {
+    "turtlebot3_burger": "car",
+    "turtlebot2": "car",
+    "jackal": "car",
+    "planar_quadrotor": "quadrotor",
+}
 """Robot type by body."""
 CANDIDATES: Mapping[str, tuple[str, ...]] = {
     "car": ("dubins_car", "extended_dubins_car", "bicycle"),

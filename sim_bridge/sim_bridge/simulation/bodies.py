@@ -103,6 +103,16 @@ DRIVES: Mapping[str, DriveParameters] = {
         base_height=0.0102,
         lidar=(0.0, 0.0, 0.300),
     ),
+    "jackal": DriveParameters(
+        urdf="jackal.urdf",
+        wheel_radius=0.098,
+        wheel_separation=0.376,
+        torque=10.0,
+        lag=0.05,
+        bounds=((-2.0, 2.0), (-4.0, 4.0)),
+        base_height=0.0630,
+        lidar=(0.055, 0.0, 0.250),
+    ),
 }
 
 

@@ -32,6 +32,7 @@ class Body:
 BODIES: Mapping[str, Body] = {
     "turtlebot3_burger": Body(0.123, ("v", "omega")),
     "turtlebot2": Body(0.177, ("v", "omega")),
+    "jackal": Body(0.333, ("v", "omega")),
     "planar_quadrotor": Body(0.4191, ("T_1", "T_2")),
 }
 """The bodies that `sim_bridge` has a URDF of."""
@@ -46,7 +47,7 @@ class RobotSpec(Part):
         tilt_limit: Pitch beyond which a flying body counts as crashed [rad].
     """
 
-    body: Literal["turtlebot3_burger", "turtlebot2", "planar_quadrotor"]
+    body: Literal["turtlebot3_burger", "turtlebot2", "jackal", "planar_quadrotor"]
     commands: Annotated[dict[str, Interval], interval_map(COMMAND_UNITS)]
     tilt_limit: Angle | None = None
 
