@@ -26,8 +26,8 @@ STEP = 0.1
 """Time step of a roll-out [s]."""
 HORIZON = 1.6
 """Duration of a roll-out [s]."""
-_HOLDS = (0.2, 0.5, 1.0, HORIZON)
-"""Times for which a candidate holds its command [s]."""
+_HOLDS = (0.125, 0.3125, 0.625, 1.0)
+"""Shares of the roll-out for which a candidate holds its command."""
 _SPEEDS = (0.0, 0.35, 0.7, 1.0)
 _TURNS = (-1.0, -0.7, -0.45, -0.25, -0.1, 0.0, 0.1, 0.25, 0.45, 0.7, 1.0)
 """Shares of the largest speed and turn rate that are tried."""
@@ -46,7 +46,9 @@ class _Rules(NamedTuple):
     turn_rate: float
     acceleration: float
     turn_acceleration: float
-    room: float
+    gap: float
+    half_length: float
+    half_width: float
     delay: float
     braking: float
     ease: float
@@ -97,15 +99,24 @@ def _time_left(times: Any, place: Any, x: float, y: float, theta: float, turn_ra
 
 
 @njit(inline="always")
-def _gap(points: Any, now: Any, x: float, y: float, room: float) -> tuple[float, bool]:
-    """Return the distance to the nearest echo [m], and whether one within the robot's room has come nearer."""
+def _beside(point: Any, time: float, x: float, y: float, c: float, s: float, rules: Any) -> float:
+    """Return the square of an echo's distance to the core of the robot [m^2]: to its rectangle, or to its middle."""
+    dx, dy = point[0] + time * point[2] - x, point[1] + time * point[3] - y
+    along = max(abs(c * dx + s * dy) - rules.half_length, 0.0)
+    aside = max(abs(c * dy - s * dx) - rules.half_width, 0.0)
+    return along * along + aside * aside
+
+
+@njit(inline="always")
+def _gap(points: Any, now: Any, time: float, x: float, y: float, theta: float, rules: Any) -> tuple[float, bool]:
+    """Return the distance to the nearest echo [m], and whether one that is too near has come nearer."""
     least, hit = np.inf, False
+    c, s = math.cos(theta), math.sin(theta)
     for i in range(len(points)):
-        dx, dy = points[i, 0] - x, points[i, 1] - y
-        square = dx * dx + dy * dy
+        square = _beside(points[i], time, x, y, c, s, rules)
         if square < least:
             least = square
-        if square < room * room and math.sqrt(square) < now[i] - _NEARER:
+        if square < rules.gap * rules.gap and math.sqrt(square) < now[i] - _NEARER:
             hit = True
     return math.sqrt(least), hit
 
@@ -122,12 +133,12 @@ def _cost(
     for k in range(rules.steps):
         first = k * rules.step < candidate[2] - 1e-9
         v = _toward(v, candidate[0] if first else rules.speed, rules.acceleration * rules.step)
-        omega = _toward(omega, candidate[1] if first else 0.0, rules.turn_acceleration * rules.step)
+        omega = _toward(omega, candidate[1] if first else candidate[3], rules.turn_acceleration * rules.step)
         if k == 0:  # the robot decides anew after this step, and brakes from its speed at the latest
             committed = v * rules.delay + 0.5 * v * v / rules.braking
         middle = theta + 0.5 * omega * rules.step
         next_x, next_y = x + v * rules.step * math.cos(middle), y + v * rules.step * math.sin(middle)
-        gap, hit = _gap(points, now, next_x, next_y, rules.room)
+        gap, hit = _gap(points, now, (k + 1) * rules.step, next_x, next_y, theta + omega * rules.step, rules)
         if hit:
             if way < committed:
                 return np.inf
@@ -135,7 +146,7 @@ def _cost(
             break
         x, y, theta = next_x, next_y, theta + omega * rules.step
         way += abs(v) * rules.step
-        near = min(max((gap - rules.room) / rules.ease, 0.0), 1.0)
+        near = min(max((gap - rules.gap) / rules.ease, 0.0), 1.0)
         cost += rules.step / (rules.slowest + (1.0 - rules.slowest) * near)
         if math.hypot(x - place.goal_x, y - place.goal_y) <= place.goal_radius:
             value, _ = _time_left(times, place, x, y, theta, rules.turn_rate)
@@ -152,7 +163,7 @@ def _choose(
     """Return the candidate of the least cost, -1 for none that is safe, and that cost [s]."""
     now = np.empty(len(points))
     for i in range(len(points)):
-        now[i] = math.hypot(points[i, 0], points[i, 1])
+        now[i] = math.sqrt(_beside(points[i], 0.0, 0.0, 0.0, 1.0, 0.0, rules))
     best, least = -1, np.inf
     for i in range(len(candidates)):
         cost = _cost(times, place, points, now, rules, motion, candidates[i])
@@ -169,10 +180,12 @@ class Choice:
     Attributes:
         command: Speed [m/s] and turn rate [rad/s] to send now (2,).
         cost: Time to reach the goal that it expects [s]; inf where no command is safe.
+        plan: Speed [m/s] and turn rate [rad/s] that it holds, for how long [s], and the turn rate after that (4,).
     """
 
     command: Array
     cost: float
+    plan: Array
 
 
 class LookAhead:
@@ -183,41 +196,66 @@ class LookAhead:
         period: Time from command to command [s].
         delay: Time from a command to its effect, and until the next one [s].
         deceleration: Deceleration of the robot when it brakes [m/s^2].
+        step: Time step of a roll-out [s].
+        horizon: Duration of a roll-out [s].
+        ease: Additional clearance from which on driving costs no more than its time [m].
+        slowest: Share of the full speed that driving beside an obstacle is counted with.
+        turns_after: Shares of the largest turn rate that are tried after a candidate's command; 0 is straight on.
+        speeds: Shares of the largest speed that are tried; negative ones are backwards.
     """
 
-    def __init__(self, limits: DriveLimits, period: float, delay: float, deceleration: float) -> None:
+    def __init__(
+        self,
+        limits: DriveLimits,
+        period: float,
+        delay: float,
+        deceleration: float,
+        step: float = STEP,
+        horizon: float = HORIZON,
+        ease: float = EASE,
+        slowest: float = SLOWEST,
+        turns_after: tuple[float, ...] = (0.0,),
+        speeds: tuple[float, ...] = _SPEEDS,
+    ) -> None:
         self.limits, self._period = limits, period
         self._rules = _Rules(
             limits.speed,
             limits.turn_rate,
             limits.acceleration,
             limits.turn_acceleration,
-            limits.room,
+            limits.gap,
+            0.5 * limits.length,
+            0.5 * limits.width,
             delay,
             deceleration,
-            EASE,
-            SLOWEST,
-            STEP,
-            round(HORIZON / STEP),
+            ease,
+            slowest,
+            step,
+            round(horizon / step),
         )
         held = [
-            (speed * limits.speed, turn * limits.turn_rate, hold)
-            for speed in _SPEEDS
+            (speed * limits.speed, turn * limits.turn_rate, hold * horizon, after * limits.turn_rate)
+            for speed in speeds
             for turn in _TURNS
             for hold in _HOLDS
-            if turn != 0.0 or hold == HORIZON
+            for after in (turns_after if hold < 1.0 else (0.0,))
+            if turn != after or hold == 1.0
         ]
         self._candidates = np.array(held)
-        self.reach = limits.speed * HORIZON + limits.room + EASE
+        self.reach = limits.speed * horizon + limits.gap + ease + math.hypot(0.5 * limits.length, 0.5 * limits.width)
 
-    def choose(self, value: MapValue, pose: Array, command: Array, points: Array) -> Choice:
+    def choose(self, value: MapValue, pose: Array, command: Array, points: Array, plan: Array | None = None) -> Choice:
         """Return the command to send.
+
+        Where the last choice's plan is given, the rest of it is a candidate too. A robot that waits for a moment as the
+        best plan begins so then goes on with it, and does not begin to wait again and again.
 
         Args:
             value: Time to reach the goal.
             pose: Pose x, y, theta in the map's frame (3,) [m, m, rad].
             command: Command that was sent last (2,) [m/s, rad/s].
-            points: Echoes in the robot's frame (n, 2) [m].
+            points: Echoes in the robot's frame (n, 2) [m], or with their velocities (n, 4) [m, m, m/s, m/s].
+            plan: Plan of the last choice (4,), one period ago; None for none.
         """
         origin = value.map.origin
         dx, dy = value.goal[0] - pose[0], value.goal[1] - pose[1]
@@ -237,10 +275,19 @@ class LookAhead:
             longest_time_beside(value.radius, self.limits),
         )
         near = points[np.hypot(points[:, 0], points[:, 1]) < self.reach]
+        if near.shape[1] == 2:
+            near = np.hstack((near, np.zeros_like(near)))
         motion = (float(command[0]), float(command[1]))
-        best, cost = _choose(value.times, place, np.ascontiguousarray(near), self._rules, motion, self._candidates)
-        wanted = self._candidates[best, :2] if best >= 0 else np.zeros(2)
+        candidates = self._candidates if plan is None else np.vstack((self._candidates, self._rest(plan)))
+        best, cost = _choose(value.times, place, np.ascontiguousarray(near), self._rules, motion, candidates)
         most = np.array((self.limits.acceleration, self.limits.turn_acceleration)) * self._period
         if best < 0:
-            return Choice(np.array((0.0, float(np.clip(0.0, motion[1] - most[1], motion[1] + most[1])))), math.inf)
-        return Choice(np.clip(wanted, command - most, command + most), cost)
+            turn = float(np.clip(0.0, motion[1] - most[1], motion[1] + most[1]))
+            return Choice(np.array((0.0, turn)), math.inf, np.zeros(4))
+        return Choice(np.clip(candidates[best, :2], command - most, command + most), cost, candidates[best])
+
+    def _rest(self, plan: Array) -> Array:
+        """Return what is left of a plan (4,) after one period."""
+        held = plan[2] - self._period
+        horizon = self._rules.step * self._rules.steps
+        return np.array((*plan[:2], held, plan[3]) if held > 1e-9 else (self.limits.speed, plan[3], horizon, 0.0))

@@ -52,16 +52,25 @@ class MapSolver:
         clearance: Distances to obstacles of the map at its cells (rows, columns) [m].
     """
 
-    def __init__(self, map_: OccupancyMap, limits: DriveLimits, slowest: float = SLOWEST) -> None:
+    def __init__(
+        self,
+        map_: OccupancyMap,
+        limits: DriveLimits,
+        slowest: float = SLOWEST,
+        ease: float = EASE,
+        unknown_is_free: bool = False,
+    ) -> None:
         """Prepare what all goals share.
 
         Args:
             map_: Map with the obstacles.
             limits: Size and speed of the robot.
             slowest: Share of the full speed beside an obstacle; 1.0 for the shortest time.
+            ease: Additional clearance from which on the speed is full [m].
+            unknown_is_free: Whether unknown cells and all that lies off the map may be driven through.
         """
-        self.map, self.limits, self._slowest = map_, limits, slowest
-        self.clearance = map_.clearance()
+        self.map, self.limits, self._slowest, self._ease = map_, limits, slowest, ease
+        self.clearance = map_.clearance(unknown_is_free)
 
     def solve(
         self,
@@ -106,14 +115,14 @@ class MapSolver:
 
     def _slowness(self, clearance: NDArray[np.float32]) -> Array:
         """Return the time to cross each cell [s]."""
-        ease = np.clip((clearance - self.limits.room) / EASE, 0.0, 1.0)
+        ease = np.clip((clearance - self.limits.room) / self._ease, 0.0, 1.0)
         speed = self.limits.speed * (self._slowest + (1.0 - self._slowest) * ease)
         return np.asarray(self.map.resolution / speed, np.float64)
 
     def _with_obstacles(self, points: Array) -> NDArray[np.float32]:
         """Return the clearance with more obstacles; only the cells near them change."""
         out = self.clearance.copy()
-        reach = self.limits.room + EASE
+        reach = self.limits.room + self._ease
         cells = math.ceil(reach / self.map.resolution)
         height, width = out.shape
         offsets = np.arange(-cells, cells + 1)

@@ -1,0 +1,156 @@
+"""Drives a robot to a goal without a map: the time to reach is solved again and again on what has been seen."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrl_rl_navigation.driving.look_ahead import LookAhead
+from ctrl_rl_navigation.driving.moving_echoes import MovingEchoes
+from ctrl_rl_navigation.driving.scan_map import ScanMap
+from ctrl_rl_navigation.errors import NavigationError
+from ctrl_rl_navigation.robot import DriveLimits
+from ctrl_rl_navigation.values.map_solver import MapSolver
+from ctrl_rl_navigation.values.map_value import MapValue
+
+Array = NDArray[np.float64]
+
+_SPEEDS = (-0.3, 0.0, 0.35, 0.7, 1.0)
+_FASTEST = 2.0
+"""Speed of moving obstacles up to which they are looked for in time [m/s]."""
+_BESIDE = 1.0
+"""Distance up to which obstacles of the map count that the scan cannot see, behind the robot [m]."""
+_TURNS_AFTER = (-0.5, -0.2, 0.0, 0.2, 0.5)
+_THIN = 0.03
+"""Side length of the cells of which the look-ahead takes one echo each [m]."""
+
+
+@dataclass(frozen=True)
+class ExplorerOptions:
+    """Settings of an explorer.
+
+    Attributes:
+        tolerance: Distance from the goal at which it counts as reached [m].
+        resolution: Side length of the map's cells [m].
+        margin: Space around start and goal that the map covers [m].
+        solve_period: Time from one value to the next [s].
+        period: Time from command to command [s].
+        delay: Time from a command to its effect and until the next one [s].
+        deceleration: Deceleration of the robot when it brakes [m/s^2].
+        step: Time step of the look-ahead [s].
+        horizon: Time that it looks ahead [s].
+        ease: Additional clearance from which on the speed is full [m].
+        slowest: Share of the full speed beside an obstacle.
+    """
+
+    tolerance: float = 0.5
+    resolution: float = 0.05
+    margin: float = 4.0
+    solve_period: float = 0.25
+    period: float = 0.05
+    delay: float = 0.1
+    deceleration: float = 4.0
+    step: float = 0.05
+    horizon: float = 1.2
+    ease: float = 0.3
+    slowest: float = 0.3
+
+
+class Explorer:
+    """Drives one robot to one goal.
+
+    Attributes:
+        limits: Size and limits of the robot.
+        options: Settings of the explorer.
+        goal: Position of the goal in odometry's frame [m].
+        value: Time to reach it; None before the first scan.
+    """
+
+    def __init__(
+        self, limits: DriveLimits, start: Array, goal: tuple[float, float], options: ExplorerOptions | None = None
+    ) -> None:
+        self.limits, self.goal = limits, goal
+        self.options = settings = options or ExplorerOptions()
+        self._map = ScanMap(np.array((start[:2], goal)), settings.margin, settings.resolution)
+        self._ahead = LookAhead(
+            limits,
+            settings.period,
+            settings.delay,
+            settings.deceleration,
+            settings.step,
+            settings.horizon,
+            settings.ease,
+            settings.slowest,
+            _TURNS_AFTER,
+            _SPEEDS,
+        )
+        self.value: MapValue | None = None
+        self._moving = MovingEchoes()
+        self._echoes: Array = np.empty((0, 4))
+        self._horizon = settings.horizon
+        self._command, self._plan = np.zeros(2), np.zeros(4)
+        self._seen, self._solved_at = False, -math.inf
+
+    def sent(self, command: Array) -> None:
+        """Note what was sent in the end, from which the next command may differ as the accelerations allow."""
+        self._command = np.array(command, np.float64)
+
+    def see(self, now: float, origin: Array, ends: Array, echoes: NDArray[np.bool_]) -> None:
+        """Take a scan; what moves does not go on the map.
+
+        Args:
+            now: Steady time [s].
+            origin: Place of the lidar (2,) [m].
+            ends: Ends of its beams, in their order (n, 2) [m].
+            echoes: Which of them met something (n,).
+        """
+        self._seen, points = True, ends[echoes]
+        velocities = self._moving.update(now, origin, points)
+        self._echoes = np.hstack((points, velocities))
+        stands = echoes.copy()
+        stands[echoes] = (velocities == 0.0).all(axis=1)
+        self._map.see(origin, ends, stands)
+
+    def decide(self, now: float, pose: Array) -> Array:
+        """Return speed and turn rate to send (2,) [m/s, rad/s]; zero before the first scan and at the goal.
+
+        Args:
+            now: Steady time [s].
+            pose: Pose by odometry when the last scan was taken (3,) [m, m, rad].
+        """
+        if not self._seen or math.dist(pose[:2], self.goal) <= self.options.tolerance:
+            return np.zeros(2)
+        if now - self._solved_at >= self.options.solve_period:
+            self._solved_at = now
+            self._solve()
+        if self.value is None:
+            return np.zeros(2)
+        choice = self._ahead.choose(self.value, pose, self._command, self._around(pose), self._plan)
+        self._plan = choice.plan
+        return choice.command
+
+    def _solve(self) -> None:
+        """Solve the time to reach on what has been seen; where walls take the goal, the old one stays."""
+        solver = MapSolver(self._map.occupancy(), self.limits, self.options.slowest, self.options.ease, True)
+        try:
+            self.value = solver.solve(self.goal, self.options.tolerance, widest=2.0 * self.options.tolerance)
+        except NavigationError:
+            return
+
+    def _around(self, pose: Array) -> Array:
+        """Return echoes near the robot in its frame (n, 4) [m, m, m/s, m/s], and obstacles that the scan cannot see."""
+        near = self._echoes[
+            np.hypot(*(self._echoes[:, :2] - pose[:2]).T) < self._ahead.reach + _FASTEST * self._horizon
+        ]
+        cells = np.floor(near[:, :2] / _THIN).astype(np.int64)
+        _, first = np.unique(cells[:, 0] * 1_000_003 + cells[:, 1], return_index=True)
+        kept = self._map.points_near(pose[:2], _BESIDE)
+        known = np.concatenate((near[first], np.hstack((kept, np.zeros_like(kept)))))
+        c, s = math.cos(pose[2]), math.sin(pose[2])
+        turn = np.array(((c, -s), (s, c)))
+        points = np.hstack(((known[:, :2] - pose[:2]) @ turn, known[:, 2:] @ turn))
+        seen = np.arange(len(points)) < len(first)
+        return np.asarray(points[seen | (points[:, 0] < 0.0)], float)

@@ -1,0 +1,87 @@
+"""A map that grows from scans, in the frame of odometry: what was not seen yet counts as free."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from ctrl_rl_core.navigation.occupancy_map import FREE, OCCUPIED
+from ctrl_rl_core.values.jit_cache import cached_njit
+from numpy.typing import NDArray
+
+from ctrl_rl_core import OccupancyMap
+
+Array = NDArray[np.float64]
+
+_HIT, _MISS = 3, 1
+"""Weights of an echo in a cell, and of a beam through it."""
+_MOST, _SOLID = 15, 3
+"""Largest weight of a cell, and the least with which it counts as an obstacle."""
+_SHORT = 0.06
+"""Length by which a beam is taken to end before its echo [m]: an obstacle seen at its edge is not worn away."""
+
+
+@cached_njit
+def _look(weights: Any, row: float, column: float, ends: Array, echoes: Any, short: float) -> None:
+    """Lower the cells along beams from a place to their ends (n, 2), and raise those with an echo; in cells."""
+    height, width = weights.shape
+    for i in range(len(ends)):
+        rise, run = ends[i, 0] - row, ends[i, 1] - column
+        length = math.hypot(rise, run)
+        last_row, last_column = -1, -1
+        for k in range(1, int(length - short) + 1):
+            r, c = round(row + rise * k / length), round(column + run * k / length)
+            if (r == last_row and c == last_column) or r < 0 or c < 0 or r >= height or c >= width:
+                continue
+            last_row, last_column = r, c
+            if weights[r, c] > 0:
+                weights[r, c] -= _MISS
+    for i in range(len(ends)):
+        r, c = round(ends[i, 0]), round(ends[i, 1])
+        if echoes[i] and 0 <= r < height and 0 <= c < width:
+            weights[r, c] = min(weights[r, c] + _HIT, _MOST)
+
+
+class ScanMap:
+    """Cells with an obstacle, by how often beams ended there and went through."""
+
+    def __init__(self, corners: Array, margin: float, resolution: float) -> None:
+        """Cover a rectangle, nothing of which is known.
+
+        Args:
+            corners: Places that it holds (n, 2) [m].
+            margin: Space around them [m].
+            resolution: Side length of a cell [m].
+        """
+        low, high = corners.min(axis=0) - margin, corners.max(axis=0) + margin
+        columns, rows = np.ceil((high - low) / resolution).astype(int).tolist()
+        self._weights = np.zeros((rows, columns), np.int8)
+        origin = (float(low[0]), float(low[1]), 0.0)
+        self._geometry = OccupancyMap(np.zeros((rows, columns), np.int8), resolution, origin)
+
+    def see(self, origin: Array, ends: Array, echoes: NDArray[np.bool_]) -> None:
+        """Take a scan.
+
+        Args:
+            origin: Place of the lidar (2,) [m].
+            ends: Ends of its beams (n, 2) [m].
+            echoes: Which of them met something (n,); the others went through free space only.
+        """
+        row, column = self._geometry.to_grid(origin).tolist()
+        _look(self._weights, row, column, self._geometry.to_grid(ends), echoes, _SHORT / self._geometry.resolution)
+
+    def occupancy(self) -> OccupancyMap:
+        """Return the map as of now."""
+        cells = np.where(self._weights >= _SOLID, OCCUPIED, FREE).astype(np.int8)
+        return OccupancyMap(cells, self._geometry.resolution, self._geometry.origin)
+
+    def points_near(self, place: Array, reach: float) -> Array:
+        """Return the middles of cells with an obstacle (n, 2) [m] in a square around a place (2,) [m]."""
+        resolution = self._geometry.resolution
+        row, column = np.rint(self._geometry.to_grid(place)).astype(int).tolist()
+        cells = math.ceil(reach / resolution)
+        top, left = max(row - cells, 0), max(column - cells, 0)
+        part = self._weights[top : max(row + cells + 1, 0), left : max(column + cells + 1, 0)]
+        rows, columns = np.nonzero(part >= _SOLID)
+        return self._geometry.cell_to_world(rows + top, columns + left)
