@@ -20,6 +20,7 @@ setup(
     zip_safe=False,
     entry_points={
         "console_scripts": [
+            "barn = ctrl_rl_benchmarks.cli.barn:barn",
             "hardness = ctrl_rl_benchmarks.cli.tasks:hardness",
             "page = ctrl_rl_benchmarks.cli.tasks:page",
             "plot = ctrl_rl_benchmarks.cli.learning:plot",

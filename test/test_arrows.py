@@ -24,7 +24,15 @@ MAY_IMPORT = {
     "sim_bridge": {"ctrl_rl_core"},
     "ctrl_rl_training": {"ctrl_rl_core", "sim_bridge"},
     **{package: {"ctrl_rl_core", "ctrl_rl_bags"} for package in METHODS},
-    "ctrl_rl_benchmarks": {"ctrl_rl_core", "sim_bridge", "ctrl_rl_training", "ttr_reward_node", "oc_baseline_node"},
+    "ctrl_rl_benchmarks": {
+        "ctrl_rl_core",
+        "sim_bridge",
+        "ctrl_rl_training",
+        "ttr_reward_node",
+        "oc_baseline_node",
+        "ctrl_rl_navigation",
+        "ctrl_rl_safety",
+    },
     "ctrl_rl_bringup": {"ctrl_rl_core", "ctrl_rl_bags", "sim_bridge", *METHODS},
 }
 ROS_PACKAGE = re.compile(r"rclpy|launch\w*|ament_index_python|\w+_(msgs|srvs|interfaces)")

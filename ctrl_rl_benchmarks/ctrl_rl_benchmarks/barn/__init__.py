@@ -1,0 +1,1 @@
+"""The BARN and DynaBARN benchmark: its files as tasks, its score, and controllers that drive in it."""
