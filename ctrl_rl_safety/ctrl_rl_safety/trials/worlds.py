@@ -15,6 +15,8 @@ PLACES = ("boxes", "movers")
 MOVER_SPEED = 0.4
 """Largest speed of movers, which the filter is told [m/s]."""
 _HALVES = {"boxes": (2.5, 2.0), "movers": (3.0, 2.5)}
+_STARTS = {"boxes": 0.0, "movers": 0.6}
+"""Half the side of the square that the robot starts in: a mover may begin in the middle [m]."""
 _BOXES = {"boxes": 9, "movers": 6}
 _MOVERS = {"boxes": 0, "movers": 2}
 _LIDAR = {"beams": 360, "field": "0.0 .. 360.0 deg", "range": "0.1 .. 8.0 m", "rate": "10.0 Hz", "noise": "0.01 m"}
@@ -30,11 +32,12 @@ def room(place: str, body: str, model: RobotModel, seed: int) -> NavigationTask:
         model: Constants that bound its commands.
         seed: Seed of the boxes.
     """
-    random, half = np.random.default_rng((seed, 7)), _HALVES[place]
+    random, half, start = np.random.default_rng((seed, 7)), _HALVES[place], _STARTS[place]
+    free = BODIES[body].radius + 1.5 * start + 0.65
     boxes: list[dict[str, Any]] = []
     while len(boxes) < _BOXES[place]:
         x, y = random.uniform(-half[0], half[0]), random.uniform(-half[1], half[1])
-        if np.hypot(x, y) < BODIES[body].radius + 0.65:  # the robot starts in the middle
+        if np.hypot(x, y) < free:  # the robot starts near the middle
             continue
         sides = random.uniform(0.15, 0.6, 2)
         size = f"({sides[0]:.3f}, {sides[1]:.3f}) m"
@@ -54,7 +57,7 @@ def room(place: str, body: str, model: RobotModel, seed: int) -> NavigationTask:
             },
         },
         "arena": {"x": f"{-half[0]} .. {half[0]} m", "y": f"{-half[1]} .. {half[1]} m", "wall_thickness": "0.1 m"},
-        "start": {"x": "0.0 m", "y": "0.0 m", "theta": "-180.0 .. 180.0 deg"},
+        "start": {"x": f"{-start} .. {start} m", "y": f"{-start} .. {start} m", "theta": "-180.0 .. 180.0 deg"},
         "goal": {"x": "100.0 m"},
         "obstacles": boxes,
         "movers": [wander] * _MOVERS[place],
