@@ -1,4 +1,4 @@
-"""The `bag` command: `ros2 run ctrl_rl_bags bag info|recover|play FOLDER`."""
+"""The `bag` command: `ros2 run ctrl_rl_bags bag info|recover|play|export|import FOLDER`."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import Annotated
 import tyro
 from ctrl_rl_core.command import checked, checked_list
 
+from ctrl_rl_bags.datasets.cli import Export, Import, run_export, run_import
 from ctrl_rl_bags.format.checks import printable
 from ctrl_rl_bags.format.mcap_records import DEFAULT_LIMITS, Limits
 from ctrl_rl_bags.format.reader import bag_info
@@ -99,12 +100,15 @@ _Command = (
     Annotated[Info, tyro.conf.subcommand("info")]
     | Annotated[Recover, tyro.conf.subcommand("recover")]
     | Annotated[Play, tyro.conf.subcommand("play")]
+    | Annotated[Export, tyro.conf.subcommand("export")]
+    | Annotated[Import, tyro.conf.subcommand("import")]
 )
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code: 0 done, 1 failed, 2 wrong usage."""
-    options: Info | Recover | Play = parse_options("bag", _Command, arguments, "Inspect, recover and play bags.")
+    about = "Inspect, recover and play bags, and make datasets of them."
+    options: Info | Recover | Play | Export | Import = parse_options("bag", _Command, arguments, about)
     match options:
         case Info():
             return run_command("bag info", lambda: _info(options))
@@ -112,6 +116,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return run_command("bag recover", lambda: _recover(options))
         case Play():
             return run_command("bag play", lambda: _play(options))
+        case Export():
+            return run_command("bag export", lambda: run_export(options))
+        case Import():
+            return run_command("bag import", lambda: run_import(options))
 
 
 def _info(options: Info) -> int:

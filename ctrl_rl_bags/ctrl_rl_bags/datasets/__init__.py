@@ -1,0 +1,1 @@
+"""Datasets of other libraries from bags, and bags from datasets."""

@@ -1,0 +1,152 @@
+"""Bags to datasets and back: `ros2 run ctrl_rl_bags bag export` and `bag import`."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import shutil
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from types import ModuleType
+from typing import Any, NamedTuple
+
+from ctrl_rl_core.io.file_checks import raise_as
+
+from ctrl_rl_bags.datasets.errors import DatasetError
+from ctrl_rl_bags.datasets.extraction import Found, extract, find_layout
+from ctrl_rl_bags.datasets.frames import Frames, Layout
+from ctrl_rl_bags.datasets.rebuilding import rebuild
+from ctrl_rl_bags.datasets.wiring import ExtractionOptions
+from ctrl_rl_bags.format.metadata import METADATA_FILE
+from ctrl_rl_bags.format.reader import bag_info
+
+FORMATS: Mapping[str, tuple[str, str]] = {"lerobot": ("lerobot_format", "pyarrow"), "minari": ("minari_format", "h5py")}
+"""Module and needed package of each format."""
+_LONGEST_NAME = 200
+_MOST_SOURCES = 10_000
+
+
+class Converted(NamedTuple):
+    """What was written: episodes, frames, bytes of messages read, scans in no frame, and what the bags lack."""
+
+    episodes: int
+    frames: int
+    bytes: int
+    left_out: int
+    missing: tuple[str, ...]
+
+
+def export_bags(
+    runs: Sequence[Path],
+    output: Path,
+    kind: str,
+    options: ExtractionOptions,
+    tell: Callable[[int], object] = lambda _: None,
+) -> Converted:
+    """Write the drives of bags as a dataset of another library.
+
+    Args:
+        runs: Bags, or folders of runs with a bag in `bag`.
+        output: Folder of the dataset, which must not exist.
+        kind: One of `FORMATS`.
+        options: Names of the topics, and beams of the scans.
+        tell: Told the number of messages read since the last call.
+
+    Raises:
+        BagError: A bag cannot be read, has no drive, or does not fit the first; the output exists.
+    """
+    bags = [find_bag(run) for run in runs]
+    layout, found = find_layout(bags[0], options), Found()
+    module = _module(kind)
+    episodes = frames_written = 0
+    with _new_folder(output) as folder:
+        writer = _writer(module, folder, layout, output.name)
+        try:
+            for frames in extract(bags, layout, options, found, tell):
+                writer.write(frames)
+                episodes += frames.last
+                frames_written += len(frames)
+            if not episodes:
+                raise DatasetError(
+                    f"{bags[0]}: no two scans with odometry and a command between: was the robot driven?"
+                )
+            writer.close([str(run.name)[:_LONGEST_NAME] or "bag" for run in runs])
+        finally:
+            writer.abort()
+    return Converted(episodes, frames_written, found.bytes, found.left_out, tuple(sorted(found.missing)))
+
+
+def import_dataset(folder: Path, output: Path, robot: str = "") -> Converted:
+    """Write a dataset that `export_bags` wrote as bags again, one for each it came from: `output/bag_0` and so on.
+
+    Args:
+        folder: Folder of the dataset.
+        output: Folder of the bags, which must not exist.
+        robot: Namespace of the topics.
+
+    Raises:
+        BagError: It is no such dataset, it is damaged, or the output exists.
+    """
+    layout, frames = read_dataset(folder)
+    with _new_folder(output) as new, raise_as(DatasetError, folder):
+        episodes, count, size = rebuild(frames, layout, new, robot)
+    return Converted(episodes, count, size, 0, ())
+
+
+def read_dataset(folder: Path) -> tuple[Layout, Iterator[Frames]]:
+    """Return the layout of a dataset of ours, and its frames as a stream.
+
+    Raises:
+        DatasetError: It is no such dataset.
+    """
+    marks = {"lerobot": "meta/info.json", "minari": "data/metadata.json"}
+    kind = next((kind for kind, mark in marks.items() if (folder / mark).is_file()), None)
+    if kind is None:
+        raise DatasetError(f"{folder} is no dataset: it has neither {' nor '.join(marks.values())}")
+    module = _module(kind)
+    with raise_as(DatasetError, folder):
+        layout = Layout.model_validate(module.read_info(folder).get("layout"))
+    return layout, module.read_frames(folder, layout)
+
+
+def find_bag(run: Path) -> Path:
+    """Return the bag of a run: the folder itself, or its `bag`."""
+    inner = run / "bag"
+    return inner if run.is_dir() and not (run / METADATA_FILE).exists() and inner.is_dir() else run
+
+
+def count_messages(runs: Sequence[Path]) -> int:
+    """Return the number of messages of the bags of runs."""
+    return sum(bag_info(find_bag(run)).message_count for run in runs)
+
+
+def _module(kind: str) -> ModuleType:
+    name, package = FORMATS[kind]
+    try:
+        return importlib.import_module(f"ctrl_rl_bags.datasets.{name}")
+    except ModuleNotFoundError:
+        raise DatasetError(
+            f"the format {kind} needs {package}: python -m pip install -r requirements/datasets.txt"
+        ) from None
+
+
+def _writer(module: ModuleType, folder: Path, layout: Layout, name: str) -> Any:
+    if hasattr(module, "LeRobotWriter"):
+        return module.LeRobotWriter(folder, layout, "quadrotor" if "Rotor" in layout.command else "differential_drive")
+    return module.MinariWriter(folder, layout, name)
+
+
+@contextmanager
+def _new_folder(output: Path) -> Iterator[Path]:
+    """Give a folder that gets its name when all is written, and is removed otherwise."""
+    if output.exists():
+        raise DatasetError(f"{output} exists: name another folder")
+    temporary = output.with_name(f".{output.name}.{os.getpid()}.tmp")
+    temporary.mkdir(parents=True)
+    try:
+        yield temporary
+        temporary.rename(output)
+    finally:
+        with suppress(FileNotFoundError):
+            shutil.rmtree(temporary)

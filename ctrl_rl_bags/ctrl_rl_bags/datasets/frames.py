@@ -1,0 +1,154 @@
+"""Frames: one row for each scan of a drive, in columns, apart for each episode."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import numpy as np
+from ctrl_rl_core.driving.scan import MOST_BEAMS
+from ctrl_rl_core.io.schema import Name, Number, Positive, Schema
+from numpy.typing import NDArray
+from pydantic import Field
+
+CommandType = Literal["geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped", "ctrl_rl_msgs/msg/RotorThrusts"]
+COMMAND_TYPES: Mapping[str, tuple[str, str]] = {
+    "geometry_msgs/msg/Twist": ("v", "omega"),
+    "geometry_msgs/msg/TwistStamped": ("v", "omega"),
+    "ctrl_rl_msgs/msg/RotorThrusts": ("T_1", "T_2"),
+}
+"""Names of the action's components by the type of the command: [m/s], [rad/s], or [N]."""
+ODOMETRY_NAMES = (
+    *("x", "y", "z", "q_x", "q_y", "q_z", "q_w"),
+    *("v_x", "v_y", "v_z", "omega_x", "omega_y", "omega_z"),
+)
+GOAL_NAMES = ODOMETRY_NAMES[:7]
+STATE_NAMES = ("x", "y", "theta", "v", "omega")
+SCAN, ODOMETRY, STATE = "observation.scan", "observation.odometry", "observation.state"
+GOAL, IMAGE, ACTION = "observation.goal", "observation.image", "action"
+REWARD, OUTCOME, DONE, IS_LAST = "next.reward", "next.outcome", "next.done", "is_last"
+STAMP, LOG_TIME = "stamp", "log_time"
+_LARGEST_IMAGE = 8192
+
+
+class ScanLayout(Schema):
+    """Bearings and limits of all scans, as in sensor_msgs/LaserScan."""
+
+    beams: Annotated[int, Field(ge=1, le=MOST_BEAMS)]
+    angle_min: Number
+    angle_increment: Number
+    range_min: Number
+    range_max: Number
+    frame: Annotated[str, Field(max_length=200)] = ""
+
+
+class ImageLayout(Schema):
+    """Size of all pictures [pixels]; three colours, red first."""
+
+    height: Annotated[int, Field(ge=1, le=_LARGEST_IMAGE)]
+    width: Annotated[int, Field(ge=1, le=_LARGEST_IMAGE)]
+
+
+class Layout(Schema):
+    """What all frames of a dataset have in common.
+
+    Attributes:
+        format: Version of the layout.
+        command: Type of the messages that actions come from.
+        command_topic: Name of their topic.
+        scan: Bearings and limits of the scans.
+        image: Size of the pictures; None without a camera.
+        goal: Whether goals were recorded.
+        reward: Whether rewards were recorded.
+        task: Name of the task.
+        period: Median time from frame to frame [s].
+        digests: Digests that the bags keep: of task, policy, value functions.
+    """
+
+    format: Literal["frames-1"] = "frames-1"
+    command: CommandType
+    command_topic: Name
+    scan: ScanLayout
+    image: ImageLayout | None = None
+    goal: bool = False
+    reward: bool = False
+    task: Name
+    period: Positive
+    digests: Annotated[dict[str, Annotated[str, Field(max_length=1000)]], Field(max_length=1000, default_factory=dict)]
+
+    @property
+    def columns(self) -> dict[str, Column]:
+        """The columns of a frame, by name."""
+        image = self.image
+        columns = {
+            SCAN: Column("float32", (self.scan.beams,), "beam"),
+            ODOMETRY: Column("float64", (len(ODOMETRY_NAMES),), ODOMETRY_NAMES),
+            STATE: Column("float32", (len(STATE_NAMES),), STATE_NAMES),
+        }
+        if self.goal:
+            columns[GOAL] = Column("float64", (len(GOAL_NAMES),), GOAL_NAMES)
+        if image is not None:
+            columns[IMAGE] = Column("uint8", (image.height, image.width, 3), ("height", "width", "channel"))
+        return columns | {
+            ACTION: Column("float64", (2,), COMMAND_TYPES[self.command]),
+            REWARD: Column("float64"),
+            OUTCOME: Column("int64"),
+            DONE: Column("bool"),
+            IS_LAST: Column("bool"),
+            STAMP: Column("int64"),
+            LOG_TIME: Column("int64"),
+        }
+
+    @property
+    def rate(self) -> float:
+        """Frames a second, a whole number where it is nearly one."""
+        rate = 1.0 / self.period
+        return float(round(rate)) if rate >= 1.0 and abs(rate / round(rate) - 1.0) < 0.02 else round(rate, 6)
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of frames: type and shape of one value, and the names of its components."""
+
+    dtype: str
+    shape: tuple[int, ...] = ()
+    names: tuple[str, ...] | str = ()
+
+    def fits(self, values: NDArray[np.generic]) -> bool:
+        """Return whether an array has this type and shape, one value a row."""
+        return values.dtype == np.dtype(self.dtype) and values.shape[1:] == self.shape
+
+
+@dataclass(frozen=True)
+class Frames:
+    """Some frames of one episode, in order; each row is one scan, what was known at it, and what was done then.
+
+    The last frame of an episode has an observation only: its action repeats the one before, its reward is NaN.
+
+    Attributes:
+        columns: Arrays by the names of `Layout.columns`, each (n, ...).
+        episode: Number of the episode in the dataset.
+        source: Number of the bag.
+        last: Whether the episode ends with these frames.
+    """
+
+    columns: Mapping[str, NDArray[np.generic]]
+    episode: int
+    source: int
+    last: bool
+
+    def __len__(self) -> int:
+        return len(self.columns[STAMP])
+
+
+def states_of(odometry: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Return x, y, theta, v, omega (n, 5) of odometry (n, 13), in its frame and the body's (REP-103)."""
+    x, y, _, q_x, q_y, q_z, q_w, v = odometry.T[:8]
+    yaw = np.arctan2(2.0 * (q_w * q_z + q_x * q_y), 1.0 - 2.0 * (q_y * q_y + q_z * q_z))
+    return np.stack((x, y, yaw, v, odometry[:, 12]), axis=1).astype(np.float32)
+
+
+def is_usable(numbers: NDArray[np.float64]) -> bool:
+    """Return whether numbers of the physical world are finite and not absurd."""
+    return bool((np.abs(numbers) < 1e30).all())  # False of NaN

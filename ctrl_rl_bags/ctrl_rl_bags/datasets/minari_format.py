@@ -1,0 +1,214 @@
+"""Minari datasets: one HDF5 file of episodes, and metadata in JSON.
+
+An episode has an observation more than actions and rewards; `infos` hold times and outcomes of all observations. The
+layout and what the bags said beside it lie in `metadata.json` under `ctrl_rl`.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from ctrl_rl_core.io.checked_json import parse_json
+from ctrl_rl_core.io.file_checks import as_text, read_bytes
+from numpy.typing import NDArray
+
+from ctrl_rl_bags.datasets.errors import LARGEST_INFO, DatasetError
+from ctrl_rl_bags.datasets.frames import (
+    ACTION,
+    DONE,
+    IS_LAST,
+    LOG_TIME,
+    OUTCOME,
+    REWARD,
+    STAMP,
+    Column,
+    Frames,
+    Layout,
+)
+from ctrl_rl_bags.format.checks import reason
+from ctrl_rl_core import atomic_write
+
+METADATA, DATA = "data/metadata.json", "data/main_data.hdf5"
+VERSION = "0.5.4"
+"""Version of Minari whose files these are."""
+_OWN_KEY = "ctrl_rl"
+_OBSERVATION = "observation."
+_INFOS = (STAMP, LOG_TIME, OUTCOME)
+_PIECE = 1000
+_MOST_EPISODES = 10_000_000
+
+
+class MinariWriter:
+    """Writes one dataset into a folder.
+
+    Args:
+        folder: The dataset, which exists and is empty.
+        layout: Layout of the frames.
+        name: Name of the dataset, as in `mine-v0`.
+    """
+
+    def __init__(self, folder: Path, layout: Layout, name: str) -> None:
+        self._folder, self._layout, self._name = folder, layout, name
+        (folder / DATA).parent.mkdir(parents=True)
+        self._file = h5py.File(folder / DATA, "w", track_order=True)
+        self._group: h5py.Group | None = None
+        self._episodes = self._steps = 0
+
+    def write(self, frames: Frames) -> None:
+        """Append frames; those of an episode follow each other."""
+        if self._group is None:
+            self._group = self._file.create_group(f"episode_{frames.episode}", track_order=True)
+            self._group.attrs.update({"id": frames.episode, "source": frames.source})
+        group, columns = self._group, frames.columns
+        whole = frames.last and "rewards" not in group
+        done = ~np.asarray(columns[IS_LAST], dtype=np.bool_)
+        outcomes, terminated = columns[OUTCOME][done], columns[DONE][done]
+        ended = np.zeros(len(outcomes), dtype=np.bool_)
+        if frames.last:
+            ended[-1:] = True
+        for name in columns:
+            if name.startswith(_OBSERVATION):
+                _append(group, f"observations/{name.removeprefix(_OBSERVATION)}", columns[name], whole)
+        for name, values in (
+            ("actions", columns[ACTION][done]),
+            ("rewards", columns[REWARD][done]),
+            ("terminations", terminated),
+            ("truncations", ended & ~np.asarray(terminated, dtype=np.bool_)),
+            *((f"infos/{name}", columns[name]) for name in _INFOS),
+        ):
+            _append(group, name, values, whole)
+        self._steps += len(outcomes)
+        if frames.last:
+            group.attrs["total_steps"] = len(group["rewards"])
+            self._episodes += 1
+            self._group = None
+
+    def close(self, sources: list[str]) -> None:
+        """Finish the dataset; `sources` names the bags."""
+        self._file.close()
+        columns = self._layout.columns
+        spaces = {
+            name.removeprefix(_OBSERVATION): _space(column)
+            for name, column in columns.items()
+            if name.startswith(_OBSERVATION)
+        }
+        metadata = {
+            "total_episodes": self._episodes,
+            "total_steps": self._steps,
+            "data_format": "hdf5",
+            "jpeg_encoding": False,
+            "observation_space": json.dumps({"type": "Dict", "subspaces": spaces}),
+            "action_space": json.dumps(_space(columns[ACTION])),
+            "dataset_id": f"{self._name}-v0",
+            "minari_version": VERSION,
+            "description": f"Drives of task {self._layout.task}, from bags.",
+            "dataset_size": round((self._folder / DATA).stat().st_size / 1e6, 1),
+            _OWN_KEY: {"layout": self._layout.model_dump(), "sources": sources},
+        }
+        atomic_write(self._folder / METADATA, json.dumps(metadata, indent=1))
+
+    def abort(self) -> None:
+        """Give the open file back."""
+        self._file.close()
+
+
+def read_info(folder: Path) -> Mapping[str, Any]:
+    """Return layout and sources of a dataset of ours, as JSON.
+
+    Raises:
+        DatasetError: It has none.
+    """
+    metadata = parse_json(as_text(read_bytes(folder / METADATA, LARGEST_INFO)))
+    own = metadata.get(_OWN_KEY) if isinstance(metadata, dict) else None
+    if not isinstance(own, dict):
+        raise DatasetError("was not written by `bag export`: it does not say what its frames are")
+    return own
+
+
+def read_frames(folder: Path, layout: Layout) -> Iterator[Frames]:
+    """Yield the frames of a dataset, a piece of an episode at a time.
+
+    Raises:
+        DatasetError: The file is damaged, or an array has another type or size than the layout says.
+    """
+    try:
+        yield from _read_frames(folder, layout)
+    except (OSError, RuntimeError, KeyError, TypeError, ValueError) as error:
+        raise DatasetError(f"{DATA} cannot be read: {reason(error)}") from None
+
+
+def _read_frames(folder: Path, layout: Layout) -> Iterator[Frames]:
+    with h5py.File(folder / DATA, "r") as file:
+        for number in range(min(len(file), _MOST_EPISODES)):
+            group = _member(file, f"episode_{number}", h5py.Group)
+            source = int(group.attrs.get("source", 0))
+            stored = {name: column for name, column in layout.columns.items() if name not in (DONE, IS_LAST)}
+            arrays = {name: _array(group, name, column) for name, column in stored.items()}
+            length = len(arrays[STAMP])
+            for name, array in arrays.items():
+                wanted = length - 1 if name in (ACTION, REWARD) else length
+                if len(array) != wanted or length < 2:
+                    raise DatasetError(f"episode {number} has {len(array)} rows of {name} at {length} times")
+            for first in range(0, length, _PIECE):
+                yield _frames(arrays, layout, first, min(first + _PIECE, length), length, number, source)
+
+
+def _frames(
+    arrays: Mapping[str, h5py.Dataset], layout: Layout, first: int, end: int, length: int, number: int, source: int
+) -> Frames:
+    last = end == length
+    columns: dict[str, NDArray[np.generic]] = {name: array[first:end] for name, array in arrays.items()}
+    if last:  # the action of the last frame repeats the one before, its reward is unknown
+        columns[ACTION] = np.concatenate((columns[ACTION], arrays[ACTION][length - 2 : length - 1]))
+        columns[REWARD] = np.append(columns[REWARD], np.nan)
+    outcomes = columns[OUTCOME]
+    columns[DONE] = (outcomes != 0) & (outcomes != 4)
+    columns[IS_LAST] = np.arange(first, end) == length - 1
+    return Frames({name: columns[name] for name in layout.columns}, number, source, last)
+
+
+def _array(group: h5py.Group, name: str, column: Column) -> h5py.Dataset:
+    observed = name.startswith(_OBSERVATION)
+    place = f"observations/{name.removeprefix(_OBSERVATION)}" if observed else f"infos/{name}"
+    place = {ACTION: "actions", REWARD: "rewards"}.get(name, place)
+    *path, leaf = place.split("/")
+    for part in path:
+        group = _member(group, part, h5py.Group)
+    array = _member(group, leaf, h5py.Dataset)
+    if array.dtype != np.dtype(column.dtype) or array.shape[1:] != column.shape or array.ndim < 1:
+        raise DatasetError(f"{array.name} is {array.dtype} of shape {array.shape}, which is not what the layout says")
+    return array
+
+
+def _member(group: h5py.Group, name: str, kind: type) -> Any:
+    """Return a member of a group that lies in the same file."""
+    if not isinstance(group.get(name, getlink=True), h5py.HardLink) or not isinstance(group[name], kind):
+        raise DatasetError(f"has no {group.name.rstrip('/')}/{name}")
+    return group[name]
+
+
+def _append(group: h5py.Group, name: str, values: NDArray[np.generic], whole: bool) -> None:
+    """Append rows to an array; `whole` says that there will be no more than these."""
+    if whole:
+        group.create_dataset(name, data=values)
+        return
+    if name not in group:
+        rows = max(1, min(_PIECE, 65536 // max(1, values[:1].nbytes)))
+        chunks = (rows, *values.shape[1:])
+        group.create_dataset(name, data=values, maxshape=(None, *values.shape[1:]), chunks=chunks)
+        return
+    array = group[name]
+    array.resize(len(array) + len(values), axis=0)
+    array[len(array) - len(values) :] = values
+
+
+def _space(column: Column) -> dict[str, Any]:
+    shape = column.shape or (1,)
+    low, high = (0, 255) if column.dtype == "uint8" else (-np.inf, np.inf)
+    filled = (np.full(shape, bound).tolist() for bound in (low, high))
+    return {"type": "Box", "dtype": column.dtype, "shape": list(shape), "low": next(filled), "high": next(filled)}

@@ -1,0 +1,139 @@
+"""Arrays of the messages that frames are made from."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from ctrl_rl_core.driving.scan import ScanGeometry, nearest_beams
+from numpy.typing import NDArray
+
+from ctrl_rl_bags.datasets.frames import GOAL_NAMES, ImageLayout, ScanLayout, is_usable
+from ctrl_rl_bags.format.checks import BagError, printable
+
+Array = NDArray[np.float64]
+_COLOURS = {
+    "rgb8": (3, (0, 1, 2)),
+    "bgr8": (3, (2, 1, 0)),
+    "rgba8": (4, (0, 1, 2)),
+    "bgra8": (4, (2, 1, 0)),
+    "mono8": (1, (0, 0, 0)),
+}
+"""Channels of a picture's encoding, and where red, green and blue are among them."""
+_SAME_ANGLE = 1e-3
+"""Angles of two scans that differ by less are of one lidar [rad]."""
+
+
+def stamp_of(message: Any) -> int:
+    """Return the time in a message's header [ns]."""
+    return int(message.header.stamp.sec) * 10**9 + int(message.header.stamp.nanosec)
+
+
+def read_odometry(message: Any) -> Array | None:
+    """Return pose and twist (13,) as `ODOMETRY_NAMES`; None where they are not finite."""
+    linear, angular = message.twist.twist.linear, message.twist.twist.angular
+    twist = (linear.x, linear.y, linear.z, angular.x, angular.y, angular.z)
+    numbers = np.concatenate((_pose(message.pose.pose), np.array(twist, dtype=np.float64)))
+    return numbers if is_usable(numbers) else None
+
+
+def read_command(message: Any, kind: str) -> Array | None:
+    """Return a command (2,): speed and turn rate, or two thrusts; None where they are not finite."""
+    if kind.endswith("RotorThrusts"):
+        command = np.array((message.t1, message.t2), dtype=np.float64)
+    else:
+        twist = message.twist if kind.endswith("TwistStamped") else message
+        command = np.array((twist.linear.x, twist.angular.z), dtype=np.float64)
+    return command if is_usable(command) else None
+
+
+def read_goal(message: Any) -> Array:
+    """Return position and attitude of a goal (7,); NaN where it is no place."""
+    goal = _pose(message.pose)
+    return goal if is_usable(goal) else no_goal()
+
+
+def no_goal() -> Array:
+    """Return what stands where there is no goal (7,)."""
+    return np.full(len(GOAL_NAMES), math.nan)
+
+
+def read_image(message: Any, layout: ImageLayout | None, what: str) -> NDArray[np.uint8]:
+    """Return a picture (height, width, 3), red first.
+
+    Raises:
+        BagError: Its encoding is unknown, it has another size than the first, or fewer bytes than it says.
+    """
+    height, width, encoding = int(message.height), int(message.width), str(message.encoding)
+    if encoding not in _COLOURS:
+        raise BagError(f"{what} has the encoding {printable(encoding, 40)}: must be one of {', '.join(_COLOURS)}")
+    if layout is not None and (height, width) != (layout.height, layout.width):
+        raise BagError(f"{what} has {width} x {height} pixels, the first {layout.width} x {layout.height}")
+    channels, order = _COLOURS[encoding]
+    data = np.asarray(message.data, dtype=np.uint8)
+    if int(message.step) < width * channels or len(data) < height * int(message.step):
+        raise BagError(f"{what} of {width} x {height} pixels has {len(data)} bytes only")
+    rows = data[: height * int(message.step)].reshape(height, -1)[:, : width * channels]
+    return np.ascontiguousarray(rows.reshape(height, width, channels)[..., order])
+
+
+def _pose(pose: Any) -> Array:
+    at, turn = pose.position, pose.orientation
+    return np.array((at.x, at.y, at.z, turn.x, turn.y, turn.z, turn.w), dtype=np.float64)
+
+
+class ScanColumn:
+    """Brings the scans of a dataset onto the beams of the first one.
+
+    Attributes:
+        layout: Beams of all scans; None before the first.
+    """
+
+    def __init__(self, beams: int | None, layout: ScanLayout | None = None) -> None:
+        """Take the number of beams that scans are brought to; None to keep them as they are."""
+        self.layout = layout
+        self._beams = beams
+
+    def read(self, message: Any, what: str) -> NDArray[np.float32]:
+        """Return the ranges (beams,) [m] of a scan.
+
+        Raises:
+            BagError: The scan has other beams than the first, and no number of beams was asked for.
+            ScanError: It is no scan of any lidar.
+        """
+        ranges = np.asarray(message.ranges, dtype=np.float32)
+        scan = ScanGeometry(
+            len(ranges),
+            float(message.angle_min),
+            float(message.angle_increment),
+            float(message.range_min),
+            float(message.range_max),
+        )
+        scan.check()
+        if self.layout is None:
+            self.layout = self._first(scan, str(message.header.frame_id))
+        layout = self.layout
+        if self._beams is not None:
+            bearings = layout.angle_min + layout.angle_increment * np.arange(layout.beams, dtype=np.float64)
+            field, nearest = nearest_beams(scan, bearings)
+            return np.where(field, ranges[nearest], np.float32(np.nan))
+        last = scan.angle_min + scan.angle_increment * scan.beams
+        usual = layout.angle_min + layout.angle_increment * layout.beams
+        if scan.beams != layout.beams or max(abs(scan.angle_min - layout.angle_min), abs(last - usual)) > _SAME_ANGLE:
+            raise BagError(
+                f"{what} has {scan.beams} beams from {scan.angle_min:.4f} rad, the first has {layout.beams} from "
+                f"{layout.angle_min:.4f} rad: give --beams N to bring all scans to N beams"
+            )
+        return ranges
+
+    def _first(self, scan: ScanGeometry, frame: str) -> ScanLayout:
+        beams = self._beams or scan.beams
+        return ScanLayout(
+            beams=beams,
+            angle_min=scan.angle_min,
+            angle_increment=float(np.float32(scan.angle_increment * scan.beams / beams)),  # as the message has it
+            range_min=scan.range_min,
+            range_max=min(scan.range_max, 1e30),
+            frame=printable(frame),
+        )
