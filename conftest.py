@@ -15,6 +15,10 @@ from typing import Any
 
 import pytest
 
+sys.path.insert(0, str(Path(__file__).parent / "test"))  # parts that tests of all packages use lie there
+
+from preloaded import Preloaded
+
 ROOT = Path(__file__).parent
 
 # Before any test imports rclpy. Domains up to 101 are safe on every system; one per test process keeps them apart.
@@ -28,7 +32,7 @@ _GOODBYE_S = 0.1
 
 
 class NodeProcess:
-    """A node as `ros2 run` starts it."""
+    """A node: the executable that `ros2 run` starts, in a process that has its imports."""
 
     def __init__(self, package: str, executable: str, arguments: tuple[str, ...], log: Path) -> None:
         from ament_index_python.packages import get_package_prefix
@@ -36,7 +40,7 @@ class NodeProcess:
         self._log = log
         path = Path(get_package_prefix(package)) / "lib" / package / executable
         with log.open("wb") as stream:
-            self.process = subprocess.Popen([path, *arguments], stdout=stream, stderr=subprocess.STDOUT)
+            self.process = Preloaded([path, *arguments], stdout=stream, stderr=subprocess.STDOUT)
 
     @property
     def output(self) -> str:

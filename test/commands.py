@@ -1,11 +1,11 @@
 """Commands of the suite, run to their end as `ros2 run` does."""
 
-import os
 import subprocess
 import sys
 from pathlib import Path
 
 from ament_index_python.packages import get_package_prefix
+from preloaded import Preloaded
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 EXAMPLES_OF_A_BAG = {
@@ -19,7 +19,7 @@ def start(executable: str, *arguments: object, package: str = "ctrl_rl_bringup")
     """Start one; its output comes on pipes."""
     path = Path(get_package_prefix(package)) / "lib" / package / executable
     pipe = subprocess.PIPE
-    return subprocess.Popen([path, *map(str, arguments)], stdout=pipe, stderr=pipe, text=True, env=os.environ)
+    return Preloaded([path, *map(str, arguments)], stdout=pipe, stderr=pipe, text=True)
 
 
 def command(executable: str, *arguments: object, package: str = "ctrl_rl_bringup") -> subprocess.CompletedProcess[str]:
@@ -44,8 +44,10 @@ def check_refused(words: str, executable: str, *arguments: object) -> None:
 def check_example(name: str, folder: Path, words: str, *written: str, bag: Path | None = None) -> None:
     """Run a script of examples/ in `folder`; check that it prints `words` and writes the files `written`."""
     arguments = [EXAMPLES / f"{name}.py", *([bag] if bag else []), *written]
-    answer = subprocess.run([sys.executable, *arguments], cwd=folder, capture_output=True, text=True, check=False)
-    assert answer.returncode == 0, answer.stderr
-    assert words in answer.stdout
+    pipe = subprocess.PIPE
+    process = Preloaded([sys.executable, *arguments], cwd=folder, stdout=pipe, stderr=pipe, text=True)
+    out, errors = process.communicate(timeout=280)
+    assert process.returncode == 0, errors
+    assert words in out
     for file in written:
         assert (folder / file).stat().st_size > 1000

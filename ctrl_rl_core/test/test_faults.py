@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from preloaded import Preloaded
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import ListParameters, SetParameters, SetParametersAtomically
 from rclpy.node import Node
@@ -29,7 +30,7 @@ class Failing:
         with log.open("wb") as stream:
             command = [sys.executable, HERE / "failing_node.py", *arguments]
             command += ["--ros-args", "-r", f"__ns:=/{namespace}"] if namespace else []
-            self.process = subprocess.Popen(command, stdout=stream, stderr=subprocess.STDOUT)
+            self.process = Preloaded(command, stdout=stream, stderr=subprocess.STDOUT)
         self.node = Node("outsider", namespace=namespace)
         self.heard: list[str] = []
         self.statuses: list[DiagnosticStatus] = []

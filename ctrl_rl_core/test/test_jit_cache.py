@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +42,14 @@ for suffix in ("nbi", "nbc"):
         ends[suffix] = file.name + " in " + str(file.parent)
 print(json.dumps(ends))
 """
+HITS = """
+import sys
+sys.path.insert(0, {folder!r})
+from twice import twice
+from ctrl_rl_core.values.jit_cache import cached_njit
+quick = cached_njit(twice)
+print(quick(21.0), sum(quick.stats.cache_hits.values()))
+"""
 VALUE_AT = """
 import numpy as np
 from ctrl_rl_core.values.grid_axis import Axis
@@ -77,6 +86,13 @@ def ends(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
 def test_code_is_compiled_once(ends: dict[str, Any]) -> None:
     assert ends["compiled"] == [42.0, 0, ""]
     assert ends["read"] == [42.0, 1, ""]
+
+
+def test_of_processes_that_start_together_one_compiles(tmp_path: Path) -> None:
+    (tmp_path / "twice.py").write_text("def twice(x):\n    return 2.0 * x\n")
+    with ThreadPoolExecutor() as pool:
+        said = list(pool.map(lambda _: python(tmp_path, HITS.format(folder=str(tmp_path))), range(2)))
+    assert sorted(said) == [("42.0 0", ""), ("42.0 1", "")]
 
 
 @pytest.mark.fault

@@ -1,8 +1,6 @@
 """What drives a robot, as a process: commands within limits, a stop with its reason, zero velocity at the end."""
 
-import os
 import signal
-import subprocess
 import sys
 import textwrap
 import time
@@ -14,6 +12,7 @@ import pytest
 import rclpy
 from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Odometry
+from preloaded import Preloaded
 from rclpy.node import Node
 
 from ctrl_rl_core import COMMAND
@@ -68,9 +67,7 @@ class Base:
         options = ["--ros-args", *(part for each in parameters for part in ("-p", each))] if parameters else []
         self.log = folder / "echo.log"
         with self.log.open("wb") as stream:
-            self.process = subprocess.Popen(
-                [sys.executable, str(script), *options], stdout=stream, stderr=stream, env=os.environ
-            )
+            self.process = Preloaded([sys.executable, script, *options], stdout=stream, stderr=stream)
 
     def spin(self, seconds: float, until: Callable[[], bool]) -> bool:
         deadline = time.monotonic() + seconds

@@ -19,6 +19,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import Twist, TwistStamped
 from hypothesis import given
 from hypothesis import strategies as st
+from preloaded import Preloaded
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
@@ -165,7 +166,7 @@ def source() -> Iterator[Callable[..., subprocess.Popen]]:
 
     def start(*arguments: str) -> subprocess.Popen:
         script = Path(__file__).with_name("command_source.py")
-        started.append(subprocess.Popen([sys.executable, script, *arguments]))
+        started.append(Preloaded([sys.executable, script, *arguments]))
         return started[-1]
 
     yield start

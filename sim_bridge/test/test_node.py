@@ -3,7 +3,6 @@
 import itertools
 import math
 import signal
-import subprocess
 import sys
 import time
 
@@ -14,6 +13,7 @@ from ctrl_rl_core.ros.node import LATCHED, seconds
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseWithCovarianceStamped, Twist, TwistStamped
 from nav_msgs.msg import OccupancyGrid, Odometry
+from preloaded import Preloaded
 from rclpy.duration import Duration
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState, LaserScan
@@ -43,7 +43,7 @@ class Client:
     """Talks to one bridge process and keeps what it says."""
 
     def __init__(self, kind=TwistStamped, namespace="", **parameters):
-        self.process = subprocess.Popen([*PROGRAM, *arguments(**parameters)])
+        self.process = Preloaded([*PROGRAM, *arguments(**parameters)])
         self.node = rclpy.create_node("bridge_test")
         self.heard = {}
         topics = {"scan": LaserScan, "odom": Odometry, "ground_truth": Odometry, "episode": EpisodeStatus}

@@ -17,6 +17,7 @@ from ctrl_rl_core.command import EXIT_USAGE, OptionalFileToWrite, Positive
 from ctrl_rl_core import Result, parse_options, write_results
 
 sys.path.insert(0, str(Path(__file__).parent))
+sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from planted import FAULTS, HEALTHY, Answer, look_at
 

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from ament_index_python.packages import get_package_prefix
+from preloaded import Preloaded
 
 HERE = Path(__file__).parent
 REMAPPINGS = ("scan:=raw/scan", "odom:=raw/odom", "cmd_vel:=raw/cmd_vel", "/tf:=/raw/tf", "/tf_static:=/raw/tf_static")
@@ -107,10 +108,11 @@ def look_at(name: str, folder: Path, domain: int, seed: int = 0, options: tuple[
     command = [_executable("ctrl_rl_bringup", "preflight"), "--output", str(output), *move, *options]
     folder.mkdir(parents=True, exist_ok=True)
     with _robot(name, fault, environment, seed, folder / "robot.log"):
-        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False, timeout=300)
+        process = Preloaded(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        out, errors = process.communicate(timeout=300)
     report = output / "preflight.json"
     content = json.loads(report.read_text()) if report.exists() else {"findings": []}
-    return Answer(done.returncode, content["findings"], done.stdout + done.stderr)
+    return Answer(process.returncode, content["findings"], out + errors)
 
 
 @contextmanager
@@ -127,9 +129,7 @@ def _robot(name: str, fault: Fault, environment: dict[str, str], seed: int, log:
     if fault.relay:
         commands.append([sys.executable, str(HERE / "relay.py"), name if name in FAULTS else "none"])
     with log.open("ab") as stream:
-        processes = [
-            subprocess.Popen(each, env=environment, stdout=stream, stderr=subprocess.STDOUT) for each in commands
-        ]
+        processes = [Preloaded(each, env=environment, stdout=stream, stderr=subprocess.STDOUT) for each in commands]
     try:
         yield
         if any(process.poll() is not None for process in processes):

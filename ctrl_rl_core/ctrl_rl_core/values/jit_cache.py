@@ -1,4 +1,7 @@
-"""Machine code that is kept on disk between processes, where there is a place for it, and compiled again if damaged."""
+"""Machine code that is kept on disk between processes, where there is a place for it, and compiled again if damaged.
+
+Processes that start at the same time compile it once: the others wait and read what the first has written.
+"""
 
 from __future__ import annotations
 
@@ -6,13 +9,22 @@ import hashlib
 import os
 import pickle
 import sys
-from collections.abc import Callable
-from contextlib import suppress
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 from numba import njit
 from numba.core.caching import IndexDataCacheFile
+from numba.core.compiler_lock import global_compiler_lock
+
+from ctrl_rl_core.processes.exclusive_lock import LockError, exclusive_lock
+
+_PATIENCE_S = 60.0
+"""How long a process waits for another one's code before it compiles its own [s]: the other may be frozen."""
+_PAUSE_S = 0.02
+_compiling: set[Path] = set()
 
 
 def cached_njit(function: Callable[..., Any], **options: Any) -> Callable[..., Any]:
@@ -25,6 +37,7 @@ def cached_njit(function: Callable[..., Any], **options: Any) -> Callable[..., A
     if hasattr(cache, "_cache_file"):
         stamps = tuple(sorted((file, *_stamp(file)) for file in _sources(function)))
         cache._cache_file = _CheckedFile(cache._cache_path, cache._impl.filename_base, stamps)
+        compiled.compile = _in_turn(compiled.compile, cache._cache_file.lock)
     out: Callable[..., Any] = compiled
     return out
 
@@ -48,8 +61,41 @@ def _stamp(file: str) -> tuple[float, int]:
     return 0.0, 0
 
 
+def _in_turn(compile_: Callable[..., Any], lock: Path) -> Callable[..., Any]:
+    """Return a function's `compile` that one process does at a time; Numba's own lock is for the threads of one."""
+
+    def compile_in_turn(signature: Any) -> Any:
+        with global_compiler_lock, _turn(lock):
+            return compile_(signature)
+
+    return compile_in_turn
+
+
+@contextmanager
+def _turn(lock: Path) -> Iterator[None]:
+    """Hold a lock file, where there is a place for it and nobody holds it for ever."""
+    with ExitStack() as turn:
+        deadline = time.monotonic() + _PATIENCE_S
+        while lock not in _compiling and time.monotonic() < deadline:  # it is where a function calls itself
+            try:
+                turn.enter_context(exclusive_lock(lock))
+            except LockError:
+                time.sleep(_PAUSE_S)
+                continue
+            except OSError:
+                break
+            _compiling.add(lock)
+            turn.callback(_compiling.remove, lock)
+        yield
+
+
 class _CheckedFile(IndexDataCacheFile):
     """Numba's files with a digest in front: Numba runs whatever bytes it finds, and an empty file ends the process."""
+
+    @property
+    def lock(self) -> Path:
+        """File that is locked while this function is compiled."""
+        return Path(f"{self._index_path}.lock")
 
     def save(self, key: Any, data: Any) -> None:
         """Keep code, or say why it cannot be kept: it works all the same."""

@@ -1,0 +1,126 @@
+"""Processes that begin with their imports done: a server that has imported what a program needs forks it.
+
+Importing ROS, NumPy and the suite takes a node a second of processor time, and the tests start hundreds. A forked
+program is a process like any other: with its own arguments, environment, signals and exit code, and rclpy starts in it.
+Where the start itself is tried, `subprocess.Popen` is right.
+"""
+
+import ast
+import ctypes
+import json
+import os
+import re
+import runpy
+import socket
+import subprocess
+import sys
+import types
+from contextlib import suppress
+from functools import cache
+from importlib import import_module
+from importlib.metadata import distribution
+from pathlib import Path
+from threading import Lock
+from typing import Any
+
+_SUBREAPER = 36  # PR_SET_CHILD_SUBREAPER of prctl(2)
+_LONGEST = 1 << 17
+_ASKS = Lock()
+
+
+class Preloaded(subprocess.Popen):
+    """A Python program, forked: `python -c CODE`, `python SCRIPT.py` or an executable as `ros2 run` starts it."""
+
+    def _execute_child(self, args: Any, *rest: Any) -> None:
+        program = [str(part) for part in args]
+        if program[0] == sys.executable:
+            del program[0]
+        folder, environment, pipes = rest[4], rest[5], rest[9:15]
+        streams = [pipe if pipe >= 0 else number for number, pipe in enumerate((pipes[0], pipes[3], pipes[5]))]
+        # The server's child, left by its parent at once, becomes a child of ours: we may wait for it.
+        libc = ctypes.CDLL(None, use_errno=True)
+        assert libc.prctl(_SUBREAPER, 1, 0, 0, 0) == 0
+        try:
+            self.pid = _ask([program, dict(environment or os.environ), os.path.abspath(folder or ".")], streams)
+        finally:
+            libc.prctl(_SUBREAPER, 0, 0, 0, 0)
+        self._child_created = True
+        self._close_pipe_fds(*pipes)
+
+
+@cache
+def _server() -> tuple[socket.socket, subprocess.Popen]:
+    ours, its = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    with its:
+        command = [sys.executable, __file__, str(its.fileno())]
+        null = subprocess.DEVNULL
+        return ours, subprocess.Popen(command, pass_fds=[its.fileno()], stdin=null, stdout=null)
+
+
+def _ask(request: list[Any], streams: list[int]) -> int:
+    with _ASKS:
+        door, _ = _server()
+        socket.send_fds(door, [json.dumps(request).encode()], streams)
+        pid, left = door.recv(100), door.recv(100)
+    if not left:
+        raise RuntimeError("the server of preloaded processes has ended")
+    return int(pid)
+
+
+def _serve(door: socket.socket) -> list[str]:
+    """Fork a process for each request; return in each its program."""
+    while True:
+        request, streams, *_ = socket.recv_fds(door, _LONGEST, 3)
+        if not request:
+            os._exit(0)
+        program, environment, folder = json.loads(request)
+        _preload(*program[:2])
+        middle = os.fork()
+        if middle == 0 and (pid := os.fork()):
+            door.send(str(pid).encode())
+            os._exit(0)
+        if middle == 0:
+            break
+        os.waitpid(middle, 0)
+        door.send(b"its parent has left it")
+        for stream in streams:
+            os.close(stream)
+    door.close()
+    for number, stream in enumerate(streams):
+        os.dup2(stream, number)
+        os.close(stream)
+    os.environ.clear()
+    os.environ.update(environment)
+    os.chdir(folder)
+    return program
+
+
+@cache
+def _preload(name: str, *code: str) -> None:
+    """Import what a program imports at its top; what cannot be imported fails in the program itself."""
+    text = code[0] if name == "-c" else Path(name).read_text()
+    if found := re.search(r"load_entry_point\('(.+)', '(.+)', '(.+)'\)", text):
+        project, group, entry = found.groups()
+        modules = [each.module for each in distribution(project).entry_points.select(group=group, name=entry)]
+    else:
+        nodes = ast.parse(text).body
+        modules = [alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names]
+        modules += [str(node.module) for node in nodes if isinstance(node, ast.ImportFrom)]
+    for module in modules:
+        with suppress(ImportError):
+            import_module(module)
+
+
+def _run(program: list[str]) -> None:
+    if program[0] == "-c":
+        sys.argv = ["-c", *program[2:]]
+        main = sys.modules["__main__"] = types.ModuleType("__main__")
+        exec(compile(program[1], "<string>", "exec"), main.__dict__)
+    else:
+        sys.argv = program
+        sys.path[0] = str(Path(program[0]).resolve().parent)
+        runpy.run_path(program[0], run_name="__main__")
+
+
+if __name__ == "__main__":
+    _run(_serve(socket.socket(fileno=int(sys.argv[1]))))
