@@ -2,6 +2,7 @@
 
 Importing ROS, NumPy and the suite takes a node a second of processor time, and the tests start hundreds. A forked
 program is a process like any other: with its own arguments, environment, signals and exit code, and rclpy starts in it.
+It ends with the process that asked for it.
 Where the start itself is tried, `subprocess.Popen` is right.
 """
 
@@ -11,9 +12,11 @@ import json
 import os
 import re
 import runpy
+import signal
 import socket
 import subprocess
 import sys
+import time
 import types
 from contextlib import suppress
 from functools import cache
@@ -23,7 +26,8 @@ from pathlib import Path
 from threading import Lock
 from typing import Any
 
-_SUBREAPER = 36  # PR_SET_CHILD_SUBREAPER of prctl(2)
+_END_WITH_PARENT, _SUBREAPER = 1, 36  # PR_SET_PDEATHSIG and PR_SET_CHILD_SUBREAPER of prctl(2)
+_LIBC = ctypes.CDLL(None)
 _LONGEST = 1 << 17
 _ASKS = Lock()
 
@@ -38,12 +42,11 @@ class Preloaded(subprocess.Popen):
         folder, environment, pipes = rest[4], rest[5], rest[9:15]
         streams = [pipe if pipe >= 0 else number for number, pipe in enumerate((pipes[0], pipes[3], pipes[5]))]
         # The server's child, left by its parent at once, becomes a child of ours: we may wait for it.
-        libc = ctypes.CDLL(None, use_errno=True)
-        assert libc.prctl(_SUBREAPER, 1, 0, 0, 0) == 0
+        _LIBC.prctl(_SUBREAPER, 1, 0, 0, 0)
         try:
             self.pid = _ask([program, dict(environment or os.environ), os.path.abspath(folder or ".")], streams)
         finally:
-            libc.prctl(_SUBREAPER, 0, 0, 0, 0)
+            _LIBC.prctl(_SUBREAPER, 0, 0, 0, 0)
         self._child_created = True
         self._close_pipe_fds(*pipes)
 
@@ -69,6 +72,7 @@ def _ask(request: list[Any], streams: list[int]) -> int:
 
 def _serve(door: socket.socket) -> list[str]:
     """Fork a process for each request; return in each its program."""
+    tests = os.getppid()
     while True:
         request, streams, *_ = socket.recv_fds(door, _LONGEST, 3)
         if not request:
@@ -80,6 +84,7 @@ def _serve(door: socket.socket) -> list[str]:
             door.send(str(pid).encode())
             os._exit(0)
         if middle == 0:
+            _end_with(tests)
             break
         os.waitpid(middle, 0)
         door.send(b"its parent has left it")
@@ -93,6 +98,16 @@ def _serve(door: socket.socket) -> list[str]:
     os.environ.update(environment)
     os.chdir(folder)
     return program
+
+
+def _end_with(parent: int) -> None:
+    """Let this process be killed when the parent that it is about to get ends, however that ends."""
+    first = os.getppid()
+    while os.getppid() == first != parent:
+        time.sleep(0.001)
+    _LIBC.prctl(_END_WITH_PARENT, signal.SIGKILL, 0, 0, 0)
+    if os.getppid() != parent:
+        os._exit(1)
 
 
 @cache
