@@ -21,6 +21,7 @@ setup(
     entry_points={
         "console_scripts": [
             "safety_filter = ctrl_rl_safety.nodes.safety_filter_node:main",
+            "train = ctrl_rl_safety.cli.simulated:train",
             "trials = ctrl_rl_safety.cli.simulated:trials",
         ],
     },

@@ -93,11 +93,25 @@ class NavigationEnv(gymnasium.Env[Vector, Vector]):
 
     def step(self, action: Vector) -> tuple[Vector, float, bool, bool, dict[str, Any]]:
         """Hold an action (2,) for the task's time step."""
-        low, high = self._commands[:, 0], self._commands[:, 1]
-        share = 0.5 * (np.clip(np.asarray(action, dtype=float), -1.0, 1.0) + 1.0)
-        if not self.world.command(0, low + share * (high - low)):
-            raise SimulationError(f"action {np.asarray(action).tolist()} is not two finite numbers")
+        self.world.command(0, self.command_of(action))
         self.world.step(self._steps_per_action)
+        return self.result()
+
+    def command_of(self, action: Vector) -> NDArray[np.float64]:
+        """Return the command (2,) of an action (2,), in SI units.
+
+        Raises:
+            SimulationError: The action is not two finite numbers.
+        """
+        values = np.asarray(action, dtype=float)
+        if values.shape != (2,) or not np.isfinite(values).all():
+            raise SimulationError(f"action {values.tolist()} is not two finite numbers")
+        low, high = self._commands[:, 0], self._commands[:, 1]
+        command: NDArray[np.float64] = low + 0.5 * (np.clip(values, -1.0, 1.0) + 1.0) * (high - low)
+        return command
+
+    def result(self) -> tuple[Vector, float, bool, bool, dict[str, Any]]:
+        """Return observation, reward and the rest of a step that ends now; a wrapper may drive `world` itself."""
         episode = self.world.episode(0)
         truncated = episode.outcome is Outcome.TIMEOUT
         terminated = episode.outcome is not Outcome.RUNNING and not truncated

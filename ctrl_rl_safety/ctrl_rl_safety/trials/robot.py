@@ -63,12 +63,16 @@ class TrialRobot:
         world: World that it drives in.
         ticks: Number of commands so far.
         changed: Number of them that the filter changed.
-        sent: Command that went to the base last (2,).
         distance: Way driven [m].
     """
 
     def __init__(
-        self, world: SimulatedWorld, base: RobotModel, safety: SafetyFilter | None, with_set: bool = True
+        self,
+        world: SimulatedWorld,
+        base: RobotModel,
+        safety: SafetyFilter | None,
+        with_set: bool = True,
+        tick: float = TICK,
     ) -> None:
         """Take the robot of a world that was just reset.
 
@@ -77,15 +81,15 @@ class TrialRobot:
             base: Constants by which its base moves.
             safety: Filter before the base; None for none.
             with_set: Whether the recoverable set is solved at each scan; the filter has its fixed escapes otherwise.
+            tick: Time between two answers of the filter [s].
         """
         self.world, self._safety, self._with_set = world, safety, with_set
         rate = world.options.rate
         self._base = Base(base, 1.0 / rate)
-        self._steps = max(1, round(TICK * rate))
+        self._tick, self._steps = tick, max(1, round(tick * rate))
         self._turn = max(1, round(rate / world.lidar.spec.rate))
         self._forward = DRIVES[world.task.robot.body].lidar[0]
         self.ticks = self.changed = 0
-        self.sent: Array = np.zeros(2)
         self.distance = 0.0
         self._stood_at: Array = world.pose()[:2]
         self._speed = 0.0
@@ -110,31 +114,30 @@ class TrialRobot:
         """Whether it ended by a contact that the robot could not avoid."""
         return self._touched is False
 
-    def drive(self, raw: Array, seconds: float) -> list[Mode]:
+    def drive(self, raw: Array, seconds: float) -> Array:
         """Hold a raw command (2,) for a time, or until the episode ends.
 
         Args:
             raw: Speed [m/s] and turn rate [rad/s].
-            seconds: Time, a whole number of `TICK` [s].
+            seconds: Time, a whole number of ticks [s].
 
         Returns:
-            The filter's answers, one a tick; none without a filter.
+            The mean of the commands that were sent (2,).
         """
-        modes = []
-        for _ in range(max(1, round(seconds / TICK))):
+        sent = []
+        for _ in range(max(1, round(seconds / self._tick))):
             command = raw
             if self._safety is not None:
-                verdict = self._answer(self._safety, raw)
-                command = verdict[0]
-                modes.append(verdict[1])
-                self.changed += verdict[1] is not Mode.PASSED
+                command, mode = self._answer(self._safety, raw)
+                self.changed += mode is not Mode.PASSED
             self.ticks += 1
-            self.sent = command
+            sent.append(command)
             self._base.send(self.world.elapsed, command)
             self._advance()
             if self.over:
                 break
-        return modes
+        mean: Array = np.mean(sent, axis=0)
+        return mean
 
     def _answer(self, safety: SafetyFilter, raw: Array) -> tuple[Array, Mode]:
         world, now = self.world, self.world.elapsed

@@ -19,8 +19,10 @@ _STARTS = {"boxes": 0.0, "movers": 0.6}
 """Half the side of the square that the robot starts in: a mover may begin in the middle [m]."""
 _BOXES = {"boxes": 9, "movers": 6}
 _MOVERS = {"boxes": 0, "movers": 2}
-_LIDAR = {"beams": 360, "field": "0.0 .. 360.0 deg", "range": "0.1 .. 8.0 m", "rate": "10.0 Hz", "noise": "0.01 m"}
-_LONGEST_S = 20.0
+_LIDAR = {"beams": 360, "field": "0.0 .. 360.0 deg", "range": "0.1 .. 8.0 m", "rate": "5.0 Hz", "noise": "0.01 m"}
+_LONGEST_S = 15.0
+_ATTACKED = 1_000_000
+"""Seed of the room in which attackers learn: none of trials."""
 
 
 def room(place: str, body: str, model: RobotModel, seed: int) -> NavigationTask:
@@ -66,6 +68,13 @@ def room(place: str, body: str, model: RobotModel, seed: int) -> NavigationTask:
         "lidar": _LIDAR,
     }
     return NavigationTask.model_validate(content)
+
+
+def attacked_room(body: str, model: RobotModel) -> NavigationTask:
+    """Return the room with movers in which attackers learn, with a lidar of 24 beams for their policies."""
+    task = room("movers", body, model, _ATTACKED)
+    lidar = task.lidar.model_copy(update={"beams": 24, "noise": 0.0})
+    return task.model_copy(update={"lidar": lidar})
 
 
 def with_whole_scan(task: NavigationTask) -> NavigationTask:

@@ -1,0 +1,102 @@
+"""The command `train`: policies that learn behind the filter or without it, and attackers that learn against it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from ctrl_rl_core.command import FolderToWrite
+from ctrl_rl_training.cli import ExperimentOptions, Positive, make_command, some_of
+from ctrl_rl_training.experiments.run import RunOptions
+
+from ctrl_rl_core import Result, write_results
+
+_ITERATION = 2048
+_EVALUATIONS, _FINAL_EVALUATIONS = 10, 50
+_CHECK_SEED = 3_000_000
+_WAYS = ("none", "raw", "sent", "penalty")
+_ROBOTS = ("turtlebot3_burger", "turtlebot2")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Train(ExperimentOptions):
+    """Learn `car_navigation` by PPO with and without the filter as a shield, and check all policies both ways.
+
+    With `--attackers` learn policies that try to bring a robot behind the filter to a contact. All in the planar
+    engine; an interrupted call goes on where it was cut off.
+    """
+
+    folder: FolderToWrite = Path("runs/safety_shield")
+    """Folder of the runs; each has one of its own, and goes on there where it was cut off."""
+    samples: Positive = 10 * _ITERATION
+    """Samples of a run; whole iterations of 2048 are done."""
+    ways: Annotated[tuple[str, ...], some_of(_WAYS)] = _WAYS
+    """No shield (none), or what the learner is told where the filter changes its action: its own action (raw), the one
+    that was sent (sent), or its own with a lower reward (penalty)."""
+    attackers: Annotated[tuple[str, ...], some_of(_ROBOTS)] = ()
+    """Robots to learn attackers for, in place of the comparison."""
+
+
+def _train(options: Train) -> int:
+    # Torch takes seconds to import: not before the arguments are right.
+    from ctrl_rl_training.experiments.matrix import run_experiments
+
+    from ctrl_rl_safety.training.runs import WAYS, AttackRun, ShieldRun
+
+    how = RunOptions(options.folder, -(-options.samples // _ITERATION), _ITERATION, _EVALUATIONS, _FINAL_EVALUATIONS)
+    seeds = range(options.seeds)
+    if options.attackers:
+        attacks = [AttackRun(robot, seed) for seed in seeds for robot in options.attackers]
+        for run, result in zip(attacks, run_experiments(attacks, how, options.workers, "attackers"), strict=True):
+            print(f"{run.name}: avoidable contacts in {result['success']:.1%} of episodes")
+        return 0
+    runs = [ShieldRun("car_navigation", way, seed) for way in WAYS for seed in seeds if way in options.ways]
+    results = run_experiments(runs, how, options.workers, "shield", options.ray)
+    rows, figures = collect(runs, results, options.folder)
+    for row in rows:
+        print(f"{row.method:<16} {row.metric:<34} {np.mean(row.values):.4g}")
+    if options.results is not None:
+        write_results(options.results, "safety_shield", seeds, rows, {"task": "car_navigation", **figures})
+        print(f"results    {options.results}")
+    return 0
+
+
+def collect(runs: Sequence[Any], results: Sequence[Any], folder: Path) -> tuple[list[Result], dict[str, Any]]:
+    """Return the rows of all runs with one value a seed, and the curves of success by method.
+
+    Args:
+        runs: Runs of `ShieldRun`.
+        results: Results of the runs.
+        folder: Folder of the runs, in which the policies are.
+    """
+    from ctrl_rl_training.experiments.results import curves_of, samples_to
+    from ctrl_rl_training.sb3.roll_out import SUCCESS, evaluate
+
+    from ctrl_rl_core import Actor
+
+    found: dict[str, dict[str, list[float]]] = {}
+    finished: dict[str, list[Any]] = {}
+    for run, result in zip(runs, results, strict=True):
+        figures = found.setdefault(run.method, {})
+        finished.setdefault(run.method, []).append((run, result))
+        actor = Actor.load(folder / run.name / "policy.safetensors")
+        for active, words in ((False, "without"), (True, "with")):
+            environment = run.checked(active)
+            ended = [each.outcome for each in evaluate(actor, environment, _FINAL_EVALUATIONS, _CHECK_SEED)]
+            environment.close()
+            for name, outcome in (("success", SUCCESS), ("collisions", "COLLISION")):
+                figures.setdefault(f"{name} {words} the filter", []).append(ended.count(outcome) / len(ended))
+        contacts = sum(point["ended"].get("COLLISION", 0) for point in result["curve"])
+        figures.setdefault("collisions while learning", []).append(float(contacts))
+        reached = samples_to(result["curve"], "evaluation", 0.9)
+        if reached is not None:
+            figures.setdefault("samples to 90 %", []).append(reached)
+        figures.setdefault("seeds that reach 90 %", []).append(float(reached is not None))
+    rows = [Result(method, name, "1", values) for method, figures in found.items() for name, values in figures.items()]
+    return rows, {"curves": curves_of(finished, success="evaluation")}
+
+
+train = make_command("train", Train, _train)

@@ -1,0 +1,134 @@
+"""The safety filter as a Gymnasium wrapper, and the choice of what a learner is told of its corrections.
+
+environment = Shield(NavigationEnv(with_whole_scan(task), options=SETTINGS), model)
+environment = shielded_environment(task, model)    # the same with the task's own beams, scaled for learners
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import gymnasium
+import numpy as np
+from ctrl_rl_core.driving.scan import nearest_beams
+from ctrl_rl_training.sb3.environment import Environment, ScaledObservation, Vector
+from gymnasium import spaces
+
+from ctrl_rl_core import NavigationTask, ScanGeometry
+from ctrl_rl_safety.filter.safety_filter import SafetyFilter
+from ctrl_rl_safety.filter.verdict import FilterOptions
+from ctrl_rl_safety.models.robot_model import RobotModel
+from ctrl_rl_safety.trials.robot import MOTOR_LAG, TrialRobot
+from ctrl_rl_safety.trials.worlds import with_whole_scan
+from sim_bridge import NavigationEnv, SimulationOptions
+
+SETTINGS = SimulationOptions(engine="planar", rate=20, scan_rate=5.0, motor_lag=MOTOR_LAG)
+"""Settings of the simulation while learning: few physics steps and scans, which take most of the time."""
+
+
+@dataclass(frozen=True)
+class ShieldOptions:
+    """What a shield does.
+
+    Attributes:
+        active: Whether commands are filtered; without it the robot moves alike, and may touch things.
+        told: The learner's own action ("raw"), the one that was sent in its place ("sent"), or its own with a lower
+            reward where they differ ("penalty").
+        penalty: Reward that a difference as large as half the range of a command costs in a step.
+        mover_speed: Largest speed of movers [m/s].
+        period: Time between two answers of the filter, of which a step of the task has a whole number [s].
+    """
+
+    active: bool = True
+    told: Literal["raw", "sent", "penalty"] = "raw"
+    penalty: float = 20.0
+    mover_speed: float = 0.0
+    period: float = 0.1
+
+
+class Shield(gymnasium.Wrapper[Vector, Vector, Vector, Vector]):
+    """An environment in which the filter answers several times a step, in place of the raw action.
+
+    Info has `told_action` besides, the action (2,) of the step as the learner is to remember it (`ToldActions` puts it
+    into the memory of PPO); `changed`, the part of the commands that the filter changed; and `avoidable`, whether the
+    episode ended by a contact that the robot could have avoided.
+    """
+
+    def __init__(self, environment: NavigationEnv, model: RobotModel, options: ShieldOptions | None = None) -> None:
+        """Put a filter before a robot on wheels.
+
+        Args:
+            environment: Environment whose lidar looks all around, with the `motor_lag` of `SETTINGS`.
+            model: Constants of the robot, by which its base then moves.
+            options: Settings of the shield; the defaults unless given.
+        """
+        super().__init__(environment)
+        self._inner, self._model, self._options = environment, model, options or ShieldOptions()
+        self._robot: TrialRobot | None = None
+        low, high = np.array(list(environment.task.robot.commands.values())).T
+        self._middle, self._half = 0.5 * (low + high), 0.5 * (high - low)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Vector, dict[str, Any]]:
+        """Start an episode."""
+        observation, info = self.env.reset(seed=seed, options=options)
+        safety = None
+        if self._options.active:
+            settings = FilterOptions(period=self._options.period, mover_speed=self._options.mover_speed)
+            safety = SafetyFilter(self._model, settings)
+        self._robot = TrialRobot(self._inner.world, self._model, safety, False, self._options.period)
+        return observation, info
+
+    def step(self, action: Vector) -> tuple[Vector, float, bool, bool, dict[str, Any]]:
+        """Drive by an action (2,) for the task's time step, as far as the filter lets it through."""
+        assert self._robot is not None, "reset before the first step"
+        raw = self._inner.command_of(action)
+        ticks, changed = self._robot.ticks, self._robot.changed
+        sent = self._robot.drive(raw, self._inner.task.episode.time_step)
+        observation, reward, terminated, truncated, info = self._inner.result()
+        own = np.clip(np.asarray(action, dtype=np.float64), -1.0, 1.0)
+        given = np.clip((sent - self._middle) / self._half, -1.0, 1.0)
+        if self._options.told == "penalty":
+            reward -= self._options.penalty * float(np.abs(given - own).sum())
+        info["told_action"] = (given if self._options.told == "sent" else np.asarray(action)).astype(np.float32)
+        info["avoidable"] = self._robot.avoidable
+        info["changed"] = (self._robot.changed - changed) / (self._robot.ticks - ticks)
+        return observation, reward, terminated, truncated, info
+
+
+class TaskBeams(gymnasium.ObservationWrapper[Vector, Vector, Vector]):
+    """The beams of a task's own lidar, out of a lidar that looks all around."""
+
+    def __init__(
+        self, environment: gymnasium.Env[Vector, Vector], task: NavigationTask, around: NavigationTask
+    ) -> None:
+        super().__init__(environment)
+        states, lidar = len(task.observed_states), around.lidar
+        geometry = ScanGeometry(lidar.beams, lidar.angle_min, lidar.angle_increment, *lidar.range)
+        bearings = task.lidar.angle_min + task.lidar.angle_increment * np.arange(task.lidar.beams, dtype=np.float64)
+        self._kept = np.concatenate((np.arange(states), states + nearest_beams(geometry, bearings)[1]))
+        space = environment.observation_space
+        assert isinstance(space, spaces.Box)
+        self.observation_space = spaces.Box(space.low[self._kept], space.high[self._kept])
+
+    def observation(self, observation: Vector) -> Vector:
+        """Return the state and the beams (n,)."""
+        return observation[self._kept]
+
+
+def shielded_environment(
+    task: NavigationTask, model: RobotModel, options: ShieldOptions | None = None, *wrappers: Any
+) -> Environment:
+    """Return the environment of a task in an arena behind a shield, as learners see it.
+
+    Args:
+        task: Task of a robot on wheels.
+        model: Constants of the robot.
+        options: Settings of the shield; the defaults unless given.
+        wrappers: Functions called with the environment before its observations are scaled.
+    """
+    around = with_whole_scan(task)
+    environment: Any = Shield(NavigationEnv(around, options=SETTINGS), model, options)
+    for wrap in wrappers:
+        environment = wrap(environment)
+    return ScaledObservation(TaskBeams(environment, task, around), task)
