@@ -61,7 +61,7 @@ RUN_TIME_MODULES = (
     "ctrl_rl_core.policies.policy_node",
     "ctrl_rl_core.policies.onnx_policy",
     "ctrl_rl_navigation.nodes.navigator_node",
-    "ctrl_rl_safety.filter.safety_filter",
+    "ctrl_rl_safety.nodes.safety_filter_node",
     "oc_baseline_node.node",
     "koopman_lqr_controller.nodes.controller_node",
     "koopman_lqr_controller.nodes.scripted_driver_node",

@@ -208,3 +208,15 @@ def test_a_policy_learned_from_scratch_drives(tmp_path: Path) -> None:
         "trials", "--seeds", 5, "--at-least", 5, "--speed", 8, "--policy", policy, "--output", tmp_path / "r"
     )
     assert answer.returncode == 0, answer.stdout + answer.stderr
+
+
+@pytest.mark.slow
+def test_with_the_filter_somebody_walks_past_and_the_robot_reaches_the_goal(tmp_path: Path) -> None:
+    answer = command("demo", "--filter", "--speed", 2, "--seed", 5, "--output", tmp_path / "run")
+    assert answer.returncode == 0, answer.stderr
+    assert "safety filter" in answer.stdout
+    report = json.loads((tmp_path / "run" / "report.json").read_text())
+    assert report["task"] == "corridor_head_on"
+    assert report["collisions"] == 0
+    assert report["safety_filter"]["passed"] > report["safety_filter"]["corrected"] > 0
+    assert 0.0 < report["safety_filter"]["held_s"] < 10.0

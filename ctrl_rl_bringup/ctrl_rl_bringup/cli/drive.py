@@ -67,6 +67,9 @@ class _RunOptions:
     engine: Literal["pybullet", "mujoco"] | None = None
     """Physics engine of the simulator; PyBullet unless given, or MuJoCo where PyBullet is not installed."""
 
+    filter: bool = False
+    """Put the safety filter between the driver and the robot."""
+
     gui: bool = False
     """Show PyBullet's window."""
 
@@ -106,6 +109,7 @@ class _RunOptions:
             width=self.width,
             gui=self.gui,
             randomise_width=self.random_width,
+            safety_filter=self.filter,
             simulation=self._simulation(),
             ready_limit=self.ready_limit,
         )
@@ -120,6 +124,9 @@ class _RunOptions:
 @dataclass(frozen=True)
 class DemoOptions(_RunOptions):
     """Drive, or fly, a robot through a task in the simulator, record it and report."""
+
+    task: str = ""
+    """Task name or .yaml file; curved_corridor unless given, with --filter one in which somebody comes along."""
 
     policy: str = ""
     """Policy name or file; the one that has learnt the task unless given."""
@@ -195,6 +202,8 @@ class ResultsOptions:
 def demo() -> int:
     """Drive the corridor once, record it and report."""
     options = parse_options("demo", DemoOptions)
+    if not options.task:
+        options = replace(options, task="corridor_head_on" if options.filter else DriveConfig.task)
     return run_alone("demo", lambda: _demo(options.config("demo", options.seed, options.policy)))
 
 
@@ -243,8 +252,7 @@ def _demo(config: DriveConfig) -> int:
 
 def _report(result: DriveReport, config: DriveConfig) -> int:
     artifacts = write_artifacts(result, config.folder)
-    print(result.text())
-    print(f"bag                 {config.bag}")
+    print(f"{result.text()}\nbag                 {config.bag}")
     print(f"picture             {artifacts.picture}")
     print(f"report              {artifacts.report}")
     if lacks := result.lacks:

@@ -75,6 +75,23 @@ def _mark_times(axes: Axes, drive: DriveReport, step: float = 5.0) -> None:
 
 
 def _draw_over_time(axes: dict[str, Axes], drive: DriveReport, commands: tuple[str, str]) -> None:
+    safety = drive.safety_filter
+    if safety is not None:
+        for name, column in (("speed", 0), ("turn", 1)):
+            axes[name].step(safety.times, safety.raw[:, column], where="post", color="0.6", label="raw")
+            low, high = axes[name].get_ylim()
+            axes[name].fill_between(
+                safety.times,
+                low,
+                high,
+                where=safety.changed,
+                step="post",
+                color="tab:red",
+                alpha=0.2,
+                linewidth=0,
+                label="changed by the filter",
+            )
+        axes["speed"].legend(fontsize=7, frameon=False)
     axes["clearance"].plot(*drive.clearance.T, color="tab:blue")
     axes["clearance"].axhline(0.0, color="tab:red", linewidth=1)
     axes["clearance"].set_ylabel("clearance\n[m]")

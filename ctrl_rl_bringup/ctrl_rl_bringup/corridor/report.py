@@ -12,6 +12,7 @@ from ctrl_rl_core.ros.node import seconds
 from numpy.typing import NDArray
 
 from ctrl_rl_bags import BagError, bag_info, read_messages
+from ctrl_rl_bringup.corridor.filter_record import FILTER, FilterRecord, read_filter
 from ctrl_rl_bringup.corridor.latent_model import LatentModel, read_latent_model
 from ctrl_rl_bringup.corridor.mover_tracks import MOVERS, MoverTrack, read_movers
 from ctrl_rl_bringup.runner.monitor import OUTCOMES
@@ -51,6 +52,7 @@ class DriveReport:
         predictions: Time, one-step error of the latent model, and that of "nothing changes" (n, 3).
         latent: Latent model of the controller; None if another driver drove.
         movers: Moving obstacles of the task.
+        safety_filter: Answers of the safety filter; None where it did not run.
         promised: Kinds of files that the run was started with: "policy", "time_to_reach", "oc_value" and so on.
     """
 
@@ -72,6 +74,7 @@ class DriveReport:
     predictions: Array
     latent: LatentModel | None
     movers: tuple[MoverTrack, ...] = ()
+    safety_filter: FilterRecord | None = None
     promised: frozenset[str] = frozenset()
 
     @property
@@ -127,6 +130,7 @@ class DriveReport:
             "messages_recorded": self.messages,
             "messages_lost": self.lost,
             "latent_model": self.latent.as_dict() if self.latent else None,
+            "safety_filter": self.safety_filter.as_dict() if self.safety_filter else None,
             "lacks": self.lacks,
         }
 
@@ -146,6 +150,7 @@ class DriveReport:
                 f"control latency     {ms[0]:.2f} ms median, {ms[1]:.2f} ms p99, {len(self.latencies)} scans",
                 f"messages            {self.messages} recorded, {self.lost} lost",
                 *(self.latent.text() if self.latent else ()),
+                *(self.safety_filter.text() if self.safety_filter else ()),
             )
         )
 
@@ -203,6 +208,7 @@ def read_drive(bag: Path) -> DriveReport:
         predictions=latent.steps - (begin, 0.0, 0.0) if latent else np.empty((0, 3)),
         latent=latent,
         movers=read_movers(bag, begin) if MOVERS in info.topics else (),
+        safety_filter=read_filter(bag, begin, begin + _duration(episode)) if FILTER in info.topics else None,
         promised=frozenset(key.removeprefix(_DIGEST) for key in info.custom_data if key.startswith(_DIGEST)),
     )
 

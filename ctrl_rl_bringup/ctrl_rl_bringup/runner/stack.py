@@ -13,6 +13,8 @@ from koopman_lqr_controller import DEFAULT_POLICY
 
 RAW = "cmd_vel_raw"
 """Topic of the driver's commands, which the watchdog passes on to the robot as cmd_vel."""
+SAFE = "cmd_vel_safe"
+"""Topic of the safety filter's commands, which the watchdog passes on where there is a filter."""
 RAW_THRUSTS = "rotor_thrusts_raw"
 """Topic of the pilot's commands, which the watchdog passes on to the quadrotor as rotor_thrusts."""
 _ODOMETRY, _MOST_ODOMETRY = 30.0, 240.0
@@ -61,6 +63,7 @@ class DriveConfig:
         width: Width of the corridor [m]; 0 for the task's own.
         gui: Whether PyBullet shows a window.
         randomise_width: Whether each reset draws the corridor's width from the task's range.
+        safety_filter: Whether the safety filter stands between the driver and the watchdog.
         simulation: Further parameters of the simulator by name: lidar, drop-outs, delay and so on.
         ready_limit: Longest time until all nodes must be ready [s].
     """
@@ -73,6 +76,7 @@ class DriveConfig:
     width: float = 0.0
     gui: bool = False
     randomise_width: bool = False
+    safety_filter: bool = False
     simulation: Mapping[str, Any] = field(default_factory=dict)
     ready_limit: float = 600.0
 
@@ -109,6 +113,26 @@ def recorder(options: DriveConfig, digests: Mapping[str, Path]) -> NodeSpec:
     return NodeSpec("ctrl_rl_bags", "recorder", parameters)
 
 
+def safety_filter(task: NavigationTask) -> NodeSpec:
+    """Return the safety filter between a driver and its watchdog, for movers as fast as those of the task.
+
+    Where somebody moves, the map tells walls from people; the simulator's odometry starts in the frame of the map.
+    """
+    parameters = {
+        "use_sim_time": True,
+        "robot": task.robot.body,
+        "mover_speed": _fastest_mover(task),
+        "use_map": bool(task.movers),
+    }
+    return NodeSpec("ctrl_rl_safety", "safety_filter", parameters, (SAFE,), remappings={"cmd_vel": SAFE})
+
+
+def _fastest_mover(task: NavigationTask) -> float:
+    """Return the largest speed of a task's movers [m/s]."""
+    tracks = [each.track or each.wander for each in task.movers]
+    return max((each.speed.high for each in tracks if each is not None), default=0.0)
+
+
 def controller(options: DriveConfig) -> NodeSpec:
     """Return the Koopman-LQR controller."""
     parameters = {"use_sim_time": True, "policy": options.policy}
@@ -129,13 +153,21 @@ def policy_nodes(options: DriveConfig, task: NavigationTask) -> list[NodeSpec]:
         return [pilot, thrust_watchdog(options.speed, task)]
     driver = NodeSpec("ctrl_rl_core", "policy", parameters, (RAW,), remappings={"cmd_vel": RAW})
     speed, turn = (max(abs(each.low), abs(each.high)) for each in task.robot.commands.values())
-    return [driver, watchdog(options.speed, largest_speed=speed, largest_turn_rate=turn)]
+    return [driver, *guards(options, task, largest_speed=speed, largest_turn_rate=turn)]
 
 
-def watchdog(speed: float, namespace: str = "", **limits: float) -> NodeSpec:
+def guards(options: DriveConfig, task: NavigationTask, **limits: float) -> list[NodeSpec]:
+    """Return what stands between a driver and its robot: the watchdog, and the safety filter where it is wanted."""
+    if not options.safety_filter:
+        return [watchdog(options.speed, "", RAW, **limits)]
+    return [safety_filter(task), watchdog(options.speed, "", SAFE, **limits)]
+
+
+def watchdog(speed: float, namespace: str = "", hears: str = RAW, **limits: float) -> NodeSpec:
     """Return the watchdog between a driver and its robot; in slow simulations it waits longer for a command."""
     parameters = {"use_sim_time": True, "timeout": _timeout(speed), **limits}
-    return NodeSpec("ctrl_rl_core", "watchdog", parameters, namespace=namespace)
+    remappings = {RAW: hears} if hears != RAW else {}
+    return NodeSpec("ctrl_rl_core", "watchdog", parameters, namespace=namespace, remappings=remappings)
 
 
 def thrust_watchdog(speed: float, task: NavigationTask) -> NodeSpec:

@@ -25,6 +25,8 @@ _LAST = 0.05
 _RISE = 0.2
 """Part of the acceleration with which a corrected speed rises."""
 _REFINEMENTS = 4
+_COARSE = 4
+"""Every so many turn rates are tried after the first certified command, for one that stays so until the next scan."""
 
 
 class Request(NamedTuple):
@@ -36,7 +38,7 @@ class Request(NamedTuple):
         corrected: Whether that one was not the raw one.
         turn: Turn rate that would unblock a robot that is held; 0 for none [rad/s].
         hysteresis: Margin that lets a command pass again after a correction [m].
-        patience: Time steps for which a command must be certified to pass again after a correction.
+        patience: Time steps for which a corrected command should be certified, and a raw one must be to pass again.
         first: Kind of the escape that is tried first.
         slowest: Least speed that may be commanded [m/s].
         fastest: Largest speed that may be commanded [m/s].
@@ -123,25 +125,36 @@ def _nearest(sit: Any, ask: Any, state: tuple[float, float, float, float, float]
             ev, ew = (speeds[i] - ask.last[0]) / wide_v, (turns[j] - ask.last[1]) / wide_w
             costs[i * len(turns) + j] = math.sqrt(dv * dv + dw * dw) + _LAST * math.sqrt(ev * ev + ew * ew)
     stands = abs(state[3]) < STANDS
+    spare, spare_margin, spare_kind = -1, -FAR, ask.first
     for place in np.argsort(costs):
+        if spare >= 0 and place % len(turns) % _COARSE != _TURNS % _COARSE:
+            continue
         command = (speeds[place // len(turns)], turns[place % len(turns)])
         # A robot that stands after a correction does not begin to move by the noise of a scan.
         needed = ask.hysteresis if stands and ask.corrected and abs(command[0]) >= STANDS else 0.0
         if hopeless(sit, state, command):
             continue
-        margin, kind = certify(sit, state, t, command, sit.hold, ask.first, needed)
+        if spare < 0:
+            margin, kind = certify(sit, state, t, command, sit.hold, ask.first, needed)
+            if margin < needed:
+                continue
+            spare, spare_margin, spare_kind = place, margin, kind
+        # One that holds until the next scan does not have to be taken back as this scan grows old.
+        margin, kind = certify(sit, state, t, command, ask.patience, ask.first, needed)
         if margin < needed:
             continue
         share, step = 1.0, 0.5
         for _ in range(_REFINEMENTS):
             tried = share - step
             between = (ask.raw[0] + tried * (command[0] - ask.raw[0]), ask.raw[1] + tried * (command[1] - ask.raw[1]))
-            found, which = certify(sit, state, t, between, sit.hold, kind, needed)
+            found, which = certify(sit, state, t, between, ask.patience, kind, needed)
             if found >= needed:
                 share, margin, kind = tried, found, which
             step *= 0.5
         v, omega = ask.raw[0] + share * (command[0] - ask.raw[0]), ask.raw[1] + share * (command[1] - ask.raw[1])
         return v, omega, margin, kind
+    if spare >= 0:
+        return speeds[spare // len(turns)], turns[spare % len(turns)], spare_margin, spare_kind
     return 0.0, 0.0, -FAR, ask.first
 
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,14 +30,18 @@ from ctrl_rl_safety.sets.recoverable_set import RecoverableSet, brake_ladder, so
 
 Array = NDArray[np.float64]
 
+Fixed = Callable[[Array], NDArray[np.bool_]]
+
 STEP = 0.02
 """Time step of the roll-outs [s]."""
 _LEAST_CELL = 0.025
 _LATEST = 0.5
 """Age of a scan that the local grid is made for [s]."""
 _NONE: Array = np.empty((0, 2))
-_PATIENCE = 15
-"""Time steps for which a command must stay recoverable to pass again after a correction, besides its own."""
+_LATE = 0.06
+"""Time by which a scan may come later than usual [s]."""
+_LONGEST_INTERVAL = 0.5
+"""Largest time from scan to scan that a corrected command waits for [s]."""
 _UNBLOCKING = 0.3
 """Part of the largest turn rate with which a robot is turned."""
 _SIDE = 0.25
@@ -58,7 +63,12 @@ class SafetyFilter:
         self.model, self.options = model, options or FilterOptions()
         value = self.options
         creep = (SAME + 2.0 * model.range_error) / value.standing_time
-        self._growth = Growth(model.disturbance, value.mover_speed, value.mover_acceleration, creep)
+        self._growths = {
+            False: Growth(model.disturbance, value.mover_speed, value.mover_acceleration, creep),
+            True: Growth(model.disturbance, value.mover_speed),
+        }
+        """Bounds of motion without a map, and with one: what is on it stands for ever."""
+        self._growth = self._growths[False]
         self._motion = motion_of(model, STEP)
         self._hold = max(1, math.ceil(value.period / STEP))
         self._room = model.radius + model.range_error
@@ -73,13 +83,14 @@ class SafetyFilter:
         self._unblocking = Unblocking(value.unblock_after)
         self._seen: tuple[Obstacles, float] | None = None
         self._set: RecoverableSet | None = None
+        self._arrived, self._interval = -math.inf, 0.0
         self._sent: deque[tuple[float, float, float]] = deque(maxlen=1000)
         self._corrected = False
         self._kind = 0
         self._last_v = 0.0
-        self._plan: tuple[float, Array] = (-math.inf, np.empty(0))
+        self._plan: tuple[float, Array] = (0.0, np.empty(0))
 
-    def see(self, now: float, pose: Array, echoes: Array, age: float = 0.0) -> None:
+    def see(self, now: float, pose: Array, echoes: Array, age: float = 0.0, fixed: Fixed | None = None) -> None:
         """Take a scan.
 
         Args:
@@ -87,16 +98,22 @@ class SafetyFilter:
             pose: Pose of the robot when the scan was taken, in the frame of the odometry (3,) [m, m, rad].
             echoes: Echoes in the robot's frame then, in the order of their beams (n, 2) [m].
             age: Age of the scan [s].
+            fixed: Says which places (n, 2) in the frame of the odometry [m] a map has (n,); None without a map. What
+                it has stands for ever, and all else may move at once.
         """
+        self._interval = min(max(now - self._arrived, 0.0), _LONGEST_INTERVAL)
+        self._arrived = now
         near = echoes[np.hypot(echoes[:, 0], echoes[:, 1]) < self.reach]
         wide = 2.0 * self.model.radius
         places, edges = surfaces(near, _SIDE * self.model.radius, wide)
         moving = _moved(edges, pose) if self.options.occluded_movers else _NONE
         places = _moved(places, pose)
         if self.options.mover_speed > 0.0:
-            stands = self._memory.update(now, places)
+            known = self._memory.update(now, places)
+            stands = known if fixed is None else fixed(places)
             moving = np.concatenate((moving, places[~stands]))
             places = places[stands]
+        self._growth = self._growths[fixed is not None]
         obstacles = obstacles_around(places, moving, (float(pose[0]), float(pose[1])), self._cell)
         self._seen = obstacles, now - age - self.model.scan_age
 
@@ -152,7 +169,7 @@ class SafetyFilter:
             self._corrected,
             turn,
             self.options.hysteresis,
-            self._hold + _PATIENCE,
+            self._hold + max(math.ceil((self._interval + _LATE - (now - self._arrived)) / STEP), 0),
             self._kind,
             slowest,
             fastest,

@@ -23,7 +23,7 @@ _FARTHEST_JUMP = 0.3
 """Way beyond that of the largest speed that means another origin of the odometry [m]."""
 
 
-def age_of(what: str, stamp: int, clock: int, timeout: float) -> float:
+def age_of(what: str, stamp: int, clock: int, timeout: float, ahead: float = AHEAD) -> float:
     """Return the age of a message that arrives now [s]; zero where its stamp lies ahead a bit.
 
     Args:
@@ -31,12 +31,13 @@ def age_of(what: str, stamp: int, clock: int, timeout: float) -> float:
         stamp: Its stamp [ns].
         clock: Time of the node's clock [ns].
         timeout: Age from which on it is too old [s].
+        ahead: Time by which the stamp may lie ahead of the clock [s].
 
     Raises:
         SafetyError: The stamp lies in the future, or the message is too old.
     """
     age = 1e-9 * (clock - stamp)
-    if age < -AHEAD:
+    if age < -ahead:
         raise SafetyError(f"{what} is stamped {-age:.2f} s ahead of this clock: set the clocks of both computers")
     if age > timeout:
         raise SafetyError(f"{what} is {age:.2f} s old on arrival: set the clocks of both computers, or use_sim_time")
@@ -64,14 +65,15 @@ class OdometryInput:
     Args:
         fastest: Largest speed of the robot [m/s].
         timeout: Age from which on odometry is too old [s].
+        ahead: Time by which its stamp may lie ahead of the clock [s].
 
     Attributes:
         frame: Frame of the poses.
         jumps: Number of times that the poses jumped, as by a new origin.
     """
 
-    def __init__(self, fastest: float, timeout: float) -> None:
-        self._fastest, self._timeout = fastest, timeout
+    def __init__(self, fastest: float, timeout: float, ahead: float) -> None:
+        self._fastest, self._timeout, self._ahead = fastest, timeout, ahead
         self._track = OdometryTrack()
         self._at, self._age, self._stamp = -math.inf, math.inf, 0
         self._pose, self._v, self._omega = np.full(3, math.nan), 0.0, 0.0
@@ -90,7 +92,7 @@ class OdometryInput:
             TransformError: Its pose is none.
         """
         stamp = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
-        age = age_of("odometry", stamp, clock, self._timeout)
+        age = age_of("odometry", stamp, clock, self._timeout, self._ahead)
         self._track.update(message, now)
         pose, passed = self._track.latest().pose, 1e-9 * (stamp - self._stamp)
         way = math.hypot(pose[0] - self._pose[0], pose[1] - self._pose[1])

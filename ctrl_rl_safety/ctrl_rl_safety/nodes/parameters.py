@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from ctrl_rl_core.driving.lidar_velocity_node import SCAN_PARAMETERS
+from ctrl_rl_core.policies.pose_input import POSE_PARAMETERS
 
 from ctrl_rl_core import Parameter
 from ctrl_rl_safety.filter.verdict import FilterOptions
@@ -41,6 +42,8 @@ FILTER_PARAMETERS = (
         0.2,
         20.0,
     ),
+    Parameter("use_map", False, "Use the topic `map`: what is on it stands for ever, and all else may move at once."),
+    *POSE_PARAMETERS,
     Parameter(
         "occluded_movers",
         _DEFAULT.occluded_movers,

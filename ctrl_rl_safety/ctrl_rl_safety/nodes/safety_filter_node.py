@@ -12,7 +12,7 @@ import numpy as np
 from builtin_interfaces.msg import Time as Stamp
 from ctrl_rl_core.navigation.transform_tree import TransformError
 from ctrl_rl_core.processes.background import Job, start_job
-from ctrl_rl_core.ros.node import COMMAND, LATCHED, RESULT, Status, warn
+from ctrl_rl_core.ros.node import COMMAND, LATCHED, RESULT, Status, to_stamp, warn
 from geometry_msgs.msg import Twist, TwistStamped
 from nav_msgs.msg import OccupancyGrid, Odometry
 from numpy.typing import NDArray
@@ -26,7 +26,8 @@ from ctrl_rl_safety.errors import SafetyError
 from ctrl_rl_safety.filter.safety_filter import SafetyFilter, warm_up
 from ctrl_rl_safety.filter.verdict import FilterOptions, Mode, Verdict
 from ctrl_rl_safety.models.robot_model import find_model
-from ctrl_rl_safety.nodes.inputs import OdometryInput, age_of, check_count
+from ctrl_rl_safety.nodes.inputs import AHEAD, OdometryInput, age_of, check_count
+from ctrl_rl_safety.nodes.map_input import MapInput
 from ctrl_rl_safety.nodes.messages import WHY, escape_marker, slice_message
 from ctrl_rl_safety.nodes.parameters import FILTER_PARAMETERS
 from ctrl_rl_safety.sets.recoverable_set import RecoverableSet
@@ -35,7 +36,7 @@ INPUT = "cmd_vel_raw"
 _JITTER = 1.5
 """Time between two commands over the period that is asked for, on a busy computer."""
 _QUICKEST = 0.2
-"""Least time from one decision to the next for a raw command, as a part of the period."""
+"""Least time from one raw command to the next that is answered at once, as a part of the period."""
 _PICTURES_S = 0.2
 _RECENT = 1000
 _STAND = np.zeros(2)
@@ -44,8 +45,8 @@ _STAND = np.zeros(2)
 class SafetyFilterNode(LidarVelocityNode):
     """Lets velocity commands through as far as the robot can still stop without contact, and changes them else.
 
-    Subscribes to cmd_vel_raw, scan and odom; publishes cmd_vel, ~/status, ~/set and ~/escape. Without a recent raw
-    command, scan and odometry the robot stands still.
+    Subscribes to cmd_vel_raw, scan and odom, and with use_map to map and the pose on it; publishes cmd_vel, ~/status,
+    ~/set and ~/escape. Without a recent raw command, scan and odometry the robot stands still.
     """
 
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = FILTER_PARAMETERS
@@ -66,11 +67,14 @@ class SafetyFilterNode(LidarVelocityNode):
         )
         warm_up(model, options)
         self._filter = SafetyFilter(model, options)
-        self._odometry = OdometryInput(max(model.speed, model.reverse_speed), self.timeout)
+        # The clock of a fast simulation may arrive later than the scan that was taken then.
+        self._ahead = self.timeout if self.get_parameter("use_sim_time").value else AHEAD
+        self._odometry = OdometryInput(max(model.speed, model.reverse_speed), self.timeout, self._ahead)
         self.set_limits(*model.limits)
+        self._map = MapInput(self, self.timeout, self.now) if value["use_map"] else None
         self._faults_of = {"odometry": "", "scan": "", "raw command": ""}
-        self._raw, self._raw_at = _STAND, -math.inf
-        self._decided_at, self._last_mode = -math.inf, Mode.PASSED
+        self._raw, self._raw_at, self._raw_stamp = _STAND, -math.inf, 0
+        self._answered_at, self._last_mode = -math.inf, Mode.PASSED
         self._job: Job[RecoverableSet | None] | None = None
         self._solved_for: object = None
         self._counts: Counter[str] = Counter()
@@ -83,7 +87,7 @@ class SafetyFilterNode(LidarVelocityNode):
         self._stamped: bool = value["enable_stamped_cmd_vel"]
         kind = TwistStamped if self._stamped else Twist
         self._kind = f"geometry_msgs/msg/{kind.__name__}"
-        self.create_timer(value["control_period"], self._tick, clock=self._ages)
+        self._timer = self.create_timer(value["control_period"], self._tick, clock=self._ages)
         self.create_timer(_PICTURES_S, self._show, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._commands = self.create_subscription(kind, INPUT, self._on_raw, COMMAND)
 
@@ -134,6 +138,8 @@ class SafetyFilterNode(LidarVelocityNode):
         self._faults_of["odometry"] = ""
         if jumped:
             self._filter.forget()
+        if self._map is not None:
+            self._map.on_odometry(message, self.frame)
 
     def on_scan(self, message: LaserScan, _ranges: NDArray[np.float32], scan: ScanGeometry) -> None:
         """Keep the echoes, and begin to solve the set of the last scan where none is in work."""
@@ -144,8 +150,9 @@ class SafetyFilterNode(LidarVelocityNode):
         stamp = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
         try:
             check_count(message.angle_max - message.angle_min, scan)
-            age = age_of("scan", stamp, clock, self.timeout)
-            self._filter.see(now, self._odometry.pose_at(stamp), view.points, age)
+            age = age_of("scan", stamp, clock, self.timeout, self._ahead)
+            fixed = None if self._map is None else self._map.fixed(self._odometry.reading(now).pose)
+            self._filter.see(now, self._odometry.pose_at(stamp), view.points, age, fixed)
         except (SafetyError, TransformError) as error:
             self._faults_of["scan"] = str(error)
             return
@@ -158,6 +165,8 @@ class SafetyFilterNode(LidarVelocityNode):
         figures = {**figures, **{mode.name.lower(): self._counts[mode.name] for mode in Mode}}
         figures |= {"waiting": self._counts["waiting"], "changes": self._counts["changes"]}
         figures |= {"odometry jumps": self._odometry.jumps, "sets solved": self._counts["sets"]}
+        if self._map is not None:
+            figures["map"] = self._map.problem or "in use"
         for name, times in (("decision", self._decisions), ("set", self._solves)):
             if times:
                 p50, p99 = np.percentile(times, (50, 99)) * 1e3
@@ -176,8 +185,12 @@ class SafetyFilterNode(LidarVelocityNode):
             return
         self._faults_of["raw command"] = ""
         now = self.now()
-        self._raw, self._raw_at = raw, now
-        if now - self._decided_at >= _QUICKEST * self.settings["control_period"]:
+        self._raw, self._raw_at, self._raw_stamp = raw, now, 0
+        if isinstance(message, TwistStamped):
+            self._raw_stamp = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+        if now - self._answered_at >= _QUICKEST * self.settings["control_period"]:
+            self._answered_at = now
+            self._timer.reset()  # the next tick comes a period after this answer
             self._tick()
 
     def _silence(self) -> str:
@@ -186,10 +199,13 @@ class SafetyFilterNode(LidarVelocityNode):
             return ""
         return f"no recent command on {self._commands.topic_name}"
 
+    def _stamp(self, now: float) -> Stamp | None:
+        """Return the stamp of the raw command, moved on by the time since: latencies can be told from a bag."""
+        return to_stamp(self._raw_stamp + round(1e9 * (now - self._raw_at))) if self._raw_stamp > 0 else None
+
     def _tick(self) -> None:
         """Answer the raw command that is held."""
         begin, now = time.perf_counter(), self.now()
-        self._decided_at = now
         self._take_set()
         assert self._filter is not None  # the timer begins after it
         problem = self.input_fault()
@@ -201,7 +217,7 @@ class SafetyFilterNode(LidarVelocityNode):
         raw = _STAND if self._silence() else self._raw
         verdict = self._filter.decide(now, self._odometry.reading(now), raw)
         try:
-            sent = self.drive(verdict.command)
+            sent = self.drive(verdict.command, self._stamp(now))
         except VelocityError as error:
             self.halt(str(error))
             return

@@ -1,0 +1,100 @@
+"""What the safety filter did in a recorded drive."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from ctrl_rl_core.ros.node import seconds
+from numpy.typing import NDArray
+
+from ctrl_rl_bags import read_messages
+from ctrl_rl_msgs.msg import SafetyStatus
+
+FILTER = "/safety_filter/status"
+_MODES = {
+    "passed": SafetyStatus.PASSED,
+    "corrected": SafetyStatus.CORRECTED,
+    "escaping": SafetyStatus.ESCAPING,
+    "unblocking": SafetyStatus.UNBLOCKING,
+    "evading": SafetyStatus.EVADING,
+    "waiting": SafetyStatus.WAITING,
+}
+_STOPPED = 0.01
+_LONGEST = 1.0
+"""Time between two commands beyond which the simulation did not go on [s]."""
+
+
+@dataclass(frozen=True)
+class FilterRecord:
+    """The filter's answers, one row each.
+
+    Attributes:
+        times: Times since the start (n,) [s].
+        modes: Kinds of the answers, constants of SafetyStatus (n,).
+        raw: Raw commands (n, 2) [m/s, rad/s].
+        sent: Commands in their place (n, 2) [m/s, rad/s].
+        margins: Margins of the certificates (n,) [m]; NaN where there is none.
+    """
+
+    times: NDArray[np.float64]
+    modes: NDArray[np.int64]
+    raw: NDArray[np.float64]
+    sent: NDArray[np.float64]
+    margins: NDArray[np.float64]
+
+    @property
+    def changed(self) -> NDArray[np.bool_]:
+        """Whether something else than the raw command was sent (n,)."""
+        return np.asarray(self.modes != SafetyStatus.PASSED)
+
+    @property
+    def held(self) -> float:
+        """Time for which the robot was held although the raw command asked it to move [s]."""
+        held = (np.abs(self.raw[:, 0]) > _STOPPED) & (np.abs(self.sent[:, 0]) <= _STOPPED)
+        return float(np.minimum(np.diff(self.times), _LONGEST)[held[:-1]].sum())
+
+    @property
+    def changes(self) -> int:
+        """Number of times that the filter began to change commands, or left off."""
+        return int(np.count_nonzero(np.diff(self.changed)))
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the figures as plain JSON values."""
+        certified = self.margins[np.isfinite(self.margins)]
+        return {
+            "commands": len(self.times),
+            **{name: int(np.count_nonzero(self.modes == mode)) for name, mode in _MODES.items()},
+            "changes": self.changes,
+            "held_s": self.held,
+            "speed_taken_off_m_s": float(np.abs(self.raw[:, 0] - self.sent[:, 0]).mean()),
+            "least_margin_m": float(certified.min()) if len(certified) else None,
+        }
+
+    def text(self) -> list[str]:
+        """Return the figures for people."""
+        counts = [(name, np.count_nonzero(self.modes == mode)) for name, mode in _MODES.items()]
+        shares = ", ".join(f"{100.0 * count / len(self.times):.1f} % {name}" for name, count in counts if count)
+        return [
+            f"safety filter       {len(self.times)} commands: {shares}",
+            f"                    robot held for {self.held:.1f} s, {self.changes} changes, "
+            f"{np.abs(self.raw[:, 0] - self.sent[:, 0]).mean():.3f} m/s taken off on average",
+        ]
+
+
+def read_filter(bag: Path, begin: float, end: float) -> FilterRecord | None:
+    """Return the filter's answers between two stamps [s] of a bag; None where it has none."""
+    rows = []
+    for message in read_messages(bag, [FILTER]):
+        data: Any = message.data
+        at = seconds(data.header.stamp)
+        if begin <= at <= end:
+            rows.append(
+                (at - begin, data.mode, data.raw_speed, data.raw_turn_rate, data.speed, data.turn_rate, data.margin)
+            )
+    if not rows:
+        return None
+    table = np.array(rows)
+    return FilterRecord(table[:, 0], table[:, 1].astype(np.int64), table[:, 2:4], table[:, 4:6], table[:, 6])
