@@ -81,7 +81,7 @@ def value(tmp_path_factory):
     ],
 )
 def test_each_way_learns(way, learner, value):
-    run = LadderRun("open_field", way, learner, 0, value, "planar")
+    run = LadderRun("open_field", way, learner, 0, value)
     model = run.model(10_240)
     before = [each.detach().clone() for each in model.policy.parameters()]
     model.n_steps = 8

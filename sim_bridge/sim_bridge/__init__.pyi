@@ -2,6 +2,7 @@ from .engines.choice import ENGINES as ENGINES
 from .environments import NavigationEnv as NavigationEnv
 from .environments import register_environments as register_environments
 from .errors import SimulationError as SimulationError
+from .fleet.planar_fleet import PlanarFleet as PlanarFleet
 from .simulation.episode import Contact as Contact
 from .simulation.episode import EpisodeState as EpisodeState
 from .simulation.lidar import LIDARS as LIDARS

@@ -15,13 +15,13 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-from ctrl_rl_core.policies.task_interface import state_ranges
 from gymnasium import spaces
 from numpy.typing import NDArray
 
 from ctrl_rl_core import NavigationTask, Outcome, load_navigation_task, load_task, task_names
 from sim_bridge.errors import SimulationError
-from sim_bridge.simulation.options import SimulationOptions
+from sim_bridge.simulation.observation_bounds import observation_bounds
+from sim_bridge.simulation.options import SimulationOptions, whole_steps
 from sim_bridge.simulation.world import SimulatedWorld
 
 _LARGEST_SEED = 2**32
@@ -68,14 +68,10 @@ class NavigationEnv(gymnasium.Env[Vector, Vector]):
         self.render_mode = render_mode
         self.task = task if isinstance(task, NavigationTask) else load_navigation_task(task)
         options = options or SimulationOptions()
-        self._steps_per_action = _whole_steps(self.task, options.rate)
+        self._steps_per_action = whole_steps(self.task, options.rate)
         self._commands = np.array(list(self.task.robot.commands.values()))
         self.world = SimulatedWorld(self.task, width=width, options=options)
-        ranges = state_ranges(self.task)
-        beams, reach = self.task.lidar.beams, self.task.lidar.range
-        self.observation_names = (*ranges, *(f"beam_{index}" for index in range(beams)))
-        self._low = np.array([*(low for low, _ in ranges.values()), *[reach.low] * beams], dtype=np.float32)
-        self._high = np.array([*(high for _, high in ranges.values()), *[reach.high] * beams], dtype=np.float32)
+        self.observation_names, self._low, self._high = observation_bounds(self.task)
         self.observation_space = spaces.Box(self._low, self._high)
         self.action_space = spaces.Box(-1.0, 1.0, (2,), dtype=np.float32)
 
@@ -141,16 +137,6 @@ class NavigationEnv(gymnasium.Env[Vector, Vector]):
         if self.task.corridor is not None:
             info["progress"] = episode.progress
         return info
-
-
-def _whole_steps(task: NavigationTask, rate: int) -> int:
-    steps = task.episode.time_step * rate
-    if abs(steps - round(steps)) > 1e-6 or steps < 0.5:
-        raise SimulationError(
-            f"task '{task.name}': its time step of {task.episode.time_step:g} s is {steps:g} physics steps "
-            f"at {rate} Hz: choose a rate at which it is a whole number"
-        )
-    return round(steps)
 
 
 def register_environments() -> tuple[str, ...]:

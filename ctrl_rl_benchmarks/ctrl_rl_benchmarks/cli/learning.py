@@ -22,7 +22,6 @@ from ctrl_rl_benchmarks.ladder.task_list import LADDER, load_ladder_task
 from ctrl_rl_benchmarks.ways.methods import LEARNERS, WAYS
 from ctrl_rl_core import write_results
 
-_ENGINES = ("planar", "auto", "pybullet", "mujoco")
 _EVALUATIONS, _FINAL_EVALUATIONS = 20, 20
 
 
@@ -44,8 +43,6 @@ class Train(ExperimentOptions):
     """Ways to use the time to reach, or to do without."""
     learners: Annotated[tuple[str, ...], some_of(LEARNERS)] = LEARNERS
     """Learners."""
-    engine: Annotated[str, one_of(_ENGINES)] = "planar"
-    """Physics engine of learning."""
     results: OptionalFileToWrite = None
     """JSON file to write table and curves to."""
 
@@ -72,7 +69,7 @@ def _train(options: Train) -> int:
 
     values = {name: find_or_solve(task, options.folder / "values", tell) for name, task in tasks.items()}
     ways, learners = options.ways or tuple(WAYS), options.learners or LEARNERS
-    runs = ladder_runs(list(tasks), ways, learners, options.seeds, values, options.engine)
+    runs = ladder_runs(list(tasks), ways, learners, options.seeds, values)
     how = RunOptions(options.folder, -(-options.samples // ITERATION), ITERATION, _EVALUATIONS, _FINAL_EVALUATIONS)
     try:
         run_experiments(runs, how, options.workers, "ladder", options.ray)

@@ -9,22 +9,23 @@ from pathlib import Path
 from typing import Any
 
 from ctrl_rl_training.experiments.run import find_method
-from ctrl_rl_training.sb3.algorithms import make_algorithm
+from ctrl_rl_training.sb3.algorithms import make_algorithm, number_of_environments
 from ctrl_rl_training.sb3.environment import Environment, make_environment
+from ctrl_rl_training.sb3.fleet import FleetEnvironments, FleetReward, evaluate_in_fleet
+from ctrl_rl_training.sb3.roll_out import EvaluatedEpisode
 from ctrl_rl_training.sb3.training import SimulatedRun
 from oc_baseline_node.training.baselines.policy_gradient import BaselinePolicy, CorrectedPolicy
 from stable_baselines3.common.base_class import BaseAlgorithm
-from ttr_reward_node.training.training import RewardWrapper
 
 from ctrl_rl_benchmarks.errors import BenchmarkError
 from ctrl_rl_benchmarks.ladder.task_list import load_ladder_task
 from ctrl_rl_benchmarks.ways.baseline import TimeToReachBaseline, fit_critic
 from ctrl_rl_benchmarks.ways.demonstrations import demonstrate, teach
 from ctrl_rl_benchmarks.ways.methods import GAMMA, MAIN, WAYS, Way
-from ctrl_rl_benchmarks.ways.pay import PAYS, PayWrapper
+from ctrl_rl_benchmarks.ways.pay import PAYS, PotentialReward, StateReward
 from ctrl_rl_benchmarks.ways.potential import DistanceInSeconds, Potential, TimeToReach
 from ctrl_rl_benchmarks.ways.starts import GrowingStarts, levels
-from ctrl_rl_core import NavigationTask
+from ctrl_rl_core import Actor, NavigationTask
 from ttr_reward_node import load_value, make_reward
 
 
@@ -38,7 +39,6 @@ class LadderRun(SimulatedRun):
         learner: One of `LEARNERS`.
         seed: Seed of everything random.
         value: File of the task's time to reach.
-        engine: Physics engine of learning; policies are checked in PyBullet at the rate of deployed robots.
     """
 
     task_name: str
@@ -46,7 +46,6 @@ class LadderRun(SimulatedRun):
     learner: str
     seed: int
     value: Path
-    engine: str = "planar"
 
     @property
     def name(self) -> str:
@@ -81,31 +80,39 @@ class LadderRun(SimulatedRun):
             "way": self.way_name,
             "learner": self.learner,
             "seed": self.seed,
-            "engine": self.engine,
             "value_digest": load_value(self.value).digest if self.way.needs_value else None,
         }
 
     def environment(self, rate: int | None = None) -> Environment:
-        """Return the environment that pays what the way says; in PyBullet where a rate is given."""
-        return self._environment(rate, training=False)
+        """Return the task's environment in PyBullet (in MuJoCo where it is missing), with the task's own rewards."""
+        return make_environment(self.task, rate)
 
-    def _environment(self, rate: int | None, training: bool) -> Environment:
+    def test(self, actor: Actor, episodes: int, seed: int, rate: int | None = None) -> list[EvaluatedEpisode]:
+        """Return episodes of a policy: side by side in the planar engine, or in PyBullet where a rate is given."""
+        if rate is not None:
+            return super().test(actor, episodes, seed, rate)
+        return evaluate_in_fleet(actor, self.task, range(seed, seed + episodes), self._reward(episodes))
+
+    def _reward(self, robots: int) -> FleetReward | None:
         way, task = self.way, self.task
-        wrappers: list[Any] = []
-        if training and way.starts == "grow":
-            states, times = _levels(self.task_name, self.value)
-            wrappers.append(lambda environment: GrowingStarts(environment, states, times))
+        if way.reward == "none":
+            return None
         if way.reward in ("distance", "ttr"):
             names = {"distance": "distance_0", "ttr": "ttr"}
-            reward = make_reward(names[way.reward], task, load_value(self.value) if way.reward == "ttr" else None)
-            wrappers.append(lambda environment: RewardWrapper(environment, reward))
-        elif way.reward != "none":
-            potential: Potential = (
-                DistanceInSeconds(task) if way.of == "distance" else TimeToReach(load_value(self.value))
+            return StateReward(
+                make_reward(names[way.reward], task, load_value(self.value) if way.reward == "ttr" else None)
             )
-            make = PAYS[way.reward]
-            wrappers.append(lambda environment: PayWrapper(environment, potential, make(potential.longest, GAMMA)))
-        return make_environment(task, rate, *wrappers, engine=self.engine if rate is None else "auto")
+        potential: Potential = DistanceInSeconds(task) if way.of == "distance" else TimeToReach(load_value(self.value))
+        make = PAYS[way.reward]
+        return PotentialReward(potential, lambda: make(potential.longest, GAMMA), robots)
+
+    def _environments(self) -> FleetEnvironments:
+        robots = number_of_environments(self.learner)
+        starts = None
+        if self.way.starts == "grow":
+            states, times = _levels(self.task_name, self.value)
+            starts = GrowingStarts(states, times, robots)
+        return FleetEnvironments(self.task, robots, self._reward(robots), starts)
 
     def model(self, samples: int) -> BaseAlgorithm:
         """Return the untrained algorithm with its own environments, for so many samples."""
@@ -120,16 +127,12 @@ class LadderRun(SimulatedRun):
             changes |= {"policy": BaselinePolicy, "policy_kwargs": {"baseline": baseline}, "vf_coef": 0.0}
         elif way.baseline == "corrected":
             changes |= {"policy": CorrectedPolicy, "policy_kwargs": {"baseline": baseline}}
-        model = make_algorithm(
-            self.learner, lambda: self._environment(None, training=True), self.seed, samples, **changes
-        )
+        model = make_algorithm(self.learner, self._environments(), self.seed, samples, **changes)
         if way.baseline == "begins" and baseline is not None:
             fit_critic(model, baseline, self.seed)
         if way.demonstrations:
-            environment = self.environment()
             potential = TimeToReach(load_value(self.value))
-            seen, done = demonstrate(environment, self.task, potential, self.seed)
-            environment.close()
+            seen, done = demonstrate(self._environments(), self.task, potential, self.seed)
             teach(model, seen, done, self.seed)
             model.num_timesteps += len(seen)
         return model
@@ -141,12 +144,11 @@ def ladder_runs(
     learners: Sequence[str],
     seeds: int,
     values: Mapping[str, Path],
-    engine: str = "planar",
 ) -> list[LadderRun]:
     """Return all runs, those that tell most first: the main ways by PPO, then by the other learners, then the rest."""
     ordered = sorted(ways, key=list(WAYS).index)
     return [
-        LadderRun(task, way, learner, seed, values[task], engine)
+        LadderRun(task, way, learner, seed, values[task])
         for main in (True, False)
         for learner in learners
         for seed in range(seeds)

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from ctrl_rl_training.sb3.environment import make_environment
+from ctrl_rl_training.sb3.fleet import FleetEnvironments
 
 from ctrl_rl_benchmarks.ways.potential import TimeToReach
 from ctrl_rl_core import NavigationTask, Outcome, ValueFunction, draw_starts
@@ -16,7 +16,7 @@ SAMPLES = 10_240
 """Samples of the untrained policy."""
 _DEVIATION = float(np.exp(-0.5))
 """Standard deviation of an untrained Gaussian policy's action, as PPO begins here; its mean is 0."""
-_STARTS = 200
+_STARTS, _ROBOTS = 200, 16
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class Hardness:
 
 
 def measure_hardness(
-    task: NavigationTask, value: ValueFunction | None, samples: int = SAMPLES, seed: int = 0, engine: str = "planar"
+    task: NavigationTask, value: ValueFunction | None, samples: int = SAMPLES, seed: int = 0
 ) -> Hardness:
     """Return how hard a task is.
 
@@ -53,21 +53,18 @@ def measure_hardness(
         value: Its time to reach; None where it has none.
         samples: Samples of the untrained policy.
         seed: Seed of starts and actions.
-        engine: Physics engine of the simulated world.
 
     Raises:
-        SimulationError, TrainingError: The task cannot be simulated, or has no arena.
+        SimulationError, TrainingError: A fleet cannot simulate the task, or it has no arena.
     """
     random = np.random.default_rng(seed)
-    environment = make_environment(task, engine=engine)
+    environments = FleetEnvironments(task, _ROBOTS)
+    environments.seed(seed)
+    environments.reset()
     ended: Counter[str] = Counter()
-    environment.reset(seed=seed)
-    for _ in range(samples):
-        _, _, terminated, truncated, info = environment.step(random.normal(0.0, _DEVIATION, 2).astype(np.float32))
-        if terminated or truncated:
-            ended[info["outcome"]] += 1
-            environment.reset()
-    environment.close()
+    for _ in range(samples // _ROBOTS):
+        over, infos = environments.step(random.normal(0.0, _DEVIATION, (_ROBOTS, 2)))[2:]
+        ended.update(info["outcome"] for info, done in zip(infos, over, strict=True) if done)
     optimal = unreachable = None
     if value is not None:
         system, world = task.system.build(), task.build_world()
@@ -76,4 +73,6 @@ def measure_hardness(
         known = np.isfinite(times)
         optimal, unreachable = float(np.median(times[known])) if known.any() else None, float(1.0 - known.mean())
     counts = {outcome.name: ended[outcome.name] for outcome in Outcome if outcome}
-    return Hardness(optimal, unreachable, task.episode.steps * task.episode.time_step, counts, samples)
+    return Hardness(
+        optimal, unreachable, task.episode.steps * task.episode.time_step, counts, samples // _ROBOTS * _ROBOTS
+    )

@@ -34,8 +34,7 @@ class TimeToReachBaseline:
     def __call__(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return V (N,) for observations (N, d)."""
         states = observations[:, : len(self._unit)].astype(float) * self._unit + self._middle
-        times = self._potential.times(states.astype(np.float64))
-        steps = np.where(np.isnan(times), np.inf, times) / self._time_step
+        steps = self._potential.times(states.astype(np.float64)) / self._time_step
         return (self._goal * self._gamma**steps).astype(np.float32)
 
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import torch
-from ctrl_rl_training.sb3.environment import Environment
+from ctrl_rl_training.sb3.fleet import FleetEnvironments
 from numpy.typing import NDArray
 from stable_baselines3.common.base_class import BaseAlgorithm
 
@@ -17,7 +19,7 @@ _STEPS, _BATCH, _RATE, _CONTROLS = 1500, 256, 1e-3, 5
 
 
 def demonstrate(
-    environment: Environment, task: NavigationTask, potential: TimeToReach, seed: int
+    environments: FleetEnvironments, task: NavigationTask, potential: TimeToReach, seed: int
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return observations (N, d) and actions (N, 2) of the control with the least time to reach a step ahead."""
     system = task.system.build()
@@ -25,21 +27,21 @@ def demonstrate(
     actions = np.stack(np.meshgrid(shares, shares, indexing="ij"), axis=-1).reshape(-1, 2)
     low, high = np.array(list(task.robot.commands.values())).T
     controls = low + 0.5 * (actions + 1.0) * (high - low)
-    observation, info = environment.reset(seed=seed)
+    environments.seed(seed)
+    observations: Any = environments.reset()
     seen: list[NDArray[np.float32]] = []
     done: list[NDArray[np.float32]] = []
-    while len(seen) < SAMPLES:
-        ends = np.broadcast_to(info["state"], (len(controls), len(info["state"]))).copy()
-        for _ in range(5):
-            ends = system.step(ends, controls, dt=0.2 * task.episode.time_step)
-        times = potential.times(ends)
-        action = actions[int(np.argmin(np.where(np.isnan(times), np.inf, times)))].astype(np.float32)
-        seen.append(observation)
-        done.append(action)
-        observation, _, terminated, truncated, info = environment.step(action)
-        if terminated or truncated:
-            observation, info = environment.reset()
-    return np.array(seen, dtype=np.float32), np.array(done, dtype=np.float32)
+    while sum(map(len, seen)) < SAMPLES:
+        chosen = []
+        for state in environments.states():
+            ends = np.broadcast_to(state, (len(controls), len(state))).copy()
+            for _ in range(5):
+                ends = system.step(ends, controls, dt=0.2 * task.episode.time_step)
+            chosen.append(actions[int(np.argmin(potential.times(ends)))])
+        seen.append(observations)
+        done.append(np.array(chosen, dtype=np.float32))
+        observations = environments.step(done[-1])[0]
+    return np.concatenate(seen), np.concatenate(done)
 
 
 def teach(model: BaseAlgorithm, seen: NDArray[np.float32], done: NDArray[np.float32], seed: int) -> None:

@@ -5,15 +5,17 @@ Each kind is told the seconds to the goal at the start and after each step, +inf
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, Protocol
+from collections.abc import Callable, Sequence
+from typing import Protocol
 
-import gymnasium
 import numpy as np
-from ctrl_rl_training.sb3.environment import Environment, Vector
+from numpy.typing import NDArray
+from ttr_reward_node.rewards.rewards import Reward
 
 from ctrl_rl_benchmarks.ways.potential import Potential
 from ctrl_rl_core import Outcome
+
+Array = NDArray[np.float64]
 
 PER_SECOND = 100.0
 """Reward for a second of progress; a goal pays 1000, a collision -400."""
@@ -81,35 +83,43 @@ class Shaping:
         return PER_SECOND * (self._longest - min(seconds, self._longest))
 
 
-class PayWrapper(gymnasium.Wrapper[Vector, Vector, Vector, Vector]):
-    """Adds pay for progress to the task's own reward.
+class PotentialReward:
+    """Pay for progress beside the task's own rewards, for the robots of a fleet.
 
     Args:
-        environment: Environment of a task.
         potential: Seconds to the goal.
-        pay: Kind of the pay.
+        make: Makes the pay of one robot.
+        robots: Number of robots.
     """
 
-    def __init__(self, environment: Environment, potential: Potential, pay: Pay) -> None:
-        super().__init__(environment)
-        self._potential, self._pay = potential, pay
+    def __init__(self, potential: Potential, make: Callable[[], Pay], robots: int) -> None:
+        self._potential, self._pays = potential, [make() for _ in range(robots)]
 
-    def reset(self, **options: Any) -> tuple[Vector, dict[str, Any]]:
-        """Start an episode."""
-        observation, info = self.env.reset(**options)
-        self._pay.begin(_number(self._potential(info["state"])))
-        return observation, info
+    def begin(self, robots: Sequence[int], states: Array) -> None:
+        """Begin episodes of robots at their states (len(robots), n)."""
+        for robot, seconds in zip(robots, self._potential.times(states).tolist(), strict=True):
+            self._pays[robot].begin(seconds)
 
-    def step(self, action: Vector) -> tuple[Vector, float, bool, bool, dict[str, Any]]:
-        """Hold an action for the task's time step."""
-        observation, reward, terminated, truncated, info = self.env.step(action)
-        seconds = 0.0 if info["outcome"] == Outcome.GOAL.name else _number(self._potential(info["state"]))
-        return observation, float(reward) + self._pay.step(seconds, terminated), terminated, truncated, info
+    def pay(self, states: Array, outcomes: NDArray[np.intp], rewards: Array) -> Array:
+        """Return what a step pays each robot (N,)."""
+        seconds = np.where(outcomes == Outcome.GOAL, 0.0, self._potential.times(states))
+        ended = (outcomes != Outcome.RUNNING) & (outcomes != Outcome.TIMEOUT)
+        paid = [pay.step(*each) for pay, *each in zip(self._pays, seconds.tolist(), ended.tolist(), strict=True)]
+        return rewards + np.array(paid)
 
 
-def _number(seconds: float) -> float:
-    """Return a time, +inf where it is not known."""
-    return np.inf if np.isnan(seconds) else seconds
+class StateReward:
+    """A reward of thesis Table 3.3 while an episode goes on; how it ends pays what the task says."""
+
+    def __init__(self, reward: Reward) -> None:
+        self._reward = reward
+
+    def begin(self, robots: Sequence[int], states: Array) -> None:
+        """Do nothing: a state pays whatever came before."""
+
+    def pay(self, states: Array, outcomes: NDArray[np.intp], rewards: Array) -> Array:
+        """Return what a step pays each robot (N,)."""
+        return np.where(outcomes == Outcome.RUNNING, self._reward.intermediate(states), rewards)
 
 
 MakePay = Callable[[float, float], Pay]

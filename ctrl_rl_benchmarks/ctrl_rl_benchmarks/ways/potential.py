@@ -24,8 +24,8 @@ class Potential(Protocol):
 
     longest: float
 
-    def __call__(self, state: Array) -> float:
-        """Return the time from a state (n,) to the goal [s]; +inf where there is no way."""
+    def times(self, states: Array) -> Array:
+        """Return the times (N,) from states (N, n) to the goal [s]; +inf where there is no way."""
 
 
 class TimeToReach:
@@ -41,12 +41,9 @@ class TimeToReach:
             self.bounds[0, index] = max(self.bounds[0, index], axis.lower)
             self.bounds[1, index] = min(self.bounds[1, index], axis.upper)
 
-    def __call__(self, state: Array) -> float:  # noqa: D102 - see Potential
-        return float(self._value.value_and_gradient_at(np.clip(state, *self.bounds))[0])
-
-    def times(self, states: Array) -> Array:
-        """Return the times (N,) of states (N, n) [s]; +inf where there is no way."""
-        return self._value.value(np.clip(states, *self.bounds))
+    def times(self, states: Array) -> Array:  # noqa: D102 - see Potential
+        times = self._value.value(np.clip(states, *self.bounds))
+        return np.where(np.isnan(times), np.inf, times)
 
 
 class DistanceInSeconds:
@@ -62,5 +59,6 @@ class DistanceInSeconds:
         ]
         self.longest = max(math.dist(corner, self._goal) for corner in corners) / self._speed
 
-    def __call__(self, state: Array) -> float:  # noqa: D102 - see Potential
-        return math.dist((state[self._first], state[self._second]), self._goal) / self._speed
+    def times(self, states: Array) -> Array:  # noqa: D102 - see Potential
+        offset = states[:, [self._first, self._second]] - self._goal
+        return np.hypot(offset[:, 0], offset[:, 1]) / self._speed

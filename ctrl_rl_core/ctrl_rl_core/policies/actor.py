@@ -71,14 +71,15 @@ class Actor:
     interface: PolicyManifest | None = None
 
     def scaled_action(self, scaled: ArrayLike) -> Array:
-        """Return the action in [-1, 1] (m,) for an observation in the network's own units (n,)."""
+        """Return the actions in [-1, 1] (..., m) for observations in the network's own units (..., n)."""
         x = np.asarray(scaled, dtype=np.float32)
         kind = self.activation.removeprefix("normalized_")
         for index, (W, b) in enumerate(zip(self.weights, self.biases, strict=True)):
-            x = W @ x + b
+            x = x @ W.T + b
             if index < len(self.weights) - 1:
                 if kind != self.activation:
-                    x = (x - x.mean()) / np.sqrt(x.var() + _LAYER_NORM_EPSILON)
+                    x = x - x.mean(axis=-1, keepdims=True)
+                    x = x / np.sqrt((x * x).mean(axis=-1, keepdims=True) + _LAYER_NORM_EPSILON)
                 x = np.tanh(x) if kind == "tanh" else np.maximum(x, 0.0)
         return np.tanh(x) if self.squashed else np.clip(x, -1.0, 1.0)
 

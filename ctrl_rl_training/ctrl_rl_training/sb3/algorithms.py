@@ -16,7 +16,7 @@ from stable_baselines3 import DDPG, PPO, SAC
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.noise import OrnsteinUhlenbeckActionNoise
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
-from stable_baselines3.common.vec_env import DummyVecEnv
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 
 from ctrl_rl_core import Actor, NavigationTask
 from ctrl_rl_training.errors import TrainingError
@@ -66,7 +66,7 @@ def number_of_environments(algorithm: str) -> int:
 
 def make_algorithm(
     algorithm: str,
-    make: Callable[[], gymnasium.Env[Any, Any]],
+    make: Callable[[], gymnasium.Env[Any, Any]] | VecEnv,
     seed: int,
     samples: int,
     kind: type[BaseAlgorithm] | None = None,
@@ -76,7 +76,7 @@ def make_algorithm(
 
     Args:
         algorithm: One of `ALGORITHMS`.
-        make: Returns a new environment.
+        make: Returns a new environment; or all environments, `number_of_environments` of them, with scaled rewards.
         seed: Seed of networks, actions and environments.
         samples: Number of samples that it sees, at most.
         kind: Class derived from the algorithm's own, to be made in its place.
@@ -85,7 +85,10 @@ def make_algorithm(
     Raises:
         TrainingError: there is no such algorithm.
     """
-    environments = DummyVecEnv([lambda: scaled_reward(make())] * number_of_environments(algorithm))
+    if isinstance(make, VecEnv):
+        environments = make
+    else:
+        environments = DummyVecEnv([lambda: scaled_reward(make())] * number_of_environments(algorithm))
     numbers = _NUMBERS[algorithm](samples)
     numbers["policy_kwargs"] |= changes.pop("policy_kwargs", {})
     policy = changes.pop("policy", "MlpPolicy")

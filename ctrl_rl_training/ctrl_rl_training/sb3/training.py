@@ -17,12 +17,12 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
-from ctrl_rl_core import NavigationTask, Outcome, interface_of, task_digest
+from ctrl_rl_core import Actor, NavigationTask, Outcome, interface_of, task_digest
 from ctrl_rl_training.experiments.run import Point, Run, RunOptions, Tell
 from ctrl_rl_training.sb3.algorithms import extract_actor
 from ctrl_rl_training.sb3.checkpoint import load_checkpoint, save_checkpoint
 from ctrl_rl_training.sb3.environment import DEPLOYED_RATE, Environment, observation_names
-from ctrl_rl_training.sb3.roll_out import SUCCESS, evaluate
+from ctrl_rl_training.sb3.roll_out import SUCCESS, EvaluatedEpisode, evaluate
 from ctrl_rl_training.sb3.state_visitation import Visits
 
 _EVALUATION_SEED = 1_000_000
@@ -61,6 +61,16 @@ class SimulatedRun(Run):
     def model(self, samples: int) -> BaseAlgorithm:
         """Return the untrained algorithm with its own environments, for so many samples."""
 
+    def test(self, actor: Actor, episodes: int, seed: int, rate: int | None = None) -> list[EvaluatedEpisode]:
+        """Return episodes of a policy, from the seeds `seed`, `seed` + 1 and so on, at a physics rate [Hz]."""
+        if not episodes:
+            return []
+        environment = self.environment(rate)
+        try:
+            return evaluate(actor, environment, episodes, seed)
+        finally:
+            environment.close()
+
     def notes(self, _: BaseAlgorithm, /) -> dict[str, Any]:
         """Return more figures for a point of the curve, as JSON; called after each iteration."""
         return {}
@@ -77,11 +87,9 @@ class SimulatedRun(Run):
     def begin(self, options: RunOptions, _: Tell) -> Iterator[_Learning]:
         """Yield the learner with its environments."""
         model = self.model(options.samples * options.iterations)
-        test_environment = self.environment()
         try:
-            yield _Learning(self, options, model, test_environment)
+            yield _Learning(self, options, model)
         finally:
-            test_environment.close()
             if model.env is not None:
                 model.env.close()
 
@@ -89,20 +97,17 @@ class SimulatedRun(Run):
 class _Learning:
     """An algorithm of Stable-Baselines3 as a `Learning`."""
 
-    def __init__(
-        self, run: SimulatedRun, options: RunOptions, model: BaseAlgorithm, test_environment: Environment
-    ) -> None:
+    def __init__(self, run: SimulatedRun, options: RunOptions, model: BaseAlgorithm) -> None:
         self._run = run
         self._options = options
         self._model = model
-        self._test_environment = test_environment
         self._visits = Visits(run.task)
 
     def iterate(self, curve: Sequence[Point], /) -> Point:
         run, model, options = self._run, self._model, self._options
         outcomes = _iterate(model, _seed_of(run.seed, len(curve)), options.samples, self._visits)
         actor = extract_actor(model, run.task, {})
-        tested = evaluate(actor, self._test_environment, options.evaluations, _EVALUATION_SEED)
+        tested = run.test(actor, options.evaluations, _EVALUATION_SEED)
         self._visits.end_iteration()
         return {
             "samples": model.num_timesteps,
@@ -130,11 +135,7 @@ class _Learning:
             "commands": list(run.task.robot.commands),
         }
         actor = extract_actor(self._model, run.task, manifest)
-        environment = run.environment(DEPLOYED_RATE)
-        try:
-            episodes = evaluate(actor, environment, self._options.final_evaluations, 2 * _EVALUATION_SEED)
-        finally:
-            environment.close()
+        episodes = run.test(actor, self._options.final_evaluations, 2 * _EVALUATION_SEED, DEPLOYED_RATE)
         outcomes = [episode.outcome for episode in episodes]
         metrics = {"success": _rate(outcomes), "episodes": len(outcomes)}
         told = replace(actor, manifest={**manifest, "metrics": metrics}, interface=interface_of(run.task))

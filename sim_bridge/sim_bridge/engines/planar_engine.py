@@ -39,7 +39,7 @@ class PlanarEngine:
         fixed = tuple(shapes)
         if (plane, fixed) != (self._plane, self._fixed):
             self._plane, self._fixed = plane, fixed
-            self._shapes = np.array([_row(shape) for shape in fixed]).reshape(-1, COLUMNS)
+            self._shapes = np.array([shape_row(shape) for shape in fixed]).reshape(-1, COLUMNS)
         self._robots, self._movers = [], []
 
     def add_wheeled(self, robot: WheeledRobot) -> PlanarWheels:  # noqa: D102
@@ -62,7 +62,7 @@ class PlanarEngine:
         self._robots.append(robot)
 
     def finish(self) -> None:  # noqa: D102
-        movers = [_row(Disc(mover.position, mover.radius)) for mover in self._movers]
+        movers = [shape_row(Disc(mover.position, mover.radius)) for mover in self._movers]
         standing = self._shapes[: len(self._fixed)]
         first = len(standing) + len(movers)
         outlines = [outline(robot.urdf, self._plane) for robot in self._robots]
@@ -150,10 +150,7 @@ class PlanarWheels(_PlanarRobot):
             model.wheel_radius,
             model.wheel_separation,
         )
-        # Kinetic energy in the wheels' speeds: equal parts `straight` where both turn alike, `turn` where they differ.
-        straight = 0.5 * model.mass * model.wheel_radius**2 + model.wheel_inertia
-        turn = 2.0 * model.inertia * (model.wheel_radius / model.wheel_separation) ** 2 + model.wheel_inertia
-        self._own, self._shared = 0.5 * (1.0 / straight + 1.0 / turn), 0.5 * (1.0 / straight - 1.0 / turn)
+        self._own, self._shared = model.answers
         self._impulse = robot.torque / rate
         self._x, self._y, self._theta = robot.pose.tolist()
         self._speeds, self._wanted = np.zeros(2), np.zeros(2)
@@ -243,8 +240,8 @@ class PlanarMover:
         self.position = (x + v_x * self._step, y + v_y * self._step)
 
 
-def _row(shape: Shape) -> tuple[float, ...]:
-    """Return a wall or obstacle as `planar_geometry` has it."""
+def shape_row(shape: Shape) -> tuple[float, ...]:
+    """Return a wall or obstacle as `planar_geometry` has it (8,)."""
     if isinstance(shape, Box):
         extent, radius, angle = (0.5 * shape.size[0], 0.5 * shape.size[1]), 0.0, shape.angle
     else:

@@ -39,6 +39,14 @@ class WheeledModel:
     wheel_radius: float
     wheel_separation: float
 
+    @property
+    def answers(self) -> tuple[float, float]:
+        """Speed that an impulse gives its own wheel, and the other one [rad/s per N m s]."""
+        # Kinetic energy in the wheels' speeds: equal parts `straight` where both turn alike, `turn` where they differ.
+        straight = 0.5 * self.mass * self.wheel_radius**2 + self.wheel_inertia
+        turn = 2.0 * self.inertia * (self.wheel_radius / self.wheel_separation) ** 2 + self.wheel_inertia
+        return 0.5 * (1.0 / straight + 1.0 / turn), 0.5 * (1.0 / straight - 1.0 / turn)
+
 
 class Outline(NamedTuple):
     """The collision shapes of a robot in a plane.

@@ -9,6 +9,9 @@ from typing import Any
 import numpy as np
 from ctrl_rl_core.geometry.units import Interval
 
+from ctrl_rl_core import NavigationTask
+from sim_bridge.errors import SimulationError
+
 
 @dataclass(frozen=True)
 class SimulationOptions:
@@ -60,3 +63,18 @@ class SimulationOptions:
             return self
         numbers: dict[str, Any] = {name: random.uniform(low, high) for name, (low, high) in sorted(ranges.items())}
         return replace(self, **numbers)
+
+
+def whole_steps(task: NavigationTask, rate: int) -> int:
+    """Return the physics steps of a task's time step.
+
+    Raises:
+        SimulationError: It is not a whole number at this rate [Hz].
+    """
+    steps = task.episode.time_step * rate
+    if abs(steps - round(steps)) > 1e-6 or steps < 0.5:
+        raise SimulationError(
+            f"task '{task.name}': its time step of {task.episode.time_step:g} s is {steps:g} physics steps "
+            f"at {rate} Hz: choose a rate at which it is a whole number"
+        )
+    return round(steps)

@@ -1,0 +1,114 @@
+"""Motion, clearances and rays of many robots, compiled by Numba; robots do not meet each other."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from ctrl_rl_core.values.jit_cache import cached_njit
+
+from sim_bridge.engines.planar_geometry import COS, HALF_X, HALF_Y, RADIUS, SEEN, SIN, X, Y, cast, nearest, place
+from sim_bridge.engines.planar_geometry import wheel_speeds as bring_to_speed
+
+
+@cached_njit
+def roll(
+    poses: Any,
+    speeds: Any,
+    held: Any,
+    wanted: Any,
+    settled: Any,
+    share: float,
+    own: float,
+    shared: float,
+    impulse: float,
+    turns: Any,
+) -> None:
+    """Advance differential drives by a physics step.
+
+    Args:
+        poses: Poses x, y, theta (N, 3) [m, m, rad], which are changed.
+        speeds: Speeds of the left and right wheel (N, 2) [rad/s], which are changed.
+        held: Speeds that the motors hold (N, 2) [rad/s], which are changed.
+        wanted: Speeds by the commands (N, 2) [rad/s].
+        settled: Whether both wheels are at what the motors hold (N,), which is changed.
+        share: Part of the way to the wanted speed that the motors go in a step.
+        own: Speed that an impulse gives its own wheel [rad/s per N m s].
+        shared: Speed that it gives the other wheel [rad/s per N m s].
+        impulse: Largest impulse of a motor in a step [N m s].
+        turns: Metres of the way, and radians of half a turn, by the sum and the difference of the wheels' speeds (2,).
+    """
+    for i in range(len(poses)):
+        if wanted[i, 0] != held[i, 0] or wanted[i, 1] != held[i, 1]:
+            gap = 0.0
+            for wheel in range(2):
+                held[i, wheel] += share * (wanted[i, wheel] - held[i, wheel])
+                gap += abs(held[i, wheel] - wanted[i, wheel])
+            if gap < 1e-6:
+                held[i] = wanted[i]
+            settled[i] = False
+        if not settled[i]:
+            settled[i] = bring_to_speed(speeds[i], held[i], own, shared, impulse)
+        way = turns[0] * (speeds[i, 0] + speeds[i, 1])
+        half_turn = turns[1] * (speeds[i, 1] - speeds[i, 0])
+        chord = way if abs(half_turn) < 1e-9 else way * math.sin(half_turn) / half_turn
+        poses[i, 0] += chord * math.cos(poses[i, 2] + half_turn)
+        poses[i, 1] += chord * math.sin(poses[i, 2] + half_turn)
+        poses[i, 2] += 2.0 * half_turn
+
+
+@cached_njit
+def clearances(shapes: Any, parts: Any, outer: int, places: Any, limit: float, out: Any) -> None:
+    """Write the distance of each robot to the nearest shape [m], or the limit, into `out` (N,).
+
+    Args:
+        shapes: Standing shapes (n, 8), then room for the robot's (m, 8).
+        parts: Shapes of the robot (m, 7).
+        outer: Number of the robot's shapes, the first ones, that hold all others.
+        places: Positions and counter-clockwise angles of the robots (N, 3) [m, m, rad].
+        limit: Distance that counts where nothing is nearer [m].
+        out: Clearances.
+    """
+    first, last = len(shapes) - len(parts), len(shapes)
+    for i in range(len(places)):
+        place(shapes, parts, first, last, places[i, 0], places[i, 1], places[i, 2])
+        out[i] = nearest(shapes, first, last, outer, limit)
+
+
+@cached_njit
+def scans(standing: Any, origins: Any, bearings: Any, reach: float, out: Any) -> None:
+    """Write the ranges of each robot [m], infinite where a ray meets nothing, into `out` (N, beams).
+
+    Args:
+        standing: Standing shapes (n, 8).
+        origins: Positions and counter-clockwise angles of the lidars (N, 3) [m, m, rad].
+        bearings: Bearings of the beams, counter-clockwise (beams,) [rad].
+        reach: Length of a ray [m].
+        out: Ranges; 0 for a lidar inside a shape.
+    """
+    rays = np.empty((len(bearings), 2))
+    for i in range(len(origins)):
+        x, y, angle = origins[i, 0], origins[i, 1], origins[i, 2]
+        if _buried(standing, x, y):
+            out[i] = 0.0
+            continue
+        for beam in range(len(bearings)):
+            rays[beam, 0] = reach * math.cos(angle + bearings[beam])
+            rays[beam, 1] = reach * math.sin(angle + bearings[beam])
+        cast(standing, x, y, rays, out[i])
+        for beam in range(len(bearings)):
+            out[i, beam] = out[i, beam] * reach if out[i, beam] < 1.0 else np.inf
+
+
+@cached_njit
+def _buried(standing: Any, x: float, y: float) -> bool:
+    """Whether a point lies inside a shape that rays meet."""
+    for index in range(len(standing)):
+        shape = standing[index]
+        dx, dy = x - shape[X], y - shape[Y]
+        u = max(0.0, abs(shape[COS] * dx + shape[SIN] * dy) - shape[HALF_X])
+        v = max(0.0, abs(shape[COS] * dy - shape[SIN] * dx) - shape[HALF_Y])
+        if shape[SEEN] > 0.0 and (math.hypot(u, v) < shape[RADIUS] or (u == 0.0 and v == 0.0)):
+            return True
+    return False

@@ -1,0 +1,140 @@
+"""How the robots of a fleet move: the equations of the planar engine and its bodies, for many robots at once."""
+
+from __future__ import annotations
+
+import math
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrl_rl_core import NavigationTask, System
+from sim_bridge.engines.planar_parts import wheeled_model
+from sim_bridge.fleet.kernels import roll
+from sim_bridge.simulation.bodies import DRIVES
+
+Array = NDArray[np.float64]
+
+
+class FleetMotion(Protocol):
+    """Robots that move alike, each by its own commands.
+
+    Attributes:
+        urdf: File of the robot in `urdf/`.
+        lidar: Position of the lidar along and across the robot and its height (3,) [m].
+        poses: Poses x, y, theta or x, z, psi (N, 3) [m, m, rad].
+    """
+
+    urdf: str
+    lidar: tuple[float, float, float]
+    poses: Array
+
+    def begin(self, index: int, state: dict[str, float]) -> None:
+        """Put a robot into a state, by the names of its components."""
+
+    def command(self, commands: Array) -> None:
+        """Take a new command of each robot (N, 2), within the task's bounds."""
+
+    def advance(self) -> None:
+        """Move for a physics step."""
+
+    def velocities(self) -> Array:
+        """Return the rates of the poses (N, 3) [m/s, m/s, rad/s]."""
+
+
+class WheeledMotion:
+    """Differential drives on velocity motors with a lag and limited torque, which roll without slipping."""
+
+    def __init__(self, task: NavigationTask, size: int, rate: int) -> None:
+        drive = DRIVES[task.robot.body]
+        self.urdf, self.lidar = drive.urdf, drive.lidar
+        model = wheeled_model(drive.urdf)
+        self._own, self._shared = model.answers
+        self._impulse, self._share = drive.torque / rate, -math.expm1(-1.0 / (rate * drive.lag))
+        self._turns = 0.5 * model.wheel_radius / rate * np.array((1.0, 1.0 / model.wheel_separation))
+        self._model, self._drive = model, drive
+        self._limits = None if drive.bounds is None else np.array(drive.bounds).T
+        self.poses = np.zeros((size, 3))
+        self._speeds, self._held, self._wanted = np.zeros((size, 2)), np.zeros((size, 2)), np.zeros((size, 2))
+        self._settled = np.ones(size, dtype=bool)
+
+    def begin(self, index: int, state: dict[str, float]) -> None:  # noqa: D102 - see FleetMotion
+        self.poses[index] = [state[name] for name in ("x", "y", "theta")]
+        self._speeds[index] = self._held[index] = self._wanted[index] = 0.0
+        self._settled[index] = True
+
+    def command(self, commands: Array) -> None:  # noqa: D102
+        within = commands if self._limits is None else np.clip(commands, *self._limits)
+        turn = 0.5 * self._drive.wheel_separation * within[:, 1]
+        self._wanted = np.stack((within[:, 0] - turn, within[:, 0] + turn), axis=1) / self._drive.wheel_radius
+
+    def advance(self) -> None:  # noqa: D102
+        roll(
+            self.poses,
+            self._speeds,
+            self._held,
+            self._wanted,
+            self._settled,
+            self._share,
+            self._own,
+            self._shared,
+            self._impulse,
+            self._turns,
+        )
+
+    def velocities(self) -> Array:  # noqa: D102
+        left, right = self._speeds.T
+        v = 0.5 * self._model.wheel_radius * (left + right)
+        omega = self._model.wheel_radius * (right - left) / self._model.wheel_separation
+        theta = self.poses[:, 2]
+        return np.stack((v * np.cos(theta), v * np.sin(theta), omega), axis=1)
+
+
+class FlyingMotion:
+    """Planar quadrotors (thesis Eq. 3.10) by the leapfrog of `simulation.bodies.PlanarQuadrotor`."""
+
+    urdf = "planar_quadrotor.urdf"
+    lidar = (0.0, 0.0, 0.0)
+
+    def __init__(self, system: System, size: int, rate: int) -> None:
+        self._equations = system.equations(np, system.parameters)
+        self._step = 1.0 / rate
+        self.poses, self._speeds = np.zeros((size, 3)), np.zeros((size, 3))
+        self._acceleration, self._command = np.zeros((size, 3)), np.zeros((size, 2))
+        self._new, self._moving = False, np.zeros(size, dtype=bool)
+        self._before = self._command
+
+    def begin(self, index: int, state: dict[str, float]) -> None:  # noqa: D102 - see FleetMotion
+        self.poses[index] = [state[name] for name in ("x", "z", "psi")]
+        self._speeds[index] = [state[name] for name in ("v_x", "v_z", "omega")]
+        self._acceleration[index] = 0.0
+        self._moving[index] = False
+
+    def command(self, commands: Array) -> None:  # noqa: D102
+        self._before, self._command, self._new = self._command, commands, True
+
+    def advance(self) -> None:  # noqa: D102
+        state = np.empty((6, len(self.poses)))
+        state[0::2], state[1::2] = self.poses.T, self.velocities().T
+        now = self._accelerations(state, self._command)
+        before = now
+        if self._new:
+            before = np.where(self._moving[:, None], self._accelerations(state, self._before), 0.0)
+            self._new, self._moving[:] = False, True
+        self._acceleration = now
+        self._speeds += 0.5 * (before + now) * self._step
+        self.poses += self._speeds * self._step
+
+    def velocities(self) -> Array:  # noqa: D102
+        return self._speeds + 0.5 * self._step * self._acceleration
+
+    def _accelerations(self, state: Array, commands: Array) -> Array:
+        rates = self._equations(state, commands.T, (0.0,) * 6)
+        return np.stack((rates[1], rates[3], rates[5]), axis=1)
+
+
+def make_motion(task: NavigationTask, system: System, size: int, rate: int) -> FleetMotion:
+    """Return the motion of a task's robots."""
+    if task.robot.body == "planar_quadrotor":
+        return FlyingMotion(system, size, rate)
+    return WheeledMotion(task, size, rate)

@@ -1,0 +1,21 @@
+"""Names and bounds of what a task's robot observes."""
+
+from __future__ import annotations
+
+import numpy as np
+from ctrl_rl_core.policies.task_interface import state_ranges
+from numpy.typing import NDArray
+
+from ctrl_rl_core import NavigationTask
+
+Vector = NDArray[np.float32]
+
+
+def observation_bounds(task: NavigationTask) -> tuple[tuple[str, ...], Vector, Vector]:
+    """Return the names, the least and the largest values of an observation, in SI units (n,), (n,), (n,)."""
+    ranges = state_ranges(task)
+    beams, reach = task.lidar.beams, task.lidar.range
+    names = (*ranges, *(f"beam_{index}" for index in range(beams)))
+    low = np.array([*(low for low, _ in ranges.values()), *[reach.low] * beams], dtype=np.float32)
+    high = np.array([*(high for _, high in ranges.values()), *[reach.high] * beams], dtype=np.float32)
+    return names, low, high
