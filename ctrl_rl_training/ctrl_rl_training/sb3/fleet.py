@@ -36,7 +36,7 @@ class FleetReward(Protocol):
         Args:
             states: States after the step (N, n).
             outcomes: Outcomes of their episodes, values of `Outcome` (N,).
-            rewards: What the task pays (N,).
+            rewards: Rewards of the task (N,).
         """
 
 
@@ -56,7 +56,7 @@ class FleetEnvironments(VecEnv):
     Args:
         task: Task of the robots.
         size: Number of robots.
-        reward: What steps pay; the task's own rewards unless given.
+        reward: Reward of the steps; the task's own unless given.
         starts: Where episodes start; the task's start set unless given.
     """
 

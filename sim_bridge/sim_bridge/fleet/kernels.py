@@ -68,7 +68,7 @@ def clearances(shapes: Any, parts: Any, outer: int, places: Any, limit: float, o
         outer: Number of the robot's shapes, the first ones, that hold all others.
         places: Positions and counter-clockwise angles of the robots (N, 3) [m, m, rad].
         limit: Distance that counts where nothing is nearer [m].
-        out: Clearances.
+        out: Signed distances, which are written.
     """
     first, last = len(shapes) - len(parts), len(shapes)
     for i in range(len(places)):
@@ -85,7 +85,7 @@ def scans(standing: Any, origins: Any, bearings: Any, reach: float, out: Any) ->
         origins: Positions and counter-clockwise angles of the lidars (N, 3) [m, m, rad].
         bearings: Bearings of the beams, counter-clockwise (beams,) [rad].
         reach: Length of a ray [m].
-        out: Ranges; 0 for a lidar inside a shape.
+        out: Ranges, which are written; 0 for a lidar inside a shape.
     """
     rays = np.empty((len(bearings), 2))
     for i in range(len(origins)):
