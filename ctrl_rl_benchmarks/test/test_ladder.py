@@ -7,9 +7,9 @@ import pytest
 from ctrl_rl_benchmarks.experiments.runs import LadderRun
 from ctrl_rl_benchmarks.ladder.task_list import LADDER, PRACTICE, load_ladder_task
 from ctrl_rl_benchmarks.ways.methods import WAYS
-from ctrl_rl_benchmarks.ways.pay import PER_SECOND, Progress, Record, Shaping
 from hypothesis import given
 from hypothesis import strategies as st
+from ttr_reward_node.rewards.progress import PER_SECOND, BestProgress, Progress, Shaping
 
 from ctrl_rl_core import task_digest
 from sim_bridge import SimulatedWorld, SimulationOptions
@@ -34,8 +34,8 @@ def test_progress_pays_the_difference_of_its_ends(times):
 @given(TIMES)
 def test_the_nearest_yet_pays_its_best_and_takes_nothing_back(times):
     first = min(times[0], LONGEST)
-    assert total(Record(LONGEST), times) == pytest.approx(PER_SECOND * (first - min(first, *times)), abs=1e-6)
-    pay = Record(LONGEST)
+    assert total(BestProgress(LONGEST), times) == pytest.approx(PER_SECOND * (first - min(first, *times)), abs=1e-6)
+    pay = BestProgress(LONGEST)
     pay.begin(times[0])
     assert all(pay.step(seconds, False) >= 0.0 for seconds in times[1:])
 
@@ -75,7 +75,7 @@ def value(tmp_path_factory):
 @pytest.mark.parametrize(
     ("way", "learner"),
     [
-        ("record", "sac"),
+        ("best_progress", "sac"),
         ("ttr", "ppo"),
         *((way, "ppo") for way in WAYS if WAYS[way].uses_states and WAYS[way].gae_lambda == 0.95),
     ],

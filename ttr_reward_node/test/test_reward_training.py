@@ -13,13 +13,14 @@ from ctrl_rl_training.experiments.trainer import train as train_run
 from ctrl_rl_training.sb3 import algorithms
 from ctrl_rl_training.sb3.state_visitation import Visits
 from ttr_reward_node.cli import learning
+from ttr_reward_node.rewards.progress import PER_SECOND, TimeToReach
 from ttr_reward_node.training.cli import plot, train
 from ttr_reward_node.training.plots import draw_visits
 from ttr_reward_node.training.results import STAGES, collect
-from ttr_reward_node.training.training import RewardRun, make_rewarded, reward_runs
+from ttr_reward_node.training.training import RewardRun, make_progress, make_rewarded, reward_runs
 
 from ctrl_rl_core import Outcome, load_navigation_task, task_file
-from ttr_reward_node import TimeToReachError, make_reward
+from ttr_reward_node import TimeToReachError, load_value, make_reward, problem_from_task, solve
 
 ROLL_OUT = 256
 
@@ -94,15 +95,15 @@ def test_learnt_means_good_twice():
 
 def test_what_matters_most_is_learnt_first():
     runs = reward_runs("car_ttr", grid="some.safetensors")
-    assert len(runs) == 3 * 6 * 5
-    assert {run.reward for run in runs[:15]} == {"ttr"}
-    assert {run.grid for run in runs[15:]} == {None}
+    assert len(runs) == 3 * 7 * 5
+    assert [{run.reward for run in runs[first : first + 15]} for first in (0, 15)] == [{"ttr_progress"}, {"ttr"}]
+    assert {run.grid for run in runs[30:]} == {None}
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--task", "car_ttr"], "the reward ttr needs --grid: make it with `solve --task car_ttr`"),
+        (["--task", "car_ttr"], "the reward ttr_progress needs --grid: make it with `solve --task car_ttr`"),
         (["--task", "car_ttr", "--rewards", "sparse", "--seeds", "0"], "--seeds must be a whole number of at least 1"),
         (["--task", "nowhere", "--rewards", "sparse"], "nowhere"),
     ],
@@ -133,3 +134,25 @@ def test_a_task_file_goes_by_the_tasks_name(tmp_path):
 def test_a_run_with_time_to_reach_but_no_grid_is_refused():
     with pytest.raises(TimeToReachError, match="solve the task first"):
         RewardRun("car_ttr", "ppo", "ttr", 0).environment()
+
+
+def test_progress_pays_the_seconds_gained_and_an_end_what_the_task_says(tmp_path):
+    task = load_navigation_task("car_ttr")
+    problem = problem_from_task(task, counts=dict.fromkeys(task.grid, 15), inflation=task.robot.radius)
+    solve(problem).grid.save(tmp_path / "value.safetensors")
+    value = load_value(tmp_path / "value.safetensors")
+    environment, potential = make_progress(task, value), TimeToReach(value)
+    _, info = environment.reset(seed=4)
+    least, over = potential.times(info["state"][None])[0], False
+    while not over:
+        _, paid, terminated, truncated, info = environment.step(np.array([1.0, 0.3], dtype=np.float32))
+        over = terminated or truncated
+        before, least = least, min(least, potential.times(info["state"][None])[0])
+        assert paid == pytest.approx(PER_SECOND * (before - least) + (-400.0 if over else 0.0))
+    assert info["outcome"] == "COLLISION"
+    environment.close()
+
+
+def test_progress_without_a_time_to_reach_is_refused():
+    with pytest.raises(TimeToReachError, match="'ttr_progress' needs the task's time to reach"):
+        RewardRun("car_ttr", "ppo", "ttr_progress", 0).environment()

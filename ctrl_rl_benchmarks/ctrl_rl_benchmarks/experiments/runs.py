@@ -16,6 +16,7 @@ from ctrl_rl_training.sb3.roll_out import EvaluatedEpisode
 from ctrl_rl_training.sb3.training import SimulatedRun
 from oc_baseline_node.training.baselines.policy_gradient import BaselinePolicy, CorrectedPolicy
 from stable_baselines3.common.base_class import BaseAlgorithm
+from ttr_reward_node.rewards.progress import TimeToReach
 
 from ctrl_rl_benchmarks.errors import BenchmarkError
 from ctrl_rl_benchmarks.ladder.task_list import load_ladder_task
@@ -23,7 +24,7 @@ from ctrl_rl_benchmarks.ways.baseline import TimeToReachBaseline, fit_critic
 from ctrl_rl_benchmarks.ways.demonstrations import demonstrate, teach
 from ctrl_rl_benchmarks.ways.methods import GAMMA, MAIN, WAYS, Way
 from ctrl_rl_benchmarks.ways.pay import PAYS, PotentialReward, StateReward
-from ctrl_rl_benchmarks.ways.potential import DistanceInSeconds, Potential, TimeToReach
+from ctrl_rl_benchmarks.ways.potential import DistanceInSeconds, Potential
 from ctrl_rl_benchmarks.ways.starts import GrowingStarts, levels
 from ctrl_rl_core import Actor, NavigationTask
 from ttr_reward_node import load_value, make_reward

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from ctrl_rl_training.sb3.fleet import FleetEnvironments
+from ttr_reward_node.rewards.progress import TimeToReach
 
-from ctrl_rl_benchmarks.ways.potential import TimeToReach
 from ctrl_rl_core import NavigationTask, Outcome, ValueFunction, draw_starts
 
 SAMPLES = 10_240

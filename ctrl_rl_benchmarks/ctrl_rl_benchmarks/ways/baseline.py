@@ -8,8 +8,8 @@ from ctrl_rl_training.sb3.algorithms import REWARD_SCALE
 from ctrl_rl_training.sb3.environment import observation_scales
 from numpy.typing import NDArray
 from stable_baselines3.common.base_class import BaseAlgorithm
+from ttr_reward_node.rewards.progress import TimeToReach
 
-from ctrl_rl_benchmarks.ways.potential import TimeToReach
 from ctrl_rl_core import NavigationTask
 
 _STATES, _STEPS, _BATCH, _RATE = 8192, 600, 256, 1e-3
@@ -28,7 +28,7 @@ class TimeToReachBaseline:
         self._potential, self._gamma = potential, gamma
         self._time_step, self._goal = task.episode.time_step, REWARD_SCALE * task.rewards.goal
         middle, unit = observation_scales(task)
-        count = potential.bounds.shape[1]
+        count = potential.domain.shape[1]
         self._middle, self._unit = middle[:count], unit[:count]
 
     def __call__(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -9,8 +9,8 @@ import torch
 from ctrl_rl_training.sb3.fleet import FleetEnvironments
 from numpy.typing import NDArray
 from stable_baselines3.common.base_class import BaseAlgorithm
+from ttr_reward_node.rewards.progress import TimeToReach
 
-from ctrl_rl_benchmarks.ways.potential import TimeToReach
 from ctrl_rl_core import NavigationTask
 
 SAMPLES = 2048

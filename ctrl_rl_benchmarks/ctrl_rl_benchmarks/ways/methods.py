@@ -20,7 +20,7 @@ class Way:
     Attributes:
         label: Name in tables and pictures.
         reward: Reward beside the task's sparse one: "none"; "distance", minus the distance to the goal; "ttr", minus
-            the time to reach (thesis Eq. 3.9); or a kind of pay of `ways.pay`.
+            the time to reach (thesis Eq. 3.9); or a kind of `ways.pay.PAYS`.
         of: Potential in which progress is measured, the time to reach or the distance in seconds.
         baseline: Use of V = 1000 gamma^(phi/dt) by the policy gradient: "frozen" baseline, baseline with a learnt
             "corrected" part, or critic that "begins" as V.
@@ -30,7 +30,7 @@ class Way:
     """
 
     label: str
-    reward: Literal["none", "distance", "ttr", "progress", "record", "shaping"] = "none"
+    reward: Literal["none", "distance", "ttr", "progress", "best_progress", "shaping"] = "none"
     of: Literal["time to reach", "distance"] = "time to reach"
     baseline: Literal["learnt", "frozen", "corrected", "begins"] = "learnt"
     gae_lambda: float = 0.95
@@ -57,11 +57,11 @@ class Way:
 
 WAYS: Mapping[str, Way] = MappingProxyType(
     {
-        "record": Way("nearest yet by time to reach", "record"),
+        "best_progress": Way("best progress of time to reach", "best_progress"),
         "sparse": Way("sparse"),
         "distance": Way("distance", "distance"),
         "progress": Way("progress of time to reach", "progress"),
-        "record_distance": Way("nearest yet by distance", "record", "distance"),
+        "best_progress_distance": Way("best progress of distance", "best_progress", "distance"),
         "progress_distance": Way("progress of distance", "progress", "distance"),
         "ttr": Way("-time to reach (Eq. 3.9)", "ttr"),
         "v_corrected": Way("V as baseline, corrected", baseline="corrected"),
@@ -70,10 +70,19 @@ WAYS: Mapping[str, Way] = MappingProxyType(
         "v_begins": Way("V as initial critic", baseline="begins"),
         "growing_starts": Way("starts that grow with V", starts="grow"),
         "demonstrations": Way("demonstrations by V", demonstrations=True),
-        "record_lambda_0.7": Way("nearest yet, λ = 0.7", "record", gae_lambda=0.7),
+        "best_progress_lambda_0.7": Way("best progress, λ = 0.7", "best_progress", gae_lambda=0.7),
         "v_corrected_lambda_0.7": Way("V corrected, λ = 0.7", baseline="corrected", gae_lambda=0.7),
     }
 )
 """All ways by name, those that tell most first."""
-MAIN = ("record", "sparse", "distance", "progress", "record_distance", "progress_distance", "ttr", "v_corrected")
+MAIN = (
+    "best_progress",
+    "sparse",
+    "distance",
+    "progress",
+    "best_progress_distance",
+    "progress_distance",
+    "ttr",
+    "v_corrected",
+)
 """Ways of the figure."""

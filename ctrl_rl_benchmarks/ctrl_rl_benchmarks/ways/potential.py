@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrl_rl_core import NavigationTask, ValueFunction, position_indices
+from ctrl_rl_core import NavigationTask, position_indices
 
 Array = NDArray[np.float64]
 _FLIGHT = 2.0
@@ -26,24 +26,6 @@ class Potential(Protocol):
 
     def times(self, states: Array) -> Array:
         """Return the times (N,) from states (N, n) to the goal [s]; +inf where there is no way."""
-
-
-class TimeToReach:
-    """The time to reach; a state outside its domain is looked up at the nearest one within."""
-
-    def __init__(self, value: ValueFunction) -> None:
-        grids = value.grids
-        self.longest = max(float(grid.values.max(initial=0.0, where=np.isfinite(grid.values))) for grid in grids)
-        self._value = value
-        self.bounds = np.tile([[-np.inf], [np.inf]], (1, len(value.state_names)))
-        for axis in (axis for grid in grids for axis in grid.axes if not axis.periodic):
-            index = value.state_names.index(axis.name)
-            self.bounds[0, index] = max(self.bounds[0, index], axis.lower)
-            self.bounds[1, index] = min(self.bounds[1, index], axis.upper)
-
-    def times(self, states: Array) -> Array:  # noqa: D102 - see Potential
-        times = self._value.value(np.clip(states, *self.bounds))
-        return np.where(np.isnan(times), np.inf, times)
 
 
 class DistanceInSeconds:

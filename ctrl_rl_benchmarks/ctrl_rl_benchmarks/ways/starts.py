@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from ttr_reward_node.rewards.progress import TimeToReach
 
-from ctrl_rl_benchmarks.ways.potential import TimeToReach
 from ctrl_rl_core import NavigationTask, Outcome
 
 Array = NDArray[np.float64]

@@ -33,6 +33,11 @@ KIND = "time_to_reach"
 DISTANCE_WEIGHTS = {"distance_0": 0.0, "distance_0.1": 0.1, "distance_1": 1.0, "distance_10": 10.0}
 """lambda, the weight of the squared angle [m^2/rad^2], by the reward's name."""
 REWARDS = ("sparse", *DISTANCE_WEIGHTS, "ttr")
+"""Rewards of Table 3.3 by name."""
+PROGRESS = "ttr_progress"
+"""Name of the reward for the best progress of the time to reach, see `progress`."""
+TRAINING_REWARDS = (PROGRESS, *REWARDS)
+"""Rewards to learn with."""
 
 
 def time_to_reach_reward(phi: ArrayLike, longest: float) -> Array:
@@ -148,7 +153,7 @@ def make_reward(name: str, task: NavigationTask, value: ValueFunction | None = N
         )
     if used is not None:
         check_informative(used)
-    return Reward(name, task, used, _domain(used, task.system.build().state_names), longest_time(used))
+    return Reward(name, task, used, value_domain(used, task.system.build().state_names), longest_time(used))
 
 
 def check_informative(value: ValueFunction) -> None:
@@ -170,7 +175,7 @@ def longest_time(value: ValueFunction | None) -> float:
     return max((float(grid.values.max(initial=0.0, where=np.isfinite(grid.values))) for grid in grids), default=0.0)
 
 
-def _domain(value: ValueFunction | None, names: Sequence[str]) -> Array:
+def value_domain(value: ValueFunction | None, names: Sequence[str]) -> Array:
     """Return the bounds (2, n) of the grids that a value consists of; a periodic axis has none."""
     domain = np.tile([[-np.inf], [np.inf]], (1, len(names)))
     for grid in () if value is None else value.grids:

@@ -20,7 +20,7 @@ from ctrl_rl_training.sb3.algorithm_names import ALGORITHMS, THESIS_ALGORITHMS
 
 from ctrl_rl_core import ResultsError
 from ttr_reward_node.errors import TimeToReachError
-from ttr_reward_node.rewards.rewards import REWARDS
+from ttr_reward_node.rewards.rewards import PROGRESS, TRAINING_REWARDS
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,10 +30,10 @@ class Train(SimulatedOptions):
     folder: FolderToWrite = Path("runs/ttr_training")
     """Folder of the runs; each has one of its own, and goes on there where it was cut off."""
     grid: Path | None = None
-    """Time-to-reach function of the task (.safetensors), for the reward ttr."""
+    """Time-to-reach function of the task (.safetensors), for the rewards ttr_progress and ttr."""
     algorithms: Annotated[tuple[str, ...], some_of(ALGORITHMS)] = THESIS_ALGORITHMS
     """Algorithms to learn with."""
-    rewards: Annotated[tuple[str, ...], some_of(REWARDS)] = tuple(REWARDS)
+    rewards: Annotated[tuple[str, ...], some_of(TRAINING_REWARDS)] = TRAINING_REWARDS
     """Rewards to learn with."""
 
 
@@ -48,9 +48,10 @@ class Plot(TaskPlotOptions):
 def _train(options: Train) -> int:
     if options.iterations:
         note_old_name("train", "--iterations", "--samples")
-    rewards = options.rewards or tuple(REWARDS)
-    if "ttr" in rewards and options.grid is None:
-        raise TimeToReachError(f"the reward ttr needs --grid: make it with `solve --task {options.task}`")
+    rewards = options.rewards or TRAINING_REWARDS
+    needing = [reward for reward in (PROGRESS, "ttr") if reward in rewards]
+    if needing and options.grid is None:
+        raise TimeToReachError(f"the reward {needing[0]} needs --grid: make it with `solve --task {options.task}`")
     # Torch takes seconds to import: not before the arguments are right.
     from ttr_reward_node.training.results import collect, success_table
     from ttr_reward_node.training.training import reward_runs
@@ -72,12 +73,13 @@ def _figures(options: Plot) -> int:
     algorithm = options.algorithm or there[0]
     if algorithm not in there:
         raise ResultsError(f"{options.results}: has no runs of {algorithm}, but of {', '.join(there)}")
-    name, method = task.name, f"{algorithm}, ttr"
+    best = PROGRESS if f"{algorithm}, {PROGRESS}" in figures["paths"] else "ttr"
+    name, method = task.name, f"{algorithm}, {best}"
     pictures = {part: options.output / f"{name}_{part}.png" for part in ("success", "visits", "paths")}
     draw_curves(figures, pictures["success"])
     draw_visits(figures, task, algorithm, pictures["visits"])
     if method in figures["paths"]:
-        title = f"{name}: after learning with {algorithm.upper()} and the time-to-reach reward"
+        title = f"{name}: after learning with {algorithm.upper()} and the reward {best}"
         draw_paths(figures["paths"][method], task, title, pictures["paths"])
     else:
         pictures.pop("paths")

@@ -15,11 +15,18 @@ from matplotlib import pyplot as plt
 from pydantic import Field, model_validator
 
 from ctrl_rl_core import NavigationTask, ResultsError, draw_world, position_indices, save_figure
-from ttr_reward_node.rewards.rewards import REWARDS
+from ttr_reward_node.rewards.rewards import PROGRESS, TRAINING_REWARDS
 from ttr_reward_node.training.results import STAGES
 
-_COLOURS = dict(zip(REWARDS, ("0.45", "tab:blue", "tab:cyan", "tab:purple", "tab:orange", "tab:red"), strict=True))
+_COLOURS = dict(
+    zip(
+        TRAINING_REWARDS,
+        ("tab:green", "0.45", "tab:blue", "tab:cyan", "tab:purple", "tab:orange", "tab:red"),
+        strict=True,
+    )
+)
 _LABELS = {
+    PROGRESS: "progress of time to reach",
     "sparse": "sparse",
     "distance_0": "distance, λ = 0",
     "distance_0.1": "distance, λ = 0.1",
@@ -55,8 +62,8 @@ class Learning(Figures):
     paths: dict[str, Annotated[list[DrivenPath], Field(max_length=1000)]]
 
 
-_COMPARED = ("sparse", "distance_10", "ttr")
-"""Rewards of Fig. 3.7."""
+_COMPARED = ("sparse", "distance_10", "ttr", PROGRESS)
+"""Rewards of Fig. 3.7, and progress."""
 
 
 def draw_curves(figures: Mapping[str, Any], path: Path) -> None:
@@ -67,10 +74,10 @@ def draw_curves(figures: Mapping[str, Any], path: Path) -> None:
         1, len(algorithms), figsize=(4.2 * len(algorithms), 3.6), sharey=True, squeeze=False, layout="constrained"
     )
     for algorithm, ax in zip(algorithms, axes[0], strict=True):
-        for reward in REWARDS:
+        for reward in TRAINING_REWARDS:
             curve = curves.get(f"{algorithm}, {reward}")
             if curve is not None:
-                width = 2.2 if reward == "ttr" else 1.3
+                width = 2.2 if reward in (PROGRESS, "ttr") else 1.3
                 draw_curve(ax, curve["samples"], curve["success"], _LABELS[reward], _COLOURS[reward], width)
         ax.set_title(algorithm.upper())
         ax.set_xlabel("samples [thousands]")

@@ -1,4 +1,4 @@
-"""The runs of thesis 3.2.3: each algorithm with each reward of Table 3.3 on a task, from several seeds."""
+"""The runs of thesis 3.2.3: each algorithm with each reward of Table 3.3, and progress, from several seeds."""
 
 from __future__ import annotations
 
@@ -16,8 +16,10 @@ from ctrl_rl_training.sb3.environment import Environment, Vector, make_environme
 from ctrl_rl_training.sb3.training import SimulatedRun
 from stable_baselines3.common.base_class import BaseAlgorithm
 
-from ctrl_rl_core import NavigationTask, Outcome, load_navigation_task
-from ttr_reward_node.rewards.rewards import REWARDS, Reward, make_reward
+from ctrl_rl_core import NavigationTask, Outcome, ValueFunction, load_navigation_task
+from ttr_reward_node.errors import TimeToReachError
+from ttr_reward_node.rewards.progress import BestProgress, Pay, TimeToReach
+from ttr_reward_node.rewards.rewards import PROGRESS, TRAINING_REWARDS, Reward, make_reward
 from ttr_reward_node.values.value_file import load_value
 
 
@@ -42,12 +44,48 @@ class RewardWrapper(gymnasium.Wrapper[Vector, Vector, Vector, Vector]):
         return observation, float(paid), terminated, truncated, info
 
 
+class ProgressWrapper(gymnasium.Wrapper[Vector, Vector, Vector, Vector]):
+    """Pays progress beside the task's own reward.
+
+    Args:
+        environment: Environment of a task of the suite.
+        potential: Time to reach of the task.
+        pay: Kind of the pay.
+    """
+
+    def __init__(self, environment: Environment, potential: TimeToReach, pay: Pay) -> None:
+        super().__init__(environment)
+        self._potential, self._pay = potential, pay
+
+    def reset(self, **options: Any) -> tuple[Vector, dict[str, Any]]:
+        """Start an episode."""
+        observation, info = self.env.reset(**options)
+        self._pay.begin(float(self._potential.times(info["state"][None])[0]))
+        return observation, info
+
+    def step(self, action: Vector) -> tuple[Vector, float, bool, bool, dict[str, Any]]:
+        """Hold an action for the task's time step."""
+        observation, paid, terminated, truncated, info = self.env.step(action)
+        arrived = info["outcome"] == Outcome.GOAL.name
+        seconds = 0.0 if arrived else float(self._potential.times(info["state"][None])[0])
+        return observation, float(paid) + self._pay.step(seconds, terminated), terminated, truncated, info
+
+
+def make_progress(task: NavigationTask, value: ValueFunction, rate: int | None = None) -> Environment:
+    """Return the environment of a task that pays the best progress of its time to reach, see `rewards.progress`."""
+    make_reward("ttr", task, value)  # refuses a value that does not belong to the task
+    potential = TimeToReach(value)
+    return make_environment(
+        task, rate, lambda environment: ProgressWrapper(environment, potential, BestProgress(potential.longest))
+    )
+
+
 def make_rewarded(reward: Reward, rate: int | None = None) -> Environment:
     """Return the environment of the reward's task that pays it, at the physics rate `rate` [Hz] or the task's own."""
     return make_environment(reward.task, rate, lambda environment: RewardWrapper(environment, reward))
 
 
-_FIRST = ("ttr", "sparse", "distance_10")
+_FIRST = (PROGRESS, "ttr", "sparse", "distance_10")
 """Rewards that are learnt first, in case time runs out."""
 
 
@@ -58,9 +96,9 @@ class RewardRun(SimulatedRun):
     Attributes:
         task_name: Name of the task, or its file.
         algorithm: One of `ctrl_rl_training.sb3.algorithm_names.ALGORITHMS`.
-        reward: One of `REWARDS`.
+        reward: One of `TRAINING_REWARDS`.
         seed: Seed of everything random.
-        grid: File of the task's time-to-reach function, for the reward "ttr".
+        grid: File of the task's time-to-reach function, for "ttr" and "ttr_progress".
     """
 
     task_name: str
@@ -82,7 +120,7 @@ class RewardRun(SimulatedRun):
     @property
     def description(self) -> dict[str, Any]:
         """Description of the run in its result."""
-        value = _reward(self).value
+        value = _value(self.grid)
         return {
             "task": self.task.name,
             "algorithm": self.algorithm,
@@ -93,7 +131,12 @@ class RewardRun(SimulatedRun):
 
     def environment(self, rate: int | None = None) -> Environment:
         """Return the task's environment that pays the reward."""
-        return make_rewarded(_reward(self), rate)
+        value = _value(self.grid)
+        if self.reward == PROGRESS:
+            if value is None:
+                raise TimeToReachError(f"the reward '{PROGRESS}' needs the task's time to reach: solve the task first")
+            return make_progress(self.task, value, rate)
+        return make_rewarded(make_reward(self.reward, self.task, value), rate)
 
     def model(self, samples: int) -> BaseAlgorithm:
         """Return the untrained algorithm with its own environments, for so many samples."""
@@ -103,14 +146,14 @@ class RewardRun(SimulatedRun):
 def reward_runs(
     task_name: str,
     algorithms: Sequence[str] = THESIS_ALGORITHMS,
-    rewards: Sequence[str] = REWARDS,
+    rewards: Sequence[str] = TRAINING_REWARDS,
     seeds: int = 5,
     grid: Path | None = None,
 ) -> list[RewardRun]:
     """Return all runs of a task, those that matter most first."""
     ordered = sorted(rewards, key=lambda reward: _FIRST.index(reward) if reward in _FIRST else len(_FIRST))
     return [
-        RewardRun(task_name, algorithm, reward, seed, grid if reward == "ttr" else None)
+        RewardRun(task_name, algorithm, reward, seed, grid if reward in ("ttr", PROGRESS) else None)
         for reward in ordered
         for seed in range(seeds)
         for algorithm in algorithms
@@ -118,6 +161,5 @@ def reward_runs(
 
 
 @lru_cache(maxsize=4)
-def _reward(run: RewardRun) -> Reward:
-    value = load_value(run.grid) if run.grid is not None else None
-    return make_reward(run.reward, run.task, value)
+def _value(grid: Path | None) -> ValueFunction | None:
+    return None if grid is None else load_value(grid)
