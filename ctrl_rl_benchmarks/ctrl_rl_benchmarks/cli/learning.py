@@ -22,7 +22,7 @@ from ctrl_rl_benchmarks.ladder.task_list import LADDER, load_ladder_task
 from ctrl_rl_benchmarks.ways.methods import LEARNERS, WAYS
 from ctrl_rl_core import write_results
 
-_EVALUATIONS, _FINAL_EVALUATIONS = 20, 20
+_EVALUATIONS, _FINAL_EVALUATIONS = 20, 10
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,7 +35,7 @@ class Train(ExperimentOptions):
 
     folder: FolderToWrite = Path("runs/ladder")
     """Folder of the runs; each has one of its own, and goes on there where it was cut off."""
-    samples: Positive = 8 * ITERATION
+    samples: Positive = 10 * ITERATION
     """Samples of a run; whole iterations of 10240 are done."""
     tasks: tuple[str, ...] = LADDER
     """Tasks: names of the ladder, of the suite, or task files."""

@@ -1,7 +1,7 @@
 """Rewards for the seconds that a step brings the goal nearer, beside the task's own reward.
 
 `BestProgress` is the form to begin with: phi counts where it falls below its least value of the episode, and nothing is
-taken back. An episode then pays at most 100 phi(start), whichever way it goes; thesis Eq. 3.9 pays -phi at each step,
+taken back. An episode then pays at most 300 phi(start), whichever way it goes; thesis Eq. 3.9 pays -phi at each step,
 so that on a long way a collision soon costs less than to drive on.
 
 Each kind is told the seconds to the goal at the start and after each step, +inf where there is no way.
@@ -19,8 +19,11 @@ from ttr_reward_node.rewards.rewards import longest_time, value_domain
 
 Array = NDArray[np.float64]
 
-PER_SECOND = 100.0
-"""Reward for a second of progress; a goal pays 1000, a collision -400."""
+PER_SECOND = 300.0
+"""Reward for a second of progress, where a goal pays 1000 and a collision -400.
+
+At 100 a learner keeps away from a narrow gap: the half second that a careful step gains does not pay for the collisions
+on the way to it."""
 
 
 class Pay(Protocol):
@@ -66,7 +69,7 @@ class BestProgress:
 
 
 class Shaping:
-    """Potential-based shaping gamma Phi(s') - Phi(s) with Phi = 100 (longest - phi), 0 where an episode ends.
+    """Potential-based shaping gamma Phi(s') - Phi(s) with Phi = 300 (longest - phi), 0 where an episode ends.
 
     Ng, Harada and Russell 1999: it changes no optimal policy.
     """
