@@ -10,7 +10,7 @@ setup(
     maintainer="Seed 5ee16a79 maintainers",
     maintainer_email="maintainers@users.noreply.h-seed-5ee16a79.example",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={NAME: ["py.typed", "*.pyi"]},
+    package_data={NAME: ["py.typed", "*.pyi", "*/*.pyi", "trials/attackers/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
@@ -21,6 +21,7 @@ setup(
     entry_points={
         "console_scripts": [
             "safety_filter = ctrl_rl_safety.nodes.safety_filter_node:main",
+            "identify = ctrl_rl_safety.cli.identify:main",
             "train = ctrl_rl_safety.cli.simulated:train",
             "trials = ctrl_rl_safety.cli.simulated:trials",
         ],

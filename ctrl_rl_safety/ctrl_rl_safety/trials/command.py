@@ -40,8 +40,9 @@ class Options:
     """
 
     sources: tuple[str, ...] = ADVERSARIES
-    """Adversaries (full_speed, random), and policies: names of shipped ones, or POLICY@TASK for another task."""
-    episodes: Positive = 125
+    """Adversaries (full_speed, random, and attacker, which has learnt to bring about contacts), and policies: names of
+    shipped ones, files, or POLICY@TASK for another task."""
+    episodes: Positive = 84
     """Number of episodes of each source, place, robot and guard."""
     seed: NotNegative = 0
     """Seed of the first episode; the others follow."""

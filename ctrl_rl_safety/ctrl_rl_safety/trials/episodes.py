@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 from ctrl_rl_core.policies.policy import Policy
 
@@ -24,7 +25,9 @@ from ctrl_rl_safety.trials.sources import Driver, FullSpeed, Random, Source
 from ctrl_rl_safety.trials.worlds import PLACES, room, with_whole_scan
 from sim_bridge import SimulatedWorld, SimulationOptions
 
-ADVERSARIES = ("full_speed", "random")
+ADVERSARIES = ("full_speed", "random", "attacker")
+"""Sources that want no good; the last one is a policy that `train --attackers` has learnt against the filter."""
+_ATTACKERS = Path(__file__).parent / "attackers"
 GUARDS = {"none": "no filter", "filter": "filter", "mismatch": "filter, robot off its model"}
 """Names in results; with `mismatch` the robot has 10 % less braking and 30 ms more delay than the filter assumes."""
 _LESS_BRAKING, _MORE_DELAY = 0.9, 0.03
@@ -127,7 +130,9 @@ class Player:
             if self._task.plane != "xy":
                 raise SafetyError(f"task '{cell.place}' flies: the filter is for robots on wheels")
             self._model = _OF_TASKS[self._task.robot.body]
-        if cell.source not in ADVERSARIES:
+        if cell.source == "attacker":
+            self._policy = load_policy(_ATTACKERS / f"{cell.robot}.safetensors")
+        elif cell.source not in ADVERSARIES:
             self._policy = load_policy(find_policy(cell.source))
             if self._policy.robot != "differential_drive":
                 raise SafetyError(
@@ -162,19 +167,19 @@ class Player:
             world.close()
 
     def _robot(self, world: SimulatedWorld, seed: int) -> TrialRobot:
-        model, guard, base = self._model, self._cell.guard, self._model
-        if guard == "mismatch":
+        cell, model, base = self._cell, self._model, self._model
+        if cell.guard == "mismatch":
             base = replace(model, braking=_LESS_BRAKING * model.braking, delay=model.delay + _MORE_DELAY)
         fastest = max((_fastest(each) for each in world.task.movers), default=0.0)
         safety = None
-        if guard != "none":
+        if cell.guard != "none":
             safety = SafetyFilter(model, FilterOptions(period=TICK, mover_speed=fastest))
-        return TrialRobot(world, base, safety, with_set=self._policy is not None or seed % _WITH_SET == 0)
+        return TrialRobot(world, base, safety, with_set=cell.source not in ADVERSARIES or seed % _WITH_SET == 0)
 
     def _source(self, task: NavigationTask, seed: int) -> Source:
         if self._policy is not None:
             return Driver(self._policy, task)
-        return FullSpeed(self._model) if self._cell.source == ADVERSARIES[0] else Random(self._model, seed)
+        return FullSpeed(self._model) if self._cell.source == "full_speed" else Random(self._model, seed)
 
 
 def _fastest(mover: object) -> float:

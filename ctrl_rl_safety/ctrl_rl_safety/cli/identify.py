@@ -1,0 +1,72 @@
+"""The command `identify`: constants of one's own robot from a bag, as a file that the filter reads."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import tyro
+from ctrl_rl_core.command import FileToWrite, FiniteNumber, make_command
+
+from ctrl_rl_safety.errors import SafetyError
+from ctrl_rl_safety.identification.drive import STEP, read_drives
+from ctrl_rl_safety.identification.fit import fit_drives
+from ctrl_rl_safety.models.robot_model import UNITS, RobotModel
+
+_MUCH = 0.1
+"""Part of the variance that a model should not leave."""
+_MEASURED = (
+    *("speed", "reverse_speed", "turn_rate", "acceleration", "braking", "turn_acceleration"),
+    *("lag", "delay", "disturbance"),
+)
+
+
+@dataclass(frozen=True)
+class Identify:
+    """Measure a robot's acceleration, braking, turn acceleration, delay, top speeds and disturbance from a bag.
+
+    The bag needs the commands and the odometry of a drive of half a minute or more with starts, stops, turns and top
+    speeds. What a drive does not show (radius, errors of the lidar) is an option.
+    """
+
+    bag: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="BAG")]
+    """Bag with commands and odometry."""
+    radius: FiniteNumber
+    """Radius of the disc around the robot's middle that holds all of it [m]."""
+    output: FileToWrite = Path("robot.yaml")
+    """File to write, for the filter's parameter robot."""
+    commands: str = ""
+    """Topic of the commands (default: the one named cmd_vel)."""
+    odometry: str = ""
+    """Topic of the odometry (default: the one named odom)."""
+    range_error: FiniteNumber = 0.03
+    """Bound of the error of the lidar's echoes [m]."""
+    scan_age: FiniteNumber = 0.0
+    """Bound of the time by which an echo is older than the stamp of its scan says [s]."""
+
+
+def _identify(options: Identify) -> int:
+    name = options.output.stem
+    if options.output.suffix not in (".yaml", ".yml"):
+        raise SafetyError(f"--output {options.output}: name a .yaml file")
+    drives = read_drives(options.bag, options.commands, options.odometry)
+    fit = fit_drives(drives)
+    measured = {each: getattr(fit, each) for each in _MEASURED}
+    model = RobotModel(name, options.radius, **measured, range_error=options.range_error, scan_age=options.scan_age)
+    model.save(options.output)
+    seconds = STEP * sum(len(each.speeds) for each in drives)
+    print(f"{seconds:.1f} s of commands and odometry; the model leaves {fit.error:.1%} of the variance")
+    for each in _MEASURED:
+        print(f"{each:<18} {getattr(model, each):8.4g} {UNITS[each]}")
+    told = max(float(np.abs(each.commands[:, 0]).max()) for each in drives)
+    if told > 1.1 * max(fit.speed, fit.reverse_speed):
+        print(f"note: commands reached {told:.3g} m/s, the robot did not")
+    if fit.error > _MUCH:
+        print("note: the robot does other things than the model, too: drive on an even floor, without other commands")
+    print(f"written to {options.output}")
+    return 0
+
+
+main = make_command("identify", Identify, _identify)

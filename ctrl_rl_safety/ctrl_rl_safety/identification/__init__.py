@@ -1,0 +1,1 @@
+"""Constants of a robot from its commands and its odometry."""

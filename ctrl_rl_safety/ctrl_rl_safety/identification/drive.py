@@ -1,0 +1,91 @@
+"""Commands and odometry of a bag, at common times."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrl_rl_bags import BagError, align, open_bag
+from ctrl_rl_safety.errors import SafetyError
+
+Array = NDArray[np.float64]
+
+STEP = 0.01
+"""Time between two rows [s]."""
+LATEST = 0.5
+"""Largest step of the odometry, and age of a command after which the robot may have stopped by itself [s]."""
+_SHORTEST = 1.0
+_TYPES = {
+    "cmd_vel": ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"),
+    "odom": ("nav_msgs/msg/Odometry",),
+}
+
+
+@dataclass(frozen=True)
+class Drive:
+    """A piece of a drive without gaps, a row each `STEP`.
+
+    Attributes:
+        commands: Commands that were given last, speed and turn rate (n, 2) [m/s, rad/s].
+        poses: Poses by odometry x, y, yaw (n, 3) [m, m, rad].
+        speeds: Speed and turn rate by odometry (n, 2) [m/s, rad/s].
+    """
+
+    commands: Array
+    poses: Array
+    speeds: Array
+
+
+def read_drives(bag: Path, command_topic: str = "", odometry_topic: str = "") -> list[Drive]:
+    """Return the pieces of a bag in which commands came and the odometry has no gap.
+
+    Args:
+        bag: Bag with commands and odometry.
+        command_topic: Topic of Twist or TwistStamped; the only one that ends with cmd_vel unless given.
+        odometry_topic: Topic of Odometry; the only one that ends with odom unless given.
+
+    Raises:
+        SafetyError: A topic is missing or empty, or no piece lasts a second.
+        BagError: The bag cannot be read.
+    """
+    with open_bag(bag) as opened:
+        commands = _topic(opened.info.topics, command_topic, "cmd_vel", bag)
+        odometry = _topic(opened.info.topics, odometry_topic, "odom", bag)
+    try:
+        # The log times of both: a delay is from the sending of a command to the odometry that shows its effect.
+        found = align(bag, [commands, odometry], 1.0 / STEP, methods={odometry: "linear"}, clock="log", max_age=LATEST)
+    except BagError as error:
+        raise SafetyError(str(error)) from None
+    drives = []
+    for each in found:
+        values, told = each.values[odometry], each.values[commands]
+        whole = np.isfinite(values).all(axis=1) & np.isfinite(told).all(axis=1)
+        if whole.all() and len(each) * STEP >= _SHORTEST:
+            drives.append(Drive(told, values[:, :3], values[:, 3:]))
+    if not drives:
+        raise SafetyError(f"{bag}: no second in which {commands} comes every {LATEST:g} s and {odometry} has no gap")
+    return drives
+
+
+def _topic(topics: object, given: str, ending: str, bag: Path) -> str:
+    """Return the topic that is given, or the only one of a name and type."""
+    assert isinstance(topics, dict)
+    kinds = _TYPES[ending]
+    suited = [name for name, info in topics.items() if info.type in kinds and info.message_count > 0]
+    if given:
+        if given not in suited:
+            raise SafetyError(f"{bag}: no messages of {' or '.join(kinds)} on {given}: there are {_words(suited)}")
+        return given
+    named = [name for name in suited if name.rsplit("/", 1)[-1] == ending]
+    if len(named) != 1:
+        what = "no topic" if not named else "several topics"
+        option = "--commands" if ending == "cmd_vel" else "--odometry"
+        raise SafetyError(f"{bag}: {what} named {ending} of {' or '.join(kinds)}: {option} one of {_words(suited)}")
+    return named[0]
+
+
+def _words(names: list[str]) -> str:
+    return ", ".join(names) or "none"

@@ -1,0 +1,230 @@
+"""The constants with which the filter's model of motion follows a drive best.
+
+Delay, lag and limits of acceleration are those with the least squared error of speed and turn rate when the model gets
+the drive's commands. Of limits that serve as well, the least are taken: the robot surely has those.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from ctrl_rl_core.values.jit_cache import cached_njit
+from numba import njit
+from numpy.typing import NDArray
+
+from ctrl_rl_safety.errors import SafetyError
+from ctrl_rl_safety.identification.drive import STEP, Drive
+from ctrl_rl_safety.models.motion import Motion, next_speed, next_state, next_turn
+
+Array = NDArray[np.float64]
+
+_MOVES = (0.05, 0.1)
+"""Speed [m/s] and turn rate [rad/s] that a drive must reach."""
+_TOP = 99.0
+"""Percentile of the speeds that counts as the largest: a single reading may be wrong."""
+_LONGEST = 50
+"""Longest delay, in rows."""
+_DELAYS = range(0, _LONGEST + 1, 2)
+_LAGS = np.array((0.0, 0.03, 0.06, 0.1, 0.2, 0.4))
+_LIMITS = np.geomspace(0.05, 20.0, 18)
+_AS_GOOD = 1.01
+_SPAN = 1.0
+"""Time over which the deviation of the position is measured [s]."""
+_PERCENTILE = 99.0
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Constants of a robot as a drive shows them.
+
+    Attributes:
+        speed: Largest speed forwards [m/s].
+        reverse_speed: Largest speed backwards [m/s]; 0 where it never drove backwards.
+        turn_rate: Largest turn rate [rad/s].
+        acceleration: Largest change of the speed away from zero [m/s^2].
+        braking: Largest change of the speed towards zero [m/s^2].
+        turn_acceleration: Largest change of the turn rate [rad/s^2].
+        lag: Time constant of the speeds [s].
+        delay: Time from a command to its effect in the odometry [s].
+        disturbance: Deviation of the position from the model's for each second [m/s].
+        error: Part of the variance of speed and turn rate that the model leaves.
+    """
+
+    speed: float
+    reverse_speed: float
+    turn_rate: float
+    acceleration: float
+    braking: float
+    turn_acceleration: float
+    lag: float
+    delay: float
+    disturbance: float
+    error: float
+
+
+@njit
+def _speed_error(commands: Array, speeds: Array, share: float, faster: float, slower: float) -> float:
+    motion, v, total = Motion(STEP, share, faster, slower, 0.0), speeds[0], 0.0
+    for k in range(len(commands)):
+        v = next_speed(v, commands[k], motion)
+        total += (v - speeds[k]) ** 2
+    return total
+
+
+@njit
+def _turn_error(commands: Array, rates: Array, share: float, turn: float) -> float:
+    motion, omega, total = Motion(STEP, share, 0.0, 0.0, turn), rates[0], 0.0
+    for k in range(len(commands)):
+        omega = next_turn(omega, commands[k], motion)
+        total += (omega - rates[k]) ** 2
+    return total
+
+
+@cached_njit
+def _errors(commands: Array, speeds: Array, ends: NDArray[np.int64], lag: float, limits: Array) -> Array:
+    """Return the squared errors of speed and turn rate (2,) of a model with limits of acceleration (3,)."""
+    share = 1.0 if lag <= 0.0 else 1.0 - np.exp(-STEP / lag)
+    out, first = np.zeros(2), 0
+    faster, slower, turn = limits[0] * STEP, limits[1] * STEP, limits[2] * STEP
+    for last in ends:
+        out[0] += _speed_error(commands[first:last, 0], speeds[first:last, 0], share, faster, slower)
+        out[1] += _turn_error(commands[first:last, 1], speeds[first:last, 1], share, turn)
+        first = last
+    return out
+
+
+@cached_njit
+def _deviations(
+    commands: Array, poses: Array, speeds: Array, ends: NDArray[np.int64], motion: Motion, span: int
+) -> Array:
+    """Return by how much the position deviates from the model's after each `span` rows."""
+    out, count, first = np.empty(len(poses)), 0, 0
+    for last in ends:
+        for begin in range(first, last - span, max(span // 10, 1)):
+            x, y, theta = poses[begin, 0], poses[begin, 1], poses[begin, 2]
+            v, omega = speeds[begin, 0], speeds[begin, 1]
+            for k in range(begin + 1, begin + span + 1):
+                x, y, theta, v, omega = next_state(x, y, theta, v, omega, commands[k, 0], commands[k, 1], motion)
+            end = begin + span
+            out[count] = np.hypot(poses[end, 0] - x, poses[end, 1] - y)
+            count += 1
+        first = last
+    return out[:count]
+
+
+class _Data:
+    """Drives one after the other, with commands that take effect after a delay.
+
+    Each begins when even the longest delay is over: which command was in effect before is not known.
+    """
+
+    def __init__(self, drives: Sequence[Drive], top: tuple[Array, Array]) -> None:
+        self._drives, self._top = drives, top
+        self.speeds = np.concatenate([each.speeds[_LONGEST:] for each in drives])
+        self.poses = np.concatenate([each.poses[_LONGEST:] for each in drives])
+        self.ends = np.cumsum([len(each.speeds) - _LONGEST for each in drives])
+        self._scale = np.maximum(((self.speeds - self.speeds.mean(axis=0)) ** 2).sum(axis=0), 1e-9)
+
+    def commands(self, rows: int) -> Array:
+        """Return the commands (n, 2) in effect, `rows` rows later than they were given."""
+        late = [each.commands[_LONGEST - rows : len(each.commands) - rows] for each in self._drives]
+        return np.clip(np.concatenate(late), *self._top)
+
+    def errors(self, commands: Array, lag: float, limits: Array) -> Array:
+        """Return the part of the variance that is left, of speed and of turn rate (2,)."""
+        return np.asarray(_errors(commands, self.speeds, self.ends, lag, limits) / self._scale)
+
+
+def fit_drives(drives: Sequence[Drive]) -> Fit:
+    """Return the constants that drives show.
+
+    Raises:
+        SafetyError: The robot never moved, never turned, or never slowed down, or did not do as it was told.
+    """
+    speeds = np.concatenate([each.speeds for each in drives])
+    reached = np.percentile(np.abs(speeds), _TOP, axis=0)
+    for value, least, what in zip(reached, _MOVES, ("drove", "turned"), strict=True):
+        if value < least:
+            unit = "m/s" if what == "drove" else "rad/s"
+            raise SafetyError(
+                f"the robot never {what} at {least:g} {unit}: record a drive with starts, stops and turns"
+            )
+    forwards, backwards = np.percentile(speeds[:, 0], (_TOP, 100.0 - _TOP))
+    most, least = max(forwards, 0.0), min(backwards, 0.0)
+    if most < _MOVES[0]:
+        raise SafetyError(f"the robot never drove forwards at {_MOVES[0]:g} m/s: record a drive that does")
+    data = _Data(drives, (np.array((least, -reached[1])), np.array((most, reached[1]))))
+    rows, lag, limits = _best(data)
+    commands = data.commands(rows)
+    errors = data.errors(commands, lag, limits)
+    if errors.max() > 0.5:
+        what = ("speed", "turn rate")[int(errors.argmax())]
+        raise SafetyError(f"the {what} does not follow the commands: are they those that the robot got?")
+    limits = _least(data, commands, lag, limits)
+    share = 1.0 if lag <= 0.0 else 1.0 - np.exp(-STEP / lag)
+    motion = Motion(STEP, share, *(limits * STEP))
+    apart = _deviations(commands, data.poses, data.speeds, data.ends, motion, round(_SPAN / STEP))
+    return Fit(
+        speed=most,
+        reverse_speed=-least if -least >= _MOVES[0] else 0.0,
+        turn_rate=float(reached[1]),
+        acceleration=float(limits[0]),
+        braking=float(limits[1]),
+        turn_acceleration=float(limits[2]),
+        lag=lag,
+        delay=rows * STEP,
+        disturbance=float(np.percentile(apart, _PERCENTILE)) / _SPAN if len(apart) else 0.0,
+        error=float(errors.max()),
+    )
+
+
+def _best(data: _Data) -> tuple[int, float, Array]:
+    """Return delay [rows], lag [s] and limits (3,): a coarse search, and a finer one around its best."""
+    best = np.inf
+    found: tuple[int, float, Array] = (0, 0.0, np.ones(3))
+    for rows in _DELAYS:
+        commands = data.commands(rows)
+        for lag in _LAGS:
+            limits, error = _fitted(data, commands, lag, np.full(3, 2.0), _LIMITS)
+            if error < best:
+                best, found = error, (rows, float(lag), limits)
+    for factor in (1.3, 1.12, 1.05, 1.02):
+        around, centre = factor ** np.arange(-3.0, 4.0), found
+        for rows in range(max(centre[0] - 2, 0), min(centre[0] + 2, _LONGEST) + 1):
+            commands = data.commands(rows)
+            for lag in {*(max(centre[1], 0.01) * around), 0.0}:
+                limits, error = _fitted(data, commands, lag, centre[2], around, relative=True)
+                if error < best:
+                    best, found = error, (rows, float(lag), limits)
+    return found
+
+
+def _fitted(
+    data: _Data, commands: Array, lag: float, start: Array, tried: Array, relative: bool = False
+) -> tuple[Array, float]:
+    """Return limits (3,) with the least error, each searched in turn, and that error."""
+    limits = start.copy()
+    for axis in (0, 1, 2, 0, 1):
+        values = limits[axis] * tried if relative else tried
+        errors = []
+        for value in values:
+            limits[axis] = value
+            errors.append(data.errors(commands, lag, limits).sum())
+        limits[axis] = values[int(np.argmin(errors))]
+    return limits, float(min(errors))
+
+
+def _least(data: _Data, commands: Array, lag: float, limits: Array) -> Array:
+    """Return the least limits (3,) with an error as good."""
+    allowed = _AS_GOOD * data.errors(commands, lag, limits).sum() + 1e-6
+    out = limits.copy()
+    for axis in range(3):
+        while True:
+            lower = out.copy()
+            lower[axis] *= 0.98
+            if data.errors(commands, lag, lower).sum() > allowed or lower[axis] < 1e-2:
+                break
+            out = lower
+    return out

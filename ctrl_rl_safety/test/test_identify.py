@@ -1,0 +1,108 @@
+"""The command that measures a robot: on a bag of a simulated one whose constants are known, and what it refuses."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+from ctrl_rl_safety.cli.identify import main
+from geometry_msgs.msg import Twist
+from nav_msgs.msg import Odometry
+from rclpy.serialization import serialize_message
+
+from ctrl_rl_bags import BagWriter, Topic, message_definition
+from ctrl_rl_safety import RobotModel, find_model
+
+pytest.importorskip("sim_bridge")
+from ctrl_rl_safety.trials.robot import MOTOR_LAG, Base
+from ctrl_rl_safety.trials.worlds import room
+from sim_bridge.ros.publishers import fill_odometry
+
+from sim_bridge import SimulatedWorld, SimulationOptions
+
+KNOWN = RobotModel("known", 0.177, 0.6, 0.3, 1.5, 0.8, 1.2, 2.5, 0.05, 0.15)
+PERIOD = 0.05
+KINDS = {"/cmd_vel": ("geometry_msgs/msg/Twist", Twist), "/odom": ("nav_msgs/msg/Odometry", Odometry)}
+
+
+class Recording:
+    """A bag of commands and odometry."""
+
+    def __init__(self, folder: Path, topics: tuple[str, ...] = tuple(KINDS)) -> None:
+        self.writer = BagWriter(folder)
+        for name in topics:
+            kind = KINDS[name][0]
+            self.writer.add_topic(Topic(name, kind, message_definition(kind)))
+
+    def command(self, time: float, v: float, omega: float) -> None:
+        message = Twist()
+        message.linear.x, message.angular.z = v, omega
+        self.put("/cmd_vel", time, message)
+
+    def put(self, topic: str, time: float, message: object) -> None:
+        self.writer.write(topic, bytes(serialize_message(message)), 10**12 + round(1e9 * time))
+
+
+def record(folder: Path, model: RobotModel, commands: list[tuple[float, float]], hold: float = 1.5) -> Path:
+    """Drive a simulated robot by commands, each for a time [s], and record it."""
+    world = SimulatedWorld(
+        room("boxes", "turtlebot2", dataclasses.replace(model, speed=1.0), 0),
+        options=SimulationOptions(engine="planar", rate=200, motor_lag=MOTOR_LAG),
+    )
+    base, recording, odometry = Base(model, 1.0 / 200), Recording(folder), Odometry()
+    with recording.writer:
+        for v, omega in commands:
+            for _ in range(round(hold / PERIOD)):
+                now = world.elapsed
+                fill_odometry(odometry, "xy", round(1e9 * now), world.odometry())
+                recording.put("/odom", now, odometry)
+                recording.command(now, v, omega)
+                base.send(now, np.array((v, omega)))
+                for _ in range(round(PERIOD * 200)):
+                    world.command(0, base.advance(world.elapsed))
+                    world.step()
+    world.close()
+    return folder
+
+
+DRIVE = [(0.6, 0.0), (0.0, 0.0), (-0.3, 0.0), (0.6, 1.5), (0.6, -1.5), (0.0, 0.0), (0.3, 1.5), (0.0, -1.5), (0.6, 0.0)]
+
+
+def test_constants_that_are_known_are_found_within_a_tenth(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    bag, file = record(tmp_path / "drive", KNOWN, [*DRIVE, (0.0, 0.0)]), tmp_path / "mine.yaml"
+    assert main([str(bag), "--radius", "0.177", "--output", str(file)]) == 0
+    found = find_model(str(file))
+    for name in ("speed", "reverse_speed", "turn_rate", "acceleration", "braking", "turn_acceleration", "delay"):
+        assert getattr(found, name) == pytest.approx(getattr(KNOWN, name), rel=0.1), name
+    assert found.disturbance < 0.02
+    assert "of the variance" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("commands", "reason"),
+    [
+        ([(0.0, 0.0)] * 2, "the robot never drove at 0.05 m/s"),
+        ([(0.5, 0.0), (0.0, 0.0)], "the robot never turned at 0.1 rad/s"),
+    ],
+)
+def test_a_drive_that_shows_too_little_is_refused(
+    commands: list[tuple[float, float]], reason: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bag = record(tmp_path / "drive", KNOWN, commands)
+    assert main([str(bag), "--radius", "0.177", "--output", str(tmp_path / "a.yaml")]) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert reason in line
+    assert not (tmp_path / "a.yaml").exists()
+
+
+def test_missing_topics_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    recording = Recording(tmp_path / "bag", ("/cmd_vel",))
+    with recording.writer:
+        recording.command(0.0, 0.1, 0.0)
+    words = [str(tmp_path / "bag"), "--radius", "0.2", "--output", str(tmp_path / "a.yaml")]
+    assert main(words) == 1
+    assert "no topic named odom of nav_msgs/msg/Odometry: --odometry one of none" in capsys.readouterr().err
+    assert main([*words, "--commands", "/twist"]) == 1
+    assert "no messages of geometry_msgs/msg/Twist" in capsys.readouterr().err
+    assert main([str(tmp_path / "none"), "--radius", "0.2"]) == 1
+    assert len(capsys.readouterr().err.splitlines()) == 1
