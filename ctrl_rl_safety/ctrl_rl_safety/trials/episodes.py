@@ -36,7 +36,7 @@ CAR = RobotModel("car", 0.177, 2.0, 0.8, 0.5, 2.7, 2.7, 3.0, 0.05, 0.0, 0.03, 0.
 _OF_TASKS = {"turtlebot2": CAR, "turtlebot3_burger": ROBOTS["turtlebot3_burger"]}
 _RATES = {"planar": 40}
 _RATE = 240
-_WITH_SET = 8
+_WITH_SET = 20
 """Every so many episodes of an adversary have the recoverable set, which takes most of the time; the others rely on the
 fixed escapes alone, as a robot does whose set is late."""
 
@@ -145,7 +145,7 @@ class Player:
         return [repr(self._model), "" if self._task is None else task_digest(self._task)]
 
     def play(self, seed: int) -> TrialOutcome:
-        """Return the end of the episode of a seed; of adversaries only every eighth has the recoverable set."""
+        """Return the end of the episode of a seed; of adversaries only every twentieth has the recoverable set."""
         cell, model = self._cell, self._model
         task = self._task or room(cell.place, model.name, model, seed)
         world = SimulatedWorld(task, seed, options=self._options)
