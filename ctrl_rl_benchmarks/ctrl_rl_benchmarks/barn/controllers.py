@@ -41,7 +41,7 @@ DELAY = 0.1
 """Time from a command to its effect and until the next one [s]."""
 DECELERATION = 4.0
 """Deceleration with which the robot brakes [m/s^2]."""
-TOLERANCE = 0.5
+TOLERANCE = 0.3
 """Distance from the goal at which controllers stop [m], well within the benchmark's."""
 REACH = 8.0
 """Distance up to which echoes go on a map [m]."""

@@ -24,6 +24,8 @@ _WORLDS = {
     "barn": range(STATIC),
     "dynabarn": range(STATIC, STATIC + MOVING),
 }
+_SEEDS = 1000
+"""Distance between the seeds of one world."""
 _MOVERS = 2.0
 """Speed of DynaBARN's obstacles that the filter assumes [m/s]; their key frames have up to 1.95 m/s between them."""
 
@@ -51,11 +53,11 @@ class BarnOptions:
     engine: Literal["planar", "pybullet", "mujoco"] = "planar"
     """Engine of the simulation."""
 
-    drift: float = 0.01
-    """Standard deviation of odometry's relative errors."""
+    drift: float = 0.002
+    """Standard deviation of odometry's relative errors; the challenge's odometry has its headings from an IMU."""
 
     seed: NotNegative = 0
-    """Seed of noise and drift."""
+    """Seed of noise and drift, which differ from world to world."""
 
     results: OptionalFileToWrite = None
     """JSON file for the results; drives that it has are kept."""
@@ -87,7 +89,7 @@ def _barn(options: BarnOptions) -> int:
         for number, method, name, filtered in bar:
             scenario = load_scenario(options.folder, number)
             check = partial(SafetyCheck, _MOVERS if scenario.task.movers else 0.0) if filtered == "on" else None
-            end = drive(scenario, CONTROLLERS[name], check, options.seed, settings)
+            end = drive(scenario, CONTROLLERS[name], check, _SEEDS * options.seed + number, settings)
             table.add(method, end)
             bar.clear()
             print(f"{method}, world {number}: {end.end} after {end.seconds:.1f} s, score {end.score():.3f}", flush=True)
