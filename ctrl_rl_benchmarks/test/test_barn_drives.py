@@ -2,14 +2,13 @@
 
 import json
 import math
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 from barn_files import write_checkout
 from ctrl_rl_benchmarks.barn.controllers import CONTROLLERS, JACKAL, SafetyCheck
-from ctrl_rl_benchmarks.barn.drive import BarnDrive, Controller, Sensed, drive
+from ctrl_rl_benchmarks.barn.drive import BarnDrive, Sensed, drive
 from ctrl_rl_benchmarks.barn.dynamic_window import DynamicWindow
 from ctrl_rl_benchmarks.barn.scenarios import Scenario, load_scenario
 from ctrl_rl_benchmarks.cli.barn import barn
@@ -44,14 +43,10 @@ class Straight:
         pass
 
 
-def straight(speed: float) -> Callable[[Scenario], Controller]:
-    return lambda _: Straight(speed)
-
-
 @pytest.mark.parametrize("name", ["explorer", "navigator"])
 def test_it_drives_round_the_posts(scenario: Scenario, name: str) -> None:
     trace: list[np.ndarray] = []
-    end = drive(scenario, CONTROLLERS[name], None, 0, PLANAR, trace)
+    end = drive(scenario, CONTROLLERS[name](scenario, JACKAL), None, 0, PLANAR, trace)
     assert (end.end, end.score()) == ("goal", 0.5)
     assert end.distance < 1.0
     assert len(trace) * 0.05 == pytest.approx(end.seconds, abs=1.0)
@@ -59,10 +54,10 @@ def test_it_drives_round_the_posts(scenario: Scenario, name: str) -> None:
 
 def test_the_filter_stops_who_drives_into_the_posts(scenario: Scenario, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("ctrl_rl_benchmarks.barn.drive._PATIENCE", 1.5)
-    crash = drive(scenario, straight(1.0), None, 0, PLANAR)
+    crash = drive(scenario, Straight(1.0), None, 0, PLANAR)
     assert (crash.end, crash.score()) == ("collision", 0.0)
     assert crash.seconds == pytest.approx(2.6, abs=0.3)
-    safe = drive(scenario, straight(1.0), lambda: SafetyCheck(0.0), 0, PLANAR)
+    safe = drive(scenario, Straight(1.0), SafetyCheck(0.0), 0, PLANAR)
     assert safe.end == "time-out"
     assert 7.0 < safe.distance < 8.0
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from ctrl_rl_navigation.driving.decision import Goal, NavigatorOptions
@@ -19,7 +21,7 @@ from ctrl_rl_safety.models.robot_model import find_model
 from numpy.typing import NDArray
 from sim_bridge.simulation.occupancy import draw_map
 
-from ctrl_rl_benchmarks.barn.drive import LIDAR_X, PERIOD, MakeController, Sensed
+from ctrl_rl_benchmarks.barn.drive import LIDAR_X, PERIOD, Controller, Sensed
 from ctrl_rl_benchmarks.barn.dynamic_window import DynamicWindow
 from ctrl_rl_benchmarks.barn.policy_driver import PolicyDriver
 from ctrl_rl_benchmarks.barn.scenarios import Scenario
@@ -37,6 +39,8 @@ JACKAL = DriveLimits(
     width=0.43,
 )
 """A Jackal, a little below its limits."""
+FILTERED_JACKAL = replace(JACKAL, margin=0.07, length=0.0, width=0.0)
+"""A Jackal above the safety filter, which keeps a disc around all of the robot free."""
 DELAY = 0.1
 """Time from a command to its effect and until the next one [s]."""
 DECELERATION = 4.0
@@ -45,8 +49,9 @@ TOLERANCE = 0.3
 """Distance from the goal at which controllers stop [m], well within the benchmark's."""
 REACH = 8.0
 """Distance up to which echoes go on a map [m]."""
-_MAP_MARGIN, _RESOLUTION = 4.0, 0.05
+_MAP_MARGIN, _RESOLUTION = 3.0, 0.05
 _PLAN_PERIOD = 0.5
+_SET_PERIOD = 0.1
 _CARROT = 1.0
 """Distance of the place on the path that the dynamic window steers for [m]."""
 
@@ -54,7 +59,7 @@ _CARROT = 1.0
 class ExplorerDriver:
     """The navigator without a map."""
 
-    def __init__(self, scenario: Scenario, limits: DriveLimits = JACKAL) -> None:
+    def __init__(self, scenario: Scenario, limits: DriveLimits) -> None:
         options = ExplorerOptions(tolerance=TOLERANCE, period=PERIOD, delay=DELAY, deceleration=DECELERATION)
         self._explorer = Explorer(limits, np.array(scenario.start), scenario.goal, options)
 
@@ -69,7 +74,7 @@ class ExplorerDriver:
 class NavigatorDriver:
     """The navigator with a map of the world, on which it is where odometry says."""
 
-    def __init__(self, scenario: Scenario, limits: DriveLimits = JACKAL) -> None:
+    def __init__(self, scenario: Scenario, limits: DriveLimits) -> None:
         options = NavigatorOptions(
             tolerance=TOLERANCE, period=PERIOD, delay=DELAY, deceleration=DECELERATION, inline=True
         )
@@ -89,7 +94,7 @@ class NavigatorDriver:
 class DynamicWindowDriver:
     """The dynamic window as move_base uses it: it follows the shortest path on what has been seen."""
 
-    def __init__(self, scenario: Scenario, limits: DriveLimits = JACKAL) -> None:
+    def __init__(self, scenario: Scenario, limits: DriveLimits) -> None:
         self._window, self._limits, self._goal = DynamicWindow(limits), limits, np.array(scenario.goal)
         self._map = ScanMap(np.array((scenario.start[:2], scenario.goal)), _MAP_MARGIN, _RESOLUTION)
         self._path = np.array((scenario.start[:2], scenario.goal))
@@ -135,27 +140,28 @@ def _placed(sensed: Sensed) -> tuple[Array, Array, NDArray[np.bool_]]:
 
 
 class SafetyCheck:
-    """The safety filter with the Jackal's model, solved at each scan; a `Filter`."""
+    """The safety filter with the Jackal's model, whose set is solved ten times a second; a `Filter`."""
 
     def __init__(self, mover_speed: float) -> None:
+        self._solved_at = -math.inf
         self._filter = SafetyFilter(find_model("jackal"), FilterOptions(period=PERIOD, mover_speed=mover_speed))
 
     def __call__(self, sensed: Sensed, command: Array) -> Array:
         """Return the certified command nearest to a raw one (2,)."""
         self._filter.see(sensed.now, sensed.pose, sensed.points)
-        self._filter.use(self._filter.solve())
+        if sensed.now - self._solved_at >= _SET_PERIOD - 1e-6:
+            self._solved_at = sensed.now
+            self._filter.use(self._filter.solve())
         reading = Reading(sensed.pose, float(sensed.motion[0]), float(sensed.motion[1]))
         verdict = self._filter.decide(sensed.now, reading, command)
         self._filter.sent(sensed.now, verdict.command)
         return verdict.command
 
 
-CONTROLLERS: Mapping[str, MakeController] = {
+CONTROLLERS: Mapping[str, Callable[[Scenario, DriveLimits], Controller]] = {
     "explorer": ExplorerDriver,
     "navigator": NavigatorDriver,
     "dynamic_window": DynamicWindowDriver,
-    "curved_corridor": lambda scenario: PolicyDriver(scenario, "curved_corridor"),
-    "car_ttr": lambda scenario: PolicyDriver(scenario, "car_ttr"),
-    "car_navigation": lambda scenario: PolicyDriver(scenario, "car_navigation"),
+    **{name: partial(PolicyDriver, name) for name in ("curved_corridor", "car_ttr", "car_navigation")},
 }
 """Makers of controllers by name; the last three are policies of the suite."""

@@ -23,7 +23,7 @@ LIDAR_X = 0.055
 """Position of the lidar ahead of the robot's middle [m]."""
 _MOVED = 0.1
 """The clock starts when the robot is so far from its start [m]."""
-_PATIENCE = 30.0
+_PATIENCE = 15.0
 _AROUND = 0.5
 """A drive counts as timed out where the robot stays so long [s] within such a distance [m] of a place."""
 _STANDS = 0.05
@@ -70,8 +70,6 @@ class Controller(Protocol):
 
 Filter = Callable[[Sensed, Array], Array]
 """Returns the command to send in place of a raw one."""
-MakeController = Callable[[Scenario], Controller]
-MakeFilter = Callable[[], Filter]
 
 
 End = Literal["goal", "collision", "hit", "time-out"]
@@ -103,8 +101,8 @@ class BarnDrive:
 
 def drive(
     scenario: Scenario,
-    make_controller: MakeController,
-    make_filter: MakeFilter | None,
+    controller: Controller,
+    check: Filter | None,
     seed: int,
     options: SimulationOptions,
     trace: list[Array] | None = None,
@@ -113,15 +111,14 @@ def drive(
 
     Args:
         scenario: World to drive in.
-        make_controller: Makes the controller.
-        make_filter: Makes the filter below it; None for none.
+        controller: Controller that has not driven yet.
+        check: Filter below it; None for none.
         seed: Seed of noise and drift.
         options: Settings of the simulation.
         trace: Takes x, y, theta and the command of each period (5,).
     """
     world = SimulatedWorld(scenario.task, seed, options=options)
     try:
-        controller, check = make_controller(scenario), make_filter() if make_filter else None
         steps, begin = round(PERIOD * world.options.rate), math.nan
         last, last_at = world.pose(), 0.0
         while world.episode().outcome is Outcome.RUNNING:

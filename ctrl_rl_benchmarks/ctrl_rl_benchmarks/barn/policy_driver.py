@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 from ctrl_rl_core.geometry.odometry import OdometryReader
+from ctrl_rl_navigation.robot import DriveLimits
 from nav_msgs.msg import Odometry
 from numpy.typing import NDArray
 from sim_bridge.ros.publishers import fill_odometry
@@ -24,7 +25,7 @@ class PolicyDriver:
     A policy that asks for no pose drives by its lidar alone.
     """
 
-    def __init__(self, scenario: Scenario, name: str) -> None:
+    def __init__(self, name: str, scenario: Scenario, _: DriveLimits) -> None:
         self._policy = load_policy(find_policy(name))
         task = load_navigation_task(name)
         self._odometry, self._command, self._decided_at = Odometry(), self._policy.rest, -math.inf

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -12,7 +11,7 @@ import yaml
 from ctrl_rl_core.command import CommandError, NotNegative, OptionalFileToWrite, make_command
 from tqdm import tqdm
 
-from ctrl_rl_benchmarks.barn.controllers import CONTROLLERS, SafetyCheck
+from ctrl_rl_benchmarks.barn.controllers import CONTROLLERS, FILTERED_JACKAL, JACKAL, SafetyCheck
 from ctrl_rl_benchmarks.barn.drive import drive
 from ctrl_rl_benchmarks.barn.scenarios import MOVING, STATIC, Scenario, load_scenario
 from ctrl_rl_benchmarks.barn.table import BarnTable
@@ -88,8 +87,9 @@ def _barn(options: BarnOptions) -> int:
     with tqdm(left, unit="drive", disable=None) as bar:
         for number, method, name, filtered in bar:
             scenario = load_scenario(options.folder, number)
-            check = partial(SafetyCheck, _MOVERS if scenario.task.movers else 0.0) if filtered == "on" else None
-            end = drive(scenario, CONTROLLERS[name], check, _SEEDS * options.seed + number, settings)
+            check = SafetyCheck(_MOVERS if scenario.task.movers else 0.0) if filtered == "on" else None
+            controller = CONTROLLERS[name](scenario, JACKAL if check is None else FILTERED_JACKAL)
+            end = drive(scenario, controller, check, _SEEDS * options.seed + number, settings)
             table.add(method, end)
             bar.clear()
             print(f"{method}, world {number}: {end.end} after {end.seconds:.1f} s, score {end.score():.3f}", flush=True)

@@ -48,7 +48,7 @@ class ExplorerOptions:
 
     tolerance: float = 0.5
     resolution: float = 0.05
-    margin: float = 4.0
+    margin: float = 3.0
     solve_period: float = 0.25
     period: float = 0.05
     delay: float = 0.1

@@ -81,6 +81,7 @@ class LookAhead:
             limits.turn_rate,
             limits.acceleration,
             limits.turn_acceleration,
+            limits.room,
             limits.gap,
             0.5 * limits.length,
             0.5 * limits.width,

@@ -29,6 +29,7 @@ class Rules(NamedTuple):
     turn_rate: float
     acceleration: float
     turn_acceleration: float
+    room: float
     gap: float
     half_length: float
     half_width: float
@@ -91,30 +92,38 @@ def _beside(points: Any, i: int, time: float, x: float, y: float, c: float, s: f
 
 
 @njit(fastmath=True)
-def _squares(points: Any, time: float, x: float, y: float, c: float, s: float, rules: Any, out: Any) -> None:
-    """Fill the squares of all echoes' distances (n,) [m^2]; as a loop of its own it takes several echoes at once."""
+def _squares(points: Any, time: float, x: float, y: float, out: Any) -> None:
+    """Fill the squares of distances to the robot's middle (n,) [m^2]; such a loop takes several echoes at once."""
     for i in range(len(out)):
-        out[i] = _beside(points, i, time, x, y, c, s, rules)
+        dx, dy = points[0, i] + time * points[2, i] - x, points[1, i] + time * points[3, i] - y
+        out[i] = dx * dx + dy * dy
 
 
 @njit(inline="always")
 def _gap(
     points: Any, now: Any, time: float, x: float, y: float, theta: float, rules: Any, squares: Any
 ) -> tuple[float, bool]:
-    """Return the distance to the nearest echo [m], and whether one that is too near has come nearer."""
-    _squares(points, time, x, y, math.cos(theta), math.sin(theta), rules, squares)
+    """Return the distance of the nearest echo to the robot's middle [m], and whether one that is too near comes nearer.
+
+    The time to reach counts with the middle's distance. A cost by that of the rectangle would be larger than it
+    promises, and to wait would seem better than to drive.
+    """
+    _squares(points, time, x, y, squares)
     least, odd, even = np.inf, np.inf, len(squares) // 2 * 2
     for i in range(0, even, 2):  # two minima side by side, as each waits for its last one
         least, odd = min(least, squares[i]), min(odd, squares[i + 1])
     for i in range(even, len(squares)):
         least = min(least, squares[i])
-    least = math.sqrt(min(least, odd))
-    if least < rules.gap:
+    least = min(least, odd)
+    reach = rules.gap + math.hypot(rules.half_length, rules.half_width)
+    if least < reach * reach:
+        c, s = math.cos(theta), math.sin(theta)
         for i in range(len(squares)):
-            away = math.sqrt(squares[i])
-            if away < rules.gap and away < now[i] - _NEARER:
-                return least, True
-    return least, False
+            if squares[i] < reach * reach:
+                away = math.sqrt(_beside(points, i, time, x, y, c, s, rules))
+                if away < rules.gap and away < now[i] - _NEARER:
+                    return math.sqrt(least), True
+    return math.sqrt(least), False
 
 
 @njit(inline="always")
@@ -142,7 +151,7 @@ def _cost(
             break
         x, y, theta = next_x, next_y, theta + omega * rules.step
         way += abs(v) * rules.step
-        near = min(max((gap - rules.gap) / rules.ease, 0.0), 1.0)
+        near = min(max((gap - rules.room) / rules.ease, 0.0), 1.0)
         cost += rules.step / (rules.slowest + (1.0 - rules.slowest) * near)
         if math.hypot(x - place.goal_x, y - place.goal_y) <= place.goal_radius:
             value, _ = _time_left(times, place, x, y, theta, rules.turn_rate)
@@ -158,8 +167,8 @@ def choose(
 ) -> tuple[int, float]:
     """Return the candidate of the least cost, -1 for none that is safe, and that cost [s]."""
     now, squares = np.empty(points.shape[1]), np.empty(points.shape[1])
-    _squares(points, 0.0, 0.0, 0.0, 1.0, 0.0, rules, now)
-    now[:] = np.sqrt(now)
+    for i in range(len(now)):
+        now[i] = math.sqrt(_beside(points, i, 0.0, 0.0, 0.0, 1.0, 0.0, rules))
     best, least = -1, np.inf
     for i in range(len(candidates)):
         cost = _cost(times, place, points, now, rules, motion, candidates[i], squares)

@@ -130,11 +130,25 @@ def _hit(shape: Any, x: float, y: float, dx: float, dy: float) -> float:
 @cached_njit
 def cast(shapes: Any, x: float, y: float, rays: Any, free: Any) -> None:
     """Write the part of each ray (n, 2) from (x, y) that is free of the shapes that are seen into `free` (n,)."""
+    order, away = np.empty(len(shapes), np.int64), np.empty(len(shapes))
+    count = 0
+    for index in range(len(shapes)):  # the nearest ones first, as they hide those behind them
+        shape = shapes[index]
+        if shape[SEEN] > 0.0:
+            outer = shape[RADIUS] + math.hypot(shape[HALF_X], shape[HALF_Y])
+            distance = math.hypot(shape[X] - x, shape[Y] - y) - outer
+            place = count
+            while place > 0 and away[place - 1] > distance:
+                order[place], away[place] = order[place - 1], away[place - 1]
+                place -= 1
+            order[place], away[place] = index, distance
+            count += 1
     for ray in range(len(rays)):
-        least = 1.0
-        for index in range(len(shapes)):
-            if shapes[index, SEEN] > 0.0:
-                least = min(least, _hit(shapes[index], x, y, rays[ray, 0], rays[ray, 1]))
+        least, length = 1.0, math.hypot(rays[ray, 0], rays[ray, 1])
+        for place in range(count):
+            if away[place] >= least * length:
+                break
+            least = min(least, _hit(shapes[order[place]], x, y, rays[ray, 0], rays[ray, 1]))
         free[ray] = least
 
 
