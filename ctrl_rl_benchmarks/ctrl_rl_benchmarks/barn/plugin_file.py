@@ -64,7 +64,7 @@ def read_keyframes(path: Path) -> Keyframes:
         try:
             begin, end = _load_function(content)
             frames = list(_frames(content, begin, end))
-        except (struct.error, IndexError, ValueError, StopIteration):
+        except (struct.error, IndexError, ValueError, OverflowError):
             raise FileError("is damaged: its tables point outside of the file") from None
         return _checked(frames)
 
