@@ -33,6 +33,9 @@ MAY_IMPORT = {
         "ctrl_rl_navigation",
         "ctrl_rl_safety",
     },
+    "ctrl_rl_offline": {
+        *("ctrl_rl_core", "ctrl_rl_bags", "sim_bridge", "ctrl_rl_training", "ttr_reward_node", "oc_baseline_node"),
+    },
     "ctrl_rl_bringup": {"ctrl_rl_core", "ctrl_rl_bags", "sim_bridge", *METHODS},
 }
 ROS_PACKAGE = re.compile(r"rclpy|launch\w*|ament_index_python|\w+_(msgs|srvs|interfaces)")

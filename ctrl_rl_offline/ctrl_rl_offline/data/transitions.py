@@ -1,0 +1,215 @@
+"""Transitions from bags: a policy's observations, the commands given, rewards, and what came of it.
+
+transitions = load_transitions([Path("runs/drives/bag")], load_navigation_task("car_navigation"))
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+from ctrl_rl_bags.datasets.conversion import find_bag
+from ctrl_rl_bags.datasets.extraction import Found, extract, find_layout
+from ctrl_rl_bags.datasets.frames import (
+    ACTION,
+    DONE,
+    GOAL,
+    IS_LAST,
+    ODOMETRY,
+    OUTCOME,
+    REWARD,
+    SCAN,
+    Frames,
+    Layout,
+)
+from ctrl_rl_bags.datasets.wiring import ExtractionOptions
+from ctrl_rl_core.driving.scan import ScanGeometry
+from ctrl_rl_core.geometry.odometry import OdometryReader, yaw_of
+from ctrl_rl_core.policies.observation import ObservationBuilder, Sensors
+from numpy.typing import NDArray
+
+from ctrl_rl_core import NavigationTask, PolicyManifest, interface_of, terminal_reward
+from ctrl_rl_offline.errors import OfflineError
+
+Array = NDArray[np.float64]
+Vectors = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Transitions:
+    """Transitions of recorded drives, those of an episode in order.
+
+    Attributes:
+        observations: Observations before (N, n), in SI units.
+        actions: Actions in [-1, 1] (N, 2), which map to the least and the largest command.
+        rewards: Rewards (N,): of the bag, and of the task where an episode ended; NaN where the bag has none.
+        task_rewards: Rewards of the task alone (N,): 0 but where an episode ended.
+        next_observations: Observations after (N, n).
+        done: Whether the episode ended there, other than by its time (N,).
+        states: States before (N, d), in SI units.
+        next_states: States after (N, d).
+        episodes: Number of the episode (N,), rising.
+        outcomes: Outcome after (N,), as in ctrl_rl_core.Outcome.
+        first: Whether the transition begins its episode (N,).
+    """
+
+    observations: Vectors
+    actions: Vectors
+    rewards: Array
+    task_rewards: Array
+    next_observations: Vectors
+    done: NDArray[np.bool_]
+    states: Array
+    next_states: Array
+    episodes: NDArray[np.int64]
+    outcomes: NDArray[np.int64]
+    first: NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        return len(self.actions)
+
+    @property
+    def success(self) -> float:
+        """Share of the episodes that reached the goal."""
+        ends = np.append(np.flatnonzero(self.first)[1:] - 1, len(self) - 1)
+        return float(np.mean(self.outcomes[ends] == 1))
+
+    @property
+    def episode_count(self) -> int:
+        """Number of episodes."""
+        return int(self.first.sum())
+
+    def returns(self, discount: float) -> Array:
+        """Return the discounted return of each episode (episodes,), by the task's rewards."""
+        starts = np.flatnonzero(self.first)
+        steps = np.arange(len(self)) - starts[np.cumsum(self.first) - 1]
+        return np.add.reduceat(self.task_rewards * discount**steps, starts)
+
+    def rows(self, index: NDArray[Any]) -> Transitions:
+        """Return some transitions."""
+        return Transitions(**{field.name: getattr(self, field.name)[index] for field in fields(self)})
+
+
+def load_transitions(
+    runs: Sequence[Path], task: NavigationTask, robot: str = "", interface: PolicyManifest | None = None
+) -> Transitions:
+    """Return the transitions of bags.
+
+    Args:
+        runs: Bags, or folders of runs with a bag in `bag`.
+        task: Task that was driven.
+        robot: Namespace of the topics.
+        interface: Observation and commands of the policies; None for the task's.
+
+    Raises:
+        BagError: A bag cannot be read or lacks scans, odometry or commands.
+        OfflineError: Nothing in it is a transition.
+        PolicyError: The scans do not show what a policy observes.
+    """
+    options = ExtractionOptions(robot=robot)
+    parts: list[Transitions] = []
+    for run in runs:
+        bag = find_bag(run)
+        layout = find_layout(bag, options)
+        before = 0 if not parts else int(parts[-1].episodes[-1]) + 1
+        parts += to_transitions(extract([bag], layout, options, Found()), layout, task, before, interface)
+    if not parts:
+        raise OfflineError(f"{runs[0]}: no two scans with odometry and a command between: was the robot driven?")
+    return concatenate(parts)
+
+
+def to_transitions(
+    frames: Iterable[Frames],
+    layout: Layout,
+    task: NavigationTask,
+    before: int = 0,
+    interface: PolicyManifest | None = None,
+) -> list[Transitions]:
+    """Return the transitions of each episode of frames; their numbers count from `before`."""
+    manifest = interface or interface_of(task)
+    observer = _Observer(manifest, task, layout)
+    out: list[Transitions] = []
+    parts: list[Frames] = []
+    for piece in frames:
+        parts.append(piece)
+        if piece.last:
+            columns = {name: np.concatenate([part.columns[name] for part in parts]) for name in piece.columns}
+            out.append(_episode(columns, observer, manifest, task, before + piece.episode))
+            parts = []
+    return out
+
+
+def concatenate(parts: Sequence[Transitions]) -> Transitions:
+    """Return all transitions of several sets, in their order."""
+    names = [field.name for field in fields(Transitions)]
+    return Transitions(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
+
+
+def _episode(
+    columns: dict[str, NDArray[Any]], observer: _Observer, manifest: PolicyManifest, task: NavigationTask, number: int
+) -> Transitions:
+    seen, states = observer.observe(columns)
+    kept = ~columns[IS_LAST].astype(np.bool_)
+    outcomes = columns[OUTCOME][kept].astype(np.int64)
+    paid = terminal_reward(np.clip(outcomes, 0, 4), task.rewards)
+    low, high = np.array(manifest.action.low), np.array(manifest.action.high)
+    actions = np.clip(2.0 * (columns[ACTION][kept] - low) / (high - low) - 1.0, -1.0, 1.0)
+    first = np.zeros(len(outcomes), dtype=np.bool_)
+    first[0] = True
+    return Transitions(
+        observations=seen[:-1],
+        actions=actions.astype(np.float32),
+        rewards=np.where(outcomes == 0, columns[REWARD][kept], paid),
+        task_rewards=np.where(outcomes == 0, 0.0, paid),
+        next_observations=seen[1:],
+        done=columns[DONE][kept].astype(np.bool_),
+        states=states[:-1],
+        next_states=states[1:],
+        episodes=np.full(len(outcomes), number, dtype=np.int64),
+        outcomes=outcomes,
+        first=first,
+    )
+
+
+class _Observer:
+    """Builds observations and states from the columns of frames, as a node builds them from messages."""
+
+    def __init__(self, manifest: PolicyManifest, task: NavigationTask, layout: Layout) -> None:
+        scan = layout.scan
+        self._scan = ScanGeometry(scan.beams, scan.angle_min, scan.angle_increment, scan.range_min, scan.range_max)
+        self._build, self._state = ObservationBuilder(manifest), OdometryReader(task.system.build().state_names)
+        self._idle = np.array(manifest.rest)
+
+    def observe(self, columns: dict[str, NDArray[Any]]) -> tuple[Vectors, Array]:
+        """Return observations (n, size) and states (n, d)."""
+        seen, states, command = [], [], self._idle
+        goals = columns.get(GOAL)
+        for row, numbers in enumerate(columns[ODOMETRY].tolist()):
+            odometry = message_of(numbers)
+            goal = None if goals is None else planar(goals[row].tolist())
+            sensors = Sensors(columns[SCAN][row], self._scan, odometry, planar(numbers[:7]), goal, command)
+            seen.append(self._build(sensors))
+            states.append(self._state(odometry))
+            command = columns[ACTION][row]
+        return np.array(seen, dtype=np.float32), np.array(states)
+
+
+def message_of(numbers: Sequence[float]) -> Any:
+    """Return an odometry message of pose and twist (13,), for what reads the fields of one."""
+    at, turn, linear, angular = numbers[:3], numbers[3:7], numbers[7:10], numbers[10:]
+    pose = SimpleNamespace(position=_named("xyz", at), orientation=_named("xyzw", turn))
+    twist = SimpleNamespace(linear=_named("xyz", linear), angular=_named("xyz", angular))
+    return SimpleNamespace(pose=SimpleNamespace(pose=pose), twist=SimpleNamespace(twist=twist))
+
+
+def planar(pose: Sequence[float]) -> Array:
+    """Return x, y, theta (3,) of position and quaternion (7,)."""
+    return np.array((pose[0], pose[1], yaw_of(_named("xyzw", pose[3:]))))
+
+
+def _named(names: str, numbers: Sequence[float]) -> SimpleNamespace:
+    return SimpleNamespace(**dict(zip(names, numbers, strict=True)))

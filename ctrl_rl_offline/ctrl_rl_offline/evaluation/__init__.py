@@ -1,0 +1,1 @@
+"""Predictions of what a policy would earn, from bags of other drivers."""

@@ -1,0 +1,190 @@
+"""What a policy would earn, with intervals, beside what the bags show; and whether it may be called better.
+
+report = evaluate_offline(transitions, task, actor, values)
+report.better      # False unless every method that can tell says so
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from ctrl_rl_core.policies.actor import Actor
+from numpy.typing import NDArray
+
+from ctrl_rl_core import NavigationTask
+from ctrl_rl_offline.data.transitions import Transitions
+from ctrl_rl_offline.data.values import StateValues
+from ctrl_rl_offline.errors import OfflineError
+from ctrl_rl_offline.evaluation.doubly_robust import episode_estimates, step_ratios
+from ctrl_rl_offline.evaluation.fitted_q import PolicyValues, actions_of, fit_values
+from ctrl_rl_offline.learners.learning import learn
+from ctrl_rl_offline.learners.settings import LearningSettings
+
+Array = NDArray[np.float64]
+_RESAMPLED = 1000
+_LEAST_EPISODES = 10
+_LEAST_EFFECTIVE = 5.0
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """An estimate with its 95 % interval over resampled episodes and fits."""
+
+    mean: float
+    low: float
+    high: float
+
+    def __str__(self) -> str:
+        return f"{self.mean:9.3f}  ({self.low:.3f} to {self.high:.3f})"
+
+
+@dataclass(frozen=True)
+class OfflineReport:
+    """Estimates of a policy from bags.
+
+    Attributes:
+        driver: Discounted return that the bags show.
+        fitted_q: Return of the policy by fitted Q evaluation.
+        doubly_robust: The same, corrected by what followed in the bags.
+        effective_episodes: Number of episodes that the correction rests on.
+        gain: Return of the policy by fitted Q evaluation, less the driver's.
+        robust_gain: The same by the doubly robust estimate.
+        time_lost: Time that the policy's commands lose by the value function [s/s]; None without one.
+        driver_time_lost: The same of the driver's commands.
+        predicted_time: Time to the goal by the value function from the starts that reached it [s]; None without one.
+        recorded_time: Time that those took in the bags [s].
+    """
+
+    driver: Estimate
+    fitted_q: Estimate
+    doubly_robust: Estimate
+    effective_episodes: float
+    gain: Estimate
+    robust_gain: Estimate
+    time_lost: Estimate | None
+    driver_time_lost: Estimate | None
+    predicted_time: Estimate | None
+    recorded_time: Estimate | None
+
+    @property
+    def objections(self) -> list[str]:
+        """Return why the policy may not be called better; nothing where it may."""
+        out = []
+        if not self.gain.low > 0.0:
+            out.append(f"fitted Q evaluation does not show a gain: {self.gain.low:.3f} to {self.gain.high:.3f}")
+        if self.effective_episodes >= _LEAST_EFFECTIVE and not self.robust_gain.high > 0.0:
+            out.append(
+                f"the doubly robust estimate shows a loss: {self.robust_gain.low:.3f} to {self.robust_gain.high:.3f}"
+            )
+        times = self.time_lost, self.driver_time_lost
+        if times[0] is not None and times[1] is not None and times[0].low > times[1].high:
+            out.append("by the value function its commands lose more time than the driver's")
+        return out
+
+    @property
+    def better(self) -> bool:
+        """Whether the policy may be called better than the driver of the bags."""
+        return not self.objections
+
+
+def evaluate_offline(
+    transitions: Transitions,
+    task: NavigationTask,
+    actor: Actor,
+    values: StateValues | None = None,
+    *,
+    discount: float = 0.99,
+    updates: int = 3000,
+    fits: int = 3,
+    seed: int = 0,
+    tell: Callable[[int], object] = lambda _: None,
+) -> OfflineReport:
+    """Return what bags say about a policy that has not driven.
+
+    Args:
+        transitions: Transitions of other drivers.
+        task: Task of both.
+        actor: Policy with the task's observation.
+        values: Time to reach of the task, for the value function's own prediction.
+        discount: Discount of a step.
+        updates: Number of updates of each fit.
+        fits: Number of fits, whose spread is part of the intervals.
+        seed: Seed of fits and resampling.
+        tell: Told the number of updates since the last call.
+
+    Raises:
+        OfflineError: There are too few episodes, or the policy observes something else.
+    """
+    starts = np.flatnonzero(transitions.first)
+    if len(starts) < _LEAST_EPISODES:
+        raise OfflineError(f"the bags have {len(starts)} episodes: at least {_LEAST_EPISODES} are needed")
+    if len(actor.middle) != transitions.observations.shape[1]:
+        raise OfflineError(
+            f"the policy observes {len(actor.middle)} numbers, the task's policies "
+            f"{transitions.observations.shape[1]}: it is another task's"
+        )
+    random = np.random.default_rng(seed)
+    fitted = [fit_values(transitions, actor, discount, updates, seed + k, tell) for k in range(fits)]
+    clone = learn(transitions, task, LearningSettings("bc", updates=max(200, updates // 3), seed=seed))
+    own, cloned = (actions_of(each, transitions.observations) for each in (actor, clone))
+    ratios = step_ratios(transitions, cloned, own)
+    earned = transitions.returns(discount)
+    first = np.array([each.before[starts] for each in fitted])
+    robust, effective = _robust(transitions, fitted, ratios, discount)
+    times = _times(transitions, task, own, values)
+    return OfflineReport(
+        driver=_estimate(earned[None], random),
+        fitted_q=_estimate(first, random),
+        doubly_robust=_estimate(robust, random),
+        effective_episodes=effective,
+        gain=_estimate(first - earned, random),
+        robust_gain=_estimate(robust - earned, random),
+        time_lost=None if times is None else _estimate(times[0][None], random),
+        driver_time_lost=None if times is None else _estimate(times[1][None], random),
+        predicted_time=None if times is None or not len(times[2]) else _estimate(times[2][None], random),
+        recorded_time=None if times is None or not len(times[3]) else _estimate(times[3][None], random),
+    )
+
+
+def _robust(
+    transitions: Transitions, fitted: list[PolicyValues], ratios: Array, discount: float
+) -> tuple[Array, float]:
+    found = [episode_estimates(transitions, values, ratios, discount) for values in fitted]
+    return np.array([estimates for estimates, _ in found]), found[0][1]
+
+
+def _estimate(numbers: Array, random: np.random.Generator) -> Estimate:
+    """Return mean and interval of numbers (fits, episodes), by resampling episodes and drawing a fit."""
+    fits, count = numbers.shape
+    drawn = random.integers(count, size=(_RESAMPLED, count))
+    means = numbers[random.integers(fits, size=_RESAMPLED)[:, None], drawn].mean(axis=1)
+    low, high = np.quantile(means, (0.025, 0.975))
+    return Estimate(float(numbers.mean()), float(low), float(high))
+
+
+def _times(
+    transitions: Transitions, task: NavigationTask, own: NDArray[np.float32], values: StateValues | None
+) -> tuple[Array, Array, Array, Array] | None:
+    """Return time lost by policy and driver (episodes,), and predicted and recorded times of those that arrived.
+
+    A command loses what it takes less the time to reach that it saves, by the equations of the task's system.
+    """
+    if values is None or not values.counts_time:
+        return None
+    system, dt = task.system.build(), task.episode.time_step
+    low, high = np.array(list(task.robot.commands.values())).T
+    before = values(transitions.states)
+    starts = np.flatnonzero(transitions.first)
+    lost = []
+    for actions in (own, transitions.actions):
+        ends = transitions.states
+        for _ in range(4):
+            ends = system.step(ends, low + 0.5 * (actions + 1.0) * (high - low), dt=0.25 * dt)
+        steps = np.clip(1.0 - (values(ends) - before) / dt, 0.0, 10.0)
+        lost.append(np.add.reduceat(steps, starts) / np.diff(np.append(starts, len(transitions))))
+    ends_at = np.append(starts[1:], len(transitions)) - 1
+    arrived = transitions.outcomes[ends_at] == 1
+    taken = (ends_at - starts + 1) * dt
+    return lost[0], lost[1], -before[starts][arrived], taken[arrived].astype(np.float64)

@@ -1,0 +1,1 @@
+"""Learners that see nothing but recorded transitions."""

@@ -1,0 +1,1 @@
+"""Drive, record, relabel, learn, evaluate, and drive again."""

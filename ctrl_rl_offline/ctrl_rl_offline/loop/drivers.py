@@ -1,0 +1,94 @@
+"""Drivers of the loop: a scripted one that arrives now and then, and any policy, both with noise that explores."""
+
+from __future__ import annotations
+
+import math
+from typing import Protocol
+
+import numpy as np
+from ctrl_rl_core.policies.observation import Sensors
+from ctrl_rl_core.tasks.regions import wrap
+from numpy.typing import NDArray
+
+from ctrl_rl_core import NavigationTask, Policy
+
+Array = NDArray[np.float64]
+
+
+class Driver(Protocol):
+    """Gives commands, episode after episode."""
+
+    def begin(self, random: np.random.Generator) -> None:
+        """Begin an episode."""
+
+    def command(self, sensors: Sensors) -> Array:
+        """Return the command (2,): speed [m/s] and turn rate [rad/s]."""
+
+
+class ScriptedDriver:
+    """Heads for the goal, turns away from what is near, and is often careless.
+
+    Each episode draws a speed, a distance at which it begins to turn away, and an error of its hand that drifts.
+    """
+
+    def __init__(self, task: NavigationTask) -> None:
+        commands = list(task.robot.commands.values())
+        self._low, self._high = np.array(commands).T
+        self._radius = task.robot.radius
+        self._reach = task.lidar.range.high
+
+    def begin(self, random: np.random.Generator) -> None:
+        """Draw this episode's manner."""
+        self._random = random
+        self._speed = random.uniform(0.23, 0.5) * self._high[0]
+        self._care = random.uniform(1.5, 4.0) * self._radius + random.uniform(0.2, 0.7)
+        self._drift, self._size = 0.0, random.uniform(0.0, 0.35)
+
+    def command(self, sensors: Sensors) -> Array:
+        """Return the command (2,)."""
+        assert sensors.pose is not None
+        assert sensors.goal is not None
+        x, y, theta = sensors.pose
+        bearing = float(wrap(math.atan2(sensors.goal[1] - y, sensors.goal[0] - x) - theta))
+        turn = 1.5 * bearing
+        scan = sensors.scan
+        angles = wrap(scan.angle_min + scan.angle_increment * np.arange(scan.beams))
+        ranges = np.nan_to_num(sensors.ranges.astype(np.float64), nan=self._reach, posinf=self._reach, neginf=0.0)
+        ahead = (np.abs(angles) < 1.2) & (ranges < self._care)
+        if ahead.any():
+            nearest = int(np.argmin(np.where(ahead, ranges, np.inf)))
+            turn = -math.copysign(2.0, angles[nearest])
+        self._drift += -0.2 * self._drift + self._size * 0.5 * self._random.normal()
+        turn += self._drift
+        speed = self._speed * (0.7 if ahead.any() else 1.0) * (1.0 + 0.2 * self._random.normal())
+        return np.clip((speed, turn), self._low, self._high)
+
+
+class PolicyDriver:
+    """A policy as a node runs it, with noise that is held for a while, in part of the episodes.
+
+    Args:
+        policy: Policy of any kind.
+        noise: Standard deviation of the noise, as a share of half the range of each command; 0 for none.
+        share: Share of the episodes that have noise.
+    """
+
+    def __init__(self, policy: Policy, noise: float = 0.0, share: float = 0.5) -> None:
+        self._policy, self._noise, self._share = policy, noise, share
+        self._low, self._high = policy.limits
+        self._offset = np.zeros(2)
+        self._size = 0.0
+
+    def begin(self, random: np.random.Generator) -> None:
+        """Draw whether this episode has noise."""
+        self._random = random
+        self._size = self._noise if random.uniform() < self._share else 0.0
+        self._offset = np.zeros(2)
+
+    def command(self, sensors: Sensors) -> Array:
+        """Return the command (2,)."""
+        command = np.clip(self._policy.command(sensors), self._low, self._high)
+        if self._size:
+            self._offset = 0.6 * self._offset + 0.8 * self._random.normal(size=2)
+            command = command + self._size * 0.5 * (self._high - self._low) * self._offset
+        return np.clip(command, self._low, self._high)
