@@ -223,9 +223,13 @@ class SafetyFilter:
         """Return the commands of each time step from the odometry until a new one has an effect (n, 2)."""
         count = math.ceil((age + self.model.delay) / STEP - 1e-9)
         out = np.zeros((count, 2))
-        times = now - age + STEP * np.arange(count)
-        for sent_at, v, omega in self._sent:
-            out[times >= sent_at + self.model.delay - 1e-9] = (v, omega)
+        until = count
+        for sent_at, v, omega in reversed(self._sent):
+            first = max(math.ceil((sent_at + self.model.delay - 1e-9 - now + age) / STEP), 0)
+            out[first:until] = (v, omega)
+            until = min(until, first)
+            if until == 0:
+                break
         return out
 
 
