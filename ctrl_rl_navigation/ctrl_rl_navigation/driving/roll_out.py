@@ -135,12 +135,14 @@ def _cost(
     x = y = theta = 0.0
     way = cost = committed = 0.0
     ends = rules.steps * rules.step
+    corner = math.hypot(rules.half_length, rules.half_width)  # a corner moves where the robot only turns
     for k in range(rules.steps):
         first = k * rules.step < candidate[2] - 1e-9
         v = _toward(v, candidate[0] if first else rules.speed, rules.acceleration * rules.step)
         omega = _toward(omega, candidate[1] if first else candidate[3], rules.turn_acceleration * rules.step)
         if k == 0:  # the robot decides anew after this step, and brakes from its speed at the latest
-            committed = v * rules.delay + 0.5 * v * v / rules.braking
+            fastest = abs(v) + corner * abs(omega)
+            committed = fastest * rules.delay + 0.5 * fastest * fastest / rules.braking
         middle = theta + 0.5 * omega * rules.step
         next_x, next_y = x + v * rules.step * math.cos(middle), y + v * rules.step * math.sin(middle)
         gap, hit = _gap(points, now, (k + 1) * rules.step, next_x, next_y, theta + omega * rules.step, rules, squares)
@@ -150,7 +152,7 @@ def _cost(
             cost += ends - k * rules.step + _HIT_COST
             break
         x, y, theta = next_x, next_y, theta + omega * rules.step
-        way += abs(v) * rules.step
+        way += (abs(v) + corner * abs(omega)) * rules.step
         near = min(max((gap - rules.room) / rules.ease, 0.0), 1.0)
         cost += rules.step / (rules.slowest + (1.0 - rules.slowest) * near)
         if math.hypot(x - place.goal_x, y - place.goal_y) <= place.goal_radius:
