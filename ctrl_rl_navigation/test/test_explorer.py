@@ -84,6 +84,20 @@ def test_a_length_needs_a_width() -> None:
         DriveLimits(length=0.5)
 
 
+@pytest.mark.parametrize(
+    ("motion", "post"),
+    [((-0.5, 0.0), (-0.345, 0.0)), ((0.0, 2.0), (0.24, 0.2)), ((0.5, 0.0), (0.345, 0.0))],
+)
+def test_it_stops_where_going_on_would_touch_a_post(motion: tuple[float, float], post: tuple[float, float]) -> None:
+    empty = OccupancyMap(np.zeros((120, 120), np.int8), 0.05, (-3.0, -3.0, 0.0))
+    value = MapSolver(empty, LONG).solve((0.0, 2.5), 0.3)
+    ahead = LookAhead(LONG, 0.05, 0.1, 3.0, 0.05, 1.2, 0.1)
+    choice = ahead.choose(value, np.zeros(3), np.array(motion), np.array((post,)))
+    assert choice.cost == math.inf
+    assert choice.command[0] == 0.0
+    assert abs(choice.command[1]) < max(abs(motion[1]), 1e-9)
+
+
 def test_a_plan_goes_on_and_ends_with_what_follows_it() -> None:
     ahead = LookAhead(LONG, 0.05, 0.1, 3.0, turns_after=(0.0, 0.5))
     rest = ahead._rest(np.array((0.3, 1.0, 0.2, 0.5)))
