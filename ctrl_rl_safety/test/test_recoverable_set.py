@@ -97,7 +97,7 @@ def test_it_is_the_viability_kernel_that_an_iteration_over_all_accelerations_fin
                         dx, dy = (way * f(theta + 0.5 * omega * time) / CELL for f in (math.cos, math.sin))
                         place = turn / (2.0 * math.pi) * HEADINGS
                         k, share = math.floor(place), place - math.floor(place)
-                        plane = (1 - share) * before[to, k % HEADINGS] + share * before[to, (k + 1) % HEADINGS]
+                        plane = (1 - share) * kernel[to, k % HEADINGS] + share * kernel[to, (k + 1) % HEADINGS]
                         half = at(gap, 0.5 * dx, 0.5 * dy)
                         best = np.maximum(best, np.minimum(at(plane, dx, dy), half))
                 kernel[level, heading] = np.minimum(gap, best)

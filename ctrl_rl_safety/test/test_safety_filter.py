@@ -78,3 +78,48 @@ def test_a_robot_that_is_held_turns_to_the_free_side() -> None:
 def test_without_a_scan_there_is_no_answer() -> None:
     with pytest.raises(SafetyError, match="no scan yet"):
         SafetyFilter(ROBOTS["turtlebot4"]).decide(0.0, Reading(np.zeros(3), 0.0, 0.0), np.zeros(2))
+
+
+def test_behind_somebody_slower_the_speed_is_steady_while_scans_grow_old() -> None:
+    model = ROBOTS["turtlebot3_burger"]
+    world = LightWorld(model, np.array([(0.8, 0.05, 0.1, 0.0, 0.1)]), SafetyFilter(model, FilterOptions(0.075, 0.3)), 0)
+    speeds, modes = [], []
+    for _ in range(150):
+        verdict, _, moving = world.tick(np.array((0.21, 0.0)), True)
+        assert moving > LEAST
+        speeds.append(verdict.command[0])
+        modes.append(verdict.mode)
+    assert Mode.CORRECTED in modes
+    assert float(np.abs(np.diff(speeds)).sum()) < 3.0
+    assert world.state[0] > 0.5
+
+
+def test_what_a_map_has_stands_for_ever_and_anything_else_may_come() -> None:
+    model = ROBOTS["turtlebot3_burger"]
+    wall = np.column_stack((np.full(40, 0.45), np.linspace(-1.0, 1.0, 40)))
+    reading, raw = Reading(np.zeros(3), 0.2, 0.0), np.array((0.2, 0.0))
+
+    def answer(fixed: object) -> Mode:
+        safety = SafetyFilter(model, FilterOptions(mover_speed=1.0))
+        safety.see(0.0, reading.pose, wall, fixed=fixed)
+        return safety.decide(0.0, reading, raw).mode
+
+    assert answer(lambda places: np.ones(len(places), bool)) is Mode.PASSED
+    assert answer(lambda places: np.zeros(len(places), bool)) is not Mode.PASSED
+    assert answer(None) is not Mode.PASSED
+
+
+def test_where_nothing_is_known_any_more_the_last_certified_escape_is_driven() -> None:
+    model = ROBOTS["jackal"]
+    safety = SafetyFilter(model)
+    assert safety.stopping(0.0).tolist() == [0.0, 0.0]
+    post = np.column_stack((np.full(9, 1.15), np.linspace(-0.2, 0.1, 9)))
+    safety.see(0.0, np.zeros(3), post)
+    verdict = safety.decide(0.0, Reading(np.zeros(3), 1.6, 0.0), np.array((1.6, 1.0)))
+    assert verdict.margin >= 0.0
+    path = safety.escape(verdict)
+    assert abs(path[-1, 3]) < 0.011
+    for time in (0.1, 0.2, 0.3):
+        v, omega = safety.stopping(time)
+        assert (v, omega) == (0.0, path[int(time / 0.02 + 1e-6), 4])
+    assert safety.stopping(5.0).tolist() == [0.0, 0.0]

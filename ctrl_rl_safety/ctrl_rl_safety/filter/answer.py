@@ -25,8 +25,6 @@ _LAST = 0.05
 _RISE = 0.2
 """Part of the acceleration with which a corrected speed rises."""
 _REFINEMENTS = 4
-_COARSE = 4
-"""Every so many turn rates are tried after the first certified command, for one that stays so until the next scan."""
 
 
 class Request(NamedTuple):
@@ -114,8 +112,36 @@ def _window(sit: Any, ask: Any, state: tuple[float, float, float, float, float])
 
 
 @njit
+def _towards(
+    sit: Any,
+    state: tuple[float, float, float, float, float],
+    t: float,
+    known: tuple[float, float],
+    wanted: tuple[float, float],
+    steps: int,
+    needed: float,
+    margin: float,
+    kind: int,
+) -> Any:
+    """Return the command nearest to the wanted one, on the line from a certified one, with its margin and escape."""
+    share, step = 0.0, 0.5
+    for _ in range(_REFINEMENTS):
+        tried = share + step
+        between = (known[0] + tried * (wanted[0] - known[0]), known[1] + tried * (wanted[1] - known[1]))
+        found, which = certify(sit, state, t, between, steps, kind, needed)
+        if found >= needed:
+            share, margin, kind = tried, found, which
+        step *= 0.5
+    return known[0] + share * (wanted[0] - known[0]), known[1] + share * (wanted[1] - known[1]), margin, kind
+
+
+@njit
 def _nearest(sit: Any, ask: Any, state: tuple[float, float, float, float, float], t: float) -> Any:
-    """Return the certified command nearest to the raw one, its margin and its escape; a margin below zero for none."""
+    """Return the certified command nearest to the raw one, its margin and its escape; a margin below zero for none.
+
+    One that stays certified until the next scan need not be taken back as this scan grows old. Where the nearest one
+    does not, it is slowed until it does.
+    """
     speeds, turns = _window(sit, ask, state)
     wide_v, wide_w = max(speeds.max() - speeds.min(), 1e-3), max(turns.max() - turns.min(), 1e-3)
     costs = np.empty(len(speeds) * len(turns))
@@ -125,36 +151,23 @@ def _nearest(sit: Any, ask: Any, state: tuple[float, float, float, float, float]
             ev, ew = (speeds[i] - ask.last[0]) / wide_v, (turns[j] - ask.last[1]) / wide_w
             costs[i * len(turns) + j] = math.sqrt(dv * dv + dw * dw) + _LAST * math.sqrt(ev * ev + ew * ew)
     stands = abs(state[3]) < STANDS
-    spare, spare_margin, spare_kind = -1, -FAR, ask.first
     for place in np.argsort(costs):
-        if spare >= 0 and place % len(turns) % _COARSE != _TURNS % _COARSE:
-            continue
         command = (speeds[place // len(turns)], turns[place % len(turns)])
         # A robot that stands after a correction does not begin to move by the noise of a scan.
         needed = ask.hysteresis if stands and ask.corrected and abs(command[0]) >= STANDS else 0.0
         if hopeless(sit, state, command):
             continue
-        if spare < 0:
-            margin, kind = certify(sit, state, t, command, sit.hold, ask.first, needed)
-            if margin < needed:
-                continue
-            spare, spare_margin, spare_kind = place, margin, kind
-        # One that holds until the next scan does not have to be taken back as this scan grows old.
-        margin, kind = certify(sit, state, t, command, ask.patience, ask.first, needed)
+        margin, kind = certify(sit, state, t, command, sit.hold, ask.first, needed)
         if margin < needed:
             continue
-        share, step = 1.0, 0.5
-        for _ in range(_REFINEMENTS):
-            tried = share - step
-            between = (ask.raw[0] + tried * (command[0] - ask.raw[0]), ask.raw[1] + tried * (command[1] - ask.raw[1]))
-            found, which = certify(sit, state, t, between, ask.patience, kind, needed)
-            if found >= needed:
-                share, margin, kind = tried, found, which
-            step *= 0.5
-        v, omega = ask.raw[0] + share * (command[0] - ask.raw[0]), ask.raw[1] + share * (command[1] - ask.raw[1])
-        return v, omega, margin, kind
-    if spare >= 0:
-        return speeds[spare // len(turns)], turns[spare % len(turns)], spare_margin, spare_kind
+        longer, which = certify(sit, state, t, command, ask.patience, kind, needed)
+        if longer >= needed:
+            return _towards(sit, state, t, command, ask.raw, ask.patience, needed, longer, which)
+        stop = (0.0, command[1])
+        longer, which = certify(sit, state, t, stop, ask.patience, kind, needed)
+        if longer >= needed:
+            return _towards(sit, state, t, stop, command, ask.patience, needed, longer, which)
+        return _towards(sit, state, t, command, ask.raw, sit.hold, needed, margin, kind)
     return 0.0, 0.0, -FAR, ask.first
 
 

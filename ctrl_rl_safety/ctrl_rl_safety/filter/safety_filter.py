@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ctrl_rl_safety.errors import SafetyError
 from ctrl_rl_safety.filter.answer import PASSED, Answer, Request, answer
-from ctrl_rl_safety.filter.certificate import NO_GUIDE, Guide, Situation, escape_path
+from ctrl_rl_safety.filter.certificate import FAMILY, NO_GUIDE, Guide, Situation, escape_path
 from ctrl_rl_safety.filter.echoes import SAME, EchoMemory, surfaces
 from ctrl_rl_safety.filter.unblocking import Unblocking
 from ctrl_rl_safety.filter.verdict import FilterOptions, Mode, Reading, Verdict
@@ -88,7 +88,7 @@ class SafetyFilter:
         self._corrected = False
         self._kind = 0
         self._last_v = 0.0
-        self._plan: tuple[float, Array] = (0.0, np.empty(0))
+        self._certified: tuple[float, Verdict, Situation] | None = None
 
     def see(self, now: float, pose: Array, echoes: Array, age: float = 0.0, fixed: Fixed | None = None) -> None:
         """Take a scan.
@@ -142,7 +142,7 @@ class SafetyFilter:
     def forget(self) -> None:
         """Forget scans and set, as the frame of the odometry has jumped."""
         self._memory.clear()
-        self._set = self._seen = None
+        self._set = self._seen = self._certified = None
 
     def sent(self, now: float, command: Array) -> None:
         """Note a command (2,) that went to the robot."""
@@ -178,29 +178,31 @@ class SafetyFilter:
             self.model.turn_acceleration,
         )
         age = now - reading.age - seen_at
-        found = Answer(*answer(self._situation(now, obstacles), ask, state, age, self._under_way(now, reading.age)))
-        self._corrected, self._kind = found.mode != PASSED, found.kind
+        situation = self._situation(now, obstacles)
+        found = Answer(*answer(situation, ask, state, age, self._under_way(now, reading.age)))
+        # An escape by the set takes the longest to try, and comes after one of a constant turn rate.
+        self._corrected, self._kind = found.mode != PASSED, found.kind % FAMILY
         self._unblocking.note(now, (found.v, found.omega), wanted, reading.v)
         command = np.array((found.v, found.omega))
         verdict = Verdict(command, Mode(found.mode), found.margin, found.value, np.array(found.state), found.kind)
         if found.margin >= 0.0:
-            self._plan = now + self._hold * STEP, self.escape(verdict)[self._hold :, 4]
+            self._certified = now, verdict, situation
         return verdict
 
     def escape(self, verdict: Verdict) -> Array:
         """Return the states (n, 5) of a verdict's command and of the escape that certifies it, for a picture."""
         if self._seen is None:
             return np.empty((0, 5))
-        sit = self._situation(self._seen[1], self._seen[0])
-        command = (float(verdict.command[0]), float(verdict.command[1]))
-        path: Array = escape_path(sit, tuple(verdict.state.tolist()), command, verdict.escape)
-        return path
+        return _path(self._situation(self._seen[1], self._seen[0]), verdict)
 
     def stopping(self, now: float) -> Array:
         """Return the command (2,) of the last certified escape at a steady time [s], for when nothing is known."""
-        begun, turns = self._plan
-        place = max(math.floor((now - begun) / STEP), 0)
-        return np.array((0.0, turns[place])) if place < len(turns) else np.zeros(2)
+        if self._certified is None:
+            return np.zeros(2)
+        begun, verdict, situation = self._certified
+        place = max(math.floor((now - begun) / STEP), self._hold)
+        path = _path(situation, verdict)
+        return np.array((0.0, path[place, 4])) if place < len(path) else np.zeros(2)
 
     def _situation(self, now: float, obstacles: Obstacles) -> Situation:
         found = self._set
@@ -231,6 +233,12 @@ class SafetyFilter:
             if until == 0:
                 break
         return out
+
+
+def _path(situation: Situation, verdict: Verdict) -> Array:
+    command = (float(verdict.command[0]), float(verdict.command[1]))
+    path: Array = escape_path(situation, tuple(verdict.state.tolist()), command, verdict.escape)
+    return path
 
 
 def _moved(points: Array, pose: Array) -> Array:

@@ -191,7 +191,7 @@ class SafetyFilterNode(LidarVelocityNode):
         if now - self._answered_at >= _QUICKEST * self.settings["control_period"]:
             self._answered_at = now
             self._timer.reset()  # the next tick comes a period after this answer
-            self._tick()
+            self._tick(now)
 
     def _silence(self) -> str:
         """Return that no raw command comes; empty where one does."""
@@ -203,9 +203,9 @@ class SafetyFilterNode(LidarVelocityNode):
         """Return the stamp of the raw command, moved on by the time since: latencies can be told from a bag."""
         return to_stamp(self._raw_stamp + round(1e9 * (now - self._raw_at))) if self._raw_stamp > 0 else None
 
-    def _tick(self) -> None:
-        """Answer the raw command that is held."""
-        begin, now = time.perf_counter(), self.now()
+    def _tick(self, at: float | None = None) -> None:
+        """Answer the raw command that is held, at a time on the clock of ages [s]; now unless given."""
+        begin, now = time.perf_counter(), self.now() if at is None else at
         self._take_set()
         assert self._filter is not None  # the timer begins after it
         problem = self.input_fault()
