@@ -20,6 +20,7 @@ setup(
     zip_safe=False,
     entry_points={
         "console_scripts": [
+            "correlation = ctrl_rl_offline.cli.correlation:correlation",
             "evaluate_offline = ctrl_rl_offline.cli.evaluate:evaluate_offline",
             "learn_offline = ctrl_rl_offline.cli.learn:learn_offline",
             "loop = ctrl_rl_offline.cli.loop:loop",

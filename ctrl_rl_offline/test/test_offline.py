@@ -1,5 +1,6 @@
 """Learning from bags alone, and what bags say about policies that have not driven."""
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -14,11 +15,12 @@ from ctrl_rl_offline.evaluation.doubly_robust import episode_estimates, step_rat
 from ctrl_rl_offline.evaluation.fitted_q import PolicyValues, actions_of, fit_values
 from ctrl_rl_offline.learners.learning import learn
 from ctrl_rl_offline.learners.settings import METHODS, NEEDS_REWARD, NEEDS_VALUE, LearningSettings
+from ctrl_rl_offline.loop.closed_loop import LoopSettings, run_loop
 from ctrl_rl_offline.loop.drivers import PolicyDriver, ScriptedDriver
 from ctrl_rl_offline.loop.driving import drive
 from ctrl_rl_training.sb3.environment import DEPLOYED_RATE
 
-from ctrl_rl_core import Actor, load_navigation_task
+from ctrl_rl_core import Actor, load_navigation_task, task_digest
 from sim_bridge import NavigationEnv, SimulationOptions
 from ttr_reward_node import RewardEvaluator, load_value, problem_from_task, relabel, solve
 
@@ -27,7 +29,7 @@ TASK = load_navigation_task("car_navigation")
 
 @pytest.fixture(scope="module")
 def value(tmp_path_factory) -> Path:
-    problem = problem_from_task(_solvable(TASK), counts=(41, 41, 24), inflation=TASK.robot.radius)
+    problem = problem_from_task(_solvable(TASK), counts=(31, 31, 18), inflation=TASK.robot.radius)
     file = tmp_path_factory.mktemp("values") / "car_navigation.safetensors"
     solve(problem).grid.save(file)
     return file
@@ -182,6 +184,28 @@ def test_the_commands_learn_judge_and_refuse(bag: Path, value: Path, tmp_path: P
     assert "relabel them first" in capsys.readouterr().err
     assert learn_offline(["nowhere", "--task", "car_navigation", "--output", str(tmp_path / "p.safetensors")]) == 1
     assert "no such bag" in capsys.readouterr().err
+
+
+def test_the_loop_goes_round_and_goes_on_where_it_was(value: Path, tmp_path: Path) -> None:
+    (tmp_path / "values").mkdir()
+    shutil.copy(value, tmp_path / "values" / f"car_navigation-{task_digest(TASK)[:12]}.safetensors")
+    settings = LoopSettings("value_weight", rounds=1, episodes=12, tests=3, updates=30, fit_updates=20)
+    said: list[str] = []
+    first = run_loop(TASK, tmp_path / "run", settings, tmp_path / "values", said.append)
+    assert [each["round"] for each in first] == [0, 1]
+    assert len(first[1]["success"]) == len(first[1]["returns"]) == 3
+    assert first[1]["predicted"]["low"] <= first[1]["predicted"]["mean"] <= first[1]["predicted"]["high"]
+    assert "scripted driver" in said[0]
+    # What is there is not made again; what a call that was cut off left is.
+    (tmp_path / "run" / "round_1" / "result.json").unlink()
+    policy = (tmp_path / "run" / "round_1" / "policy.safetensors").stat()
+    assert run_loop(TASK, tmp_path / "run", settings, tmp_path / "values", said.append) == first
+    assert (tmp_path / "run" / "round_1" / "policy.safetensors").stat() == policy
+
+
+def test_a_driver_without_a_goal_keeps_to_the_corridor() -> None:
+    corridor = load_navigation_task("curved_corridor")
+    assert drive(corridor, ScriptedDriver(corridor), 1, 0).steps[0] > 20
 
 
 def test_a_value_of_another_task_is_refused() -> None:

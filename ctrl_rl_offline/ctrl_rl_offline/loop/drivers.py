@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from ctrl_rl_core import NavigationTask, Policy
 
 Array = NDArray[np.float64]
+_LOOK = 1.3
+"""Bearing up to which a driver without a goal looks for room [rad]."""
 
 
 class Driver(Protocol):
@@ -26,7 +28,7 @@ class Driver(Protocol):
 
 
 class ScriptedDriver:
-    """Heads for the goal, turns away from what is near, and is often careless.
+    """Heads for the goal, or without one for where there is room; turns away from what is near, and is often careless.
 
     Each episode draws a speed, a distance at which it begins to turn away, and an error of its hand that drifts.
     """
@@ -36,32 +38,37 @@ class ScriptedDriver:
         self._low, self._high = np.array(commands).T
         self._radius = task.robot.radius
         self._reach = task.lidar.range.high
+        self._pace, self._error = ((0.23, 0.5), 0.35) if task.corridor is None else ((0.6, 1.0), 0.5)
 
     def begin(self, random: np.random.Generator) -> None:
         """Draw this episode's manner."""
         self._random = random
-        self._speed = random.uniform(0.23, 0.5) * self._high[0]
+        self._speed = random.uniform(*self._pace) * self._high[0]
         self._care = random.uniform(1.5, 4.0) * self._radius + random.uniform(0.2, 0.7)
-        self._drift, self._size = 0.0, random.uniform(0.0, 0.35)
+        self._drift, self._size = 0.0, random.uniform(0.0, self._error)
 
     def command(self, sensors: Sensors) -> Array:
-        """Return the command (2,)."""
-        assert sensors.pose is not None
-        assert sensors.goal is not None
-        x, y, theta = sensors.pose
-        bearing = float(wrap(math.atan2(sensors.goal[1] - y, sensors.goal[0] - x) - theta))
-        turn = 1.5 * bearing
+        """Return the command (2,): speed [m/s] and turn rate [rad/s]."""
         scan = sensors.scan
         angles = wrap(scan.angle_min + scan.angle_increment * np.arange(scan.beams))
         ranges = np.nan_to_num(sensors.ranges.astype(np.float64), nan=self._reach, posinf=self._reach, neginf=0.0)
+        turn = 1.5 * self._bearing(sensors, angles, ranges)
         ahead = (np.abs(angles) < 1.2) & (ranges < self._care)
         if ahead.any():
             nearest = int(np.argmin(np.where(ahead, ranges, np.inf)))
             turn = -math.copysign(2.0, angles[nearest])
-        self._drift += -0.2 * self._drift + self._size * 0.5 * self._random.normal()
+        self._drift += -0.2 * self._drift + self._size * self._high[1] * self._random.normal()
         turn += self._drift
         speed = self._speed * (0.7 if ahead.any() else 1.0) * (1.0 + 0.2 * self._random.normal())
         return np.clip((speed, turn), self._low, self._high)
+
+    def _bearing(self, sensors: Sensors, angles: Array, ranges: Array) -> float:
+        """Return where to go, from ahead to the left [rad]."""
+        if sensors.goal is None or sensors.pose is None:
+            room = np.where(np.abs(angles) < _LOOK, ranges, 0.0) ** 2
+            return float((room * angles).sum() / max(float(room.sum()), 1e-9))
+        x, y, theta = sensors.pose
+        return float(wrap(math.atan2(sensors.goal[1] - y, sensors.goal[0] - x) - theta))
 
 
 class PolicyDriver:
