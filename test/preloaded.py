@@ -39,6 +39,8 @@ class Preloaded(subprocess.Popen):
         program = [str(part) for part in args]
         if program[0] == sys.executable:
             del program[0]
+        if program[0] != "-c" and not os.path.exists(program[0]):
+            raise FileNotFoundError(program[0])
         folder, environment, pipes = rest[4], rest[5], rest[9:15]
         streams = [pipe if pipe >= 0 else number for number, pipe in enumerate((pipes[0], pipes[3], pipes[5]))]
         # The server's child, left by its parent at once, becomes a child of ours: we may wait for it.
@@ -78,14 +80,18 @@ def _serve(door: socket.socket) -> list[str]:
         if not request:
             os._exit(0)
         program, environment, folder = json.loads(request)
-        _preload(*program[:2])
+        with suppress(Exception):  # the program fails in the same way
+            _preload(program[1] if program[0] == "-c" else Path(program[0]).read_text())
+        tracing = _Tracing()
         middle = os.fork()
         if middle == 0 and (pid := os.fork()):
             door.send(str(pid).encode())
             os._exit(0)
         if middle == 0:
+            tracing.call("after_fork_child")
             _end_with(tests)
             break
+        tracing.call("after_fork_parent")
         os.waitpid(middle, 0)
         door.send(b"its parent has left it")
         for stream in streams:
@@ -100,6 +106,22 @@ def _serve(door: socket.socket) -> list[str]:
     return program
 
 
+class _Tracing:
+    """Fork hooks of LTTng's library, which ROS loads: its threads have to stand still and begin anew in the child."""
+
+    def __init__(self) -> None:
+        maps = Path("/proc/self/maps").read_text()
+        self._libraries = [ctypes.CDLL(path) for path in set(re.findall(r"/\S*/liblttng-ust[-.]\S*", maps))]
+        self._signals = ctypes.create_string_buffer(128)  # a sigset_t
+        self.call("before_fork")
+
+    def call(self, hook: str) -> None:
+        for library in self._libraries:
+            for name in (f"ust_{hook}", f"lttng_ust_{hook}"):  # before and since LTTng 2.13
+                with suppress(AttributeError):
+                    getattr(library, name)(self._signals)
+
+
 def _end_with(parent: int) -> None:
     """Let this process be killed when the parent that it is about to get ends, however that ends."""
     first = os.getppid()
@@ -111,14 +133,13 @@ def _end_with(parent: int) -> None:
 
 
 @cache
-def _preload(name: str, *code: str) -> None:
-    """Import what a program imports at its top; what cannot be imported fails in the program itself."""
-    text = code[0] if name == "-c" else Path(name).read_text()
-    if found := re.search(r"load_entry_point\('(.+)', '(.+)', '(.+)'\)", text):
+def _preload(code: str) -> None:
+    """Import what a program imports at its top."""
+    if found := re.search(r"load_entry_point\('(.+)', '(.+)', '(.+)'\)", code):
         project, group, entry = found.groups()
         modules = [each.module for each in distribution(project).entry_points.select(group=group, name=entry)]
     else:
-        nodes = ast.parse(text).body
+        nodes = ast.parse(code).body
         modules = [alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names]
         modules += [str(node.module) for node in nodes if isinstance(node, ast.ImportFrom)]
     for module in modules:

@@ -1,6 +1,5 @@
 """A demo that is interrupted ends its nodes, says so in a line, and leaves a bag that can be read."""
 
-import os
 import signal
 import subprocess
 import time
@@ -9,6 +8,7 @@ from pathlib import Path
 import pytest
 from ament_index_python.packages import get_package_prefix
 from commands import command
+from preloaded import Preloaded
 
 FOLDER = Path(get_package_prefix("ctrl_rl_bringup")) / "lib" / "ctrl_rl_bringup"
 
@@ -22,12 +22,8 @@ def test_an_interrupted_demo_leaves_a_bag_and_no_node(
 ) -> None:
     run, log = tmp_path / "run", tmp_path / "log"
     with log.open("wb") as stream:
-        process = subprocess.Popen(
-            [FOLDER / demo, "--output", run, "--speed", "2", *options],
-            stdout=stream,
-            stderr=subprocess.STDOUT,
-            env=os.environ,
-        )
+        command_line = [FOLDER / demo, "--output", run, "--speed", "2", *options]
+        process = Preloaded(command_line, stdout=stream, stderr=subprocess.STDOUT)
     deadline = time.monotonic() + 120.0
     while "% of the way" not in log.read_text():
         assert process.poll() is None, log.read_text()

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from ctrl_rl_benchmarks.experiments.runs import LadderRun
 from ctrl_rl_benchmarks.ladder.task_list import LADDER, PRACTICE, load_ladder_task
+from ctrl_rl_benchmarks.ways import baseline, demonstrations
 from ctrl_rl_benchmarks.ways.methods import WAYS
 from hypothesis import given
 from hypothesis import strategies as st
@@ -80,7 +81,11 @@ def value(tmp_path_factory):
         *((way, "ppo") for way in WAYS if WAYS[way].uses_states and WAYS[way].gae_lambda == 0.95),
     ],
 )
-def test_each_way_learns(way, learner, value):
+def test_each_way_learns(way, learner, value, monkeypatch):
+    monkeypatch.setattr(demonstrations, "SAMPLES", 64)
+    monkeypatch.setattr(demonstrations, "_STEPS", 20)
+    monkeypatch.setattr(baseline, "_STATES", 64)
+    monkeypatch.setattr(baseline, "_STEPS", 20)
     run = LadderRun("open_field", way, learner, 0, value)
     model = run.model(10_240)
     before = [each.detach().clone() for each in model.policy.parameters()]

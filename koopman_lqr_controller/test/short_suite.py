@@ -1,6 +1,7 @@
 """Shorter episodes of the control suite, and fewer candidates, where a test needs no more."""
 
 from koopman_lqr_controller.training.consolidation.consolidation_config import ConsolidationConfig
+from koopman_lqr_controller.training.consolidation.distillation import DistillationSettings
 from koopman_lqr_controller.training.environments.control_suite import ControlSuite
 
 STEPS = 25
@@ -19,7 +20,7 @@ def shorten(patch=setattr) -> None:
 
 
 def shorten_consolidation(patch=setattr) -> None:
-    """Try fewer sizes of candidates, after fewer rounds, where the command leaves them out."""
-    make = ConsolidationConfig.of
-    few = {"rounds": 1, "exploratory_latent": 4, "sizes": (4, 6)}
+    """Try fewer and smaller candidates, after fewer rounds, where the command leaves them out."""
+    make, small = ConsolidationConfig.of, DistillationSettings(hidden=32, updates=1000)
+    few = {"rounds": 1, "exploratory_latent": 4, "sizes": (4, 6), "distillation": small, "thorough": small}
     patch(ConsolidationConfig, "of", lambda *args, **kwargs: make(*args, **{**few, **kwargs}))

@@ -22,7 +22,7 @@ from sim_bridge import NavigationEnv
 
 RESULTS = Path(__file__).parents[2] / "docs" / "results"
 TASK = load_navigation_task("quad_trap")
-ROLL_OUT = 256
+ROLL_OUT = 128
 SHORT = {"iterations": 2, "samples": ROLL_OUT, "evaluations": 1, "final_evaluations": 2}
 
 
