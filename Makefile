@@ -110,6 +110,10 @@ navigator: build ## drive to 100 random goals on each of the suite's maps in bot
 	@$(RUN) ros2 run ctrl_rl_navigation trials --maps $${OFFICE:+office=$$OFFICE} maze warehouse corridor \
 	--engines pybullet mujoco --results docs/results/navigator.json $(ARGS)
 
+ladder: build ## learn all tasks of the ladder in every way; days on one core, may be cut off
+	@$(RUN) ros2 run ctrl_rl_benchmarks train --results docs/results/ladder.json $(ARGS); \
+	ros2 run ctrl_rl_benchmarks plot docs/results/ladder.json
+
 docs: build ## the documentation site, into site/; broken links are errors
 	@scripts/docs
 
