@@ -101,7 +101,7 @@ def test_the_lidar_of_the_burger_has_a_beam_per_degree() -> None:
         ("car_ttr", "arena: {x: -5.046 .. 4.763 m", "arena: {x: -5.046 .. 4.763 s", "arena.x: .*unit 's'"),
         ("car_ttr", "arena: {x: -5.046 .. 4.763 m", "arena: {x: -5.046 .. 4.763", "arena.x: .*no unit"),
         ("car_ttr", 'size: "(0.7, 0.7) m"', 'size: "(0.7, 0.7, 0.7) m"', r"obstacles.0.box.size: .*has 3 numbers"),
-        ("car_ttr", "model: dubins_car", "model: dubins_cart", "system: model: no system model 'dubins_cart'"),
+        ("car_ttr", "model: dubins_car", "model: dubins_cart", "system: model: unknown system 'dubins_cart'"),
         ("car_ttr", "omega: -1.0 .. 1.0 rad/s", "omga: -1.0 .. 1.0 rad/s", "system: 'omga': no such name"),
         ("quad_ttr", "m: 1.25 kg", "m: 1.25 m", "system: .*unit 'm'"),
         ("quad_ttr", "m: 1.25 kg", "m: -1.25 kg", "system: planar_quadrotor"),

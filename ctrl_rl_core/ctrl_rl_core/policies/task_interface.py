@@ -9,6 +9,7 @@ import numpy as np
 
 from ctrl_rl_core.policies.errors import PolicyError
 from ctrl_rl_core.policies.manifest import PolicyManifest
+from ctrl_rl_core.tasks.schema.robot import BODIES
 from ctrl_rl_core.tasks.task import NavigationTask
 
 SPEED_RANGE = (-20.0, 20.0)
@@ -30,7 +31,13 @@ def state_ranges(task: NavigationTask) -> dict[str, tuple[float, float]]:
         points = path.pose(np.linspace(0.0, path.length, 200))
         sides = {name: (points[:, axis].min(), points[:, axis].max()) for axis, name in enumerate(("x", "y"))}
     ranges |= {name: (low - POSITION_MARGIN, high + POSITION_MARGIN) for name, (low, high) in sides.items()}
-    return {name: ranges[name] for name in task.observed_states}
+    own = {state.name: (state.lower, state.upper) for state in task.system.build().states}
+    return {name: ranges[name] if name in ranges else _finite(own[name]) for name in task.observed_states}
+
+
+def _finite(bounds: tuple[float, float]) -> tuple[float, float]:
+    """Return the bounds of a component of a model of one's own, or those of a speed where it has none."""
+    return bounds if np.isfinite(bounds).all() else SPEED_RANGE
 
 
 def interface_of(task: NavigationTask) -> PolicyManifest:
@@ -39,6 +46,8 @@ def interface_of(task: NavigationTask) -> PolicyManifest:
     Raises:
         PolicyError: The robot's commands cannot be sent by a node.
     """
+    if tuple(task.robot.commands) not in {body.commands for body in BODIES.values()}:
+        raise PolicyError(f"task '{task.name}': no node can send {' and '.join(task.robot.commands)}")
     flies = task.plane == "xz"
     ranges = state_ranges(task)
     parts: list[dict[str, Any]] = []

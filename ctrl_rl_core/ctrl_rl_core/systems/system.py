@@ -16,16 +16,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ctrl_rl_core.errors import CtrlRlError
-from ctrl_rl_core.systems.models import SYSTEM_MODELS, Dynamics, Equations, Parameter, Quantity
+from ctrl_rl_core.systems.models import Dynamics, Equations, Parameter, Quantity
+from ctrl_rl_core.systems.registry import SystemModelError as SystemModelError
+from ctrl_rl_core.systems.registry import find_model
 
 Bounds = Mapping[str, Sequence[float]]
 
 _DERIVATIVE_UNITS = {"m": "m/s", "rad": "rad/s", "m/s": "m/s^2", "rad/s": "rad/s^2"}
-
-
-class SystemModelError(CtrlRlError):
-    """An unknown system, parameter or component, a bad number, or arrays of the wrong shape."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +133,8 @@ def make_system(
     """Make the system `name` of thesis Table 3.1 with some numbers replaced.
 
     Args:
-        name: Dubins_car, extended_dubins_car, bicycle, planar_quadrotor, quadrotor_rotation or point_mass.
+        name: Dubins_car, extended_dubins_car, bicycle, planar_quadrotor, quadrotor_rotation, point_mass, or the name of
+            a model of another package, see `registry`.
         parameters: Constants by name, in the units that the model declares.
         state_bounds: (lower, upper) by state name; may be infinite. A periodic state keeps the length of its period.
         control_bounds: (lower, upper) by control name; equal bounds hold the control at that number.
@@ -145,10 +143,10 @@ def make_system(
     Raises:
         SystemModelError: An unknown name, or numbers that are not finite, not in order or not positive.
     """
-    if name not in SYSTEM_MODELS:
-        raise SystemModelError(f"unknown system '{name}'; choose one of {', '.join(SYSTEM_MODELS)}")
-    model = SYSTEM_MODELS[name]
-    disturbances = tuple(Quantity(f"d_{s.name}", _DERIVATIVE_UNITS[s.unit], 0.0, 0.0) for s in model.states)
+    model = find_model(name)
+    disturbances = tuple(
+        Quantity(f"d_{s.name}", _DERIVATIVE_UNITS.get(s.unit, f"{s.unit}/s"), 0.0, 0.0) for s in model.states
+    )
     return System(
         name=name,
         states=_with_bounds(model.states, state_bounds or {}, f"{name}: state", finite=False),

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import hashlib
 from pathlib import Path as FilePath
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Discriminator, Field, TypeAdapter, ValidationError, model_validator
@@ -20,13 +20,13 @@ from ctrl_rl_core.geometry.shapes import World
 from ctrl_rl_core.geometry.units import Interval
 from ctrl_rl_core.io.checked_yaml import read_yaml
 from ctrl_rl_core.io.file_checks import FileError, first_error, raise_as, short_path, short_repr
-from ctrl_rl_core.systems.models import SYSTEM_MODELS
+from ctrl_rl_core.systems.registry import find_model
 from ctrl_rl_core.tasks.option_tasks import ToolDelivery, WaterFilling
 from ctrl_rl_core.tasks.schema.movers import MOST_MOVERS, MoverSpec
 from ctrl_rl_core.tasks.schema.optimal_control import GridSpec, OptimalControlSpec
 from ctrl_rl_core.tasks.schema.parts import EpisodeSpec, RewardSpec, Several, TaskHeader
 from ctrl_rl_core.tasks.schema.randomisation import CONDITIONS, Randomisation
-from ctrl_rl_core.tasks.schema.robot import LidarSpec, RobotSpec
+from ctrl_rl_core.tasks.schema.robot import MODEL, LidarSpec, RobotSpec
 from ctrl_rl_core.tasks.schema.system import SystemSpec
 from ctrl_rl_core.tasks.schema.world import ArenaSpec, CorridorSpec, DoorwaySpec, MapSpec, ObstacleSpec, RegionSpec
 
@@ -76,6 +76,7 @@ class NavigationTask(TaskHeader):
         rolling = [name for name in self.randomisation if CONDITIONS[name].wheels and self.plane != "xy"]
         if rolling:
             raise ValueError(f"randomisation.{rolling[0]}: a flying robot has no wheels")
+        self._check_model()
         names = {"s", "lateral", "heading"} if self.corridor else set(self.system.build().state_names)
         for key in ("start", "goal", "trap"):
             region: RegionSpec | None = getattr(self, key)
@@ -84,10 +85,24 @@ class NavigationTask(TaskHeader):
                 raise ValueError(f"{key}.{min(unknown)}: no such state component; there are {', '.join(sorted(names))}")
         return self
 
+    def _check_model(self) -> None:
+        """Refuse a body that is a model of which the simulation cannot tell where it is, or that has other commands."""
+        if self.robot.body != MODEL:
+            return
+        system = self.system.build()
+        if not set(system.state_names) >= {"x", self.plane[1]}:
+            raise ValueError(f"system.model: a body 'model' needs states x and y, or x and z; '{system.name}' has "
+                             f"{', '.join(system.state_names)}")  # fmt: skip
+        if tuple(self.robot.commands) != system.control_names or len(system.control_names) != 2:
+            raise ValueError(f"robot.commands: are {', '.join(self.robot.commands)}, must be the two controls of "
+                             f"'{system.name}': {', '.join(system.control_names)}")  # fmt: skip
+        if self.corridor is not None:
+            raise ValueError("robot.body: a 'model' drives in an arena or on a map, not in a corridor")
+
     @property
     def plane(self) -> str:
         """The coordinates of the plane: "xz" for a quadrotor, "xy" for a ground robot."""
-        return "xz" if "z" in (state.name for state in SYSTEM_MODELS[self.system.model].states) else "xy"
+        return "xz" if "z" in (state.name for state in find_model(self.system.model).states) else "xy"
 
     @property
     def observed_states(self) -> tuple[str, ...]:
@@ -194,5 +209,7 @@ def load_navigation_task(name_or_path: str | FilePath) -> NavigationTask:
 
 def task_digest(task: TaskHeader) -> str:
     """Return the SHA-256 (hex) of the task's content in SI units; prose and layout of the file do not count."""
-    unused = {name for name in _YOUNG if not getattr(task, name, None)}
-    return hashlib.sha256(task.model_dump_json(exclude=_PROSE | unused).encode()).hexdigest()
+    left_out: dict[str, Any] = dict.fromkeys(_PROSE | {name for name in _YOUNG if not getattr(task, name, None)}, True)
+    if isinstance(task, NavigationTask) and task.robot.footprint is None:
+        left_out["robot"] = {"footprint"}
+    return hashlib.sha256(task.model_dump_json(exclude=left_out).encode()).hexdigest()

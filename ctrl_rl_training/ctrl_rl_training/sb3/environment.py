@@ -6,6 +6,7 @@ environment = make_environment(load_navigation_task("car_ttr"))
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any, cast
 
 import gymnasium
@@ -52,16 +53,22 @@ def observation_scales(task: NavigationTask) -> tuple[Vector, Vector]:
     """Return the middle and the unit of each observed component (n,), (n,), in SI units."""
     if task.arena is None:
         raise TrainingError(f"task '{task.name}' has no arena: only tasks with one can be learnt this way")
+    own = {state.name: 0.5 * (state.upper - state.lower) for state in task.system.build().states}
     places = dict(zip(("x", task.plane[1]), task.arena.bounds, strict=True))
     middle, unit = [], []
     for name in task.observed_states:
         place = places.get(name)
         middle.append(0.0 if place is None else place.centre)
-        unit.append(_TYPICAL[name] if place is None else 0.25 * place.length)
+        unit.append(_typical(name, own) if place is None else 0.25 * place.length)
     beams, reach = task.lidar.beams, task.lidar.range
     middle += [reach.centre] * beams
     unit += [0.25 * reach.length] * beams
     return np.array(middle, dtype=np.float32), np.array(unit, dtype=np.float32)
+
+
+def _typical(name: str, own: Mapping[str, float]) -> float:
+    """Return the unit of a component; half of its range for one of a model of one's own."""
+    return _TYPICAL[name] if name in _TYPICAL else own[name] if math.isfinite(own[name]) else 1.0
 
 
 def observation_names(task: NavigationTask) -> list[str]:

@@ -17,7 +17,15 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
-from ctrl_rl_core import Actor, NavigationTask, Outcome, interface_of, task_digest
+from ctrl_rl_core import (
+    Actor,
+    NavigationTask,
+    Outcome,
+    PolicyError,
+    PolicyManifest,
+    interface_of,
+    task_digest,
+)
 from ctrl_rl_training.experiments.run import Point, Run, RunOptions, Tell
 from ctrl_rl_training.sb3.algorithms import extract_actor
 from ctrl_rl_training.sb3.checkpoint import load_checkpoint, save_checkpoint
@@ -138,7 +146,7 @@ class _Learning:
         episodes = run.test(actor, self._options.final_evaluations, 2 * _EVALUATION_SEED, DEPLOYED_RATE)
         outcomes = [episode.outcome for episode in episodes]
         metrics = {"success": _rate(outcomes), "episodes": len(outcomes)}
-        told = replace(actor, manifest={**manifest, "metrics": metrics}, interface=interface_of(run.task))
+        told = replace(actor, manifest={**manifest, "metrics": metrics}, interface=_interface(run.task))
         told.save(folder / "policy.safetensors")
         self._visits.save(folder / "visits.safetensors")
         lasted = [len(episode.states) - 1 for episode in episodes if episode.outcome == SUCCESS]
@@ -149,6 +157,14 @@ class _Learning:
             "returns": [episode.total for episode in episodes],
             "paths": [{"outcome": one.outcome, "states": one.states.round(4).tolist()} for one in episodes[:3]],
         }
+
+
+def _interface(task: NavigationTask) -> PolicyManifest | None:
+    """Return how a node drives by the policy; None for commands that no node can send."""
+    try:
+        return interface_of(task)
+    except PolicyError:
+        return None
 
 
 def _iterate(model: BaseAlgorithm, seed: int, samples: int, visits: Visits) -> list[str]:

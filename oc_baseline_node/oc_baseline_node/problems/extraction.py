@@ -34,7 +34,7 @@ class RlInfo:
     """The four components of a task that an optimal control problem is made from.
 
     Attributes:
-        robot_type: Type of the robot, "car" or "quadrotor".
+        robot_type: Type of the robot, "car" or "quadrotor"; the system's name for a model of one's own.
         state: Components of the full RL state s, beams last.
         reward: Reward of each set, and the state components that tell whether a state lies in it.
         constraints: Constraints of the environment, in words.
@@ -93,7 +93,7 @@ def extract(task: NavigationTask, form: Form = "free_speed", clearance: float | 
         OcError: No candidate meets the criteria, the task's own model does not, or `formulate` refuses the task.
     """
     info = rl_info(task)
-    candidates = tuple(assess(name, info) for name in CANDIDATES[info.robot_type])
+    candidates = tuple(assess(name, info) for name in CANDIDATES.get(info.robot_type, (task.system.model,)))
     fit = [candidate.model for candidate in candidates if not candidate.reasons]
     if not fit:
         refused = "; ".join(f"{candidate.model}: {candidate.reasons[0]}" for candidate in candidates)
@@ -106,7 +106,7 @@ def extract(task: NavigationTask, form: Form = "free_speed", clearance: float | 
 
 def rl_info(task: NavigationTask) -> RlInfo:
     """Return the RL info of a task."""
-    robot_type = ROBOT_TYPES[task.robot.body]
+    robot_type = ROBOT_TYPES.get(task.robot.body, task.system.model)
     places = ("x", task.plane[1])
     pays = task.rewards
     reward: dict[str, tuple[float, tuple[str, ...]]] = {

@@ -108,6 +108,13 @@ class MovingDisc(Protocol):
         """Put it at a position [m], and let it move at a velocity [m/s] in the next step."""
 
 
+class PlacedDisc(Protocol):
+    """A robot that is a disc and is put where its own equations say."""
+
+    def put(self, x: float, second: float, angle: float) -> None:
+        """Put it at a position in the plane [m] and a counter-clockwise angle [rad]."""
+
+
 class Engine(Protocol):
     """A physics engine that holds one world and runs in whole steps.
 
@@ -136,6 +143,13 @@ class Engine(Protocol):
 
         Raises:
             SimulationError: Too many robots.
+        """
+
+    def add_disc(self, radius: float) -> PlacedDisc:
+        """Add a robot that is a disc of a radius [m].
+
+        Raises:
+            SimulationError: Too many robots, or the engine has none that nothing pushes.
         """
 
     def add_mover(self, radius: float, position: tuple[float, float]) -> MovingDisc:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrl_rl_core import Box, Shape
-from sim_bridge.engines.engine import MOST_ROBOTS, SEARCH_LIMIT, Array, FlyingRobot, WheeledRobot
+from sim_bridge.engines.engine import MOST_ROBOTS, SEARCH_LIMIT, Array, FlyingRobot, PlacedDisc, WheeledRobot
 from sim_bridge.engines.mujoco_model import (
     MOTOR,
     PLANAR_JOINTS,
@@ -57,6 +57,9 @@ class MujocoEngine:
         joints = MujocoJoints(robot)
         self._add(joints)
         return joints
+
+    def add_disc(self, radius: float) -> PlacedDisc:  # noqa: ARG002, D102
+        raise SimulationError(f"engine '{self.name}' moves no body by its own equations: use engine planar")
 
     def add_mover(self, radius: float, position: tuple[float, float]) -> MujocoMover:  # noqa: D102
         self._movers.append(MujocoMover(radius, position))

@@ -15,7 +15,7 @@ import numpy as np
 from ctrl_rl_core import Box, Disc, Shape
 from sim_bridge.engines.engine import MOST_ROBOTS, SEARCH_LIMIT, WALL_HEIGHT, Array, FlyingRobot, WheeledRobot
 from sim_bridge.engines.planar_geometry import COLUMNS, SEEN, cast, nearest, place, wheel_speeds
-from sim_bridge.engines.planar_parts import outline, wheeled_model
+from sim_bridge.engines.planar_parts import Outline, disc_outline, outline, wheeled_model
 from sim_bridge.errors import SimulationError
 
 
@@ -52,6 +52,11 @@ class PlanarEngine:
         self._add(joints)
         return joints
 
+    def add_disc(self, radius: float) -> PlanarDisc:  # noqa: D102
+        disc = PlanarDisc(radius)
+        self._add(disc)
+        return disc
+
     def add_mover(self, radius: float, position: tuple[float, float]) -> PlanarMover:  # noqa: D102
         self._movers.append(PlanarMover(radius, position, 1.0 / self.rate))
         return self._movers[-1]
@@ -65,7 +70,7 @@ class PlanarEngine:
         movers = [shape_row(Disc(mover.position, mover.radius)) for mover in self._movers]
         standing = self._shapes[: len(self._fixed)]
         first = len(standing) + len(movers)
-        outlines = [outline(robot.urdf, self._plane) for robot in self._robots]
+        outlines = [robot.outline(self._plane) for robot in self._robots]
         self._parts = np.concatenate([np.zeros((0, 7)), *(each.parts for each in outlines)])
         self._outer = [each.outer for each in outlines]
         ends = np.cumsum([first, *(len(each.parts) for each in outlines)])
@@ -122,13 +127,11 @@ class PlanarEngine:
 
 
 class _PlanarRobot:
-    """A robot of the planar engine.
+    """A robot of the planar engine."""
 
-    Attributes:
-        urdf: File that its outline comes from.
-    """
-
-    urdf: str
+    def outline(self, plane: str) -> Outline:
+        """Return its collision shapes in a plane, "xy" or "xz"."""
+        raise NotImplementedError
 
     def advance(self) -> None:
         """Move for a physics step."""
@@ -144,18 +147,17 @@ class PlanarWheels(_PlanarRobot):
 
     def __init__(self, robot: WheeledRobot, rate: int) -> None:
         model = wheeled_model(robot.urdf)
-        self.urdf, self._step, self._radius, self._separation = (
-            robot.urdf,
-            1.0 / rate,
-            model.wheel_radius,
-            model.wheel_separation,
-        )
+        self._urdf, self._step = robot.urdf, 1.0 / rate
+        self._radius, self._separation = model.wheel_radius, model.wheel_separation
         self._own, self._shared = model.answers
         self._impulse = robot.torque / rate
         self._x, self._y, self._theta = robot.pose.tolist()
         self._speeds, self._wanted = np.zeros(2), np.zeros(2)
         self._settled = True
         self._angles = [0.0, 0.0]
+
+    def outline(self, plane: str) -> Outline:  # noqa: D102 - see _PlanarRobot
+        return outline(self._urdf, plane)
 
     def turn_wheels(self, left: float, right: float) -> None:  # noqa: D102 - see WheelBase
         self._wanted[0], self._wanted[1] = left, right
@@ -197,10 +199,13 @@ class PlanarFlight(_PlanarRobot):
     """`PlanarJoints` that nothing holds."""
 
     def __init__(self, robot: FlyingRobot, rate: int) -> None:
-        self.urdf = robot.urdf
+        self._urdf = robot.urdf
         self._pose, self._velocity = robot.pose.copy(), robot.velocity.copy()
         self._per_force = 1.0 / (rate * np.array((robot.mass, robot.mass, robot.inertia)))
         self._step = 1.0 / rate
+
+    def outline(self, plane: str) -> Outline:  # noqa: D102 - see _PlanarRobot
+        return outline(self._urdf, plane)
 
     def push(self, force: Array) -> None:  # noqa: D102 - see PlanarJoints
         self._velocity += force * self._per_force
@@ -217,6 +222,25 @@ class PlanarFlight(_PlanarRobot):
 
     def velocity(self) -> Array:  # noqa: D102
         return self._velocity.copy()
+
+
+class PlanarDisc(_PlanarRobot):
+    """A `PlacedDisc`."""
+
+    def __init__(self, radius: float) -> None:
+        self._radius, self._place = radius, (0.0, 0.0, 0.0)
+
+    def outline(self, plane: str) -> Outline:  # noqa: ARG002, D102 - see _PlanarRobot
+        return disc_outline(self._radius)
+
+    def put(self, x: float, second: float, angle: float) -> None:  # noqa: D102 - see PlacedDisc
+        self._place = (x, second, angle)
+
+    def advance(self) -> None:
+        """Do nothing: it is put where it goes."""
+
+    def place(self) -> tuple[float, float, float]:  # noqa: D102
+        return self._place
 
 
 class PlanarMover:

@@ -78,6 +78,11 @@ def outline(urdf: str, plane: str) -> Outline:
     return Outline(np.array(outer + inner), len(outer))
 
 
+def disc_outline(radius: float) -> Outline:
+    """Return the outline of a disc [m] that all rays meet."""
+    return Outline(np.array([[0.0, 0.0, 0.0, 0.0, radius, -np.inf, np.inf]]), 1)
+
+
 def _part(collision: ET.Element, place: Array, plane: str) -> Array:
     first, second, across = (0, 1, 2) if plane == "xy" else (0, 2, 1)
     origin = collision.find("origin")

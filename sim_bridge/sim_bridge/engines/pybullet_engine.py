@@ -20,6 +20,7 @@ from sim_bridge.engines.engine import (
     WALL_HEIGHT,
     Array,
     FlyingRobot,
+    PlacedDisc,
     WheeledRobot,
     placed,
 )
@@ -115,6 +116,9 @@ class PybulletEngine:
     def add_flying(self, robot: FlyingRobot) -> PybulletJoints:  # noqa: D102
         body = self._load(robot.urdf, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), rooted=True)
         return PybulletJoints(self.client, body, self._joints(body), robot)
+
+    def add_disc(self, radius: float) -> PlacedDisc:  # noqa: ARG002, D102
+        raise SimulationError(f"engine '{self.name}' moves no body by its own equations: use engine planar")
 
     def add_mover(self, radius: float, position: tuple[float, float]) -> PybulletMover:  # noqa: D102
         mover = PybulletMover(self.client, self.rate, self._plane, Disc(position, radius))

@@ -6,12 +6,15 @@ import math
 from typing import Protocol
 
 import numpy as np
+from ctrl_rl_core.tasks.regions import ANGLES
+from ctrl_rl_core.tasks.schema.robot import MODEL
 from numpy.typing import NDArray
 
 from ctrl_rl_core import NavigationTask, System
-from sim_bridge.engines.planar_parts import wheeled_model
+from sim_bridge.engines.planar_parts import Outline, disc_outline, outline, wheeled_model
 from sim_bridge.fleet.kernels import roll
 from sim_bridge.simulation.bodies import DRIVES
+from sim_bridge.simulation.model_body import LIDAR_HEIGHT, advance
 
 Array = NDArray[np.float64]
 
@@ -20,12 +23,12 @@ class FleetMotion(Protocol):
     """Robots that move alike, each by its own commands.
 
     Attributes:
-        urdf: File of the robot in `urdf/`.
+        outline: Collision shapes of a robot.
         lidar: Position of the lidar along and across the robot and its height (3,) [m].
         poses: Poses x, y, theta or x, z, psi (N, 3) [m, m, rad].
     """
 
-    urdf: str
+    outline: Outline
     lidar: tuple[float, float, float]
     poses: Array
 
@@ -41,13 +44,16 @@ class FleetMotion(Protocol):
     def velocities(self) -> Array:
         """Return the rates of the poses (N, 3) [m/s, m/s, rad/s]."""
 
+    def states(self) -> Array | None:
+        """Return the states of the task's system (N, n); None where poses and velocities tell them."""
+
 
 class WheeledMotion:
     """Differential drives on velocity motors with a lag and limited torque, which roll without slipping."""
 
     def __init__(self, task: NavigationTask, size: int, rate: int) -> None:
         drive = DRIVES[task.robot.body]
-        self.urdf, self.lidar = drive.urdf, drive.lidar
+        self.outline, self.lidar = outline(drive.urdf, "xy"), drive.lidar
         model = wheeled_model(drive.urdf)
         self._own, self._shared = model.answers
         self._impulse, self._share = drive.torque / rate, -math.expm1(-1.0 / (rate * drive.lag))
@@ -89,14 +95,17 @@ class WheeledMotion:
         theta = self.poses[:, 2]
         return np.stack((v * np.cos(theta), v * np.sin(theta), omega), axis=1)
 
+    def states(self) -> Array | None:  # noqa: D102
+        return None
+
 
 class FlyingMotion:
     """Planar quadrotors (thesis Eq. 3.10) by the leapfrog of `simulation.bodies.PlanarQuadrotor`."""
 
-    urdf = "planar_quadrotor.urdf"
     lidar = (0.0, 0.0, 0.0)
 
     def __init__(self, system: System, size: int, rate: int) -> None:
+        self.outline = outline("planar_quadrotor.urdf", "xz")
         self._equations = system.equations(np, system.parameters)
         self._step = 1.0 / rate
         self.poses, self._speeds = np.zeros((size, 3)), np.zeros((size, 3))
@@ -128,13 +137,55 @@ class FlyingMotion:
     def velocities(self) -> Array:  # noqa: D102
         return self._speeds + 0.5 * self._step * self._acceleration
 
+    def states(self) -> Array | None:  # noqa: D102
+        return None
+
     def _accelerations(self, state: Array, commands: Array) -> Array:
         rates = self._equations(state, commands.T, (0.0,) * 6)
         return np.stack((rates[1], rates[3], rates[5]), axis=1)
+
+
+class ModelMotion:
+    """Discs that move exactly as the task's system says, see `simulation.model_body`."""
+
+    lidar = (0.0, 0.0, LIDAR_HEIGHT)
+
+    def __init__(self, task: NavigationTask, system: System, size: int, rate: int) -> None:
+        self.outline = disc_outline(task.robot.radius)
+        self._system, self._step = system, 1.0 / rate
+        names = list(system.state_names)
+        self._pose = [names.index("x"), names.index(task.plane[1])]
+        self._pose += [index for index, name in enumerate(names) if name in ANGLES][:1]
+        self._states, self._commands = np.zeros((size, len(names))), np.zeros((size, 2))
+        self.poses = np.zeros((size, 3))
+
+    def begin(self, index: int, state: dict[str, float]) -> None:  # noqa: D102 - see FleetMotion
+        self._states[index] = list(state.values())
+        self._place()
+
+    def command(self, commands: Array) -> None:  # noqa: D102
+        self._commands = commands
+
+    def advance(self) -> None:  # noqa: D102
+        self._states = advance(self._system, self._states, self._commands, self._step)
+        self._place()
+
+    def _place(self) -> None:
+        self.poses[:, : len(self._pose)] = self._states[:, self._pose]
+
+    def velocities(self) -> Array:  # noqa: D102
+        rates = np.zeros_like(self.poses)
+        rates[:, : len(self._pose)] = self._system.dynamics(self._states, self._commands)[:, self._pose]
+        return rates
+
+    def states(self) -> Array | None:  # noqa: D102
+        return self._states.copy()
 
 
 def make_motion(task: NavigationTask, system: System, size: int, rate: int) -> FleetMotion:
     """Return the motion of a task's robots."""
     if task.robot.body == "planar_quadrotor":
         return FlyingMotion(system, size, rate)
+    if task.robot.body == MODEL:
+        return ModelMotion(task, system, size, rate)
     return WheeledMotion(task, size, rate)

@@ -20,7 +20,6 @@ from ctrl_rl_core import NavigationTask, Outcome, System, draw_starts, terminal_
 from sim_bridge.engines.engine import SEARCH_LIMIT, WALL_HEIGHT
 from sim_bridge.engines.planar_engine import shape_row
 from sim_bridge.engines.planar_geometry import COLUMNS
-from sim_bridge.engines.planar_parts import outline
 from sim_bridge.errors import SimulationError
 from sim_bridge.fleet.kernels import clearances, scans
 from sim_bridge.fleet.motion import make_motion
@@ -74,7 +73,7 @@ class PlanarFleet:
         self._world = task.build_world()
         self._motion = make_motion(task, self.system, size, self._rate)
         self._sense = 1.0 if task.plane == "xy" else -1.0  # psi turns clockwise in the x-z plane
-        self._parts, self._outer = outline(self._motion.urdf, task.plane)
+        self._parts, self._outer = self._motion.outline
         shapes = [shape_row(shape) for shape in (*self._world.walls, *self._world.obstacles)]
         self._shapes = np.concatenate((np.array(shapes).reshape(-1, COLUMNS), np.zeros((len(self._parts), COLUMNS))))
         self._shapes[len(shapes) :, 4:7] = self._parts[:, 2:5]
@@ -133,6 +132,9 @@ class PlanarFleet:
 
     def states(self) -> Array:
         """Return the true states (N, n), angles in [-pi, pi)."""
+        known = self._motion.states()
+        if known is not None:
+            return known
         names = self.system.state_names
         values = dict(zip(("x", self.task.plane[1], "angle"), self._motion.poses.T, strict=True))
         values["theta"] = values["psi"] = np.mod(values["angle"] + np.pi, 2.0 * np.pi) - np.pi

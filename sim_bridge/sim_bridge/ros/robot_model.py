@@ -7,12 +7,14 @@ from dataclasses import dataclass
 from xml.etree import ElementTree as ET
 
 from builtin_interfaces.msg import Time
+from ctrl_rl_core.tasks.schema.robot import MODEL
 from geometry_msgs.msg import TransformStamped
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from ctrl_rl_core import NavigationTask
 from sim_bridge.engines.engine import URDF_FOLDER
+from sim_bridge.errors import SimulationError
 from sim_bridge.ros.frames import Frames, transform
 
 WHEELS = ("wheel_left_joint", "wheel_right_joint")
@@ -36,6 +38,10 @@ class RobotModel:
 
     def __init__(self, frames: Frames, task: NavigationTask) -> None:
         self._frames = frames
+        if task.robot.body == MODEL:
+            raise SimulationError(
+                f"task '{task.name}': a body 'model' has no drivers to stand in for: simulate it in Python"
+            )
         text = (URDF_FOLDER / f"{task.robot.body}.urdf").read_text(encoding="utf-8")
         self.description = String(data=text)
         self._joints = {joint.get("name", ""): _read(joint) for joint in ET.fromstring(text).iter("joint")}

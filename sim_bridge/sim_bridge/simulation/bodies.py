@@ -11,12 +11,14 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+from ctrl_rl_core.tasks.schema.robot import MODEL
 from numpy.typing import NDArray
 
 from ctrl_rl_core import NavigationTask, System
 from sim_bridge.engines.engine import Engine, FlyingRobot, PlanarJoints, WheelBase, WheeledRobot
 from sim_bridge.errors import SimulationError
 from sim_bridge.simulation.lidar import SensorPose
+from sim_bridge.simulation.model_body import ModelBody
 from sim_bridge.simulation.options import SimulationOptions
 
 Array = NDArray[np.float64]
@@ -43,6 +45,9 @@ class Body(Protocol):
 
     def velocity(self) -> Array:
         """Return the rates of `pose` (3,) [m/s, m/s, rad/s]."""
+
+    def state(self) -> Array | None:
+        """Return the state of the task's system (n,); None where pose and velocity tell it."""
 
     def quaternion(self) -> tuple[float, float, float, float]:
         """Return its attitude (x, y, z, w)."""
@@ -160,6 +165,9 @@ class DifferentialDrive:
     def velocity(self) -> Array:  # noqa: D102
         return self._base.velocity()
 
+    def state(self) -> Array | None:  # noqa: D102
+        return None
+
     def quaternion(self) -> tuple[float, float, float, float]:  # noqa: D102
         return self._base.quaternion()
 
@@ -227,6 +235,9 @@ class PlanarQuadrotor:
     def velocity(self) -> Array:  # noqa: D102
         return self._joints.velocity() + 0.5 / self._rate * self._acceleration
 
+    def state(self) -> Array | None:  # noqa: D102
+        return None
+
     def quaternion(self) -> tuple[float, float, float, float]:  # noqa: D102
         psi = float(self.pose()[2])
         return 0.0, math.sin(0.5 * psi), 0.0, math.cos(0.5 * psi)
@@ -262,6 +273,9 @@ def make_body(engine: Engine, task: NavigationTask, system: System, state: Array
         mass, inertia = (system.parameters[name] for name in ("m", "I_yy"))
         joints = engine.add_flying(FlyingRobot("planar_quadrotor.urdf", pose, velocity, mass, inertia))
         return PlanarQuadrotor(joints, engine.rate, system, radius)
+    if task.robot.body == MODEL:
+        limits = np.array(list(task.robot.commands.values()))
+        return ModelBody(engine.add_disc(radius), system, limits, state, radius, engine.rate)
     drive = DRIVES[task.robot.body]
     bounds = np.array([task.robot.commands[name] for name in ("v", "omega")])
     pose = _take(task, named, "x", "y", "theta")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from ctrl_rl_core.tasks.regions import wrap_one
+from ctrl_rl_core.tasks.regions import ANGLES, wrap_one
 from numpy.typing import NDArray
 
 from ctrl_rl_core import System
@@ -35,6 +35,15 @@ class PlaneFrame:
             values = {"x": pose[0], "z": pose[1], "psi": angle}
             values |= {"v_x": velocity[0], "v_z": velocity[1], "omega": velocity[2]}
         return np.array([values[name] for name in self._names])
+
+    def placed(self, state: Array, pose: Array) -> Array:
+        """Return a state (n,) with the position and the heading of a pose (3,)."""
+        out = state.copy()
+        for names, value in ((("x",), pose[0]), ((self._plane[1],), pose[1]), (ANGLES, wrap_one(float(pose[2])))):
+            index = next((index for index, name in enumerate(self._names) if name in names), None)
+            if index is not None:
+                out[index] = value
+        return out
 
     def in_body_axes(self, angle: float, velocity: Array) -> Array:
         """Return a velocity (3,) along the axes of a body at an angle [rad]."""

@@ -14,6 +14,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from ctrl_rl_core.tasks.schema.robot import MODEL
 from numpy.typing import ArrayLike, NDArray
 
 from ctrl_rl_core import Disc, NavigationTask, Outcome, System, World, draw_movers, draw_starts
@@ -99,7 +100,8 @@ class SimulatedWorld:
         self._frame = PlaneFrame(self.plane, self.system)
         self._judge_every = max(1, self.options.rate // _JUDGED_PER_SECOND)
         self._robots: list[_Robot] = []
-        self._engine = make_engine(self.options.engine, self.options.rate, self.options.gui)
+        engine = "planar" if task.robot.body == MODEL and self.options.engine == "auto" else self.options.engine
+        self._engine = make_engine(engine, self.options.rate, self.options.gui)
         self.engine: str = self._engine.name
         try:
             self.reset(seed)
@@ -219,12 +221,17 @@ class SimulatedWorld:
 
     def state(self, robot: int = 0) -> Array:
         """Return the true state (n,) as the task's system names it, angles in [-pi, pi)."""
-        body = self._robots[robot].body
-        return self._frame.named(body.pose(), body.velocity())
+        return self._state_of(self._robots[robot].body)
+
+    def _state_of(self, body: Body) -> Array:
+        known = body.state()
+        return self._frame.named(body.pose(), body.velocity()) if known is None else known
 
     def measured_state(self, robot: int = 0) -> Array:
         """Return the state (n,) as odometry has it."""
-        reading = self.odometry(robot)
+        reading, known = self.odometry(robot), self._robots[robot].body.state()
+        if known is not None:
+            return self._frame.placed(known, reading.pose)
         return self._frame.named(reading.pose, self._frame.from_body_axes(reading.pose[2], reading.velocity))
 
     def odometry(self, robot: int = 0) -> OdometryReading:
@@ -290,7 +297,7 @@ class SimulatedWorld:
         free = min(entry.episode.clearance for entry in self._robots)
         steps = self._judge_every
         if free < closing * horizon:
-            steps = max(1, int(free / closing * self.options.rate))
+            steps = max(1, int(free / closing * self.options.rate))  # 1 where the speed is not known
         self._next_check = self.steps + steps
 
     def _bring_up_to_date(self, robot: int) -> None:
@@ -300,6 +307,6 @@ class SimulatedWorld:
         entry.judged_at = self.steps
         self.clearance(robot)
         pose, velocity = entry.body.pose(), entry.body.velocity()
-        state = self._frame.named(pose, velocity)
+        state = self._state_of(entry.body)
         self._termination.check(entry.episode, state, pose, self.elapsed, entry.start_s)
         entry.speed = float(math.hypot(velocity[0], velocity[1]) + abs(velocity[2]) * entry.body.radius)

@@ -8,8 +8,7 @@ from pydantic import Field
 
 from ctrl_rl_core.geometry.units import Interval, Length, TimeStep
 from ctrl_rl_core.tasks.schema.parts import Part, Steps, Weight, interval_map
-from ctrl_rl_core.tasks.schema.robot import COMMAND_UNITS
-from ctrl_rl_core.tasks.schema.system import STATE_UNITS
+from ctrl_rl_core.tasks.schema.system import CONTROL_UNITS, STATE_UNITS
 from ctrl_rl_core.tasks.schema.world import RegionSpec
 
 
@@ -47,6 +46,6 @@ class OptimalControlSpec(Part):
     trap_weight: float = Field(default=0.0, ge=0, le=1e9)
     clearance: Length
     trajectories: Steps
-    controls: Annotated[dict[str, Interval], interval_map(COMMAND_UNITS)]
+    controls: Annotated[dict[str, Interval], interval_map(CONTROL_UNITS)]
     bounds: Annotated[dict[str, Interval], interval_map(STATE_UNITS)]
     terminal_set: RegionSpec | None = None

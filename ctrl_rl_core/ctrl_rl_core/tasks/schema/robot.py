@@ -9,11 +9,20 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from ctrl_rl_core.geometry.units import Angle, AngleInterval, Interval, Length, LengthInterval, PositiveRate
+from ctrl_rl_core.geometry.units import (
+    Angle,
+    AngleInterval,
+    Interval,
+    Length,
+    LengthInterval,
+    PositiveLength,
+    PositiveRate,
+)
 from ctrl_rl_core.tasks.schema.parts import Part, interval_map
+from ctrl_rl_core.tasks.schema.system import CONTROL_UNITS
 
-COMMAND_UNITS: Mapping[str, str] = {"v": "m/s", "omega": "rad/s", "T_1": "N", "T_2": "N"}
-"""Commands of the bodies: speeds of a differential drive, thrusts of a planar quadrotor."""
+MODEL = "model"
+"""Name of the body that is a disc and moves exactly as the task's system model says."""
 
 
 @dataclass(frozen=True)
@@ -42,17 +51,23 @@ class RobotSpec(Part):
     """The body that carries out the commands.
 
     Attributes:
-        body: Name of the body in `BODIES`.
-        commands: Bounds of a policy's commands by name, within those of the body.
+        body: Name of the body in `BODIES`, or `MODEL`.
+        commands: Bounds of a policy's commands by name, within those of the body; of a model its two controls.
+        footprint: Radius of the disc that a model is [m]; other bodies have their own size.
         tilt_limit: Pitch beyond which a flying body counts as crashed [rad].
     """
 
-    body: Literal["turtlebot3_burger", "turtlebot2", "jackal", "planar_quadrotor"]
-    commands: Annotated[dict[str, Interval], interval_map(COMMAND_UNITS)]
+    body: Literal["turtlebot3_burger", "turtlebot2", "jackal", "planar_quadrotor", "model"]
+    commands: Annotated[dict[str, Interval], interval_map(CONTROL_UNITS)]
+    footprint: PositiveLength | None = None
     tilt_limit: Angle | None = None
 
     @model_validator(mode="after")
     def _of_the_body(self) -> RobotSpec:
+        if (self.body == MODEL) != (self.footprint is not None):
+            raise ValueError("footprint: is the radius of a body 'model', e.g. 0.2 m; other bodies have their own size")
+        if self.body == MODEL:
+            return self
         wanted = BODIES[self.body].commands
         if tuple(self.commands) != wanted:
             there = ", ".join(self.commands) or "none"
@@ -62,7 +77,7 @@ class RobotSpec(Part):
     @property
     def radius(self) -> float:
         """Radius of a circle around the body's origin that holds all of it [m]."""
-        return BODIES[self.body].radius
+        return BODIES[self.body].radius if self.footprint is None else self.footprint
 
 
 class LidarSpec(Part):

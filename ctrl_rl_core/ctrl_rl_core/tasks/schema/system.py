@@ -7,25 +7,21 @@ from collections.abc import Mapping
 from pydantic import Field, model_validator
 
 from ctrl_rl_core.geometry.units import parse_interval, parse_scalar
-from ctrl_rl_core.io.file_checks import short_repr
-from ctrl_rl_core.systems.models import SYSTEM_MODELS
-from ctrl_rl_core.systems.system import System, SystemModelError, make_system
+from ctrl_rl_core.systems.registry import ControlUnits, StateUnits, SystemModelError, find_model
+from ctrl_rl_core.systems.system import System, make_system
 from ctrl_rl_core.tasks.schema.parts import Part, unit_of
 
-STATE_UNITS: Mapping[str, str] = {
-    **{state.name: state.unit for model in SYSTEM_MODELS.values() for state in model.states},
-    "s": "m",
-    "lateral": "m",
-    "heading": "rad",
-}
-"""Units of the states of all system models, and of the coordinates along a corridor's path."""
+STATE_UNITS = StateUnits()
+"""Units of the states of system models, and of the coordinates along a corridor's path."""
+CONTROL_UNITS = ControlUnits()
+"""Units of the controls of system models."""
 
 
 class SystemSpec(Part):
     """The model f of the robot for solvers and MPC (thesis Table 3.1).
 
     Attributes:
-        model: Name of a model in `ctrl_rl_core.SYSTEM_MODELS`.
+        model: Name of a model in `ctrl_rl_core.SYSTEM_MODELS`, or of one that an installed package offers.
         parameters: Parameters by name, with units; the model's defaults where left out.
         controls: Bounds by control name; the model's defaults where left out.
     """
@@ -36,8 +32,10 @@ class SystemSpec(Part):
 
     @model_validator(mode="after")
     def _known(self) -> SystemSpec:
-        if self.model not in SYSTEM_MODELS:
-            raise ValueError(f"model: no system model {short_repr(self.model)}: there are {', '.join(SYSTEM_MODELS)}")
+        try:
+            find_model(self.model)
+        except SystemModelError as error:
+            raise ValueError(f"model: {error}") from None
         self.build()
         return self
 
@@ -53,11 +51,11 @@ class SystemSpec(Part):
         return SystemSpec(model=self.model, parameters={**self.parameters, **changed}, controls=self.controls)
 
     def _parameter_units(self) -> dict[str, str]:
-        return {parameter.name: parameter.unit for parameter in SYSTEM_MODELS[self.model].parameters}
+        return {parameter.name: parameter.unit for parameter in find_model(self.model).parameters}
 
     def build(self) -> System:
         """Return the system model with this task's parameters and control bounds."""
-        model = SYSTEM_MODELS[self.model]
+        model = find_model(self.model)
         parameter_units = self._parameter_units()
         control_units = {control.name: control.unit for control in model.controls}
         parameters = {

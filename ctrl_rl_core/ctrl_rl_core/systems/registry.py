@@ -1,0 +1,74 @@
+"""System models by name: the suite's own, those that a program registered, and those of installed packages.
+
+A package offers a `SystemModel` by an entry point in its setup.py or pyproject.toml:
+
+    entry_points={"ctrl_rl.systems": ["tricycle = my_package.tricycle:TRICYCLE"]}
+
+A task file then names it, `system: {model: tricycle}`, and solver, MPC, simulator and training take it from there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from importlib.metadata import EntryPoint, entry_points
+
+from ctrl_rl_core.errors import CtrlRlError, one_line
+from ctrl_rl_core.systems.models import SYSTEM_MODELS, SystemModel
+
+GROUP = "ctrl_rl.systems"
+
+
+class SystemModelError(CtrlRlError):
+    """An unknown system, parameter or component, a bad number, or arrays of the wrong shape."""
+
+
+def find_model(name: str) -> SystemModel:
+    """Return a system model by its name.
+
+    Raises:
+        SystemModelError: There is none, or the package that offers it cannot be loaded.
+    """
+    if name not in SYSTEM_MODELS:
+        offered = {entry.name: entry for entry in entry_points(group=GROUP)}
+        if name not in offered:
+            raise SystemModelError(f"unknown system '{name[:60]}'; choose one of {', '.join((*SYSTEM_MODELS, *offered))}")
+        SYSTEM_MODELS[name] = _load(offered[name])
+    return SYSTEM_MODELS[name]
+
+
+def _load(entry: EntryPoint) -> SystemModel:
+    try:
+        model = entry.load()
+    except Exception as error:  # whatever another package does while it is imported
+        raise SystemModelError(f"system '{entry.name}' ({entry.value}) cannot be loaded: {one_line(error)}") from None
+    if not isinstance(model, SystemModel):
+        raise SystemModelError(f"system '{entry.name}' ({entry.value}) is no ctrl_rl_core.SystemModel")
+    return model
+
+
+class StateUnits(Mapping[str, str]):
+    """Units of the states of all models that are loaded, and of the coordinates along a corridor's path."""
+
+    _PATH: Mapping[str, str] = {"s": "m", "lateral": "m", "heading": "rad"}
+
+    def _units(self) -> dict[str, str]:
+        return {state.name: state.unit for model in SYSTEM_MODELS.values() for state in model.states} | dict(self._PATH)
+
+    def __getitem__(self, name: str) -> str:
+        """Return the unit of a component."""
+        return self._units()[name]
+
+    def __iter__(self) -> Iterator[str]:
+        """Return the names."""
+        return iter(self._units())
+
+    def __len__(self) -> int:
+        """Return the number of names."""
+        return len(self._units())
+
+
+class ControlUnits(StateUnits):
+    """Units of the controls of all models that are loaded."""
+
+    def _units(self) -> dict[str, str]:
+        return {control.name: control.unit for model in SYSTEM_MODELS.values() for control in model.controls}

@@ -1,0 +1,32 @@
+"""A tricycle that steers by turning its front wheel at a limited rate: a system model of one's own."""
+
+from ctrl_rl_core.systems.models import Parameter, Quantity, SystemModel
+
+
+def equations(math, p):
+    """State x, y, theta and the steering angle delta; controls are the speed and the rate of delta."""
+    cos, sin, tan = math.cos, math.sin, math.tan
+    wheelbase = p["L"]
+
+    def f(x, u, d):
+        return (
+            u[0] * cos(x[2]) + d[0],
+            u[0] * sin(x[2]) + d[1],
+            u[0] * tan(x[3]) / wheelbase + d[2],
+            u[1] + d[3],
+        )
+
+    return f
+
+
+TRICYCLE = SystemModel(
+    states=(
+        Quantity("x", "m"),
+        Quantity("y", "m"),
+        Quantity("theta", "rad", -3.141592653589793, 3.141592653589793, periodic=True),
+        Quantity("delta", "rad", -0.6, 0.6),
+    ),
+    controls=(Quantity("v", "m/s", -0.3, 0.6), Quantity("delta_rate", "rad/s", -1.5, 1.5)),
+    parameters=(Parameter("L", "m", 0.3),),
+    equations=equations,
+)
