@@ -31,7 +31,8 @@ def find_model(name: str) -> SystemModel:
     if name not in SYSTEM_MODELS:
         offered = {entry.name: entry for entry in entry_points(group=GROUP)}
         if name not in offered:
-            raise SystemModelError(f"unknown system '{name[:60]}'; choose one of {', '.join((*SYSTEM_MODELS, *offered))}")
+            known = ", ".join((*SYSTEM_MODELS, *offered))
+            raise SystemModelError(f"unknown system '{name[:60]}'; choose one of {known}")
         SYSTEM_MODELS[name] = _load(offered[name])
     return SYSTEM_MODELS[name]
 
