@@ -86,8 +86,9 @@ test: build ## lint and the tests, side by side (ARGS="-k demo" for some of them
 test-all: build ## the same, slow tests too
 	@$(MAKE) --no-print-directory -j2 lint tests SLOW=1
 
+# One process more than cores: tests of nodes wait for messages.
 tests: build
-	@$(RUN) python -m pytest -n $$(nproc) --dist loadfile --no-loadscope-reorder $(if $(SLOW),,-m "not slow") $(ARGS)
+	@$(RUN) python -m pytest -n $$(($$(nproc) + 1)) --dist loadfile --no-loadscope-reorder $(if $(SLOW),,-m "not slow") $(ARGS)
 
 lint: setup ## ruff and mypy
 	@.venv/bin/ruff check . && .venv/bin/ruff format --check . && .venv/bin/mypy $(LINKED)

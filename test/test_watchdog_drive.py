@@ -14,13 +14,17 @@ from ctrl_rl_core import SENSOR
 
 @pytest.mark.fault
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
-def test_the_robot_stands_after_its_controller_died(run_node: Callable, number: int) -> None:
+def test_the_robot_stands_after_its_controller_died(
+    run_node: Callable, monkeypatch: pytest.MonkeyPatch, number: int
+) -> None:
+    # Shared memory may leave who follows a killed process deaf, and tests before this one kill some.
+    monkeypatch.setenv("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
     rclpy.init()
     node, speeds = Node("onlooker"), list[float]()
     node.create_subscription(Odometry, "ground_truth", lambda said: speeds.append(said.twist.twist.linear.x), SENSOR)
 
     def until(condition: Callable[[], bool], what: str) -> None:
-        deadline = time.monotonic() + 120.0
+        deadline = time.monotonic() + 300.0
         while not condition():
             assert time.monotonic() < deadline, f"{what}: {speeds[-5:]}"
             rclpy.spin_once(node, timeout_sec=0.02)
