@@ -16,6 +16,7 @@ RAW = "cmd_vel:=cmd_vel_raw"
 NODES = (
     ("koopman_lqr_controller", "controller", "koopman_lqr_controller", (RAW,), ()),
     ("ctrl_rl_core", "policy", "policy", (RAW,), ("policy:=curved_corridor",)),
+    ("ctrl_rl_safety", "safety_filter", "safety_filter", ("cmd_vel:=cmd_vel_safe",), ("use_map:=true",)),
     ("ctrl_rl_core", "watchdog", "watchdog", (), ()),
     ("ctrl_rl_bags", "recorder", "recorder", (), ("output:={folder}/bag",)),
     ("oc_baseline_node", "baseline", "oc_baseline_node", (), ("grid:=curved_corridor",)),

@@ -10,7 +10,7 @@ from ctrl_rl_core.values.jit_cache import cached_njit
 from numba import njit
 from numpy.typing import NDArray
 
-from ctrl_rl_safety.filter.certificate import AWAY, Situation, certify, hold, hopeless
+from ctrl_rl_safety.filter.certificate import AWAY, Situation, best_turn, certify, hold, hopeless
 from ctrl_rl_safety.models.growth import Growth
 from ctrl_rl_safety.models.motion import STANDS
 from ctrl_rl_safety.sets.distance_field import FAR, margin_at
@@ -173,10 +173,14 @@ def _nearest(sit: Any, ask: Any, state: tuple[float, float, float, float, float]
 
 @njit
 def _braking(sit: Any, ask: Any, state: tuple[float, float, float, float, float], t: float) -> Any:
-    """Return full braking with the turn rate that leaves the most room, its margin and its escape."""
+    """Return full braking with the turn rate that leaves the most room, its margin and its escape.
+
+    Among them are those with which any escape that was certified before goes on.
+    """
     best, which, turn = -FAR, ask.first, 0.0
-    for k in range(5):
-        tried = sit.turn_rate * (0.0, -1.0, 1.0, -0.5, 0.5)[k]
+    turns = (state[4], best_turn(sit, state) if sit.guide.ready else 0.0, -1.0, 1.0, -0.5, 0.5)
+    for k in range(len(turns)):
+        tried = turns[k] if k < 2 else sit.turn_rate * turns[k]
         margin, kind = certify(sit, state, t, (0.0, tried), sit.hold, ask.first, FAR)
         if margin > best:
             best, which, turn = margin, kind, tried

@@ -102,7 +102,7 @@ def hold(
 
 
 @njit
-def _best_turn(sit: Any, state: tuple[float, float, float, float, float]) -> float:
+def best_turn(sit: Any, state: tuple[float, float, float, float, float]) -> float:
     """Return the turn rate whose next state has the largest value while braking [rad/s]."""
     best, most = 0.0, -FAR
     for k in range(_TURNS):
@@ -128,7 +128,7 @@ def _escape(sit: Any, state: tuple[float, float, float, float, float], t: float,
         if abs(v) < STANDS or least < floor:
             break
         if kind == FAMILY and k % _STEPS_A_TURN == 0:
-            turn = _best_turn(sit, (x, y, theta, v, omega))
+            turn = best_turn(sit, (x, y, theta, v, omega))
         x, y, theta, v, omega = next_state(x, y, theta, v, omega, 0.0, turn, sit.motion)
         t += sit.motion.step
         least = min(least, _checked(sit, x, y, v, t))
@@ -228,7 +228,7 @@ def escape_path(sit: Any, state: Any, command: tuple[float, float], kind: int) -
         if escapes == 0:
             turn = omega if kind == 0 else sit.turn_rate * (2.0 * (kind - 1) / (FAMILY - 2) - 1.0)
         if kind == FAMILY and escapes >= 0 and escapes % _STEPS_A_TURN == 0:
-            turn = _best_turn(sit, (x, y, theta, v, omega))
+            turn = best_turn(sit, (x, y, theta, v, omega))
         x, y, theta, v, omega = next_state(x, y, theta, v, omega, command[0] if escapes < 0 else 0.0, turn, sit.motion)
         out[count] = np.array((x, y, theta, v, turn))
         count += 1

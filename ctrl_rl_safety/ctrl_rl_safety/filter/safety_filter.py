@@ -258,4 +258,5 @@ def warm_up(model: RobotModel, options: FilterOptions) -> None:
         safety.see(now, reading.pose, echoes)
         verdict = safety.decide(now, reading, np.array((model.speed, 0.0)))
         safety.sent(now, verdict.command)
+        safety.escape(verdict)
         safety.use(safety.solve())

@@ -1,0 +1,69 @@
+"""ros2 launch ctrl_rl_safety safety_filter.launch.py: safety filter and watchdog between any driver and a real robot.
+
+The driver publishes cmd_vel_raw, the filter cmd_vel_safe, the watchdog cmd_vel. Each is started again when it dies, and
+begins with zeros. The driver, the robot and a localiser are started elsewhere.
+"""
+
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
+
+ARGUMENTS = {
+    "robot": ("turtlebot3_burger", "constants of the robot: a name that the filter knows, or a .yaml file"),
+    "mover_speed": ("0.0", "largest speed of people and other robots around [m/s]"),
+    "use_map": ("false", "whether the topic map tells what stands for ever"),
+    "pose": ("tf", "where the pose on the map comes from: tf, amcl_pose or odometry"),
+    "stamped": ("true", "velocities are TwistStamped (Jazzy), else Twist (Humble)"),
+    "largest_speed": ("0.22", "speed above which the watchdog refuses a command [m/s]"),
+    "timeout": ("0.5", "age of the last command that stops the robot [s]"),
+    "use_sim_time": ("false", "whether time is that of the topic clock, as beside a simulator"),
+}
+
+
+def generate_launch_description() -> LaunchDescription:
+    """Return filter and watchdog."""
+    given = {name: LaunchConfiguration(name) for name in ARGUMENTS}
+    both = {
+        "enable_stamped_cmd_vel": ParameterValue(given["stamped"], value_type=bool),
+        "use_sim_time": ParameterValue(given["use_sim_time"], value_type=bool),
+    }
+    return LaunchDescription(
+        [
+            *(
+                DeclareLaunchArgument(name, default_value=default, description=meaning)
+                for name, (default, meaning) in ARGUMENTS.items()
+            ),
+            Node(
+                package="ctrl_rl_safety",
+                executable="safety_filter",
+                parameters=[
+                    {
+                        "robot": ParameterValue(given["robot"], value_type=str),
+                        "mover_speed": ParameterValue(given["mover_speed"], value_type=float),
+                        "use_map": ParameterValue(given["use_map"], value_type=bool),
+                        "pose": ParameterValue(given["pose"], value_type=str),
+                        **both,
+                    }
+                ],
+                remappings=[("cmd_vel", "cmd_vel_safe")],
+                output="screen",
+                respawn=True,
+            ),
+            Node(
+                package="ctrl_rl_core",
+                executable="watchdog",
+                parameters=[
+                    {
+                        "timeout": ParameterValue(given["timeout"], value_type=float),
+                        "largest_speed": ParameterValue(given["largest_speed"], value_type=float),
+                        **both,
+                    }
+                ],
+                remappings=[("cmd_vel_raw", "cmd_vel_safe")],
+                output="screen",
+                respawn=True,
+            ),
+        ]
+    )
