@@ -168,17 +168,24 @@ def _constants(content: Any) -> dict[str, Any]:
 _OPTIONAL = {"lag", "delay", "disturbance", "range_error", "scan_age"}
 
 ROBOTS: Mapping[str, RobotModel] = {
-    # Limits: ROBOTIS e-manual; accelerations: turtlebot3_navigation2/param/burger.yaml. Lags and delays here and below
-    # are those of `sim_bridge` and of a wireless network, and no robot's own.
+    # Named beside each robot is where its limits were read. Lags, delays, disturbances and errors are assumed for all:
+    # those of `sim_bridge` and of a wireless network. The scan_age is assumed too, but for what a source says.
+    #
+    # Speeds: ROBOTIS e-manual. Accelerations: those that ROBOTIS-GIT/turtlebot3 lets its planner command
+    # (turtlebot3_navigation2/param/burger.yaml: acc_lim_x and decel_lim_x 2.5, acc_lim_theta 3.2).
     "turtlebot3_burger": RobotModel(
         "turtlebot3_burger", 0.123, 0.22, 0.22, 2.84, 2.5, 2.5, 3.2, 0.05, 0.1, 0.02, 0.03, 0.0
     ),
-    # Kobuki: 0.7 m/s and 180 deg/s by its data sheet; accelerations: turtlebot_bringup/param/defaults/smoother.yaml.
+    # Speeds: the Kobuki's specification, 70 cm/s and 180 deg/s. Accelerations are assumed; the smoother of
+    # turtlebot/turtlebot (turtlebot_bringup/param/defaults/smoother.yaml) asks for 0.6 m/s^2 and 5.4 rad/s^2 at most.
     "turtlebot2": RobotModel("turtlebot2", 0.177, 0.7, 0.7, 3.14, 1.0, 1.0, 2.0, 0.05, 0.1, 0.03, 0.03, 0.0),
-    # Create 3: 0.306 m/s with its safety features on, 1.9 rad/s, 0.9 m/s^2 (wheel_accel_limit) by its documentation.
+    # Create 3 (iRobotEducation/create3_docs, docs/api/safety.md): 0.306 m/s while its safety features are on, which
+    # also stop it when it backs up for long; wheel_accel_limit 0.9 m/s^2. The turn rate is its documentation's, 1.9
+    # rad/s; the turn acceleration follows from the wheels', 0.233 m apart.
     "turtlebot4": RobotModel("turtlebot4", 0.189, 0.306, 0.306, 1.9, 0.9, 0.9, 7.7, 0.05, 0.15, 0.03, 0.03, 0.13),
-    # jackal_control/config/control.yaml: 2 m/s, 4 rad/s, 20 m/s^2, which its wheels do not have on a floor: they slip
-    # at friction * g. The disc holds its 0.508 m by 0.43 m.
+    # Speeds: jackal/jackal, jackal_control/config/control.yaml, 2 m/s and 4 rad/s. Its 20 m/s^2 and 25 rad/s^2 are
+    # more than wheels have on a floor, where they slip at friction * g: 4 and 10 are assumed. The disc holds its
+    # 0.508 m by 0.43 m.
     "jackal": RobotModel("jackal", 0.333, 2.0, 2.0, 4.0, 4.0, 4.0, 10.0, 0.05, 0.1, 0.05, 0.03, 0.0),
 }
 """Constants of robots that many have; measure one's own with `identify` before one trusts them."""
