@@ -123,3 +123,26 @@ def test_where_nothing_is_known_any_more_the_last_certified_escape_is_driven() -
         v, omega = safety.stopping(time)
         assert (v, omega) == (0.0, path[int(time / 0.02 + 1e-6), 4])
     assert safety.stopping(5.0).tolist() == [0.0, 0.0]
+
+
+def test_a_robot_that_stands_goes_out_of_the_way_where_it_may() -> None:
+    model = ROBOTS["turtlebot3_burger"]
+
+    def nearest(evades: bool) -> tuple[float, set[Mode]]:
+        safety = SafetyFilter(model, FilterOptions(mover_speed=0.3, evade=evades))
+        world = LightWorld(model, np.array([(1.5, 0.0, -0.15, 0.0, 0.1)]), safety, 0)
+        least, modes = math.inf, set()
+        for _ in range(170):
+            verdict, _, moving = world.tick(np.zeros(2), False)
+            assert moving > LEAST
+            modes.add(verdict.mode)
+            x, y = np.array((1.5 - 0.15 * world.time, 0.0)) - world.state[:2]
+            least = min(least, math.hypot(x, y) - 0.1 - model.radius)
+        return least, modes
+
+    touched, modes = nearest(False)
+    assert touched < 0.0
+    assert modes == {Mode.PASSED}
+    clear, modes = nearest(True)
+    assert clear > 0.05
+    assert modes == {Mode.PASSED, Mode.EVADING}

@@ -20,10 +20,11 @@ from ctrl_rl_safety.errors import SafetyError
 from ctrl_rl_safety.filter.answer import PASSED, Answer, Request, answer
 from ctrl_rl_safety.filter.certificate import FAMILY, NO_GUIDE, Guide, Situation, escape_path
 from ctrl_rl_safety.filter.echoes import SAME, EchoMemory, surfaces
+from ctrl_rl_safety.filter.evading import AHEAD, LONGER, evade
 from ctrl_rl_safety.filter.unblocking import Unblocking
 from ctrl_rl_safety.filter.verdict import FilterOptions, Mode, Reading, Verdict
 from ctrl_rl_safety.models.growth import Growth
-from ctrl_rl_safety.models.motion import motion_of
+from ctrl_rl_safety.models.motion import STANDS, motion_of
 from ctrl_rl_safety.models.robot_model import RobotModel
 from ctrl_rl_safety.sets.distance_field import NODES, Obstacles, obstacles_around
 from ctrl_rl_safety.sets.recoverable_set import RecoverableSet, brake_ladder, solve_set
@@ -86,7 +87,7 @@ class SafetyFilter:
         self._arrived, self._interval = -math.inf, 0.0
         self._sent: deque[tuple[float, float, float]] = deque(maxlen=1000)
         self._corrected = False
-        self._kind = 0
+        self._kind, self._evading = 0, False
         self._last_v = 0.0
         self._certified: tuple[float, Verdict, Situation] | None = None
 
@@ -179,7 +180,16 @@ class SafetyFilter:
         )
         age = now - reading.age - seen_at
         situation = self._situation(now, obstacles)
-        found = Answer(*answer(situation, ask, state, age, self._under_way(now, reading.age)))
+        under_way = self._under_way(now, reading.age)
+        found = Answer(*answer(situation, ask, state, age, under_way))
+        if self.options.evade and abs(found.v) < STANDS:
+            ahead = LONGER if self._evading else AHEAD
+            v, omega, margin, kind = evade(
+                situation, found.state, age + STEP * len(under_way), (slowest, fastest), ahead
+            )
+            if margin >= 0.0:
+                found = found._replace(v=v, omega=omega, mode=Mode.EVADING, margin=margin, kind=kind)
+        self._evading = found.mode == Mode.EVADING
         # An escape by the set takes the longest to try, and comes after one of a constant turn rate.
         self._corrected, self._kind = found.mode != PASSED, found.kind % FAMILY
         self._unblocking.note(now, (found.v, found.omega), wanted, reading.v)
@@ -254,9 +264,9 @@ def warm_up(model: RobotModel, options: FilterOptions) -> None:
     bearings = np.linspace(-3.0, 3.0, 60)
     echoes = 2.0 * model.radius * np.column_stack((np.cos(bearings), np.sin(bearings)))
     reading = Reading(np.zeros(3), 0.5 * model.speed, 0.0)
-    for now in (0.0, 0.1):
+    for now, raw in ((0.0, model.speed), (0.1, 0.0)):
         safety.see(now, reading.pose, echoes)
-        verdict = safety.decide(now, reading, np.array((model.speed, 0.0)))
+        verdict = safety.decide(now, reading, np.array((raw, 0.0)))
         safety.sent(now, verdict.command)
         safety.escape(verdict)
         safety.use(safety.solve())

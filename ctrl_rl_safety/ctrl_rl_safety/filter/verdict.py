@@ -19,6 +19,7 @@ class Mode(IntEnum):
     CORRECTED = 2
     ESCAPING = 3
     UNBLOCKING = 4
+    EVADING = 5
 
 
 @dataclass(frozen=True)
@@ -32,6 +33,7 @@ class FilterOptions:
         standing_time: Time for which an echo must have been there to be known to stand [s].
         hysteresis: Margin that lets a command pass again after a correction [m].
         unblock_after: Time for which the filter holds the robot before it turns it to a free side [s]; 0 for never.
+        evade: Whether a robot that would stand goes out of the way of a mover that comes near.
         occluded_movers: Whether movers may step out from behind an edge that the scan shows.
     """
 
@@ -41,6 +43,7 @@ class FilterOptions:
     standing_time: float = 1.0
     hysteresis: float = 0.02
     unblock_after: float = 3.0
+    evade: bool = False
     occluded_movers: bool = False
 
 

@@ -26,12 +26,14 @@ _COLOURS = {
     Mode.CORRECTED: (0.95, 0.7, 0.1),
     Mode.ESCAPING: (0.85, 0.15, 0.15),
     Mode.UNBLOCKING: (0.2, 0.4, 0.9),
+    Mode.EVADING: (0.6, 0.3, 0.8),
 }
 WHY = {
     Mode.PASSED: "",
     Mode.CORRECTED: "the raw command has no certified escape: the nearest one that has is sent",
     Mode.ESCAPING: "no command has a certified escape: full braking",
     Mode.UNBLOCKING: "the robot was held for long: it turns to the side with more room",
+    Mode.EVADING: "somebody comes near: the robot goes out of the way",
 }
 
 

@@ -42,6 +42,7 @@ FILTER_PARAMETERS = (
         0.2,
         20.0,
     ),
+    Parameter("evade", _DEFAULT.evade, "Whether a robot that would stand goes out of the way of what comes near."),
     Parameter("use_map", False, "Use the topic `map`: what is on it stands for ever, and all else may move at once."),
     *POSE_PARAMETERS,
     Parameter(

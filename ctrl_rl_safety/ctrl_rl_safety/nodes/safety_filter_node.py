@@ -63,6 +63,7 @@ class SafetyFilterNode(LidarVelocityNode):
             standing_time=value["standing_time"],
             hysteresis=value["hysteresis"],
             unblock_after=value["unblock_after"],
+            evade=value["evade"],
             occluded_movers=value["occluded_movers"],
         )
         warm_up(model, options)
