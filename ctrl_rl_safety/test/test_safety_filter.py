@@ -1,5 +1,6 @@
 """Whatever the raw commands are, the robot touches nothing that stands, and no mover while it moves itself."""
 
+import dataclasses
 import itertools
 import math
 
@@ -73,6 +74,12 @@ def test_a_robot_that_is_held_turns_to_the_free_side() -> None:
     modes = {world.tick(np.array((model.speed, 0.0)), True)[0].mode for _ in range(250)}
     assert Mode.UNBLOCKING in modes
     assert np.hypot(*world.state[:2]) > 0.5
+
+
+def test_a_robot_that_brakes_for_longer_than_a_certificate_reaches_is_refused() -> None:
+    slow = dataclasses.replace(ROBOTS["turtlebot4"], braking=1e-9)
+    with pytest.raises(SafetyError, match=r"turtlebot4 takes 306\d{6} s to brake: at most 20 s"):
+        SafetyFilter(slow)
 
 
 def test_without_a_scan_there_is_no_answer() -> None:

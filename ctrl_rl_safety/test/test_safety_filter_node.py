@@ -133,6 +133,23 @@ def test_it_stands_while_it_does_not_know_and_goes_on_afterwards(
     assert "callback failed" not in chain.output
 
 
+@pytest.mark.usefixtures("chain")
+def test_after_a_jump_of_the_odometry_it_waits_for_a_scan_and_goes_on(room: Room) -> None:
+    def moved(odometry: Any) -> Any:
+        odometry.pose.pose.position.x += 5.0
+        return odometry
+
+    before, scan = room.odometry, room.scan
+    room.raw = (0.0, 0.3)
+    room.until(lambda: room.command == room.raw)
+    room.odometry, room.scan = moved, lambda _: None
+    room.until_told(SafetyStatus.WAITING, "waiting for a scan")
+    room.scan = scan
+    room.until_told(SafetyStatus.PASSED)
+    room.odometry = before
+    room.until_told(SafetyStatus.PASSED)
+
+
 def test_the_watchdog_stops_the_robot_of_a_killed_filter_and_a_new_one_ends_with_a_zero(
     chain: Any, start_filter: Callable[[], Any], room: Room
 ) -> None:

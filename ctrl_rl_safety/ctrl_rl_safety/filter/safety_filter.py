@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ctrl_rl_safety.errors import SafetyError
 from ctrl_rl_safety.filter.answer import PASSED, Answer, Request, answer
-from ctrl_rl_safety.filter.certificate import FAMILY, NO_GUIDE, Guide, Situation, escape_path
+from ctrl_rl_safety.filter.certificate import FAMILY, MOST_STEPS, NO_GUIDE, Guide, Situation, escape_path
 from ctrl_rl_safety.filter.echoes import SAME, EchoMemory, surfaces
 from ctrl_rl_safety.filter.evading import AHEAD, LONGER, evade
 from ctrl_rl_safety.filter.unblocking import Unblocking
@@ -36,6 +36,8 @@ Fixed = Callable[[Array], NDArray[np.bool_]]
 STEP = 0.02
 """Time step of the roll-outs [s]."""
 _LEAST_CELL = 0.025
+_LAGS = 6.0
+"""Lags for which the end of a braking takes at most, when the speed falls exponentially."""
 _LATEST = 0.5
 """Age of a scan that the local grid is made for [s]."""
 _NONE: Array = np.empty((0, 2))
@@ -61,6 +63,14 @@ class SafetyFilter:
     """
 
     def __init__(self, model: RobotModel, options: FilterOptions | None = None) -> None:
+        """Begin without a scan.
+
+        Raises:
+            SafetyError: The robot brakes so slowly that no certificate reaches to its stop.
+        """
+        braking = max(model.speed, model.reverse_speed) / model.braking + _LAGS * model.lag
+        if braking > STEP * MOST_STEPS:
+            raise SafetyError(f"{model.name} takes {braking:.0f} s to brake: at most {STEP * MOST_STEPS:.0f} s")
         self.model, self.options = model, options or FilterOptions()
         value = self.options
         creep = (SAME + 2.0 * model.range_error) / value.standing_time
