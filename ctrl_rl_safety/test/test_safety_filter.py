@@ -67,6 +67,18 @@ def test_a_recoverable_command_passes_untouched_and_a_wall_stops_the_robot_witho
     assert 0.0 < nearest < 0.1
 
 
+@pytest.mark.parametrize("pushed", [0.0, 0.03])
+def test_a_robot_that_is_held_for_a_minute_does_not_creep_into_the_wall(pushed: float) -> None:
+    model, angles = ROBOTS["turtlebot2"], np.radians(np.arange(0.0, 360.0, 6.0))
+    ring = np.column_stack((1.2 * np.cos(angles), 1.2 * np.sin(angles), *np.zeros((2, 60)), np.full(60, 0.1)))
+    world = LightWorld(model, ring, SafetyFilter(model, FilterOptions(unblock_after=0.0)), 0)
+    raw = np.array((model.speed, 0.0))
+    for _ in range(100):
+        world.tick(raw, False)
+    world.state[:2] *= 1.0 + pushed / np.hypot(*world.state[:2])  # nearer than the filter would have let it
+    assert min(world.tick(raw, False)[1] for _ in range(900)) > 0.0
+
+
 def test_a_robot_that_is_held_turns_to_the_free_side() -> None:
     model = ROBOTS["turtlebot3_burger"]
     wall = np.array([(0.4, y, 0.0, 0.0, 0.1) for y in np.arange(-1.0, 1.0, 0.1)])

@@ -154,7 +154,7 @@ def _nearest(sit: Any, ask: Any, state: tuple[float, float, float, float, float]
     for place in np.argsort(costs):
         command = (speeds[place // len(turns)], turns[place % len(turns)])
         # A robot that stands after a correction does not begin to move by the noise of a scan.
-        needed = ask.hysteresis if stands and ask.corrected and abs(command[0]) >= STANDS else 0.0
+        needed = ask.hysteresis if stands and ask.corrected and command[0] != 0.0 else 0.0
         if hopeless(sit, state, command):
             continue
         margin, kind = certify(sit, state, t, command, sit.hold, ask.first, needed)

@@ -6,6 +6,7 @@ between them, which is added to its radius. A command is certified where some es
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -28,6 +29,8 @@ _STEPS_A_TURN = 4
 _TURNS = 7
 AWAY = 1e-3
 """Least gain of a motion that begins too near to something [m]."""
+BAND = 0.08
+"""Difference of two distances that noise may turn round [m]: such a motion gains on all echoes so near."""
 
 
 class Guide(NamedTuple):
@@ -168,6 +171,19 @@ def escape_from(
 
 
 @njit
+def nears(points: Any, begin: Any, end: Any) -> bool:
+    """Return whether a motion comes nearer to any of the nearest echoes, among which noise may change the order."""
+    nearest = FAR
+    for i in range(points.shape[1]):
+        nearest = min(nearest, math.hypot(points[0, i] - begin[0], points[1, i] - begin[1]))
+    for i in range(points.shape[1]):
+        away = math.hypot(points[0, i] - begin[0], points[1, i] - begin[1])
+        if away < nearest + BAND and math.hypot(points[0, i] - end[0], points[1, i] - end[1]) < away:
+            return True
+    return False
+
+
+@njit
 def certify(
     sit: Any,
     state: tuple[float, float, float, float, float],
@@ -189,11 +205,11 @@ def certify(
         needed: Margin that is enough [m].
     """
     end, later, least = hold(sit, state, t, command[0], command[1], steps)
-    if sit.close and abs(command[0]) >= STANDS:
+    if sit.close and command[0] != 0.0:  # a creep below STANDS would add up
         before = margin_at(sit.obstacles, sit.growth, state[0], state[1], 0.0, (sit.rooms[0], -FAR))
         gained = margin_at(sit.obstacles, sit.growth, end[0], end[1], 0.0, (sit.rooms[0], -FAR)) - before
-        if gained < AWAY:
-            return min(least, gained - AWAY), first
+        if gained < AWAY or nears(sit.obstacles.standing, state, end):
+            return min(least, gained, 0.0) - AWAY, first
     if least < needed and least < 0.0:
         return least, first
     margin, kind = escape_from(sit, end, later, first, needed)
