@@ -104,7 +104,7 @@ def test_the_value_function_prefers_what_saves_time(transitions: Transitions, va
     best = np.argsort(advantage)[-len(advantage) // 4 :]
     errors = []
     for method in ("bc", "value_weight"):
-        actor = learn(transitions, TASK, LearningSettings(method, updates=250, hidden=32), values)
+        actor = learn(transitions, TASK, LearningSettings(method, updates=300, hidden=32, temperature=0.5), values)
         own = actions_of(actor, transitions.observations[best])
         errors.append(float(((own - transitions.actions[best]) ** 2).mean()))
     assert errors[1] < errors[0]

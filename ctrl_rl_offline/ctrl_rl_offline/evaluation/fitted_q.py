@@ -17,7 +17,7 @@ from ctrl_rl_offline.data.transitions import Transitions
 from ctrl_rl_offline.learners.networks import Critics, batches, scales_of, track
 
 Array = NDArray[np.float64]
-_BATCH, _HIDDEN, _RATE, _TAU = 256, 128, 1e-3, 0.05
+_BATCH, _HIDDEN, _RATE, _TAU = 128, 64, 1e-3, 0.1
 
 
 @dataclass(frozen=True)

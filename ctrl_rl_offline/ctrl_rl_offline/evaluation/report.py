@@ -127,7 +127,7 @@ def evaluate_offline(
         )
     random = np.random.default_rng(seed)
     fitted = [fit_values(transitions, actor, discount, updates, seed + k, tell) for k in range(fits)]
-    clone = learn(transitions, task, LearningSettings("bc", updates=max(200, updates // 3), seed=seed))
+    clone = learn(transitions, task, LearningSettings("bc", updates=max(200, updates // 5), seed=seed))
     own, cloned = (actions_of(each, transitions.observations) for each in (actor, clone))
     ratios = step_ratios(transitions, cloned, own)
     earned = transitions.returns(discount)

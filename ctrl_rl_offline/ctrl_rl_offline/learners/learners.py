@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -39,6 +40,7 @@ class Learner:
 
     def __init__(self, inputs: int, settings: LearningSettings) -> None:
         self.settings = settings
+        self._optimizers: list[torch.optim.Optimizer] = []
         self.actor = ActorNetwork(inputs, settings.hidden)
         self._actor_steps = self._adam(self.actor)
         self._count = 0
@@ -48,13 +50,21 @@ class Learner:
         self._count += 1
         self._clone(batch, torch.ones(len(batch.seen)))
 
+    def slow_down(self, part: float) -> None:
+        """Set the learning rate for a part of all updates that is over, 0 to 1: it falls along a half cosine to 0."""
+        for optimizer in self._optimizers:
+            for group in optimizer.param_groups:
+                group["lr"] = 0.5 * (1.0 + math.cos(math.pi * part)) * self.settings.rate
+
     def _clone(self, batch: Batch, weights: Tensor) -> None:
         error = ((self.actor(batch.seen) - batch.done) ** 2).sum(dim=-1)
         _step(self._actor_steps, (weights * error).mean())
 
     def _adam(self, *modules: torch.nn.Module) -> torch.optim.Optimizer:
         parameters = [each for module in modules for each in module.parameters()]
-        return torch.optim.Adam(parameters, lr=self.settings.rate, fused=True)
+        optimizer = torch.optim.Adam(parameters, lr=self.settings.rate, fused=True)
+        self._optimizers.append(optimizer)
+        return optimizer
 
 
 class WeightedCloning(Learner):
@@ -62,7 +72,7 @@ class WeightedCloning(Learner):
 
     def update(self, batch: Batch) -> None:
         """Make a step by a batch."""
-        weights = torch.exp(batch.advantage / self.settings.temperature).clamp(max=_LARGEST_WEIGHT)
+        weights = torch.exp(batch.advantage / self.settings.heat).clamp(max=_LARGEST_WEIGHT)
         self._clone(batch, weights)
 
 
@@ -148,7 +158,7 @@ class ImplicitLearner(Learner):
         loss = (share * advantage**2).mean() + mse_loss(first, target) + mse_loss(second, target)
         _step(self._steps, loss)
         track(self._slow_critics, self.critics, _TAU)
-        weights = torch.exp(advantage.detach() / settings.temperature).clamp(max=_LARGEST_WEIGHT)
+        weights = torch.exp(advantage.detach() / settings.heat).clamp(max=_LARGEST_WEIGHT)
         self._clone(batch, weights)
 
 

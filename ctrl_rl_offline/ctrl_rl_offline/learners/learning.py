@@ -52,7 +52,8 @@ def learn(
         torch.manual_seed(settings.seed)
         learner = LEARNERS[settings.method](len(middle), settings)
         random = np.random.default_rng(settings.seed)
-        for batch in batches(batch_of, settings.batch, settings.updates, random):
+        for count, batch in enumerate(batches(batch_of, settings.batch, settings.updates, random)):
+            learner.slow_down(count / settings.updates)
             learner.update(Batch(*batch))
             tell(1)
     manifest = {

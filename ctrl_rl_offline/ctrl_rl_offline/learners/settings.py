@@ -16,6 +16,8 @@ METHODS: Mapping[str, str] = {
 NEEDS_VALUE = frozenset({"value_weight", "value_critic"})
 NEEDS_REWARD = frozenset({"td3bc", "iql", "cql"})
 
+TEMPERATURES = {"value_weight": 0.15, "iql": 0.4}
+
 
 @dataclass(frozen=True)
 class LearningSettings:
@@ -31,7 +33,7 @@ class LearningSettings:
         seed: Seed of weights and batches.
         expectile: Expectile of IQL's value; 0.5 is the mean.
         temperature: Advantage that multiplies a transition's weight by e, in standard deviations (value_weight) or
-            scaled rewards (iql).
+            scaled rewards (iql); None for that of `TEMPERATURES`.
         greed: Weight of the critic beside cloning, alpha of TD3+BC.
         conservatism: Weight of CQL's penalty.
     """
@@ -44,6 +46,11 @@ class LearningSettings:
     discount: float = 0.97
     seed: int = 0
     expectile: float = 0.8
-    temperature: float = 0.4
+    temperature: float | None = None
     greed: float = 2.5
     conservatism: float = 1.0
+
+    @property
+    def heat(self) -> float:
+        """Temperature of the weights."""
+        return TEMPERATURES.get(self.method, 1.0) if self.temperature is None else self.temperature

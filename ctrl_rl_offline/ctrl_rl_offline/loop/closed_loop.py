@@ -56,7 +56,7 @@ class LoopSettings:
     noise: float = 0.25
     engine: str = "planar"
     seed: int = 0
-    fit_updates: int = 1200
+    fit_updates: int = 500
 
 
 def run_loop(

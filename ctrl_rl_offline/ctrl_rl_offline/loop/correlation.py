@@ -81,7 +81,7 @@ class CorrelationSettings:
     seeds: int = 5
     episodes: int = 150
     tests: int = 100
-    fit_updates: int = 1500
+    fit_updates: int = 500
     fits: int = 1
     engine: str = "planar"
 
