@@ -15,19 +15,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, TypeVar, overload
 
 import tyro
-from tyro._errors import (
-    BadValue,
-    InstantiationFailure,
-    InvalidChoice,
-    MissingArgs,
-    MissingSubcommand,
-    ParseErrorEvent,
-    UnrecognizedArgs,
-    on_parse_error,
-)
+from tyro._errors import ParseErrorEvent, on_parse_error
 from tyro.constructors import PrimitiveConstructorSpec
 
 from ctrl_rl_core.errors import CtrlRlError
+from ctrl_rl_core.old_names import with_new_names
+from ctrl_rl_core.refusals import reason_of
 
 _NOT_ON_A_ROBOT = ("sim_bridge", "ctrl_rl_training")
 """Packages of this workspace that only learning needs."""
@@ -82,28 +75,9 @@ def parse_options(program: str, kind: Any, arguments: Sequence[str] | None = Non
 
 
 def _refuse(event: ParseErrorEvent) -> None:
-    """Raise the reason of a refused command line as one line; tyro itself prints a box of several."""
-    match event:
-        case MissingArgs(missing_arguments=missing, unrecognized_tokens=[]):
-            raise CommandError(f"missing {', '.join(each.arg.display_name() for each in missing)}")
-        case MissingArgs(unrecognized_tokens=tokens) | UnrecognizedArgs(tokens=tokens):
-            raise CommandError(f"unknown option {tokens[0]}")
-        case InvalidChoice(argument=argument, value=value, choices=choices):
-            raise CommandError(f"{argument.display_name()} {value}: choose from {', '.join(choices)}")
-        case MissingSubcommand(subcommand_spec=spec, found_token=found):
-            names = ", ".join(spec.parser_from_name)
-            raise CommandError(f"unknown command {found}: choose from {names}" if found else f"give one of: {names}")
-        case BadValue(argument=argument):
-            raise CommandError(f"{argument.display_name()} needs a value")
-        case InstantiationFailure(message=message, argument=argument):
-            reason = _last_reason(message)
-            raise CommandError(f"{argument.display_name()} {reason}" if argument else reason)
-
-
-def _last_reason(message: str) -> str:
-    """Return the last reason of a message; for an option that may be None tyro gives one a line, after each type."""
-    *before, last = message.strip().splitlines()
-    return last.rpartition("]: ")[2] if before else last
+    reason = reason_of(event)
+    if reason:
+        raise CommandError(reason)
 
 
 def checked(
@@ -243,29 +217,6 @@ FolderToWrite = Annotated[Path, checked(folder_to_write, "FOLDER")]
 """An option that names a folder to write to."""
 
 
-def note_old_name(program: str, old: str, new: str) -> None:
-    """Say that an old name was used, and what to use now."""
-    print(f"{program}: {old} still works; its new name is {new}", file=sys.stderr)
-
-
-def with_new_names(program: str, arguments: Sequence[str] | None, renamed: Mapping[str, str]) -> list[str]:
-    """Return the words of a command line with the present names of options, and say which were old.
-
-    Args:
-        program: Name of the command in messages.
-        arguments: Words of the command line; those of the process unless given.
-        renamed: Present names of options by their old ones.
-    """
-    out = []
-    for word in sys.argv[1:] if arguments is None else arguments:
-        name, equals, value = word.partition("=")
-        if name in renamed:
-            note_old_name(program, name, renamed[name])
-            word = renamed[name] + equals + value
-        out.append(word)
-    return out
-
-
 def run_imported(program: str, module: str, function: str) -> int:
     """Run a command whose module needs packages that a robot's install leaves out, and return its exit code.
 
@@ -345,13 +296,3 @@ def make_command(
         return run_command(program, lambda: work(options))
 
     return command
-
-
-def make_old_command(program: str, new: str, command: Callable[..., int]) -> Callable[..., int]:
-    """Return a command under an old name, which says the new one."""
-
-    def old_command(arguments: Sequence[str] | None = None) -> int:
-        note_old_name(program, program, new)
-        return command(arguments)
-
-    return old_command

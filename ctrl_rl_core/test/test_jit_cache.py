@@ -53,7 +53,8 @@ print(quick(21.0), sum(quick.stats.cache_hits.values()))
 VALUE_AT = """
 import numpy as np
 from ctrl_rl_core.values.grid_axis import Axis
-from ctrl_rl_core.values.interpolation import axis_table, value_at
+from ctrl_rl_core.values.cells import axis_table
+from ctrl_rl_core.values.interpolation import value_at
 axes = axis_table([Axis("x", "m", 0.0, 1.0, 2, False)])
 print(value_at(np.array([1.0, 3.0], np.float32), axes, np.array([0.5])))
 """

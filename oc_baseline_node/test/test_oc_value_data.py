@@ -1,6 +1,5 @@
 """Value data: Eq. 3.13 against its formula, folders that outlast a kill."""
 
-import os
 import signal
 import subprocess
 import sys
@@ -14,6 +13,7 @@ from hypothesis import strategies as st
 from oc_baseline_node.problems.start_states import state_space
 from oc_baseline_node.value_data.dataset import LOCK, chunk_file
 from oc_baseline_node.values.returns import returns, rewards, step_discount
+from preloaded import Preloaded
 
 from ctrl_rl_core import LockError, exclusive_lock, load_navigation_task
 from oc_baseline_node import (
@@ -34,7 +34,7 @@ from ctrl_rl_core.tasks.task import load_navigation_task
 from oc_baseline_node.problems.problem import formulate
 from oc_baseline_node.value_data.dataset import DataSettings
 from oc_baseline_node.value_data.workers import make_data
-make_data(formulate(load_navigation_task("car_navigation")), DataSettings(8, chunk=1), Path(sys.argv[1]))
+make_data(formulate(load_navigation_task("car_navigation")), DataSettings(5, chunk=1), Path(sys.argv[1]))
 """
 
 
@@ -120,18 +120,16 @@ def test_data_depend_on_the_seed_alone_and_not_on_the_processes(car: OptimalCont
 
 
 def test_after_a_kill_the_rest_is_made_and_all_is_the_same(car: OptimalControlProblem, tmp_path: Path) -> None:
-    process = subprocess.Popen(
-        [sys.executable, "-c", MAKE, str(tmp_path / "killed")], stderr=subprocess.DEVNULL, env=os.environ
-    )
+    process = Preloaded([sys.executable, "-c", MAKE, tmp_path / "killed"], stderr=subprocess.DEVNULL)
     deadline = time.monotonic() + 120.0
-    while not chunk_file(tmp_path / "killed", 2).exists():
+    while not chunk_file(tmp_path / "killed", 1).exists():
         assert process.poll() is None
         assert time.monotonic() < deadline
         time.sleep(0.005)
     process.send_signal(signal.SIGKILL)
     process.wait()
-    settings = DataSettings(8, chunk=1)
-    with pytest.raises(OcError, match=r"lacks \d of 8 chunks"):
+    settings = DataSettings(5, chunk=1)
+    with pytest.raises(OcError, match=r"lacks \d of 5 chunks"):
         load_data(tmp_path / "killed", car)
     before = chunk_file(tmp_path / "killed", 1).stat().st_mtime_ns
     resumed, *_ = make_data(car, settings, tmp_path / "killed", progress=False)
@@ -142,8 +140,8 @@ def test_after_a_kill_the_rest_is_made_and_all_is_the_same(car: OptimalControlPr
 
 def test_a_quadrotors_doomed_starts_are_told_from_the_rest(tmp_path: Path) -> None:
     problem = formulate(load_navigation_task("quad_navigation"))
-    data, *_ = make_data(problem, DataSettings(4, chunk=4), tmp_path / "quad", progress=False)
-    assert len(data.states) == 4
+    data, *_ = make_data(problem, DataSettings(2, chunk=2), tmp_path / "quad", progress=False)
+    assert len(data.states) == 2
     assert len(data.unsolved) == len(data.reasons) == len(data.doomed) > 0
     assert data.success_rate < data.success_rate_of_viable <= 1.0
     assert all(reason.startswith("ipopt: ") for reason in data.reasons)

@@ -18,7 +18,7 @@ from _common import Row, row
 from ttr_reward_node.solvers.decomposition import PLANAR_QUADROTOR_4D, solve_parts
 from ttr_reward_node.verification.convergence import measure_errors
 from ttr_reward_node.verification.cost import exponent, measure_cost
-from ttr_reward_node.verification.dubins import Reference, reference
+from ttr_reward_node.verification.exact_times import Reference, reference
 
 from ctrl_rl_core import ValueGrid
 from ttr_reward_node import TimeToReachProblem, problem_from_task, solve

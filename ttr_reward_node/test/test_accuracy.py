@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from games import line, plane
 from ttr_reward_node.verification.convergence import convergence_table, measure_errors
-from ttr_reward_node.verification.dubins import reference
+from ttr_reward_node.verification.exact_times import reference
 
 from ttr_reward_node import TimeToReachError, problem_from_task, solve
 

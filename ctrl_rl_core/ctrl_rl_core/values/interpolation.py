@@ -13,94 +13,37 @@ thin it by a cell.)
 States outside, and those that are not finite, give NaN. Nothing is extrapolated.
 """
 
-from collections.abc import Callable, Sequence
-from typing import Any, TypeVar, cast
+from typing import Any
 
 import numpy as np
-from numba import njit
-from numpy.typing import NDArray
 
-from ctrl_rl_core.values.grid_axis import Axis, GridError
-from ctrl_rl_core.values.jit_cache import cached_njit
-
-Values = NDArray[np.float32] | NDArray[np.float64]
-Axes = NDArray[np.float64]
-States = NDArray[np.float64]
-Offsets = NDArray[np.int64]
-Weights = NDArray[np.float64]
-Vector = NDArray[np.float64]
-Function = TypeVar("Function", bound=Callable[..., Any])
-
-# Columns of the table that `axis_table` makes, one row an axis.
-_ORIGIN, _LOWEST, _HIGHEST, _PER_UNIT, _PERIOD, _PER_PERIOD, _LAST_CELL, _COUNT, _STRIDE = range(9)
+from ctrl_rl_core.values.cells import (
+    COUNT,
+    HIGHEST,
+    LAST_CELL,
+    LOWEST,
+    ORIGIN,
+    PER_PERIOD,
+    PER_UNIT,
+    PERIOD,
+    STRIDE,
+    Axes,
+    Offsets,
+    States,
+    Values,
+    Vector,
+    Weights,
+    compiled,
+    inlined,
+    locate_cell,
+)
+from ctrl_rl_core.values.grid_axis import GridError
 
 _BLOCK = 64
 """States that are interpolated together: their corners fit into the processor's nearest cache."""
 
-# NumPy's error model: no check for a division by zero.
-_OPTIONS = {"error_model": "numpy"}
 
-
-def axis_table(axes: Sequence[Axis]) -> NDArray[np.float64]:
-    """Return the axes as the table (n, 9) of the kernels: no bounds on a periodic axis, period 0 on any other."""
-    table = np.zeros((len(axes), 9))
-    stride = 1
-    for row, axis in reversed(list(zip(table, axes, strict=True))):
-        row[_ORIGIN] = axis.lower
-        row[_LOWEST], row[_HIGHEST] = (-np.inf, np.inf) if axis.periodic else (axis.lower, axis.upper)
-        row[_PER_UNIT] = 1 / axis.spacing
-        row[_PERIOD], row[_PER_PERIOD] = (axis.count, 1 / axis.count) if axis.periodic else (0, 0)
-        row[_LAST_CELL] = axis.count - (1 if axis.periodic else 2)
-        row[_COUNT], row[_STRIDE] = axis.count, stride
-        stride *= axis.count
-    return table
-
-
-def _compiled(function: Function) -> Function:
-    """Compile lazily; keep the machine code on disk (a Raspberry Pi compiles for seconds) where that is possible."""
-    return cast("Function", cached_njit(function, **_OPTIONS))
-
-
-def _inlined(function: Function) -> Function:
-    """Compile into the caller, where the number of dimensions is a constant and the small loops unroll."""
-    return njit(forceinline=True, **_OPTIONS)(function)
-
-
-@_inlined
-def _locate(axes: Axes, k: int, coordinate: float) -> tuple[bool, int, int, float]:
-    """Along axis k: whether the coordinate is inside, offsets of the nodes below and above, weight of the upper one."""
-    # Free of branches: mispredicted ones cost several times the arithmetic.
-    position = (coordinate - axes[k, _ORIGIN]) * axes[k, _PER_UNIT]
-    position -= np.floor(position * axes[k, _PER_PERIOD]) * axes[k, _PERIOD]
-    # The last comparison is false for NaN, which infinity becomes on a periodic axis.
-    inside = coordinate >= axes[k, _LOWEST] and coordinate <= axes[k, _HIGHEST] and position == position
-    # Clipped before it becomes an integer, so that no state whatever can address memory outside the grid.
-    cell = position if position > 0.0 else 0.0
-    cell = cell if cell < axes[k, _LAST_CELL] else axes[k, _LAST_CELL]
-    lower = int(cell)
-    upper = lower + 1
-    if upper >= int(axes[k, _COUNT]):
-        upper = 0
-    weight = position - lower
-    weight = weight if weight > 0.0 else 0.0
-    weight = weight if weight < 1.0 else 1.0
-    stride = int(axes[k, _STRIDE])
-    return inside, lower * stride, upper * stride, weight
-
-
-@_inlined
-def _locate_cell(n: int, axes: Axes, states: States, row: int, offsets: Offsets, weights: Weights) -> bool:
-    """Fill offsets and weights (n, 2) of each axis's lower and upper node; return whether states[row] is inside."""
-    inside = True
-    for k in range(n):
-        ok, offsets[k, 0], offsets[k, 1], upper = _locate(axes, k, states[row, k])
-        weights[k, 0] = 1.0 - upper
-        weights[k, 1] = upper
-        inside &= ok
-    return inside
-
-
-@_compiled
+@compiled
 def _finite_cell_value(n: int, corners: Values, offsets: Offsets, weights: Weights) -> float:
     """Average over the corners that are finite, if they carry at least half of the weight, else +inf."""
     total, finite_weight = 0.0, 0.0
@@ -116,7 +59,7 @@ def _finite_cell_value(n: int, corners: Values, offsets: Offsets, weights: Weigh
     return total / finite_weight if finite_weight >= 0.5 else np.inf
 
 
-@_compiled
+@compiled
 def _finite_cell_gradient(
     n: int, corners: Values, axes: Axes, offsets: Offsets, weights: Weights, value: float, gradient: Vector
 ) -> None:
@@ -133,7 +76,7 @@ def _finite_cell_gradient(
         for k in range(n):
             upper = (corner >> k) & 1
             corner_weight *= weights[k, upper]
-            slope = axes[k, _PER_UNIT] * (corners[offset] - value)
+            slope = axes[k, PER_UNIT] * (corners[offset] - value)
             for j in range(n):
                 if j != k:
                     slope *= weights[j, (corner >> j) & 1]
@@ -142,29 +85,29 @@ def _finite_cell_gradient(
     gradient /= finite_weight
 
 
-@_inlined
+@inlined
 def _check_size(n: int, size: int) -> None:
     if size != n:
         raise GridError("the state has not as many components as the grid has axes")
 
 
-@_compiled
+@compiled
 def _value_beside_infinity(values: Values, axes: Axes, state: Vector) -> float:
     """Value at a state (n,) that has a corner at +inf or lies outside."""
     n = values.ndim
     offsets, weights = np.empty((n, 2), np.int64), np.empty((n, 2))
-    if not _locate_cell(n, axes, state.reshape(1, n), 0, offsets, weights):
+    if not locate_cell(n, axes, state.reshape(1, n), 0, offsets, weights):
         return np.nan
     return _finite_cell_value(n, values.reshape(values.size), offsets, weights)
 
 
-@_compiled
+@compiled
 def _gradient_beside_infinity(values: Values, axes: Axes, state: Vector, gradient: Vector) -> float:
     """Value at a state (n,) as above; fills gradient (n,)."""
     n = values.ndim
     offsets, weights = np.empty((n, 2), np.int64), np.empty((n, 2))
     gradient[:] = np.nan
-    if not _locate_cell(n, axes, state.reshape(1, n), 0, offsets, weights):
+    if not locate_cell(n, axes, state.reshape(1, n), 0, offsets, weights):
         return np.nan
     corners = values.reshape(values.size)
     value = _finite_cell_value(n, corners, offsets, weights)
@@ -173,13 +116,13 @@ def _gradient_beside_infinity(values: Values, axes: Axes, state: Vector, gradien
     return value
 
 
-@_inlined
+@inlined
 def _locate_block(axis: Vector, coordinates: Vector, size: int, lower: Vector, upper: Vector, weights: Vector) -> None:
-    """As `_locate` along one axis, for the first `size` coordinates: node offsets, upper weights, NaN outside."""
+    """As `locate` along one axis, for the first `size` coordinates: node offsets, upper weights, NaN outside."""
     # The axis in local variables and branch-free arithmetic on floats alone: so the compiler makes vectors of it.
-    origin, per_unit, lowest, highest = axis[_ORIGIN], axis[_PER_UNIT], axis[_LOWEST], axis[_HIGHEST]
-    period, per_period = axis[_PERIOD], axis[_PER_PERIOD]
-    last_cell, count, stride = axis[_LAST_CELL], axis[_COUNT], axis[_STRIDE]
+    origin, per_unit, lowest, highest = axis[ORIGIN], axis[PER_UNIT], axis[LOWEST], axis[HIGHEST]
+    period, per_period = axis[PERIOD], axis[PER_PERIOD]
+    last_cell, count, stride = axis[LAST_CELL], axis[COUNT], axis[STRIDE]
     for i in range(size):
         position = (coordinates[i] - origin) * per_unit
         position -= np.floor(position * per_period) * period
@@ -194,7 +137,7 @@ def _locate_block(axis: Vector, coordinates: Vector, size: int, lower: Vector, u
         upper[i] = np.int64((cell + 1.0 if cell + 1.0 < count else 0.0) * stride)
 
 
-@_inlined
+@inlined
 def _locate_blocks(
     n: int, axes: Axes, states: States, first: int, size: int, offsets: Any, weights: Any, coordinates: Vector
 ) -> None:
@@ -205,7 +148,7 @@ def _locate_blocks(
         _locate_block(axes[k], coordinates, size, offsets[k, 0], offsets[k, 1], weights[k])
 
 
-@_inlined
+@inlined
 def _gather_block(n: int, corners: Values, size: int, offsets: Any, out: Any) -> None:
     """Fill out (2^n, block) with the corners of each state's cell; bit k of the row tells the node along axis k."""
     for corner in range(1 << n):
@@ -216,7 +159,7 @@ def _gather_block(n: int, corners: Values, size: int, offsets: Any, out: Any) ->
             out[corner, i] = corners[offset]
 
 
-@_inlined
+@inlined
 def _mix(rows: int, size: int, weights: Vector, values: Any) -> None:
     """Interpolate along one axis: values[row] between the lower values[row] and the upper values[row + rows]."""
     for row in range(rows):
@@ -224,7 +167,7 @@ def _mix(rows: int, size: int, weights: Vector, values: Any) -> None:
             values[row, i] = (1.0 - weights[i]) * values[row, i] + weights[i] * values[row + rows, i]
 
 
-@_compiled
+@compiled
 def values_at(values: Values, axes: Axes, states: States, out: Vector) -> None:
     """Fill out (N,) with the values at the states (N, n)."""
     # In blocks, of which the processor does several states in one instruction.
@@ -246,7 +189,7 @@ def values_at(values: Values, axes: Axes, states: States, out: Vector) -> None:
                 out[first + i] = _value_beside_infinity(values, axes, states[first + i])
 
 
-@_compiled
+@compiled
 def gradients_at(values: Values, axes: Axes, states: States, out: Vector, gradients: States) -> None:
     """Fill out (N,) and gradients (N, n) at the states (N, n)."""
     n = values.ndim
@@ -270,20 +213,20 @@ def gradients_at(values: Values, axes: Axes, states: States, out: Vector, gradie
         for i in range(size):
             out[first + i] = total = mixed[0, i]
             for k in range(n):
-                gradients[first + i, k] = slopes[k, 0, i] * axes[k, _PER_UNIT]
+                gradients[first + i, k] = slopes[k, 0, i] * axes[k, PER_UNIT]
                 total += slopes[k, 0, i]
             if total - total != 0.0:  # outside, or beside +inf
                 out[first + i] = _gradient_beside_infinity(values, axes, states[first + i], gradients[first + i])
 
 
-@_compiled
+@compiled
 def value_at(values: Values, axes: Axes, state: Vector) -> float:
     """Value at one state (n,); `values` is C-contiguous with n dimensions, `axes` from `axis_table`."""
     # The arithmetic of `values_at` in the same order, without its blocks: one state takes half the time.
     n = values.ndim
     _check_size(n, state.size)
     offsets, weights = np.empty((n, 2), np.int64), np.empty((n, 2))
-    if not _locate_cell(n, axes, state.reshape(1, n), 0, offsets, weights):
+    if not locate_cell(n, axes, state.reshape(1, n), 0, offsets, weights):
         return np.nan
     corners = values.reshape(values.size)
     mixed = np.empty(1 << n)
@@ -300,7 +243,7 @@ def value_at(values: Values, axes: Axes, state: Vector) -> float:
     return _finite_cell_value(n, corners, offsets, weights)
 
 
-@_compiled
+@compiled
 def gradient_at(values: Values, axes: Axes, state: Vector, gradient: Vector) -> float:
     """Value at one state (n,); fills gradient (n,)."""
     out = np.empty(1)

@@ -21,8 +21,9 @@ from pydantic import ValidationError
 
 from ctrl_rl_core.io.file_checks import first_error, raise_as
 from ctrl_rl_core.values import grid_file
+from ctrl_rl_core.values.cells import axis_table
 from ctrl_rl_core.values.grid_axis import Axis, GridError
-from ctrl_rl_core.values.interpolation import axis_table, gradient_at, gradients_at, value_at, values_at
+from ctrl_rl_core.values.interpolation import gradient_at, gradients_at, value_at, values_at
 
 __all__ = ["KIND_UNITS", "Axis", "GridError", "ValueGrid"]
 

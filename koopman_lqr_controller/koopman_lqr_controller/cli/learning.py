@@ -3,7 +3,8 @@
 import sys
 from functools import partial
 
-from ctrl_rl_core.command import note_old_name, run_imported
+from ctrl_rl_core.command import run_imported
+from ctrl_rl_core.old_names import note_old_name
 
 _LEARN, _COMPARE = "koopman_lqr_controller.cli.learn", "koopman_lqr_controller.cli.compare"
 learn, consolidate = (partial(run_imported, name, _LEARN, name) for name in ("learn", "consolidate"))

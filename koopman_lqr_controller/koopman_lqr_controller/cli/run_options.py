@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
-from ctrl_rl_core.command import FolderToWrite, note_old_name
+from ctrl_rl_core.command import FolderToWrite
+from ctrl_rl_core.old_names import note_old_name
 from ctrl_rl_training.cli import ExperimentOptions, NotNegative, Positive
 from ctrl_rl_training.experiments.run import RunOptions
 

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from ctrl_rl_core.command import FolderToWrite, note_old_name
+from ctrl_rl_core.command import FolderToWrite
+from ctrl_rl_core.old_names import note_old_name
 from ctrl_rl_training.cli import (
     SimulatedOptions,
     TaskPlotOptions,

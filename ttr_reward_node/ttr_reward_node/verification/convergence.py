@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ttr_reward_node.problems.problem import problem_from_task
 from ttr_reward_node.solvers.solver import METHODS, solve
-from ttr_reward_node.verification.dubins import reference
+from ttr_reward_node.verification.exact_times import reference
 
 COUNTS = ((26, 26, 18), (51, 51, 36), (76, 76, 54), (101, 101, 72), (151, 151, 108))
 """Grids of the car, each with the same shape of cells."""

@@ -1,4 +1,4 @@
-"""An independent reference: shortest Dubins paths (Dubins 1957; words as in Shkel, Lumelsky 2001) to a box of poses.
+"""Shortest Dubins paths (Dubins 1957; words as in Shkel, Lumelsky 2001) to a box of poses.
 
 The car drives at 1 m/s and turns at up to 1 rad/s, so lengths [m] are times [s]. The distance to a box is the least
 over the words that lead to it, each with two free numbers: first over a lattice of these, then by a compass search from
@@ -8,15 +8,11 @@ the best few.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from ctrl_rl_core.values.jit_cache import cached_njit
 from numpy.typing import NDArray
 
-from ctrl_rl_core import Interval
-from ttr_reward_node.errors import TimeToReachError
-from ttr_reward_node.problems.problem import TimeToReachProblem
 from ttr_reward_node.verification.dubins_words import TURNS, end_of, positive, word
 
 Array = NDArray[np.float64]
@@ -27,43 +23,6 @@ _LATTICE, _ENDS = 7, 3  # poses a side of the box that a word of three turns may
 _TURNS = 24  # first and second turns that are tried of a word of three
 _STARTS = 2  # that are refined, for each word
 _THREE_TURNS = 6.0  # how far three turns lead at most
-
-
-@dataclass(frozen=True, eq=False)
-class Reference:
-    """States (N, 3) and their exact times to reach (N,) [s]."""
-
-    states: Array
-    times: Array
-
-
-def reference(problem: TimeToReachProblem, count: int = 5000, seed: int = 0) -> Reference:
-    """Draw random states outside the target from which the shortest path stays on the grid, with their exact times.
-
-    Args:
-        problem: a Dubins car at 1 m/s and up to 1 rad/s, a box as the target; obstacles do not count.
-        count: Number of random states.
-        seed: Seed of the random states.
-
-    Raises:
-        TimeToReachError: another system or target.
-    """
-    names, target = problem.system.state_names, problem.target.intervals
-    bounds = problem.system.control_bounds.T.tolist()
-    if names != ("x", "y", "theta") or bounds != [[1.0, 1.0], [-1.0, 1.0]] or set(target) != set(names):
-        raise TimeToReachError("exact times are known for the Dubins car of 1 m/s and 1 rad/s to a box of poses")
-    sides: list[Interval] = [target[name] for name in names]
-    box = np.array([(side.low, side.high) for side in sides])
-    lower, upper = np.array([(axis.lower, axis.upper) for axis in problem.axes]).T
-    low, high = float(max(lower[:2])), float(min(upper[:2]))
-    random = np.random.default_rng(seed)
-    states, times = np.empty((0, 3)), np.empty(0)
-    while len(times) < count:
-        some = random.uniform(lower, upper, (count, 3))
-        lengths, paths = to_box(some, box)
-        kept = stays_in(some, paths, low, high) & (lengths > 0.0)
-        states, times = np.concatenate((states, some[kept])), np.concatenate((times, lengths[kept]))
-    return Reference(states[:count], times[:count])
 
 
 @cached_njit
