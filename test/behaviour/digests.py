@@ -84,6 +84,8 @@ def leaves(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:
     elif isinstance(value, list):
         for index, each in enumerate(value):
             row = isinstance(each, Mapping) and "metric" in each
+            if row and _UNREPEATABLE.search(f"/{each['metric']}"):  # time, CPU time
+                continue
             yield from leaves(each, f"{name}/{each['method']}/{each['metric']}" if row else f"{name}[{index}]")
     else:
         yield name, value
