@@ -96,7 +96,10 @@ def test_a_task_without_newer_parts_keeps_its_digest():
     for name in task_names():
         task = load_task(name)
         unused = {key for key in newer if not getattr(task, key, None)}
-        before = task.model_dump_json(exclude={"about", "source", "differences", *unused})
+        left_out = dict.fromkeys(("about", "source", "differences", *unused), True)
+        if isinstance(task, NavigationTask):
+            left_out["robot"] = {"footprint"}
+        before = task.model_dump_json(exclude=left_out)
         assert task_digest(task) == sha256(before.encode()).hexdigest()
         if isinstance(task, NavigationTask):
             shifted = task.model_copy(update={"randomisation": {"odom_drift": (0.0, 0.1)}})
