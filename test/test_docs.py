@@ -1,5 +1,6 @@
 """The pages hold together: links lead to files and headings, the README fits on a screen, .ci/run calls its test."""
 
+import importlib
 import re
 import subprocess
 from pathlib import Path
@@ -66,3 +67,10 @@ def test_the_readme_fits_on_a_screen_and_moves() -> None:
 def test_the_automatic_run_calls_the_test_of_the_readme() -> None:
     assert "make test" in (ROOT / "README.md").read_text(encoding="utf-8")
     assert re.search(r"^make test$", (ROOT / ".ci" / "run").read_text(encoding="utf-8"), re.MULTILINE)
+
+
+def test_the_page_of_file_schemas_is_written(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(ROOT / "scripts" / "reference"))
+    page = importlib.import_module("schemas").schema_page()
+    assert "### NavigationTask" in page
+    assert "| `footprint` |" in page

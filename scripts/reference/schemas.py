@@ -24,6 +24,8 @@ _MODULES = {
         "ctrl_rl_core.tasks.schema.system",
         "ctrl_rl_core.tasks.schema.robot",
         "ctrl_rl_core.tasks.schema.world",
+        "ctrl_rl_core.tasks.schema.movers",
+        "ctrl_rl_core.tasks.schema.randomisation",
         "ctrl_rl_core.tasks.schema.optimal_control",
         "ctrl_rl_core.tasks.task",
         "ctrl_rl_core.tasks.option_tasks",
@@ -32,7 +34,8 @@ _MODULES = {
     "Headers of Koopman policies": ("koopman_lqr_controller.policies.policy_header",),
     "Headers of option policies": ("option_coordinator.policies.policy_file",),
     "Headers of value grids": ("ctrl_rl_core.values.grid_file", "ttr_reward_node.values.decomposed_value"),
-    "Headers of networks": ("oc_baseline_node.values.value_file", "ctrl_rl_training.io.actor"),
+    "Interfaces of policies": ("ctrl_rl_core.policies.manifest",),
+    "Headers of networks": ("oc_baseline_node.values.value_file", "ctrl_rl_core.policies.actor"),
     "Results": ("ctrl_rl_core.io.results",),
 }
 
