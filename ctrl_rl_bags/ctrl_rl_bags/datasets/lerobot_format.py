@@ -16,13 +16,12 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from ctrl_rl_core.io.checked_json import parse_json
-from ctrl_rl_core.io.file_checks import as_text, read_bytes
 from numpy.typing import NDArray
 from PIL import Image
 
-from ctrl_rl_bags.datasets.errors import LARGEST_INFO, DatasetError
+from ctrl_rl_bags.datasets.errors import DatasetError
 from ctrl_rl_bags.datasets.frames import IMAGE, IS_LAST, Column, Frames, Layout
+from ctrl_rl_bags.datasets.own_info import own_info, read_own_info
 from ctrl_rl_bags.datasets.statistics import Statistics
 from ctrl_rl_bags.format.checks import reason
 from ctrl_rl_core import atomic_write
@@ -33,7 +32,6 @@ _DATA = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 _FILE_MB, _CHUNK = 100, 1000
 _ROWS = 1000
 """Rows that are written at once, where pictures do not make the pieces smaller."""
-_OWN_KEY = "ctrl_rl"
 _COUNTERS = ("timestamp", "frame_index", "episode_index", "index", "task_index")
 
 
@@ -112,7 +110,7 @@ class LeRobotWriter:
             "data_path": _DATA,
             "video_path": None,
             "features": features,
-            _OWN_KEY: {"layout": self._layout.model_dump(), "sources": sources},
+            **own_info(self._layout, sources),
         }
         atomic_write(self._folder / INFO, json.dumps(info, indent=1))
 
@@ -166,11 +164,7 @@ def read_info(folder: Path) -> Mapping[str, Any]:
     Raises:
         DatasetError: It has none.
     """
-    info = parse_json(as_text(read_bytes(folder / INFO, LARGEST_INFO)))
-    own = info.get(_OWN_KEY) if isinstance(info, dict) else None
-    if not isinstance(own, dict):
-        raise DatasetError("was not written by `bag export`: it does not say what its frames are")
-    return own
+    return read_own_info(folder / INFO)
 
 
 def read_frames(folder: Path, layout: Layout) -> Iterator[Frames]:

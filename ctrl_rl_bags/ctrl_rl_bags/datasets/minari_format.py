@@ -13,11 +13,9 @@ from typing import Any
 
 import h5py
 import numpy as np
-from ctrl_rl_core.io.checked_json import parse_json
-from ctrl_rl_core.io.file_checks import as_text, read_bytes
 from numpy.typing import NDArray
 
-from ctrl_rl_bags.datasets.errors import LARGEST_INFO, DatasetError
+from ctrl_rl_bags.datasets.errors import DatasetError
 from ctrl_rl_bags.datasets.frames import (
     ACTION,
     DONE,
@@ -30,13 +28,13 @@ from ctrl_rl_bags.datasets.frames import (
     Frames,
     Layout,
 )
+from ctrl_rl_bags.datasets.own_info import own_info, read_own_info
 from ctrl_rl_bags.format.checks import reason
 from ctrl_rl_core import atomic_write
 
 METADATA, DATA = "data/metadata.json", "data/main_data.hdf5"
 VERSION = "0.5.4"
 """Version of Minari whose files these are."""
-_OWN_KEY = "ctrl_rl"
 _OBSERVATION = "observation."
 _INFOS = (STAMP, LOG_TIME, OUTCOME)
 _PIECE = 1000
@@ -108,7 +106,7 @@ class MinariWriter:
             "minari_version": VERSION,
             "description": f"Drives of task {self._layout.task}, from bags.",
             "dataset_size": round((self._folder / DATA).stat().st_size / 1e6, 1),
-            _OWN_KEY: {"layout": self._layout.model_dump(), "sources": sources},
+            **own_info(self._layout, sources),
         }
         atomic_write(self._folder / METADATA, json.dumps(metadata, indent=1))
 
@@ -123,11 +121,7 @@ def read_info(folder: Path) -> Mapping[str, Any]:
     Raises:
         DatasetError: It has none.
     """
-    metadata = parse_json(as_text(read_bytes(folder / METADATA, LARGEST_INFO)))
-    own = metadata.get(_OWN_KEY) if isinstance(metadata, dict) else None
-    if not isinstance(own, dict):
-        raise DatasetError("was not written by `bag export`: it does not say what its frames are")
-    return own
+    return read_own_info(folder / METADATA)
 
 
 def read_frames(folder: Path, layout: Layout) -> Iterator[Frames]:

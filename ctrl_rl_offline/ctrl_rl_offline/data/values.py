@@ -9,6 +9,7 @@ import numpy as np
 from ctrl_rl_core.tasks.schema.optimal_control import GridSpec
 from ctrl_rl_core.tasks.schema.system import SystemSpec
 from numpy.typing import NDArray
+from ttr_reward_node.rewards.rewards import longest_time
 from ttr_reward_node.solvers.solver import check_reached
 
 from ctrl_rl_core import NavigationTask, ValueFunction, task_digest
@@ -48,8 +49,7 @@ class StateValues:
         self._function, self._task = function, task
         self.counts_time = function.kind == TIME_TO_REACH
         self.unit = -task.episode.time_step if self.counts_time else 0.0
-        finite = [grid.values[np.isfinite(grid.values)] for grid in function.grids]
-        self._longest = max((float(values.max(initial=0.0)) for values in finite), default=0.0)
+        self._longest = longest_time(function)
         self._least = 0.0 if self.counts_time else float(task.rewards.collision)
 
     def __call__(self, states: Array) -> Array:

@@ -17,7 +17,7 @@ from ctrl_rl_bags.datasets.readings import no_goal
 from ctrl_rl_bags.datasets.rebuilding import DriveWriter
 from ctrl_rl_core.driving.scan import ScanGeometry
 from ctrl_rl_core.policies.observation import Sensors
-from ctrl_rl_training.sb3.environment import PLANAR_RATE, TRAINING_RATE
+from ctrl_rl_training.sb3.environment import usual_rate
 from numpy.typing import NDArray
 
 from ctrl_rl_core import NavigationTask, Outcome, task_digest, terminal_reward
@@ -80,7 +80,7 @@ def drive(
     """
     if task.plane != "xy":
         raise OfflineError(f"task '{task.name}' is a quadrotor's: only robots on wheels are driven here")
-    rate = (PLANAR_RATE if engine == "planar" else TRAINING_RATE)[task.plane]
+    rate = usual_rate(task, engine)
     world = SimulatedWorld(task, options=SimulationOptions(engine=engine, rate=rate))
     found: list[tuple[int, int]] = []
     writer = None if bag is None else DriveWriter(bag, layout_of(task))

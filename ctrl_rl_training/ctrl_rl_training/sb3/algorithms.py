@@ -119,22 +119,15 @@ def _trpo(_: int) -> dict[str, Any]:
 
 
 def _ddpg(samples: int) -> dict[str, Any]:
-    return {
-        "gamma": _GAMMA,
-        "learning_rate": 1e-3,
-        "buffer_size": samples,
-        "learning_starts": min(2000, samples // 4),
-        "batch_size": 128,
-        "tau": 0.02,
-        "n_steps": 5,
-        "train_freq": (8, "step"),
-        "gradient_steps": 4,
-        "action_noise": OrnsteinUhlenbeckActionNoise(np.zeros(2), np.full(2, _NOISE), theta=_RETURN, dt=1.0),
-        "policy_kwargs": {**_network(), "activation_fn": NormalizedRelu},
-    }
+    noise = OrnsteinUhlenbeckActionNoise(np.zeros(2), np.full(2, _NOISE), theta=_RETURN, dt=1.0)
+    return {**_off_policy(samples), "action_noise": noise}
 
 
 def _sac(samples: int) -> dict[str, Any]:
+    return {**_off_policy(samples), "ent_coef": "auto_0.1"}
+
+
+def _off_policy(samples: int) -> dict[str, Any]:
     return {
         "gamma": _GAMMA,
         "learning_rate": 1e-3,
@@ -145,7 +138,6 @@ def _sac(samples: int) -> dict[str, Any]:
         "n_steps": 5,
         "train_freq": (8, "step"),
         "gradient_steps": 4,
-        "ent_coef": "auto_0.1",
         "policy_kwargs": {**_network(), "activation_fn": NormalizedRelu},
     }
 

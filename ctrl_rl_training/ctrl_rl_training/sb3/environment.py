@@ -13,6 +13,7 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
+from sim_bridge.fleet.planar_fleet import RATE as FLEET_RATE
 
 from ctrl_rl_core import NavigationTask
 from ctrl_rl_training.errors import TrainingError
@@ -23,8 +24,6 @@ Environment = gymnasium.Env[Vector, Vector]
 
 TRAINING_RATE = {"xy": 60, "xz": 120}
 """Physics steps per second while learning [Hz], by plane: a quarter and a half of the nodes' work."""
-PLANAR_RATE = {"xy": 30, "xz": 60}
-"""Those of the planar engine, which is exact between changes of the command."""
 DEPLOYED_RATE = 240
 """Those of the simulated robots that nodes drive [Hz]."""
 _TYPICAL = {"theta": 0.5 * math.pi, "psi": 0.25 * math.pi, "v_x": 2.0, "v_z": 2.0, "v": 1.0, "omega": 2.0}
@@ -76,6 +75,11 @@ def observation_names(task: NavigationTask) -> list[str]:
     return [*task.observed_states, *(f"beam_{index}" for index in range(task.lidar.beams))]
 
 
+def usual_rate(task: NavigationTask, engine: str) -> int:
+    """Return the physics steps per second [Hz] while learning a task in an engine."""
+    return (FLEET_RATE if engine == "planar" else TRAINING_RATE)[task.plane]
+
+
 def make_environment(
     task: NavigationTask, rate: int | None = None, *wrappers: Any, engine: str = "auto"
 ) -> Environment:
@@ -83,7 +87,7 @@ def make_environment(
 
     Args:
         task: Task with the rewards.
-        rate: Physics steps per second [Hz]; `TRAINING_RATE` unless given, `PLANAR_RATE` for the planar engine.
+        rate: Physics steps per second [Hz]; `usual_rate` unless given.
         wrappers: Functions called with the environment before its observations are scaled, e.g. to pay something else.
         engine: Physics engine, one of `sim_bridge.ENGINES`.
 
@@ -91,8 +95,7 @@ def make_environment(
         SimulationError: the time step of the task is not a whole number of physics steps.
         TrainingError: the task has no arena.
     """
-    usual = PLANAR_RATE if engine == "planar" else TRAINING_RATE
-    options = SimulationOptions(engine=engine, rate=usual[task.plane] if rate is None else rate)
+    options = SimulationOptions(engine=engine, rate=usual_rate(task, engine) if rate is None else rate)
     environment: Environment = NavigationEnv(task, options=options)
     for wrap in wrappers:
         environment = wrap(environment)
