@@ -84,12 +84,13 @@ def _serve(door: socket.socket) -> list[str]:
             _preload(program[1] if program[0] == "-c" else Path(program[0]).read_text())
         tracing = _Tracing()
         middle = os.fork()
-        if middle == 0 and (pid := os.fork()):
-            door.send(str(pid).encode())
-            os._exit(0)
         if middle == 0:
+            middle = os.getpid()
+            if pid := os.fork():
+                door.send(str(pid).encode())
+                os._exit(0)
             tracing.call("after_fork_child")
-            _end_with(tests)
+            _end_with(tests, middle)
             break
         tracing.call("after_fork_parent")
         os.waitpid(middle, 0)
@@ -122,10 +123,9 @@ class _Tracing:
                     getattr(library, name)(self._signals)
 
 
-def _end_with(parent: int) -> None:
-    """Let this process be killed when the parent that it is about to get ends, however that ends."""
-    first = os.getppid()
-    while os.getppid() == first != parent:
+def _end_with(parent: int, left_by: int) -> None:
+    """Let this process be killed when the parent that it gets after `left_by` ends, however that ends."""
+    while os.getppid() == left_by:
         time.sleep(0.001)
     _LIBC.prctl(_END_WITH_PARENT, signal.SIGKILL, 0, 0, 0)
     if os.getppid() != parent:
