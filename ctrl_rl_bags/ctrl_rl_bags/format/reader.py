@@ -193,11 +193,13 @@ class Bag:
 
     def _uncompress(self, metadata: BagMetadata, stack: ExitStack) -> None:
         """Prepare a bag that rosbag2 compressed file by file or message by message."""
-        if metadata.compression_format != "zstd":
+        kind, mode = str(metadata.compression_format), str(metadata.compression_mode).lower()
+        if kind != "zstd" or mode not in ("file", "message"):
             raise BagError(
-                f"{self.path}: its compression {printable(str(metadata.compression_format))!r} is unknown: use zstd"
+                f"{self.path}: its compression {printable(kind)!r} by {printable(mode)!r} is unknown: use zstd by file or"
+                f" message{recover_hint(self.path)}"
             )
-        self._by_message = str(metadata.compression_mode).lower() == "message"
+        self._by_message = mode == "message"
         if self._by_message:
             return
         folder = Path(stack.enter_context(TemporaryDirectory(prefix="bag-")))
