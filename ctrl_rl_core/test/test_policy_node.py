@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from rcl_interfaces.srv import SetParameters
 from sensor_msgs.msg import LaserScan
 from tf2_msgs.msg import TFMessage
 
-from ctrl_rl_core import COMMAND, PolicyManifest
+from ctrl_rl_core import COMMAND, Actor, PolicyManifest, find_policy
 from ctrl_rl_msgs.msg import RotorThrusts
 
 STEP = 10**8
@@ -52,18 +53,22 @@ class Robot:
             rclpy.spin_once(self.node, timeout_sec=0.02)
         return True
 
-    def ask(self, v: float = 0.0, odometry: bool = True) -> tuple[float, float]:
-        """Return the command that answers one more scan, of a room of 3 m."""
+    def ask(
+        self, v: float = 0.0, odometry: bool = True, x: float = 0.0, y: float = 0.0, ahead: float = 3.0
+    ) -> tuple[float, float]:
+        """Return the command that answers one more scan, of a room of 3 m with a wall so far ahead."""
         self._sent += 1
         stamp = self._sent * STEP
         if odometry:
             message = Odometry(child_frame_id="base_link")
             message.header.frame_id = "odom"
             message.twist.twist.linear.x = v
+            message.pose.pose.position.x, message.pose.pose.position.y = x, y
             self.odom.publish(message)
             self.wait(lambda: False, 0.02)
-        ranges = float32_array(np.full(360, 3.0) + 1e-3 * np.random.default_rng(self._sent).random(360))
-        scan = LaserScan(angle_increment=2 * np.pi / 360, range_min=0.12, range_max=10.0, ranges=ranges)
+        ranges = np.full(360, 3.0) + 1e-3 * np.random.default_rng(self._sent).random(360)
+        ranges[np.arange(-30, 31)] *= ahead / 3.0
+        scan = LaserScan(angle_increment=2 * np.pi / 360, range_min=0.12, range_max=10.0, ranges=float32_array(ranges))
         scan.header.stamp = to_stamp(stamp)
         self.scan.publish(scan)
         assert self.wait(lambda: stamp in self.answers), "no answer"
@@ -159,6 +164,36 @@ def test_it_drives_holds_swaps_and_stands(robot: Callable, run_node: Callable, t
     assert code == 0
     assert body.wait(lambda: body.last == (0.0, 0.0)), "the last command is zero"
     assert "Traceback" not in node.output
+
+
+def overflowing(name: str, folder: Path) -> Path:
+    """Return a shipped policy whose network overflows to NaN at x = y = 4 m."""
+    known, file = Actor.load(find_policy(name)), folder / f"{name}.safetensors"
+    first = known.weights[0].copy()
+    first[:, 0], first[:, 1] = 3e38, -3e38
+    replace(known, weights=(first, *known.weights[1:])).save(file)
+    return file
+
+
+def test_guards_hold_with_policies_that_are_shipped(robot: Callable, run_node: Callable, tmp_path: Path) -> None:
+    node = run_node("ctrl_rl_core", "policy", "policy:=car_ttr", "scan_timeout:=3.0")
+    body = robot()
+    body.begin()
+    assert body.ask()[0] > 0.5
+    assert body.ask(ahead=0.3)[0] == 0.0
+    node.wait_for("obstacle")
+    assert body.ask()[0] > 0.5, "the way is free again"
+    assert body.set_policy(find_policy("car_navigation")) == ""
+    assert body.ask(x=2.0, y=2.0)[0] > 0.5
+    assert "quad_ttr.safetensors is for a planar_quadrotor" in body.set_policy(find_policy("quad_ttr"))
+    assert body.ask(x=2.0, y=2.0)[0] > 0.5, "the one before drives on"
+    assert body.set_policy(overflowing("car_navigation", tmp_path)) == ""
+    assert body.ask(x=4.0, y=4.0) == (0.0, 0.0)
+    node.wait_for("not finite")
+    assert body.set_policy(find_policy("car_ttr")) == ""
+    assert body.ask()[0] > 0.5
+    assert body.wait(lambda: body.last == (0.0, 0.0)), "no scan comes any more"
+    node.wait_for("stopping: no recent scan")
 
 
 def test_the_pose_comes_from_transforms_where_that_is_asked_for(
