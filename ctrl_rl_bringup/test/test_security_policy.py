@@ -18,6 +18,9 @@ NODES = (
     ("ctrl_rl_core", "policy", "policy", (RAW,), ("policy:=curved_corridor",)),
     ("ctrl_rl_safety", "safety_filter", "safety_filter", ("cmd_vel:=cmd_vel_safe",), ("use_map:=true",)),
     ("ctrl_rl_core", "watchdog", "watchdog", (), ()),
+    ("ctrl_rl_core", "thrust_watchdog", "thrust_watchdog", (), ()),
+    ("ctrl_rl_navigation", "navigator", "navigator", (RAW,), ()),
+    ("ctrl_rl_navigation", "map_server", "map_server", (), ("map:=maze",)),
     ("ctrl_rl_bags", "recorder", "recorder", (), ("output:={folder}/bag",)),
     ("oc_baseline_node", "baseline", "oc_baseline_node", (), ("grid:=curved_corridor",)),
     ("option_coordinator", "coordinator", "option_coordinator", (), ("team:=delivery_team", "policy:=spread")),
@@ -89,6 +92,8 @@ def test_a_node_uses_only_what_its_profile_allows(
 
 def test_only_watchdogs_may_move_a_robot() -> None:
     rights = {node: allowed(profile, "publish") for node, profile in profiles().items()}
-    movers = {node for node, names in rights.items() if any(name.endswith("/cmd_vel") for name in names)}
-    assert movers == {"/watchdog", "/robot_1/watchdog", "/robot_2/watchdog", "/robot_3/watchdog"}
+    moves = ("/cmd_vel", "/rotor_thrusts")
+    movers = {node for node, names in rights.items() if any(name.endswith(moves) for name in names)}
+    watchdogs = {"/watchdog", "/thrust_watchdog", "/robot_1/watchdog", "/robot_2/watchdog", "/robot_3/watchdog"}
+    assert movers == watchdogs
     assert not any("*" in name for names in rights.values() for name in names)
