@@ -21,6 +21,7 @@ ALLOWED = {
     "ctrl_rl_safety": 0,
     "ctrl_rl_benchmarks": 0,
     "ctrl_rl_offline": 0,
+    "ctrl_rl_robot": 0,
     "ctrl_rl_training": 0,
     "koopman_lqr_controller": 0,
     "oc_baseline_node": 0,

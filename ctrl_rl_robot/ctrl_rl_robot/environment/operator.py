@@ -1,0 +1,70 @@
+"""The operator who may take over: the last command counts while it is fresh. Pure logic."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+class JoyMapping(NamedTuple):
+    """Places in a sensor_msgs/Joy.
+
+    Attributes:
+        button: Index of the dead man's button, which must be held.
+        speed: Index of the axis for the speed.
+        turn: Index of the axis for the turn rate.
+    """
+
+    button: int
+    speed: int
+    turn: int
+
+
+class Operator:
+    """The commands of a joystick or keyboard.
+
+    Attributes:
+        refused: Number of messages that held no command.
+    """
+
+    def __init__(self, timeout: float, low: Array, high: Array) -> None:
+        """Begin with nobody at the controls.
+
+        Args:
+            timeout: Age of a command from which on it no longer counts [s].
+            low: Least speed [m/s] and turn rate [rad/s] (2,).
+            high: Largest speed [m/s] and turn rate [rad/s] (2,).
+        """
+        self._timeout, self._low, self._high = timeout, low, high
+        self._command, self._heard = np.zeros(2), -math.inf
+        self.refused = 0
+
+    def on_command(self, speed: float, turn_rate: float, now: float) -> None:
+        """Take a speed [m/s] and turn rate [rad/s] that came at a time [s]."""
+        command = np.array((speed, turn_rate))
+        if not np.isfinite(command).all():
+            self.refused += 1
+            return
+        self._command, self._heard = np.clip(command, self._low, self._high), now
+
+    def on_joy(self, axes: Sequence[float], buttons: Sequence[int], mapping: JoyMapping, now: float) -> None:
+        """Take the state of a joystick; without the dead man's button the robot is given back at once."""
+        if mapping.button >= len(buttons) or max(mapping.speed, mapping.turn) >= len(axes):
+            self.refused += 1
+            return
+        if not buttons[mapping.button]:
+            self._heard = -math.inf
+            return
+        tilt = np.clip((axes[mapping.speed], axes[mapping.turn]), -1.0, 1.0)
+        speed, turn_rate = np.where(tilt >= 0.0, tilt * self._high, -tilt * self._low).tolist()
+        self.on_command(speed, turn_rate, now)
+
+    def command(self, now: float) -> Array | None:
+        """Return the command (2,) at a time [s]; None while nobody takes over."""
+        return self._command if 0.0 <= now - self._heard <= self._timeout else None

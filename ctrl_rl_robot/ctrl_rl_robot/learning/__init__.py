@@ -1,0 +1,1 @@
+"""Fine-tuning of a policy from few steps."""
