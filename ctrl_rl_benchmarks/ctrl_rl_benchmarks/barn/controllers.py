@@ -39,8 +39,8 @@ JACKAL = DriveLimits(
     width=0.43,
 )
 """A Jackal, a little below its limits."""
-FILTERED_JACKAL = replace(JACKAL, margin=0.07, length=0.0, width=0.0)
-"""A Jackal above the safety filter, which keeps a disc around all of the robot free."""
+FILTERED_JACKAL = replace(JACKAL, margin=0.07)
+"""A Jackal above the safety filter, which keeps farther away from what it cannot see exactly."""
 DELAY = 0.1
 """Time from a command to its effect and until the next one [s]."""
 DECELERATION = 4.0

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrl_rl_navigation.driving.look_ahead import LookAhead
+from ctrl_rl_navigation.driving.look_ahead import REVERSING, TURNS_AFTER, LookAhead
 from ctrl_rl_navigation.driving.moving_echoes import MovingEchoes
 from ctrl_rl_navigation.driving.scan_map import ScanMap
 from ctrl_rl_navigation.errors import NavigationError
@@ -18,12 +18,10 @@ from ctrl_rl_navigation.values.map_value import MapValue
 
 Array = NDArray[np.float64]
 
-_SPEEDS = (-0.3, 0.0, 0.35, 0.7, 1.0)
 _FASTEST = 2.0
 """Speed of moving obstacles up to which they are looked for in time [m/s]."""
 _BESIDE = 1.0
 """Distance up to which obstacles of the map count that the scan cannot see, behind the robot [m]."""
-_TURNS_AFTER = (-0.5, -0.2, 0.0, 0.2, 0.5)
 _THIN = 0.03
 """Side length of the cells of which the look-ahead takes one echo each [m]."""
 
@@ -84,8 +82,8 @@ class Explorer:
             settings.horizon,
             settings.ease,
             settings.slowest,
-            _TURNS_AFTER,
-            _SPEEDS,
+            TURNS_AFTER,
+            REVERSING,
         )
         self.value: MapValue | None = None
         self._moving = MovingEchoes()

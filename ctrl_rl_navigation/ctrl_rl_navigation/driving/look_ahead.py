@@ -26,9 +26,14 @@ HORIZON = 1.6
 """Duration of a roll-out [s]."""
 _HOLDS = (0.125, 0.3125, 0.625, 1.0)
 """Shares of the roll-out for which a candidate holds its command."""
-_SPEEDS = (0.0, 0.35, 0.7, 1.0)
+SPEEDS = (0.0, 0.35, 0.7, 1.0)
+"""Shares of the largest speed that are tried."""
+REVERSING = (-0.3, *SPEEDS)
+"""Those of a robot that cannot turn on the spot everywhere, and backs out."""
 _TURNS = (-1.0, -0.7, -0.45, -0.25, -0.1, 0.0, 0.1, 0.25, 0.45, 0.7, 1.0)
-"""Shares of the largest speed and turn rate that are tried."""
+"""Shares of the largest turn rate that are tried."""
+TURNS_AFTER = (-0.5, -0.2, 0.0, 0.2, 0.5)
+"""Those after a candidate's command with which a robot winds its way between obstacles."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +78,7 @@ class LookAhead:
         ease: float = EASE,
         slowest: float = SLOWEST,
         turns_after: tuple[float, ...] = (0.0,),
-        speeds: tuple[float, ...] = _SPEEDS,
+        speeds: tuple[float, ...] = SPEEDS,
     ) -> None:
         self.limits, self._period = limits, period
         self._rules = Rules(

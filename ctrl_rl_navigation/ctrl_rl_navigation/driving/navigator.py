@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from ctrl_rl_core import OccupancyMap
 from ctrl_rl_navigation.driving.decision import Decision, Goal, NavigatorOptions, NavigatorState
-from ctrl_rl_navigation.driving.look_ahead import LookAhead
+from ctrl_rl_navigation.driving.look_ahead import REVERSING, SPEEDS, TURNS_AFTER, LookAhead
 from ctrl_rl_navigation.driving.obstacle_layer import ObstacleLayer
 from ctrl_rl_navigation.driving.value_keeper import Change, ValueKeeper
 from ctrl_rl_navigation.robot import DriveLimits
@@ -50,7 +50,15 @@ class Navigator:
 
     def __init__(self, limits: DriveLimits, options: NavigatorOptions | None = None) -> None:
         self.limits, self.options = limits, options or NavigatorOptions()
-        self._ahead = LookAhead(limits, self.options.period, self.options.delay, self.options.deceleration)
+        turns, speeds = (TURNS_AFTER, REVERSING) if limits.width else ((0.0,), SPEEDS)
+        self._ahead = LookAhead(
+            limits,
+            self.options.period,
+            self.options.delay,
+            self.options.deceleration,
+            turns_after=turns,
+            speeds=speeds,
+        )
         self._keeper = ValueKeeper(
             limits, _INSIDE * self.options.tolerance, self.options.tolerance, self.options.inline
         )
