@@ -13,7 +13,7 @@ from launch_ros.parameter_descriptions import ParameterValue
 ARGUMENTS = {
     "robot": ("turtlebot3_burger", "constants of the robot: a name that the filter knows, or a .yaml file"),
     "mover_speed": ("0.0", "largest speed of people and other robots around [m/s]"),
-    "use_map": ("false", "whether the topic map tells what stands for ever"),
+    "use_map": ("false", "whether the topic map tells what never moves"),
     "pose": ("tf", "where the pose on the map comes from: tf, amcl_pose or odometry"),
     "stamped": ("true", "velocities are TwistStamped (Jazzy), else Twist (Humble)"),
     "largest_speed": ("0.22", "speed above which the watchdog refuses a command [m/s]"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from ctrl_rl_safety.filter.certificate import outer_speed
 from ctrl_rl_safety.models.motion import STANDS, motion_of, roll_out
 from numpy.typing import NDArray
 
@@ -55,12 +56,19 @@ class LightWorld:
                 self._held = self._under_way.pop(0)[1]
             self.state = roll_out(self.state, self._held[None], self._motion)[1]
             self.time += STEP
-            gaps = np.hypot(*(self._places() - self.state[:2]).T) - self._discs[:, 4] - self.model.radius
+            gaps = self._away() - self._discs[:, 4] - (0.0 if self.model.length else self.model.radius)
             stands = (self._discs[:, 2:4] == 0.0).all(axis=1)
             standing = min(standing, *gaps[stands], math.inf)
-            if abs(self.state[3]) >= STANDS:
+            if outer_speed(self.state[3], self.state[4], self.model.core) >= STANDS:
                 moving = min(moving, *gaps[~stands], math.inf)
         return verdict, standing, moving
+
+    def _away(self) -> NDArray[np.float64]:
+        """Return the distances of the discs' middles to the robot's core."""
+        x, y, theta = self.state[:3]
+        c, s = np.cos(theta), np.sin(theta)
+        beside = np.abs((self._places() - (x, y)) @ np.array(((c, -s), (s, c)))) - self.model.core
+        return np.hypot(*np.maximum(beside, 0.0).T)
 
     def _places(self) -> NDArray[np.float64]:
         return self._discs[:, :2] + self.time * self._discs[:, 2:4]

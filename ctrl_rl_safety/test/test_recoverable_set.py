@@ -24,7 +24,7 @@ def some_echoes(seed: int, count: int = 25) -> np.ndarray:
 def test_in_front_of_a_wall_it_is_the_braking_distance() -> None:
     wall = np.column_stack((np.full(400, 0.9), np.linspace(-4.0, 4.0, 400)))
     model = dataclasses.replace(MODEL, turn_rate=1e-3)
-    found = solve_set(obstacles_around(wall, NONE, (0.0, 0.0), CELL), model, GROWTH)
+    found = solve_set(obstacles_around(NONE, wall, NONE, (0.0, 0.0), CELL), model, GROWTH)
     for v in (0.0, 0.4, 0.8, 1.0):
         exact = 0.9 - model.radius - v * v / (2.0 * model.braking)
         assert found.value(np.array((0.0, 0.0, 0.0, v))) == pytest.approx(exact, abs=0.4 * CELL)
@@ -33,7 +33,7 @@ def test_in_front_of_a_wall_it_is_the_braking_distance() -> None:
 
 def test_what_it_calls_recoverable_stops_in_dense_roll_outs_and_what_not_does_not() -> None:
     echoes, random = some_echoes(1), np.random.default_rng(2)
-    found = solve_set(obstacles_around(echoes, NONE, (0.0, 0.0), CELL), MODEL, GROWTH)
+    found = solve_set(obstacles_around(NONE, echoes, NONE, (0.0, 0.0), CELL), MODEL, GROWTH)
     motion = motion_of(MODEL, 0.02)
     steps = math.ceil(MODEL.speed / MODEL.braking / 0.02) + 1
     wrong = 0
@@ -53,20 +53,28 @@ def test_what_it_calls_recoverable_stops_in_dense_roll_outs_and_what_not_does_no
 
 
 def test_it_shrinks_with_growth_speed_and_echoes() -> None:
-    obstacles = obstacles_around(some_echoes(3), NONE, (0.0, 0.0), CELL)
+    obstacles = obstacles_around(NONE, some_echoes(3), NONE, (0.0, 0.0), CELL)
     found = solve_set(obstacles, MODEL, GROWTH)
     assert (np.diff(found.values, axis=0) <= 0.5 * CELL).all()
     grown = solve_set(obstacles, MODEL, Growth(0.1))
     assert (grown.values <= found.values + 1e-5).all()
-    more = solve_set(
-        obstacles_around(np.concatenate((some_echoes(3), some_echoes(4))), NONE, (0.0, 0.0), CELL), MODEL, GROWTH
-    )
+    both = np.concatenate((some_echoes(3), some_echoes(4)))
+    more = solve_set(obstacles_around(NONE, both, NONE, (0.0, 0.0), CELL), MODEL, GROWTH)
     assert (more.values <= found.values + 1e-5).all()
+
+
+def test_a_rectangle_fits_lengthways_where_its_disc_does_not_and_not_crossways() -> None:
+    jackal = dataclasses.replace(MODEL, radius=0.333, length=0.508, width=0.43)
+    posts = np.array(((0.0, 0.32), (0.0, -0.32)))
+    for echoes in ((posts, NONE, NONE), (NONE, posts, NONE), (NONE, NONE, posts)):
+        found = solve_set(obstacles_around(*echoes, (0.0, 0.0), CELL), jackal, GROWTH)
+        assert found.value(np.array((0.0, 0.0, 0.0, 0.3))) == pytest.approx(0.32 - 0.231, abs=CELL)
+        assert found.value(np.array((0.0, 0.0, 0.5 * math.pi, 0.3))) == pytest.approx(0.32 - 0.4, abs=CELL)
 
 
 def test_it_is_the_viability_kernel_that_an_iteration_over_all_accelerations_finds() -> None:
     """Independent of the pass: speeds may rise, stay and fall, and values are taken until they change no more."""
-    found = solve_set(obstacles_around(some_echoes(5), NONE, (0.0, 0.0), CELL), MODEL, GROWTH)
+    found = solve_set(obstacles_around(NONE, some_echoes(5), NONE, (0.0, 0.0), CELL), MODEL, GROWTH)
     nodes = found.values.shape[-1]
     gap = found.values[0, 0].astype(np.float64)
     kernel = np.broadcast_to(gap, found.values.shape).copy()
@@ -117,5 +125,9 @@ def test_models_are_read_written_and_refused(tmp_path: Path) -> None:
     file.write_text(file.read_text().replace("0.7 m/s", "-0.7 m/s"))
     with pytest.raises(SafetyError, match=r"mine.yaml: speed -0.7 m/s: must be more than 0"):
         find_model(str(file))
+    with pytest.raises(SafetyError, match=r"0.7 x 0.4 m is not in a disc of 0.3 m"):
+        dataclasses.replace(MODEL, radius=0.3, length=0.7, width=0.4)
+    with pytest.raises(SafetyError, match="needs both length and width"):
+        dataclasses.replace(MODEL, width=0.1)
     with pytest.raises(SafetyError, match="there are turtlebot3_burger"):
         find_model("r2d2")

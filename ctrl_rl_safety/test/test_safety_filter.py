@@ -113,7 +113,7 @@ def test_behind_somebody_slower_the_speed_is_steady_while_scans_grow_old() -> No
     assert world.state[0] > 0.5
 
 
-def test_what_a_map_has_stands_for_ever_and_anything_else_may_come() -> None:
+def test_what_a_map_has_never_moves_and_anything_else_may_come() -> None:
     model = ROBOTS["turtlebot3_burger"]
     wall = np.column_stack((np.full(40, 0.45), np.linspace(-1.0, 1.0, 40)))
     reading, raw = Reading(np.zeros(3), 0.2, 0.0), np.array((0.2, 0.0))
@@ -126,6 +126,29 @@ def test_what_a_map_has_stands_for_ever_and_anything_else_may_come() -> None:
     assert answer(lambda places: np.ones(len(places), bool)) is Mode.PASSED
     assert answer(lambda places: np.zeros(len(places), bool)) is not Mode.PASSED
     assert answer(None) is not Mode.PASSED
+
+
+def test_without_a_map_a_surface_larger_than_any_mover_is_a_wall_once_it_has_stood() -> None:
+    model = ROBOTS["turtlebot3_burger"]
+    wall = np.column_stack((np.linspace(-1.0, 1.0, 60), np.full(60, 0.25)))
+    reading, raw = Reading(np.zeros(3), 0.2, 0.0), np.array((0.2, 0.0))
+    for size, mode in ((1.0, Mode.PASSED), (3.0, Mode.CORRECTED), (0.0, Mode.CORRECTED)):
+        safety = SafetyFilter(model, FilterOptions(mover_speed=0.6, mover_size=size))
+        modes = []
+        for now in np.arange(0.0, 1.7, 0.2):
+            safety.see(float(now), reading.pose, wall)
+            modes.append(safety.decide(float(now), reading, raw).mode)
+        assert modes[0] is not Mode.PASSED
+        assert modes[-1] is mode
+
+
+def test_a_jackal_drives_through_a_gap_that_is_narrower_than_its_disc() -> None:
+    model = ROBOTS["jackal"]
+    posts = np.array([(1.0, 0.38, 0.0, 0.0, 0.05), (1.0, -0.38, 0.0, 0.0, 0.05)])
+    for name, shape in (("rectangle", model), ("disc", dataclasses.replace(model, length=0.0, width=0.0))):
+        world = LightWorld(shape, posts, SafetyFilter(shape, FilterOptions(unblock_after=0.0)), 0)
+        assert min(world.tick(np.array((0.6, 0.0)), True)[1] for _ in range(80)) > 0.0
+        assert (world.state[0] > 1.5) == (name == "rectangle")
 
 
 def test_where_nothing_is_known_any_more_the_last_certified_escape_is_driven() -> None:

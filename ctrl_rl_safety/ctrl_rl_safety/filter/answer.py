@@ -178,7 +178,7 @@ def _braking(sit: Any, ask: Any, state: tuple[float, float, float, float, float]
     Among them are those with which any escape that was certified before goes on.
     """
     best, which, turn = -FAR, ask.first, 0.0
-    turns = (state[4], best_turn(sit, state) if sit.guide.ready else 0.0, -1.0, 1.0, -0.5, 0.5)
+    turns = (state[4], best_turn(sit, state) if sit.guide.ready else 0.0, -1.0, 1.0, -0.5, 0.5, 0.0)
     for k in range(len(turns)):
         tried = turns[k] if k < 2 else sit.turn_rate * turns[k]
         margin, kind = certify(sit, state, t, (0.0, tried), sit.hold, ask.first, FAR)
@@ -188,19 +188,19 @@ def _braking(sit: Any, ask: Any, state: tuple[float, float, float, float, float]
 
 
 @njit
-def _from_here(sit: Any, x: float, y: float, t: float) -> Any:
+def _from_here(sit: Any, x: float, y: float, theta: float, t: float) -> Any:
     """Return the situation of a robot at a place, which counts from there where it has less room than it needs.
 
     The disturbance is left out then: a robot that stands must be able to turn, and to go where there is more room.
     """
     room = sit.rooms[1]
-    if margin_at(sit.obstacles, sit.growth, x, y, t, (room, -FAR)) >= 0.0:
+    if margin_at(sit.obstacles, sit.growth, sit.core, x, y, theta, t, (room, -FAR)) >= 0.0:
         return sit
     growth = Growth(0.0, sit.growth.mover_speed, 0.0, 0.0)
-    gap = margin_at(sit.obstacles, growth, x, y, 0.0, (room, -FAR))
+    gap = margin_at(sit.obstacles, growth, sit.core, x, y, theta, 0.0, (room, -FAR))
     rooms = (room + min(gap - 2.0 * AWAY, 0.0), room)
-    guide, motion = sit.guide, sit.motion
-    return Situation(sit.obstacles, growth, motion, guide, rooms, True, sit.hold, sit.turn_rate, sit.lag)
+    guide, motion, core = sit.guide, sit.motion, sit.core
+    return Situation(sit.obstacles, growth, motion, guide, core, rooms, True, sit.hold, sit.turn_rate, sit.lag)
 
 
 @cached_njit
@@ -222,7 +222,7 @@ def answer(sit: Any, ask: Any, begin: Array, t: float, commands: Array) -> Any:
     guide, value = sit.guide, math.nan
     if guide.ready:
         value = value_at(guide.values, guide.x, guide.y, guide.cell, guide.top, state[0], state[1], state[2], state[3])
-    sit = _from_here(sit, state[0], state[1], t)
+    sit = _from_here(sit, state[0], state[1], state[2], t)
     again = ask.corrected and abs(ask.raw[0]) >= STANDS
     extra, steps = (ask.hysteresis, ask.patience) if again else (0.0, sit.hold)
     margin, kind = certify(sit, state, t, ask.raw, steps, ask.first, extra)

@@ -1,7 +1,8 @@
 """Certifies a command: rolls it out until the next one can have an effect, and then an escape until the robot stands.
 
-The disc of each place on the way is checked against all grown echoes. Between two places it lies within half of the way
-between them, which is added to its radius. A command is certified where some escape leaves a margin of zero or more.
+The robot at each place on the way, a disc or a rectangle, is checked against all grown echoes. Between two places it
+lies within half of the way between them, which is added to what it needs. A command is certified where some escape
+leaves a margin of zero or more.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 
 from ctrl_rl_safety.models.growth import Growth
 from ctrl_rl_safety.models.motion import STANDS, Motion, next_state
-from ctrl_rl_safety.sets.distance_field import CAP, FAR, Obstacles, margin_at
+from ctrl_rl_safety.sets.distance_field import CAP, FAR, Obstacles, distance_to, margin_at, square_to
 from ctrl_rl_safety.sets.recoverable_set import value_at
 
 Array = NDArray[np.float64]
@@ -64,7 +65,8 @@ class Situation(NamedTuple):
         growth: Bounds of motion.
         motion: Motion of the robot for one time step.
         guide: Recoverable set, if any.
-        rooms: Radius that the disc needs beside standing and beside moving echoes [m].
+        core: Half the length and width of the robot's rectangle [m]; zeros for a disc.
+        rooms: Distance that the core needs to echoes that stay, and to moving ones [m].
         close: Whether the robot begins with less room than it needs; it may then only turn, or go where there is more.
         hold: Time steps until the command after this one has an effect.
         turn_rate: Largest turn rate [rad/s].
@@ -75,6 +77,7 @@ class Situation(NamedTuple):
     growth: Growth
     motion: Motion
     guide: Guide
+    core: tuple[float, float]
     rooms: tuple[float, float]
     close: bool
     hold: int
@@ -83,11 +86,19 @@ class Situation(NamedTuple):
 
 
 @njit(inline="always")
-def _checked(sit: Any, x: float, y: float, v: float, t: float) -> float:
-    """Return the margin of a place; what comes to a robot that stands is no fault of its own."""
-    slack = 0.5 * abs(v) * sit.motion.step
-    aside = sit.rooms[1] + slack if abs(v) >= STANDS else -FAR
-    return margin_at(sit.obstacles, sit.growth, x, y, t, (sit.rooms[0] + slack, aside))
+def outer_speed(v: float, omega: float, core: tuple[float, float]) -> float:
+    """Return a bound of the speed of all places of the robot [m/s]; a disc that turns moves none to another place."""
+    return abs(v) + math.hypot(core[0], core[1]) * abs(omega)
+
+
+@njit(inline="always")
+def _checked(sit: Any, state: tuple[float, float, float, float, float], t: float) -> float:
+    """Return the margin of a state; what comes to a robot that stands is no fault of its own."""
+    x, y, theta, v, omega = state
+    speed = outer_speed(v, omega, sit.core)
+    slack = 0.5 * speed * sit.motion.step
+    aside = sit.rooms[1] + slack if speed >= STANDS else -FAR
+    return margin_at(sit.obstacles, sit.growth, sit.core, x, y, theta, t, (sit.rooms[0] + slack, aside))
 
 
 @njit
@@ -95,13 +106,13 @@ def hold(
     sit: Any, state: tuple[float, float, float, float, float], t: float, v_c: float, omega_c: float, steps: int
 ) -> Any:
     """Return the state, the time and the least margin after some steps of one command."""
-    x, y, theta, v, omega = state
     least = FAR
     for _ in range(steps):
-        x, y, theta, v, omega = next_state(x, y, theta, v, omega, v_c, omega_c, sit.motion)
+        x, y, theta, v, omega = state
+        state = next_state(x, y, theta, v, omega, v_c, omega_c, sit.motion)
         t += sit.motion.step
-        least = min(least, _checked(sit, x, y, v, t))
-    return (x, y, theta, v, omega), t, least
+        least = min(least, _checked(sit, state, t))
+    return state, t, least
 
 
 @njit
@@ -122,20 +133,41 @@ def best_turn(sit: Any, state: tuple[float, float, float, float, float]) -> floa
 
 
 @njit
+def _escape_turn(
+    sit: Any, state: tuple[float, float, float, float, float], kind: int, step: int, before: float
+) -> float:
+    """Return the turn rate to command in a step of an escape [rad/s]; one that stands stops to turn, too.
+
+    Args:
+        sit: Motion and set.
+        state: State before the step.
+        kind: Kind of the escape.
+        step: Number of the step.
+        before: Turn rate of the step before [rad/s].
+    """
+    if sit.core[0] > 0.0 and abs(state[3]) < STANDS:
+        return 0.0
+    if kind == FAMILY:
+        return best_turn(sit, state) if step % _STEPS_A_TURN == 0 else before
+    if kind == 0:
+        return state[4] if step == 0 else before
+    return sit.turn_rate * (2.0 * (kind - 1) / (FAMILY - 2) - 1.0)
+
+
+@njit
 def _escape(sit: Any, state: tuple[float, float, float, float, float], t: float, kind: int, floor: float) -> float:
     """Return the least margin of an escape; it may be any number below `floor` once it is below."""
-    x, y, theta, v, omega = state
-    turn = omega if kind == 0 else sit.turn_rate * (2.0 * (kind - 1) / (FAMILY - 2) - 1.0)
+    turn = 0.0
     least = FAR
     for k in range(MOST_STEPS):
-        if abs(v) < STANDS or least < floor:
+        x, y, theta, v, omega = state
+        if outer_speed(v, omega, sit.core) < STANDS or least < floor:
             break
-        if kind == FAMILY and k % _STEPS_A_TURN == 0:
-            turn = best_turn(sit, (x, y, theta, v, omega))
-        x, y, theta, v, omega = next_state(x, y, theta, v, omega, 0.0, turn, sit.motion)
+        turn = _escape_turn(sit, state, kind, k, turn)
+        state = next_state(x, y, theta, v, omega, 0.0, turn, sit.motion)
         t += sit.motion.step
-        least = min(least, _checked(sit, x, y, v, t))
-    return min(least, _checked(sit, x, y, v, t) - abs(v) * sit.lag)
+        least = min(least, _checked(sit, state, t))
+    return min(least, _checked(sit, state, t) - outer_speed(state[3], state[4], sit.core) * sit.lag)
 
 
 @njit
@@ -171,16 +203,26 @@ def escape_from(
 
 
 @njit
-def nears(points: Any, begin: Any, end: Any) -> bool:
+def nears(points: Any, begin: Any, end: Any, core: tuple[float, float]) -> bool:
     """Return whether a motion comes nearer to any of the nearest echoes, among which noise may change the order."""
-    nearest = FAR
+    nearest = distance_to(points, begin[0], begin[1], begin[2], core) + BAND
+    c, s, next_c, next_s = math.cos(begin[2]), math.sin(begin[2]), math.cos(end[2]), math.sin(end[2])
     for i in range(points.shape[1]):
-        nearest = min(nearest, math.hypot(points[0, i] - begin[0], points[1, i] - begin[1]))
-    for i in range(points.shape[1]):
-        away = math.hypot(points[0, i] - begin[0], points[1, i] - begin[1])
-        if away < nearest + BAND and math.hypot(points[0, i] - end[0], points[1, i] - end[1]) < away:
+        away = square_to(points, i, begin[0], begin[1], c, s, core)
+        if away < nearest * nearest and square_to(points, i, end[0], end[1], next_c, next_s, core) < away:
             return True
     return False
+
+
+@njit
+def _gains(sit: Any, begin: tuple[float, float, float, float, float], end: Any) -> float:
+    """Return the distance by which a motion gets away from what stays [m]; none where it nears any of the nearest."""
+    obstacles, core, rooms = sit.obstacles, sit.core, (sit.rooms[0], -FAR)
+    gained = margin_at(obstacles, sit.growth, core, end[0], end[1], end[2], 0.0, rooms)
+    gained -= margin_at(obstacles, sit.growth, core, begin[0], begin[1], begin[2], 0.0, rooms)
+    if nears(obstacles.fixed, begin, end, core) or nears(obstacles.standing, begin, end, core):
+        return min(gained, 0.0)
+    return gained
 
 
 @njit
@@ -205,10 +247,9 @@ def certify(
         needed: Margin that is enough [m].
     """
     end, later, least = hold(sit, state, t, command[0], command[1], steps)
-    if sit.close and command[0] != 0.0:  # a creep below STANDS would add up
-        before = margin_at(sit.obstacles, sit.growth, state[0], state[1], 0.0, (sit.rooms[0], -FAR))
-        gained = margin_at(sit.obstacles, sit.growth, end[0], end[1], 0.0, (sit.rooms[0], -FAR)) - before
-        if gained < AWAY or nears(sit.obstacles.standing, state, end):
+    if sit.close and outer_speed(command[0], command[1], sit.core) > 0.0:  # a creep below STANDS would add up
+        gained = _gains(sit, state, end)
+        if gained < AWAY:
             return min(least, gained, 0.0) - AWAY, first
     if least < needed and least < 0.0:
         return least, first
@@ -237,15 +278,12 @@ def escape_path(sit: Any, state: Any, command: tuple[float, float], kind: int) -
     In place of the turn rates stand those that are commanded.
     """
     out = np.empty((sit.hold + MOST_STEPS, 5))
-    x, y, theta, v, omega = state
     turn, count = command[1], 0
-    while count < sit.hold or (count < len(out) and abs(v) >= STANDS):
-        escapes = count - sit.hold
-        if escapes == 0:
-            turn = omega if kind == 0 else sit.turn_rate * (2.0 * (kind - 1) / (FAMILY - 2) - 1.0)
-        if kind == FAMILY and escapes >= 0 and escapes % _STEPS_A_TURN == 0:
-            turn = best_turn(sit, (x, y, theta, v, omega))
-        x, y, theta, v, omega = next_state(x, y, theta, v, omega, command[0] if escapes < 0 else 0.0, turn, sit.motion)
-        out[count] = np.array((x, y, theta, v, turn))
+    while count < sit.hold or (count < len(out) and outer_speed(state[3], state[4], sit.core) >= STANDS):
+        if count >= sit.hold:
+            turn = _escape_turn(sit, state, kind, count - sit.hold, turn)
+        x, y, theta, v, omega = state
+        state = next_state(x, y, theta, v, omega, command[0] if count < sit.hold else 0.0, turn, sit.motion)
+        out[count] = np.array((state[0], state[1], state[2], state[3], turn))
         count += 1
     return out[:count].copy()

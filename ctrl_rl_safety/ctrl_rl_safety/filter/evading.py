@@ -23,9 +23,10 @@ _TURNS = 7
 
 
 @njit
-def _to_movers(sit: Situation, x: float, y: float) -> float:
+def _to_movers(sit: Situation, state: tuple[float, float, float, float, float]) -> float:
     """Return about the distance to the nearest mover [m]."""
-    return margin_at(sit.obstacles, Growth(0.0, 0.0, 0.0, 0.0), x, y, 0.0, (-FAR, 0.0))
+    x, y, theta, _, _ = state
+    return margin_at(sit.obstacles, Growth(0.0, 0.0, 0.0, 0.0), sit.core, x, y, theta, 0.0, (-FAR, 0.0))
 
 
 @cached_njit
@@ -39,7 +40,7 @@ def evade(sit: Any, state: Any, t: float, speeds: tuple[float, float], ahead: fl
         speeds: Least and largest speed [m/s].
         ahead: Time within which a mover could touch the robot, for it to evade [s].
     """
-    near = _to_movers(sit, state[0], state[1])
+    near = _to_movers(sit, state)
     v, omega, best, kind, most = 0.0, 0.0, -FAR, 0, _LEAST_GAIN
     if near - sit.rooms[1] - moving_growth(t + ahead, sit.growth) >= 0.0:
         return v, omega, best, kind
@@ -48,7 +49,7 @@ def evade(sit: Any, state: Any, t: float, speeds: tuple[float, float], ahead: fl
         for k in range(_TURNS):
             command = (speeds[i], sit.turn_rate * (2.0 * k / (_TURNS - 1) - 1.0))
             end, _, least = hold(sit, state, t, command[0], command[1], steps)
-            gain = _to_movers(sit, end[0], end[1]) - near
+            gain = _to_movers(sit, end) - near
             if least < 0.0 or gain <= most:
                 continue
             margin, escape = certify(sit, state, t, command, sit.hold, 0, 0.0)

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,19 +18,19 @@ from numpy.typing import NDArray
 from ctrl_rl_safety.errors import SafetyError
 from ctrl_rl_safety.filter.answer import PASSED, Answer, Request, answer
 from ctrl_rl_safety.filter.certificate import FAMILY, MOST_STEPS, NO_GUIDE, Guide, Situation, escape_path
-from ctrl_rl_safety.filter.echoes import SAME, EchoMemory, surfaces
+from ctrl_rl_safety.filter.echoes import SAME, EchoMemory, surfaces, thinned, walls
 from ctrl_rl_safety.filter.evading import AHEAD, LONGER, evade
+from ctrl_rl_safety.filter.map_walls import Fixed
+from ctrl_rl_safety.filter.seen_space import SeenSpace, Sight
 from ctrl_rl_safety.filter.unblocking import Unblocking
 from ctrl_rl_safety.filter.verdict import FilterOptions, Mode, Reading, Verdict
 from ctrl_rl_safety.models.growth import Growth
 from ctrl_rl_safety.models.motion import STANDS, motion_of
 from ctrl_rl_safety.models.robot_model import RobotModel
-from ctrl_rl_safety.sets.distance_field import NODES, Obstacles, obstacles_around
+from ctrl_rl_safety.sets.distance_field import NODES, NONE, Obstacles, obstacles_around
 from ctrl_rl_safety.sets.recoverable_set import RecoverableSet, brake_ladder, solve_set
 
 Array = NDArray[np.float64]
-
-Fixed = Callable[[Array], NDArray[np.bool_]]
 
 STEP = 0.02
 """Time step of the roll-outs [s]."""
@@ -40,7 +39,6 @@ _LAGS = 6.0
 """Lags for which the end of a braking takes at most, when the speed falls exponentially."""
 _LATEST = 0.5
 """Age of a scan that the local grid is made for [s]."""
-_NONE: Array = np.empty((0, 2))
 _LATE = 0.06
 """Time by which a scan may come later than usual [s]."""
 _LONGEST_INTERVAL = 0.5
@@ -48,7 +46,9 @@ _LONGEST_INTERVAL = 0.5
 _UNBLOCKING = 0.3
 """Part of the largest turn rate with which a robot is turned."""
 _SIDE = 0.25
-"""Spacing of the places on a surface over the robot's radius: the disc dips in by less than 1 % of its radius."""
+"""Spacing of the places on a surface over the radius: a disc dips in by less than 1 % of it."""
+_LEAST_SIDE = 0.02
+"""Least spacing of them [m]."""
 _SET_AGE = 0.5
 """Age of a set that still chooses escapes [s]."""
 
@@ -74,23 +74,20 @@ class SafetyFilter:
         self.model, self.options = model, options or FilterOptions()
         value = self.options
         creep = (SAME + 2.0 * model.range_error) / value.standing_time
-        self._growths = {
-            False: Growth(model.disturbance, value.mover_speed, value.mover_acceleration, creep),
-            True: Growth(model.disturbance, value.mover_speed),
-        }
-        """Bounds of motion without a map, and with one: what is on it stands for ever."""
-        self._growth = self._growths[False]
+        self._growth = Growth(model.disturbance, value.mover_speed, value.mover_acceleration, creep)
         self._motion = motion_of(model, STEP)
         self._hold = max(1, math.ceil(value.period / STEP))
-        self._room = model.radius + model.range_error
+        # A corner of a rectangle dips into a surface up to half the way between two of its places.
+        self._side = max(model.range_error if model.length else _SIDE * model.radius, _LEAST_SIDE)
         ladder = brake_ladder(model)
         top = float(ladder.speeds[-1])
         latest = _LATEST + model.scan_age + model.delay + value.period
-        half = top * latest + model.stopping_distance(top) + self._room
+        half = top * latest + model.stopping_distance(top) + model.radius + model.range_error
         self._cell = max(2.0 * half / (NODES - 1), _LEAST_CELL)
         coming = (value.mover_speed + model.disturbance) * (latest + ladder.time_to_stand(top))
-        self.reach = 0.71 * self._cell * NODES + self._room + coming
+        self.reach = 0.71 * self._cell * NODES + model.radius + model.range_error + coming
         self._memory = EchoMemory(value.standing_time)
+        self._space = SeenSpace(self.reach, model.radius) if value.unseen == "obstacle" else None
         self._unblocking = Unblocking(value.unblock_after)
         self._seen: tuple[Obstacles, float] | None = None
         self._set: RecoverableSet | None = None
@@ -101,7 +98,15 @@ class SafetyFilter:
         self._last_v = 0.0
         self._certified: tuple[float, Verdict, Situation] | None = None
 
-    def see(self, now: float, pose: Array, echoes: Array, age: float = 0.0, fixed: Fixed | None = None) -> None:
+    def see(
+        self,
+        now: float,
+        pose: Array,
+        echoes: Array,
+        age: float = 0.0,
+        fixed: Fixed | None = None,
+        sight: Sight | None = None,
+    ) -> None:
         """Take a scan.
 
         Args:
@@ -109,23 +114,32 @@ class SafetyFilter:
             pose: Pose of the robot when the scan was taken, in the frame of the odometry (3,) [m, m, rad].
             echoes: Echoes in the robot's frame then, in the order of their beams (n, 2) [m].
             age: Age of the scan [s].
-            fixed: Says which places (n, 2) in the frame of the odometry [m] a map has (n,); None without a map. What
-                it has stands for ever, and all else may move at once.
+            fixed: Says which places (n, 2) in the frame of the odometry [m] a map has (n,), which never move; None
+                without a map.
+            sight: Reach of the scan in each direction, which `unseen` needs.
+
+        Raises:
+            SafetyError: What is unseen counts as an obstacle, and it is not said what the scan sees.
         """
         self._interval = min(max(now - self._arrived, 0.0), _LONGEST_INTERVAL)
         self._arrived = now
-        near = echoes[np.hypot(echoes[:, 0], echoes[:, 1]) < self.reach]
-        wide = 2.0 * self.model.radius
-        places, edges = surfaces(near, _SIDE * self.model.radius, wide)
-        moving = _moved(edges, pose) if self.options.occluded_movers else _NONE
-        places = _moved(places, pose)
+        near = thinned(echoes[np.hypot(echoes[:, 0], echoes[:, 1]) < self.reach])
+        places, before, edges = surfaces(near, self._side, 2.0 * self.model.half_width)
+        places, standing = _moved(places, pose), NONE
+        moving = _moved(edges, pose) if self.options.occluded_movers else NONE
         if self.options.mover_speed > 0.0:
             known = self._memory.update(now, places)
-            stands = known if fixed is None else fixed(places)
-            moving = np.concatenate((moving, places[~stands]))
-            places = places[stands]
-        self._growth = self._growths[fixed is not None]
-        obstacles = obstacles_around(places, moving, (float(pose[0]), float(pose[1])), self._cell)
+            stays = np.zeros(len(places), np.bool_) if fixed is None else fixed(places)
+            if self.options.mover_size > 0.0:
+                wall = walls(near, known[: len(near)], self.options.mover_size)
+                stays |= np.concatenate((wall, wall[before] & wall[(before + 1) % max(len(near), 1)]))
+            moving = np.concatenate((moving, places[~known & ~stays]))
+            places, standing = places[stays], places[known & ~stays]
+        if self._space is not None:
+            if sight is None:
+                raise SafetyError("unseen space counts as an obstacle: say how far the scan sees")
+            places = np.concatenate((places, self._space.update(pose, sight)))
+        obstacles = obstacles_around(places, standing, moving, (float(pose[0]), float(pose[1])), self._cell)
         self._seen = obstacles, now - age - self.model.scan_age
 
     def solve(self) -> RecoverableSet | None:
@@ -153,6 +167,8 @@ class SafetyFilter:
     def forget(self) -> None:
         """Forget scans and set, as the frame of the odometry has jumped."""
         self._memory.clear()
+        if self._space is not None:
+            self._space.clear()
         self._set = self._seen = self._certified = None
 
     def sent(self, now: float, command: Array) -> None:
@@ -172,8 +188,9 @@ class SafetyFilter:
         (slowest, least_turn), (fastest, most_turn) = self.model.limits
         wanted = (min(max(float(raw[0]), slowest), fastest), min(max(float(raw[1]), least_turn), most_turn))
         state = np.array((*reading.pose, reading.v, reading.omega))
-        standing = obstacles.standing
-        turn = _UNBLOCKING * most_turn * self._unblocking.turn(now, wanted, state, standing, self._room)
+        still = np.concatenate((obstacles.fixed, obstacles.standing), axis=1)
+        room = self.model.half_width + self.model.range_error
+        turn = _UNBLOCKING * most_turn * self._unblocking.turn(now, wanted, state, still, room)
         ask = Request(
             wanted,
             self._sent[-1][1:] if self._sent else (0.0, 0.0),
@@ -234,7 +251,8 @@ class SafetyFilter:
             self._growth,
             self._motion,
             guide,
-            (self._room, self._room),
+            self.model.core,
+            (self.model.room, self.model.room),
             False,
             self._hold,
             self.model.turn_rate,
@@ -266,17 +284,3 @@ def _moved(points: Array, pose: Array) -> Array:
     x, y, theta = (float(each) for each in pose)
     c, s = math.cos(theta), math.sin(theta)
     return points @ np.array(((c, s), (-s, c))) + (x, y)
-
-
-def warm_up(model: RobotModel, options: FilterOptions) -> None:
-    """Compile what answering needs, or read it from disk, before it counts."""
-    safety = SafetyFilter(model, options)
-    bearings = np.linspace(-3.0, 3.0, 60)
-    echoes = 2.0 * model.radius * np.column_stack((np.cos(bearings), np.sin(bearings)))
-    reading = Reading(np.zeros(3), 0.5 * model.speed, 0.0)
-    for now, raw in ((0.0, model.speed), (0.1, 0.0)):
-        safety.see(now, reading.pose, echoes)
-        verdict = safety.decide(now, reading, np.array((raw, 0.0)))
-        safety.sent(now, verdict.command)
-        safety.escape(verdict)
-        safety.use(safety.solve())

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from enum import IntEnum
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,20 +32,25 @@ class FilterOptions:
         mover_speed: Largest speed of other movers [m/s]; 0 for a static world.
         mover_acceleration: Largest acceleration of what is known to stand [m/s^2].
         standing_time: Time for which an echo must have been there to be known to stand [s].
+        mover_size: Largest extent of a mover [m]: a surface that stands and is longer is a wall, which never moves;
+            0 where none is to count as one.
         hysteresis: Margin that lets a command pass again after a correction [m].
         unblock_after: Time for which the filter holds the robot before it turns it to a free side [s]; 0 for never.
         evade: Whether a robot that would stand goes out of the way of a mover that comes near.
         occluded_movers: Whether movers may step out from behind an edge that the scan shows.
+        unseen: Kind of the space that never was seen, behind the robot or an edge; such an obstacle stays.
     """
 
     period: float = 0.075
     mover_speed: float = 0.0
     mover_acceleration: float = 1.0
     standing_time: float = 1.0
+    mover_size: float = 1.0
     hysteresis: float = 0.02
     unblock_after: float = 3.0
     evade: bool = False
     occluded_movers: bool = False
+    unseen: Literal["free", "obstacle"] = "free"
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,8 @@ from numba import njit
 class Growth(NamedTuple):
     """Bounds of motion: of the robot's deviation from its model, and of other movers.
 
-    An echo where there was one all along is known to stand: it may begin to move with `mover_acceleration`, or have
-    been creeping unnoticed. Any other echo may come at `mover_speed`.
+    What is fixed, as walls are, never moves. An echo where there was one all along is known to stand: it may begin to
+    move with `mover_acceleration`, or have been creeping unnoticed. Any other echo may come at `mover_speed`.
 
     Attributes:
         disturbance: Bound of the position's deviation for each second of motion [m/s].
@@ -24,6 +24,12 @@ class Growth(NamedTuple):
     mover_speed: float = 0.0
     mover_acceleration: float = 0.0
     creep: float = 0.0
+
+
+@njit(inline="always")
+def fixed_growth(t: float, growth: Any) -> float:
+    """Return the distance by which what is fixed may be nearer after a time [s]: the robot's own deviation."""
+    return growth.disturbance * t
 
 
 @njit(inline="always")

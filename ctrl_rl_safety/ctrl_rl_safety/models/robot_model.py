@@ -38,6 +38,8 @@ UNITS: Mapping[str, str] = {
     "disturbance": "m/s",
     "range_error": "m",
     "scan_age": "s",
+    "length": "m",
+    "width": "m",
 }
 _LARGEST: Mapping[str, float] = {
     "radius": 5.0,
@@ -52,13 +54,17 @@ _LARGEST: Mapping[str, float] = {
     "disturbance": 2.0,
     "range_error": 1.0,
     "scan_age": 2.0,
+    "length": 10.0,
+    "width": 10.0,
 }
-_MAY_BE_ZERO = {"reverse_speed", "lag", "delay", "disturbance", "range_error", "scan_age"}
+_MAY_BE_ZERO = {"reverse_speed", "lag", "delay", "disturbance", "range_error", "scan_age", "length", "width"}
 
 
 @dataclass(frozen=True)
 class RobotModel:
-    """A disc (x, y, theta, v, omega) that follows its command (v_c, omega_c) late, lagging and with limited rates.
+    """A robot (x, y, theta, v, omega) that follows its command (v_c, omega_c) late, lagging and with limited rates.
+
+    It is a disc, or a rectangle whose middle is where it turns around.
 
         x' = v cos theta + d_x,  y' = v sin theta + d_y,  theta' = omega,  |(d_x, d_y)| <= disturbance
         v' = (v_c(t - delay) - v) / lag, within acceleration away from zero and braking towards it
@@ -78,9 +84,12 @@ class RobotModel:
         disturbance: Bound of the position's deviation from the model, for each second of motion [m/s].
         range_error: Bound of the error of an echo's place [m].
         scan_age: Bound of the time by which an echo is older than the stamp of its scan says [s].
+        length: Length of a rectangular robot [m]; 0 for a round one.
+        width: Width of a rectangular robot [m]; 0 for a round one.
 
     Raises:
-        SafetyError: A number is not finite, negative, zero where it must not be, or too large for a robot.
+        SafetyError: A number is not finite, negative, zero where it must not be, or too large for a robot, or the
+            rectangle has one side only, or does not lie in the disc.
     """
 
     name: str
@@ -96,6 +105,8 @@ class RobotModel:
     disturbance: float = 0.0
     range_error: float = 0.0
     scan_age: float = 0.0
+    length: float = 0.0
+    width: float = 0.0
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -105,11 +116,30 @@ class RobotModel:
             least = "0" if field.name in _MAY_BE_ZERO else "more than 0"
             if not (math.isfinite(value) and 0.0 <= value <= largest and (value > 0.0 or least == "0")):
                 raise SafetyError(f"{field.name} {value} {UNITS[field.name]}: must be {least} to {largest:g}")
+        if (self.length > 0.0) != (self.width > 0.0):
+            raise SafetyError("a rectangle needs both length and width: leave both out for a round robot")
+        if math.hypot(*self.core) > self.radius + 1e-3:
+            raise SafetyError(f"a rectangle of {self.length} x {self.width} m is not in a disc of {self.radius} m")
 
     @property
     def limits(self) -> tuple[tuple[float, float], tuple[float, float]]:
         """Least and largest command: speed [m/s] and turn rate [rad/s] each."""
         return (-self.reverse_speed, -self.turn_rate), (self.speed, self.turn_rate)
+
+    @property
+    def core(self) -> tuple[float, float]:
+        """Half the length and half the width of the rectangle [m]; zeros for a disc."""
+        return 0.5 * self.length, 0.5 * self.width
+
+    @property
+    def room(self) -> float:
+        """Distance that the core needs to an echo [m]: to the rectangle, or to the middle of a disc."""
+        return self.range_error + (0.0 if self.length else self.radius)
+
+    @property
+    def half_width(self) -> float:
+        """Half of the narrowest way through which the robot fits [m]."""
+        return min(self.core) if self.length else self.radius
 
     def stopping_distance(self, v: float) -> float:
         """Return the way that full braking takes from a speed v [m/s], without the delay [m].
@@ -165,7 +195,7 @@ def _constants(content: Any) -> dict[str, Any]:
     return out
 
 
-_OPTIONAL = {"lag", "delay", "disturbance", "range_error", "scan_age"}
+_OPTIONAL = {"lag", "delay", "disturbance", "range_error", "scan_age", "length", "width"}
 
 ROBOTS: Mapping[str, RobotModel] = {
     # Named beside each robot is where its limits were read. Lags, delays, disturbances and errors are assumed for all:
@@ -184,9 +214,8 @@ ROBOTS: Mapping[str, RobotModel] = {
     # rad/s; the turn acceleration follows from the wheels', 0.233 m apart.
     "turtlebot4": RobotModel("turtlebot4", 0.189, 0.306, 0.306, 1.9, 0.9, 0.9, 7.7, 0.05, 0.15, 0.03, 0.03, 0.13),
     # Speeds: jackal/jackal, jackal_control/config/control.yaml, 2 m/s and 4 rad/s. Its 20 m/s^2 and 25 rad/s^2 are
-    # more than wheels have on a floor, where they slip at friction * g: 4 and 10 are assumed. The disc holds its
-    # 0.508 m by 0.43 m.
-    "jackal": RobotModel("jackal", 0.333, 2.0, 2.0, 4.0, 4.0, 4.0, 10.0, 0.05, 0.1, 0.05, 0.03, 0.0),
+    # more than wheels have on a floor, where they slip at friction * g: 4 and 10 are assumed.
+    "jackal": RobotModel("jackal", 0.333, 2.0, 2.0, 4.0, 4.0, 4.0, 10.0, 0.05, 0.1, 0.05, 0.03, 0.0, 0.508, 0.43),
 }
 """Constants of robots that many have; measure one's own with `identify` before one trusts them."""
 

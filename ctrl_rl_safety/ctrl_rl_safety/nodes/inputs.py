@@ -59,6 +59,27 @@ def check_count(angle: float, scan: ScanGeometry) -> None:
         raise SafetyError(f"the scan has {scan.beams} ranges, and {wanted:.0f} by its angle_min, _max and _increment")
 
 
+def beam_times(points: Array, scan: ScanGeometry, increment: float, forward: float, longest: float) -> Array:
+    """Return the times of echoes after the stamp of their scan, which is that of its first beam (n,) [s].
+
+    Args:
+        points: Echoes in the robot's frame (n, 2) [m].
+        scan: Bearings of its beams.
+        increment: Time from beam to beam [s]; 0 for a scan that is taken at once.
+        forward: Position of the lidar ahead of the robot's middle [m].
+        longest: Longest time that a scan may take [s].
+
+    Raises:
+        SafetyError: The scan takes longer, or its time runs back.
+    """
+    if not 0.0 <= increment * scan.beams <= longest:
+        raise SafetyError(f"the scan's time_increment of {increment} s makes {increment * scan.beams:.3g} s a scan")
+    turned = np.arctan2(points[:, 1], points[:, 0] - forward) - scan.angle_min
+    turned = np.mod(math.copysign(1.0, scan.angle_increment) * turned, 2.0 * math.pi)
+    beams = np.rint(turned / abs(scan.angle_increment))
+    return np.asarray(increment * np.where(beams < scan.beams, beams, 0.0), np.float64)
+
+
 class OdometryInput:
     """The latest odometry.
 
@@ -109,6 +130,30 @@ class OdometryInput:
     def reading(self, now: float) -> Reading:
         """Return the robot by the last odometry, with its age at a steady time [s]."""
         return Reading(self._pose, self._v, self._omega, max(now - self._at, 0.0) + self._age)
+
+    def straightened(self, points: Array, times: Array, stamp: int) -> Array:
+        """Return echoes (n, 2) in the robot's frame at the stamp of their scan [ns], as if taken then [m].
+
+        Args:
+            points: Echoes, each in the robot's frame at its own time (n, 2) [m].
+            times: Times after the stamp (n,) [s].
+            stamp: Stamp of the scan [ns].
+
+        Raises:
+            TransformError: The odometry does not reach to that time.
+        """
+        longest = float(times.max(initial=0.0))
+        if longest == 0.0:
+            return points
+        first, last = self.pose_at(stamp), self.pose_at(stamp + round(1e9 * longest))
+        turn = math.remainder(last[2] - first[2], 2.0 * math.pi)
+        share = times / longest
+        theta, (c, s) = share * turn, (math.cos(first[2]), math.sin(first[2]))
+        dx, dy = last[0] - first[0], last[1] - first[1]
+        x, y = points.T
+        ahead = share * (c * dx + s * dy) + np.cos(theta) * x - np.sin(theta) * y
+        aside = share * (c * dy - s * dx) + np.sin(theta) * x + np.cos(theta) * y
+        return np.column_stack((ahead, aside))
 
     def pose_at(self, stamp: int) -> Array:
         """Return the pose (3,) [m, m, rad] at a stamp [ns], moved on by the last speeds where odometry is older.

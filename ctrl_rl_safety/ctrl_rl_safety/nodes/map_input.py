@@ -1,25 +1,20 @@
-"""The map, where there is one: what is on it stands for ever, and everything else may move."""
+"""The map, where there is one: what is on it never moves."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 
 import numpy as np
-from ctrl_rl_core.navigation.transform_tree import Transform, TransformError
+from ctrl_rl_core.navigation.transform_tree import TransformError
 from ctrl_rl_core.policies.pose_input import PoseInput
 from ctrl_rl_core.ros.node import LATCHED
 from nav_msgs.msg import OccupancyGrid, Odometry
 from numpy.typing import NDArray
 
 from ctrl_rl_core import CtrlRlError, OccupancyMap, SuiteNode
+from ctrl_rl_safety.filter.map_walls import Fixed, MapWalls
 
 Array = NDArray[np.float64]
-Fixed = Callable[[Array], NDArray[np.bool_]]
-
-NEAR = 0.1
-"""Distance from an occupied cell up to which an echo counts as that of the map [m]."""
-_OCCUPIED = 100
 
 
 class MapInput:
@@ -39,8 +34,7 @@ class MapInput:
         """
         self._logger, self._frame = node.get_logger(), node.settings["map_frame"]
         self._pose = PoseInput(node, timeout, now)
-        self._map: OccupancyMap | None = None
-        self._near: NDArray[np.bool_] = np.zeros((0, 0), np.bool_)
+        self._walls: MapWalls | None = None
         self.problem = "no map yet"
         node.create_subscription(OccupancyGrid, "map", self._on_map, LATCHED)
 
@@ -57,26 +51,16 @@ class MapInput:
         Returns:
             The function; None without a map and a pose on it.
         """
-        map_, near = self._map, self._near
-        if map_ is None:
+        walls = self._walls
+        if walls is None:
             return None
         try:
             there = self._pose.pose()
         except TransformError as error:
             self.problem = str(error)
             return None
-        x, y, yaw = (Transform.planar(*there.tolist()) @ Transform.planar(*pose.tolist()).inverse()).pose.tolist()
-        c, s = math.cos(yaw), math.sin(yaw)
         self.problem = ""
-
-        def on_map(points: Array) -> NDArray[np.bool_]:
-            rows, columns = map_.world_to_cell(points @ np.array(((c, s), (-s, c))) + (x, y))
-            inside = (rows >= 0) & (rows < near.shape[0]) & (columns >= 0) & (columns < near.shape[1])
-            out = np.zeros(len(points), np.bool_)
-            out[inside] = near[rows[inside], columns[inside]]
-            return out
-
-        return on_map
+        return walls.fixed(there, pose)
 
     def _on_map(self, message: OccupancyGrid) -> None:
         frame = message.header.frame_id.lstrip("/")
@@ -88,15 +72,5 @@ class MapInput:
         except CtrlRlError as error:
             self._logger.error(f"the map is not used: {error}")
             return
-        self._near, self._map = _near(map_.cells == _OCCUPIED, math.ceil(NEAR / map_.resolution)), map_
-        self._logger.info(f"a map of {map_.size[0]:.1f} x {map_.size[1]:.1f} m: what is on it stands")
-
-
-def _near(occupied: NDArray[np.bool_], cells: int) -> NDArray[np.bool_]:
-    """Return which cells (rows, columns) have an occupied one within a square of so many cells to each side."""
-    out = occupied
-    for axis in (0, 1):
-        before = np.pad(out, [(cells, cells) if each == axis else (0, 0) for each in (0, 1)])
-        count = out.shape[axis]
-        out = np.logical_or.reduce([before.take(range(k, k + count), axis) for k in range(2 * cells + 1)])
-    return np.asarray(out)
+        self._walls = MapWalls(map_)
+        self._logger.info(f"a map of {map_.size[0]:.1f} x {map_.size[1]:.1f} m: what is on it never moves")

@@ -42,13 +42,26 @@ FILTER_PARAMETERS = (
         0.2,
         20.0,
     ),
+    Parameter(
+        "mover_size",
+        _DEFAULT.mover_size,
+        "Largest extent of a mover: what stands and is longer is a wall that never moves; 0.0 for none [m].",
+        0.0,
+        20.0,
+    ),
     Parameter("evade", _DEFAULT.evade, "Whether a robot that would stand goes out of the way of what comes near."),
-    Parameter("use_map", False, "Use the topic `map`: what is on it stands for ever, and all else may move at once."),
+    Parameter("use_map", False, "Use the topic `map`: what is on it never moves."),
     *POSE_PARAMETERS,
     Parameter(
         "occluded_movers",
         _DEFAULT.occluded_movers,
         "Whether somebody may step out from behind an edge that the scan shows.",
+    ),
+    Parameter(
+        "unseen",
+        _DEFAULT.unseen,
+        "What the lidar never saw, behind the robot or an edge, counts as this; an obstacle stays where it is.",
+        choices=("free", "obstacle"),
     ),
     Parameter(
         "hysteresis",

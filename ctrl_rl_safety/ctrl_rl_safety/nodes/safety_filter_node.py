@@ -23,10 +23,12 @@ from visualization_msgs.msg import Marker
 from ctrl_rl_core import LidarVelocityNode, ObstacleStop, Parameter, ScanGeometry, VelocityError, run_node
 from ctrl_rl_msgs.msg import SafetyStatus
 from ctrl_rl_safety.errors import SafetyError
-from ctrl_rl_safety.filter.safety_filter import SafetyFilter, warm_up
+from ctrl_rl_safety.filter.safety_filter import SafetyFilter
+from ctrl_rl_safety.filter.seen_space import sight_of
 from ctrl_rl_safety.filter.verdict import FilterOptions, Mode, Verdict
+from ctrl_rl_safety.filter.warming import warm_up
 from ctrl_rl_safety.models.robot_model import find_model
-from ctrl_rl_safety.nodes.inputs import AHEAD, OdometryInput, age_of, check_count
+from ctrl_rl_safety.nodes.inputs import AHEAD, OdometryInput, age_of, beam_times, check_count
 from ctrl_rl_safety.nodes.map_input import MapInput
 from ctrl_rl_safety.nodes.messages import WHY, escape_marker, slice_message
 from ctrl_rl_safety.nodes.parameters import FILTER_PARAMETERS
@@ -61,10 +63,12 @@ class SafetyFilterNode(LidarVelocityNode):
             mover_speed=value["mover_speed"],
             mover_acceleration=value["mover_acceleration"],
             standing_time=value["standing_time"],
+            mover_size=value["mover_size"],
             hysteresis=value["hysteresis"],
             unblock_after=value["unblock_after"],
             evade=value["evade"],
             occluded_movers=value["occluded_movers"],
+            unseen=value["unseen"],
         )
         warm_up(model, options)
         self._filter = SafetyFilter(model, options)
@@ -142,7 +146,7 @@ class SafetyFilterNode(LidarVelocityNode):
         if self._map is not None:
             self._map.on_odometry(message, self.frame)
 
-    def on_scan(self, message: LaserScan, _ranges: NDArray[np.float32], scan: ScanGeometry) -> None:
+    def on_scan(self, message: LaserScan, ranges: NDArray[np.float32], scan: ScanGeometry) -> None:
         """Keep the echoes, and begin to solve the set of the last scan where none is in work."""
         view = self._safety.view
         if self._filter is None or view is None:
@@ -153,7 +157,10 @@ class SafetyFilterNode(LidarVelocityNode):
             check_count(message.angle_max - message.angle_min, scan)
             age = age_of("scan", stamp, clock, self.timeout, self._ahead)
             fixed = None if self._map is None else self._map.fixed(self._odometry.reading(now).pose)
-            self._filter.see(now, self._odometry.pose_at(stamp), view.points, age, fixed)
+            lidar_x = self.settings["lidar_x"]
+            times = beam_times(view.points, scan, message.time_increment, lidar_x, self.timeout)
+            echoes, sight = self._odometry.straightened(view.points, times, stamp), sight_of(ranges, scan, lidar_x)
+            self._filter.see(now, self._odometry.pose_at(stamp), echoes, age, fixed, sight)
         except (SafetyError, TransformError) as error:
             self._faults_of["scan"] = str(error)
             return

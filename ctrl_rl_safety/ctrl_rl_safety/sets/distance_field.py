@@ -14,7 +14,7 @@ from ctrl_rl_core.values.jit_cache import cached_njit
 from numba import njit
 from numpy.typing import NDArray
 
-from ctrl_rl_safety.models.growth import moving_growth, standing_growth
+from ctrl_rl_safety.models.growth import fixed_growth, moving_growth, standing_growth
 
 Array = NDArray[np.float64]
 
@@ -24,23 +24,29 @@ CAP = 0.04
 """Margins are exact up to here, and at least this much beyond [m]."""
 NODES = 60
 """Nodes along each side of the grid."""
+NONE: Array = np.empty((0, 2))
+"""No echo."""
 
 
 class Obstacles(NamedTuple):
     """Echoes in a frame that stands still, and their distances on a grid in it.
 
     Attributes:
+        fixed: Echoes of what never moves (2, k) [m].
         standing: Echoes of what is known to stand (2, n) [m].
         moving: Echoes that may belong to movers (2, m) [m].
-        to_standing: Distance of each node to the nearest standing echo (rows, columns), along y and x [m].
+        to_fixed: Distance of each node to the nearest fixed echo (rows, columns), along y and x [m].
+        to_standing: Distance of each node to the nearest standing echo (rows, columns) [m].
         to_moving: Distance of each node to the nearest moving one (rows, columns) [m].
         x: Position of the first column [m].
         y: Position of the first row [m].
         cell: Distance of neighbouring nodes [m].
     """
 
+    fixed: Array
     standing: Array
     moving: Array
+    to_fixed: NDArray[np.float32]
     to_standing: NDArray[np.float32]
     to_moving: NDArray[np.float32]
     x: float
@@ -63,13 +69,14 @@ def _distances(points: Array, x: float, y: float, cell: float, nodes: int) -> An
     return np.sqrt(squares)
 
 
-def obstacles_around(standing: Array, moving: Array, centre: tuple[float, float], cell: float) -> Obstacles:
-    """Return echoes (n, 2) and (m, 2) [m] with the distances on a grid around a place [m]."""
+def obstacles_around(
+    fixed: Array, standing: Array, moving: Array, centre: tuple[float, float], cell: float
+) -> Obstacles:
+    """Return echoes (k, 2), (n, 2) and (m, 2) [m] with the distances on a grid around a place [m]."""
     x, y = (float(place) - 0.5 * (NODES - 1) * cell for place in centre)
-    standing, moving = np.ascontiguousarray(standing.T), np.ascontiguousarray(moving.T)
-    return Obstacles(
-        standing, moving, _distances(standing, x, y, cell, NODES), _distances(moving, x, y, cell, NODES), x, y, cell
-    )
+    stays, stands, moves = (np.ascontiguousarray(each.T) for each in (fixed, standing, moving))
+    to_stays, to_stands, to_moves = (_distances(each, x, y, cell, NODES) for each in (stays, stands, moves))
+    return Obstacles(stays, stands, moves, to_stays, to_stands, to_moves, x, y, cell)
 
 
 @njit(fastmath=True)  # echoes are finite, and the order in which a minimum is taken does not matter
@@ -82,28 +89,69 @@ def _nearest(points: Any, x: float, y: float) -> float:
 
 
 @njit(inline="always")
-def margin_at(obstacles: Any, growth: Any, x: float, y: float, t: float, rooms: tuple[float, float]) -> float:
-    """Return the distance by which a disc keeps clear of all grown echoes [m]; at least `CAP` stands for more.
+def square_to(points: Any, i: int, x: float, y: float, c: float, s: float, core: tuple[float, float]) -> float:
+    """Return the square of an echo's distance to the core of a robot whose heading has cosine c and sine s [m^2]."""
+    dx, dy = points[0, i] - x, points[1, i] - y
+    along = max(abs(c * dx + s * dy) - core[0], 0.0)
+    aside = max(abs(c * dy - s * dx) - core[1], 0.0)
+    return along * along + aside * aside
+
+
+@njit(fastmath=True)
+def _nearest_to_rectangle(points: Any, x: float, y: float, theta: float, core: tuple[float, float]) -> float:
+    c, s = math.cos(theta), math.sin(theta)
+    least = FAR * FAR
+    for i in range(points.shape[1]):
+        least = min(least, square_to(points, i, x, y, c, s, core))
+    return math.sqrt(least)
+
+
+@njit(inline="always")
+def distance_to(points: Any, x: float, y: float, theta: float, core: tuple[float, float]) -> float:
+    """Return the distance of the nearest echo (2, n) to the core of a robot [m]: its rectangle, or a disc's middle."""
+    if core[0] > 0.0:
+        return _nearest_to_rectangle(points, x, y, theta, core)
+    return _nearest(points, x, y)
+
+
+@njit(inline="always")
+def margin_at(
+    obstacles: Any,
+    growth: Any,
+    core: tuple[float, float],
+    x: float,
+    y: float,
+    theta: float,
+    t: float,
+    rooms: tuple[float, float],
+) -> float:
+    """Return the distance by which a robot keeps clear of all grown echoes [m]; at least `CAP` stands for more.
 
     Args:
         obstacles: Echoes with their grid.
         growth: Bounds of motion.
-        x: Position of the disc [m].
-        y: Position of the disc [m].
+        core: Half the length and width of the robot's rectangle [m]; zeros for a disc.
+        x: Position of its middle [m].
+        y: Position of its middle [m].
+        theta: Heading of the rectangle [rad].
         t: Time since the echoes were measured [s].
-        rooms: Radius that the disc needs beside standing echoes and beside moving ones [m].
+        rooms: Distance that the core needs to echoes that stay, and to moving ones [m].
     """
-    stands, moves = rooms[0] + standing_growth(t, growth), rooms[1] + moving_growth(t, growth)
+    stays, stands = rooms[0] + fixed_growth(t, growth), rooms[0] + standing_growth(t, growth)
+    moves = rooms[1] + moving_growth(t, growth)
     nodes = obstacles.to_standing.shape[0]
     column, row = (x - obstacles.x) / obstacles.cell, (y - obstacles.y) / obstacles.cell
     j, i = math.floor(column + 0.5), math.floor(row + 0.5)
-    near_standing = near_moving = -FAR
+    near_fixed = near_standing = near_moving = -FAR
     if 0 <= i < nodes and 0 <= j < nodes:
-        away = math.hypot(column - j, row - i) * obstacles.cell
+        away = math.hypot(column - j, row - i) * obstacles.cell + math.hypot(core[0], core[1])
+        near_fixed = obstacles.to_fixed[i, j] - away - stays
         near_standing = obstacles.to_standing[i, j] - away - stands
         near_moving = obstacles.to_moving[i, j] - away - moves
+    if near_fixed < CAP:
+        near_fixed = distance_to(obstacles.fixed, x, y, theta, core) - stays
     if near_standing < CAP:
-        near_standing = _nearest(obstacles.standing, x, y) - stands
+        near_standing = distance_to(obstacles.standing, x, y, theta, core) - stands
     if near_moving < CAP:
-        near_moving = _nearest(obstacles.moving, x, y) - moves
-    return min(near_standing, near_moving)
+        near_moving = distance_to(obstacles.moving, x, y, theta, core) - moves
+    return min(near_fixed, near_standing, near_moving)

@@ -8,7 +8,8 @@ curvature omega / v stays within the bound when v falls. So the set is the viabi
 
     V_0 = l,    V_j(x, y, theta) = min(l, max over omega of min(l on the way, V_{j-1}(x+, y+, theta+)))
 
-l is the distance to the grown echoes less the radius. Speeds backwards are those forwards at theta + pi.
+l is the distance to the grown echoes less the radius. Speeds backwards are those forwards at theta + pi. A rectangle is
+taken as a row of discs that cover it; the proof does not hold for it, as turning itself takes room then.
 """
 
 from __future__ import annotations
@@ -22,15 +23,15 @@ from ctrl_rl_core.values.jit_cache import cached_njit
 from numba import njit
 from numpy.typing import NDArray
 
-from ctrl_rl_safety.models.growth import Growth, moving_growth, standing_growth
+from ctrl_rl_safety.models.growth import Growth, fixed_growth, moving_growth, standing_growth
 from ctrl_rl_safety.models.motion import STANDS, motion_of, next_speed
 from ctrl_rl_safety.models.robot_model import RobotModel
+from ctrl_rl_safety.sets.disc_row import HEADINGS, discs_of, margins_of_row
 from ctrl_rl_safety.sets.distance_field import Obstacles
 
 Array = NDArray[np.float64]
 Field = NDArray[np.float32]
 
-HEADINGS = 36
 LEVELS = 5
 """Speeds above zero."""
 TURNS = 7
@@ -123,7 +124,7 @@ def _rise(
 
     Args:
         below: Values of the speed below (HEADINGS, rows + 2 pad, columns + 2 pad), padded at its edges.
-        here: Margins of places at this speed, padded alike (rows + 2 pad, columns + 2 pad).
+        here: Margins of places at this speed, padded alike (1 or HEADINGS, rows + 2 pad, columns + 2 pad).
         length: Way between the two speeds [m].
         time: Time between them [s].
         turn_rate: Largest turn rate [rad/s].
@@ -131,7 +132,7 @@ def _rise(
         out: Values of this speed (HEADINGS, rows, columns).
     """
     rows, columns = out.shape[1], out.shape[2]
-    pad = (here.shape[0] - rows) // 2
+    pad = (here.shape[1] - rows) // 2
     width = 2.0 * math.pi / HEADINGS
     between = max(1, math.ceil(length / cell))
     worst = np.empty((rows, columns), np.float32)
@@ -157,8 +158,9 @@ def _rise(
                 a, b = (np.float32(1.0) - fy) * (np.float32(1.0) - fx), (np.float32(1.0) - fy) * fx
                 c, d = fy * (np.float32(1.0) - fx), fy * fx
                 if part < between:
+                    faced = here[round((theta + 2.0 * half) / width) % HEADINGS % len(here)]
                     for row in range(rows):
-                        lower, upper = here[row + pad + shift_y], here[row + pad + shift_y + 1]
+                        lower, upper = faced[row + pad + shift_y], faced[row + pad + shift_y + 1]
                         for column in range(columns):
                             at = column + pad + shift_x
                             found = a * lower[at] + b * lower[at + 1] + c * upper[at] + d * upper[at + 1]
@@ -174,9 +176,10 @@ def _rise(
                             found += second_part * (a * left[at] + b * left[at + 1] + c * right[at] + d * right[at + 1])
                             found = min(found, worst[row, column])
                             out[heading, row, column] = max(out[heading, row, column], found)
+        faced = here[heading % len(here)]
         for row in range(rows):
             for column in range(columns):
-                out[heading, row, column] = min(out[heading, row, column], here[row + pad, column + pad])
+                out[heading, row, column] = min(out[heading, row, column], faced[row + pad, column + pad])
 
 
 _rise_without_gil = cached_njit(_rise, nogil=True)
@@ -185,9 +188,10 @@ _rise_without_gil = cached_njit(_rise, nogil=True)
 
 @cached_njit
 def _growths(times: Array, growth: Any) -> Array:
-    out = np.empty((len(times), 2))
+    out = np.empty((len(times), 3))
     for k in range(len(times)):
-        out[k, 0], out[k, 1] = standing_growth(times[k], growth), moving_growth(times[k], growth)
+        out[k, 0] = fixed_growth(times[k], growth)
+        out[k, 1], out[k, 2] = standing_growth(times[k], growth), moving_growth(times[k], growth)
     return out
 
 
@@ -217,15 +221,17 @@ def solve_set(
     to_stand = np.cumsum(ladder.times)
     reached = np.maximum(ladder.time_to_stand(fastest) - to_stand, 0.0) + commit + age
     growths = _growths(reached, growth)
-    room = model.radius + model.range_error
+    offsets, radius = discs_of(model)
+    room = radius + model.range_error
     pad = math.ceil(float(ladder.ways.max()) / obstacles.cell) + 2
     values = np.empty((LEVELS + 1, HEADINGS, *obstacles.to_standing.shape), np.float32)
     for level in range(LEVELS + 1):
-        stands, moves = growths[level]
-        here = np.minimum(obstacles.to_standing - np.float32(stands), obstacles.to_moving - np.float32(moves))
-        here = np.pad((here - np.float32(room)).astype(np.float32), pad, mode="edge")
+        fields = obstacles.to_fixed, obstacles.to_standing, obstacles.to_moving
+        grown = [field - np.float32(growth) for field, growth in zip(fields, growths[level], strict=True)]
+        here = np.pad(np.minimum.reduce(grown) - np.float32(room), pad, mode="edge")
+        here = here[None] if len(offsets) == 1 else margins_of_row(here, offsets, obstacles.cell)
         if level == 0:
-            values[0] = here[pad:-pad, pad:-pad]
+            values[0] = here[:, pad:-pad, pad:-pad]
             continue
         below = np.pad(values[level - 1], ((0, 0), (pad, pad), (pad, pad)), mode="edge")
         _rise_without_gil(

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ctrl_rl_core.policies.policy import Policy
+from sim_bridge.simulation.occupancy import draw_map
 
 from ctrl_rl_core import (
     NavigationTask,
@@ -17,6 +18,7 @@ from ctrl_rl_core import (
     task_names,
 )
 from ctrl_rl_safety.errors import SafetyError
+from ctrl_rl_safety.filter.map_walls import MapWalls
 from ctrl_rl_safety.filter.safety_filter import SafetyFilter
 from ctrl_rl_safety.filter.verdict import FilterOptions
 from ctrl_rl_safety.models.robot_model import ROBOTS, RobotModel
@@ -28,7 +30,12 @@ from sim_bridge import SimulatedWorld, SimulationOptions
 ADVERSARIES = ("full_speed", "random", "attacker")
 """Sources that want no good; the last one is a policy that `train --attackers` has learnt against the filter."""
 _ATTACKERS = Path(__file__).parent / "attackers"
-GUARDS = {"none": "no filter", "filter": "filter", "mismatch": "filter, robot off its model"}
+GUARDS = {
+    "none": "no filter",
+    "filter": "filter",
+    "map": "filter with the map",
+    "mismatch": "filter, robot off its model",
+}
 """Names in results; with `mismatch` the robot has 10 % less braking and 30 ms more delay than the filter assumes."""
 _LESS_BRAKING, _MORE_DELAY = 0.9, 0.03
 CAR = RobotModel("car", 0.177, 2.0, 0.8, 0.5, 2.7, 2.7, 3.0, 0.05, 0.0, 0.03, 0.03, 0.0)
@@ -174,7 +181,9 @@ class Player:
         safety = None
         if cell.guard != "none":
             safety = SafetyFilter(model, FilterOptions(period=TICK, mover_speed=fastest))
-        return TrialRobot(world, base, safety, with_set=cell.source not in ADVERSARIES or seed % _WITH_SET == 0)
+        walls = MapWalls(draw_map(world.task, world.geometry)) if cell.guard == "map" else None
+        with_set = cell.source not in ADVERSARIES or seed % _WITH_SET == 0
+        return TrialRobot(world, base, safety, with_set, walls=walls)
 
     def _source(self, task: NavigationTask, seed: int) -> Source:
         if self._policy is not None:

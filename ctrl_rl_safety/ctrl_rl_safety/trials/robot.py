@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from sim_bridge.simulation.bodies import DRIVES
 
 from ctrl_rl_core import Outcome, ScanGeometry
+from ctrl_rl_safety.filter.map_walls import MapWalls
 from ctrl_rl_safety.filter.safety_filter import SafetyFilter
 from ctrl_rl_safety.filter.verdict import Mode, Reading
 from ctrl_rl_safety.models.motion import STANDS, motion_of, next_speed, next_turn
@@ -73,6 +74,7 @@ class TrialRobot:
         safety: SafetyFilter | None,
         with_set: bool = True,
         tick: float = TICK,
+        walls: MapWalls | None = None,
     ) -> None:
         """Take the robot of a world that was just reset.
 
@@ -82,8 +84,9 @@ class TrialRobot:
             safety: Filter before the base; None for none.
             with_set: Whether the recoverable set is solved at each scan; the filter has its fixed escapes otherwise.
             tick: Time between two answers of the filter [s].
+            walls: Map that the filter has, on which the robot knows its place; None for none.
         """
-        self.world, self._safety, self._with_set = world, safety, with_set
+        self.world, self._safety, self._with_set, self._walls = world, safety, with_set, walls
         rate = world.options.rate
         self._base = Base(base, 1.0 / rate)
         self._tick, self._steps = tick, max(1, round(tick * rate))
@@ -146,7 +149,8 @@ class TrialRobot:
             scan = world.laser_scan()
             ranges = (len(scan.ranges), scan.angle_min, scan.angle_increment, scan.range_min, scan.range_max)
             points = view_scan(scan.ranges, ScanGeometry(*ranges), safety.reach, self._forward).points
-            safety.see(now, odometry.pose, points)
+            fixed = None if self._walls is None else self._walls.fixed(world.pose(), odometry.pose)
+            safety.see(now, odometry.pose, points, fixed=fixed)
             if self._with_set:
                 safety.use(safety.solve())
         forward, _, turn = odometry.velocity.tolist()

@@ -1,0 +1,25 @@
+"""Compiles what answering needs before the first command comes."""
+
+from __future__ import annotations
+
+import numpy as np
+from ctrl_rl_core.driving.scan import DIRECTIONS
+
+from ctrl_rl_safety.filter.safety_filter import SafetyFilter
+from ctrl_rl_safety.filter.seen_space import Sight
+from ctrl_rl_safety.filter.verdict import FilterOptions, Reading
+from ctrl_rl_safety.models.robot_model import RobotModel
+
+
+def warm_up(model: RobotModel, options: FilterOptions) -> None:
+    """Compile what answering needs, or read it from disk, before it counts."""
+    safety = SafetyFilter(model, options)
+    bearings = np.linspace(-3.0, 3.0, 60)
+    echoes = 2.0 * model.radius * np.column_stack((np.cos(bearings), np.sin(bearings)))
+    reading = Reading(np.zeros(3), 0.5 * model.speed, 0.0)
+    for now, raw in ((0.0, model.speed), (0.1, 0.0)):
+        safety.see(now, reading.pose, echoes, sight=Sight(np.full(DIRECTIONS, 2.0 * model.radius), 0.0))
+        verdict = safety.decide(now, reading, np.array((raw, 0.0)))
+        safety.sent(now, verdict.command)
+        safety.escape(verdict)
+        safety.use(safety.solve())

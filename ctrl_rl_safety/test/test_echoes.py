@@ -1,0 +1,55 @@
+"""Which echoes are walls: of what has stood and is larger than any mover, without those of who leans on it."""
+
+import numpy as np
+import pytest
+from ctrl_rl_safety.filter.echoes import walls
+
+SIZE = 1.0
+RANDOM = np.random.default_rng(0)
+
+
+def line(begin: tuple[float, float], end: tuple[float, float], spacing: float = 0.03) -> np.ndarray:
+    """Return places from begin to end, as a lidar with 1 cm of noise sees them."""
+    count = round(float(np.hypot(*np.subtract(end, begin))) / spacing)
+    return np.linspace(begin, end, count) + RANDOM.normal(0.0, 0.01, (count, 2))
+
+
+def person(x: float, y: float, radius: float = 0.2) -> np.ndarray:
+    """Return the side of a disc that faces the robot at the origin below it."""
+    angles = np.linspace(np.pi, 2.0 * np.pi, 20)
+    return np.column_stack((x + radius * np.cos(angles), y + radius * np.sin(angles)))
+
+
+def test_a_long_surface_that_has_stood_is_a_wall_and_a_short_one_is_none() -> None:
+    long, short = line((-1.0, 1.0), (1.0, 1.0)), line((-0.4, -1.0), (0.4, -1.0))
+    points = np.concatenate((long, short))
+    known = np.ones(len(points), bool)
+    found = walls(points, known, SIZE)
+    assert found[: len(long)].all()
+    assert not found[len(long) :].any()
+    known[: len(long)] = False
+    assert not walls(points, known, SIZE).any()
+
+
+@pytest.mark.parametrize("gap", [0.0, 0.05, 0.3])
+def test_who_stands_before_a_wall_or_leans_on_it_is_no_wall(gap: float) -> None:
+    somebody = person(0.0, 1.0 - 0.2 - gap)
+    points = np.concatenate((line((-2.0, 1.0), (-0.22, 1.0)), somebody, line((0.22, 1.0), (2.0, 1.0))))
+    first = len(line((-2.0, 1.0), (-0.22, 1.0)))
+    found = walls(points, np.ones(len(points), bool), SIZE)
+    assert not found[first + 2 : first + len(somebody) - 2].any()
+    assert found[: first - 8].all()
+    assert found[first + len(somebody) + 8 :].all()
+
+
+def test_two_who_stand_side_by_side_are_no_wall() -> None:
+    points = np.concatenate((person(-0.42, 1.0), person(0.0, 1.0), person(0.42, 1.0)))
+    assert not walls(points, np.ones(len(points), bool), SIZE).any()
+
+
+def test_a_closed_round_room_is_a_wall_and_few_echoes_are_none() -> None:
+    angles = np.linspace(0.0, 2.0 * np.pi, 200, endpoint=False)
+    room = 1.5 * np.column_stack((np.cos(angles), np.sin(angles)))
+    assert walls(room, np.ones(len(room), bool), SIZE).all()
+    for count in (0, 1, 2, 3):
+        assert not walls(room[:count], np.ones(count, bool), SIZE).any()
