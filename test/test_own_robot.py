@@ -105,7 +105,10 @@ def test_an_engine_of_contacts_is_refused(task):
     ("value", "message"),
     [
         ("tricycle:NOTHING", r"system 'tricycle' \(tricycle:NOTHING\) cannot be loaded"),
-        ("tricycle:equations", r"system 'tricycle' \(tricycle:equations\) is no ctrl_rl_core.SystemModel"),
+        (
+            "tricycle:equations",
+            r"system 'tricycle' \(tricycle:equations\) is no ctrl_rl_core\.systems\.models\.SystemModel",
+        ),
     ],
 )
 def test_an_offer_that_is_none_is_said(installed, value, message):

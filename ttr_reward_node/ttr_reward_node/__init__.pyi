@@ -16,6 +16,7 @@ from .solvers.decomposition import DECOMPOSITIONS as DECOMPOSITIONS
 from .solvers.decomposition import Decomposition as Decomposition
 from .solvers.decomposition import find_decomposition as find_decomposition
 from .solvers.decomposition import solve_decomposed as solve_decomposed
+from .solvers.kept_solution import find_or_solve as find_or_solve
 from .solvers.safety import SafetySolution as SafetySolution
 from .solvers.safety import SafetySolver as SafetySolver
 from .solvers.solution import Solution as Solution

@@ -62,7 +62,7 @@ def _train(options: Train) -> int:
 
     from ctrl_rl_benchmarks.experiments.results import as_table, collect
     from ctrl_rl_benchmarks.experiments.runs import ladder_runs
-    from ctrl_rl_benchmarks.ladder.values import find_or_solve
+    from ttr_reward_node import find_or_solve
 
     def tell(line: str) -> None:
         print(line, flush=True)

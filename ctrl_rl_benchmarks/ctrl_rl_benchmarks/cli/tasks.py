@@ -35,8 +35,7 @@ class Page:
 def _hardness(options: Hardness) -> int:
     tasks = [load_ladder_task(name) for name in options.tasks or (*LADDER, *PRACTICE)]
     from ctrl_rl_benchmarks.ladder.hardness import SAMPLES, measure_hardness
-    from ctrl_rl_benchmarks.ladder.values import find_or_solve
-    from ttr_reward_node import load_value
+    from ttr_reward_node import find_or_solve, load_value
 
     def tell(line: str) -> None:
         print(line, flush=True)

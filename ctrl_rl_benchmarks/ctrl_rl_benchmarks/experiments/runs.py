@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -12,8 +13,7 @@ from ctrl_rl_training.experiments.run import find_method
 from ctrl_rl_training.sb3.algorithms import make_algorithm, number_of_environments
 from ctrl_rl_training.sb3.environment import Environment, make_environment
 from ctrl_rl_training.sb3.fleet import FleetEnvironments, FleetReward, evaluate_in_fleet
-from ctrl_rl_training.sb3.roll_out import EvaluatedEpisode
-from ctrl_rl_training.sb3.training import SimulatedRun
+from ctrl_rl_training.sb3.training import SimulatedRun, Tester
 from oc_baseline_node.training.baselines.policy_gradient import BaselinePolicy, CorrectedPolicy
 from stable_baselines3.common.base_class import BaseAlgorithm
 from ttr_reward_node.rewards.progress import TimeToReach
@@ -26,7 +26,7 @@ from ctrl_rl_benchmarks.ways.methods import GAMMA, MAIN, WAYS, Way
 from ctrl_rl_benchmarks.ways.pay import PAYS, PotentialReward, StateReward
 from ctrl_rl_benchmarks.ways.potential import DistanceInSeconds, Potential
 from ctrl_rl_benchmarks.ways.starts import GrowingStarts, levels
-from ctrl_rl_core import Actor, NavigationTask
+from ctrl_rl_core import NavigationTask
 from ttr_reward_node import load_value, make_reward
 
 
@@ -88,11 +88,12 @@ class LadderRun(SimulatedRun):
         """Return the task's environment in PyBullet (in MuJoCo where it is missing), with the task's own rewards."""
         return make_environment(self.task, rate)
 
-    def test(self, actor: Actor, episodes: int, seed: int, rate: int | None = None) -> list[EvaluatedEpisode]:
-        """Return episodes of a policy: side by side in the planar engine, or in PyBullet where a rate is given."""
-        if rate is not None:
-            return super().test(actor, episodes, seed, rate)
-        return evaluate_in_fleet(actor, self.task, range(seed, seed + episodes), self._reward(episodes))
+    @contextmanager
+    def tester(self) -> Iterator[Tester]:
+        """Yield how policies are evaluated while learning: side by side in the planar engine."""
+        yield lambda actor, episodes, seed: evaluate_in_fleet(
+            actor, self.task, range(seed, seed + episodes), self._reward(episodes)
+        )
 
     def _reward(self, robots: int) -> FleetReward | None:
         way, task = self.way, self.task

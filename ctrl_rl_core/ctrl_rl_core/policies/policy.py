@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from ctrl_rl_core.driving.scan import ScanGeometry
 from ctrl_rl_core.io.checked_tensors import kind_of
 from ctrl_rl_core.io.file_checks import one_line, raise_as, short_path
+from ctrl_rl_core.plugins import find_plugins, load_plugin
 from ctrl_rl_core.policies.errors import PolicyError
 from ctrl_rl_core.policies.manifest import PolicyManifest
 from ctrl_rl_core.policies.observation import ObservationBuilder, Sensors
@@ -121,7 +122,7 @@ def find_policy(name_or_path: str) -> Path:
 def shipped_policies() -> dict[str, Path]:
     """Return the policies that come with the installed packages, by name."""
     shipped: dict[str, Path] = {}
-    for entry in _entries().values():
+    for entry in find_plugins(GROUP).values():
         with suppress(PolicyError):  # a broken package is no reason not to drive by another one's policy
             shipped |= sorted(_kind(entry).shipped().items())
     return shipped
@@ -134,7 +135,7 @@ def load_policy(path: Path) -> Policy:
         PolicyError: No such file, it holds no policy, or what reads it is not installed.
     """
     with raise_as(PolicyError, path):
-        ending, entries = path.suffix.removeprefix(".").lower(), _entries()
+        ending, entries = path.suffix.removeprefix(".").lower(), find_plugins(GROUP)
         keys = (ending,) if ending in entries else kind_of(path)
         entry = next((entries[key] for key in keys if key in entries), None)
         if entry is None:
@@ -155,15 +156,5 @@ def _try(policy: Policy) -> None:
         raise PolicyError(f"its command in front of a wall at 1 m is {one_line(command.tolist(), 60)}: not two numbers")
 
 
-def _entries() -> dict[str, EntryPoint]:
-    return {entry.name: entry for entry in sorted(entry_points(group=GROUP))}
-
-
 def _kind(entry: EntryPoint) -> PolicyKind:
-    try:
-        kind = entry.load()
-    except Exception as error:  # whatever another package does while it is imported
-        raise PolicyError(f"the reader '{entry.name}' ({entry.value}) cannot be loaded: {one_line(error)}") from None
-    if not isinstance(kind, PolicyKind):
-        raise PolicyError(f"the reader '{entry.name}' ({entry.value}) is no PolicyKind")
-    return kind
+    return load_plugin(entry, PolicyKind, "the reader", PolicyError)

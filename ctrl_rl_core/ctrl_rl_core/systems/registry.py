@@ -10,9 +10,9 @@ A task file then names it, `system: {model: tricycle}`, and solver, MPC, simulat
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from importlib.metadata import EntryPoint, entry_points
 
-from ctrl_rl_core.errors import CtrlRlError, one_line
+from ctrl_rl_core.errors import CtrlRlError
+from ctrl_rl_core.plugins import find_plugins, load_plugin
 from ctrl_rl_core.systems.models import SYSTEM_MODELS, SystemModel
 
 GROUP = "ctrl_rl.systems"
@@ -29,22 +29,12 @@ def find_model(name: str) -> SystemModel:
         SystemModelError: There is none, or the package that offers it cannot be loaded.
     """
     if name not in SYSTEM_MODELS:
-        offered = {entry.name: entry for entry in entry_points(group=GROUP)}
+        offered = find_plugins(GROUP)
         if name not in offered:
             known = ", ".join((*SYSTEM_MODELS, *offered))
             raise SystemModelError(f"unknown system '{name[:60]}'; choose one of {known}")
-        SYSTEM_MODELS[name] = _load(offered[name])
+        SYSTEM_MODELS[name] = load_plugin(offered[name], SystemModel, "system", SystemModelError)
     return SYSTEM_MODELS[name]
-
-
-def _load(entry: EntryPoint) -> SystemModel:
-    try:
-        model = entry.load()
-    except Exception as error:  # whatever another package does while it is imported
-        raise SystemModelError(f"system '{entry.name}' ({entry.value}) cannot be loaded: {one_line(error)}") from None
-    if not isinstance(model, SystemModel):
-        raise SystemModelError(f"system '{entry.name}' ({entry.value}) is no ctrl_rl_core.SystemModel")
-    return model
 
 
 class StateUnits(Mapping[str, str]):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -10,14 +9,13 @@ from ctrl_rl_core.tasks.schema.optimal_control import GridSpec
 from ctrl_rl_core.tasks.schema.system import SystemSpec
 from numpy.typing import NDArray
 from ttr_reward_node.rewards.rewards import longest_time
-from ttr_reward_node.solvers.solver import check_reached
 
-from ctrl_rl_core import NavigationTask, ValueFunction, task_digest
+from ctrl_rl_core import NavigationTask, ValueFunction
 from ctrl_rl_offline.data.transitions import Transitions
 from ctrl_rl_offline.errors import OfflineError
 from oc_baseline_node import find_value
 from oc_baseline_node import load_value as load_oc_value
-from ttr_reward_node import load_value, problem_from_task, solve
+from ttr_reward_node import find_or_solve, load_value
 
 Array = NDArray[np.float64]
 TIME_TO_REACH, OC_VALUE = "time_to_reach", "oc_value"
@@ -81,32 +79,21 @@ def load_values(name_or_path: str, task: NavigationTask, folder: Path) -> StateV
         CtrlRlError: There is no such function, or it does not fit the task.
     """
     if name_or_path == TIME_TO_REACH:
-        return StateValues(load_value(find_or_solve(task, folder)), task)
+        return StateValues(load_value(find_time_to_reach(task, folder)), task)
     if name_or_path == OC_VALUE:
         return StateValues(load_oc_value(find_value(task.name)), task)
     return StateValues(load_oc_value(Path(name_or_path)), task)  # which reads value grids, too
 
 
-def find_or_solve(task: NavigationTask, folder: Path) -> Path:
+def find_time_to_reach(task: NavigationTask, folder: Path) -> Path:
     """Return the file of the time to reach by what the robot can do, solved now unless it is there.
 
-    Obstacles are wider by the radius of the body; controls are the robot's commands. A task in an arena without a
-    grid of its own gets one of 0.1 m and 5 deg.
+    Controls are the robot's commands. A task in an arena without a grid of its own gets one of 0.1 m and 5 deg.
 
     Raises:
         TimeToReachError: The task has no grid and no arena, or nothing reaches its goal.
     """
-    file = folder / f"{task.name}-{task_digest(task)[:12]}.safetensors"
-    if file.is_file():
-        return file
-    folder.mkdir(parents=True, exist_ok=True)
-    problem = dataclasses.replace(
-        problem_from_task(_solvable(task), inflation=task.robot.radius), digest=task_digest(task)
-    )
-    solution = solve(problem)
-    check_reached(problem, solution.grid)
-    solution.grid.save(file, overwrite=True)
-    return file
+    return find_or_solve(task, folder, posed_as=_solvable(task))
 
 
 def _solvable(task: NavigationTask) -> NavigationTask:

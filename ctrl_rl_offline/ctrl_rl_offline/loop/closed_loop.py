@@ -19,7 +19,7 @@ from ctrl_rl_core.policies.policy import load_policy
 
 from ctrl_rl_core import Actor, NavigationTask, atomic_write
 from ctrl_rl_offline.data.transitions import Transitions, load_transitions
-from ctrl_rl_offline.data.values import StateValues, find_or_solve
+from ctrl_rl_offline.data.values import StateValues, find_time_to_reach
 from ctrl_rl_offline.evaluation.report import evaluate_offline
 from ctrl_rl_offline.learners.learning import learn
 from ctrl_rl_offline.learners.settings import LearningSettings
@@ -74,7 +74,7 @@ def run_loop(
     Raises:
         CtrlRlError: The task cannot be driven or has no time to reach; a file of an earlier call is damaged.
     """
-    value_file = find_or_solve(task, values_folder)
+    value_file = find_time_to_reach(task, values_folder)
     function = load_value(value_file)
     values, evaluator = StateValues(function, task), RewardEvaluator(task, function)
     bags: list[Path] = []

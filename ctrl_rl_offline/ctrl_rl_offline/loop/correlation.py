@@ -18,7 +18,7 @@ from ctrl_rl_core.policies.policy import load_policy
 
 from ctrl_rl_core import Actor, NavigationTask, atomic_write
 from ctrl_rl_offline.data.transitions import Transitions, load_transitions
-from ctrl_rl_offline.data.values import OC_VALUE, TIME_TO_REACH, StateValues, find_or_solve, load_values
+from ctrl_rl_offline.data.values import OC_VALUE, TIME_TO_REACH, StateValues, find_time_to_reach, load_values
 from ctrl_rl_offline.evaluation.report import evaluate_offline
 from ctrl_rl_offline.learners.learning import learn
 from ctrl_rl_offline.learners.settings import LearningSettings
@@ -134,7 +134,7 @@ def _bag(task: NavigationTask, folder: Path, seed: int, settings: CorrelationSet
             rmtree(here)
         here.mkdir(parents=True)
         drive(task, ScriptedDriver(task), settings.episodes, _SEEDS_APART * (seed + 1), here / "bag", settings.engine)
-        function = load_value(find_or_solve(task, folder / "values"))
+        function = load_value(find_time_to_reach(task, folder / "values"))
         relabel(here / "bag", labelled, function, RewardEvaluator(task, function))
         done.touch()
     return labelled

@@ -6,8 +6,8 @@ result = train(run, RunOptions(Path("runs/mine"), 10, 10240, 20, 50))        # r
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -33,6 +33,8 @@ from ctrl_rl_training.sb3.environment import DEPLOYED_RATE, Environment, observa
 from ctrl_rl_training.sb3.roll_out import SUCCESS, EvaluatedEpisode, evaluate
 from ctrl_rl_training.sb3.state_visitation import Visits
 
+Tester = Callable[[Actor, int, int], list[EvaluatedEpisode]]
+"""Returns so many episodes of a policy, from a seed and those that follow it."""
 _EVALUATION_SEED = 1_000_000
 
 
@@ -69,15 +71,19 @@ class SimulatedRun(Run):
     def model(self, samples: int) -> BaseAlgorithm:
         """Return the untrained algorithm with its own environments, for so many samples."""
 
-    def test(self, actor: Actor, episodes: int, seed: int, rate: int | None = None) -> list[EvaluatedEpisode]:
-        """Return episodes of a policy, from the seeds `seed`, `seed` + 1 and so on, at a physics rate [Hz]."""
-        if not episodes:
-            return []
-        environment = self.environment(rate)
-        try:
-            return evaluate(actor, environment, episodes, seed)
-        finally:
-            environment.close()
+    @contextmanager
+    def tester(self) -> Iterator[Tester]:
+        """Yield how policies are evaluated while learning; the simulation is kept from the first time to the end."""
+        with ExitStack() as opened:
+            kept: list[Environment] = []
+
+            def test(actor: Actor, episodes: int, seed: int) -> list[EvaluatedEpisode]:
+                if episodes and not kept:
+                    kept.append(self.environment())
+                    opened.callback(kept[0].close)
+                return evaluate(actor, kept[0], episodes, seed) if episodes else []
+
+            yield test
 
     def notes(self, _: BaseAlgorithm, /) -> dict[str, Any]:
         """Return more figures for a point of the curve, as JSON; called after each iteration."""
@@ -96,7 +102,8 @@ class SimulatedRun(Run):
         """Yield the learner with its environments."""
         model = self.model(options.samples * options.iterations)
         try:
-            yield _Learning(self, options, model)
+            with self.tester() as test:
+                yield _Learning(self, options, model, test)
         finally:
             if model.env is not None:
                 model.env.close()
@@ -105,17 +112,18 @@ class SimulatedRun(Run):
 class _Learning:
     """An algorithm of Stable-Baselines3 as a `Learning`."""
 
-    def __init__(self, run: SimulatedRun, options: RunOptions, model: BaseAlgorithm) -> None:
+    def __init__(self, run: SimulatedRun, options: RunOptions, model: BaseAlgorithm, test: Tester) -> None:
         self._run = run
         self._options = options
         self._model = model
+        self._test = test
         self._visits = Visits(run.task)
 
     def iterate(self, curve: Sequence[Point], /) -> Point:
         run, model, options = self._run, self._model, self._options
         outcomes = _iterate(model, _seed_of(run.seed, len(curve)), options.samples, self._visits)
         actor = extract_actor(model, run.task, {})
-        tested = run.test(actor, options.evaluations, _EVALUATION_SEED)
+        tested = self._test(actor, options.evaluations, _EVALUATION_SEED)
         self._visits.end_iteration()
         return {
             "samples": model.num_timesteps,
@@ -143,7 +151,7 @@ class _Learning:
             "commands": list(run.task.robot.commands),
         }
         actor = extract_actor(self._model, run.task, manifest)
-        episodes = run.test(actor, self._options.final_evaluations, 2 * _EVALUATION_SEED, DEPLOYED_RATE)
+        episodes = self._deployed_episodes(actor)
         outcomes = [episode.outcome for episode in episodes]
         metrics = {"success": _rate(outcomes), "episodes": len(outcomes)}
         told = replace(actor, manifest={**manifest, "metrics": metrics}, interface=_interface(run.task))
@@ -157,6 +165,13 @@ class _Learning:
             "returns": [episode.total for episode in episodes],
             "paths": [{"outcome": one.outcome, "states": one.states.round(4).tolist()} for one in episodes[:3]],
         }
+
+    def _deployed_episodes(self, actor: Actor) -> list[EvaluatedEpisode]:
+        count = self._options.final_evaluations
+        if not count:
+            return []
+        with closing(self._run.environment(DEPLOYED_RATE)) as environment:
+            return evaluate(actor, environment, count, 2 * _EVALUATION_SEED)
 
 
 def _interface(task: NavigationTask) -> PolicyManifest | None:

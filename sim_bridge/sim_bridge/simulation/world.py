@@ -17,11 +17,11 @@ import numpy as np
 from ctrl_rl_core.tasks.schema.robot import MODEL
 from numpy.typing import ArrayLike, NDArray
 
-from ctrl_rl_core import Disc, NavigationTask, Outcome, System, World, draw_movers, draw_starts
+from ctrl_rl_core import NavigationTask, Outcome, System
 from sim_bridge.engines.choice import make_engine
-from sim_bridge.errors import SimulationError
 from sim_bridge.simulation.bodies import Body, make_body
 from sim_bridge.simulation.commands import CommandChannel
+from sim_bridge.simulation.draws import checked_start, draw_episode
 from sim_bridge.simulation.episode import Contact, EpisodeState, TerminationChecker
 from sim_bridge.simulation.lidar import Lidar, LidarScan
 from sim_bridge.simulation.movers import Movers, MoverStates
@@ -119,17 +119,13 @@ class SimulatedWorld:
         Raises:
             SimulationError, TaskError: As for a new world.
         """
-        geometry = self.task.build_world(self._draw_width(seed), stream(seed, Purpose.DOORWAYS))
-        conditions = self.options.drawn(self.task.randomisation, stream(seed, Purpose.CONDITIONS))
-        plans = draw_movers(self.task, geometry, stream(seed, Purpose.MOVERS))
-        discs = [Disc(plan.motion.position(0.0), plan.radius) for plan in plans]
-        random = stream(seed, Purpose.START)
-        starts = draw_starts(self.task, self.system, geometry, self._count, self.task.robot.radius, random, discs)
-        if start is not None:
-            starts = [self._checked_start(start)]
+        wanted = None if start is None else checked_start(start, self.system, self._count)
+        geometry, conditions, plans, starts = draw_episode(
+            self.task, self.system, self.options, seed, self._count, self._width, wanted
+        )
         self._engine.begin(self.plane, (*geometry.walls, *geometry.obstacles))
-        self.geometry: World = geometry
-        self.conditions: SimulationOptions = conditions
+        self.geometry = geometry
+        self.conditions = conditions
         self.lidar.set_errors(conditions.scan_noise, conditions.scan_dropout)
         self.seed = seed
         self.steps = 0
@@ -139,19 +135,6 @@ class SimulatedWorld:
         self._engine.finish()
         self._robots = [self._make_robot(index, body) for index, body in enumerate(bodies)]
         self._check()
-
-    def _checked_start(self, start: ArrayLike) -> Array:
-        state = np.array(start, dtype=float)
-        if self._count > 1 or state.shape != (len(self.system.state_names),) or not np.isfinite(state).all():
-            names = ", ".join(self.system.state_names)
-            raise SimulationError(f"a start is a finite number for each of {names}, for a world of one robot")
-        return state
-
-    def _draw_width(self, seed: int) -> float | None:
-        corridor = self.task.corridor
-        if corridor is None or self._width is not None or not self.options.randomise_width:
-            return self._width
-        return float(stream(seed, Purpose.WIDTH).uniform(*corridor.width_range))
 
     def _make_robot(self, index: int, body: Body) -> _Robot:
         options, rate = self.conditions, self.options.rate

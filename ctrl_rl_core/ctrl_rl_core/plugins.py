@@ -1,0 +1,37 @@
+"""Parts that installed packages offer by entry points, by group and name."""
+
+from __future__ import annotations
+
+from importlib.metadata import EntryPoint, entry_points
+from typing import TypeVar
+
+from ctrl_rl_core.errors import CtrlRlError, one_line
+
+Part = TypeVar("Part")
+
+
+def find_plugins(group: str) -> dict[str, EntryPoint]:
+    """Return what the installed packages offer in a group, sorted by name."""
+    return {entry.name: entry for entry in sorted(entry_points(group=group))}
+
+
+def load_plugin(entry: EntryPoint, kind: type[Part], noun: str, error: type[CtrlRlError]) -> Part:
+    """Import what an entry point names.
+
+    Args:
+        entry: Entry point of an installed package.
+        kind: Class that it has to be of.
+        noun: Noun that messages call it by.
+        error: Error to raise.
+
+    Raises:
+        CtrlRlError: The package cannot be imported, or offers something else; of the type `error`.
+    """
+    offered = f"{noun} '{entry.name}' ({entry.value})"
+    try:
+        part = entry.load()
+    except Exception as fault:  # whatever another package does while it is imported
+        raise error(f"{offered} cannot be loaded: {one_line(fault)}") from None
+    if not isinstance(part, kind):
+        raise error(f"{offered} is no {kind.__module__}.{kind.__name__}")
+    return part

@@ -1,0 +1,42 @@
+"""Times to reach that are solved once and kept as files."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+
+from ctrl_rl_core import NavigationTask, task_digest
+from ttr_reward_node.problems.problem import problem_from_task
+from ttr_reward_node.solvers.solver import check_reached, solve
+
+Tell = Callable[[str], None]
+
+
+def find_or_solve(
+    task: NavigationTask, folder: Path, tell: Tell = lambda _: None, posed_as: NavigationTask | None = None
+) -> Path:
+    """Return the file of the time to reach of this version of a task, solved now unless it is there.
+
+    Obstacles are wider by the radius of the body.
+
+    Args:
+        task: Task whose name and digest the file has.
+        folder: Folder of the files.
+        tell: Takes a line before the solver begins.
+        posed_as: Task with the grid and the controls of the problem; `task` itself unless given.
+
+    Raises:
+        TimeToReachError: The task has no grid, or nothing reaches its goal.
+    """
+    digest = task_digest(task)
+    file = folder / f"{task.name}-{digest[:12]}.safetensors"
+    folder.mkdir(parents=True, exist_ok=True)
+    if file.is_file():
+        return file
+    problem = problem_from_task(posed_as or task, inflation=task.robot.radius)
+    tell(f"solving    {task.name}, {problem.points} nodes")
+    solution = solve(dataclasses.replace(problem, digest=digest))
+    check_reached(problem, solution.grid)
+    solution.grid.save(file, overwrite=True)
+    return file
