@@ -86,6 +86,9 @@ test: build ## lint and the tests, side by side (ARGS="-k demo" for some of them
 test-all: build ## the same, slow tests too
 	@$(MAKE) --no-print-directory -j2 lint tests SLOW=1
 
+# Hundreds of processes import the same sources: each would parse them anew.
+unexport PYTHONDONTWRITEBYTECODE
+
 # One process more than cores: tests of nodes wait for messages.
 tests: build
 	@$(RUN) python -m pytest -n $$(($$(nproc) + 1)) --dist loadfile --no-loadscope-reorder $(if $(SLOW),,-m "not slow") $(ARGS)
