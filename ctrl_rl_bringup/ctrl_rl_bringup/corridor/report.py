@@ -88,6 +88,11 @@ class DriveReport:
         return float(self.rewards[0, 2]) if len(self.rewards) else float("nan")
 
     @property
+    def left_grid(self) -> bool:
+        """Whether the drive left the value's grid, with a speed beyond it, say: then it may beat the time to reach."""
+        return bool(len(self.rewards) and np.isnan(self.rewards[:, 2]).any())
+
+    @property
     def lacks(self) -> list[str]:
         """Messages that the run's nodes should have published and that the bag lacks; empty if it is whole."""
         out = []
@@ -139,7 +144,11 @@ class DriveReport:
         ms = [1e3 * self.latency(percentile) for percentile in (50, 99)]
         best = self.time_to_reach
         value = f"{self.oc_values[0, 1]:.0f} at the start" if len(self.oc_values) else "none"
-        share = f", {self.duration / best:.2f} of the time to reach, {best:.1f} s" if np.isfinite(best) else ""
+        share = ""
+        if np.isfinite(best) and self.left_grid:
+            share = f"; the time to reach is {best:.1f} s at the speeds of its grid, which the drive left"
+        elif np.isfinite(best):
+            share = f", {self.duration / best:.2f} of the time to reach, {best:.1f} s"
         return "\n".join(
             (
                 f"outcome             {OUTCOMES[self.outcome]}",
