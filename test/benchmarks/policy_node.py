@@ -2,8 +2,10 @@
 
     python test/benchmarks --only policy_node                                 # the latency
     python test/benchmarks/policy_node.py --results docs/results/policy_node.json
+    python test/benchmarks/policy_node.py --real-time --seeds 20 --results docs/results/policy_node.json
 
-The second drives the same starts in the environment and through the node, with real processes of node and simulator.
+The second drives the same starts in the environment and through the node, with real processes of node and simulator in
+step; the third lets the simulator run in real time beside the node, which needs a machine with nothing else to do.
 """
 
 from __future__ import annotations
@@ -15,18 +17,22 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import rclpy
 from _common import Row, executable
 from control_latency import compare
 from ctrl_rl_bringup.runner.stack import DriveConfig, NodeSpec, policy_nodes, simulator
-from ctrl_rl_core.command import OptionalFileToWrite, make_command
+from ctrl_rl_bringup.transfer.in_process import play_episode
+from ctrl_rl_core.command import OptionalFileToWrite, make_command, some_of
+from ctrl_rl_core.io.checked_tensors import kind_of
+from ctrl_rl_core.io.results import read_experiment
 from geometry_msgs.msg import TwistStamped
 from rclpy.client import Client
 from rclpy.time import Time
 from sensor_msgs.msg import LaserScan
+from std_srvs.srv import SetBool
 
 from ctrl_rl_core import (
     COMMAND,
@@ -37,15 +43,20 @@ from ctrl_rl_core import (
     Result,
     find_policy,
     load_navigation_task,
-    read_results,
+    load_policy,
     write_results,
 )
 from ctrl_rl_msgs.msg import EpisodeStatus, RotorThrusts, TaskOutcome
 from ctrl_rl_msgs.srv import ResetWorld, StepWorld
+from sim_bridge import SimulationOptions
 
 POLICY = "curved_corridor"
 """The policy whose latency is taken: the largest observation of those that ship."""
-TASKS = ("car_ttr", "car_navigation", "quad_ttr", "quad_navigation")
+POLICIES = {
+    **{name: name for name in ("car_ttr", "car_navigation", "quad_ttr", "quad_navigation", "curved_corridor")},
+    "curved_corridor_edmd": "curved_corridor",
+}
+"""Tasks by shipped policy."""
 DELAY = 0.005
 """Time from a scan to the effect of its command in the simulator [s]; measured are 2 ms on a busy machine."""
 ARRIVAL_S = 0.015
@@ -62,8 +73,10 @@ class Options:
     """JSON file to write; rows of tasks that are not measured stay in it."""
     seeds: int = 100
     """Number of episodes of each policy."""
-    tasks: tuple[str, ...] = TASKS
-    """Tasks, whose shipped policies drive."""
+    policies: Annotated[tuple[str, ...], some_of(POLICIES)] = tuple(POLICIES)
+    """Shipped policies."""
+    real_time: bool = False
+    """Let the simulator run in real time beside the node, and take no latency."""
 
 
 def rows() -> list[Row]:
@@ -72,11 +85,18 @@ def rows() -> list[Row]:
     return out
 
 
-def in_environment(task: str, seeds: range) -> list[bool]:
-    """Return which episodes reach the goal in the task's environment."""
+def in_environment(policy: str, seeds: range) -> list[bool]:
+    """Return which episodes reach the goal in the task's environment.
+
+    A Koopman policy has none of its own: it drives scan by scan in one process, without ROS's transport.
+    """
     from sim_bridge.environments import NavigationEnv
 
-    actor, environment = Actor.load(find_policy(task)), NavigationEnv(task)
+    task = POLICIES[policy]
+    if "actor" not in kind_of(find_policy(policy)):
+        driver, world, settings = load_policy(find_policy(policy)), load_navigation_task(task), SimulationOptions()
+        return [play_episode(driver, world, seed, settings).outcome is Outcome.GOAL for seed in seeds]
+    actor, environment = Actor.load(find_policy(policy)), NavigationEnv(task)
     reached = []
     try:
         for seed in seeds:
@@ -92,30 +112,38 @@ def in_environment(task: str, seeds: range) -> list[bool]:
     return reached
 
 
-def through_node(task_name: str, seeds: range) -> list[bool]:
-    """Return which episodes reach the goal when the node drives, scan by scan in step with the simulator.
+def through_node(policy: str, seeds: range, real_time: bool) -> list[bool]:
+    """Return which episodes reach the goal when the node drives.
 
-    The world stands while the node answers, so that a busy machine changes nothing; a command takes effect `DELAY`
-    after its scan, as it would with a node that answers in so long.
+    In step with the simulator the world stands while the node answers, so that a busy machine changes nothing; a
+    command takes effect `DELAY` after its scan, as it would with a node that answers in so long.
+
+    Args:
+        policy: Name of a shipped policy.
+        seeds: Seeds of the episodes.
+        real_time: Whether the simulator runs in real time instead.
     """
     from ctrl_rl_bringup.runner.domain import own_domain
 
     with own_domain("policy_node"):
         rclpy.init()
         try:
-            with _Stepper(task_name) as stepper:
-                return [stepper.play(seed) for seed in seeds]
+            with _Pair(policy, 0.0 if real_time else DELAY) as pair:
+                return [pair.run(seed) if real_time else pair.step(seed) for seed in seeds]
         finally:
             rclpy.try_shutdown()
 
 
-class _Stepper:
-    """A bridge and a policy node in step."""
+class _Pair:
+    """A bridge and a policy node."""
 
-    def __init__(self, task_name: str) -> None:
-        task = load_navigation_task(task_name)
-        run = DriveConfig(Path("unused"), task=task_name, policy=task_name, simulation={"command_delay": DELAY})
-        specs = [simulator(run), replace(policy_nodes(run, task)[0], remappings={})]
+    def __init__(self, policy: str, delay: float) -> None:
+        task = load_navigation_task(POLICIES[policy])
+        run = DriveConfig(Path("unused"), task=task.name, policy=policy, simulation={"command_delay": delay})
+        node = replace(policy_nodes(run, task)[0], remappings={})
+        if task.corridor is not None:  # its policies drive with all guards
+            node = replace(node, parameters={"use_sim_time": True, "policy": policy})
+        specs = [simulator(run), node]
         self._processes = [subprocess.Popen(_words(spec), stdout=subprocess.DEVNULL) for spec in specs]
         self._period = 1.0 / task.lidar.rate
         self._node = rclpy.create_node("stepper")
@@ -127,8 +155,9 @@ class _Stepper:
         self._node.create_subscription(EpisodeStatus, "episode", self._on_episode, RESULT)
         self._reset = self._node.create_client(ResetWorld, "sim_bridge/reset")
         self._step = self._node.create_client(StepWorld, "sim_bridge/step")
+        self._pause = self._node.create_client(SetBool, "sim_bridge/pause")
 
-    def __enter__(self) -> _Stepper:
+    def __enter__(self) -> _Pair:
         self._wait(lambda: self._step.service_is_ready() and self._node.count_subscribers("scan") == 2, 120.0)
         self._wait(lambda: self._node.count_publishers("odom") == 1, 120.0)
         time.sleep(2.0)  # the last match is seen here before it is seen by both of its ends
@@ -140,11 +169,22 @@ class _Stepper:
             process.wait(30.0)
         self._node.destroy_node()
 
-    def play(self, seed: int) -> bool:
-        """Return whether the episode of a seed reaches the goal."""
+    def run(self, seed: int) -> bool:
+        """Return whether the episode of a seed reaches the goal in real time."""
+        self._begin(seed)
+        self._call(self._pause, SetBool.Request(data=False))
+        self._wait(lambda: self._episode.outcome.value != TaskOutcome.RUNNING, 600.0)
+        self._call(self._pause, SetBool.Request(data=True))
+        return bool(self._episode.outcome.value == TaskOutcome.GOAL)
+
+    def _begin(self, seed: int) -> None:
         before = self._scanned
         number = self._call(self._reset, ResetWorld.Request(seed=seed)).episode
         self._wait(lambda: self._scanned > before and self._episode.episode == number)
+
+    def step(self, seed: int) -> bool:
+        """Return whether the episode of a seed reaches the goal in step."""
+        self._begin(seed)
         while self._episode.outcome.value == TaskOutcome.RUNNING:
             self._wait(lambda: self._answered >= self._scanned)
             time.sleep(ARRIVAL_S)
@@ -183,41 +223,50 @@ def _words(spec: NodeSpec) -> list[str]:
     return [executable(spec.package, spec.executable), "--ros-args", "--log-level", "error", *parameters]
 
 
-def _kept(options: Options) -> list[Result]:
-    """Return the rows of other tasks that the file has already."""
+def _kept(options: Options, measured: set[tuple[str, str]]) -> list[Result]:
+    """Return the rows that the file has already, but for methods and metrics that are measured anew."""
     if options.results is None or not options.results.exists():
         return []
-    (there,) = [each for each in read_results(options.results.parent) if each.experiment == "policy_node"]
-    rows = [row for row in there.rows if row.method not in (*options.tasks, POLICY)]
+    there = read_experiment(options.results)
+    rows = [row for row in there.rows if (row.method, row.metric) not in measured]
     return [Result(row.method, row.metric, row.unit, row.values) for row in rows]
 
 
 def measure(options: Options) -> int:
     """Measure, print, and write after each figure."""
-    found, seeds = _kept(options), range(options.seeds)
+    seeds = range(options.seeds)
+    found = [] if options.real_time else _latency()
+    _write(options, found)
+    how = " in real time" if options.real_time else ""
+    for policy in options.policies:
+        own, driven = in_environment(policy, seeds), through_node(policy, seeds, options.real_time)
+        difference = [float(there) - float(here) for there, here in zip(driven, own, strict=True)]
+        if not options.real_time:
+            found.append(Result(policy, "success in the environment", "1", [float(each) for each in own]))
+        found += [
+            Result(policy, f"success through the node{how}", "1", [float(each) for each in driven]),
+            Result(policy, f"success difference{how}", "1", [float(np.mean(difference))]),
+        ]
+        _write(options, found)
+        print(
+            f"{policy:<20} {np.mean(own):7.1%} in the environment, {np.mean(driven):7.1%} through the node", flush=True
+        )
+    return 0
+
+
+def _latency() -> list[Result]:
     ratios = []
     for _ in range(REPEATS):
         _, ratio = compare("policy node", "ctrl_rl_core", "policy", (f"policy:={POLICY}",), scans=500)
         ratios.append(ratio)
         print(f"latency over echo    {ratio:.3f}", flush=True)
-    found.append(Result(POLICY, "latency over echo", "1", ratios))
-    _write(options, found)
-    for task in options.tasks:
-        own, driven = in_environment(task, seeds), through_node(task, seeds)
-        difference = [float(there) - float(here) for there, here in zip(driven, own, strict=True)]
-        found += [
-            Result(task, "success in the environment", "1", [float(each) for each in own]),
-            Result(task, "success through the node", "1", [float(each) for each in driven]),
-            Result(task, "success difference", "1", [float(np.mean(difference))]),
-        ]
-        _write(options, found)
-        print(f"{task:<20} {np.mean(own):7.1%} in the environment, {np.mean(driven):7.1%} through the node", flush=True)
-    return 0
+    return [Result(POLICY, "latency over echo", "1", ratios)]
 
 
 def _write(options: Options, found: list[Result]) -> None:
-    if options.results is not None:
-        write_results(options.results, "policy_node", list(range(options.seeds)), found)
+    if options.results is not None and found:
+        rows = [*_kept(options, {(row.method, row.metric) for row in found}), *found]
+        write_results(options.results, "policy_node", range(max(len(row.values) for row in rows)), rows)
 
 
 if __name__ == "__main__":
