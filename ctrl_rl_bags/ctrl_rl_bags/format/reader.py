@@ -196,8 +196,8 @@ class Bag:
         kind, mode = str(metadata.compression_format), str(metadata.compression_mode).lower()
         if kind != "zstd" or mode not in ("file", "message"):
             raise BagError(
-                f"{self.path}: its compression {printable(kind)!r} by {printable(mode)!r} is unknown: use zstd by file or"
-                f" message{recover_hint(self.path)}"
+                f"{self.path}: its compression {printable(kind)!r} by {printable(mode)!r} is unknown: use zstd by file "
+                f"or message{recover_hint(self.path)}"
             )
         self._by_message = mode == "message"
         if self._by_message:
