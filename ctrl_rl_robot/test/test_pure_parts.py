@@ -1,16 +1,23 @@
 """Steps of a clock, the operator, and who commanded: the parts of the environment that need no robot."""
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from ctrl_rl_robot.environment.operator import JoyMapping, Operator
 from ctrl_rl_robot.environment.step_clock import StepClock
 from ctrl_rl_robot.errors import RobotError
+from ctrl_rl_robot.learning.fine_tuner import FineTuner, TuneSettings
+from ctrl_rl_robot.learning.policy import read_policy
 from ctrl_rl_robot.learning.replay import Replay
+from ctrl_rl_robot.learning.session import Session
 from ctrl_rl_robot.nodes.tally import Tally
 from hypothesis import given
 from hypothesis import strategies as st
+
+from ctrl_rl_core import Actor, find_policy
 
 LOW, HIGH = np.array((-0.1, -2.0)), np.array((0.2, 1.0))
 JOY = JoyMapping(button=4, speed=1, turn=0)
@@ -93,3 +100,40 @@ def test_a_replay_keeps_the_newest_steps_through_a_checkpoint() -> None:
     batch = again.batch(50, np.random.default_rng(0))
     assert (batch.seen[:, 0] == batch.rewards).all()
     assert (batch.following[:, 0] == batch.rewards + 1.0).all()
+
+
+def test_a_tuner_goes_on_where_it_was_and_refuses_what_is_damaged(tmp_path: Path) -> None:
+    actor, interface = read_policy("car_ttr", motion=True)
+    assert interface.size == len(actor.middle) == 15
+    plain = Actor.load(find_policy("car_ttr"))
+    seen = np.random.default_rng(0).normal(size=(50, 15)).astype(np.float32)
+    assert actor.command(seen) == pytest.approx(plain.command(seen[:, :11])), "until it learns, it is the same policy"
+
+    settings = TuneSettings(updates=1, first_updates=4, first_steps=20, batch=8, hidden=8)
+    made = [FineTuner(actor, settings, 100, seed) for seed in (0, 1)]
+    for row in seen:
+        made[0].add(row, np.zeros(2, np.float32), float(row[0]), row, 0.9, by_operator=row[1] > 0.0)
+    made[0].learn(6, np.random.default_rng(0))
+    made[1].restore(made[0].arrays())
+    for tuner in made:
+        torch.manual_seed(0)
+        tuner.learn(10, np.random.default_rng(1))
+    assert (made[0].act(seen[0]) == made[1].act(seen[0])).all()
+    assert (made[0].act(seen[0]) != FineTuner(actor, settings, 100, 0).act(seen[0])).any()
+
+    (tmp_path / "checkpoint.safetensors").write_bytes(b"nothing of the kind")
+    with pytest.raises(RobotError, match="delete it to begin anew"):
+        Session(None, made[0], tmp_path, 0)
+
+
+def test_the_policy_comes_to_do_what_the_operator_did() -> None:
+    actor, _ = read_policy("car_ttr", motion=False)
+    settings = TuneSettings(updates=300, first_updates=10, first_steps=20, batch=32, hidden=16, hold=100.0)
+    tuner = FineTuner(actor, settings, 200, 0)
+    wanted, random = np.array((-0.5, 0.5), np.float32), np.random.default_rng(0)
+    seen = actor.middle + actor.unit * random.normal(size=(100, 11)).astype(np.float32)
+    before = np.abs(np.array([tuner.act(row) for row in seen]) - wanted).mean()
+    for row in seen:
+        tuner.add(row, wanted, 0.0, row, 0.0, by_operator=True)
+    tuner.learn(1, random)
+    assert np.abs(np.array([tuner.act(row) for row in seen]) - wanted).mean() < 0.5 * before

@@ -1,6 +1,6 @@
 """The environment on real nodes: a bridge, the safety filter, an operator, and what is said when one fails."""
 
-import shutil
+import json
 import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -19,13 +19,15 @@ from ctrl_rl_robot.environment.robot_env import RobotEnv
 from ctrl_rl_robot.errors import RobotError
 from ctrl_rl_robot.learning.policy import read_policy
 from ctrl_rl_robot.nodes.robot_node import NAME, RAW, RobotNode
-from ctrl_rl_robot.nodes.ros_robot import Ros, RosRobot, SimulatorStarts
+from ctrl_rl_robot.nodes.ros_robot import OperatorStarts, Ros, RosRobot, SimulatorStarts
 from ctrl_rl_robot.nodes.stepped_robot import SteppedRobot
 from ctrl_rl_safety.trials.episodes import CAR
 from geometry_msgs.msg import TwistStamped
+from sensor_msgs.msg import LaserScan
+from std_srvs.srv import SetBool, Trigger
 from ttr_reward_node.rewards.progress import TimeToReach
 
-from ctrl_rl_core import COMMAND, Actor, load_navigation_task, task_digest, task_file
+from ctrl_rl_core import COMMAND, Actor, ScanGeometry, load_navigation_task, task_digest, task_file
 from ttr_reward_node import load_value, problem_from_task, solve
 
 ARGUMENTS = ["--ros-args", "-r", f"{NAME}:cmd_vel:={RAW}"]
@@ -54,9 +56,8 @@ def bridge(folder: Path, run_shared_node: Callable[..., Any]) -> Any:
 
 
 @pytest.fixture(scope="module")
-def chain(folder: Path, bridge: Any, run_shared_node: Callable[..., Any]) -> Any:
-    """Give the bridge behind the filter."""
-    run_shared_node(
+def safety(folder: Path, run_shared_node: Callable[..., Any]) -> Any:
+    return run_shared_node(
         "ctrl_rl_safety",
         "safety_filter",
         f"robot:={folder}/car.yaml",
@@ -64,7 +65,6 @@ def chain(folder: Path, bridge: Any, run_shared_node: Callable[..., Any]) -> Any
         "control_period:=0.11",
         *(word for word in OPEN if word != "-p"),
     )
-    return bridge
 
 
 class Stand:
@@ -72,14 +72,14 @@ class Stand:
 
     def __init__(self, folder: Path, kind: type[RosRobot], patience: float = 60.0) -> None:
         initialise(["test", *ARGUMENTS, *OPEN, "-p", "use_sim_time:=true"])
-        task = load_navigation_task(str(folder / "car_navigation.yaml"))
-        _, interface = read_policy("car_navigation", motion=True)
-        self.ros = Ros(RobotNode(interface), patience)
+        self.task = load_navigation_task(str(folder / "car_navigation.yaml"))
+        _, self.interface = read_policy("car_navigation", motion=True)
+        self.ros = Ros(RobotNode(self.interface), patience)
         self.operator = self.ros.node.create_publisher(TwistStamped, "cmd_vel_operator", COMMAND)
         (value,) = folder.glob("*.safetensors")
         self.robot = kind(self.ros, SimulatorStarts(self.ros))
-        reward = StepReward(task, TimeToReach(load_value(value)))
-        self.environment = RobotEnv(self.robot, task, interface, reward)
+        self.reward = StepReward(self.task, TimeToReach(load_value(value)))
+        self.environment = RobotEnv(self.robot, self.task, self.interface, self.reward)
 
 
 @pytest.fixture
@@ -96,7 +96,7 @@ def stand(folder: Path) -> Iterator[Callable[..., Stand]]:
         rclpy.try_shutdown()
 
 
-@pytest.mark.usefixtures("chain")
+@pytest.mark.usefixtures("bridge", "safety")
 def test_stepped_steps_are_whole_the_operator_goes_first_and_episodes_end(stand: Callable[..., Stand]) -> None:
     """One bridge goes through all of it: to start one takes longer than to drive."""
     it = stand(SteppedRobot)
@@ -128,6 +128,14 @@ def test_stepped_steps_are_whole_the_operator_goes_first_and_episodes_end(stand:
     *_, info = it.environment.step(forward)
     assert info["operator"] == 0.0, "it is given back when nobody drives it any more"
 
+    node, now = it.ros.node, it.robot.now()
+    kept = node.reading(now).sensors
+    node.begin_step(now)
+    node.on_scan(LaserScan(), np.ones(3, np.float32), ScanGeometry(3, 0.0, 0.1, 0.1, 8.0))
+    reading = node.reading(now)
+    assert reading.late_scans == 1, "a scan out of order is counted"
+    assert reading.sensors.ranges is kept.ranges, "and left out"
+
     changed = 0.0
     for _ in range(10):  # towards a wall or a box, before which the filter holds it
         *_, terminated, _, info = it.environment.step(np.array((1.0, 0.0), np.float32))
@@ -136,7 +144,7 @@ def test_stepped_steps_are_whole_the_operator_goes_first_and_episodes_end(stand:
     assert changed == 1.0
 
 
-@pytest.mark.usefixtures("chain")
+@pytest.mark.usefixtures("bridge", "safety")
 def test_it_drives_in_the_time_of_a_running_simulator(stand: Callable[..., Stand]) -> None:
     it = stand(RosRobot)
     SteppedRobot(it.ros, SimulatorStarts(it.ros)).release()
@@ -148,30 +156,27 @@ def test_it_drives_in_the_time_of_a_running_simulator(stand: Callable[..., Stand
         assert info["late"] >= 0.0
     assert passed >= 1.2 - 1e-6
 
+    node = it.ros.node  # from here on an operator begins and ends the episodes
+    live, said = RosRobot(it.ros, OperatorStarts(it.ros, lambda words: said.append(words))), list[str]()
+    environment = RobotEnv(live, it.task, it.interface, it.reward)
+    ready, finish = node.create_client(Trigger, f"{NAME}/ready"), node.create_client(SetBool, f"{NAME}/finish")
+    it.ros.until(lambda: ready.service_is_ready() and finish.service_is_ready(), "no service")
+    ready.call_async(Trigger.Request())
+    environment.reset()
+    assert "put the robot at its start" in said[0]
+    *_, terminated, _, info = environment.step(np.zeros(2, np.float32))
+    assert (terminated, info["outcome"]) == (False, "RUNNING")
+    finish.call_async(SetBool.Request(data=False))
+    *_, terminated, _, info = environment.step(np.zeros(2, np.float32))
+    assert (terminated, info["outcome"]) == (True, "COLLISION")
 
-def test_a_policy_is_tuned_goes_on_where_it_was_and_drives_in_the_node(
-    chain: Any, folder: Path, tmp_path: Path
-) -> None:
+
+@pytest.mark.usefixtures("bridge", "safety")
+def test_a_policy_is_tuned_goes_on_where_it_was_and_drives_in_the_node(folder: Path, tmp_path: Path) -> None:
     words = ("car_navigation", "--task", folder / "car_navigation.yaml", "--starts", "simulator", "--stepped")
-    words = (*words, "--values", folder, "--motion", "--updates", "1", "--folder")
+    words = (*words, "--values", folder, "--motion", "--updates", "1", "--folder", tmp_path, "--minutes")
     ros = ("--ros-args", *OPEN)
-    first = command("fine_tune", *words, tmp_path, "--minutes", "0.05", *ros, package="ctrl_rl_robot")
-    assert first.returncode == 0, first.stderr
-    assert "episode 1: " in first.stdout
-    again = command("fine_tune", *words, tmp_path, "--minutes", "0.15", "--tests", "1", *ros, package="ctrl_rl_robot")
-    assert again.returncode == 0, again.stderr
-    assert "episode 1: " not in again.stdout
-    assert "episode 2: " in again.stdout
-    assert "success    " in again.stdout
-    policy = load_policy(tmp_path / "policy.safetensors")
-    assert (policy.robot, policy.period, policy.needs) == ("differential_drive", 0.4, {"pose"})
-    assert Actor.load(tmp_path / "policy.safetensors").manifest["fine_tuned"]["episodes"] >= 2
-    shutil.copy(folder / "car.yaml", tmp_path / "checkpoint.safetensors")
-    damaged = command("fine_tune", *words, tmp_path, *ros, package="ctrl_rl_robot")
-    assert damaged.returncode == 1
-    assert "delete it to begin anew" in damaged.stderr
-    # Ctrl-C ends it at once, with the robot at rest.
-    process = start("fine_tune", *words, tmp_path / "other", *ros, package="ctrl_rl_robot")
+    process = start("fine_tune", *words, "30", *ros, package="ctrl_rl_robot")
     assert process.stdout is not None
     while "episode 1" not in (line := process.stdout.readline()):
         assert line, process.communicate()[1]
@@ -180,19 +185,31 @@ def test_a_policy_is_tuned_goes_on_where_it_was_and_drives_in_the_node(
     assert process.returncode == 130
     assert said.rstrip().endswith("fine_tune: interrupted")
     assert "Traceback" not in said
-    assert chain.process.poll() is None
+
+    again = command("fine_tune", *words, "0.01", "--tests", "1", *ros, package="ctrl_rl_robot")
+    assert again.returncode == 0, again.stderr
+    assert "success    " in again.stdout
+    found = json.loads((tmp_path / "result.json").read_text())
+    assert len(found["tests"]) == 1
+    assert found["episodes"][0]["steps"] == pytest.approx(found["episodes"][0]["seconds"] / 0.4)
+    policy = load_policy(tmp_path / "policy.safetensors")
+    assert (policy.robot, policy.period, policy.needs) == ("differential_drive", 0.4, {"pose"})
+    told = Actor.load(tmp_path / "policy.safetensors").manifest["fine_tuned"]
+    assert told == {"seconds": found["seconds"], "episodes": len(found["episodes"])}
 
 
-@pytest.mark.usefixtures("chain")
-def test_a_simulator_that_dies_is_said(bridge: Any, stand: Callable[..., Stand]) -> None:
+def test_a_filter_or_a_simulator_that_dies_is_said(bridge: Any, safety: Any, stand: Callable[..., Stand]) -> None:
     it = stand(SteppedRobot)
     it.environment.reset(seed=3)
     it.environment.step(np.zeros(2, np.float32))
-    bridge.stop(signal.SIGKILL)
     it.ros.patience = 1.0
+    safety.stop(signal.SIGKILL)
+    with pytest.raises(RobotError, match="the safety filter is silent"):
+        it.environment.step(np.zeros(2, np.float32))
+    bridge.stop(signal.SIGKILL)
     with pytest.raises(RobotError, match=r"no (answer|simulator)"):
         it.environment.step(np.zeros(2, np.float32))
-    with pytest.raises(RobotError, match=r"sim_bridge/reset"):
+    with pytest.raises(RobotError, match=r"no safety filter|sim_bridge/reset"):
         it.environment.reset(seed=4)
 
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 import rclpy
+from ctrl_rl_core.processes.signals import handle_signals
 from ctrl_rl_core.ros.running import initialise
 from ctrl_rl_offline.data.values import find_or_solve
 from ttr_reward_node.rewards.progress import TimeToReach
@@ -55,13 +57,14 @@ def connect(
     clock = ["-p", "use_sim_time:=true"] if how.simulator else []
     initialise([*arguments, "--ros-args", "-r", f"{NAME}:cmd_vel:={RAW}", *clock])
     try:
-        ros = Ros(RobotNode(interface))
-        try:
+        with handle_signals(_interrupt, (signal.SIGTERM,)), closing(Ros(RobotNode(interface))) as ros:
             starts = SimulatorStarts(ros) if how.simulator else OperatorStarts(ros, print)
             robot = SteppedRobot(ros, starts) if how.stepped else RosRobot(ros, starts)
-            environment = RobotEnv(robot, task, interface, reward)
-            yield environment
-        finally:
-            ros.close()
+            yield RobotEnv(robot, task, interface, reward)
     finally:
         rclpy.try_shutdown()
+
+
+def _interrupt(_number: int, _frame: object) -> None:
+    """End as by Ctrl-C: the robot stands before the process goes."""
+    raise KeyboardInterrupt
