@@ -14,6 +14,7 @@ from ctrl_rl_robot.learning.policy import read_policy
 from ctrl_rl_robot.learning.replay import Replay
 from ctrl_rl_robot.learning.session import Session
 from ctrl_rl_robot.nodes.tally import Tally
+from ctrl_rl_training.io.array_file import save_arrays
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -123,7 +124,11 @@ def test_a_tuner_goes_on_where_it_was_and_refuses_what_is_damaged(tmp_path: Path
 
     (tmp_path / "checkpoint.safetensors").write_bytes(b"nothing of the kind")
     with pytest.raises(RobotError, match="delete it to begin anew"):
-        Session(None, made[0], tmp_path, 0)
+        Session(None, made[0], tmp_path, 0, {})
+    save_arrays(tmp_path / "checkpoint.safetensors", made[0].arrays(), {"terms": {"seed": 0}, "episodes": []})
+    Session(None, made[1], tmp_path, 0, {"seed": 0})
+    with pytest.raises(RobotError, match="begun with other settings"):
+        Session(None, made[1], tmp_path, 0, {"seed": 1})
 
 
 def test_the_policy_comes_to_do_what_the_operator_did() -> None:

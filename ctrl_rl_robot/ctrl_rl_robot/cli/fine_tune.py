@@ -19,8 +19,9 @@ from ctrl_rl_core.command import (
     parse_options,
     run_command,
 )
+from ctrl_rl_core.io.checked_json import with_digest
 
-from ctrl_rl_core import Outcome, atomic_write, load_navigation_task
+from ctrl_rl_core import Outcome, atomic_write, load_navigation_task, task_digest
 from ctrl_rl_robot.errors import RobotError
 
 if TYPE_CHECKING:
@@ -99,7 +100,9 @@ def _work(options: FineTune, words: list[str]) -> int:
     options.folder.mkdir(parents=True, exist_ok=True)
     how = Connection(options.starts == "simulator", options.stepped, options.values)
     with connect(how, task, interface, words) as environment:
-        session = Session(environment, tuner, options.folder, options.seed)
+        terms = {"policy": options.policy, "task_digest": task_digest(task), "motion": options.motion}
+        terms |= {"seed": options.seed, "updates": options.updates, "noise": options.noise}
+        session = Session(environment, tuner, options.folder, options.seed, terms)
         with tqdm(total=round(total), initial=round(session.seconds), unit="s", disable=None) as bar:
 
             def tell(log: EpisodeLog) -> None:
@@ -119,7 +122,7 @@ def _work(options: FineTune, words: list[str]) -> int:
         "tests": [asdict(each) for each in tested],
         "episodes": [asdict(each) for each in session.episodes],
     }
-    atomic_write(options.folder / "result.json", json.dumps(content))
+    atomic_write(options.folder / "result.json", json.dumps(with_digest(content)))
     if success is not None:
         print(f"success    {success:.3f} of {len(tested)} episodes")
     print(f"policy     {options.folder / 'policy.safetensors'}")

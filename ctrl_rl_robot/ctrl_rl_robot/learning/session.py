@@ -69,7 +69,9 @@ class Session:
         episodes: Logs of the episodes so far.
     """
 
-    def __init__(self, environment: RobotEnv, tuner: FineTuner, folder: Path, seed: int) -> None:
+    def __init__(
+        self, environment: RobotEnv, tuner: FineTuner, folder: Path, seed: int, terms: Mapping[str, Any]
+    ) -> None:
         """Go on where a checkpoint in the folder ends.
 
         Args:
@@ -77,16 +79,20 @@ class Session:
             tuner: Policy that learns.
             folder: Folder of checkpoint and policies.
             seed: Seed of starts and exploration.
+            terms: Settings that a checkpoint must share, as JSON.
 
         Raises:
-            RobotError: The checkpoint is damaged, or of another policy.
+            RobotError: The checkpoint is damaged, or was begun with other settings.
         """
         self._environment, self._tuner, self._folder, self._seed = environment, tuner, folder, seed
+        self._terms = dict(terms)
         self._checkpoint = folder / "checkpoint.safetensors"
         self.episodes: list[EpisodeLog] = []
         if self._checkpoint.exists():
             with raise_as(RobotError, self._checkpoint, "delete it to begin anew"):
                 arrays, header = load_arrays(self._checkpoint)
+                if header.get("terms") != self._terms:
+                    raise RobotError(f"was begun with other settings, {header.get('terms')}: give another --folder")
                 try:
                     tuner.restore(arrays)
                     self.episodes = [EpisodeLog(**each) for each in header["episodes"]]
@@ -147,7 +153,8 @@ class Session:
         return log
 
     def _save(self) -> None:
-        save_arrays(self._checkpoint, self._tuner.arrays(), {"episodes": [asdict(each) for each in self.episodes]})
+        header = {"terms": self._terms, "episodes": [asdict(each) for each in self.episodes]}
+        save_arrays(self._checkpoint, self._tuner.arrays(), header)
         self.save_policy()
 
 

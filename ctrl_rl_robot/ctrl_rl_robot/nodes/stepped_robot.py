@@ -15,6 +15,8 @@ from ctrl_rl_robot.nodes.ros_robot import Ros, RosRobot, Starts
 SLICE_S = 0.1
 """Simulated time between two answers of the safety filter [s]; its control_period must be a little longer."""
 _REPEAT_S = 0.01
+_ENOUGH_S = 0.5
+"""Wall time after which an answer to the command before will do: the new one then counts a slice later [s]."""
 _ROUNDING_S = 1e-4
 
 
@@ -61,7 +63,7 @@ class SteppedRobot(RosRobot):
         )
         begun = sent = time.monotonic()
         node.send()
-        while not self._answered(wanted):
+        while not self._answered(wanted, any_command=time.monotonic() - begun > _ENOUGH_S):
             self._ros.spin(_REPEAT_S)
             now = time.monotonic()
             if now - begun > self._ros.patience:
@@ -70,11 +72,11 @@ class SteppedRobot(RosRobot):
                 sent = now
                 node.send()
 
-    def _answered(self, time_: float) -> bool:
-        """Return whether the filter has answered the command that holds, at a time [s]."""
+    def _answered(self, time_: float, any_command: bool) -> bool:
+        """Return whether the filter has answered the command that holds, or any, at a time [s]."""
         status, command = self._ros.node.status_of_filter, self._ros.node.held
         if status is None or seconds(status.header.stamp) < time_:
             return False
-        if status.mode == status.WAITING:
+        if any_command or status.mode == status.WAITING:
             return True
         return bool(np.abs(command - (status.raw_speed, status.raw_turn_rate)).max() < 1e-9)
