@@ -11,7 +11,7 @@ from pathlib import Path
 import rclpy
 from ctrl_rl_core.processes.signals import handle_signals
 from ctrl_rl_core.ros.running import initialise
-from ctrl_rl_offline.data.values import find_or_solve
+from ctrl_rl_offline.data.values import find_time_to_reach
 from ttr_reward_node.rewards.progress import TimeToReach
 
 from ctrl_rl_core import NavigationTask, PolicyManifest
@@ -53,7 +53,7 @@ def connect(
     Raises:
         CtrlRlError: A ROS argument or parameter is wrong, or the simulator does not answer.
     """
-    reward = StepReward(task, TimeToReach(load_value(find_or_solve(task, how.values))))
+    reward = StepReward(task, TimeToReach(load_value(find_time_to_reach(task, how.values))))
     clock = ["-p", "use_sim_time:=true"] if how.simulator else []
     initialise([*arguments, "--ros-args", "-r", f"{NAME}:cmd_vel:={RAW}", *clock])
     try:
