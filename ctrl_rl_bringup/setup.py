@@ -25,6 +25,7 @@ setup(
     entry_points={
         "console_scripts": [
             "animate = ctrl_rl_bringup.cli.animate:animate",
+            "compile = ctrl_rl_bringup.cli.compile:compile_kernels",
             "demo = ctrl_rl_bringup.cli.drive:demo",
             "monitor = ctrl_rl_bringup.cli.drive:monitor",
             "options_demo = ctrl_rl_bringup.cli.team:demo",

@@ -1,0 +1,82 @@
+"""The command `compile`: machine code of the nodes' kernels, made before a robot waits for it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from ctrl_rl_core.command import parse_options, run_command
+from ctrl_rl_core.processes.workers import map_in_processes
+
+from ctrl_rl_core import Axis, ValueGrid
+
+
+@dataclass(frozen=True)
+class CompileOptions:
+    """Compile what nodes compute with, so that their first start is as quick as any other.
+
+    The code is kept beside the sources, or in the user's cache folder where that cannot be written. What is there
+    already is not compiled again; without this command each node compiles what it needs when it first starts.
+    """
+
+
+def compile_kernels() -> int:
+    """Compile what nodes compute with."""
+    parse_options("compile", CompileOptions)
+    return run_command("compile", _compile, failure=2)
+
+
+def _compile() -> int:
+    for name in map_in_processes(_call, list(KERNELS), min(len(KERNELS), os.cpu_count() or 1)):
+        print(f"compiled   {name}", flush=True)
+    return 0
+
+
+def _call(name: str) -> str:
+    KERNELS[name]()
+    return name
+
+
+def _filter() -> None:
+    from ctrl_rl_safety.filter.warming import warm_up
+
+    from ctrl_rl_safety import ROBOTS, FilterOptions
+
+    warm_up(ROBOTS["turtlebot3_burger"], FilterOptions())
+
+
+def _solver() -> None:
+    from ttr_reward_node import problem_from_task, solve
+
+    solve(problem_from_task("car_ttr", counts=(11, 11, 8), inflation=0.5), max_sweeps=2)
+
+
+def _navigator() -> None:
+    from ctrl_rl_navigation.driving.navigator import warm_up
+    from ctrl_rl_navigation.robot import DriveLimits
+
+    warm_up(DriveLimits())
+
+
+def _values(dimensions: int) -> None:
+    axes = [Axis(f"x{k}", "1", 0.0, 1.0, 2) for k in range(dimensions)]
+    values = np.zeros((2,) * dimensions, np.float32)
+    grid = ValueGrid(values, axes, "time_to_reach", "none", "0" * 64, "none", 0.0)
+    middle = np.full(dimensions, 0.5)
+    grid.at(middle)
+    grid.value(middle)
+    grid.value_and_gradient(middle)
+    grid.value_and_gradient_at(middle)
+
+
+KERNELS: dict[str, Callable[[], None]] = {
+    "safety filter": _filter,
+    "time to reach": _solver,
+    "navigator": _navigator,
+    "values of cars": partial(_values, 3),
+    "values of quadrotors": partial(_values, 4),
+}
+"""Functions that call what nodes compute with, those that take longest first."""

@@ -1,0 +1,23 @@
+"""The command `compile` leaves machine code of the kernels that nodes compute with."""
+
+import pytest
+from ctrl_rl_bringup.cli.compile import KERNELS
+from ctrl_rl_core.values.interpolation import gradient_at, value_at, values_at
+from ctrl_rl_navigation.driving.roll_out import choose
+from ctrl_rl_navigation.values.fast_marching import march
+from ctrl_rl_safety.filter.answer import answer
+from ttr_reward_node.kernels.entry_points import kernels
+
+COMPILED = {
+    "safety filter": [answer],
+    "time to reach": [kernels().find_outcomes, kernels().sweep],
+    "navigator": [choose, march],
+    "values of cars": [value_at, values_at, gradient_at],
+    "values of quadrotors": [value_at, values_at, gradient_at],
+}
+
+
+@pytest.mark.parametrize("name", KERNELS)
+def test_what_a_node_computes_with_is_compiled(name: str) -> None:
+    KERNELS[name]()
+    assert all(kernel.signatures for kernel in COMPILED[name])
