@@ -70,11 +70,11 @@ def safety(folder: Path, run_shared_node: Callable[..., Any]) -> Any:
 class Stand:
     """An environment, its node, and the operator's topic."""
 
-    def __init__(self, folder: Path, kind: type[RosRobot], patience: float = 60.0) -> None:
-        initialise(["test", *ARGUMENTS, *OPEN, "-p", "use_sim_time:=true"])
+    def __init__(self, folder: Path, kind: type[RosRobot], simulated: bool = True) -> None:
+        initialise(["test", *ARGUMENTS, *OPEN, "-p", f"use_sim_time:={str(simulated).lower()}"])
         self.task = load_navigation_task(str(folder / "car_navigation.yaml"))
         _, self.interface = read_policy("car_navigation", motion=True)
-        self.ros = Ros(RobotNode(self.interface), patience)
+        self.ros = Ros(RobotNode(self.interface), 60.0)
         self.operator = self.ros.node.create_publisher(TwistStamped, "cmd_vel_operator", COMMAND)
         (value,) = folder.glob("*.safetensors")
         self.robot = kind(self.ros, SimulatorStarts(self.ros))
@@ -86,8 +86,8 @@ class Stand:
 def stand(folder: Path) -> Iterator[Callable[..., Stand]]:
     stands: list[Stand] = []
 
-    def make(kind: type[RosRobot], patience: float = 60.0) -> Stand:
-        stands.append(Stand(folder, kind, patience))
+    def make(kind: type[RosRobot], simulated: bool = True) -> Stand:
+        stands.append(Stand(folder, kind, simulated))
         return stands[-1]
 
     yield make
@@ -169,6 +169,18 @@ def test_it_drives_in_the_time_of_a_running_simulator(stand: Callable[..., Stand
     finish.call_async(SetBool.Request(data=False))
     *_, terminated, _, info = environment.step(np.zeros(2, np.float32))
     assert (terminated, info["outcome"]) == (True, "COLLISION")
+
+
+@pytest.mark.usefixtures("bridge", "safety")
+def test_a_robot_s_steps_are_counted_on_a_steady_clock(stand: Callable[..., Stand]) -> None:
+    it = stand(RosRobot, simulated=False)
+    it.environment.reset(seed=1)
+    action = np.array((0.2, 0.5), np.float32)
+    for _ in range(2):
+        *_, info = it.environment.step(action)
+    assert info["action"] == pytest.approx(action, abs=1e-5)
+    assert info["duration"] > 0.3
+    assert info["late_scans"] > 0, "stamps of another clock, here the simulator's, are said"
 
 
 @pytest.mark.usefixtures("bridge", "safety")

@@ -136,7 +136,7 @@ class RobotNode(LidarVelocityNode):
         self.outcome = None if episode is None else Outcome.RUNNING
 
     def reading(self, now: float) -> Reading:
-        """Return what the robot senses at a time of its clock [s].
+        """Return what the robot senses; the age of the scan is that at a time of the clock of its stamps [s].
 
         Raises:
             RobotError: An input is missing, stale or unusable.
@@ -156,6 +156,11 @@ class RobotNode(LidarVelocityNode):
             raise RobotError(str(error)) from None
         sensors = Sensors(ranges, scan, self._odometry, pose, goal, self._last)
         return Reading(sensors, max(now - stamp, 0.0), self.outcome, self._tally.late_scans)
+
+    @property
+    def scans(self) -> int:
+        """Number of scans so far."""
+        return self._received
 
     @property
     def held(self) -> Array:

@@ -120,8 +120,8 @@ class RosRobot:
         self._ros, self._starts = ros, starts
 
     def now(self) -> float:
-        """Return ROS time [s]."""
-        return float(self._ros.node.get_clock().now().nanoseconds) * 1e-9
+        """Return steady time, or the simulator's [s]."""
+        return self._ros.node.now()
 
     def begin(self, seed: int) -> Reading:
         """Bring the robot to a start; it stands until the filter has answered and all inputs are fresh."""
@@ -131,11 +131,10 @@ class RosRobot:
         )
         node.rest()
         self._starts.begin(seed)
-        begun = self.now()
-        node.status_of_filter = None
+        scans, node.status_of_filter = node.scans, None
         node.hold(np.zeros(2))
-        self.advance(begun)
-        self._ros.until(lambda: node.stamp >= begun and not node.input_fault(), "no usable scan and odometry")
+        self.advance(self.now())
+        self._ros.until(lambda: node.scans > scans and not node.input_fault(), "no usable scan and odometry")
         self._ros.until(lambda: node.status_of_filter is not None, "no word of the safety filter")
         node.begin_step(self.now())
         return self.read()
@@ -174,7 +173,11 @@ class RosRobot:
     def read(self) -> Reading:
         """Return what the robot senses, as soon as all inputs are usable; that time is a part of the next step."""
         self._ros.until(lambda: not self._ros.node.input_fault(), "no usable scan and odometry")
-        return self._ros.node.reading(self.now())
+        return self._ros.node.reading(self.stamp_now())
+
+    def stamp_now(self) -> float:
+        """Return the time that a message would be stamped with now [s]."""
+        return float(self._ros.node.get_clock().now().nanoseconds) * 1e-9
 
     def stand(self) -> None:
         """Let the robot stand."""

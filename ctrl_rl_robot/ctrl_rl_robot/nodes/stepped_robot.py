@@ -39,6 +39,10 @@ class SteppedRobot(RosRobot):
         """Return the time of the simulator after the last slice [s]."""
         return self._time
 
+    def stamp_now(self) -> float:
+        """Return the same time: that of the simulator."""
+        return self._time
+
     def release(self) -> None:
         """Let the simulator's time run again."""
         self._ros.call(self._pause, SetBool.Request(data=False))
