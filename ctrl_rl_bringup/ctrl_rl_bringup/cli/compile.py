@@ -62,7 +62,7 @@ def _navigator() -> None:
 
 
 def _values(dimensions: int) -> None:
-    axes = [Axis(f"x{k}", "1", 0.0, 1.0, 2) for k in range(dimensions)]
+    axes = tuple(Axis(f"x{k}", "1", 0.0, 1.0, 2) for k in range(dimensions))
     values = np.zeros((2,) * dimensions, np.float32)
     grid = ValueGrid(values, axes, "time_to_reach", "none", "0" * 64, "none", 0.0)
     middle = np.full(dimensions, 0.5)
