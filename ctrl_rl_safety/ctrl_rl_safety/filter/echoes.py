@@ -1,4 +1,4 @@
-"""Echoes of a scan as surfaces, and which of them are known to stand, or to be walls.
+"""Echoes of a scan as surfaces, and which of them are known to stand.
 
 Two neighbouring echoes nearer to each other than the robot is wide may belong to one surface: places between them are
 added, so that the robot's disc does not dip in between. An echo is known to stand where every scan of some time before
@@ -21,13 +21,6 @@ SAME = 0.06
 _FEWEST = 3
 _MOST_POINTS = 3000
 _THIN = 0.01
-_LINK = 0.15
-"""Distance of neighbours up to which they belong to one wall [m]: less than from the side of a person to the wall."""
-_ARM = 0.15
-"""Length of a surface to both sides of a bend [m]: noise of 1 cm bends it by 7 degrees."""
-_BEND = math.radians(45.0)
-"""Angle from which on a surface ends at a bend."""
-_APART = 100.0
 
 
 def thinned(points: Array) -> Array:
@@ -69,41 +62,9 @@ def _between(begin: Array, end: Array, lengths: Array, spacing: float) -> tuple[
     return begin[line] + share * (end[line] - begin[line]), line
 
 
-def walls(points: Array, known: NDArray[np.bool_], size: float) -> NDArray[np.bool_]:
-    """Return which echoes belong to something larger than any mover, which therefore never moves (n,).
-
-    A surface is a chain of neighbouring echoes that are known to stand, without a gap and without a sharp bend: who
-    leans on a wall is no part of it. No two points of a body that is at most `size` large are farther apart.
-
-    Args:
-        points: Echoes in the order of their beams (n, 2) [m].
-        known: Which of them are known to stand (n,).
-        size: Largest extent of a mover [m].
-    """
-    count = len(points)
-    if count < 2:
-        return np.zeros(count, np.bool_)
-    gaps = np.hypot(*(np.roll(points, -1, axis=0) - points).T)
-    linked = known & np.roll(known, -1) & (gaps < _LINK)
-    order = (np.arange(count) + int(np.argmin(linked)) + 1) % count  # from behind a gap on, where there is one
-    points, linked, gaps = points[order], linked[order][:-1], gaps[order][:-1]
-    along = np.concatenate(((0.0,), np.cumsum(np.where(linked, gaps, _APART))))
-    before = np.searchsorted(along, along - _ARM, side="right") - 1
-    after = np.minimum(np.searchsorted(along, along + _ARM), count - 1)
-    whole = (before >= 0) & (along - along[before] < 0.5 * _APART) & (along[after] - along < 0.5 * _APART)
-    (ax, ay), (bx, by) = (points - points[before]).T, (points[after] - points).T
-    bent = whole & (np.abs(np.arctan2(ax * by - ay * bx, ax * bx + ay * by)) > _BEND)
-    linked &= ~(bent[:-1] | bent[1:])
-    first = np.flatnonzero(np.concatenate(((True,), ~linked)))
-    sizes = np.diff(np.concatenate((first, (count,))))
-    away = np.hypot(*(points - np.repeat(points[first], sizes, axis=0)).T)
-    out = np.empty(count, np.bool_)
-    out[order] = np.repeat(np.maximum.reduceat(away, first) > size, sizes)
-    return out
-
-
 @cached_njit
-def _near_any(points: Array, others: Array, distance: float) -> NDArray[np.bool_]:
+def near_any(points: Array, others: Array, distance: float) -> NDArray[np.bool_]:
+    """Return which points (n, 2) have any of the others (m, 2) within a distance [m] (n,)."""
     out = np.zeros(len(points), np.bool_)
     square, count, last = distance * distance, len(others), 0
     for i in range(len(points)):
@@ -137,7 +98,7 @@ class EchoMemory:
             known[:] = True
             for _, before in self._scans:
                 if len(before):
-                    known[known] = _near_any(points[known], before, SAME)
+                    known[known] = near_any(points[known], before, SAME)
                 else:
                     known[:] = False
         self._scans.append((now, points))

@@ -18,12 +18,13 @@ from numpy.typing import NDArray
 from ctrl_rl_safety.errors import SafetyError
 from ctrl_rl_safety.filter.answer import PASSED, Answer, Request, answer
 from ctrl_rl_safety.filter.certificate import FAMILY, MOST_STEPS, NO_GUIDE, Guide, Situation, escape_path
-from ctrl_rl_safety.filter.echoes import SAME, EchoMemory, surfaces, thinned, walls
+from ctrl_rl_safety.filter.echoes import SAME, EchoMemory, surfaces, thinned
 from ctrl_rl_safety.filter.evading import AHEAD, LONGER, evade
 from ctrl_rl_safety.filter.map_walls import Fixed
 from ctrl_rl_safety.filter.seen_space import SeenSpace, Sight
 from ctrl_rl_safety.filter.unblocking import Unblocking
 from ctrl_rl_safety.filter.verdict import FilterOptions, Mode, Reading, Verdict
+from ctrl_rl_safety.filter.walls import Walls
 from ctrl_rl_safety.models.growth import Growth
 from ctrl_rl_safety.models.motion import STANDS, motion_of
 from ctrl_rl_safety.models.robot_model import RobotModel
@@ -88,6 +89,7 @@ class SafetyFilter:
         self.reach = 0.71 * self._cell * NODES + model.radius + model.range_error + coming
         self._memory = EchoMemory(value.standing_time)
         self._space = SeenSpace(self.reach, model.radius) if value.unseen == "obstacle" else None
+        self._walls = Walls(value.mover_size) if value.mover_size > 0.0 else None
         self._unblocking = Unblocking(value.unblock_after)
         self._seen: tuple[Obstacles, float] | None = None
         self._set: RecoverableSet | None = None
@@ -130,8 +132,8 @@ class SafetyFilter:
         if self.options.mover_speed > 0.0:
             known = self._memory.update(now, places)
             stays = np.zeros(len(places), np.bool_) if fixed is None else fixed(places)
-            if self.options.mover_size > 0.0:
-                wall = walls(near, known[: len(near)], self.options.mover_size)
+            if self._walls is not None:
+                wall = self._walls.update(now, places[: len(near)], known[: len(near)])
                 stays |= np.concatenate((wall, wall[before] & wall[(before + 1) % max(len(near), 1)]))
             moving = np.concatenate((moving, places[~known & ~stays]))
             places, standing = places[stays], places[known & ~stays]
@@ -167,8 +169,9 @@ class SafetyFilter:
     def forget(self) -> None:
         """Forget scans and set, as the frame of the odometry has jumped."""
         self._memory.clear()
-        if self._space is not None:
-            self._space.clear()
+        for each in (self._space, self._walls):
+            if each is not None:
+                each.clear()
         self._set = self._seen = self._certified = None
 
     def sent(self, now: float, command: Array) -> None:

@@ -25,8 +25,8 @@ _ROBOTS = ("turtlebot3_burger", "turtlebot2")
 class Train(ExperimentOptions):
     """Learn `car_navigation` by PPO with and without the filter as a shield, and check all policies both ways.
 
-    With `--attackers` learn policies that try to bring a robot behind the filter to a contact. All in the planar
-    engine; an interrupted call goes on where it was cut off.
+    With `--attackers` learn policies that try to bring a robot to a contact, behind the filter or without it. All in
+    the planar engine; an interrupted call goes on where it was cut off.
     """
 
     folder: FolderToWrite = Path("runs/safety_shield")
@@ -38,6 +38,8 @@ class Train(ExperimentOptions):
     that was sent (sent), or its own with a lower reward (penalty)."""
     attackers: Annotated[tuple[str, ...], some_of(_ROBOTS)] = ()
     """Robots to learn attackers for, in place of the comparison."""
+    bare: bool = False
+    """Let attackers learn without the filter, where contacts are to be had."""
 
 
 def _train(options: Train) -> int:
@@ -49,7 +51,7 @@ def _train(options: Train) -> int:
     how = RunOptions(options.folder, -(-options.samples // _ITERATION), _ITERATION, _EVALUATIONS, _FINAL_EVALUATIONS)
     seeds = range(options.seeds)
     if options.attackers:
-        attacks = [AttackRun(robot, seed) for seed in seeds for robot in options.attackers]
+        attacks = [AttackRun(robot, seed, options.bare) for seed in seeds for robot in options.attackers]
         for run, result in zip(attacks, run_experiments(attacks, how, options.workers, "attackers"), strict=True):
             print(f"{run.name}: avoidable contacts in {result['success']:.1%} of episodes")
         return 0

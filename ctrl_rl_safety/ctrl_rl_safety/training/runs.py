@@ -75,20 +75,22 @@ class ShieldRun(SimulatedRun):
 
 @dataclass(frozen=True)
 class AttackRun(SimulatedRun):
-    """An attacker that learns to bring a robot behind the filter to a contact, in a room with boxes and movers.
+    """An attacker that learns to bring a robot to a contact, in a room with boxes and movers.
 
     Attributes:
         robot: Robot that it drives, a key of `ROBOTS`.
         seed: Seed of everything random.
+        bare: Whether it learns without the filter, where contacts are to be had.
     """
 
     robot: str
     seed: int
+    bare: bool = False
 
     @property
     def name(self) -> str:
         """Name of the run and of its folder."""
-        return f"attacker-{self.robot}-s{self.seed}"
+        return f"attacker-{self.robot}-{'bare' if self.bare else 'filter'}-s{self.seed}"
 
     @property
     def method(self) -> str:
@@ -107,11 +109,11 @@ class AttackRun(SimulatedRun):
     @property
     def description(self) -> dict[str, Any]:
         """Description of the run in its result."""
-        return {"robot": self.robot, "seed": self.seed, "model": repr(self._model)}
+        return {"robot": self.robot, "seed": self.seed, "bare": self.bare, "model": repr(self._model)}
 
     def environment(self, _rate: int | None = None) -> Environment:
         """Return the environment that pays for contacts."""
-        options = ShieldOptions(mover_speed=MOVER_SPEED)
+        options = ShieldOptions(not self.bare, mover_speed=MOVER_SPEED)
         return shielded_environment(self.task, self._model, options, Attack)
 
     def model(self, samples: int) -> BaseAlgorithm:

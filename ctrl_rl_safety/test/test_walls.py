@@ -2,10 +2,15 @@
 
 import numpy as np
 import pytest
-from ctrl_rl_safety.filter.echoes import walls
+from ctrl_rl_safety.filter.walls import Walls
 
 SIZE = 1.0
 RANDOM = np.random.default_rng(0)
+
+
+def walls(points: np.ndarray, known: np.ndarray, size: float) -> np.ndarray:
+    """Return which echoes of a first scan are of walls."""
+    return Walls(size).update(0.0, points, known)
 
 
 def line(begin: tuple[float, float], end: tuple[float, float], spacing: float = 0.03) -> np.ndarray:
@@ -53,3 +58,28 @@ def test_a_closed_round_room_is_a_wall_and_few_echoes_are_none() -> None:
     assert walls(room, np.ones(len(room), bool), SIZE).all()
     for count in (0, 1, 2, 3):
         assert not walls(room[:count], np.ones(count, bool), SIZE).any()
+
+
+def test_a_wall_of_which_a_part_is_hidden_later_is_remembered_for_a_while_and_who_walks_off_it_is_not() -> None:
+    seen, wall = Walls(SIZE), line((-1.0, 1.0), (1.0, 1.0))
+    assert seen.update(0.0, wall, np.ones(len(wall), bool)).all()
+    part, aside = line((-0.3, 1.0), (0.4, 1.0)), line((-0.3, 1.3), (0.4, 1.3))
+    assert seen.update(1.0, part, np.ones(len(part), bool)).all()
+    assert not seen.update(1.2, part, np.zeros(len(part), bool)).any()
+    assert not seen.update(1.4, aside, np.ones(len(aside), bool)).any()
+    assert not seen.update(8.0, part, np.ones(len(part), bool)).any()
+    seen.update(9.0, wall, np.ones(len(wall), bool))
+    for step in range(1, 10):  # flat, 0.4 m wide, and slow enough to be taken for standing
+        flat = line((-0.2, 1.0 - 0.03 * step), (0.2, 1.0 - 0.03 * step))
+        found = seen.update(9.0 + 0.2 * step, flat, np.ones(len(flat), bool))
+        assert step < 4 or not found.any()
+
+
+def test_a_wall_goes_on_where_it_bends_slowly() -> None:
+    seen, angles = Walls(SIZE), np.linspace(0.0, 3.0, 100)
+    inside = 0.6 * np.column_stack((np.cos(angles), np.sin(angles)))
+    start = np.concatenate((line((0.6, -1.0), (0.6, -0.03)), inside[:40]))
+    assert seen.update(0.0, start, np.ones(len(start), bool)).all()
+    for first in range(5, 60, 5):
+        arc = inside[first : first + 35]
+        assert seen.update(0.2 * first / 5, arc, np.ones(len(arc), bool)).all()
