@@ -94,7 +94,9 @@ def test_whatever_is_missing_it_stands_says_why_and_goes_on(
     post = write_room(tmp_path, "post", (slice(30, 34), slice(40, 44)))
     closed = write_room(tmp_path, "closed", (slice(0, 44), slice(44, 48)))
     task = f"task:={tmp_path}/{TASK_NAME}.yaml"
-    run_node("sim_bridge", "bridge", task, "localisation:=none", "speed_factor:=2.0", remap=("scan:=scan_raw",))
+    bridge = run_node(
+        "sim_bridge", "bridge", task, "localisation:=none", "speed_factor:=2.0", remap=("scan:=scan_raw",)
+    )
     server = run_node("ctrl_rl_navigation", "map_server", f"map:={room}", "topic:=floor")
     words = ("use_sim_time:=true", "pose_timeout:=0.5")
     navigator = run_node("ctrl_rl_navigation", "navigator", *words, remap=("map:=floor",))
@@ -128,6 +130,7 @@ def test_whatever_is_missing_it_stands_says_why_and_goes_on(
     saboteur.wait_for(REACHED)
     saboteur.click(*FAR)
     saboteur.wait_until_it_drives()
+    bridge.stop(signal.SIGKILL)  # and with it the clock
+    saboteur.wait_until_it_stands("no recent")
     assert navigator.stop()[0] == 0
-    saboteur.wait(lambda: saboteur.command == (0.0, 0.0))
     assert "Traceback" not in navigator.output
