@@ -24,6 +24,7 @@ setup(
             "hardness = ctrl_rl_benchmarks.cli.tasks:hardness",
             "page = ctrl_rl_benchmarks.cli.tasks:page",
             "plot = ctrl_rl_benchmarks.cli.learning:plot",
+            "teach = ctrl_rl_benchmarks.cli.teaching:teach",
             "train = ctrl_rl_benchmarks.cli.learning:train",
         ],
     },

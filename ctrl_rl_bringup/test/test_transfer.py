@@ -36,6 +36,12 @@ def test_a_corridor_policy_reaches_the_goal_in_both_engines(engine):
     assert episode.smallest_clearance > 0.02
 
 
+def test_the_policy_that_was_taught_passes_four_doorways_of_another_robot():
+    task = load_navigation_task("corridor_doorways")
+    policy = load_policy(find_policy("corridor_doorways"))
+    assert play_episode(policy, task, 0, SimulationOptions(randomise_width=True)).outcome is Outcome.GOAL
+
+
 def test_each_shift_changes_options_of_the_simulation():
     shifted = [SimulationOptions(**shift) for shift in SHIFTS.values()]
     assert SimulationOptions() in shifted

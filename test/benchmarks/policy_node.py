@@ -26,7 +26,6 @@ from control_latency import compare
 from ctrl_rl_bringup.runner.stack import DriveConfig, NodeSpec, policy_nodes, simulator
 from ctrl_rl_bringup.transfer.in_process import play_episode
 from ctrl_rl_core.command import OptionalFileToWrite, make_command, some_of
-from ctrl_rl_core.io.checked_tensors import kind_of
 from ctrl_rl_core.io.results import read_experiment
 from geometry_msgs.msg import TwistStamped
 from rclpy.client import Client
@@ -55,6 +54,7 @@ POLICY = "curved_corridor"
 POLICIES = {
     **{name: name for name in ("car_ttr", "car_navigation", "quad_ttr", "quad_navigation", "curved_corridor")},
     "curved_corridor_edmd": "curved_corridor",
+    "corridor_doorways": "corridor_doorways",
 }
 """Tasks by shipped policy."""
 DELAY = 0.005
@@ -88,13 +88,13 @@ def rows() -> list[Row]:
 def in_environment(policy: str, seeds: range) -> list[bool]:
     """Return which episodes reach the goal in the task's environment.
 
-    A Koopman policy has none of its own: it drives scan by scan in one process, without ROS's transport.
+    A policy that decides at each scan has none of its own: it drives in one process, without ROS's transport.
     """
     from sim_bridge.environments import NavigationEnv
 
     task = POLICIES[policy]
-    if "actor" not in kind_of(find_policy(policy)):
-        driver, world, settings = load_policy(find_policy(policy)), load_navigation_task(task), SimulationOptions()
+    driver, world, settings = load_policy(find_policy(policy)), load_navigation_task(task), SimulationOptions()
+    if driver.period is None:
         return [play_episode(driver, world, seed, settings).outcome is Outcome.GOAL for seed in seeds]
     actor, environment = Actor.load(find_policy(policy)), NavigationEnv(task)
     reached = []
@@ -140,10 +140,7 @@ class _Pair:
     def __init__(self, policy: str, delay: float) -> None:
         task = load_navigation_task(POLICIES[policy])
         run = DriveConfig(Path("unused"), task=task.name, policy=policy, simulation={"command_delay": delay})
-        node = replace(policy_nodes(run, task)[0], remappings={})
-        if task.corridor is not None:  # its policies drive with all guards
-            node = replace(node, parameters={"use_sim_time": True, "policy": policy})
-        specs = [simulator(run), node]
+        specs = [simulator(run), replace(policy_nodes(run, task)[0], remappings={})]
         self._processes = [subprocess.Popen(_words(spec), stdout=subprocess.DEVNULL) for spec in specs]
         self._period = 1.0 / task.lidar.rate
         self._node = rclpy.create_node("stepper")

@@ -103,7 +103,7 @@ class _RunOptions:
         return DriveConfig(
             folder=run_folder(self.output, name),
             task=self.task,
-            policy=policy or (DEFAULT_POLICY if task.corridor else task.name),
+            policy=policy or (task.name if task.corridor is None or task.doorways else DEFAULT_POLICY),
             seed=seed,
             speed=self.speed,
             width=self.width,

@@ -19,6 +19,8 @@ RAW_THRUSTS = "rotor_thrusts_raw"
 """Topic of the pilot's commands, which the watchdog passes on to the quadrotor as rotor_thrusts."""
 _ODOMETRY, _MOST_ODOMETRY = 30.0, 240.0
 """Default and largest rate of the bridge's odometry [Hz]."""
+THROUGH_DOORWAYS = {"robot_radius": 0.105, "obstacle_margin": 0.0}
+"""Parameters of a driver with which the obstacle stop of a burger lets it through doorways of 0.3 m."""
 _UNGUARDED = {"robot_radius": 0.0, "min_echo_share": 0.0, "largest_gap": 6.3, "frozen_scans": 0}
 _WATCHDOG_S = 2.0
 """A busy machine may stall for a second, in which a simulated robot does not move either."""
@@ -143,9 +145,13 @@ def policy_nodes(options: DriveConfig, task: NavigationTask) -> list[NodeSpec]:
     """Return the node that drives or flies by any policy, and the watchdog of its robot.
 
     Policies of tasks in an arena have learnt to keep clear of obstacles themselves. The stop in front of obstacles is
-    off: their speeds are too high and their beams too few for it.
+    off: their speeds are too high and their beams too few for it. In a corridor it is on.
     """
-    parameters: dict[str, Any] = {"use_sim_time": True, "policy": options.policy, **_UNGUARDED}
+    parameters: dict[str, Any] = {"use_sim_time": True, "policy": options.policy}
+    if task.corridor is None:
+        parameters |= _UNGUARDED
+    elif task.doorways is not None:
+        parameters |= THROUGH_DOORWAYS
     if task.plane == "xz":
         pilot = NodeSpec(
             "ctrl_rl_core", "policy", parameters, (RAW_THRUSTS,), remappings={"rotor_thrusts": RAW_THRUSTS}

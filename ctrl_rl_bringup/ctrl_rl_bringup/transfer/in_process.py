@@ -9,6 +9,7 @@ from ctrl_rl_core.geometry.odometry import OdometryReader
 from nav_msgs.msg import Odometry
 from sim_bridge.ros.publishers import fill_odometry
 
+from ctrl_rl_bringup.runner.stack import THROUGH_DOORWAYS
 from ctrl_rl_core import (
     LIDAR_PARAMETERS,
     CtrlRlError,
@@ -24,7 +25,6 @@ from ctrl_rl_core import (
 from sim_bridge import EpisodeState, SimulatedWorld, SimulationOptions
 
 _DEFAULTS = {parameter.name: parameter.default for parameter in LIDAR_PARAMETERS}
-_THROUGH_DOORWAYS = {"robot_radius": 0.105, "obstacle_margin": 0.01}
 _FASTEST = 1.0
 _STANDS = 60.0
 _READ_POSE = OdometryReader(("x", "y", "theta"))
@@ -93,7 +93,7 @@ class _Driver:
 
 def _make_safety(task: NavigationTask) -> DriveSafety:
     """Return the checks of a lidar's node with their defaults, or with those that leave room in doorways."""
-    value = _DEFAULTS if task.doorways is None else _DEFAULTS | _THROUGH_DOORWAYS
+    value = _DEFAULTS if task.doorways is None else _DEFAULTS | THROUGH_DOORWAYS
     health = ScanHealth(value["min_echo_share"], value["largest_gap"], value["frozen_scans"])
     obstacles = ObstacleStop(
         value["robot_radius"], value["obstacle_margin"], value["deceleration"], value["reaction_time"]

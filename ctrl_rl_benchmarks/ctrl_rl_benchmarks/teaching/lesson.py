@@ -1,0 +1,122 @@
+"""Lessons: drives of pupil or teacher in the simulator, in which the teacher says at each scan what to do."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
+
+import numpy as np
+from ctrl_rl_core.policies.observation import ObservationBuilder
+from nav_msgs.msg import Odometry
+from numpy.typing import NDArray
+from sim_bridge.ros.publishers import fill_odometry
+
+from ctrl_rl_benchmarks.teaching.teacher import LIMITS, Teacher
+from ctrl_rl_core import (
+    CtrlRlError,
+    DriveSafety,
+    NavigationTask,
+    ObstacleStop,
+    Outcome,
+    PolicyManifest,
+    ScanGeometry,
+    ScanHealth,
+    Sensors,
+)
+from sim_bridge import SimulatedWorld, SimulationOptions
+
+Array = NDArray[np.float64]
+Observation = NDArray[np.float32]
+Pupil = Callable[[Observation], Array]
+"""Function from an observation (n,) to a command (2,)."""
+
+_BEARINGS = 180
+_FARTHEST = 2.0
+_LIDAR_X = -0.032
+_RATE = 60
+"""Physics steps per second [Hz]; the planar engine needs no more."""
+_STANDS = 10.0
+"""Time without motion after which a drive is over [s]."""
+_STILL = 0.005
+_STOP = ObstacleStop(LIMITS.radius, 0.0, 0.5, 0.3)
+"""The obstacle stop that the robot has with the parameters that doorways need."""
+
+
+def corridor_interface(task: NavigationTask) -> PolicyManifest:
+    """Return the interface of a pupil: ranges all around and the robot's speeds, at each scan of any lidar."""
+    step = 2.0 * math.pi / _BEARINGS
+    scan = {"source": "scan", "count": _BEARINGS, "step": step, "half_width": 0.5 * step}
+    speeds = {"source": "odometry", "names": ["v", "omega"], "low": [-1.0, -6.0], "high": [1.0, 6.0]}
+    return PolicyManifest.model_validate(
+        {
+            "robot": "differential_drive",
+            "observation": [
+                {**scan, "low": task.lidar.range.low, "high": _FARTHEST, "middle": 0.6, "unit": 0.5},
+                {**speeds, "unit": [LIMITS.speed, LIMITS.turn_rate]},
+            ],
+            "action": {"low": [0.0, -LIMITS.turn_rate], "high": [LIMITS.speed, LIMITS.turn_rate]},
+            "about": task.about,
+        }
+    )
+
+
+class Moment(NamedTuple):
+    """One scan of a lesson.
+
+    Attributes:
+        observation: Observation of the pupil (n,).
+        wanted: Command of the teacher (2,) [m/s, rad/s].
+    """
+
+    observation: Observation
+    wanted: Array
+
+
+class Lesson:
+    """One episode, in the planar engine with the conditions that the task draws.
+
+    Attributes:
+        outcome: Outcome of the episode; still running where the robot stood too long.
+    """
+
+    def __init__(self, task: NavigationTask, interface: PolicyManifest, seed: int) -> None:
+        settings = SimulationOptions(engine="planar", rate=_RATE, randomise_width=True)
+        self._world = SimulatedWorld(task, seed, options=settings)
+        self._teacher = Teacher(task, self._world.geometry)
+        self._observe = ObservationBuilder(interface)
+        self._safety = DriveSafety(ScanHealth(0.0, 6.3, 0), _STOP, _LIDAR_X, 1.0)
+        self._odometry = Odometry()
+        self.outcome = Outcome.RUNNING
+
+    def drive(self, pupil: Pupil | None) -> Iterator[Moment]:
+        """Yield the moments of a drive of the pupil, or of the teacher where there is none, to its end."""
+        world, still = self._world, 0.0
+        period = 1.0 / world.lidar.spec.rate
+        steps = round(period * _RATE)
+        try:
+            while self.outcome is Outcome.RUNNING and still < _STANDS:
+                moment, command = self._decide(pupil)
+                yield moment
+                world.command(0, command)
+                world.step(steps)
+                still = 0.0 if np.abs(world.velocity()).max() > _STILL else still + period
+                self.outcome = world.episode().outcome
+        finally:
+            world.close()
+
+    def _decide(self, pupil: Pupil | None) -> tuple[Moment, Array]:
+        world = self._world
+        scan, reading = world.laser_scan(), world.odometry()
+        geometry = ScanGeometry(len(scan.ranges), scan.angle_min, scan.angle_increment, scan.range_min, scan.range_max)
+        stamp = round(1e9 * world.elapsed)
+        fill_odometry(self._odometry, world.plane, stamp, reading)
+        v, _, omega = reading.velocity.tolist()
+        none = np.zeros(2)
+        seen = self._observe(Sensors(scan.ranges, geometry, self._odometry, None, None, none))
+        moment = Moment(seen, self._teacher.command(world.pose(), np.array((v, omega))))
+        self._safety.update(world.elapsed, stamp, "base_scan", scan.ranges, geometry, (v, omega))
+        try:
+            return moment, self._safety.limit(moment.wanted if pupil is None else pupil(seen), v, 0.0)[0]
+        except CtrlRlError:
+            return moment, none
