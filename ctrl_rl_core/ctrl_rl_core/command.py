@@ -181,6 +181,22 @@ FiniteNumber = Annotated[float, checked(finite_number, "NUMBER")]
 """An option that is a finite number."""
 
 
+def not_negative_number(text: str) -> float:
+    """Return the number of an option's word.
+
+    Raises:
+        ValueError: It is no number, not a finite one, or below 0.
+    """
+    number = finite_number(text)
+    if number < 0.0:
+        raise ValueError(f"'{text}' is below 0")
+    return number
+
+
+OptionalNotNegativeNumber = Annotated[float | None, checked(not_negative_number, "NUMBER")]
+"""An option that is a finite number of at least 0, or absent."""
+
+
 def file_to_write(text: str) -> Path:
     """Return an option's file that will be written.
 

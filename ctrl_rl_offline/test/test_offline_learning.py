@@ -1,5 +1,6 @@
 """Learning from bags alone, and what bags say about policies that have not driven."""
 
+import dataclasses
 import shutil
 from pathlib import Path
 
@@ -8,11 +9,13 @@ import pytest
 from ctrl_rl_core.policies.policy import load_policy
 from ctrl_rl_offline.cli.evaluate import evaluate_offline
 from ctrl_rl_offline.cli.learn import learn_offline
+from ctrl_rl_offline.data.motion import fit_motion
 from ctrl_rl_offline.data.transitions import Transitions, load_transitions
 from ctrl_rl_offline.data.values import StateValues, _solvable, load_values
 from ctrl_rl_offline.errors import OfflineError
 from ctrl_rl_offline.evaluation.doubly_robust import episode_estimates, step_ratios
 from ctrl_rl_offline.evaluation.fitted_q import PolicyValues, actions_of, fit_values
+from ctrl_rl_offline.learners.improvement import improved_actions
 from ctrl_rl_offline.learners.learning import learn
 from ctrl_rl_offline.learners.settings import METHODS, NEEDS_REWARD, NEEDS_VALUE, LearningSettings
 from ctrl_rl_offline.loop.closed_loop import LoopSettings, run_loop
@@ -110,6 +113,39 @@ def test_the_value_function_prefers_what_saves_time(transitions: Transitions, va
     assert errors[1] < errors[0]
 
 
+def test_a_model_from_the_bags_and_the_value_function_find_better_commands(
+    transitions: Transitions, value: Path, tmp_path: Path
+) -> None:
+    model = fit_motion(transitions)
+    assert model.explained.min() > 0.8
+    # Seen from the body, a step goes as far in each direction; along x it goes ahead.
+    ahead, turned = np.array([[1.0, 0.0]]), np.array([[0.0, 0.0, 0.0], [1.0, -2.0, 0.5 * np.pi]])
+    moved = model(turned, np.repeat(ahead, 2, axis=0)) - turned
+    assert moved[0, 0] == pytest.approx(moved[1, 1])
+    assert moved[0, 0] > 0.3
+    values = load_values(str(value), TASK, tmp_path)
+    better, known = improved_actions(transitions.states, model, values, 0.2)
+    assert known.mean() > 0.9
+    assert (np.abs(better) <= 1.0).all()
+
+    def gained(actions: np.ndarray) -> float:
+        ends = model(transitions.states[known], actions[known])
+        return float(np.mean(values(ends) - values(transitions.states[known])))
+
+    assert gained(better) > gained(transitions.actions) + 0.1
+    actor = learn(transitions, TASK, LearningSettings("value_model", updates=300, hidden=32), values)
+    assert np.abs(actions_of(actor, transitions.observations) - better)[known].mean() < 0.3
+
+
+def test_a_model_of_motion_is_refused_where_bags_do_not_show_it(transitions: Transitions) -> None:
+    with pytest.raises(OfflineError, match="are too few for a model of motion"):
+        fit_motion(transitions.rows(np.arange(50)))
+    random = np.random.default_rng(0)
+    shuffled = dataclasses.replace(transitions, actions=random.permutation(transitions.actions))
+    with pytest.raises(OfflineError, match="is the robot late or held back"):
+        fit_motion(shuffled)
+
+
 def line_of(length: int, episodes: int) -> Transitions:
     """Return episodes of a made-up task: an action of 1 at the end reaches the goal, one of -1 collides."""
     random = np.random.default_rng(0)
@@ -189,7 +225,7 @@ def test_the_commands_learn_judge_and_refuse(bag: Path, value: Path, tmp_path: P
 def test_the_loop_goes_round_and_goes_on_where_it_was(value: Path, tmp_path: Path) -> None:
     (tmp_path / "values").mkdir()
     shutil.copy(value, tmp_path / "values" / f"car_navigation-{task_digest(TASK)[:12]}.safetensors")
-    settings = LoopSettings("value_weight", rounds=1, episodes=12, tests=3, updates=30, fit_updates=20)
+    settings = LoopSettings("value_weight", rounds=1, episodes=12, tests=3, updates=30, fit_updates=20, clearance=0.0)
     said: list[str] = []
     first = run_loop(TASK, tmp_path / "run", settings, tmp_path / "values", said.append)
     assert [each["round"] for each in first] == [0, 1]

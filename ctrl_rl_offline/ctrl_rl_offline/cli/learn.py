@@ -7,7 +7,15 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
-from ctrl_rl_core.command import FileToWrite, FolderToWrite, NotNegative, Positive, make_command, one_of
+from ctrl_rl_core.command import (
+    FileToWrite,
+    FolderToWrite,
+    NotNegative,
+    OptionalNotNegativeNumber,
+    Positive,
+    make_command,
+    one_of,
+)
 from tqdm import tqdm
 
 from ctrl_rl_core import load_navigation_task
@@ -38,11 +46,14 @@ class LearnOptions(TaskOptions):
     """Learn a policy from bags alone, for `ros2 run ctrl_rl_core policy`.
 
     td3bc, iql and cql learn from the rewards that `ros2 run ttr_reward_node relabel` wrote into the bags, and from what
-    the task pays at the end of an episode. value_weight and value_critic need no rewards but a value function.
+    the task pays at the end of an episode. value_weight, value_model and value_critic need no rewards but a value
+    function.
     """
 
-    method: Annotated[str, one_of(METHODS)] = "value_weight"
-    """Way of learning; by default commands are cloned as far as the value function calls them good."""
+    method: Annotated[str, one_of(METHODS)] = "value_model"
+    """Way of learning; by default the commands that the value function calls best are cloned."""
+    clearance: OptionalNotNegativeNumber = None
+    """Room to obstacles that a time to reach solved here keeps [m]; half the body's radius by default."""
     output: FileToWrite
     """File to write (.safetensors)."""
     updates: Positive = 5000
@@ -60,7 +71,7 @@ def _learn(options: LearnOptions) -> int:
         raise OfflineError(f"{options.output} exists: give another name, or --overwrite to replace it")
     task = load_navigation_task(options.task)
     from ctrl_rl_offline.data.transitions import load_transitions
-    from ctrl_rl_offline.data.values import TIME_TO_REACH, load_values
+    from ctrl_rl_offline.data.values import TIME_TO_REACH, load_values, usual_clearance
     from ctrl_rl_offline.learners.learning import learn
 
     transitions = load_transitions(options.runs, task, options.robot)
@@ -68,7 +79,8 @@ def _learn(options: LearnOptions) -> int:
         f"bags       {transitions.episode_count} episodes, {len(transitions)} steps, success {transitions.success:.0%}"
     )
     named = options.value or (TIME_TO_REACH if options.method in NEEDS_VALUE else None)
-    values = None if named is None else load_values(named, task, options.values)
+    clearance = usual_clearance(task) if options.clearance is None else options.clearance
+    values = None if named is None else load_values(named, task, options.values, clearance)
     settings = LearningSettings(options.method, options.updates, hidden=options.hidden, seed=options.seed)
     with tqdm(total=settings.updates, desc="learning", unit="update", disable=None) as bar:
         actor = learn(transitions, task, settings, values, {"bags": [run.name for run in options.runs]}, bar.update)

@@ -11,6 +11,7 @@ from ctrl_rl_core.command import (
     FolderToWrite,
     NotNegative,
     OptionalFileToWrite,
+    OptionalNotNegativeNumber,
     Positive,
     make_command,
     one_of,
@@ -32,7 +33,7 @@ class LoopOptions:
 
     tasks: tuple[str, ...] = ("car_navigation",)
     """Tasks: of the suite, or task files."""
-    methods: Annotated[tuple[str, ...], some_of(METHODS)] = ("value_weight",)
+    methods: Annotated[tuple[str, ...], some_of(METHODS)] = ("value_model",)
     """Ways of learning."""
     seeds: Positive = 5
     """Number of seeds."""
@@ -46,6 +47,8 @@ class LoopOptions:
     """Episodes that success is counted in."""
     updates: Positive = 5000
     """Number of updates of the networks."""
+    clearance: OptionalNotNegativeNumber = None
+    """Room to obstacles that the value which teaches keeps [m]; half the body's radius by default."""
     engine: Annotated[str, one_of(_ENGINES)] = "planar"
     """Physics engine."""
     folder: FolderToWrite = Path("runs/offline_loop")
@@ -72,6 +75,7 @@ def _loop(options: LoopOptions) -> int:
                         updates=options.updates,
                         engine=options.engine,
                         seed=seed,
+                        clearance=options.clearance,
                     )
                     name = f"{task.name}-{method}-s{seed}"
                     rounds = run_loop(

@@ -49,6 +49,8 @@ class StateValues:
         self.unit = -task.episode.time_step if self.counts_time else 0.0
         self._longest = longest_time(function)
         self._least = 0.0 if self.counts_time else float(task.rewards.collision)
+        optimal = task.optimal_control
+        self._discount = 1.0 if optimal is None else optimal.discount
 
     def __call__(self, states: Array) -> Array:
         """Return values (N,) of states (N, d): minus the time to reach [s], or V_oc [reward]."""
@@ -63,29 +65,41 @@ class StateValues:
         if self.counts_time:
             ends = np.where(transitions.outcomes == 1, 0.0, -self._longest - _COLLISION_S)
             return self.unit + np.where(transitions.done, ends, following)
-        optimal = self._task.optimal_control
-        discount = 1.0 if optimal is None else optimal.discount
-        return np.where(transitions.done, transitions.task_rewards, discount * following)
+        return np.where(transitions.done, transitions.task_rewards, self._discount * following)
+
+    def after_step(self, middles: Array, ends: Array) -> Array:
+        """Return reward and value of steps (N,) by the states half way (N, d) and at their ends (N, d)."""
+        blocked = ~(np.isfinite(self._function.value(middles)) & np.isfinite(self._function.value(ends)))
+        if self.counts_time:
+            return self.unit + np.where(blocked, -self._longest - _COLLISION_S, self(ends))
+        return np.where(blocked, float(self._task.rewards.collision), self._discount * self(ends))
 
     def advantages(self, transitions: Transitions) -> Array:
         """Return how much better each transition (N,) was than its state: 0 for the best there is [s or reward]."""
         return self.after(transitions) - self(transitions.states)
 
 
-def load_values(name_or_path: str, task: NavigationTask, folder: Path) -> StateValues:
+def load_values(name_or_path: str, task: NavigationTask, folder: Path, clearance: float = 0.0) -> StateValues:
     """Return the values of a file, of a task's time to reach (`time_to_reach`), or of its shipped V_oc (`oc_value`).
+
+    Only a time to reach that is solved here keeps the clearance [m] to obstacles.
 
     Raises:
         CtrlRlError: There is no such function, or it does not fit the task.
     """
     if name_or_path == TIME_TO_REACH:
-        return StateValues(load_value(find_time_to_reach(task, folder)), task)
+        return StateValues(load_value(find_time_to_reach(task, folder, clearance)), task)
     if name_or_path == OC_VALUE:
         return StateValues(load_oc_value(find_value(task.name)), task)
     return StateValues(load_oc_value(Path(name_or_path)), task)  # which reads value grids, too
 
 
-def find_time_to_reach(task: NavigationTask, folder: Path) -> Path:
+def usual_clearance(task: NavigationTask) -> float:
+    """Return the room to obstacles that a value keeps which commands are learnt from: half the body's radius [m]."""
+    return 0.5 * task.robot.radius
+
+
+def find_time_to_reach(task: NavigationTask, folder: Path, clearance: float = 0.0) -> Path:
     """Return the file of the time to reach by what the robot can do, solved now unless it is there.
 
     Controls are the robot's commands. A task in an arena without a grid of its own gets one of 0.1 m and 5 deg.
@@ -93,7 +107,7 @@ def find_time_to_reach(task: NavigationTask, folder: Path) -> Path:
     Raises:
         TimeToReachError: The task has no grid and no arena, or nothing reaches its goal.
     """
-    return find_or_solve(task, folder, posed_as=_solvable(task))
+    return find_or_solve(task, folder, posed_as=_solvable(task), clearance=clearance)
 
 
 def _solvable(task: NavigationTask) -> NavigationTask:

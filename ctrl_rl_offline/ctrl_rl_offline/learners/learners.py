@@ -168,6 +168,7 @@ LEARNERS: dict[str, Callable[[int, LearningSettings], Learner]] = {
     "iql": ImplicitLearner,
     "cql": ConservativeLearner,
     "value_weight": WeightedCloning,
+    "value_model": WeightedCloning,
     "value_critic": ValueCriticLearner,
 }
 

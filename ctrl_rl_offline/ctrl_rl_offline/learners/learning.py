@@ -13,9 +13,11 @@ import torch
 from numpy.typing import NDArray
 
 from ctrl_rl_core import Actor, NavigationTask, interface_of, task_digest
+from ctrl_rl_offline.data.motion import fit_motion
 from ctrl_rl_offline.data.transitions import Transitions
 from ctrl_rl_offline.data.values import StateValues
 from ctrl_rl_offline.errors import OfflineError
+from ctrl_rl_offline.learners.improvement import improved_actions
 from ctrl_rl_offline.learners.learners import LEARNERS, Batch
 from ctrl_rl_offline.learners.networks import batches, scales_of, to_actor
 from ctrl_rl_offline.learners.settings import METHODS, NEEDS_REWARD, NEEDS_VALUE, LearningSettings
@@ -47,7 +49,7 @@ def learn(
     if settings.method in NEEDS_VALUE and values is None:
         raise OfflineError(f"{settings.method} needs a value function: give --value")
     middle, unit = scales_of(transitions.observations)
-    batch_of = _tensors(transitions, settings.method, values, middle, unit)
+    batch_of = _tensors(transitions, settings, values, middle, unit)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(settings.seed)
         learner = LEARNERS[settings.method](len(middle), settings)
@@ -70,12 +72,13 @@ def learn(
 
 def _tensors(
     transitions: Transitions,
-    method: str,
+    settings: LearningSettings,
     values: StateValues | None,
     middle: NDArray[np.float32],
     unit: NDArray[np.float32],
 ) -> Batch:
     """Return all transitions as tensors, in the networks' units."""
+    method = settings.method
     paid = np.zeros(len(transitions))
     if method in NEEDS_REWARD:
         paid = transitions.rewards
@@ -92,9 +95,13 @@ def _tensors(
         advantage -= np.quantile(advantage, 0.9)
     elif values is not None and method == "value_critic":
         advantage = _standardised(values.advantages(transitions))
+    actions: NDArray[Any] = transitions.actions
+    if values is not None and method == "value_model":
+        actions, known = improved_actions(transitions.states, fit_motion(transitions), values, settings.heat)
+        advantage = np.where(known, 0.0, -np.inf)
     arrays = (
         (transitions.observations - middle) / unit,
-        transitions.actions,
+        actions,
         paid,
         (transitions.next_observations - middle) / unit,
         transitions.done,

@@ -11,12 +11,13 @@ METHODS: Mapping[str, str] = {
     "iql": "IQL (Kostrikov, Nair, Levine 2022): expectiles of a learnt value, then weighted cloning",
     "cql": "CQL (Kumar et al. 2020): a critic that is low where the driver never was",
     "value_weight": "cloning weighted by the advantage that a value function gives each command",
+    "value_model": "cloning of the commands that a value function calls best, by a model of motion from the bags",
     "value_critic": "TD3+BC whose critic learns reward and value function after a command, without bootstrapping",
 }
-NEEDS_VALUE = frozenset({"value_weight", "value_critic"})
+NEEDS_VALUE = frozenset({"value_weight", "value_model", "value_critic"})
 NEEDS_REWARD = frozenset({"td3bc", "iql", "cql"})
 
-TEMPERATURES = {"value_weight": 0.15, "iql": 0.4}
+TEMPERATURES = {"value_weight": 0.15, "value_model": 0.2, "iql": 0.4}
 
 
 @dataclass(frozen=True)
@@ -32,8 +33,8 @@ class LearningSettings:
         discount: Discount of a step.
         seed: Seed of weights and batches.
         expectile: Expectile of IQL's value; 0.5 is the mean.
-        temperature: Advantage that multiplies a transition's weight by e, in standard deviations (value_weight) or
-            scaled rewards (iql); None for that of `TEMPERATURES`.
+        temperature: Advantage that multiplies a weight by e, in standard deviations (value_weight), in gains of the
+            best action over the middle one (value_model) or in scaled rewards (iql); None for that of `TEMPERATURES`.
         greed: Weight of the critic beside cloning, alpha of TD3+BC.
         conservatism: Weight of CQL's penalty.
     """

@@ -19,7 +19,13 @@ from ctrl_rl_core.policies.policy import load_policy
 
 from ctrl_rl_core import Actor, NavigationTask, atomic_write
 from ctrl_rl_offline.data.transitions import Transitions, load_transitions
-from ctrl_rl_offline.data.values import StateValues, find_time_to_reach
+from ctrl_rl_offline.data.values import (
+    TIME_TO_REACH,
+    StateValues,
+    find_time_to_reach,
+    load_values,
+    usual_clearance,
+)
 from ctrl_rl_offline.evaluation.report import evaluate_offline
 from ctrl_rl_offline.learners.learning import learn
 from ctrl_rl_offline.learners.settings import LearningSettings
@@ -46,6 +52,7 @@ class LoopSettings:
         engine: Name of the physics engine, one of `sim_bridge.ENGINES`.
         seed: Seed of everything random.
         fit_updates: Number of updates of the offline evaluation.
+        clearance: Room to obstacles that the value which teaches keeps [m]; None for half the body's radius.
     """
 
     method: str
@@ -57,6 +64,7 @@ class LoopSettings:
     engine: str = "planar"
     seed: int = 0
     fit_updates: int = 500
+    clearance: float | None = None
 
 
 def run_loop(
@@ -74,9 +82,10 @@ def run_loop(
     Raises:
         CtrlRlError: The task cannot be driven or has no time to reach; a file of an earlier call is damaged.
     """
-    value_file = find_time_to_reach(task, values_folder)
-    function = load_value(value_file)
-    values, evaluator = StateValues(function, task), RewardEvaluator(task, function)
+    function = load_value(find_time_to_reach(task, values_folder))
+    clearance = usual_clearance(task) if settings.clearance is None else settings.clearance
+    values = load_values(TIME_TO_REACH, task, values_folder, clearance)
+    evaluator = RewardEvaluator(task, function)
     bags: list[Path] = []
     rounds: list[dict[str, Any]] = []
     for number in range(settings.rounds + 1):

@@ -14,27 +14,33 @@ Tell = Callable[[str], None]
 
 
 def find_or_solve(
-    task: NavigationTask, folder: Path, tell: Tell = lambda _: None, posed_as: NavigationTask | None = None
+    task: NavigationTask,
+    folder: Path,
+    tell: Tell = lambda _: None,
+    posed_as: NavigationTask | None = None,
+    clearance: float = 0.0,
 ) -> Path:
     """Return the file of the time to reach of this version of a task, solved now unless it is there.
 
-    Obstacles are wider by the radius of the body.
+    Obstacles are wider by the radius of the body and the clearance.
 
     Args:
         task: Task whose name and digest the file has.
         folder: Folder of the files.
         tell: Takes a line before the solver begins.
         posed_as: Task with the grid and the controls of the problem; `task` itself unless given.
+        clearance: Room that the body keeps to obstacles [m].
 
     Raises:
         TimeToReachError: The task has no grid, or nothing reaches its goal.
     """
     digest = task_digest(task)
-    file = folder / f"{task.name}-{digest[:12]}.safetensors"
+    kept_off = f"-{clearance:g}m" if clearance else ""
+    file = folder / f"{task.name}-{digest[:12]}{kept_off}.safetensors"
     folder.mkdir(parents=True, exist_ok=True)
     if file.is_file():
         return file
-    problem = problem_from_task(posed_as or task, inflation=task.robot.radius)
+    problem = problem_from_task(posed_as or task, inflation=task.robot.radius + clearance)
     tell(f"solving    {task.name}, {problem.points} nodes")
     solution = solve(dataclasses.replace(problem, digest=digest))
     check_reached(problem, solution.grid)
