@@ -4,6 +4,7 @@ import ast
 import re
 import subprocess
 import sys
+from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
@@ -85,10 +86,17 @@ RUN_TIME_MODULES = (
 )
 
 
-def imports_of(file: Path) -> set[str]:
+@cache
+def imports(file: Path) -> list[ast.Import | ast.ImportFrom]:
+    """Return the imports of a file, wherever they stand."""
     tree = ast.parse(file.read_text(encoding="utf-8"))
+    return [node for node in ast.walk(tree) if isinstance(node, ast.Import | ast.ImportFrom)]
+
+
+@cache
+def imports_of(file: Path) -> set[str]:
     found = set()
-    for node in ast.walk(tree):
+    for node in imports(file):
         if isinstance(node, ast.Import):
             found |= {alias.name.partition(".")[0] for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.level == 0:
@@ -115,9 +123,10 @@ def room_of(module: str) -> str:
     return ".".join(parts[: 3 if nested else 2])
 
 
+@cache
 def modules_imported(file: Path) -> set[str]:
     found = set()
-    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+    for node in imports(file):
         if isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
             submodules = {f"{node.module}.{alias.name}" for alias in node.names} & MODULES.keys()
             found |= submodules or {node.module}
@@ -126,6 +135,7 @@ def modules_imported(file: Path) -> set[str]:
     return found & MODULES.keys()
 
 
+@cache
 def arrows() -> dict[str, set[str]]:
     """Return which rooms each room imports from."""
     out: dict[str, set[str]] = {}
