@@ -78,3 +78,17 @@ def test_an_attacker_is_paid_for_coming_near() -> None:
         clearances.append(info["clearance"])
     environment.close()
     np.testing.assert_allclose(rewards[1:], -100.0 * np.diff(clearances), atol=1e-6)
+
+
+def test_an_attacker_without_the_filter_is_paid_for_a_contact_and_behind_it_has_none() -> None:
+    ends = {}
+    for bare in (True, False):
+        environment = AttackRun("turtlebot2", 0, bare).environment()
+        environment.reset(seed=1)
+        for _ in range(25):
+            _, reward, terminated, _, info = environment.step(AHEAD)
+            if terminated:
+                break
+        environment.close()
+        ends[bare] = info["avoidable"], float(reward) > 500.0
+    assert ends == {True: (True, True), False: (False, False)}
