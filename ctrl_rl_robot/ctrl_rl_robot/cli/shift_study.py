@@ -23,7 +23,7 @@ from ctrl_rl_robot.errors import RobotError
 _TASKS = ("car_ttr", "car_navigation")
 _ENGINES = ("mujoco", "pybullet", "planar")
 METHODS = {"motion": ("--motion",), "plain": ()}
-NAMES = {"motion": "fine-tuned with its motion", "plain": "fine-tuned as it is"}
+NAMES = {"motion": "motion observed", "plain": "observation of its file"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,7 +79,7 @@ def _study(options: ShiftStudy) -> int:
     finally:
         rows = _rows(options, nominal, before, tuned)
         for row in rows:
-            print(f"{row.method:<44} {row.metric:<22} {np.mean(row.values):7.3f} +- {np.std(row.values):.3f}")
+            print(f"{row.method:<72} {row.metric:<22} {np.mean(row.values):7.3f} +- {np.std(row.values):.3f}")
         if options.results is not None:
             done = range(max(map(len, tuned.values()), default=0))
             write_results(options.results, "robot_learning", done, rows)
@@ -96,7 +96,7 @@ def _rows(
     """Return success of each stage, and over that of the nominal robot; tuned policies have one number a seed."""
     late = f"{options.task}, {options.engine}, commands {options.delay:g} s late"
     stages = {f"{options.task}, {options.engine}, nominal": [nominal], late: [before]}
-    stages |= {f"{late}, {NAMES[method]} {options.minutes:g} min": found for method, found in tuned.items()}
+    stages |= {f"{late}, after {options.minutes:g} min, {NAMES[method]}": found for method, found in tuned.items()}
     rows = []
     for method, found in stages.items():
         wins = [float(each["success"]) for each in found]
