@@ -33,6 +33,7 @@ _GOODBYE_S = 0.1
 
 LONGEST = (
     "test_demo.py",
+    "test_nodes.py",
     "test_barn_drives.py",
     "test_consolidation.py",
     "test_ladder.py",
@@ -41,6 +42,8 @@ LONGEST = (
     "test_training.py",
     "test_filter_trials.py",
     "test_memory.py",
+    "test_policy_demo.py",
+    "test_accuracy.py",
     "test_node.py",
     "test_world.py",
     "test_solver.py",
