@@ -11,7 +11,8 @@ from ctrl_rl_bags import bag_info
 
 def test_a_quadrotor_flies_to_its_goal_and_the_flight_is_reported(tmp_path: Path) -> None:
     folder = tmp_path / "run"
-    answer = command("demo", "--task", "quad_navigation", "--speed", 2, "--seed", 3, "--output", folder)
+    # Slowly: on a busy machine late thrusts bring a quadrotor down.
+    answer = command("demo", "--task", "quad_navigation", "--speed", 0.5, "--seed", 3, "--output", folder)
     assert answer.returncode == 0, answer.stderr
     report = json.loads((folder / "report.json").read_text())
     assert report["outcome"] == "goal reached"
