@@ -106,7 +106,7 @@ def _nearest_to_rectangle(points: Any, x: float, y: float, theta: float, core: t
     return math.sqrt(least)
 
 
-@njit(inline="always")
+@njit
 def distance_to(points: Any, x: float, y: float, theta: float, core: tuple[float, float]) -> float:
     """Return the distance of the nearest echo (2, n) to the core of a robot [m]: its rectangle, or a disc's middle."""
     if core[0] > 0.0:
@@ -114,7 +114,7 @@ def distance_to(points: Any, x: float, y: float, theta: float, core: tuple[float
     return _nearest(points, x, y)
 
 
-@njit(inline="always")
+@njit
 def margin_at(
     obstacles: Any,
     growth: Any,
