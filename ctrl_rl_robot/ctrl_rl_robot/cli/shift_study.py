@@ -71,8 +71,8 @@ def _study(options: ShiftStudy) -> int:
     before = success("before", options.delay, "--minutes", "0.0")
     tuned: dict[str, list[dict[str, Any]]] = {}
     try:
-        for seed in range(options.seeds):
-            for method in options.methods:
+        for method in options.methods:
+            for seed in range(options.seeds):
                 words = ("--minutes", str(options.minutes), "--seed", str(seed), *METHODS[method])
                 found = success(f"{method}-s{seed}", options.delay, *words)
                 tuned.setdefault(method, []).append(found)
