@@ -24,6 +24,7 @@ setup(
             "navigation_agent = option_coordinator.nodes.navigation_agent:main",
             "evaluate = option_coordinator.learning:evaluate",
             "replay = option_coordinator.cli:replay",
+            "loop = option_coordinator.learning:loop",
             "train = option_coordinator.learning:train",
             "plot = option_coordinator.learning:plot",
             "training_figures = option_coordinator.learning:training_figures",

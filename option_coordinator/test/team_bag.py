@@ -1,67 +1,23 @@
-"""Bags of a simulated team, as a coordinator's would be."""
-
-from pathlib import Path
+"""Bags of a simulated team, as a coordinator's would be, or nearly so."""
 
 import numpy as np
-from option_coordinator.data.bag_trajectory import TYPE
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from option_coordinator.data import team_bag
 
-from ctrl_rl_bags import BagWriter, Topic
 from option_coordinator import OptionTrajectory
 
-TOPIC = "/joint_option_step"
-STORE = get_typestore(Stores.ROS2_JAZZY)
-STORE.register(
-    get_types_from_msg(
-        (Path(__file__).parents[2] / "ctrl_rl_msgs" / "msg" / "JointOptionStep.msg").read_text(encoding="utf-8"), TYPE
-    )
-)
-TIME, HEADER = (STORE.types[f"{name}"] for name in ("builtin_interfaces/msg/Time", "std_msgs/msg/Header"))
+LOW_LEVEL = 0.99
 
 
-class TeamBag:
-    """Writes a bag decision by decision; a context manager."""
+class TeamBag(team_bag.TeamBag):
+    """Writes a bag of any coordinator's life, and messages that no coordinator would write."""
 
     def __init__(self, folder):
-        self.writer = BagWriter(folder)
-        definition, _ = STORE.generate_msgdef(TYPE, ros_version=2)
-        self.writer.add_topic(Topic(TOPIC, TYPE, definition, STORE.hash_rihs01(TYPE), ()))
-        self.time = 10**12
+        super().__init__(folder, LOW_LEVEL)
 
-    def put(self, decision, chosen, log_prob, digest, number, epoch=1, low_level=0.99, **changes):
+    def put(self, decision, chosen, log_prob, digest, number, epoch=1, low_level=LOW_LEVEL, **changes):
         """Write a decision; `changes` are made to the message."""
-        self.time += 10**9
-        sizes = [agent.observation_size for agent in decision.agents]
-        counts = [len(agent.options) for agent in decision.agents]
-        fields = {
-            "header": HEADER(TIME(self.time // 10**9, 0), ""),
-            "coordinator_epoch": epoch,
-            "step": number,
-            "policy_digest": digest,
-            "agents": [agent.name for agent in decision.agents],
-            "running": decision.running >= 0,
-            "absent": ~decision.present,
-            "options": np.asarray(chosen, np.int32),
-            "legal": np.concatenate([row[:count] for row, count in zip(decision.legal, counts, strict=True)]),
-            "option_counts": np.array(counts, np.uint32),
-            "observations": decision.observation,
-            "observation_sizes": np.array(sizes, np.uint32),
-            "log_probability": log_prob,
-            "reward": decision.reward,
-            "duration": decision.duration,
-            "discount": low_level,
-            "time_step": 1.0,
-            "terminated": decision.terminated,
-            "truncated": decision.truncated,
-        }
-        message = STORE.types[TYPE](**(fields | changes))
-        self.writer.write(TOPIC, bytes(STORE.serialize_cdr(message, TYPE)), self.time)
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        self.writer.close()
+        numbers = {"step": number, "coordinator_epoch": epoch, "discount": low_level}
+        self.write(self.fields(decision, chosen, log_prob, digest) | numbers | changes)
 
 
 def play_into(bag, environment, policy, digest, episodes, seed=0, epoch=1):

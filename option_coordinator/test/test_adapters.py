@@ -12,7 +12,7 @@ from matplotlib import pyplot as plt
 from option_coordinator.cli import replay
 from option_coordinator.environments.timeline import Span
 from option_coordinator.plots import draw_replay, draw_spans, draw_timeline
-from option_coordinator.training.cli import evaluate, plot, train, training_figures
+from option_coordinator.training.cli.learning import evaluate, plot, train, training_figures
 from option_coordinator.training.parallel_environment import ParallelOptions
 from pettingzoo.test import parallel_api_test
 from PIL import Image
@@ -139,6 +139,6 @@ def test_errors_are_one_line(command, arguments, words, capsys, tmp_path, monkey
 
 
 def test_help_does_not_wait_for_torch():
-    code = "import sys, option_coordinator.cli, option_coordinator.training.cli; print('torch' in sys.modules)"
+    code = "import sys, option_coordinator.cli, option_coordinator.training.cli.learning; print('torch' in sys.modules)"
     answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert answer.stdout.strip() == "False"

@@ -8,7 +8,7 @@ import torch
 from ctrl_rl_training.experiments.run import RunOptions
 from ctrl_rl_training.experiments.trainer import train as train_run
 from option_coordinator.environments.roll_out import RollOut
-from option_coordinator.training.cli import train
+from option_coordinator.training.cli.learning import train
 from option_coordinator.training.experiments.bag_runs import BagRun
 from option_coordinator.training.experiments.runs import OptionRun
 from option_coordinator.training.heads.heads import as_numpy

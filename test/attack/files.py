@@ -283,7 +283,7 @@ KINDS = (
         "figures-options",
         _figures("options_delivery_team"),
         _mutations.change_json,
-        _draw("option_coordinator.training.cli", "_figures"),
+        _draw("option_coordinator.training.cli.learning", "_figures"),
     ),
     Kind(
         "figures-oc",

@@ -5,7 +5,7 @@
 
 Decisions that the policy itself has made are its own experience: it goes on learning from them with MAPPO's clipped
 ratios, to the log-probabilities that stand in the bag. Decisions of anything else, a script or another policy, say
-little about it: they are imitated.
+little about it: they are imitated, or, if asked for, as far as they paid.
 """
 
 from __future__ import annotations
@@ -32,13 +32,20 @@ from option_coordinator.policies.policy_file import OptionPolicy
 from option_coordinator.training.experiments.checkpoint import Checkpoints
 from option_coordinator.training.experiments.evaluation import evaluate
 from option_coordinator.training.heads.heads import as_numpy
+from option_coordinator.training.learners.gradient_learner import GradientLearner
 from option_coordinator.training.learners.imitation import Imitation
 from option_coordinator.training.learners.learner import Learner
 from option_coordinator.training.learners.mappo import Mappo
+from option_coordinator.training.learners.weighted_imitation import WeightedImitation
 
-Way = Literal["mappo", "imitation"]
-ROUNDS: Mapping[Way, int] = {"mappo": 3, "imitation": 20}
-"""How many serve; MAPPO's ratios soon lead away from where the data are from, and nothing is gained by more."""
+Way = Literal["mappo", "imitation", "weighted"]
+ROUNDS: Mapping[Way, int] = {"mappo": 3, "imitation": 20, "weighted": 20}
+"""Rounds that serve; MAPPO's ratios soon lead away from where the data are from, and nothing is gained by more."""
+_LEARNERS: Mapping[Way, type[GradientLearner]] = {
+    "mappo": Mappo,
+    "imitation": Imitation,
+    "weighted": WeightedImitation,
+}
 _VALUE_ROUNDS = 10
 _SAME_RATIO = 1e-2
 """How far a first ratio may be from 1 by rounding."""
@@ -56,6 +63,7 @@ class BagRun(Run):
         task_name: Name or file of a task to judge the policy in; without `start` it says what the robots can do.
         head: Kind of joint policy, for a new one.
         seed: Seed of everything random.
+        asked: Way to learn; None for MAPPO where decisions are the policy's own, and imitation elsewhere.
     """
 
     bags: tuple[Path, ...]
@@ -63,11 +71,13 @@ class BagRun(Run):
     task_name: str | None = None
     head: str = "table"
     seed: int = 0
+    asked: Way | None = None
 
     @property
     def name(self) -> str:
         """Name of the run and of its folder: the digest of its data and of the policy that it begins with."""
         told = [self.data_digest, self.policy.digest if self.policy else self.head, self.task_name, self.seed]
+        told += [self.asked] if self.asked is not None else []
         return f"bags-{hashlib.sha256(repr(told).encode()).hexdigest()[:12]}"
 
     @cached_property
@@ -114,9 +124,13 @@ class BagRun(Run):
         """How it is learnt.
 
         Raises:
-            OptionError: the policy does not draw: its own decisions tell it nothing.
+            OptionError: the policy does not draw: its own decisions tell it nothing; MAPPO is asked for without any.
         """
+        if self.asked is not None and self.asked != "mappo":
+            return self.asked
         if not self.own:
+            if self.asked is not None:
+                raise OptionError("MAPPO needs decisions of the policy that it goes on from: try --way weighted")
             return "imitation"
         if self.policy is not None and self.policy.greedy:
             raise OptionError(f"{self.start}: takes its most likely options: what it never tries teaches it nothing")
@@ -124,8 +138,9 @@ class BagRun(Run):
 
     @cached_property
     def trajectory(self) -> OptionTrajectory:
-        """What is learnt from: the policy's own decisions, or else all."""
-        return OptionTrajectory.joined([recording.trajectory for recording in self.own or self.recordings])
+        """What is learnt from: by MAPPO the policy's own decisions, or else all."""
+        used = self.own if self.way == "mappo" else self.recordings
+        return OptionTrajectory.joined([recording.trajectory for recording in used])
 
     @property
     def left_out(self) -> int:
@@ -145,7 +160,7 @@ class BagRun(Run):
     def learner(self) -> Learner:
         """Return the learner, as it begins."""
         torch.manual_seed(self.seed)
-        make = Mappo if self.way == "mappo" else Imitation
+        make = _LEARNERS[self.way]
         policy = self.policy
         if policy is None:
             return make(self.agents, self.head)
@@ -211,7 +226,7 @@ class _Learning(Checkpoints):
             for _ in range(_VALUE_ROUNDS):
                 learner.learn_value(trajectory, generator)
         figures = learner.learn(trajectory, generator)
-        if not curve and figures.get("ratio", 0.0) > _SAME_RATIO:
+        if not curve and self._run.way == "mappo" and figures.get("ratio", 0.0) > _SAME_RATIO:
             raise OptionError(f"{self._run.start}: what the bags say of its log-probabilities is not true of it")
         return {"update": figures}
 

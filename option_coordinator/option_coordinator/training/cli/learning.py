@@ -45,7 +45,10 @@ class Train(ExperimentOptions):
     task: str | None = None
     """Task to learn (tool_delivery, water_filling, delivery_team or a file); with --bags, to evaluate in."""
     bags: tuple[Path, ...] = ()
-    """Bags to learn from: a policy's own decisions by MAPPO, others by imitation."""
+    """Bags to learn from."""
+    way: Literal["auto", "mappo", "imitation", "weighted"] = "auto"
+    """Way to learn from bags: auto takes MAPPO for a policy's own decisions and imitation for others; weighted imitates
+    decisions of anyone as far as they paid."""
     start: Annotated[Path | None, tyro.conf.arg(name="from")] = None
     """Policy to go on from, with --bags."""
     head: Annotated[str, one_of(HEADS)] = "table"
@@ -98,9 +101,11 @@ def _train_on_bags(options: Train) -> int:
 
     from option_coordinator.training.experiments.bag_runs import ROUNDS, BagRun
 
-    run = BagRun(options.bags, options.start, options.task, options.head)
+    asked = None if options.way == "auto" else options.way
+    run = BagRun(options.bags, options.start, options.task, options.head, asked=asked)
     run.environment()  # refuses a task of other robots, as `way` and `name` refuse what cannot be learnt from
-    whose = f"this policy's own, {run.left_out} others are left out" if run.way == "mappo" else "imitated"
+    own = f"this policy's own, {run.left_out} others are left out"
+    whose = {"mappo": own, "imitation": "imitated", "weighted": "imitated as far as they paid"}[run.way]
     print(f"learning   {len(run.trajectory)} decisions, {whose}", flush=True)
     how = RunOptions(options.folder, ROUNDS[run.way], final_evaluations=options.evaluations)
     (result,) = run_experiments([run], how, 1, run.name, options.ray)

@@ -1,0 +1,106 @@
+"""Bags of decisions without a ROS graph: the messages that a coordinator would have published.
+
+with TeamBag(folder, environment.discount) as bag:
+    bag.put(decision, options, log_prob)
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from ctrl_rl_bags.recording.message_types import message_definition
+from numpy.typing import NDArray
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from ctrl_rl_bags import BagWriter, Topic
+from option_coordinator.data.bag_trajectory import TYPE
+from option_coordinator.options.decision import Decision
+
+TOPIC = "/joint_option_step"
+_BEGIN_NS, _SECOND_NS = 10**12, 10**9
+
+
+class TeamBag:
+    """Writes a bag decision by decision; a context manager.
+
+    Args:
+        folder: The bag, which must not exist.
+        discount: Discount factor gamma of a low-level step.
+        time_step: Duration of a low-level step [s].
+
+    Raises:
+        BagError: The bag exists, or the disk refuses.
+    """
+
+    def __init__(self, folder: Path, discount: float, time_step: float = 1.0) -> None:
+        self._discount, self._time_step = discount, time_step
+        self._store = get_typestore(Stores.ROS2_JAZZY)
+        definition = message_definition(TYPE)
+        known = get_types_from_msg(definition, TYPE)
+        self._store.register({name: fields for name, fields in known.items() if name not in self._store.fielddefs})
+        self._writer = BagWriter(folder)
+        self._writer.add_topic(Topic(TOPIC, TYPE, definition, self._store.hash_rihs01(TYPE), ()))
+        self._time, self._number = _BEGIN_NS, 0
+
+    def put(self, decision: Decision, options: NDArray[np.int64], log_prob: float = 0.0, digest: str = "") -> None:
+        """Append a decision; where the episode is over, its options are those that still run.
+
+        Args:
+            decision: Decision of a coordinator, or of an environment.
+            options: Joint option (N,).
+            log_prob: Log-probability of the options that were chosen; 0 for a script.
+            digest: SHA-256 of the policy's file, hex; empty for a script.
+
+        Raises:
+            BagError: The disk refuses.
+        """
+        self.write(self.fields(decision, options, log_prob, digest))
+
+    def fields(self, decision: Decision, options: NDArray[np.int64], log_prob: float, digest: str) -> dict[str, Any]:
+        """Return the fields of a decision's message, but for its header."""
+        counts = [len(agent.options) for agent in decision.agents]
+        return {
+            "coordinator_epoch": 1,
+            "step": self._number,
+            "policy_digest": digest,
+            "agents": [agent.name for agent in decision.agents],
+            "running": decision.running >= 0,
+            "absent": ~decision.present,
+            "options": np.asarray(options, np.int32),
+            "legal": np.concatenate([row[:count] for row, count in zip(decision.legal, counts, strict=True)]),
+            "option_counts": np.array(counts, np.uint32),
+            "observations": decision.observation,
+            "observation_sizes": np.array([agent.observation_size for agent in decision.agents], np.uint32),
+            "log_probability": log_prob,
+            "reward": decision.reward,
+            "duration": decision.duration,
+            "discount": self._discount,
+            "time_step": self._time_step,
+            "terminated": decision.terminated,
+            "truncated": decision.truncated,
+        }
+
+    def write(self, fields: dict[str, Any]) -> None:
+        """Append a message of these fields.
+
+        Raises:
+            BagError: The disk refuses.
+        """
+        types = self._store.types
+        self._time += max(round(fields["duration"] * self._time_step * _SECOND_NS), 1)  # no two at one time
+        stamp = types["builtin_interfaces/msg/Time"](*divmod(self._time, _SECOND_NS))
+        message = types[TYPE](header=types["std_msgs/msg/Header"](stamp, ""), **fields)
+        self._writer.write(TOPIC, bytes(self._store.serialize_cdr(message, TYPE)), self._time)
+        self._number += 1
+
+    def close(self) -> None:
+        """Finish the bag; a second call does nothing."""
+        self._writer.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()

@@ -1,0 +1,171 @@
+"""The closed loop of a team: play, record, learn from the bags alone, play again, compare.
+
+Round 0 is a careless script. Each later round learns from the bags of all rounds before by weighted imitation, and
+records what its policy draws. A run goes on where it was cut off.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from shutil import rmtree
+from typing import Any, NamedTuple
+
+import numpy as np
+from ctrl_rl_core.io.checked_json import read_json, with_digest
+from ctrl_rl_training.experiments.run import RunOptions
+from ctrl_rl_training.experiments.trainer import train
+from numpy.typing import NDArray
+
+from ctrl_rl_core import atomic_write
+from option_coordinator.data.team_bag import TeamBag
+from option_coordinator.environments.option_env import OptionEnvironment
+from option_coordinator.environments.roll_out import OptionEpisode
+from option_coordinator.environments.tasks import make_environment
+from option_coordinator.options.decision import Decision
+from option_coordinator.policies.policy_file import OptionPolicy
+from option_coordinator.scripted.task_policies import DecisionPolicy, RandomPolicy, scripted_policy
+from option_coordinator.training.experiments.bag_runs import ROUNDS, BagRun
+from option_coordinator.training.experiments.evaluation import fresh, summary
+
+_SEEDS_APART = 100_000
+
+
+class Choice(NamedTuple):
+    """Options that a driver of the team chose.
+
+    Attributes:
+        options: Joint option (N,).
+        log_prob: Log-probability of the options that were chosen; 0 for a script.
+    """
+
+    options: NDArray[np.int64]
+    log_prob: float = 0.0
+
+
+@dataclass(frozen=True)
+class LoopSettings:
+    """Settings of a loop.
+
+    Attributes:
+        rounds: Number of rounds after the script's.
+        episodes: Number of recorded episodes of each round.
+        tests: Number of episodes that each round is judged by.
+        careless: Probability with which the script takes any option that is legal.
+        seed: Seed of everything random.
+    """
+
+    rounds: int = 3
+    episodes: int = 100
+    tests: int = 50
+    careless: float = 0.5
+    seed: int = 0
+
+
+class CarelessScript:
+    """The task's script, which now and then takes any option that is legal."""
+
+    digest = ""
+
+    def __init__(self, environment: OptionEnvironment, careless: float, seed: int) -> None:
+        self._script: DecisionPolicy = scripted_policy(environment)
+        self._any: DecisionPolicy = RandomPolicy(seed)
+        self._careless = careless
+        self._generator = np.random.default_rng((seed, 1))
+
+    def __call__(self, decision: Decision) -> Choice:
+        """Return what the script says, or something else."""
+        named = self._script(decision)
+        wild = self._any(decision)
+        options = decision.running.copy()
+        for index, agent in enumerate(decision.agents):
+            if not decision.choosing[index]:
+                continue
+            said = named[agent.name]
+            careful = self._generator.uniform() >= self._careless and decision.legal[index, said]
+            options[index] = said if careful else wild[agent.name]
+        return Choice(options)
+
+
+class DrawnPolicy:
+    """A policy's own draws."""
+
+    def __init__(self, policy: OptionPolicy, seed: int) -> None:
+        self.digest = policy.digest
+        self._joint, self._generator = policy.joint, np.random.default_rng((seed, 2))
+
+    def __call__(self, decision: Decision) -> Choice:
+        """Return a draw."""
+        conditional = self._joint.valid(decision)
+        options = conditional.sample(self._generator)
+        return Choice(options, float(conditional.log_prob(options)))
+
+
+Driver = CarelessScript | DrawnPolicy
+
+
+def run_loop(task: str, folder: Path, settings: LoopSettings, tell: Callable[[str], None]) -> list[dict[str, Any]]:
+    """Return each round's episodes in figures: see `evaluation.summary`, and `returns` of each.
+
+    Args:
+        task: Name or file of a task of a team.
+        folder: Folder of the run.
+        settings: Settings of the loop.
+        tell: Takes a line about each round.
+
+    Raises:
+        CtrlRlError: There is no such task; a file of an earlier call is damaged; the disk refuses.
+    """
+    bags: list[Path] = []
+    rounds: list[dict[str, Any]] = []
+    for number in range(settings.rounds + 1):
+        here = folder / f"round_{number}"
+        here.mkdir(parents=True, exist_ok=True)
+        done = here / "result.json"
+        if not done.exists():
+            seed = _SEEDS_APART * (settings.seed + 1) + number * settings.episodes
+            environment = make_environment(task)
+            driver = _driver(task, environment, here, bags, settings, seed)
+            rmtree(here / "bag", ignore_errors=True)  # of a call that was cut off
+            with TeamBag(here / "bag", environment.discount) as bag:
+                for _ in play(environment, driver, range(seed, seed + settings.episodes), bag):
+                    pass
+            tested = list(play(environment, driver, fresh(settings.tests)))
+            result = {"round": number, **summary(tested), "returns": [episode.returned for episode in tested]}
+            atomic_write(done, json.dumps(with_digest(result)))
+        bags.append(here / "bag")
+        rounds.append(read_json(done))
+        told = rounds[-1]
+        tell(f"round {number}: return {told['return']:.4g}, {told['steps']:.4g} steps, done {told['terminated']:.0%}")
+    return rounds
+
+
+def play(
+    environment: OptionEnvironment, driver: Driver, seeds: range, bag: TeamBag | None = None
+) -> Iterator[OptionEpisode]:
+    """Yield an episode for each seed, recorded where there is a bag."""
+    for seed in seeds:
+        decision, episode = environment.reset(seed), OptionEpisode()
+        while not decision.over:
+            choice = driver(decision)
+            if bag is not None:
+                bag.put(decision, choice.options, choice.log_prob, driver.digest)
+            decision = environment.step(decision.named(choice.options))
+            episode.add(decision)
+        if bag is not None:
+            bag.put(decision, decision.running)
+        episode.figures = environment.figures()
+        yield episode
+
+
+def _driver(
+    task: str, environment: OptionEnvironment, here: Path, bags: list[Path], settings: LoopSettings, seed: int
+) -> Driver:
+    """Return the script, or the policy that is learnt from the bags so far."""
+    if not bags:
+        return CarelessScript(environment, settings.careless, seed)
+    run = BagRun(tuple(bags), None, task, seed=settings.seed, asked="weighted")
+    train(run, RunOptions(here / "learning", ROUNDS["weighted"], final_evaluations=0))
+    return DrawnPolicy(OptionPolicy.load(here / "learning" / run.name / "policy.safetensors"), seed)

@@ -1,0 +1,78 @@
+"""The closed loop of a team: what bags of a careless script teach."""
+
+import numpy as np
+import pytest
+import torch
+from ctrl_rl_core.io.checked_json import read_json
+from option_coordinator.data.bag_trajectory import recordings
+from option_coordinator.data.team_bag import TeamBag
+from option_coordinator.environments.tasks import make_environment
+from option_coordinator.training.cli.loop import loop
+from option_coordinator.training.experiments.bag_runs import BagRun
+from option_coordinator.training.experiments.closed_loop import CarelessScript, play
+from option_coordinator.training.learners.imitation import Imitation
+from option_coordinator.training.learners.learner import decision_batch
+from option_coordinator.training.learners.weighted_imitation import WeightedImitation
+
+from ctrl_rl_core import CtrlRlError
+from option_coordinator import OptionTrajectory
+
+TASK = "tool_delivery"
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("careless") / "bag"
+    environment = make_environment(TASK)
+    with TeamBag(folder, environment.discount) as writer:
+        episodes = list(play(environment, CarelessScript(environment, 0.5, 0), range(12), writer))
+    assert len(episodes) == 12
+    return folder
+
+
+def test_what_is_played_stands_in_the_bag(bag):
+    environment = make_environment(TASK)
+    again = list(play(environment, CarelessScript(environment, 0.5, 0), range(12)))
+    parts = [recording.trajectory for recording in recordings(bag)]
+    assert [len(part) for part in parts] == [episode.decisions for episode in again]
+    assert [part.reward.sum() for part in parts] == pytest.approx([episode.option_reward for episode in again])
+    assert [bool(part.terminated[-1]) for part in parts] == [episode.terminated for episode in again]
+
+
+def test_weighted_imitation_likes_best_what_paid(bag):
+    trajectory = OptionTrajectory.joined([recording.trajectory for recording in recordings(bag)])
+    agents, liked = make_environment(TASK).agents, []
+    for make in (Imitation, WeightedImitation):
+        torch.manual_seed(0)
+        learner, generator = make(agents, "table"), np.random.default_rng(0)
+        if isinstance(learner, WeightedImitation):
+            for _ in range(5):
+                learner.learn_value(trajectory, generator)
+            gain = learner._batch(trajectory).gain.numpy()
+        for _ in range(10):
+            learner.learn(trajectory, generator)
+        with torch.no_grad():
+            liked.append(learner.network(decision_batch(trajectory)).log_prob.numpy())
+    good, bad = gain > np.quantile(gain, 0.8), gain < np.quantile(gain, 0.2)
+    plain, weighted = ((each[good].mean() - each[bad].mean()) for each in liked)
+    assert weighted > plain + 0.3
+
+
+def test_the_loop_goes_round_and_goes_on_where_it_was(tmp_path, capsys):
+    arguments = ["--seeds", "1", "--rounds", "1", "--episodes", "6", "--tests", "2", "--folder", str(tmp_path / "runs")]
+    assert loop([*arguments, "--results", str(tmp_path / "results.json")]) == 0
+    said = capsys.readouterr().out
+    assert "tool_delivery-s0: round 1: return" in said
+    assert "tool_delivery: weighted imitation, round 1" in said
+    first = read_json(tmp_path / "runs" / "tool_delivery-s0" / "round_1" / "result.json")
+    (tmp_path / "runs" / "tool_delivery-s0" / "round_1" / "result.json").unlink()
+    assert loop(arguments) == 0
+    again = read_json(tmp_path / "runs" / "tool_delivery-s0" / "round_1" / "result.json")
+    assert again["returns"] == first["returns"]
+    assert loop(["--careless", "2"]) == 1
+    assert "--careless must be a probability" in capsys.readouterr().err
+
+
+def test_mappo_is_refused_without_own_decisions(bag):
+    with pytest.raises(CtrlRlError, match="try --way weighted"):
+        _ = BagRun((bag,), None, TASK, asked="mappo").way
