@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from commands import check_refused, command
 
+from ctrl_rl_bags import read_messages
 from option_coordinator import OptionPolicy, load_team, recordings, team_file
 
 TEAM = load_team("delivery_team")
@@ -59,7 +60,11 @@ def test_the_bag_is_data_to_learn_from(run) -> None:
     parts = recordings(folder / "bag")
     report = json.loads((folder / "report.json").read_text())
     assert {part.team.names for part in parts} == {tuple(TEAM.robots)}
-    assert sum(float(np.sum(part.trajectory.reward)) for part in parts) == pytest.approx(report["return"])
+    steps = [message.data for message in read_messages(folder / "bag", ["/joint_option_step"])]
+    assert sum(step.reward for step in steps) == pytest.approx(report["return"])
+    # What led to the first decision of a coordinator that took over is no step of its trajectory.
+    within = sum(step.reward for step in steps if step.step > 0)
+    assert sum(float(np.sum(part.trajectory.reward)) for part in parts) == pytest.approx(within)
     assert parts[-1].trajectory.terminated[-1]
     assert (parts[-1].trajectory.discount < 1.0).any()
 
