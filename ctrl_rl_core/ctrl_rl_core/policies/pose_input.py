@@ -9,11 +9,11 @@ import numpy as np
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry
 from numpy.typing import NDArray
-from rclpy.qos import QoSProfile
+from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from ctrl_rl_core.navigation.pose_source import LocaliserPose, OdometryTrack, PoseSource, TransformPose
 from ctrl_rl_core.navigation.transform_tree import Transform, TransformError, TransformTree
-from ctrl_rl_core.ros.node import LATCHED, SENSOR, SuiteNode
+from ctrl_rl_core.ros.node import SENSOR, SuiteNode
 from ctrl_rl_core.ros.parameters import Parameter
 
 Array = NDArray[np.float64]
@@ -29,6 +29,8 @@ POSE_PARAMETERS = (
     Parameter("pose_timeout", 2.0, "Age of a transform that stops the robot [s].", 0.05, 60.0),
 )
 _TF = QoSProfile(depth=100)
+_STATIC = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+"""Of several publishers, each of which sends its transforms once."""
 
 
 class OdometryPose(PoseSource):
@@ -63,6 +65,7 @@ class PoseInput:
     """Subscribes to what the parameter `pose` names.
 
     Attributes:
+        track: Poses by odometry.
         refused: Reason why the last wrong message was refused; empty where none was.
     """
 
@@ -75,10 +78,10 @@ class PoseInput:
             now: Returns steady time, or that of the simulation [s].
         """
         settings, self.refused, self._now = node.settings, "", now
-        self._track = OdometryTrack()
-        self._source: PoseSource = OdometryPose(self._track, timeout)
+        self.track = OdometryTrack()
+        self._source: PoseSource = OdometryPose(self.track, timeout)
         if settings["pose"] == "amcl_pose":
-            self._source = localiser = LocaliserPose(self._track, settings["map_frame"], timeout)
+            self._source = localiser = LocaliserPose(self.track, settings["map_frame"], timeout)
             node.create_subscription(
                 PoseWithCovarianceStamped, "amcl_pose", lambda message: self._try(localiser.on_pose, message), SENSOR
             )
@@ -87,14 +90,14 @@ class PoseInput:
 
             tree = TransformTree()
             self._source = TransformPose(tree, settings["map_frame"], settings["pose_timeout"])
-            for topic, profile, fixed in (("/tf", _TF, False), ("/tf_static", LATCHED, True)):
+            for topic, profile, fixed in (("/tf", _TF, False), ("/tf_static", _STATIC, True)):
                 node.create_subscription(
                     TFMessage, topic, lambda message, fixed=fixed: self._on_transforms(tree, message, fixed), profile
                 )
 
     def on_odometry(self, message: Odometry, base: str) -> None:
-        """Take odometry, and the frame of the robot."""
-        self._try(lambda odometry: self._track.update(odometry, self._now()), message)
+        """Take odometry, and the frame of the robot that it or a parameter names."""
+        self._try(lambda odometry: self.track.update(odometry, self._now()), message)
         if isinstance(self._source, TransformPose):
             self._source.base = base
 

@@ -25,7 +25,7 @@ from ctrl_rl_navigation.driving.navigator import Navigator, warm_up
 from ctrl_rl_navigation.maps import load_map
 from ctrl_rl_navigation.nodes.messages import goal_from, path_message, slice_message, status_message
 from ctrl_rl_navigation.nodes.parameters import ANY_HEADING, NAVIGATOR_PARAMETERS
-from ctrl_rl_navigation.nodes.pose_input import PoseInput
+from ctrl_rl_navigation.nodes.pose_input import SeenPoseInput
 from ctrl_rl_navigation.robot import DriveLimits
 
 _STATUS_PERIOD = 0.5
@@ -74,7 +74,7 @@ class NavigatorNode(LidarVelocityNode):
         self._map: OccupancyMap | None = None
         self._zeros = 0
         self._shown: tuple[Any, Any] = (None, None)
-        self._input = PoseInput(self, self.now)
+        self._input = SeenPoseInput(self, self.now)
         self._told = self.create_publisher(NavigatorStatus, "~/status", LATCHED)
         self._path = self.create_publisher(Path, "path", LATCHED)
         self._slice = self.create_publisher(OccupancyGrid, "~/slice", LATCHED)

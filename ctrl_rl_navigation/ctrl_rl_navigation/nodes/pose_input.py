@@ -4,62 +4,27 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from ctrl_rl_core.driving.scan import ScanError, view_scan
-from ctrl_rl_core.navigation.pose_source import LocaliserPose, OdometryTrack, PoseSource, TransformPose
-from ctrl_rl_core.navigation.transform_tree import Transform, TransformError, TransformTree
-from ctrl_rl_core.ros.node import SENSOR
-from geometry_msgs.msg import PoseWithCovarianceStamped
+from ctrl_rl_core.navigation.transform_tree import Transform, TransformError
+from ctrl_rl_core.policies.pose_input import PoseInput
 from numpy.typing import NDArray
-from rclpy.qos import DurabilityPolicy, QoSProfile
-from tf2_msgs.msg import TFMessage
 
 from ctrl_rl_core import LidarVelocityNode, ScanGeometry
 
-_TF = QoSProfile(depth=100)
-_STATIC = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-"""Of several publishers, each of which sends its transforms once."""
 _NOWHERE = Transform.planar(0.0, 0.0, 0.0)
 
 Array = NDArray[np.float64]
 
 
-class PoseInput:
-    """Subscribes to what tells the pose.
-
-    Attributes:
-        track: Poses by odometry.
-        refused: Reason why the last wrong message was refused; empty where none was.
-    """
+class SeenPoseInput(PoseInput):
+    """Subscribes to what tells the pose in the map, and knows from where the last scan was taken."""
 
     def __init__(self, node: LidarVelocityNode, now: Callable[[], float]) -> None:
-        self._now = now
-        self.track = OdometryTrack()
-        self.refused = ""
+        super().__init__(node, node.timeout, now)
+        self._map_frame: str = node.settings["map_frame"]
         self._echoes, self._seen_from = np.empty((0, 2)), _NOWHERE
-        settings = node.settings
-        self._map_frame: str = settings["map_frame"]
-        if settings["pose"] == "amcl_pose":
-            localiser = LocaliserPose(self.track, self._map_frame, node.timeout)
-            node.create_subscription(
-                PoseWithCovarianceStamped, "amcl_pose", lambda message: self._try(localiser.on_pose, message), SENSOR
-            )
-            self._source: PoseSource = localiser
-            return
-        tree = TransformTree()
-        self._source = TransformPose(tree, self._map_frame, settings["pose_timeout"])
-        for topic, profile, fixed in (("/tf", _TF, False), ("/tf_static", _STATIC, True)):
-            node.create_subscription(
-                TFMessage, topic, lambda message, fixed=fixed: self._on_transforms(tree, message, fixed), profile
-            )
-
-    def on_odometry(self, message: Any, base_frame: str) -> None:
-        """Take odometry, and the frame of the robot that it or a parameter names."""
-        self._try(lambda odometry: self.track.update(odometry, self._now()), message)
-        if isinstance(self._source, TransformPose):
-            self._source.base = base_frame
 
     def on_scan(self, stamp: int, ranges: NDArray[np.float32], scan: ScanGeometry, lidar_x: float) -> bool:
         """Take a scan of a stamp [ns] and return whether it can be used."""
@@ -71,14 +36,6 @@ class PoseInput:
         except TransformError:  # clocks of scan and odometry differ: as if it were of now
             self._seen_from = self.track.latest() if self.track.heard > -math.inf else _NOWHERE
         return True
-
-    def pose(self) -> Array:
-        """Return the pose in the map (3,) [m, m, rad].
-
-        Raises:
-            TransformError: It is unknown, or too old.
-        """
-        return self._source.pose(self._now())
 
     def seen(self, pose: Array) -> tuple[Array, Array]:
         """Return the pose (3,) in the map from which the last scan was taken, and its echoes there (n, 2) [m]."""
@@ -104,12 +61,3 @@ class PoseInput:
         if self.track.heard == -math.inf:
             return _NOWHERE
         return self.track.latest().inverse() @ self._seen_from
-
-    def _on_transforms(self, tree: TransformTree, message: TFMessage, fixed: bool) -> None:
-        self.refused = tree.update(message, self._now(), fixed) or self.refused
-
-    def _try(self, take: Callable[[Any], None], message: Any) -> None:
-        try:
-            take(message)
-        except TransformError as error:
-            self.refused = str(error)
