@@ -26,6 +26,9 @@ os.environ["ROS_DOMAIN_ID"] = str(1 + os.getpid() % 100)
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 # Before any test imports NumPy or torch. Test processes run side by side: more threads get into each other's way.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+# A shell that starts the tests in the background lets SIGINT be ignored, and whatever they start inherits that.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 _GOODBYE_S = 0.1
 """Until a test's own node has heard that the others are gone: the middleware may crash where it is to end meanwhile."""
@@ -33,7 +36,14 @@ _GOODBYE_S = 0.1
 
 LONGEST = (
     "test_demo.py",
+    "test_options_demo.py",
     "test_nodes.py",
+    "test_hostile_nodes.py",
+    "test_robot_env.py",
+    "test_interruption.py",
+    "test_preflight.py",
+    "test_controller_node.py",
+    "test_process_faults.py",
     "test_barn_drives.py",
     "test_consolidation.py",
     "test_ladder.py",
