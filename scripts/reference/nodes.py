@@ -54,12 +54,14 @@ _RUNNING = (
     RunningNode("koopman_lqr_controller", "scripted_driver"),
     RunningNode("ctrl_rl_core", "policy", ("policy:=curved_corridor",)),
     RunningNode("ctrl_rl_core", "watchdog"),
+    RunningNode("ctrl_rl_core", "thrust_watchdog"),
     RunningNode("ttr_reward_node", "reward", ("grid:={grid}",)),
     RunningNode("oc_baseline_node", "baseline", ("grid:=curved_corridor",)),
     RunningNode("option_coordinator", "coordinator", ("team:=delivery_team", "policy:=delivery_team")),
     RunningNode("option_coordinator", "navigation_agent", ("team:=delivery_team", "robot:=robot_1")),
     RunningNode("ctrl_rl_navigation", "map_server", ("map:=maze",)),
     RunningNode("ctrl_rl_navigation", "navigator"),
+    RunningNode("ctrl_rl_safety", "safety_filter"),
 )
 
 
@@ -87,6 +89,7 @@ def topic_page() -> str:
         NodeError: One does not start.
     """
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    os.environ["ROS_DOMAIN_ID"] = str(1 + os.getpid() % 100)  # whatever else runs here is no part of the page
     with tempfile.TemporaryDirectory() as folder:
         grid = Path(folder) / "car_ttr.safetensors"
         _solve(grid)
@@ -157,7 +160,10 @@ def _wait_for_node(
 
 
 def _wait_until_alone(observer: Any) -> None:
-    while _others(observer):
+    deadline = time.monotonic() + _START_S
+    while others := _others(observer):
+        if time.monotonic() > deadline:
+            raise NodeError(f"node {others[0][0]} stays in the graph: is it another program's? End it, and try again")
         rclpy.spin_once(observer, timeout_sec=0.1)
 
 
