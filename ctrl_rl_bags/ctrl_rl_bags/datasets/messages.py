@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from ctrl_rl_bags.datasets.frames import ScanLayout
 from ctrl_rl_bags.format.metadata import Topic
 from ctrl_rl_bags.recording.message_types import message_definition
+from ctrl_rl_bags.recording.typestore import typestore
 
 SCAN_TYPE, ODOMETRY_TYPE = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/Odometry"
 GOAL_TYPE, IMAGE_TYPE = "geometry_msgs/msg/PoseStamped", "sensor_msgs/msg/Image"
@@ -27,10 +27,7 @@ class MessageMaker:
     """
 
     def __init__(self, odometry_frame: str = "odom", body_frame: str = "base_footprint") -> None:
-        self._store = get_typestore(Stores.ROS2_JAZZY)
-        for kind in _OWN:
-            known = get_types_from_msg(message_definition(kind), kind)
-            self._store.register({name: fields for name, fields in known.items() if name not in self._store.fielddefs})
+        self._store = typestore(*_OWN)
         self._odometry_frame, self._body_frame = odometry_frame, body_frame
         self._no_covariance = np.zeros(36)
         self._no_intensities = np.empty(0, np.float32)

@@ -71,7 +71,7 @@ def _learn(options: LearnOptions) -> int:
         raise OfflineError(f"{options.output} exists: give another name, or --overwrite to replace it")
     task = load_navigation_task(options.task)
     from ctrl_rl_offline.data.transitions import load_transitions
-    from ctrl_rl_offline.data.values import TIME_TO_REACH, load_values, usual_clearance
+    from ctrl_rl_offline.data.values import TIME_TO_REACH, clearance_of, load_values
     from ctrl_rl_offline.learners.learning import learn
 
     transitions = load_transitions(options.runs, task, options.robot)
@@ -79,7 +79,7 @@ def _learn(options: LearnOptions) -> int:
         f"bags       {transitions.episode_count} episodes, {len(transitions)} steps, success {transitions.success:.0%}"
     )
     named = options.value or (TIME_TO_REACH if options.method in NEEDS_VALUE else None)
-    clearance = usual_clearance(task) if options.clearance is None else options.clearance
+    clearance = clearance_of(task, options.clearance)
     values = None if named is None else load_values(named, task, options.values, clearance)
     settings = LearningSettings(options.method, options.updates, hidden=options.hidden, seed=options.seed)
     with tqdm(total=settings.updates, desc="learning", unit="update", disable=None) as bar:

@@ -94,9 +94,9 @@ def load_values(name_or_path: str, task: NavigationTask, folder: Path, clearance
     return StateValues(load_oc_value(Path(name_or_path)), task)  # which reads value grids, too
 
 
-def usual_clearance(task: NavigationTask) -> float:
-    """Return the room to obstacles that a value keeps which commands are learnt from: half the body's radius [m]."""
-    return 0.5 * task.robot.radius
+def clearance_of(task: NavigationTask, asked: float | None) -> float:
+    """Return the room to obstacles of a value that teaches [m]: half the body's radius unless asked."""
+    return 0.5 * task.robot.radius if asked is None else asked
 
 
 def find_time_to_reach(task: NavigationTask, folder: Path, clearance: float = 0.0) -> Path:

@@ -22,9 +22,9 @@ from ctrl_rl_offline.data.transitions import Transitions, load_transitions
 from ctrl_rl_offline.data.values import (
     TIME_TO_REACH,
     StateValues,
+    clearance_of,
     find_time_to_reach,
     load_values,
-    usual_clearance,
 )
 from ctrl_rl_offline.evaluation.report import evaluate_offline
 from ctrl_rl_offline.learners.learning import learn
@@ -83,8 +83,7 @@ def run_loop(
         CtrlRlError: The task cannot be driven or has no time to reach; a file of an earlier call is damaged.
     """
     function = load_value(find_time_to_reach(task, values_folder))
-    clearance = usual_clearance(task) if settings.clearance is None else settings.clearance
-    values = load_values(TIME_TO_REACH, task, values_folder, clearance)
+    values = load_values(TIME_TO_REACH, task, values_folder, clearance_of(task, settings.clearance))
     evaluator = RewardEvaluator(task, function)
     bags: list[Path] = []
     rounds: list[dict[str, Any]] = []

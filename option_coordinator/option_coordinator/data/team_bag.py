@@ -11,8 +11,8 @@ from typing import Any, Self
 
 import numpy as np
 from ctrl_rl_bags.recording.message_types import message_definition
+from ctrl_rl_bags.recording.typestore import typestore
 from numpy.typing import NDArray
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from ctrl_rl_bags import BagWriter, Topic
 from option_coordinator.data.bag_trajectory import TYPE
@@ -36,12 +36,9 @@ class TeamBag:
 
     def __init__(self, folder: Path, discount: float, time_step: float = 1.0) -> None:
         self._discount, self._time_step = discount, time_step
-        self._store = get_typestore(Stores.ROS2_JAZZY)
-        definition = message_definition(TYPE)
-        known = get_types_from_msg(definition, TYPE)
-        self._store.register({name: fields for name, fields in known.items() if name not in self._store.fielddefs})
+        self._store = typestore(TYPE)
         self._writer = BagWriter(folder)
-        self._writer.add_topic(Topic(TOPIC, TYPE, definition, self._store.hash_rihs01(TYPE), ()))
+        self._writer.add_topic(Topic(TOPIC, TYPE, message_definition(TYPE), self._store.hash_rihs01(TYPE), ()))
         self._time, self._number = _BEGIN_NS, 0
 
     def put(self, decision: Decision, options: NDArray[np.int64], log_prob: float = 0.0, digest: str = "") -> None:
