@@ -82,7 +82,7 @@ def test_a_real_robot_stands_after_the_distance_that_it_may_drive(robot: Robot, 
         assert robot.spin(10.0, lambda stamp=stamp: robot.answer_to(stamp) is not None)
         speeds.append(robot.answer_to(stamp).twist.linear.x)
     assert [speed > 0.0 for speed in speeds] == [True] * 4 + [False] * 2
-    assert "0.15 m driven (parameter max_distance; set it anew to go on)" in controller.output
+    controller.wait_for("0.15 m driven (parameter max_distance; set it anew to go on)")
 
 
 def test_a_drive_without_the_demo_ends_at_the_goal_and_the_bridge_says_so_once(
