@@ -43,12 +43,7 @@ class Preloaded(subprocess.Popen):
             raise FileNotFoundError(program[0])
         folder, environment, pipes = rest[4], rest[5], rest[9:15]
         streams = [pipe if pipe >= 0 else number for number, pipe in enumerate((pipes[0], pipes[3], pipes[5]))]
-        # The server's child, left by its parent at once, becomes a child of ours: we may wait for it.
-        _LIBC.prctl(_SUBREAPER, 1, 0, 0, 0)
-        try:
-            self.pid = _ask([program, dict(environment or os.environ), os.path.abspath(folder or ".")], streams)
-        finally:
-            _LIBC.prctl(_SUBREAPER, 0, 0, 0, 0)
+        self.pid = _ask([program, dict(environment or os.environ), os.path.abspath(folder or ".")], streams)
         self._child_created = True
         self._close_pipe_fds(*pipes)
 
@@ -65,8 +60,13 @@ def _server() -> tuple[socket.socket, subprocess.Popen]:
 def _ask(request: list[Any], streams: list[int]) -> int:
     with _ASKS:
         door, _ = _server()
-        socket.send_fds(door, [json.dumps(request).encode()], streams)
-        pid, left = door.recv(100), door.recv(100)
+        # The server's child, left by its parent at once, becomes a child of ours: we may wait for it.
+        _LIBC.prctl(_SUBREAPER, 1, 0, 0, 0)
+        try:
+            socket.send_fds(door, [json.dumps(request).encode()], streams)
+            pid, left = door.recv(100), door.recv(100)
+        finally:
+            _LIBC.prctl(_SUBREAPER, 0, 0, 0, 0)
     if not left:
         raise RuntimeError("the server of preloaded processes has ended")
     return int(pid)

@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from preloaded import Preloaded
@@ -38,6 +39,14 @@ def test_its_end_by_a_signal_is_seen() -> None:
     assert process.poll() is None
     process.kill()
     assert process.wait(120.0) == -signal.SIGKILL
+
+
+def test_each_of_several_threads_owns_its_processes() -> None:
+    def exit_code(number: int) -> int:
+        return Preloaded([sys.executable, "-c", f"raise SystemExit({number})"]).wait(120.0)
+
+    with ThreadPoolExecutor(8) as pool:
+        assert list(pool.map(exit_code, range(64))) == list(range(64))
 
 
 def test_it_ends_with_who_started_it() -> None:
