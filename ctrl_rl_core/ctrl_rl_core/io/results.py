@@ -121,6 +121,15 @@ def write_results(
     atomic_write(path, _dump(checked_json.with_digest(content)))
 
 
+def as_lines(rows: Sequence[Result]) -> str:
+    """Return each row's mean and standard deviation over its values, one a line."""
+    methods, metrics = (max((len(getattr(row, name)) for row in rows), default=0) for name in ("method", "metric"))
+    return "\n".join(
+        f"{row.method:<{methods}}  {row.metric:<{metrics}} {np.mean(row.values):9.3f} +- {np.std(row.values):.3f}"
+        for row in rows
+    )
+
+
 def read_results(folder: Path) -> list[Experiment]:
     """Return every experiment of a folder; benchmark rows, a list, are not one.
 

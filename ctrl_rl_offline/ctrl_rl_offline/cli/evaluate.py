@@ -59,8 +59,10 @@ def _evaluate(options: EvaluateOptions) -> int:
         "driver of the bags": report.driver,
         "fitted Q evaluation": report.fitted_q,
         "doubly robust": report.doubly_robust,
+        "roll-outs in the model": report.model,
         "gain, fitted Q": report.gain,
         "gain, doubly robust": report.robust_gain,
+        "gain, roll-outs": report.model_gain,
         "time lost, policy": report.time_lost,
         "time lost, driver": report.driver_time_lost,
         "time to goal, value": report.predicted_time,
@@ -73,6 +75,8 @@ def _evaluate(options: EvaluateOptions) -> int:
     print(
         f"the doubly robust estimate rests on {report.effective_episodes:.1f} of {transitions.episode_count} episodes"
     )
+    word = "roll-outs in the model" if report.by_model else "fitted Q evaluation"
+    print(f"go by      {word}: the model replays the bags with a correlation of {report.replayed:.2f}")
     if options.results is not None:
         rows = [
             Result(options.policy.name, f"{name}{end}", "1", [getattr(estimate, key)])

@@ -17,6 +17,7 @@ from ctrl_rl_core.command import (
     one_of,
     some_of,
 )
+from ctrl_rl_core.io.results import as_lines
 
 from ctrl_rl_core import Result, load_navigation_task, write_results
 from ctrl_rl_offline.learners.settings import METHODS
@@ -89,8 +90,7 @@ def _loop(options: LoopOptions) -> int:
     finally:
         if found:
             rows = _rows(found)
-            for row in rows:
-                print(f"{row.method:<44} {row.metric:<12} {np.mean(row.values):8.3f} +- {np.std(row.values):.3f}")
+            print(as_lines(rows))
             if options.results is not None:
                 write_results(options.results, "offline_loop", seeds, rows)
                 print(f"results    {options.results}")

@@ -34,10 +34,15 @@ class MotionModel:
 
     def __call__(self, states: Array, actions: Array, part: float = 1.0) -> Array:
         """Return states (N, 3) x, y, theta after a part of a step with actions (N, 2) from states (N, 3)."""
-        ahead, left, around = part * (features(actions) @ self.weights).T
-        x, y, theta = states.T
-        cos, sin = np.cos(theta), np.sin(theta)
-        return np.stack((x + cos * ahead - sin * left, y + sin * ahead + cos * left, wrap(theta + around)), axis=1)
+        return displaced(states, part * (features(actions) @ self.weights))
+
+
+def displaced(states: Array, moved: Array) -> Array:
+    """Return states (N, 3) x, y, theta after displacements (N, 3) ahead, to the left and around the body."""
+    x, y, theta = states.T
+    ahead, left, around = moved.T
+    cos, sin = np.cos(theta), np.sin(theta)
+    return np.stack((x + cos * ahead - sin * left, y + sin * ahead + cos * left, wrap(theta + around)), axis=1)
 
 
 def features(actions: Array) -> Array:
@@ -57,7 +62,7 @@ def fit_motion(transitions: Transitions) -> MotionModel:
     inner = transitions.outcomes == 0
     if inner.sum() < _FEWEST:
         raise OfflineError(f"{inner.sum()} steps are too few for a model of motion: record {_FEWEST} or more")
-    given, moved = features(transitions.actions[inner]), _displacements(transitions)[inner]
+    given, moved = features(transitions.actions[inner]), displacements(transitions)[inner]
     weights = np.linalg.lstsq(given, moved, rcond=None)[0]
     explained = 1.0 - (moved - given @ weights).var(axis=0) / np.maximum(moved.var(axis=0), 1e-12)
     if explained[[0, 2]].min() < _LEAST_EXPLAINED:
@@ -68,7 +73,7 @@ def fit_motion(transitions: Transitions) -> MotionModel:
     return MotionModel(weights, explained[[0, 2]])
 
 
-def _displacements(transitions: Transitions) -> Array:
+def displacements(transitions: Transitions) -> Array:
     """Return the displacement of each step as the body sees it (N, 3)."""
     dx, dy, turned = (transitions.next_states - transitions.states).T
     cos, sin = np.cos(transitions.states[:, 2]), np.sin(transitions.states[:, 2])

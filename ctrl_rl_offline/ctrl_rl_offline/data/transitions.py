@@ -32,7 +32,8 @@ from ctrl_rl_core.geometry.odometry import OdometryReader, yaw_of
 from ctrl_rl_core.policies.observation import ObservationBuilder, Sensors
 from numpy.typing import NDArray
 
-from ctrl_rl_core import NavigationTask, PolicyManifest, interface_of, terminal_reward
+from ctrl_rl_core import NavigationTask, PolicyManifest, terminal_reward
+from ctrl_rl_offline.data.interface import sensed_interface
 from ctrl_rl_offline.errors import OfflineError
 
 Array = NDArray[np.float64]
@@ -103,7 +104,7 @@ def load_transitions(
         runs: Bags, or folders of runs with a bag in `bag`.
         task: Task that was driven.
         robot: Namespace of the topics.
-        interface: Observation and commands of the policies; None for the task's.
+        interface: Observation and commands of the policies; None for `sensed_interface`.
 
     Raises:
         BagError: A bag cannot be read or lacks scans, odometry or commands.
@@ -130,7 +131,7 @@ def to_transitions(
     interface: PolicyManifest | None = None,
 ) -> list[Transitions]:
     """Return the transitions of each episode of frames; their numbers count from `before`."""
-    manifest = interface or interface_of(task)
+    manifest = interface or sensed_interface(task)
     observer = _Observer(manifest, task, layout)
     out: list[Transitions] = []
     parts: list[Frames] = []

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from ctrl_rl_core.policies.actor import Actor
+from ctrl_rl_training.experiments.estimate import Estimate, estimate
 from numpy.typing import NDArray
 
 from ctrl_rl_core import NavigationTask
@@ -19,25 +20,15 @@ from ctrl_rl_offline.data.values import StateValues
 from ctrl_rl_offline.errors import OfflineError
 from ctrl_rl_offline.evaluation.doubly_robust import episode_estimates, step_ratios
 from ctrl_rl_offline.evaluation.fitted_q import PolicyValues, actions_of, fit_values
+from ctrl_rl_offline.evaluation.roll_outs import model_returns, replay_correlation
 from ctrl_rl_offline.learners.learning import learn
 from ctrl_rl_offline.learners.settings import LearningSettings
 
 Array = NDArray[np.float64]
-_RESAMPLED = 1000
 _LEAST_EPISODES = 10
 _LEAST_EFFECTIVE = 5.0
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """An estimate with its 95 % interval over resampled episodes and fits."""
-
-    mean: float
-    low: float
-    high: float
-
-    def __str__(self) -> str:
-        return f"{self.mean:9.3f}  ({self.low:.3f} to {self.high:.3f})"
+_LEAST_REPLAYED = 0.8
+_POSE = 3
 
 
 @dataclass(frozen=True)
@@ -51,6 +42,9 @@ class OfflineReport:
         effective_episodes: Number of episodes that the correction rests on.
         gain: Return of the policy by fitted Q evaluation, less the driver's.
         robust_gain: The same by the doubly robust estimate.
+        model: Return of the policy by roll-outs in a model from the bags; None where states are not x, y, theta.
+        model_gain: The same, less the driver's.
+        replayed: Correlation by which recorded commands end in the model as in the bags; no policy takes part.
         time_lost: Time that the policy's commands lose by the value function [s/s]; None without one.
         driver_time_lost: The same of the driver's commands.
         predicted_time: Time to the goal by the value function from the starts that reached it [s]; None without one.
@@ -63,17 +57,33 @@ class OfflineReport:
     effective_episodes: float
     gain: Estimate
     robust_gain: Estimate
+    model: Estimate | None
+    model_gain: Estimate | None
+    replayed: float
     time_lost: Estimate | None
     driver_time_lost: Estimate | None
     predicted_time: Estimate | None
     recorded_time: Estimate | None
 
     @property
+    def by_model(self) -> bool:
+        """Whether to go by the roll-outs: where the model replays the bags. Else fitted Q evaluation counts."""
+        return self.model is not None and self.replayed >= _LEAST_REPLAYED
+
+    @property
+    def recommended(self) -> Estimate:
+        """The estimate to go by."""
+        return self.model if self.model is not None and self.by_model else self.fitted_q
+
+    @property
     def objections(self) -> list[str]:
         """Return why the policy may not be called better; nothing where it may."""
         out = []
-        if not self.gain.low > 0.0:
-            out.append(f"fitted Q evaluation does not show a gain: {self.gain.low:.3f} to {self.gain.high:.3f}")
+        name, gain = "fitted Q evaluation does", self.gain
+        if self.model_gain is not None and self.by_model:
+            name, gain = "roll-outs in the model do", self.model_gain
+        if not gain.low > 0.0:
+            out.append(f"{name} not show a gain: {gain.low:.3f} to {gain.high:.3f}")
         if self.effective_episodes >= _LEAST_EFFECTIVE and not self.robust_gain.high > 0.0:
             out.append(
                 f"the doubly robust estimate shows a loss: {self.robust_gain.low:.3f} to {self.robust_gain.high:.3f}"
@@ -134,17 +144,24 @@ def evaluate_offline(
     first = np.array([each.before[starts] for each in fitted])
     robust, effective = _robust(transitions, fitted, ratios, discount)
     times = _times(transitions, task, own, values)
+    modelled, replayed = None, 0.0
+    if transitions.states.shape[1] == _POSE:
+        modelled = model_returns(transitions, task, actor, discount, fits, seed)
+        replayed = replay_correlation(transitions, task, seed)
     return OfflineReport(
-        driver=_estimate(earned[None], random),
-        fitted_q=_estimate(first, random),
-        doubly_robust=_estimate(robust, random),
+        driver=estimate(earned[None], random),
+        fitted_q=estimate(first, random),
+        doubly_robust=estimate(robust, random),
         effective_episodes=effective,
-        gain=_estimate(first - earned, random),
-        robust_gain=_estimate(robust - earned, random),
-        time_lost=None if times is None else _estimate(times[0][None], random),
-        driver_time_lost=None if times is None else _estimate(times[1][None], random),
-        predicted_time=None if times is None or not len(times[2]) else _estimate(times[2][None], random),
-        recorded_time=None if times is None or not len(times[3]) else _estimate(times[3][None], random),
+        gain=estimate(first - earned, random),
+        robust_gain=estimate(robust - earned, random),
+        model=None if modelled is None else estimate(modelled, random),
+        model_gain=None if modelled is None else estimate(modelled - earned, random),
+        replayed=replayed,
+        time_lost=None if times is None else estimate(times[0][None], random),
+        driver_time_lost=None if times is None else estimate(times[1][None], random),
+        predicted_time=None if times is None or not len(times[2]) else estimate(times[2][None], random),
+        recorded_time=None if times is None or not len(times[3]) else estimate(times[3][None], random),
     )
 
 
@@ -153,15 +170,6 @@ def _robust(
 ) -> tuple[Array, float]:
     found = [episode_estimates(transitions, values, ratios, discount) for values in fitted]
     return np.array([estimates for estimates, _ in found]), found[0][1]
-
-
-def _estimate(numbers: Array, random: np.random.Generator) -> Estimate:
-    """Return mean and interval of numbers (fits, episodes), by resampling episodes and drawing a fit."""
-    fits, count = numbers.shape
-    drawn = random.integers(count, size=(_RESAMPLED, count))
-    means = numbers[random.integers(fits, size=_RESAMPLED)[:, None], drawn].mean(axis=1)
-    low, high = np.quantile(means, (0.025, 0.975))
-    return Estimate(float(numbers.mean()), float(low), float(high))
 
 
 def _times(

@@ -12,7 +12,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from ctrl_rl_core import Actor, NavigationTask, interface_of, task_digest
+from ctrl_rl_core import Actor, NavigationTask, task_digest
+from ctrl_rl_offline.data.interface import sensed_interface
 from ctrl_rl_offline.data.motion import fit_motion
 from ctrl_rl_offline.data.transitions import Transitions
 from ctrl_rl_offline.data.values import StateValues
@@ -67,7 +68,7 @@ def learn(
         **({} if values is None else {"value": values.name}),
         **(about or {}),
     }
-    return to_actor(learner.actor, middle, unit, interface_of(task), manifest)
+    return to_actor(learner.actor, middle, unit, sensed_interface(task), manifest)
 
 
 def _tensors(

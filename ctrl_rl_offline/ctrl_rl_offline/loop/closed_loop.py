@@ -142,7 +142,7 @@ def _predict(
         transitions, task, Actor.load(file), values, discount=DISCOUNT, updates=settings.fit_updates, fits=2
     )
     return {
-        "predicted": vars(report.fitted_q),
+        "predicted": vars(report.recommended),
         "doubly_robust": vars(report.doubly_robust),
         "gain": vars(report.gain),
         "better": report.better,

@@ -10,11 +10,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from shutil import rmtree
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from ctrl_rl_core.io.checked_json import read_json, with_digest
 from ctrl_rl_core.policies.policy import load_policy
+from numpy.typing import NDArray
 
 from ctrl_rl_core import Actor, NavigationTask, atomic_write
 from ctrl_rl_offline.data.transitions import Transitions, load_transitions
@@ -27,8 +28,12 @@ from ctrl_rl_offline.loop.drivers import PolicyDriver, ScriptedDriver
 from ctrl_rl_offline.loop.driving import drive
 from ttr_reward_node import RewardEvaluator, load_value, relabel
 
+Array = NDArray[np.float64]
+ESTIMATES = frozenset({"fitted_q", "doubly_robust", "time_lost", "model", "recommended"})
 _TEST_SEED = 2_000_000
 _SEEDS_APART = 10_000
+_RESAMPLED = 2000
+_TOLD = ("replayed", "better", "driver")
 
 
 @dataclass(frozen=True)
@@ -55,6 +60,9 @@ CANDIDATES = (
     Candidate("value_weight", 3000, TIME_TO_REACH),
     Candidate("value_weight", 1000, TIME_TO_REACH, 1.0),
     Candidate("value_weight", 3000, OC_VALUE),
+    Candidate("value_model", 100, TIME_TO_REACH, 0.2),
+    Candidate("value_model", 3000, TIME_TO_REACH, 0.2),
+    Candidate("value_model", 3000, TIME_TO_REACH, 1.0),
     Candidate("value_critic", 300, TIME_TO_REACH),
     Candidate("value_critic", 1500, TIME_TO_REACH),
     Candidate("value_critic", 1000, OC_VALUE),
@@ -81,7 +89,7 @@ class CorrelationSettings:
     seeds: int = 5
     episodes: int = 150
     tests: int = 100
-    fit_updates: int = 500
+    fit_updates: int = 1000
     fits: int = 1
     engine: str = "planar"
 
@@ -113,17 +121,54 @@ def compare(
     return {"policies": [each.name for each in CANDIDATES], "driven": driven, "predicted": predicted}
 
 
-def correlations(found: dict[str, Any]) -> dict[str, list[tuple[float, float]]]:
-    """Return correlation and rank correlation of each prediction with the return driven, by its name, one a seed."""
+class Agreement(NamedTuple):
+    """How well an estimate agrees with what the policies earned.
+
+    Attributes:
+        correlation: Correlation of each seed (seeds,).
+        ranks: Rank correlation of each seed (seeds,).
+        regret: Return lost by driving the policy with the best estimate, as a share of that between the best policy
+            and the worst, of each seed (seeds,).
+        interval: 95 % interval of the correlation over resampled policies and seeds (2,).
+    """
+
+    correlation: Array
+    ranks: Array
+    regret: Array
+    interval: Array
+
+
+def agreements(found: dict[str, Any]) -> dict[str, Agreement]:
+    """Return how well each estimate agrees with the returns driven, by its name."""
     driven = np.array([each["return"] for each in found["driven"]])
-    out: dict[str, list[tuple[float, float]]] = {}
-    for name, sign in (("fitted_q", 1.0), ("doubly_robust", 1.0), ("time_lost", -1.0)):
-        for predicted in found["predicted"]:
-            numbers = sign * np.array([each[name] for each in predicted])
-            plain = float(np.corrcoef(numbers, driven)[0, 1])
-            ranks = float(np.corrcoef(np.argsort(np.argsort(numbers)), np.argsort(np.argsort(driven)))[0, 1])
-            out.setdefault(name, []).append((plain, ranks))
+    random = np.random.default_rng(0)
+    out = {}
+    for name in sorted(ESTIMATES & found["predicted"][0][0].keys()):
+        sign = -1.0 if name == "time_lost" else 1.0
+        estimates = sign * np.array([[each[name] for each in predicted] for predicted in found["predicted"]])
+        drawn = []
+        for _ in range(_RESAMPLED):
+            chosen = random.integers(len(driven), size=len(driven))
+            drawn.append(_correlation(estimates[random.integers(len(estimates)), chosen], driven[chosen]))
+        lost = driven.max() - driven[estimates.argmax(axis=1)]
+        out[name] = Agreement(
+            correlation=np.array([_correlation(row, driven) for row in estimates]),
+            ranks=np.array([_correlation(_ranks(row), _ranks(driven)) for row in estimates]),
+            regret=lost / max(float(np.ptp(driven)), 1e-9),
+            interval=np.quantile(drawn, (0.025, 0.975)),
+        )
     return out
+
+
+def _correlation(first: Array, second: Array) -> float:
+    """Return the correlation of two rows (n,), 0 where one does not vary."""
+    spread = first.std() * second.std()
+    return 0.0 if spread == 0.0 else float(((first - first.mean()) * (second - second.mean())).mean() / spread)
+
+
+def _ranks(numbers: Array) -> Array:
+    """Return the ranks of numbers (n,), the mean rank of those that are equal."""
+    return np.asarray((numbers[:, None] > numbers).sum(axis=1) + 0.5 * (numbers[:, None] == numbers).sum(axis=1), float)
 
 
 def _bag(task: NavigationTask, folder: Path, seed: int, settings: CorrelationSettings) -> Path:
@@ -191,10 +236,13 @@ def _predict(
             "fitted_q": report.fitted_q.mean,
             "doubly_robust": report.doubly_robust.mean,
             "time_lost": 0.0 if report.time_lost is None else report.time_lost.mean,
+            "recommended": report.recommended.mean,
+            "replayed": report.replayed,
             "better": report.better,
             "driver": report.driver.mean,
+            **({} if report.model is None else {"model": report.model.mean}),
         }
         atomic_write(result, json.dumps(with_digest(told)))
-        tell(f"{candidate.name}, seed {seed}: predicted return {told['fitted_q']:.0f}")
+        tell(f"{candidate.name}, seed {seed}: predicted return {told['recommended']:.0f}")
     found: dict[str, Any] = read_json(result)
-    return {key: found[key] for key in ("fitted_q", "doubly_robust", "time_lost", "better", "driver")}
+    return {key: found[key] for key in (*_TOLD, *sorted(ESTIMATES & found.keys()))}

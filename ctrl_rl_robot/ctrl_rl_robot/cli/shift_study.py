@@ -16,6 +16,7 @@ from ctrl_rl_core.command import (
     one_of,
     some_of,
 )
+from ctrl_rl_core.io.results import as_lines
 
 from ctrl_rl_core import Result, write_results
 from ctrl_rl_robot.errors import RobotError
@@ -78,8 +79,7 @@ def _study(options: ShiftStudy) -> int:
                 tuned.setdefault(method, []).append(found)
     finally:
         rows = _rows(options, nominal, before, tuned)
-        for row in rows:
-            print(f"{row.method:<72} {row.metric:<22} {np.mean(row.values):7.3f} +- {np.std(row.values):.3f}")
+        print(as_lines(rows))
         if options.results is not None:
             done = range(max(map(len, tuned.values()), default=0))
             write_results(options.results, "robot_learning", done, rows)
