@@ -15,7 +15,16 @@ def typestore(*names: str) -> Typestore:
         UnknownTypeError: A definition is not installed here.
     """
     store = get_typestore(Stores.ROS2_JAZZY)
+    register(store, *names)
+    return store
+
+
+def register(store: Typestore, *names: str) -> None:
+    """Add types to a store; those that it knows stay as they are.
+
+    Raises:
+        UnknownTypeError: A definition is not installed here.
+    """
     for name in names:
         known = get_types_from_msg(message_definition(name), name)
         store.register({kind: fields for kind, fields in known.items() if kind not in store.fielddefs})
-    return store

@@ -88,14 +88,18 @@ class RollOut:
 
 
 def play_episodes(
-    environment: OptionEnvironment, choose: Callable[[Decision], dict[str, int]], seeds: range
+    environment: OptionEnvironment,
+    choose: Callable[[Decision], dict[str, int]],
+    seeds: range,
+    at_end: Callable[[Decision], object] = lambda _: None,
 ) -> Iterator[OptionEpisode]:
-    """Yield an episode for each seed, played by any policy."""
+    """Yield an episode for each seed, played by any policy; `at_end` sees the last decision, which none answers."""
     for seed in seeds:
         decision, episode = environment.reset(seed), OptionEpisode()
         while not decision.over:
             decision = environment.step(choose(decision))
             episode.add(decision)
+        at_end(decision)
         episode.figures = environment.figures()
         yield episode
 

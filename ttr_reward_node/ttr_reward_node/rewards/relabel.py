@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from ctrl_rl_bags.format.checks import DamagedError, fields_of
 from ctrl_rl_bags.format.type_definitions import BagTypes
-from rosbags.typesys import get_types_from_msg
+from ctrl_rl_bags.recording.typestore import register
 
 from ctrl_rl_bags import (
     BagError,
@@ -102,9 +102,7 @@ class _MessageRelabeller:
         self._store, self._odom, self._prefix, self._frame = store, odom, prefix, frame
         self._function, self._evaluate = function, evaluator
         self._read = OdometryReader(function.state_names)
-        for kind in (REWARD, VALUE):
-            store.register({name: fields for name, fields in get_types_from_msg(message_definition(kind), kind).items()
-                            if name not in store.fielddefs})  # fmt: skip
+        register(store, REWARD, VALUE)
 
     def __call__(self, message: SerializedMessage) -> Iterator[tuple[str, bytes]]:
         if message.topic != self._odom:
