@@ -23,6 +23,7 @@ setup(
             "coordinator = option_coordinator.nodes.coordinator_node:main",
             "navigation_agent = option_coordinator.nodes.navigation_agent:main",
             "evaluate = option_coordinator.learning:evaluate",
+            "evaluate_offline = option_coordinator.learning:evaluate_offline",
             "replay = option_coordinator.cli:replay",
             "loop = option_coordinator.learning:loop",
             "train = option_coordinator.learning:train",

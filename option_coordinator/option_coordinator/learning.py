@@ -9,3 +9,6 @@ evaluate, train, plot, training_figures = (
     partial(run_imported, name, _MODULE, name) for name in ("evaluate", "train", "plot", "training_figures")
 )
 loop = partial(run_imported, "loop", "option_coordinator.training.cli.loop", "loop")
+evaluate_offline = partial(
+    run_imported, "evaluate_offline", "option_coordinator.training.cli.offline", "evaluate_offline"
+)

@@ -7,9 +7,13 @@ from ctrl_rl_core.io.checked_json import read_json
 from option_coordinator.data.bag_trajectory import recordings
 from option_coordinator.data.team_bag import TeamBag
 from option_coordinator.environments.tasks import make_environment
+from option_coordinator.policies.policy_file import OptionPolicy
 from option_coordinator.training.cli.loop import loop
+from option_coordinator.training.cli.offline import evaluate_offline as judge
 from option_coordinator.training.experiments.bag_runs import BagRun
 from option_coordinator.training.experiments.closed_loop import CarelessScript, play
+from option_coordinator.training.experiments.offline_evaluation import evaluate_offline
+from option_coordinator.training.heads.heads import as_numpy
 from option_coordinator.training.learners.imitation import Imitation
 from option_coordinator.training.learners.learner import decision_batch
 from option_coordinator.training.learners.weighted_imitation import WeightedImitation
@@ -59,10 +63,12 @@ def test_weighted_imitation_likes_best_what_paid(bag):
 
 
 def test_the_loop_goes_round_and_goes_on_where_it_was(tmp_path, capsys):
-    arguments = ["--seeds", "1", "--rounds", "1", "--episodes", "6", "--tests", "2", "--folder", str(tmp_path / "runs")]
+    arguments = ["--seeds", "1", "--rounds", "1", "--episodes", "10", "--tests", "2"]
+    arguments += ["--folder", str(tmp_path / "runs")]
     assert loop([*arguments, "--results", str(tmp_path / "results.json")]) == 0
     said = capsys.readouterr().out
     assert "tool_delivery-s0: round 1: return" in said
+    assert "called better before" in said
     assert "tool_delivery: weighted imitation, round 1" in said
     first = read_json(tmp_path / "runs" / "tool_delivery-s0" / "round_1" / "result.json")
     (tmp_path / "runs" / "tool_delivery-s0" / "round_1" / "result.json").unlink()
@@ -71,6 +77,35 @@ def test_the_loop_goes_round_and_goes_on_where_it_was(tmp_path, capsys):
     assert again["returns"] == first["returns"]
     assert loop(["--careless", "2"]) == 1
     assert "--careless must be a probability" in capsys.readouterr().err
+
+
+def test_bags_tell_what_a_policy_would_earn(bag, tmp_path, capsys):
+    found, agents = recordings(bag), make_environment(TASK).agents
+    trajectory = OptionTrajectory.joined([recording.trajectory for recording in found])
+    predicted = []
+    for rounds in (0, 8):  # draws any legal option; imitates what paid
+        torch.manual_seed(0)
+        learner, generator = WeightedImitation(agents, "table"), np.random.default_rng(0)
+        for _ in range(rounds):
+            learner.learn_value(trajectory, generator)
+            learner.learn(trajectory, generator)
+        policy = OptionPolicy(agents, "table", False, as_numpy(learner.network))
+        report = evaluate_offline(found, policy, updates=300, fits=1)
+        assert report.episodes == 12
+        assert report.driver.low <= report.driver.mean <= report.driver.high
+        assert report.gain.mean == pytest.approx(report.policy.mean - report.driver.mean)
+        predicted.append(report.policy.mean)
+        policy.save(tmp_path / f"after_{rounds}.safetensors")
+    assert predicted[1] > predicted[0]
+    judged = ["--policy", str(tmp_path / "after_0.safetensors"), "--updates", "50", "--fits", "1"]
+    assert judge([str(bag), *judged, "--results", str(tmp_path / "told.json")]) == 1
+    said = capsys.readouterr()
+    assert "12 episodes" in said.out
+    assert "not called better: the gain is" in said.err
+    assert judge([str(bag), "--policy", "delivery_team"]) == 1
+    assert "the bags are of the team" in capsys.readouterr().err
+    with pytest.raises(CtrlRlError, match="at least 10 are needed"):
+        evaluate_offline(found[:3], policy)
 
 
 def test_mappo_is_refused_without_own_decisions(bag):

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from ctrl_rl_core.command import FolderToWrite, OptionalFileToWrite, Positive, make_command
+from ctrl_rl_core.io.results import as_lines
 
 from ctrl_rl_core import CommandError, Result, write_results
 from option_coordinator.environments.tasks import load_option_task
@@ -59,8 +59,7 @@ def _loop(options: LoopOptions) -> int:
                 found.setdefault(task, []).append(rounds)
     finally:
         rows = _rows(found)
-        for row in rows:
-            print(f"{row.method:<44} {row.metric:<12} {np.mean(row.values):8.3f} +- {np.std(row.values):.3f}")
+        print(as_lines(rows))
         if rows and options.results is not None:
             write_results(options.results, "options_loop", range(options.seeds), rows)
             print(f"results    {options.results}")
@@ -79,6 +78,10 @@ def _rows(found: dict[str, list[list[dict[str, Any]]]]) -> list[Result]:
                 ("steps", "steps", "1"),
             ):
                 rows.append(Result(name, metric, unit, [float(rounds[number][key]) for rounds in runs]))
+            if number:
+                predicted = [float(rounds[number]["predicted"]["mean"]) for rounds in runs]
+                rows.append(Result(name, "predicted, discounted", "1", predicted))
+                rows.append(Result(name, "called better", "1", [float(rounds[number]["better"]) for rounds in runs]))
     return rows
 
 

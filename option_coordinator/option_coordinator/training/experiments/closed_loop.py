@@ -22,13 +22,14 @@ from numpy.typing import NDArray
 from ctrl_rl_core import atomic_write
 from option_coordinator.data.team_bag import TeamBag
 from option_coordinator.environments.option_env import OptionEnvironment
-from option_coordinator.environments.roll_out import OptionEpisode
+from option_coordinator.environments.roll_out import OptionEpisode, play_episodes
 from option_coordinator.environments.tasks import make_environment
 from option_coordinator.options.decision import Decision
 from option_coordinator.policies.policy_file import OptionPolicy
 from option_coordinator.scripted.task_policies import DecisionPolicy, RandomPolicy, scripted_policy
 from option_coordinator.training.experiments.bag_runs import ROUNDS, BagRun
 from option_coordinator.training.experiments.evaluation import fresh, summary
+from option_coordinator.training.experiments.offline_evaluation import evaluate_offline
 
 _SEEDS_APART = 100_000
 
@@ -55,6 +56,7 @@ class LoopSettings:
         tests: Number of episodes that each round is judged by.
         careless: Probability with which the script takes any option that is legal.
         seed: Seed of everything random.
+        fit_updates: Number of updates of each of two fits of the offline evaluation.
     """
 
     rounds: int = 3
@@ -62,6 +64,7 @@ class LoopSettings:
     tests: int = 50
     careless: float = 0.5
     seed: int = 0
+    fit_updates: int = 800
 
 
 class CarelessScript:
@@ -127,45 +130,59 @@ def run_loop(task: str, folder: Path, settings: LoopSettings, tell: Callable[[st
         if not done.exists():
             seed = _SEEDS_APART * (settings.seed + 1) + number * settings.episodes
             environment = make_environment(task)
-            driver = _driver(task, environment, here, bags, settings, seed)
+            result: dict[str, Any] = {"round": number}
+            driver = _driver(task, environment, here, bags, settings, seed, result)
             rmtree(here / "bag", ignore_errors=True)  # of a call that was cut off
             with TeamBag(here / "bag", environment.discount) as bag:
                 for _ in play(environment, driver, range(seed, seed + settings.episodes), bag):
                     pass
             tested = list(play(environment, driver, fresh(settings.tests)))
-            result = {"round": number, **summary(tested), "returns": [episode.returned for episode in tested]}
+            result |= {**summary(tested), "returns": [episode.returned for episode in tested]}
             atomic_write(done, json.dumps(with_digest(result)))
         bags.append(here / "bag")
         rounds.append(read_json(done))
         told = rounds[-1]
-        tell(f"round {number}: return {told['return']:.4g}, {told['steps']:.4g} steps, done {told['terminated']:.0%}")
+        word = "" if "better" not in told else f", {'' if told['better'] else 'not '}called better before"
+        tell(
+            f"round {number}: return {told['return']:.4g}, {told['steps']:.4g} steps, "
+            f"done {told['terminated']:.0%}{word}"
+        )
     return rounds
 
 
 def play(
     environment: OptionEnvironment, driver: Driver, seeds: range, bag: TeamBag | None = None
 ) -> Iterator[OptionEpisode]:
-    """Yield an episode for each seed, recorded where there is a bag."""
-    for seed in seeds:
-        decision, episode = environment.reset(seed), OptionEpisode()
-        while not decision.over:
-            choice = driver(decision)
-            if bag is not None:
-                bag.put(decision, choice.options, choice.log_prob, driver.digest)
-            decision = environment.step(decision.named(choice.options))
-            episode.add(decision)
+    """Return an iterator of an episode for each seed, recorded where there is a bag."""
+
+    def choose(decision: Decision) -> dict[str, int]:
+        choice = driver(decision)
+        if bag is not None:
+            bag.put(decision, choice.options, choice.log_prob, driver.digest)
+        return decision.named(choice.options)
+
+    def at_end(decision: Decision) -> None:
         if bag is not None:
             bag.put(decision, decision.running)
-        episode.figures = environment.figures()
-        yield episode
+
+    return play_episodes(environment, choose, seeds, at_end)
 
 
 def _driver(
-    task: str, environment: OptionEnvironment, here: Path, bags: list[Path], settings: LoopSettings, seed: int
+    task: str,
+    environment: OptionEnvironment,
+    here: Path,
+    bags: list[Path],
+    settings: LoopSettings,
+    seed: int,
+    result: dict[str, Any],
 ) -> Driver:
-    """Return the script, or the policy that is learnt from the bags so far."""
+    """Return the script, or the policy that is learnt from the bags so far, and add what they say of it."""
     if not bags:
         return CarelessScript(environment, settings.careless, seed)
     run = BagRun(tuple(bags), None, task, seed=settings.seed, asked="weighted")
     train(run, RunOptions(here / "learning", ROUNDS["weighted"], final_evaluations=0))
-    return DrawnPolicy(OptionPolicy.load(here / "learning" / run.name / "policy.safetensors"), seed)
+    policy = OptionPolicy.load(here / "learning" / run.name / "policy.safetensors")
+    report = evaluate_offline(run.recordings, policy, updates=settings.fit_updates, fits=2, seed=seed)
+    result |= {"predicted": vars(report.policy), "gain": vars(report.gain), "better": report.better}
+    return DrawnPolicy(policy, seed)
