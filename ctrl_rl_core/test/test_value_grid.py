@@ -324,10 +324,10 @@ AXIS = {"name": "x", "unit": "m", "lower": -1, "upper": 1, "count": 3, "periodic
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"format": 2}, "format: is 2: Input should be 1"),
+        ({"format": 2}, "format: is 2: must be 1"),
         ({"solver": None}, "solver: is missing"),
         ({"axes": None}, "axes: is missing"),
-        ({"axes": 3}, "axes: is 3: Input should be a valid list"),
+        ({"axes": 3}, "axes: is 3: must be a valid list"),
         ({"axes": [3]}, "axes.0: "),
         ({"axes": [AXIS]}, r"values have shape \(3, 4\), the axes \(3,\)"),
         ({"axes": [AXIS, {**AXIS, "count": 4}]}, "names repeat: x, x"),

@@ -110,7 +110,7 @@ def test_wrong_usage_is_said_in_one_line(arguments: list[str], words: str, capsy
     ("change", "words"),
     [
         ({"form": None, "clearance": "wide"}, "settings.json: form: is missing"),
-        ({"trajectories": 0}, "settings.json: trajectories: is 0: Input should be greater than or equal to 1"),
+        ({"trajectories": 0}, "settings.json: trajectories: is 0: must be greater than or equal to 1"),
         ({"form": "quick"}, "no form 'quick': there are"),
     ],
 )

@@ -131,6 +131,18 @@ def as_text(content: bytes) -> str:
         raise FileError(f"is no text: byte {error.start} is not UTF-8") from None
 
 
+_SAID = {
+    "extra_forbidden": "no such key",
+    "missing": "is missing",
+    "model_type": "must hold entries, `name: value`",
+    "dict_type": "must hold entries, `name: value`",
+    "model_attributes_type": "must hold entries, `name: value`",
+    "union_tag_not_found": "{discriminator} is missing",
+    "union_tag_invalid": "{discriminator} is '{tag}': must be one of {expected_tags}",
+}
+"""Complaints of a schema in the words of its file, by their type."""
+
+
 def first_error(error: ValidationError, hidden: tuple[str, ...] = ()) -> str:
     """Return the first of a schema's complaints as `key.key: what is wrong`, and how many more there are.
 
@@ -138,17 +150,18 @@ def first_error(error: ValidationError, hidden: tuple[str, ...] = ()) -> str:
         error: Error that the schema raised.
         hidden: Parts of keys that belong to the schema and not to the file.
     """
-    errors = error.errors(include_url=False, include_context=False)
+    errors = error.errors(include_url=False)
     first: Any = errors[0]
     key = ".".join(str(part) for part in first["loc"] if part not in hidden)
     given = first["input"]
-    text = {"extra_forbidden": "no such key", "missing": "is missing"}.get(first["type"], first["msg"])
-    if text is first["msg"] and not text.startswith("Value error, ") and isinstance(given, str | int | float | None):
+    said = _SAID.get(first["type"])
+    text = first["msg"] if said is None else said.format(**first.get("ctx", {}))
+    if said is None and not text.startswith("Value error, ") and isinstance(given, str | int | float | None):
         text = f"is {short_repr(given)}: {text}"
-    text = text.removeprefix("Value error, ")
+    text = text.removeprefix("Value error, ").replace("Input should be", "must be", 1)
     more = f" (and {len(errors) - 1} more)" if len(errors) > 1 else ""
-    said = f"{one_line(key, 100)}: {text}" if key else text
-    return f"{one_line(said, LONGEST_ERROR - 20)}{more}"
+    line = f"{one_line(key, 100)}: {text}" if key else text
+    return f"{one_line(line, LONGEST_ERROR - 20)}{more}"
 
 
 def available_memory() -> float:
