@@ -188,6 +188,20 @@ def test_in_a_corridor_a_policy_does_not_observe_its_pose() -> None:
     assert sources == ["odometry", "scan"]
 
 
+def test_in_a_corridor_nobody_is_taught_to_drive_back(tmp_path: Path) -> None:
+    task = load_navigation_task("curved_corridor")
+    assert 0.0 in drive(task, ScriptedDriver(task), 6, 0, tmp_path / "bag").success  # some turned around
+    solve(problem_from_task(_solvable(task), counts=(55, 34, 36), inflation=task.robot.radius)).grid.save(
+        tmp_path / "value.safetensors"
+    )
+    values = load_values(str(tmp_path / "value.safetensors"), task, tmp_path)
+    recorded = load_transitions([tmp_path / "bag"], task)
+    best, _ = improved_actions(recorded.states, fit_motion(recorded), values, 0.2)
+    assert (best[:, 0] < 0.0).mean() > 0.05
+    actor = learn(recorded, task, LearningSettings("value_model", updates=200, hidden=32), values)
+    assert (actions_of(actor, recorded.observations)[:, 0] < 0.0).mean() < 0.01
+
+
 def test_agreement_counts_order_and_what_the_choice_loses() -> None:
     driven = [{"return": earned} for earned in (0.0, 1.0, 2.0, 4.0)]
     predicted = [[{"fitted_q": guess} for guess in guesses] for guesses in ((0.0, 1.0, 4.0, 2.0), (0.0, 2.0, 4.0, 8.0))]

@@ -34,7 +34,11 @@ class MotionModel:
 
     def __call__(self, states: Array, actions: Array, part: float = 1.0) -> Array:
         """Return states (N, 3) x, y, theta after a part of a step with actions (N, 2) from states (N, 3)."""
-        return displaced(states, part * (features(actions) @ self.weights))
+        return displaced(states, part * self.moved(actions))
+
+    def moved(self, actions: Array) -> Array:
+        """Return the displacements of a step with actions (N, 2) ahead, to the left and around (N, 3)."""
+        return features(actions) @ self.weights
 
 
 def displaced(states: Array, moved: Array) -> Array:

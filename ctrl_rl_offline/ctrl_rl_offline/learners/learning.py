@@ -50,7 +50,7 @@ def learn(
     if settings.method in NEEDS_VALUE and values is None:
         raise OfflineError(f"{settings.method} needs a value function: give --value")
     middle, unit = scales_of(transitions.observations)
-    batch_of = _tensors(transitions, settings, values, middle, unit)
+    batch_of = _tensors(transitions, task, settings, values, middle, unit)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(settings.seed)
         learner = LEARNERS[settings.method](len(middle), settings)
@@ -73,6 +73,7 @@ def learn(
 
 def _tensors(
     transitions: Transitions,
+    task: NavigationTask,
     settings: LearningSettings,
     values: StateValues | None,
     middle: NDArray[np.float32],
@@ -98,7 +99,11 @@ def _tensors(
         advantage = _standardised(values.advantages(transitions))
     actions: NDArray[Any] = transitions.actions
     if values is not None and method == "value_model":
-        actions, known = improved_actions(transitions.states, fit_motion(transitions), values, settings.heat)
+        motion = fit_motion(transitions)
+        actions, known = improved_actions(transitions.states, motion, values, settings.heat)
+        if task.corridor is not None:
+            # Without its pose a robot cannot tell that it faces back: from there it is taught nothing.
+            known &= motion.moved(actions)[:, 0] > 0.0
         advantage = np.where(known, 0.0, -np.inf)
     arrays = (
         (transitions.observations - middle) / unit,
