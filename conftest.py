@@ -17,6 +17,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parent / "test"))  # parts that tests of all packages use lie there
 
+from forked_workers import pytest_xdist_setupnodes as pytest_xdist_setupnodes
 from preloaded import Preloaded
 
 ROOT = Path(__file__).parent
@@ -72,15 +73,16 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 class NodeProcess:
-    """A node: the executable that `ros2 run` starts, in a process that has its imports."""
+    """A node: the executable that `ros2 run` starts, in a process that has its imports, or in one that begins anew."""
 
-    def __init__(self, package: str, executable: str, arguments: tuple[str, ...], log: Path) -> None:
+    def __init__(self, package: str, executable: str, arguments: tuple[str, ...], log: Path, anew: bool) -> None:
         from ament_index_python.packages import get_package_prefix
 
         self._log = log
         path = Path(get_package_prefix(package)) / "lib" / package / executable
         with log.open("wb") as stream:
-            self.process = Preloaded([path, *arguments], stdout=stream, stderr=subprocess.STDOUT)
+            start = subprocess.Popen if anew else Preloaded
+            self.process = start([path, *arguments], stdout=stream, stderr=subprocess.STDOUT)
 
     @property
     def output(self) -> str:
@@ -116,13 +118,18 @@ def _nodes(folder: Path) -> Iterator[Callable[..., NodeProcess]]:
     started: list[NodeProcess] = []
 
     def run(
-        package: str, executable: str, *parameters: str, remap: tuple[str, ...] = (), params_file: Path | None = None
+        package: str,
+        executable: str,
+        *parameters: str,
+        remap: tuple[str, ...] = (),
+        params_file: Path | None = None,
+        anew: bool = False,
     ) -> NodeProcess:
         options = [part for parameter in parameters for part in ("-p", parameter)]
         options += [part for rule in remap for part in ("-r", rule)]
         options += ["--params-file", str(params_file)] if params_file else []
         arguments = ("--ros-args", *options) if options else ()
-        node = NodeProcess(package, executable, arguments, folder / f"{len(started)}-{executable}.log")
+        node = NodeProcess(package, executable, arguments, folder / f"{len(started)}-{executable}.log", anew)
         started.append(node)
         return node
 

@@ -2,12 +2,14 @@
 
 Importing ROS, NumPy and the suite takes a node a second of processor time, and the tests start hundreds. A forked
 program is a process like any other: with its own arguments, environment, signals and exit code, and rclpy starts in it.
-It ends with the process that asked for it.
-Where the start itself is tried, `subprocess.Popen` is right.
+It ends with the process that asked for it. At its own end what was imported is not taken down: that takes long, too.
+Where the start or the end of a process itself is tried, `subprocess.Popen` is right.
 """
 
 import ast
+import atexit
 import ctypes
+import gc
 import json
 import os
 import re
@@ -16,24 +18,28 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 import types
+from collections.abc import Sequence
 from contextlib import suppress
 from functools import cache
 from importlib import import_module
 from importlib.metadata import distribution
 from pathlib import Path
-from threading import Lock
 from typing import Any
 
 _END_WITH_PARENT, _SUBREAPER = 1, 36  # PR_SET_PDEATHSIG and PR_SET_CHILD_SUBREAPER of prctl(2)
 _LIBC = ctypes.CDLL(None)
 _LONGEST = 1 << 17
-_ASKS = Lock()
+_ASKS = threading.Lock()
 
 
 class Preloaded(subprocess.Popen):
     """A Python program, forked: `python -c CODE`, `python SCRIPT.py` or an executable as `ros2 run` starts it."""
+
+    sources: Sequence[Path] = ()
+    """Files whose imports the server makes as well."""
 
     def _execute_child(self, args: Any, *rest: Any) -> None:
         program = [str(part) for part in args]
@@ -43,7 +49,8 @@ class Preloaded(subprocess.Popen):
             raise FileNotFoundError(program[0])
         folder, environment, pipes = rest[4], rest[5], rest[9:15]
         streams = [pipe if pipe >= 0 else number for number, pipe in enumerate((pipes[0], pipes[3], pipes[5]))]
-        self.pid = _ask([program, dict(environment or os.environ), os.path.abspath(folder or ".")], streams)
+        place, sources = os.path.abspath(folder or "."), [str(source) for source in self.sources]
+        self.pid = _ask([program, dict(environment or os.environ), place, sources], streams)
         self._child_created = True
         self._close_pipe_fds(*pipes)
 
@@ -79,9 +86,12 @@ def _serve(door: socket.socket) -> list[str]:
         request, streams, *_ = socket.recv_fds(door, _LONGEST, 3)
         if not request:
             os._exit(0)
-        program, environment, folder = json.loads(request)
+        program, environment, folder, sources = json.loads(request)
+        for source in sources:
+            _preload(Path(source).read_text())
         with suppress(Exception):  # the program fails in the same way
             _preload(program[1] if program[0] == "-c" else Path(program[0]).read_text())
+        gc.freeze()  # a collection would write to every page that the processes share
         tracing = _Tracing()
         middle = os.fork()
         if middle == 0:
@@ -158,5 +168,22 @@ def _run(program: list[str]) -> None:
         runpy.run_path(program[0], run_name="__main__")
 
 
+def _end(code: int) -> None:
+    """End with an exit code, after the threads, what was registered for the end, and what the program has left."""
+    threading._shutdown()  # type: ignore[attr-defined]
+    atexit._run_exitfuncs()
+    gc.collect()
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code & 0xFF)
+
+
 if __name__ == "__main__":
-    _run(_serve(socket.socket(fileno=int(sys.argv[1]))))
+    try:
+        _run(_serve(socket.socket(fileno=int(sys.argv[1]))))
+    except SystemExit as error:
+        if not isinstance(error.code, int | None):
+            raise
+        _end(error.code or 0)
+    else:
+        _end(0)

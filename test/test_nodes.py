@@ -67,7 +67,8 @@ def grid(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def start(run_node: Callable, tmp_path: Path, grid: Path) -> Callable:
     def run(name: str, *more: str):
         package, parameters = NODES[name]
-        return run_node(package, name, *(text.format(folder=tmp_path, grid=grid) for text in parameters), *more)
+        own = (text.format(folder=tmp_path, grid=grid) for text in parameters)
+        return run_node(package, name, *own, *more, anew=True)  # start and end are tried as they are
 
     return run
 

@@ -17,6 +17,14 @@ from preloaded import Preloaded
 print(Preloaded([sys.executable, "-c", "import signal; signal.pause()"]).pid, flush=True)
 os.kill(os.getpid(), signal.SIGKILL)
 """
+ENDS = """
+import atexit, threading
+atexit.register(print, "the end")
+def work():
+    threading.main_thread().join()
+    print("the work")
+threading.Thread(target=work).start()
+"""
 PROGRAM = "import os, sys; print(sys.argv, os.environ['WORD'], os.getcwd()); sys.exit('no more')"
 
 
@@ -32,6 +40,12 @@ def test_it_has_its_own_arguments_environment_folder_streams_and_exit_code(tmp_p
     )
     assert process.communicate(timeout=120.0) == (f"['-c', 'one'] two {tmp_path}\n", "no more\n")
     assert process.returncode == 1
+
+
+def test_it_ends_after_its_threads_and_what_was_registered_for_the_end() -> None:
+    process = Preloaded([sys.executable, "-c", ENDS], stdout=subprocess.PIPE, text=True)
+    assert process.communicate(timeout=120.0) == ("the work\nthe end\n", None)
+    assert process.returncode == 0
 
 
 def test_its_end_by_a_signal_is_seen() -> None:
