@@ -83,6 +83,7 @@ def test_constants_that_are_known_are_found_within_a_tenth(tmp_path: Path, capsy
     [
         ([(0.0, 0.0)] * 2, "the robot never drove at 0.05 m/s"),
         ([(0.5, 0.0), (0.0, 0.0)], "the robot never turned at 0.1 rad/s"),
+        ([(0.5, 0.0), (0.5, 1.5), (0.5, -1.5)], "the drive shows no stop"),
     ],
 )
 def test_a_drive_that_shows_too_little_is_refused(

@@ -30,6 +30,9 @@ _DELAYS = range(0, _LONGEST + 1, 2)
 _LAGS = np.array((0.0, 0.03, 0.06, 0.1, 0.2, 0.4))
 _LIMITS = np.geomspace(0.05, 20.0, 18)
 _AS_GOOD = 1.01
+_NONE = 1e-2
+"""Limit of acceleration that no robot has [m/s^2, rad/s^2]."""
+_NAMES = ("start", "stop", "change of the turn rate")
 _SPAN = 1.0
 """Time over which the deviation of the position is measured [s]."""
 _PERCENTILE = 99.0
@@ -141,7 +144,7 @@ def fit_drives(drives: Sequence[Drive]) -> Fit:
     """Return the constants that drives show.
 
     Raises:
-        SafetyError: The robot never moved, never turned, or never slowed down, or did not do as it was told.
+        SafetyError: The robot never moved, turned, started or stopped, or did not do as it was told.
     """
     speeds = np.concatenate([each.speeds for each in drives])
     reached = np.percentile(np.abs(speeds), _TOP, axis=0)
@@ -217,14 +220,20 @@ def _fitted(
 
 
 def _least(data: _Data, commands: Array, lag: float, limits: Array) -> Array:
-    """Return the least limits (3,) with an error as good."""
+    """Return the least limits (3,) with an error as good.
+
+    Raises:
+        SafetyError: The drive is explained as well without one of them.
+    """
     allowed = _AS_GOOD * data.errors(commands, lag, limits).sum() + 1e-6
     out = limits.copy()
     for axis in range(3):
         while True:
             lower = out.copy()
             lower[axis] *= 0.98
-            if data.errors(commands, lag, lower).sum() > allowed or lower[axis] < 1e-2:
+            if data.errors(commands, lag, lower).sum() > allowed:
                 break
+            if lower[axis] < _NONE:
+                raise SafetyError(f"the drive shows no {_NAMES[axis]}: record a drive with starts, stops and turns")
             out = lower
     return out
