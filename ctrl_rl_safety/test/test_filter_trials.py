@@ -49,6 +49,7 @@ def test_it_counts_contacts_goes_on_and_keeps_other_rows(
         (("--sources", "nobody"), "no source 'nobody': there are full_speed, random"),
         (("--sources", "quad_ttr"), "task 'quad_ttr' flies: the filter is for robots on wheels"),
         (("--sources", "car_ttr@quad_trap"), "task 'quad_trap' flies"),
+        (("--sources", "attacker@car_ttr"), "the attacker has learnt in rooms: give it no task"),
     ],
 )
 def test_what_cannot_be_driven_is_one_line(
@@ -60,6 +61,20 @@ def test_what_cannot_be_driven_is_one_line(
 ) -> None:
     assert run(monkeypatch, *words, "--episodes", 1, "--folder", tmp_path / "runs") == 1
     assert reason in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_a_late_robot_with_wheels_of_its_own_and_one_that_meets_nobody(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    results = tmp_path / "out" / "safety_filter.json"
+    common = ("--episodes", 1, "--seed", 1, "--folder", tmp_path / "runs", "--results", results)
+    assert run(monkeypatch, "--sources", "random@car_ttr", "--guards", "late", *common) == 0
+    assert run(monkeypatch, "--sources", "curved_corridor@corridor_crossing", "--guards", "none", "alone", *common) == 0
+    (experiment,) = read_results(results.parent)
+    values = {(row.method, row.metric): row.values for row in experiment.rows}
+    assert values["random, car_ttr, filter, commands 0.7 s late", "avoidable collisions"] == [0.0]
+    assert values["curved_corridor, corridor_crossing, nobody there", "success"] == [1.0]
+    assert values["curved_corridor, corridor_crossing, no filter", "run into while standing"] == [1.0]
 
 
 def test_the_base_moves_by_its_model_whatever_the_physics_engine_would_do() -> None:

@@ -11,10 +11,15 @@ from nav_msgs.msg import Odometry
 from rclpy.serialization import serialize_message
 
 from ctrl_rl_bags import BagWriter, Topic, message_definition
+from ctrl_rl_core import load_navigation_task
 from ctrl_rl_safety import RobotModel, find_model
 
 pytest.importorskip("sim_bridge")
+from ctrl_rl_safety.identification.drive import STEP, Drive
+from ctrl_rl_safety.identification.fit import fit_drives
+from ctrl_rl_safety.trials.episodes import CAR
 from ctrl_rl_safety.trials.robot import MOTOR_LAG, Base
+from ctrl_rl_safety.trials.sources import Random
 from ctrl_rl_safety.trials.worlds import room
 from sim_bridge.ros.publishers import fill_odometry
 
@@ -107,3 +112,23 @@ def test_missing_topics_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert "no messages of geometry_msgs/msg/Twist" in capsys.readouterr().err
     assert main([str(tmp_path / "none"), "--radius", "0.2"]) == 1
     assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+def test_the_cars_own_constants_hold_for_its_wheels() -> None:
+    task = load_navigation_task("car_ttr").model_copy(update={"obstacles": ()})
+    world = SimulatedWorld(task, 0, options=SimulationOptions(engine="planar", rate=200))
+    source, rows = Random(CAR, 3), []
+    for _ in range(24):
+        command, seconds = source.command(world)
+        for _ in range(round(seconds / STEP)):
+            world.command(0, command)
+            world.step(round(STEP * 200))
+            reading = world.odometry()
+            rows.append((*command, *reading.pose, reading.velocity[0], reading.velocity[2]))
+    world.close()
+    told, poses, speeds = np.split(np.array(rows), (2, 5), axis=1)
+    poses[:, 2] = np.unwrap(poses[:, 2])
+    found = fit_drives([Drive(told, poses, speeds)])
+    assert found.disturbance <= CAR.disturbance
+    assert found.acceleration <= CAR.acceleration
+    assert found.braking >= CAR.braking

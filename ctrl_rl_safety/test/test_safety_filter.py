@@ -101,7 +101,8 @@ def test_without_a_scan_there_is_no_answer() -> None:
 
 def test_behind_somebody_slower_the_speed_is_steady_while_scans_grow_old() -> None:
     model = ROBOTS["turtlebot3_burger"]
-    world = LightWorld(model, np.array([(0.8, 0.05, 0.1, 0.0, 0.1)]), SafetyFilter(model, FilterOptions(0.075, 0.3)), 0)
+    walker = np.array([(0.6, 0.05, 0.15, 0.0, 0.1)])  # too fast to be taken for standing, and to be passed
+    world = LightWorld(model, walker, SafetyFilter(model, FilterOptions(0.075, 0.3)), 0)
     speeds, modes = [], []
     for _ in range(150):
         verdict, _, moving = world.tick(np.array((0.21, 0.0)), True)
@@ -111,6 +112,15 @@ def test_behind_somebody_slower_the_speed_is_steady_while_scans_grow_old() -> No
     assert Mode.CORRECTED in modes
     assert float(np.abs(np.diff(speeds)).sum()) < 3.0
     assert world.state[0] > 0.5
+
+
+def test_it_leads_a_robot_past_somebody_who_stands_beside_its_way() -> None:
+    model = ROBOTS["turtlebot3_burger"]
+    safety = SafetyFilter(model, FilterOptions(mover_speed=0.6, unblock_after=0.0))
+    world = LightWorld(model, np.array([(1.2, -0.25, 0.0, 0.0, 0.1)]), safety, 0)
+    nearest = min(world.tick(np.array((model.speed, 0.0)), True)[1] for _ in range(160))
+    assert nearest > 0.1  # of the 0.03 m that its own way leaves
+    assert world.state[0] > 1.5
 
 
 def test_what_a_map_has_never_moves_and_anything_else_may_come() -> None:

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from ctrl_rl_safety.filter.walls import Walls
+from ctrl_rl_safety.filter.walls import Walls, surfaces_of
 
 SIZE = 1.0
 RANDOM = np.random.default_rng(0)
@@ -34,6 +34,16 @@ def test_a_long_surface_that_has_stood_is_a_wall_and_a_short_one_is_none() -> No
     assert not found[len(long) :].any()
     known[: len(long)] = False
     assert not walls(points, known, SIZE).any()
+
+
+@pytest.mark.parametrize("away", [0.25, 0.5, 1.0])
+def test_noise_does_not_break_a_wall_however_near_it_is(away: float) -> None:
+    bearings = np.radians(np.arange(-60.0, 61.0))
+    for _ in range(20):
+        ranges = away / np.cos(bearings) + RANDOM.normal(0.0, 0.01, len(bearings))
+        seen = np.column_stack((ranges * np.sin(bearings), ranges * np.cos(bearings)))
+        (part,) = surfaces_of(seen, np.ones(len(seen), bool))
+        assert len(part) == len(seen)
 
 
 @pytest.mark.parametrize("gap", [0.0, 0.05, 0.3])

@@ -11,6 +11,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from ctrl_rl_safety.filter.certificate import AWAY, Situation, best_turn, certify, hold, hopeless
+from ctrl_rl_safety.filter.detour import detour
 from ctrl_rl_safety.models.growth import Growth
 from ctrl_rl_safety.models.motion import STANDS
 from ctrl_rl_safety.sets.distance_field import FAR, margin_at
@@ -25,6 +26,8 @@ _LAST = 0.05
 _RISE = 0.2
 """Part of the acceleration with which a corrected speed rises."""
 _REFINEMENTS = 4
+_STEADY = 0.3
+"""Part of a speed down to which it is slowed so that it lasts until the next scan; below that it rises and falls."""
 
 
 class Request(NamedTuple):
@@ -43,6 +46,7 @@ class Request(NamedTuple):
         acceleration: Largest change of the speed away from zero [m/s^2].
         braking: Largest change of the speed towards zero [m/s^2].
         turn_acceleration: Largest change of the turn rate [rad/s^2].
+        turned: Turn of the robot since a wanted command last passed [rad].
     """
 
     raw: tuple[float, float]
@@ -57,6 +61,7 @@ class Request(NamedTuple):
     acceleration: float
     braking: float
     turn_acceleration: float
+    turned: float
 
 
 class Answer(NamedTuple):
@@ -93,7 +98,7 @@ def _numbers(low: float, high: float, count: int, wanted: float) -> Any:
 
 
 @njit
-def _window(sit: Any, ask: Any, state: tuple[float, float, float, float, float]) -> Any:
+def _window(sit: Any, ask: Any, state: tuple[float, float, float, float, float], wanted: tuple[float, float]) -> Any:
     """Return the speeds and turn rates that the robot's limits tell apart until the next command."""
     time = sit.motion.step * (sit.hold + 1.0 / sit.motion.share)
     up, down = ask.acceleration * time, max(ask.acceleration, ask.braking) * time
@@ -106,8 +111,8 @@ def _window(sit: Any, ask: Any, state: tuple[float, float, float, float, float])
         low_v, high_v = max(low_v, min(ask.last[0], v, 0.0) - rise), min(high_v, max(ask.last[0], v, 0.0) + rise)
     low_w, high_w = max(-sit.turn_rate, omega - around), min(sit.turn_rate, omega + around)
     return (
-        _numbers(min(low_v, high_v), max(low_v, high_v), _SPEEDS, ask.raw[0]),
-        _numbers(min(low_w, high_w), max(low_w, high_w), _TURNS, ask.raw[1]),
+        _numbers(min(low_v, high_v), max(low_v, high_v), _SPEEDS, wanted[0]),
+        _numbers(min(low_w, high_w), max(low_w, high_w), _TURNS, wanted[1]),
     )
 
 
@@ -136,18 +141,20 @@ def _towards(
 
 
 @njit
-def _nearest(sit: Any, ask: Any, state: tuple[float, float, float, float, float], t: float) -> Any:
-    """Return the certified command nearest to the raw one, its margin and its escape; a margin below zero for none.
+def _nearest(
+    sit: Any, ask: Any, state: tuple[float, float, float, float, float], t: float, wanted: tuple[float, float]
+) -> Any:
+    """Return the certified command nearest to a wanted one, its margin and its escape; a margin below zero for none.
 
     One that stays certified until the next scan need not be taken back as this scan grows old. Where the nearest one
-    does not, it is slowed until it does.
+    does not, it is slowed until it does, unless little more than standing would be left.
     """
-    speeds, turns = _window(sit, ask, state)
+    speeds, turns = _window(sit, ask, state, wanted)
     wide_v, wide_w = max(speeds.max() - speeds.min(), 1e-3), max(turns.max() - turns.min(), 1e-3)
     costs = np.empty(len(speeds) * len(turns))
     for i in range(len(speeds)):
         for j in range(len(turns)):
-            dv, dw = (speeds[i] - ask.raw[0]) / wide_v, (turns[j] - ask.raw[1]) / wide_w
+            dv, dw = (speeds[i] - wanted[0]) / wide_v, (turns[j] - wanted[1]) / wide_w
             ev, ew = (speeds[i] - ask.last[0]) / wide_v, (turns[j] - ask.last[1]) / wide_w
             costs[i * len(turns) + j] = math.sqrt(dv * dv + dw * dw) + _LAST * math.sqrt(ev * ev + ew * ew)
     stands = abs(state[3]) < STANDS
@@ -162,12 +169,14 @@ def _nearest(sit: Any, ask: Any, state: tuple[float, float, float, float, float]
             continue
         longer, which = certify(sit, state, t, command, ask.patience, kind, needed)
         if longer >= needed:
-            return _towards(sit, state, t, command, ask.raw, ask.patience, needed, longer, which)
+            return _towards(sit, state, t, command, wanted, ask.patience, needed, longer, which)
         stop = (0.0, command[1])
         longer, which = certify(sit, state, t, stop, ask.patience, kind, needed)
         if longer >= needed:
-            return _towards(sit, state, t, stop, command, ask.patience, needed, longer, which)
-        return _towards(sit, state, t, command, ask.raw, sit.hold, needed, margin, kind)
+            slower = _towards(sit, state, t, stop, command, ask.patience, needed, longer, which)
+            if abs(slower[0]) >= _STEADY * abs(command[0]):
+                return slower
+        return _towards(sit, state, t, command, wanted, sit.hold, needed, margin, kind)
     return 0.0, 0.0, -FAR, ask.first
 
 
@@ -232,7 +241,8 @@ def answer(sit: Any, ask: Any, begin: Array, t: float, commands: Array) -> Any:
         margin, kind = certify(sit, state, t, (0.0, ask.turn), sit.hold, ask.first, 0.0)
         if margin >= 0.0:
             return Answer(0.0, ask.turn, UNBLOCKING, min(margin, first), value, kind, state)
-    v, omega, margin, kind = _nearest(sit, ask, state, t)
+    wanted = (ask.raw[0], detour(sit, ask, state, t))
+    v, omega, margin, kind = _nearest(sit, ask, state, t, wanted)
     if margin >= 0.0:
         return Answer(v, omega, CORRECTED, min(margin, first), value, kind, state)
     v, omega, margin, kind = _braking(sit, ask, state, t)

@@ -95,7 +95,7 @@ class SafetyFilter:
         self._set: RecoverableSet | None = None
         self._arrived, self._interval = -math.inf, 0.0
         self._sent: deque[tuple[float, float, float]] = deque(maxlen=1000)
-        self._corrected = False
+        self._corrected, self._headed = False, 0.0
         self._kind, self._evading = 0, False
         self._last_v = 0.0
         self._certified: tuple[float, Verdict, Situation] | None = None
@@ -191,6 +191,8 @@ class SafetyFilter:
         (slowest, least_turn), (fastest, most_turn) = self.model.limits
         wanted = (min(max(float(raw[0]), slowest), fastest), min(max(float(raw[1]), least_turn), most_turn))
         state = np.array((*reading.pose, reading.v, reading.omega))
+        if not self._corrected:
+            self._headed = float(reading.pose[2])
         still = np.concatenate((obstacles.fixed, obstacles.standing), axis=1)
         room = self.model.half_width + self.model.range_error
         turn = _UNBLOCKING * most_turn * self._unblocking.turn(now, wanted, state, still, room)
@@ -207,6 +209,7 @@ class SafetyFilter:
             self.model.acceleration,
             self.model.braking,
             self.model.turn_acceleration,
+            math.remainder(state[2] - self._headed, 2.0 * math.pi),
         )
         age = now - reading.age - seen_at
         situation = self._situation(now, obstacles)

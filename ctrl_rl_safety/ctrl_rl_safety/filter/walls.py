@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from ctrl_rl_core.values.jit_cache import cached_njit
 from numpy.typing import NDArray
 
 from ctrl_rl_safety.filter.echoes import SAME, near_any
@@ -20,10 +21,10 @@ Flags = NDArray[np.bool_]
 _LINK = 0.15
 """Distance of neighbours up to which they belong to one wall [m]: less than from the side of a person to the wall."""
 _ARM = 0.15
-"""Length of a surface to both sides of a bend [m]: noise of 1 cm bends it by 7 degrees."""
+"""Straight distance to both sides of a bend [m]: noise of 1 cm bends it by 7 degrees. Along the echoes it would be less
+where these are dense, as noise lengthens that way."""
 _BEND = math.radians(45.0)
 """Angle from which on a surface ends at a bend."""
-_APART = 100.0
 _SPAN = 5.0
 """Time for which a wall is remembered [s]: odometry drifts."""
 _PART = 0.5
@@ -81,16 +82,34 @@ def surfaces_of(points: Array, known: Flags) -> list[NDArray[np.intp]]:
     gaps = np.hypot(*(np.roll(points, -1, axis=0) - points).T)
     linked = known & np.roll(known, -1) & (gaps < _LINK)
     order = (np.arange(count) + int(np.argmin(linked)) + 1) % count  # from behind a gap on, where there is one
-    points, linked, gaps = points[order], linked[order][:-1], gaps[order][:-1]
-    along = np.concatenate(((0.0,), np.cumsum(np.where(linked, gaps, _APART))))
-    before = np.searchsorted(along, along - _ARM, side="right") - 1
-    after = np.minimum(np.searchsorted(along, along + _ARM), count - 1)
-    whole = (before >= 0) & (along - along[before] < 0.5 * _APART)
-    whole &= (along[after] - along >= _ARM) & (along[after] - along < 0.5 * _APART)
-    (ax, ay), (bx, by) = (points - points[before]).T, (points[after] - points).T
-    bent = whole & (np.abs(np.arctan2(ax * by - ay * bx, ax * bx + ay * by)) > _BEND)
+    linked = linked[order][:-1]
+    bent = _bends(points[order], linked, _ARM, _BEND)
     linked &= ~(bent[:-1] | bent[1:])
     return [part for part in np.split(order, np.flatnonzero(~linked) + 1) if len(part) > 1]
+
+
+@cached_njit
+def _bends(points: Array, linked: Flags, arm: float, bend: float) -> Flags:
+    """Return which places of surfaces lie at a sharp bend (n,).
+
+    Args:
+        points: Echoes in the order of their beams (n, 2) [m].
+        linked: Flags of those that belong together with the one after them (n - 1,).
+        arm: Distance to both sides over which a surface may bend [m].
+        bend: Angle of a sharp bend [rad].
+    """
+    out = np.zeros(len(points), np.bool_)
+    for i in range(len(points)):
+        x, y = points[i]
+        a = b = i
+        while a > 0 and linked[a - 1] and math.hypot(points[a, 0] - x, points[a, 1] - y) < arm:
+            a -= 1
+        while b < len(linked) and linked[b] and math.hypot(points[b, 0] - x, points[b, 1] - y) < arm:
+            b += 1
+        ax, ay, bx, by = x - points[a, 0], y - points[a, 1], points[b, 0] - x, points[b, 1] - y
+        if math.hypot(ax, ay) >= arm and math.hypot(bx, by) >= arm:
+            out[i] = abs(math.atan2(ax * by - ay * bx, ax * bx + ay * by)) > bend
+    return out
 
 
 def _extent(points: Array) -> float:

@@ -24,7 +24,7 @@ from ctrl_rl_core.policies.policy import shipped_policies
 from tqdm import tqdm
 
 from ctrl_rl_safety.errors import SafetyError
-from ctrl_rl_safety.trials.episodes import ADVERSARIES, GUARDS, Cell, Player, TrialOutcome, task_of
+from ctrl_rl_safety.trials.episodes import ADVERSARIES, GUARDS, UNGUARDED, Cell, Player, TrialOutcome, task_of
 from ctrl_rl_safety.trials.worlds import PLACES
 
 _ROBOTS = ("turtlebot3_burger", "turtlebot2")
@@ -41,14 +41,15 @@ class Options:
 
     sources: tuple[str, ...] = ADVERSARIES
     """Adversaries (full_speed, random, and attacker, which has learnt to bring about contacts), and policies: names of
-    shipped ones, files, or POLICY@TASK for another task."""
+    shipped ones, files, or POLICY@TASK for another task; full_speed@TASK and random@TASK drive in a task, too."""
     episodes: Positive = 84
     """Number of episodes of each source, place, robot and guard."""
     seed: NotNegative = 0
     """Seed of the first episode; the others follow."""
     guards: Annotated[tuple[str, ...], some_of(GUARDS)] = ("none", "filter")
-    """Between source and robot: nothing, the filter, the filter with the map, or (mismatch) the filter before a robot
-    with 10 % less braking and 30 ms more delay than it assumes."""
+    """Between source and robot: nothing, the filter, the filter with the map, the filter before a robot with 10 % less
+    braking and 30 ms more delay than it assumes (mismatch), the filter before the engine's own wheels whose commands
+    come 0.7 s late, as it knows (late), or nothing where nobody moves (alone)."""
     places: Annotated[tuple[str, ...], some_of(PLACES)] = PLACES
     """Rooms of adversaries: boxes that stand, or also two movers of up to 0.4 m/s."""
     robots: Annotated[tuple[str, ...], some_of(_ROBOTS)] = _ROBOTS
@@ -68,12 +69,14 @@ def cells_of(options: Options) -> list[Cell]:
         SafetyError: A source is unknown.
     """
     out = []
-    for source in options.sources:
-        if source in ADVERSARIES:
+    for given in options.sources:
+        source, _, task = given.partition("@")
+        if source in ADVERSARIES and not task:
             places = [(place, robot) for place in options.places for robot in options.robots]
         else:
-            source, _, task = source.partition("@")
-            if source not in shipped_policies() and not Path(source).suffix:
+            if source == "attacker":
+                raise SafetyError("the attacker has learnt in rooms: give it no task")
+            if source not in (*ADVERSARIES, *shipped_policies()) and not Path(source).suffix:
                 known = ", ".join((*ADVERSARIES, *shipped_policies()))
                 raise SafetyError(f"no source '{source[:60]}': there are {known}, or give a policy's file")
             places = [(task or task_of(Path(source).stem), "")]
@@ -81,13 +84,19 @@ def cells_of(options: Options) -> list[Cell]:
     return out
 
 
-def rows_of(method: str, outcomes: Sequence[TrialOutcome], bare: Sequence[TrialOutcome] = ()) -> list[Result]:
-    """Return the rows of a cell.
+def rows_of(
+    method: str,
+    outcomes: Sequence[TrialOutcome],
+    bare: Sequence[TrialOutcome] = (),
+    alone: Sequence[TrialOutcome] = (),
+) -> list[Result]:
+    """Return the rows of a cell; the time lost is that of pairs of one seed that both reach the goal.
 
     Args:
         method: Name of the cell.
         outcomes: Episodes of the cell.
-        bare: Episodes of the same seeds without a filter; the time lost is that of pairs that both reach the goal.
+        bare: Episodes of the same seeds without a filter.
+        alone: Episodes of the same seeds without a filter and without anything that moves.
     """
     figures: dict[str, list[float]] = {
         "avoidable collisions": [float(each.avoidable) for each in outcomes],
@@ -97,9 +106,14 @@ def rows_of(method: str, outcomes: Sequence[TrialOutcome], bare: Sequence[TrialO
     }
     if any(each.succeeded for each in (*outcomes, *bare)):
         figures["success"] = [float(each.succeeded) for each in outcomes]
-        pairs = [(one, other) for one, other in zip(outcomes, bare, strict=False) if one.succeeded and other.succeeded]
-        figures["time lost"] = [one.seconds / other.seconds - 1.0 for one, other in pairs]
+        figures["time lost"] = _lost(outcomes, bare)
+        figures["time lost to nobody there"] = _lost(outcomes, alone)
     return [Result(method, name, "m" if name == "distance" else "1", each) for name, each in figures.items() if each]
+
+
+def _lost(outcomes: Sequence[TrialOutcome], others: Sequence[TrialOutcome]) -> list[float]:
+    pairs = [(one, other) for one, other in zip(outcomes, others, strict=False) if one.succeeded and other.succeeded]
+    return [one.seconds / other.seconds - 1.0 for one, other in pairs]
 
 
 def _finished(cell: Cell, options: Options, bar: tqdm[Any]) -> list[TrialOutcome]:
@@ -121,16 +135,16 @@ def _work(options: Options) -> int:
     outcomes: dict[Cell, list[TrialOutcome]] = {}
     suffix = "" if options.engine == "planar" else f", {options.engine}"
     with tqdm(total=len(cells) * options.episodes, unit="episode", disable=None) as bar:
-        for cell in sorted(cells, key=lambda each: each.guard != "none"):  # the time lost is counted from these
+        for cell in sorted(cells, key=lambda each: each.guard not in UNGUARDED):  # the time lost is counted from these
             outcomes[cell] = _finished(cell, options, bar)
-            bare = outcomes.get(replace(cell, guard="none"), [])
-            rows = rows_of(cell.method + suffix, outcomes[cell], bare if cell.guard != "none" else ())
+            others = [outcomes.get(replace(cell, guard=each), []) for each in UNGUARDED if cell.guard not in UNGUARDED]
+            rows = rows_of(cell.method + suffix, outcomes[cell], *others)
             with bar.external_write_mode():
                 figures = ", ".join(f"{row.metric} {np.mean(row.values):.3f}" for row in rows)
                 print(f"{cell.method}: {figures}", flush=True)
             if options.results is not None:
                 write_results(options.results, _EXPERIMENT, [options.seed], _with_others(options.results, rows))
-    hit = sum(each.avoidable for cell, played in outcomes.items() for each in played if cell.guard in ("filter", "map"))
+    hit = sum(each.avoidable for cell, played in outcomes.items() for each in played if cell.guard not in UNGUARDED)
     print(f"{hit} avoidable collisions behind the filter")
     return 0 if hit == 0 else 1
 

@@ -57,6 +57,21 @@ class Base:
         return self._speeds
 
 
+class _OwnWheels:
+    """Hands commands on: the wheels of the engine move as their motors do."""
+
+    def __init__(self) -> None:
+        self._command = (0.0, 0.0)
+
+    def send(self, time: float, command: Array) -> None:  # noqa: ARG002 - see Base
+        """Take a command (2,)."""
+        self._command = float(command[0]), float(command[1])
+
+    def advance(self, time: float) -> tuple[float, float]:  # noqa: ARG002 - see Base
+        """Return the last command [m/s, rad/s]."""
+        return self._command
+
+
 class TrialRobot:
     """The robot of a world, driven by raw commands.
 
@@ -70,7 +85,7 @@ class TrialRobot:
     def __init__(
         self,
         world: SimulatedWorld,
-        base: RobotModel,
+        base: RobotModel | None,
         safety: SafetyFilter | None,
         with_set: bool = True,
         tick: float = TICK,
@@ -79,8 +94,8 @@ class TrialRobot:
         """Take the robot of a world that was just reset.
 
         Args:
-            world: World with one robot on wheels, whose `motor_lag` is `MOTOR_LAG`.
-            base: Constants by which its base moves.
+            world: World with one robot on wheels, whose `motor_lag` is `MOTOR_LAG` where the base has constants.
+            base: Constants by which its base moves; None for the motors and the delay of the world.
             safety: Filter before the base; None for none.
             with_set: Whether the recoverable set is solved at each scan; the filter has its fixed escapes otherwise.
             tick: Time between two answers of the filter [s].
@@ -88,7 +103,7 @@ class TrialRobot:
         """
         self.world, self._safety, self._with_set, self._walls = world, safety, with_set, walls
         rate = world.options.rate
-        self._base = Base(base, 1.0 / rate)
+        self._base = _OwnWheels() if base is None else Base(base, 1.0 / rate)
         self._tick, self._steps = tick, max(1, round(tick * rate))
         self._turn = max(1, round(rate / world.lidar.spec.rate))
         self._forward = DRIVES[world.task.robot.body].lidar[0]

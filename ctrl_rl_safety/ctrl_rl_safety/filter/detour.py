@@ -1,0 +1,79 @@
+"""The turn rate that leads a robot past what its wanted command would take it too near to.
+
+The nearest certified command alone is short-sighted: it slows a robot until it stands in front of somebody whom it
+could pass. Which command goes out is still a matter of certificates; this only says which of them is wanted.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from numba import njit
+
+from ctrl_rl_safety.models.motion import STANDS
+from ctrl_rl_safety.sets.distance_field import FAR, margin_at
+
+_HEADINGS = 31
+_WIDEST = math.radians(75.0)
+"""Largest turn from the heading with which a wanted command last passed [rad]: what stands straight across the way is
+no reason to drive somewhere else."""
+_AHEAD = 1.5
+"""Time whose way must be free along a heading [s]."""
+_PLACES = 8
+_LOOK = 0.5
+"""Time for which the wanted turn rate counts as a wish for a heading [s]."""
+_OWN = 0.5
+"""Weight of the turn from the robot's heading, over that from the wanted one: it keeps to the side that it chose."""
+_TURN_TIME = 0.4
+"""Time in which the robot should have the heading [s]."""
+_LOSS = 0.01
+"""Margin that may be lost on the way [m]: echoes have noise."""
+_TURN_COST = 0.015
+"""Margin that a turn of one radian must bring [m]."""
+
+
+@njit
+def _room(sit: Any, state: tuple[float, float, float, float, float], t: float, heading: float, way: float) -> float:
+    """Return the mean margin of a straight way up to none [m]; -FAR where it leads nearer than the robot may come.
+
+    What moves is left out: a robot waits until that has passed.
+    """
+    x, y, theta = state[0], state[1], state[2]
+    c, s, rooms = math.cos(heading), math.sin(heading), (sit.rooms[0], -FAR)
+    least = min(margin_at(sit.obstacles, sit.growth, sit.core, x, y, theta, t, rooms), 0.0) - _LOSS
+    total = 0.0
+    for k in range(1, _PLACES + 1):
+        along = way * k / _PLACES
+        margin = margin_at(sit.obstacles, sit.growth, sit.core, x + c * along, y + s * along, heading, t, rooms)
+        if margin < least:
+            return -FAR
+        total += min(margin, 0.0)
+    return total / _PLACES
+
+
+@njit
+def detour(sit: Any, ask: Any, state: tuple[float, float, float, float, float], t: float) -> float:
+    """Return the turn rate to prefer in place of a raw command's [rad/s], or that one where there is no way past.
+
+    Args:
+        sit: Echoes and motion.
+        ask: The command that is wanted, and the turn since one last passed.
+        state: State when the command has its first effect.
+        t: Age of the echoes then [s].
+    """
+    v, omega = ask.raw
+    if abs(v) < STANDS or abs(ask.turned) > _WIDEST:
+        return omega
+    later = t + sit.hold * sit.motion.step + abs(v) / ask.braking + sit.lag
+    wish = min(max(_LOOK * omega, -_WIDEST), _WIDEST)
+    best, most = 0.0, -FAR
+    for k in range(_HEADINGS):
+        turn = _WIDEST * (2.0 * k / (_HEADINGS - 1) - 1.0) - ask.turned
+        room = _room(sit, state, later, state[2] + turn, _AHEAD * v)
+        score = room - _TURN_COST * (abs(turn - wish) + _OWN * abs(turn))
+        if score > most:
+            best, most = turn, score
+    if most <= -0.5 * FAR or abs(best - wish) <= 2.0 * _WIDEST / (_HEADINGS - 1):
+        return omega
+    return min(max(best / _TURN_TIME, -sit.turn_rate), sit.turn_rate)
