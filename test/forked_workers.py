@@ -17,6 +17,7 @@ def pytest_xdist_setupnodes(config: pytest.Config) -> None:
 
     places = [Path(argument.partition("::")[0]) for argument in config.args]
     files = [file for place in places for file in (place.rglob("test_*.py") if place.is_dir() else [place])]
+    files.append(Path(__file__).with_name("later_imports.py"))
 
     class Worker(Preloaded):
         sources = files
