@@ -134,14 +134,14 @@ def test_it_stands_without_recent_input_says_so_once_and_leaves_the_robot_standi
         speeds = [each.twist.linear.x for each in base.commands[before:]]
         return speeds[speeds.index(0.0) :] if 0.0 in speeds else []
 
-    assert base.spin(20.0, lambda: len(since_it_stands()) >= 3)
+    assert base.spin(120.0, lambda: len(since_it_stands()) >= 3)
     assert base.log.read_text().count("stopping: no recent odometry") == said + 1
     assert not any(since_it_stands())
     assert base.answer(0.15, 0.0).twist.linear.x == 0.15, "it goes on by itself"
     before = len(base.commands)
     base.process.send_signal(signal.SIGTERM)
     assert base.process.wait(120.0) == 0
-    assert base.spin(2.0, lambda: len(base.commands) > before and base.commands[-1].twist.linear.x == 0.0)
+    assert base.spin(120.0, lambda: len(base.commands) > before and base.commands[-1].twist.linear.x == 0.0)
 
 
 @pytest.mark.fault
@@ -151,9 +151,10 @@ def test_a_callback_that_fails_leaves_the_robot_standing_until_it_works_again(st
     before, sideways = len(base.commands), Odometry()
     sideways.twist.twist.linear.y = 1.0
     base.odom.publish(sideways)
-    assert base.spin(10.0, lambda: len(base.commands) > before)
+    assert base.spin(120.0, lambda: len(base.commands) > before)
     assert base.commands[-1].twist.linear.x == 0.0
-    assert "callback failed: on_odometry (odom): ZeroDivisionError: a callback's own mistake" in base.log.read_text()
+    words = "callback failed: on_odometry (odom): ZeroDivisionError: a callback's own mistake"
+    assert base.spin(120.0, lambda: words in base.log.read_text())
     for _ in range(3):
         moves = base.answer(0.15, 0.0).twist.linear.x == 0.15
     assert moves, "it goes on by itself"

@@ -51,7 +51,7 @@ class Robot:
             listeners = (self.scan.get_subscription_count(), self.odom.get_subscription_count())
             return min(listeners) > 0 and self.node.count_publishers("cmd_vel") > 0
 
-        assert self.spin(20.0, found)
+        assert self.spin(PATIENCE_S, found)
         deadline = time.monotonic() + 120.0
         while not self.spin(0.2, lambda: len(self.commands) > 0):  # both ends have matched once a scan is answered
             assert time.monotonic() < deadline

@@ -8,7 +8,7 @@ from ctrl_rl_core.driving.arrival import ENDED, Arrival
 from hypothesis import given
 from hypothesis import strategies as st
 from nav_msgs.msg import Odometry
-from robot_side import Robot, ask, corridor
+from robot_side import PATIENCE_S, Robot, ask, corridor
 
 from ctrl_rl_core import RESULT, SENSOR, Outcome
 from ctrl_rl_msgs.msg import EpisodeStatus, TaskOutcome
@@ -60,9 +60,9 @@ def test_the_robot_stands_when_the_episode_is_over_and_drives_in_the_next(robot:
     status = EpisodeStatus(episode=4)
     status.outcome.value = TaskOutcome.GOAL
     episodes.publish(status)
-    assert robot.spin(10.0, lambda: robot.commands[-1].twist.linear.x == 0.0), "without waiting for a scan"
+    assert robot.spin(PATIENCE_S, lambda: robot.commands[-1].twist.linear.x == 0.0), "without waiting for a scan"
     assert ask(robot, corridor(0.1), 2 * SECOND).twist.linear.x == 0.0
-    assert "the drive is over: goal reached (episode 4)" in controller.output
+    controller.wait_for("the drive is over: goal reached (episode 4)")
     episodes.publish(EpisodeStatus(episode=5))
     robot.spin(0.5)
     assert ask(robot, corridor(0.1), 3 * SECOND).twist.linear.x > 0.0
@@ -79,7 +79,7 @@ def test_a_real_robot_stands_after_the_distance_that_it_may_drive(robot: Robot, 
         robot.spin(0.1)
         robot.send(corridor(0.1 + 0.001 * count), count * SECOND // 5, odometry=False)
         stamp = count * SECOND // 5
-        assert robot.spin(10.0, lambda stamp=stamp: robot.answer_to(stamp) is not None)
+        assert robot.spin(PATIENCE_S, lambda stamp=stamp: robot.answer_to(stamp) is not None)
         speeds.append(robot.answer_to(stamp).twist.linear.x)
     assert [speed > 0.0 for speed in speeds] == [True] * 4 + [False] * 2
     controller.wait_for("0.15 m driven (parameter max_distance; set it anew to go on)")
@@ -109,7 +109,7 @@ def test_a_drive_without_the_demo_ends_at_the_goal_and_the_bridge_says_so_once(
         assert time.monotonic() < deadline, "it never arrives"
         robot.spin(0.1)
     assert ended[0].outcome.value == TaskOutcome.GOAL, controller.output
-    assert robot.spin(30.0, lambda: abs(truth[-1][2]) < 1e-3), "it drives on"
+    assert robot.spin(PATIENCE_S, lambda: abs(truth[-1][2]) < 1e-3), "it drives on"
     place = truth[-1]
     robot.spin(2.0)
     assert truth[-1][:2] == pytest.approx(place[:2], abs=0.02), "it creeps on"
@@ -117,4 +117,4 @@ def test_a_drive_without_the_demo_ends_at_the_goal_and_the_bridge_says_so_once(
     again = robot.node.create_client(ResetWorld, "sim_bridge/reset")
     assert again.wait_for_service(10.0)
     again.call_async(ResetWorld.Request(seed=6))
-    assert robot.spin(30.0, lambda: truth[-1][2] > 0.05), "it does not drive in the next episode"
+    assert robot.spin(PATIENCE_S, lambda: truth[-1][2] > 0.05), "it does not drive in the next episode"

@@ -12,7 +12,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from koopman_lqr_controller.sensing.lidar import ScanGeometry
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.parameter import Parameter
-from robot_side import Robot, a_policy, ask, corridor
+from robot_side import PATIENCE_S, Robot, a_policy, ask, corridor
 from safetensors.numpy import save_file
 
 from koopman_lqr_controller import (
@@ -41,9 +41,9 @@ def learnt(path: Path, distribution: LatentDistribution | None) -> LatentPolicy:
 def set_parameter(robot: Robot, name: str, value: object) -> tuple[bool, str]:
     """Do what `ros2 param set` does, and return whether it was taken, and why not."""
     client = robot.node.create_client(SetParameters, "koopman_lqr_controller/set_parameters")
-    assert robot.spin(10.0, client.service_is_ready)
+    assert robot.spin(PATIENCE_S, client.service_is_ready)
     future = client.call_async(SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()]))
-    assert robot.spin(10.0, future.done)
+    assert robot.spin(PATIENCE_S, future.done)
     robot.node.destroy_client(client)
     (result,) = future.result().results
     return result.successful, result.reason
@@ -52,10 +52,10 @@ def set_parameter(robot: Robot, name: str, value: object) -> tuple[bool, str]:
 def set_parameters_atomically(robot: Robot, **values: object) -> bool:
     """Return whether all were taken."""
     client = robot.node.create_client(SetParametersAtomically, "koopman_lqr_controller/set_parameters_atomically")
-    assert robot.spin(10.0, client.service_is_ready)
+    assert robot.spin(PATIENCE_S, client.service_is_ready)
     wanted = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
     future = client.call_async(SetParametersAtomically.Request(parameters=wanted))
-    assert robot.spin(10.0, future.done)
+    assert robot.spin(PATIENCE_S, future.done)
     robot.node.destroy_client(client)
     return bool(future.result().result.successful)
 
@@ -167,7 +167,7 @@ def test_stale_scans_are_said_in_latent_and_diagnostics(robot: Robot, run_node: 
     run_node("koopman_lqr_controller", "controller", "scan_timeout:=0.3")
     robot.wait_for_controller()
     ask(robot, corridor(0.1), SECOND)
-    assert robot.spin(5.0, lambda: any(latent.stop == "no recent scan" for latent in robot.latents))
+    assert robot.spin(PATIENCE_S, lambda: any(latent.stop == "no recent scan" for latent in robot.latents))
     last = next(latent for latent in robot.latents if latent.stop == "no recent scan")
     assert len(last.z) == len(robot.thought_of(SECOND).z)
     assert np.isnan(last.z).all()
@@ -197,7 +197,7 @@ def test_another_policy_drives_from_the_next_scan_on_and_a_bad_one_is_refused(
             robot.send(corridor(0.1), sent[-1])
 
     timer = robot.node.create_timer(0.002, send)
-    assert robot.spin(20.0, lambda: len(robot.latents) >= 20)
+    assert robot.spin(PATIENCE_S, lambda: len(robot.latents) >= 20)
     for name, words in (
         ("nowhere", "no policy 'nowhere'"),
         (str(tmp_path / "broken.safetensors"), "is not a whole safetensors file"),
@@ -208,10 +208,10 @@ def test_another_policy_drives_from_the_next_scan_on_and_a_bad_one_is_refused(
         assert not taken
         assert words in reason
     refused = len(robot.latents)
-    assert robot.spin(20.0, lambda: len(robot.latents) >= refused + 20)
+    assert robot.spin(PATIENCE_S, lambda: len(robot.latents) >= refused + 20)
     assert set_parameter(robot, "policy", str(file)) == (True, "")
     swapped = len(robot.latents)
-    assert robot.spin(20.0, lambda: len(robot.latents) >= swapped + 20)
+    assert robot.spin(PATIENCE_S, lambda: len(robot.latents) >= swapped + 20)
     timer.cancel()
     thoughts = [robot.thought_of(stamp) for stamp in sent]
     sizes = [len(thought.z) for thought in thoughts]
@@ -235,7 +235,7 @@ def test_a_dry_run_thinks_and_sends_nothing(robot: Robot, run_node: Callable) ->
         assert time.monotonic() < deadline
     assert all(latent.dry_run for latent in robot.latents)
     assert diagnosed(robot, "dry run, nothing is sent").message
-    assert robot.spin(3.0, lambda: robot.latents[-1].stop == "no recent scan")
+    assert robot.spin(PATIENCE_S, lambda: robot.latents[-1].stop == "no recent scan")
     assert not set_parameters_atomically(robot, dry_run=False, policy="nowhere")
     robot.send(corridor(0.1), SECOND // 2)
     assert robot.thought_of(SECOND // 2).dry_run, "what is refused as a whole changes nothing"
@@ -245,7 +245,7 @@ def test_a_dry_run_thinks_and_sends_nothing(robot: Robot, run_node: Callable) ->
     assert ask(robot, corridor(0.1), SECOND).twist.linear.x > 0.0
     assert not robot.thought_of(SECOND).dry_run
     assert set_parameter(robot, "dry_run", True)[0]
-    assert robot.spin(3.0, lambda: robot.commands[-1].twist.linear.x == 0.0), "it stands when a dry run begins"
+    assert robot.spin(PATIENCE_S, lambda: robot.commands[-1].twist.linear.x == 0.0), "it stands when a dry run begins"
     controller.stop()
     before = len(robot.commands)
     assert not robot.spin(1.0, lambda: len(robot.commands) > before)

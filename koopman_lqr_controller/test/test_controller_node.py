@@ -39,13 +39,13 @@ def test_it_halts_without_odometry_on_a_blind_scan_and_when_scans_stop(robot: Ro
     run_node("koopman_lqr_controller", "controller", "scan_timeout:=0.2")
     robot.wait_for_controller()
     robot.send(corridor(0.1), 1_000, odometry=False)
-    assert robot.spin(2.0, lambda: len(robot.commands) > 0)
+    assert robot.spin(PATIENCE_S, lambda: len(robot.commands) > 0)
     assert robot.commands[-1].twist.linear.x == 0.0
     assert ask(robot, corridor(0.1), 2_000).twist.linear.x > 0.0
     robot.send(np.full(360, np.nan), 3_000)
-    assert robot.spin(2.0, lambda: robot.commands[-1].twist.linear.x == 0.0)
+    assert robot.spin(PATIENCE_S, lambda: robot.commands[-1].twist.linear.x == 0.0)
     assert ask(robot, corridor(0.1), 4_000).twist.linear.x > 0.0
-    assert robot.spin(2.0, lambda: robot.commands[-1].twist.linear.x == 0.0), "stale input stops the robot"
+    assert robot.spin(PATIENCE_S, lambda: robot.commands[-1].twist.linear.x == 0.0), "stale input stops the robot"
     assert robot.commands[-1].twist.angular.z == 0.0
 
 

@@ -47,12 +47,12 @@ def test_it_names_whoever_else_drives_the_robot(robot: Robot, run_node: Callable
     ask(robot, corridor(0.1), 1_000)
     rival = robot.node.create_publisher(TwistStamped, "cmd_vel", COMMAND)
     rival.publish(TwistStamped())
-    assert robot.spin(20.0, lambda: any("/robot publishes on /cmd_vel too" in each.message for each in said))
+    assert robot.spin(PATIENCE_S, lambda: any("/robot publishes on /cmd_vel too" in each.message for each in said))
     warned = next(each for each in said if "publishes on" in each.message)
     assert warned.level == DiagnosticStatus.WARN
     assert {value.key: value.value for value in warned.values}["other publishers"] == "/robot"
-    assert "/robot publishes on /cmd_vel too: the robot follows the latest command of any" in controller.output
+    controller.wait_for("/robot publishes on /cmd_vel too: the robot follows the latest command of any")
     robot.node.destroy_publisher(rival)
     said.clear()
-    assert robot.spin(20.0, lambda: bool(said) and "publishes" not in said[-1].message)
+    assert robot.spin(PATIENCE_S, lambda: bool(said) and "publishes" not in said[-1].message)
     assert np.isfinite(robot.commands[-1].twist.linear.x)
