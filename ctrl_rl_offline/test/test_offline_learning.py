@@ -17,7 +17,7 @@ from ctrl_rl_offline.data.values import StateValues, _solvable, load_values
 from ctrl_rl_offline.errors import OfflineError
 from ctrl_rl_offline.evaluation.doubly_robust import episode_estimates, step_ratios
 from ctrl_rl_offline.evaluation.fitted_q import PolicyValues, actions_of, fit_values
-from ctrl_rl_offline.evaluation.roll_outs import LearntWorld, model_returns, replay_correlation
+from ctrl_rl_offline.evaluation.roll_outs import LearntWorld, can_model, model_returns, replay_correlation
 from ctrl_rl_offline.learners.improvement import improved_actions
 from ctrl_rl_offline.learners.learning import learn
 from ctrl_rl_offline.learners.settings import METHODS, NEEDS_REWARD, NEEDS_VALUE, LearningSettings
@@ -181,6 +181,13 @@ def test_a_model_is_believed_where_it_replays_the_bags(transitions: Transitions)
     random = np.random.default_rng(0)
     shuffled = dataclasses.replace(transitions, actions=random.permutation(transitions.actions))
     assert replay_correlation(shuffled, TASK, 0) < 0.5
+
+
+def test_only_a_world_that_stays_is_modelled() -> None:
+    known = {name: can_model(load_navigation_task(name)) for name in ("car_navigation", "curved_corridor")}
+    assert known == {"car_navigation": True, "curved_corridor": True}
+    for name in ("corridor_doorways", "corridor_sudden", "quad_navigation"):
+        assert not can_model(load_navigation_task(name)), name
 
 
 def test_in_a_corridor_a_policy_does_not_observe_its_pose() -> None:

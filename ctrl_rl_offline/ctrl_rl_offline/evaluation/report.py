@@ -20,7 +20,7 @@ from ctrl_rl_offline.data.values import StateValues
 from ctrl_rl_offline.errors import OfflineError
 from ctrl_rl_offline.evaluation.doubly_robust import episode_estimates, step_ratios
 from ctrl_rl_offline.evaluation.fitted_q import PolicyValues, actions_of, fit_values
-from ctrl_rl_offline.evaluation.roll_outs import model_returns, replay_correlation
+from ctrl_rl_offline.evaluation.roll_outs import can_model, model_returns, replay_correlation
 from ctrl_rl_offline.learners.learning import learn
 from ctrl_rl_offline.learners.settings import LearningSettings
 
@@ -28,7 +28,6 @@ Array = NDArray[np.float64]
 _LEAST_EPISODES = 10
 _LEAST_EFFECTIVE = 5.0
 _LEAST_REPLAYED = 0.8
-_POSE = 3
 
 
 @dataclass(frozen=True)
@@ -42,7 +41,7 @@ class OfflineReport:
         effective_episodes: Number of episodes that the correction rests on.
         gain: Return of the policy by fitted Q evaluation, less the driver's.
         robust_gain: The same by the doubly robust estimate.
-        model: Return of the policy by roll-outs in a model from the bags; None where states are not x, y, theta.
+        model: Return of the policy by roll-outs in a model from the bags; None where `can_model` says no.
         model_gain: The same, less the driver's.
         replayed: Correlation by which recorded commands end in the model as in the bags; no policy takes part.
         time_lost: Time that the policy's commands lose by the value function [s/s]; None without one.
@@ -145,7 +144,7 @@ def evaluate_offline(
     robust, effective = _robust(transitions, fitted, ratios, discount)
     times = _times(transitions, task, own, values)
     modelled, replayed = None, 0.0
-    if transitions.states.shape[1] == _POSE:
+    if can_model(task):
         modelled = model_returns(transitions, task, actor, discount, fits, seed)
         replayed = replay_correlation(transitions, task, seed)
     return OfflineReport(

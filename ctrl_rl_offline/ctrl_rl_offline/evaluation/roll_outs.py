@@ -103,6 +103,11 @@ class LearntWorld:
         return found[first, np.arange(len(before))].astype(np.int64)
 
 
+def can_model(task: NavigationTask) -> bool:
+    """Return whether a task's world is the same in each episode, and its states are x, y, theta."""
+    return task.system.build().state_names == ("x", "y", "theta") and not task.movers and task.doorways is None
+
+
 def model_returns(
     transitions: Transitions, task: NavigationTask, actor: Actor, discount: float, fits: int, seed: int
 ) -> Array:

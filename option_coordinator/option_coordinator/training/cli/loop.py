@@ -78,7 +78,7 @@ def _rows(found: dict[str, list[list[dict[str, Any]]]]) -> list[Result]:
                 ("steps", "steps", "1"),
             ):
                 rows.append(Result(name, metric, unit, [float(rounds[number][key]) for rounds in runs]))
-            if number:
+            if all("predicted" in rounds[number] for rounds in runs):  # runs of before there was a prediction have none
                 predicted = [float(rounds[number]["predicted"]["mean"]) for rounds in runs]
                 rows.append(Result(name, "predicted, discounted", "1", predicted))
                 rows.append(Result(name, "called better", "1", [float(rounds[number]["better"]) for rounds in runs]))
