@@ -16,7 +16,7 @@ def pytest_xdist_setupnodes(config: pytest.Config) -> None:
     from execnet import gateway_base, gateway_io
 
     places = [Path(argument.partition("::")[0]) for argument in config.args]
-    files = [file for place in places for file in (place.rglob("test_*.py") if place.is_dir() else [place])]
+    files = [file for place in places for file in ([place] if place.is_file() else place.rglob("test_*.py"))]
     files.append(Path(__file__).with_name("later_imports.py"))
 
     class Worker(Preloaded):

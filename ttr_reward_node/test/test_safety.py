@@ -31,8 +31,9 @@ def test_who_brakes_in_time_is_safe_for_ever(interpolation, disturbance):
     assert np.mean(np.abs(case.errors(solution.values))) < 0.004 * case.length
 
 
-@pytest.mark.parametrize(("case", "bound"), [(air3d((43, 37, 40), 2000), 0.005), (pursuit((46, 46, 36), 2000), 0.01)])
-def test_two_players_have_the_value_of_the_known_game(case, bound):
+@pytest.mark.parametrize(("game", "counts", "bound"), [(air3d, (43, 37, 40), 0.005), (pursuit, (46, 46, 36), 0.01)])
+def test_two_players_have_the_value_of_the_known_game(game, counts, bound):
+    case = game(counts, 2000)
     solution = SafetySolver(case.game).solve(case.margin, horizon=case.horizon)
     assert np.mean(np.abs(case.errors(solution.values))) < bound * case.length
 
