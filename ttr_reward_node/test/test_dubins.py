@@ -9,7 +9,7 @@ from ttr_reward_node.verification.dubins import to_box
 from ttr_reward_node.verification.dubins_words import distance, end_of
 
 BOX = np.array([[3.7, 4.3], [3.7, 4.3], [0.45, 1.05]])
-TOLERANCE = 1e-4
+TOLERANCE = 1e-6
 
 
 @cached_njit
@@ -47,6 +47,12 @@ def test_a_turn_to_the_nearest_heading_is_found():
     """The poses that a turn alone leads to are a narrow ridge among poses that take a whole turn more."""
     lengths, _ = to_box(np.array([[3.082, 4.137, -0.866]]), BOX)
     assert lengths[0] == pytest.approx(0.866 + 0.45, abs=1e-6)
+
+
+def test_paths_that_end_at_an_edge_are_found():
+    """A search in a word's own numbers alone stays 0.3 mm away from them."""
+    box = np.array([[-0.5, 0.5], [-0.5, 0.5], [-0.15455, 0.26455]])
+    check(states_about(box, 20, 0, 1.0), box, lattice=9)
 
 
 @pytest.mark.parametrize("far", [0.5, 2.0, 8.0])

@@ -1,8 +1,8 @@
 """Shortest Dubins paths (Dubins 1957; words as in Shkel, Lumelsky 2001) to a box of poses.
 
 The car drives at 1 m/s and turns at up to 1 rad/s, so lengths [m] are times [s]. The distance to a box is the least
-over the words that lead to it, each with two free numbers: first over a lattice of these, then by a compass search from
-the best few.
+over the words that lead to it, searched in two ways: over each word's two free numbers, and over the poses that it may
+end at; first over a lattice of these, then by a compass search from the best few.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 MOVES = np.array([[1, 0], [-1, 0], [0, 1], [0, -1], [1, 1], [-1, -1], [1, -1], [-1, 1]], dtype=np.float64)
 _GRAZE = 1e-9  # rounding: a box that is missed by less is met
 _HEADINGS, _AIMS = 9, 40  # headings on arrival, and first turns, that are tried of a word with a straight piece
-_LATTICE, _ENDS = 7, 3  # poses a side of the box that a word of three turns may end at, and how many are refined
+_LATTICE, _ENDS = 7, 3  # poses a side of the box that a word may end at, and how many are refined
 _TURNS = 24  # first and second turns that are tried of a word of three
 _STARTS = 2  # that are refined, for each word
 _THREE_TURNS = 6.0  # how far three turns lead at most
@@ -172,7 +172,7 @@ def _segments(kind: int, pose: Array, end: Array) -> tuple[float, float, float]:
 
 @cached_njit
 def _between(kind: int, pose: Array, box: Array) -> tuple[float, float, float]:
-    """Return the segments of a word of three turns to the best of the box's poses: its corners are narrow ends."""
+    """Return the segments of a word to the best of the box's poses: its corners and edges are narrow ends."""
     size = box[:, 1] - box[:, 0]
     found = np.full(_LATTICE**3, math.inf)
     end = np.empty(3)
@@ -215,8 +215,9 @@ def to_box(states: Array, box: Array) -> tuple[Array, Array]:
 
     Returns lengths (N,) and the paths (N, 4): word, and its three segments.
 
-    A word's end is not searched among the poses of the box: the length jumps there by a whole turn where a turn becomes
-    none. With the first turn and the heading on arrival given (or, of three turns, the first two) the rest follows.
+    Among the poses of the box the length jumps by a whole turn where a turn becomes none, so a word is searched in its
+    own numbers, too: with the first turn and the heading on arrival given (or, of three turns, the first two) the rest
+    follows. That search in turn gets stuck where paths end at an edge of the box.
     """
     lengths, paths = np.empty(len(states)), np.zeros((len(states), 4))
     best, firsts, seconds = np.empty(_STARTS), np.empty(_STARTS), np.empty(_STARTS)
@@ -246,11 +247,10 @@ def to_box(states: Array, box: Array) -> tuple[Array, Array]:
                     worst = np.argmax(best)
                     if t + p + q < best[worst]:
                         best[worst], firsts[worst], seconds[worst] = t + p + q, one, two
-            if kind >= 4:
-                t, p, q = _between(kind, pose, box)
-                if t + p + q < lengths[n]:
-                    lengths[n] = t + p + q
-                    paths[n, 0], paths[n, 1], paths[n, 2], paths[n, 3] = kind, t, p, q
+            t, p, q = _between(kind, pose, box)
+            if t + p + q < lengths[n]:
+                lengths[n] = t + p + q
+                paths[n, 0], paths[n, 1], paths[n, 2], paths[n, 3] = kind, t, p, q
             for k in range(_STARTS):
                 if best[k] < math.inf:
                     t, p, q = _refine(kind, pose, firsts[k], seconds[k], box)
