@@ -36,7 +36,7 @@ OPEN = ("-p", "lidar_x:=0.0", "-p", "min_echo_share:=0.0", "-p", "largest_gap:=6
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Give a task of short episodes with a lidar all around, its time to reach on few cells, and the car's constants."""
+    """Give a task of short episodes with a lidar all around, its time to reach on few cells, and a car's constants."""
     folder = tmp_path_factory.mktemp("robot")
     content = yaml.safe_load(task_file("car_navigation").read_text())
     content["lidar"] |= {"beams": 180, "field": "-180.0 .. 180.0 deg", "placement": "edges"}
