@@ -89,9 +89,9 @@ test-all: build ## the same, slow tests too
 # Hundreds of processes import the same sources: each would parse them anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-# Three processes more than cores: tests of nodes wait for messages.
+# Two processes more than cores: tests of nodes wait for messages, and a third one lets them wait longer.
 tests: build
-	@$(RUN) python -m pytest -n $$(($$(nproc) + 3)) --dist loadfile --no-loadscope-reorder $(if $(SLOW),,-m "not slow") $(ARGS)
+	@$(RUN) python -m pytest -n $$(($$(nproc) + 2)) --dist loadfile --no-loadscope-reorder $(if $(SLOW),,-m "not slow") $(ARGS)
 
 lint: setup ## ruff and mypy
 	@.venv/bin/ruff check . && .venv/bin/ruff format --check . && .venv/bin/mypy $(LINKED)
