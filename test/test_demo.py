@@ -79,8 +79,8 @@ def test_every_scan_was_answered_once_and_within_limits(run) -> None:
     answered = len(set(scans) & commands["/cmd_vel_raw"].keys())
     passed = len(set(scans) & commands["/cmd_vel"].keys())
     # On a busy machine a newer scan or command overtakes one that still waits: queues of commands hold one.
-    assert answered >= 0.8 * len(scans)
-    assert passed >= 0.6 * answered
+    assert answered >= 0.95 * len(scans)
+    assert passed >= 0.8 * answered
     assert (np.abs(list(commands["/cmd_vel"].values())) <= (0.22 + 1e-9, 2.84 + 1e-9)).all()
 
 
