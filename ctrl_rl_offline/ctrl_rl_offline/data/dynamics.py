@@ -49,13 +49,18 @@ class Dynamics:
 
 def fit_dynamics(transitions: Transitions) -> Dynamics:
     """Return the dynamics of the steps that ended no episode, by least squares; states are x, y, theta."""
-    moved = displacements(transitions)
-    before = np.roll(moved, 1, axis=0)
-    before[transitions.first] = 0.0
+    moved, before = displacements(transitions), displacements_before(transitions)
     inner = transitions.outcomes == 0
     given = _remembering(transitions.actions, before)[inner]
     weights = np.linalg.lstsq(given, moved[inner], rcond=None)[0]
     return Dynamics(weights, moved[inner] - given @ weights)
+
+
+def displacements_before(transitions: Transitions) -> Array:
+    """Return the displacements (M, 3) of the step before each, 0 at a start."""
+    before = np.roll(displacements(transitions), 1, axis=0)
+    before[transitions.first] = 0.0
+    return before
 
 
 def _remembering(actions: Array | NDArray[np.float32], before: Array) -> Array:

@@ -20,9 +20,9 @@ from sim_bridge.fleet.kernels import scans
 from sim_bridge.simulation.bodies import DRIVES
 
 from ctrl_rl_core import NavigationTask, Outcome, terminal_reward
-from ctrl_rl_offline.data.dynamics import Dynamics, fit_dynamics
+from ctrl_rl_offline.data.dynamics import Dynamics, displacements_before, fit_dynamics
 from ctrl_rl_offline.data.interface import sensed_interface
-from ctrl_rl_offline.data.motion import displaced, displacements
+from ctrl_rl_offline.data.motion import displaced
 from ctrl_rl_offline.data.transitions import Transitions
 from ctrl_rl_offline.evaluation.fitted_q import actions_of
 
@@ -141,8 +141,7 @@ def replay_correlation(transitions: Transitions, task: NavigationTask, seed: int
     bag. Half of the episodes are replayed in a model of the other half, and the other way around; no policy takes part.
     """
     first = np.append(np.flatnonzero(transitions.first), len(transitions))
-    before = np.roll(displacements(transitions), 1, axis=0)
-    before[transitions.first] = 0.0
+    before = displacements_before(transitions)
     pieces = [np.arange(low, high)[::-1][_REPLAYED - 1 :: _REPLAYED] for low, high in pairwise(first)]
     replayed, earned = [], []
     for half in range(2):
