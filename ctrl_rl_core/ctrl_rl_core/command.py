@@ -11,6 +11,7 @@ import re
 import sys
 from collections.abc import Callable, Collection, Mapping, Sequence
 from importlib import import_module
+from io import TextIOWrapper
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, TypeVar, overload
 
@@ -261,13 +262,15 @@ def what_to_install(module: str) -> str:
 
 
 def run_command(program: str, work: Callable[[], int], failure: int = 1) -> int:
-    """Run a command and return its exit code.
+    """Run a command and return its exit code. Each line that it prints leaves at once, into a pipe or a file too.
 
     Args:
         program: Name that its errors begin with.
         work: Returns the exit code.
         failure: Exit code of an error that the suite explains.
     """
+    if isinstance(sys.stdout, TextIOWrapper):
+        sys.stdout.reconfigure(line_buffering=True)
     try:
         code = work()
         sys.stdout.flush()

@@ -1,6 +1,9 @@
 """How commands refuse and end."""
 
 import os
+import select
+import subprocess
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -98,3 +101,18 @@ def test_wrong_usage_is_one_line_whether_or_not_an_option_may_be_left_out(words,
 def test_options_that_may_be_left_out_are_read():
     assert parse_options("do", _Options, []) == _Options()
     assert parse_options("do", _Options, ["--sweeps", "4", "--width", "0.5"]) == _Options(3, 4, 0.5)
+
+
+def test_each_line_leaves_at_once_into_a_pipe() -> None:
+    work = "lambda: print('on') or len(sys.stdin.read())"
+    code = f"import sys; from ctrl_rl_core.command import run_command; run_command('test', {work})"
+    environment = {key: value for key, value in os.environ.items() if key != "PYTHONUNBUFFERED"}
+    process = subprocess.Popen(
+        [sys.executable, "-c", code], env=environment, text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    )
+    assert process.stdin is not None
+    assert process.stdout is not None
+    with process:
+        assert select.select([process.stdout], [], [], 60.0)[0], "nothing was printed while the command works"
+        assert process.stdout.readline() == "on\n"
+        process.stdin.close()

@@ -92,7 +92,7 @@ def _barn(options: BarnOptions) -> int:
             end = drive(scenario, controller, check, _SEEDS * options.seed + number, settings)
             table.add(method, end)
             bar.clear()
-            print(f"{method}, world {number}: {end.end} after {end.seconds:.1f} s, score {end.score():.3f}", flush=True)
+            print(f"{method}, world {number}: {end.end} after {end.seconds:.1f} s, score {end.score():.3f}")
     print(table.text())
     return 0
 

@@ -65,7 +65,7 @@ def _train(options: Train) -> int:
     from ttr_reward_node import find_or_solve
 
     def tell(line: str) -> None:
-        print(line, flush=True)
+        print(line)
 
     values = {name: find_or_solve(task, options.folder / "values", tell) for name, task in tasks.items()}
     ways, learners = options.ways or tuple(WAYS), options.learners or LEARNERS

@@ -38,7 +38,7 @@ def _hardness(options: Hardness) -> int:
     from ttr_reward_node import find_or_solve, load_value
 
     def tell(line: str) -> None:
-        print(line, flush=True)
+        print(line)
 
     for task in tasks:
         value = load_value(find_or_solve(task, options.values, tell)) if task.grid else None
@@ -47,7 +47,6 @@ def _hardness(options: Hardness) -> int:
         print(
             f"{task.name:<18} optimal {optimal:>9}, limit {found.limit:.0f} s, untrained: {found.goals} goals in "
             f"{SAMPLES} samples ({sum(found.ended.values())} episodes)",
-            flush=True,
         )
         if found.unreachable:
             print(f"{'':<18} from {found.unreachable:.0%} of the starts there is no way")

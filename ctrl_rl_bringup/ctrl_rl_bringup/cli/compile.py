@@ -31,7 +31,7 @@ def compile_kernels() -> int:
 
 def _compile() -> int:
     for name in map_in_processes(_call, list(KERNELS), min(len(KERNELS), os.cpu_count() or 1)):
-        print(f"compiled   {name}", flush=True)
+        print(f"compiled   {name}")
     return 0
 
 

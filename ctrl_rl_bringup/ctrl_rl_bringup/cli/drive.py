@@ -246,7 +246,7 @@ def results() -> int:
 
 
 def _demo(config: DriveConfig) -> int:
-    print(f"demo: {config.task}, seed {config.seed}, {config.speed:g}x real time, in {config.folder}", flush=True)
+    print(f"demo: {config.task}, seed {config.seed}, {config.speed:g}x real time, in {config.folder}")
     return _report(drive(config), config)
 
 

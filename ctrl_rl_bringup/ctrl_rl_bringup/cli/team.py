@@ -103,7 +103,6 @@ def _demo(config: TeamConfig) -> int:
         raise CommandError(f"--speed {config.speed:g}: must be more than 0 and at most {_FASTEST:g}")
     print(
         f"options_demo: {config.team}, seed {config.seed}, {config.speed:g}x real time, in {config.folder}",
-        flush=True,
     )
     run_team(config)
     return _report(config)

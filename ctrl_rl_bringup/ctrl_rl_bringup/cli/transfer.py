@@ -92,7 +92,7 @@ def _transfer(options: TransferOptions) -> int:
     with tqdm(total=sum(len(entry.policies) for entry, _ in missing) * len(seeds), unit="drive", disable=None) as bar:
         for cell in drive_cells(missing, seeds, bar.update):
             bar.clear()
-            print(cell.text(), flush=True)
+            print(cell.text())
             cells.append(cell)
             table.add(cell)
     ratios = transfer_ratios(cells, _HOME)

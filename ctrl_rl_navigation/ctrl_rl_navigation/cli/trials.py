@@ -89,7 +89,7 @@ def _say(name: str, number: int, goals: int, outcome: Outcome) -> None:
     what = "collision" if drive.collided else drive.state.name.lower()
     best = f", best {outcome.best:.1f} s" if outcome.trial.reachable else ""
     text = f"{name} {number}/{goals}: {what} after {drive.seconds:.1f} s{best}, {drive.distance:.2f} m from the goal"
-    print(text, flush=True)
+    print(text)
 
 
 def _log(name: str, map_: OccupancyMap, options: Options, engine: str) -> OutcomeLog[Outcome]:
@@ -123,7 +123,7 @@ def _work(options: Options) -> int:
             if options.results is not None:
                 write_results(options.results, "navigator", [options.seed], _with_others(options.results, found))
             failed += sum(each.trial.reachable and not each.arrived for each in outcomes)
-            print(f"{name}: " + ", ".join(f"{row.metric} {np.mean(row.values):.3f}" for row in found), flush=True)
+            print(f"{name}: " + ", ".join(f"{row.metric} {np.mean(row.values):.3f}" for row in found))
     return 0 if failed == 0 else 1
 
 

@@ -46,7 +46,7 @@ def _correlation(options: CorrelationOptions) -> int:
     from ctrl_rl_offline.loop.correlation import CorrelationSettings, agreements, compare
 
     settings = CorrelationSettings(options.seeds, options.episodes, options.tests)
-    found = compare(task, options.folder, settings, lambda line: print(line, flush=True))
+    found = compare(task, options.folder, settings, print)
     rows = []
     agreed = agreements(found)
     for name in (name for name in _NAMES if name in agreed):

@@ -84,7 +84,7 @@ def _loop(options: LoopOptions) -> int:
                         options.folder / name,
                         settings,
                         options.folder / "values",
-                        lambda line, name=name: print(f"{name}: {line}", flush=True),  # type: ignore[misc]
+                        lambda line, name=name: print(f"{name}: {line}"),  # type: ignore[misc]
                     )
                     found.setdefault((task.name, method), []).append(rounds)
     finally:

@@ -110,7 +110,7 @@ def _work(options: FineTune, words: list[str]) -> int:
                 bar.write(f"episode {len(session.episodes)}: {_line(log)}", file=sys.stdout)
 
             session.learn(total, tell)
-        tested = session.test(options.tests, lambda log: print(f"test: {_line(log)}", flush=True))
+        tested = session.test(options.tests, lambda log: print(f"test: {_line(log)}"))
     session.save_policy()
     success = sum(each.outcome == Outcome.GOAL.name for each in tested) / len(tested) if tested else None
     content = {

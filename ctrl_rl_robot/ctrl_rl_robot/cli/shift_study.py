@@ -65,7 +65,7 @@ def _study(options: ShiftStudy) -> int:
     def success(name: str, delay: float, *words: str) -> dict[str, Any]:
         stage = Stage(options.folder / name, options.task, options.task, options.engine, delay, (*common, *words))
         found = dict(stage.run())
-        print(f"{name}: success {found['success']:.3f}", flush=True)
+        print(f"{name}: success {found['success']:.3f}")
         return found
 
     nominal = success("nominal", 0.0, "--minutes", "0.0")

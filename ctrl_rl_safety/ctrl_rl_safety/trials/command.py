@@ -141,7 +141,7 @@ def _work(options: Options) -> int:
             rows = rows_of(cell.method + suffix, outcomes[cell], *others)
             with bar.external_write_mode():
                 figures = ", ".join(f"{row.metric} {np.mean(row.values):.3f}" for row in rows)
-                print(f"{cell.method}: {figures}", flush=True)
+                print(f"{cell.method}: {figures}")
             if options.results is not None:
                 write_results(options.results, _EXPERIMENT, [options.seed], _with_others(options.results, rows))
     hit = sum(each.avoidable for cell, played in outcomes.items() for each in played if cell.guard not in UNGUARDED)

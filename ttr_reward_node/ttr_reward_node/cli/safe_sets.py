@@ -31,7 +31,7 @@ def solve_and_save(
         max_steps: Number of steps after which it gives up; None for the solver's own.
         overwrite: Whether an existing file is replaced.
     """
-    print(f"problem    {problem.system.name}, {' x '.join(map(str, problem.counts))} nodes, {kind}", flush=True)
+    print(f"problem    {problem.system.name}, {' x '.join(map(str, problem.counts))} nodes, {kind}")
     with tqdm(desc="solving", unit=" steps", disable=None) as bar:
 
         def show(_step: int, change: float) -> None:

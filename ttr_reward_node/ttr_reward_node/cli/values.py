@@ -204,7 +204,7 @@ def _solve(options: Solve) -> int:
 
 def _solve_one(problem: TimeToReachProblem, options: Solve) -> Solution:
     size = gigabytes(memory_needed(problem, options.method))
-    print(f"problem    {problem.system.name}, {' x '.join(map(str, problem.counts))} nodes, at most {size}", flush=True)
+    print(f"problem    {problem.system.name}, {' x '.join(map(str, problem.counts))} nodes, at most {size}")
     with tqdm(desc="solving", unit=" sweeps", disable=None) as bar:
 
         def show(_sweep: int, change: float) -> None:
@@ -217,7 +217,7 @@ def _solve_one(problem: TimeToReachProblem, options: Solve) -> Solution:
     state = "converged" if solution.converged else "NOT converged (allow more with --max-sweeps)"
     print(f"solved     {state} after {solution.sweeps} sweeps, {solution.cpu_seconds:.2f} s CPU")
     print(f"residual   {solution.residual:.2g} s, the largest change of the last sweep")
-    print(f"reachable  {100 * solution.reachable:.1f} % of the nodes", flush=True)
+    print(f"reachable  {100 * solution.reachable:.1f} % of the nodes")
     return solution
 
 

@@ -106,7 +106,7 @@ def _train_on_bags(options: Train) -> int:
     run.environment()  # refuses a task of other robots, as `way` and `name` refuse what cannot be learnt from
     own = f"this policy's own, {run.left_out} others are left out"
     whose = {"mappo": own, "imitation": "imitated", "weighted": "imitated as far as they paid"}[run.way]
-    print(f"learning   {len(run.trajectory)} decisions, {whose}", flush=True)
+    print(f"learning   {len(run.trajectory)} decisions, {whose}")
     how = RunOptions(options.folder, ROUNDS[run.way], final_evaluations=options.evaluations)
     (result,) = run_experiments([run], how, 1, run.name, options.ray)
     for when in ("before", "after"):

@@ -54,7 +54,7 @@ def _loop(options: LoopOptions) -> int:
                     named,
                     options.folder / run,
                     settings,
-                    lambda line, run=run: print(f"{run}: {line}", flush=True),  # type: ignore[misc]
+                    lambda line, run=run: print(f"{run}: {line}"),  # type: ignore[misc]
                 )
                 found.setdefault(task, []).append(rounds)
     finally:
