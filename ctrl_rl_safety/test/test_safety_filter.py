@@ -118,7 +118,7 @@ def test_it_leads_a_robot_past_somebody_who_stands_beside_its_way() -> None:
     model = ROBOTS["turtlebot3_burger"]
     safety = SafetyFilter(model, FilterOptions(mover_speed=0.6, unblock_after=0.0))
     world = LightWorld(model, np.array([(1.2, -0.25, 0.0, 0.0, 0.1)]), safety, 0)
-    nearest = min(world.tick(np.array((model.speed, 0.0)), True)[1] for _ in range(190))
+    nearest = min(world.tick(np.array((model.speed, 0.0)), True)[1] for _ in range(220))
     assert nearest > 0.1  # of the 0.03 m that its own way leaves
     assert world.state[0] > 1.5
 
@@ -140,7 +140,7 @@ def test_what_a_map_has_never_moves_and_anything_else_may_come() -> None:
 
 def test_without_a_map_a_surface_larger_than_any_mover_is_a_wall_once_it_has_stood() -> None:
     model = ROBOTS["turtlebot3_burger"]
-    wall = np.column_stack((np.linspace(-1.0, 1.0, 60), np.full(60, 0.25)))
+    wall = np.column_stack((np.linspace(-1.0, 1.0, 60), np.full(60, 0.3)))
     reading, raw = Reading(np.zeros(3), 0.2, 0.0), np.array((0.2, 0.0))
     for size, mode in ((1.0, Mode.PASSED), (3.0, Mode.CORRECTED), (0.0, Mode.CORRECTED)):
         safety = SafetyFilter(model, FilterOptions(mover_speed=0.6, mover_size=size))

@@ -37,6 +37,8 @@ class Identify:
     """Radius of the disc around the robot's middle that holds all of it [m]."""
     output: FileToWrite = Path("robot.yaml")
     """File to write, for the filter's parameter robot."""
+    track: FiniteNumber = 0.0
+    """Distance between two driven wheels, whose force limits speed and turn rate together [m]; 0 for limits apart."""
     commands: str = ""
     """Topic of the commands (default: the one named cmd_vel)."""
     odometry: str = ""
@@ -52,9 +54,10 @@ def _identify(options: Identify) -> int:
     if options.output.suffix not in (".yaml", ".yml"):
         raise SafetyError(f"--output {options.output}: name a .yaml file")
     drives = read_drives(options.bag, options.commands, options.odometry)
-    fit = fit_drives(drives)
+    fit = fit_drives(drives, options.track)
     measured = {each: getattr(fit, each) for each in _MEASURED}
-    model = RobotModel(name, options.radius, **measured, range_error=options.range_error, scan_age=options.scan_age)
+    given = {each: getattr(options, each) for each in ("range_error", "scan_age", "track")}
+    model = RobotModel(name, options.radius, **measured, **given)
     model.save(options.output)
     seconds = STEP * sum(len(each.speeds) for each in drives)
     print(f"{seconds:.1f} s of commands and odometry; the model leaves {fit.error:.1%} of the variance")

@@ -25,7 +25,7 @@ from ctrl_rl_safety.filter.seen_space import SeenSpace, Sight
 from ctrl_rl_safety.filter.unblocking import Unblocking
 from ctrl_rl_safety.filter.verdict import FilterOptions, Mode, Reading, Verdict
 from ctrl_rl_safety.filter.walls import Walls
-from ctrl_rl_safety.models.growth import Growth
+from ctrl_rl_safety.models.growth import Growth, unnoticed_speed
 from ctrl_rl_safety.models.motion import STANDS, motion_of
 from ctrl_rl_safety.models.robot_model import RobotModel
 from ctrl_rl_safety.sets.distance_field import NODES, NONE, Obstacles, obstacles_around
@@ -74,8 +74,8 @@ class SafetyFilter:
             raise SafetyError(f"{model.name} takes {braking:.0f} s to brake: at most {STEP * MOST_STEPS:.0f} s")
         self.model, self.options = model, options or FilterOptions()
         value = self.options
-        creep = (SAME + 2.0 * model.range_error) / value.standing_time
-        self._growth = Growth(model.disturbance, value.mover_speed, value.mover_acceleration, creep)
+        begun = unnoticed_speed(SAME + 2.0 * model.range_error, value.standing_time, value.mover_acceleration)
+        self._growth = Growth(model.disturbance, value.mover_speed, value.mover_acceleration, begun)
         self._motion = motion_of(model, STEP)
         self._hold = max(1, math.ceil(value.period / STEP))
         # A corner of a rectangle dips into a surface up to half the way between two of its places.

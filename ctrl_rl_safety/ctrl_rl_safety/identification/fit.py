@@ -6,17 +6,17 @@ the drive's commands. Of limits that serve as well, the least are taken: the rob
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from ctrl_rl_core.values.jit_cache import cached_njit
-from numba import njit
 from numpy.typing import NDArray
 
 from ctrl_rl_safety.errors import SafetyError
 from ctrl_rl_safety.identification.drive import STEP, Drive
-from ctrl_rl_safety.models.motion import Motion, next_speed, next_state, next_turn
+from ctrl_rl_safety.models.motion import Motion, next_speeds, next_state
 
 Array = NDArray[np.float64]
 
@@ -67,33 +67,16 @@ class Fit:
     error: float
 
 
-@njit
-def _speed_error(commands: Array, speeds: Array, share: float, faster: float, slower: float) -> float:
-    motion, v, total = Motion(STEP, share, faster, slower, 0.0), speeds[0], 0.0
-    for k in range(len(commands)):
-        v = next_speed(v, commands[k], motion)
-        total += (v - speeds[k]) ** 2
-    return total
-
-
-@njit
-def _turn_error(commands: Array, rates: Array, share: float, turn: float) -> float:
-    motion, omega, total = Motion(STEP, share, 0.0, 0.0, turn), rates[0], 0.0
-    for k in range(len(commands)):
-        omega = next_turn(omega, commands[k], motion)
-        total += (omega - rates[k]) ** 2
-    return total
-
-
 @cached_njit
-def _errors(commands: Array, speeds: Array, ends: NDArray[np.int64], lag: float, limits: Array) -> Array:
-    """Return the squared errors of speed and turn rate (2,) of a model with limits of acceleration (3,)."""
-    share = 1.0 if lag <= 0.0 else 1.0 - np.exp(-STEP / lag)
+def _errors(commands: Array, speeds: Array, ends: NDArray[np.int64], motion: Motion) -> Array:
+    """Return the squared errors of speed and turn rate (2,) of a motion."""
     out, first = np.zeros(2), 0
-    faster, slower, turn = limits[0] * STEP, limits[1] * STEP, limits[2] * STEP
     for last in ends:
-        out[0] += _speed_error(commands[first:last, 0], speeds[first:last, 0], share, faster, slower)
-        out[1] += _turn_error(commands[first:last, 1], speeds[first:last, 1], share, turn)
+        v, omega = speeds[first, 0], speeds[first, 1]
+        for k in range(first, last):
+            v, omega = next_speeds(v, omega, commands[k, 0], commands[k, 1], motion)
+            out[0] += (v - speeds[k, 0]) ** 2
+            out[1] += (omega - speeds[k, 1]) ** 2
         first = last
     return out
 
@@ -123,8 +106,8 @@ class _Data:
     Each begins when even the longest delay is over: which command was in effect before is not known.
     """
 
-    def __init__(self, drives: Sequence[Drive], top: tuple[Array, Array]) -> None:
-        self._drives, self._top = drives, top
+    def __init__(self, drives: Sequence[Drive], top: tuple[Array, Array], track: float) -> None:
+        self._drives, self._top, self._track = drives, top, track
         self.speeds = np.concatenate([each.speeds[_LONGEST:] for each in drives])
         self.poses = np.concatenate([each.poses[_LONGEST:] for each in drives])
         self.ends = np.cumsum([len(each.speeds) - _LONGEST for each in drives])
@@ -137,11 +120,21 @@ class _Data:
 
     def errors(self, commands: Array, lag: float, limits: Array) -> Array:
         """Return the part of the variance that is left, of speed and of turn rate (2,)."""
-        return np.asarray(_errors(commands, self.speeds, self.ends, lag, limits) / self._scale)
+        return np.asarray(_errors(commands, self.speeds, self.ends, self.motion(lag, limits)) / self._scale)
+
+    def motion(self, lag: float, limits: Array) -> Motion:
+        """Return the motion of a row, with a lag [s] and limits of acceleration (3,)."""
+        share = 1.0 if lag <= 0.0 else -math.expm1(-STEP / lag)
+        faster, slower, turn = (limits * STEP).tolist()
+        return Motion(STEP, share, faster, slower, turn, 0.5 * self._track)
 
 
-def fit_drives(drives: Sequence[Drive]) -> Fit:
+def fit_drives(drives: Sequence[Drive], track: float = 0.0) -> Fit:
     """Return the constants that drives show.
+
+    Args:
+        drives: Pieces of drives.
+        track: Distance between two driven wheels [m]; 0 where speed and turn rate change independently.
 
     Raises:
         SafetyError: The robot never moved, turned, started or stopped, or did not do as it was told.
@@ -158,7 +151,7 @@ def fit_drives(drives: Sequence[Drive]) -> Fit:
     most, least = max(forwards, 0.0), min(backwards, 0.0)
     if most < _MOVES[0]:
         raise SafetyError(f"the robot never drove forwards at {_MOVES[0]:g} m/s: record a drive that does")
-    data = _Data(drives, (np.array((least, -reached[1])), np.array((most, reached[1]))))
+    data = _Data(drives, (np.array((least, -reached[1])), np.array((most, reached[1]))), track)
     rows, lag, limits = _best(data)
     commands = data.commands(rows)
     errors = data.errors(commands, lag, limits)
@@ -166,8 +159,7 @@ def fit_drives(drives: Sequence[Drive]) -> Fit:
         what = ("speed", "turn rate")[int(errors.argmax())]
         raise SafetyError(f"the {what} does not follow the commands: are they those that the robot got?")
     limits = _least(data, commands, lag, limits)
-    share = 1.0 if lag <= 0.0 else 1.0 - np.exp(-STEP / lag)
-    motion = Motion(STEP, share, *(limits * STEP))
+    motion = data.motion(lag, limits)
     apart = _deviations(commands, data.poses, data.speeds, data.ends, motion, round(_SPAN / STEP))
     return Fit(
         speed=most,

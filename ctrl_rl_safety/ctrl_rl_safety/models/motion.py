@@ -27,6 +27,7 @@ class Motion(NamedTuple):
         faster: Largest change of the speed away from zero [m/s].
         slower: Largest change of the speed towards zero [m/s].
         turn: Largest change of the turn rate [rad/s].
+        half_track: Half the distance between two wheels that share these limits [m]; 0 where nothing is shared.
     """
 
     step: float
@@ -34,28 +35,49 @@ class Motion(NamedTuple):
     faster: float
     slower: float
     turn: float
+    half_track: float = 0.0
 
 
 def motion_of(model: RobotModel, step: float) -> Motion:
     """Return the motion of a model for a time step [s]."""
     share = -math.expm1(-step / model.lag) if model.lag > 0.0 else 1.0
-    return Motion(step, share, model.acceleration * step, model.braking * step, model.turn_acceleration * step)
+    changes = model.acceleration * step, model.braking * step, model.turn_acceleration * step
+    return Motion(step, share, *changes, 0.5 * model.track)
 
 
 @njit(inline="always")
-def next_speed(v: float, wanted: float, motion: Any) -> float:
-    """Return the speed after a step [m/s]; on the way to the other direction it brakes first."""
-    change = motion.share * (wanted - v)
-    if v * change < 0.0:
-        change = min(max(change, -motion.slower), motion.slower)
-        return v + change if abs(change) <= abs(v) else 0.0
-    return v + min(max(change, -motion.faster), motion.faster)
+def _limited(value: float, most: float) -> float:
+    return min(max(value, -most), most)
 
 
 @njit(inline="always")
-def next_turn(omega: float, wanted: float, motion: Any) -> float:
-    """Return the turn rate after a step [rad/s]."""
-    return omega + min(max(motion.share * (wanted - omega), -motion.turn), motion.turn)
+def _by_wheels(dv: float, turned: float, most: float, most_turn: float, half_track: float) -> tuple[float, float]:
+    """Return the changes of speed [m/s] and turn rate [rad/s] nearest to wanted ones for wheels of limited force.
+
+    Both wheels with all their force change the speed by `most`, or against each other the turn rate by `most_turn`. A
+    wheel that is not at its limit reaches the speed that it should have, whatever the other one does.
+    """
+    left, right = dv / most - turned / most_turn, dv / most + turned / most_turn
+    coupling = (most - most_turn * half_track) / (most + most_turn * half_track)
+    if abs(left) >= abs(right):
+        own = _limited(left, 1.0)
+        left, right = own, _limited(right + coupling * (left - own), 1.0)
+    else:
+        own = _limited(right, 1.0)
+        left, right = _limited(left + coupling * (right - own), 1.0), own
+    return 0.5 * most * (right + left), 0.5 * most_turn * (right - left)
+
+
+@njit(inline="always")
+def next_speeds(v: float, omega: float, v_c: float, omega_c: float, motion: Any) -> tuple[float, float]:
+    """Return speed [m/s] and turn rate [rad/s] after a step; on the way to the other direction it brakes first."""
+    dv, turned = motion.share * (v_c - v), motion.share * (omega_c - omega)
+    most = motion.slower if v * dv < 0.0 else motion.faster
+    if motion.half_track > 0.0:
+        dv, turned = _by_wheels(dv, turned, most, motion.turn, motion.half_track)
+    else:
+        dv, turned = _limited(dv, most), _limited(turned, motion.turn)
+    return 0.0 if v * (v + dv) < 0.0 else v + dv, omega + turned
 
 
 @njit(inline="always")
@@ -63,7 +85,7 @@ def next_state(
     x: float, y: float, theta: float, v: float, omega: float, v_c: float, omega_c: float, motion: Any
 ) -> tuple[float, float, float, float, float]:
     """Return the state after a step: speeds first change, the pose moves by their means."""
-    faster, turned = next_speed(v, v_c, motion), next_turn(omega, omega_c, motion)
+    faster, turned = next_speeds(v, omega, v_c, omega_c, motion)
     way, turn = 0.5 * (v + faster) * motion.step, 0.5 * (omega + turned) * motion.step
     middle = theta + 0.5 * turn
     return x + way * math.cos(middle), y + way * math.sin(middle), theta + turn, faster, turned

@@ -40,6 +40,7 @@ UNITS: Mapping[str, str] = {
     "scan_age": "s",
     "length": "m",
     "width": "m",
+    "track": "m",
 }
 _LARGEST: Mapping[str, float] = {
     "radius": 5.0,
@@ -56,8 +57,10 @@ _LARGEST: Mapping[str, float] = {
     "scan_age": 2.0,
     "length": 10.0,
     "width": 10.0,
+    "track": 10.0,
 }
-_MAY_BE_ZERO = {"reverse_speed", "lag", "delay", "disturbance", "range_error", "scan_age", "length", "width"}
+_OPTIONAL = {"lag", "delay", "disturbance", "range_error", "scan_age", "length", "width", "track"}
+_MAY_BE_ZERO = {"reverse_speed", *_OPTIONAL}
 
 
 @dataclass(frozen=True)
@@ -69,6 +72,9 @@ class RobotModel:
         x' = v cos theta + d_x,  y' = v sin theta + d_y,  theta' = omega,  |(d_x, d_y)| <= disturbance
         v' = (v_c(t - delay) - v) / lag, within acceleration away from zero and braking towards it
         omega' = (omega_c(t - delay) - omega) / lag, within turn_acceleration
+
+    With a `track`, acceleration and turn acceleration are those of two wheels that push with all their force, together
+    and against each other: a wheel at its limit gives less to both.
 
     Attributes:
         name: Name of the robot.
@@ -86,6 +92,7 @@ class RobotModel:
         scan_age: Bound of the time by which an echo is older than the stamp of its scan says [s].
         length: Length of a rectangular robot [m]; 0 for a round one.
         width: Width of a rectangular robot [m]; 0 for a round one.
+        track: Distance between two driven wheels [m]; 0 for speed and turn rate that change independently.
 
     Raises:
         SafetyError: A number is not finite, negative, zero where it must not be, or too large for a robot, or the
@@ -107,6 +114,7 @@ class RobotModel:
     scan_age: float = 0.0
     length: float = 0.0
     width: float = 0.0
+    track: float = 0.0
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -194,8 +202,6 @@ def _constants(content: Any) -> dict[str, Any]:
             raise SafetyError(f"{name}: {error}") from None
     return out
 
-
-_OPTIONAL = {"lag", "delay", "disturbance", "range_error", "scan_age", "length", "width"}
 
 ROBOTS: Mapping[str, RobotModel] = {
     # Named beside each robot is where its limits were read. Lags, delays, disturbances and errors are assumed for all:

@@ -24,7 +24,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from ctrl_rl_safety.models.growth import Growth, fixed_growth, moving_growth, standing_growth
-from ctrl_rl_safety.models.motion import STANDS, motion_of, next_speed
+from ctrl_rl_safety.models.motion import STANDS, motion_of, next_speeds
 from ctrl_rl_safety.models.robot_model import RobotModel
 from ctrl_rl_safety.sets.disc_row import HEADINGS, discs_of, margins_of_row
 from ctrl_rl_safety.sets.distance_field import Obstacles
@@ -66,7 +66,7 @@ def brake_ladder(model: RobotModel) -> Ladder:
     motion, v = motion_of(model, _FINE), top
     for level in range(LEVELS, 0, -1):
         while v > max(speeds[level - 1], STANDS):
-            slower = next_speed(v, 0.0, motion)
+            slower, _ = next_speeds(v, 0.0, 0.0, 0.0, motion)
             part = 1.0
             if slower < speeds[level - 1]:
                 part = (v - speeds[level - 1]) / (v - slower)

@@ -43,9 +43,8 @@ GUARDS = {
 UNGUARDED = ("none", "alone")
 """Guards without the filter, to which the others are compared."""
 _LESS_BRAKING, _MORE_DELAY, _LATE = 0.9, 0.03, 0.7
-CAR = RobotModel("car", 0.177, 2.0, 0.8, 0.5, 3.1, 2.7, 3.0, 0.05, 0.0, 0.28, 0.03, 0.0)
-"""The car of `car_ttr` and `car_navigation`. Its motors have 3.1 m/s^2; of braking, what is left is for turns. A wheel
-at its motor's limit does not turn as told: `identify` finds a disturbance of 0.25 to 0.28 m/s in random drives."""
+CAR = RobotModel("car", 0.177, 2.0, 0.8, 0.5, 3.1, 3.1, 25.2, 0.05, 0.0, 0.08, 0.03, 0.0, track=0.23)
+"""The car of `car_ttr` and `car_navigation`. The force of its motors limits speed and turn rate together."""
 _OF_TASKS = {"turtlebot2": CAR, "turtlebot3_burger": ROBOTS["turtlebot3_burger"]}
 _SIZE = 4.0
 """Extent of movers that the filter is told, over the radius of the largest in a task."""

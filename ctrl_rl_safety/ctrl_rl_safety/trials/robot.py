@@ -18,7 +18,7 @@ from ctrl_rl_core import Outcome, ScanGeometry
 from ctrl_rl_safety.filter.map_walls import MapWalls
 from ctrl_rl_safety.filter.safety_filter import SafetyFilter
 from ctrl_rl_safety.filter.verdict import Mode, Reading
-from ctrl_rl_safety.models.motion import STANDS, motion_of, next_speed, next_turn
+from ctrl_rl_safety.models.motion import STANDS, motion_of, next_speeds
 from ctrl_rl_safety.models.robot_model import RobotModel
 from sim_bridge import SimulatedWorld
 
@@ -49,11 +49,7 @@ class Base:
         """Return the speeds to tell the wheels for the step that begins at a time [m/s, rad/s]."""
         while self._waiting and self._waiting[0][0] <= time + 1e-9:
             self._wanted = self._waiting.popleft()[1:]
-        v, omega = self._speeds
-        self._speeds = (
-            float(next_speed(v, self._wanted[0], self._motion)),
-            float(next_turn(omega, self._wanted[1], self._motion)),
-        )
+        self._speeds = next_speeds(*self._speeds, *self._wanted, self._motion)
         return self._speeds
 
 
