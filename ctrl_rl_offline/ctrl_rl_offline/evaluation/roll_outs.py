@@ -157,10 +157,13 @@ def replay_correlation(transitions: Transitions, task: NavigationTask, seed: int
         outcomes, _ = world.drive(transitions.states[starts], before[starts], _REPLAYED, choose)
         replayed.append(terminal_reward(outcomes, task.rewards))
         earned.append(transitions.task_rewards[starts + _REPLAYED - 1])
-    in_model, in_bag = np.concatenate(replayed), np.concatenate(earned)
-    if in_model.std() == 0.0 or in_bag.std() == 0.0:
-        return 0.0
-    return float(np.corrcoef(in_model, in_bag)[0, 1])
+    return correlation(np.concatenate(replayed), np.concatenate(earned))
+
+
+def correlation(first: Array, second: Array) -> float:
+    """Return the correlation of two rows of numbers (n,), 0 where one does not vary."""
+    spread = first.std() * second.std()
+    return 0.0 if spread == 0.0 else float(((first - first.mean()) * (second - second.mean())).mean() / spread)
 
 
 def _episodes(transitions: Transitions, numbers: NDArray[np.intp]) -> Transitions:

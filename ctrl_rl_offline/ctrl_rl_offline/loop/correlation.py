@@ -21,6 +21,7 @@ from ctrl_rl_core import Actor, NavigationTask, atomic_write
 from ctrl_rl_offline.data.transitions import Transitions, load_transitions
 from ctrl_rl_offline.data.values import OC_VALUE, TIME_TO_REACH, StateValues, find_time_to_reach, load_values
 from ctrl_rl_offline.evaluation.report import evaluate_offline
+from ctrl_rl_offline.evaluation.roll_outs import correlation
 from ctrl_rl_offline.learners.learning import learn
 from ctrl_rl_offline.learners.settings import LearningSettings
 from ctrl_rl_offline.loop.closed_loop import DISCOUNT
@@ -149,21 +150,15 @@ def agreements(found: dict[str, Any]) -> dict[str, Agreement]:
         drawn = []
         for _ in range(_RESAMPLED):
             chosen = random.integers(len(driven), size=len(driven))
-            drawn.append(_correlation(estimates[random.integers(len(estimates)), chosen], driven[chosen]))
+            drawn.append(correlation(estimates[random.integers(len(estimates)), chosen], driven[chosen]))
         lost = driven.max() - driven[estimates.argmax(axis=1)]
         out[name] = Agreement(
-            correlation=np.array([_correlation(row, driven) for row in estimates]),
-            ranks=np.array([_correlation(_ranks(row), _ranks(driven)) for row in estimates]),
+            correlation=np.array([correlation(row, driven) for row in estimates]),
+            ranks=np.array([correlation(_ranks(row), _ranks(driven)) for row in estimates]),
             regret=lost / max(float(np.ptp(driven)), 1e-9),
             interval=np.quantile(drawn, (0.025, 0.975)),
         )
     return out
-
-
-def _correlation(first: Array, second: Array) -> float:
-    """Return the correlation of two rows (n,), 0 where one does not vary."""
-    spread = first.std() * second.std()
-    return 0.0 if spread == 0.0 else float(((first - first.mean()) * (second - second.mean())).mean() / spread)
 
 
 def _ranks(numbers: Array) -> Array:
