@@ -7,7 +7,7 @@ import pytest
 from oc_baseline_node.mpc.initial_guess import InitialGuesses, braking_guess
 from oc_baseline_node.mpc.shortest_path import ShortestPathPlanner
 
-from ctrl_rl_core import Region, load_navigation_task
+from ctrl_rl_core import Region, load_navigation_task, make_system
 from oc_baseline_node import Mpc, draw_start, formulate
 
 TASKS = ("car_navigation", "quad_navigation", "quad_trap")
@@ -42,6 +42,17 @@ def test_a_guess_goes_round_only_where_it_must():
     assert states.shape == (141, 6)
     assert controls.shape == (140, 2)
     assert states[:, 0].min() < 2.0  # left of the box
+
+
+def test_a_car_that_faces_away_turns_for_a_long_way_and_backs_up_for_a_short_one():
+    problem = formulate(load_navigation_task("car_navigation"), "free_time")
+    problem = replace(
+        problem, system=make_system("dubins_car", control_bounds={"v": (-0.2, 0.6), "omega": (-1.0, 1.0)})
+    )
+    guesses, goal = InitialGuesses(replace(problem, obstacles=())), np.array(problem.goal)
+    for distance, turned in ((4.0, np.pi), (0.5, 0.0)):
+        states, _ = guesses(np.array([*(goal - [distance, 0.0]), np.pi]))[0]
+        assert abs(states[-1, 2] - states[0, 2]) == pytest.approx(turned, abs=1e-6)
 
 
 @pytest.mark.parametrize("name", TASKS)

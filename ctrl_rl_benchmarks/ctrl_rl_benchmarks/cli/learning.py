@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -19,7 +20,7 @@ from ctrl_rl_training.cli import (
 from ctrl_rl_training.experiments.run import RunOptions
 
 from ctrl_rl_benchmarks.ladder.task_list import LADDER, load_ladder_task
-from ctrl_rl_benchmarks.ways.methods import LEARNERS, WAYS
+from ctrl_rl_benchmarks.ways.methods import BY_DEFAULT, LEARNERS, WAYS
 from ctrl_rl_core import write_results
 
 _EVALUATIONS, _FINAL_EVALUATIONS = 20, 10
@@ -39,8 +40,8 @@ class Train(ExperimentOptions):
     """Samples of a run; whole iterations of 10240 are done."""
     tasks: tuple[str, ...] = LADDER
     """Tasks: names of the ladder, of the suite, or task files."""
-    ways: Annotated[tuple[str, ...], some_of(WAYS)] = tuple(WAYS)
-    """Ways to use the time to reach, or to do without."""
+    ways: Annotated[tuple[str, ...], some_of(WAYS)] = BY_DEFAULT
+    """Ways to use the time to reach, or to do without; best_progress_mpc solves trajectories first, minutes a task."""
     learners: Annotated[tuple[str, ...], some_of(LEARNERS)] = LEARNERS
     """Learners."""
     results: OptionalFileToWrite = None
@@ -62,14 +63,21 @@ def _train(options: Train) -> int:
 
     from ctrl_rl_benchmarks.experiments.results import as_table, collect
     from ctrl_rl_benchmarks.experiments.runs import ladder_runs
+    from ctrl_rl_benchmarks.ways.time_to_go import find_or_fit
     from ttr_reward_node import find_or_solve
 
     def tell(line: str) -> None:
         print(line)
 
     values = {name: find_or_solve(task, options.folder / "values", tell) for name, task in tasks.items()}
-    ways, learners = options.ways or tuple(WAYS), options.learners or LEARNERS
-    runs = ladder_runs(list(tasks), ways, learners, options.seeds, values)
+    ways, learners = options.ways or BY_DEFAULT, options.learners or LEARNERS
+    workers = options.workers or os.cpu_count() or 1
+    mpc_values = {
+        name: find_or_fit(task, options.folder / "values", tell, workers)
+        for name, task in tasks.items()
+        if any(WAYS[way].needs_mpc for way in ways)
+    }
+    runs = ladder_runs(list(tasks), ways, learners, options.seeds, values, mpc_values)
     how = RunOptions(options.folder, -(-options.samples // ITERATION), ITERATION, _EVALUATIONS, _FINAL_EVALUATIONS)
     try:
         run_experiments(runs, how, options.workers, "ladder", options.ray)

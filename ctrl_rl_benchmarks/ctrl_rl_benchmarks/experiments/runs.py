@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from ctrl_rl_training.experiments.run import find_method
@@ -26,6 +27,7 @@ from ctrl_rl_benchmarks.ways.methods import GAMMA, MAIN, WAYS, Way
 from ctrl_rl_benchmarks.ways.pay import PAYS, PotentialReward, StateReward
 from ctrl_rl_benchmarks.ways.potential import DistanceInSeconds, Potential
 from ctrl_rl_benchmarks.ways.starts import GrowingStarts, levels
+from ctrl_rl_benchmarks.ways.time_to_go import TimeToGo
 from ctrl_rl_core import NavigationTask
 from ttr_reward_node import load_value, make_reward
 
@@ -39,7 +41,7 @@ class LadderRun(SimulatedRun):
         way_name: One of `WAYS`.
         learner: One of `LEARNERS`.
         seed: Seed of everything random.
-        value: File of the task's time to reach.
+        value: File of the task's time to reach, or of MPC's time to go for a way that asks it.
     """
 
     task_name: str
@@ -81,8 +83,13 @@ class LadderRun(SimulatedRun):
             "way": self.way_name,
             "learner": self.learner,
             "seed": self.seed,
-            "value_digest": load_value(self.value).digest if self.way.needs_value else None,
+            "value_digest": self._value_digest(),
         }
+
+    def _value_digest(self) -> str | None:
+        if self.way.needs_mpc:
+            return TimeToGo(self.value, self.task).digest
+        return load_value(self.value).digest if self.way.needs_value else None
 
     def environment(self, rate: int | None = None) -> Environment:
         """Return the task's environment in PyBullet (in MuJoCo where it is missing), with the task's own rewards."""
@@ -104,9 +111,13 @@ class LadderRun(SimulatedRun):
             return StateReward(
                 make_reward(names[way.reward], task, load_value(self.value) if way.reward == "ttr" else None)
             )
-        potential: Potential = DistanceInSeconds(task) if way.of == "distance" else TimeToReach(load_value(self.value))
-        make = PAYS[way.reward]
+        potential, make = self._potential(), PAYS[way.reward]
         return PotentialReward(potential, lambda: make(potential.longest, GAMMA), robots)
+
+    def _potential(self) -> Potential:
+        if self.way.of == "distance":
+            return DistanceInSeconds(self.task)
+        return TimeToGo(self.value, self.task) if self.way.needs_mpc else TimeToReach(load_value(self.value))
 
     def _environments(self) -> FleetEnvironments:
         robots = number_of_environments(self.learner)
@@ -146,11 +157,21 @@ def ladder_runs(
     learners: Sequence[str],
     seeds: int,
     values: Mapping[str, Path],
+    mpc_values: Mapping[str, Path] = MappingProxyType({}),
 ) -> list[LadderRun]:
-    """Return all runs, those that tell most first: the main ways by PPO, then by the other learners, then the rest."""
+    """Return all runs, those that tell most first: the main ways by PPO, then by the other learners, then the rest.
+
+    Args:
+        tasks: Names of tasks, or their files.
+        ways: Names of ways.
+        learners: Names of learners.
+        seeds: Number of seeds.
+        values: File of each task's time to reach.
+        mpc_values: File of MPC's time to go of each task, for the ways that ask it.
+    """
     ordered = sorted(ways, key=list(WAYS).index)
     return [
-        LadderRun(task, way, learner, seed, values[task])
+        LadderRun(task, way, learner, seed, (mpc_values if WAYS[way].needs_mpc else values)[task])
         for main in (True, False)
         for learner in learners
         for seed in range(seeds)

@@ -21,7 +21,7 @@ class Way:
         label: Name in tables and pictures.
         reward: Reward beside the task's sparse one: "none"; "distance", minus the distance to the goal; "ttr", minus
             the time to reach (thesis Eq. 3.9); or a kind of `ways.pay.PAYS`.
-        of: Potential in which progress is measured, the time to reach or the distance in seconds.
+        of: Potential in which progress is measured: the time to reach, MPC's time to go, or the distance in seconds.
         baseline: Use of V = 1000 gamma^(phi/dt) by the policy gradient: "frozen" baseline, baseline with a learnt
             "corrected" part, or critic that "begins" as V.
         gae_lambda: lambda of the returns.
@@ -31,7 +31,7 @@ class Way:
 
     label: str
     reward: Literal["none", "distance", "ttr", "progress", "best_progress", "shaping"] = "none"
-    of: Literal["time to reach", "distance"] = "time to reach"
+    of: Literal["time to reach", "time to go", "distance"] = "time to reach"
     baseline: Literal["learnt", "frozen", "corrected", "begins"] = "learnt"
     gae_lambda: float = 0.95
     starts: Literal["task", "grow"] = "task"
@@ -48,6 +48,11 @@ class Way:
     def needs_value(self) -> bool:
         """Whether it asks the time to reach."""
         return (self.reward not in ("none", "distance") and self.of == "time to reach") or self.uses_states
+
+    @property
+    def needs_mpc(self) -> bool:
+        """Whether it asks MPC's time to go."""
+        return self.of == "time to go"
 
     @property
     def uses_states(self) -> bool:
@@ -71,10 +76,13 @@ WAYS: Mapping[str, Way] = MappingProxyType(
         "growing_starts": Way("starts that grow with V", starts="grow"),
         "demonstrations": Way("demonstrations by V", demonstrations=True),
         "best_progress_lambda_0.7": Way("best progress, λ = 0.7", "best_progress", gae_lambda=0.7),
+        "best_progress_mpc": Way("best progress of MPC's time to go", "best_progress", "time to go"),
         "v_corrected_lambda_0.7": Way("V corrected, λ = 0.7", baseline="corrected", gae_lambda=0.7),
     }
 )
 """All ways by name, those that tell most first."""
+BY_DEFAULT = tuple(name for name, way in WAYS.items() if not way.needs_mpc)
+"""Ways that are run unless others are asked for: MPC takes minutes a task, and does not know every world."""
 MAIN = (
     "best_progress",
     "sparse",

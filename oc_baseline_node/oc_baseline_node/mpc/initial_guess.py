@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from ctrl_rl_core.tasks.regions import wrap
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
@@ -29,7 +30,9 @@ class InitialGuesses:
     def __call__(self, start: Array) -> list[tuple[Array, Array]]:
         """Return states (H+1, n) and controls (H, m) to begin with from `start` (n,), the likeliest first.
 
-        A straight line to the goal; where that runs through an obstacle, a path round it comes first.
+        A straight line to the goal; where that runs through an obstacle, a path round it comes first. With a free time
+        step a car that would be there sooner forwards than backwards drives along it: without speeds to begin with, and
+        facing away, a solver finds the way backwards, however long that takes.
         """
         count = self._problem.horizon + 1
         position = start[self._problem.positions]
@@ -40,6 +43,8 @@ class InitialGuesses:
                 path_following_guess(self._problem, start, round_),
                 straight_line_guess(self._problem, start, straight),
             ]
+        if self._problem.form == "free_time" and _is_sooner_forwards(self._problem.system, start, straight):
+            return [path_following_guess(self._problem, start, straight)]
         return [straight_line_guess(self._problem, start, straight)]
 
 
@@ -59,14 +64,32 @@ def path_following_guess(problem: OptimalControlProblem, start: Array, line: Arr
     A system without heading, or one that flies, gets `straight_line_guess` instead.
     """
     states, controls = straight_line_guess(problem, start, line)
-    names, wanted = problem.system.state_names, problem.system.control_names
-    if "theta" not in names or wanted != ("v", "omega"):
+    names = problem.system.state_names
+    if not _is_car(problem.system):
         return states, controls
     ahead = np.diff(uniform_filter1d(line, _SMOOTH, axis=0, mode="nearest"), axis=0)
     heading = np.unwrap(np.concatenate(([start[names.index("theta")]], np.arctan2(ahead[:, 1], ahead[:, 0]))))
     states[:, names.index("theta")] = heading
     rates = np.column_stack((np.hypot(*ahead.T), np.diff(heading))) / problem.time_step
     return states, np.clip(rates, *problem.system.control_bounds)
+
+
+def _is_car(system: System) -> bool:
+    """Whether speed and turn rate of a heading are the controls."""
+    return "theta" in system.state_names and system.control_names == ("v", "omega")
+
+
+def _is_sooner_forwards(system: System, start: Array, line: Array) -> bool:
+    """Whether a car that turns on the spot first is sooner at the end of a straight line (H+1, 2) forwards."""
+    if not _is_car(system):
+        return False
+    (back, _), (ahead, turn) = system.control_bounds
+    if back >= 0.0 or min(ahead, turn) <= 0.0:
+        return back >= 0.0
+    x, y = line[-1] - line[0]
+    angle = abs(wrap(np.arctan2(y, x) - start[system.state_names.index("theta")]))
+    length = np.hypot(x, y)
+    return bool(angle / turn + length / ahead <= (np.pi - angle) / turn + length / -back)
 
 
 def braking_guess(problem: OptimalControlProblem, start: Array) -> tuple[Array, Array]:
