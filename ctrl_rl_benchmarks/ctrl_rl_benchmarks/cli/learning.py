@@ -63,7 +63,7 @@ def _train(options: Train) -> int:
 
     from ctrl_rl_benchmarks.experiments.results import as_table, collect
     from ctrl_rl_benchmarks.experiments.runs import ladder_runs
-    from ctrl_rl_benchmarks.ways.time_to_go import find_or_fit
+    from ctrl_rl_benchmarks.ways.time_to_go import find_or_solve_trajectories
     from ttr_reward_node import find_or_solve
 
     def tell(line: str) -> None:
@@ -73,7 +73,7 @@ def _train(options: Train) -> int:
     ways, learners = options.ways or BY_DEFAULT, options.learners or LEARNERS
     workers = options.workers or os.cpu_count() or 1
     mpc_values = {
-        name: find_or_fit(task, options.folder / "values", tell, workers)
+        name: find_or_solve_trajectories(task, options.folder / "values", workers)
         for name, task in tasks.items()
         if any(WAYS[way].needs_mpc for way in ways)
     }

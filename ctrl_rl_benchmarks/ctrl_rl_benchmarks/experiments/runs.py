@@ -41,7 +41,7 @@ class LadderRun(SimulatedRun):
         way_name: One of `WAYS`.
         learner: One of `LEARNERS`.
         seed: Seed of everything random.
-        value: File of the task's time to reach, or of MPC's time to go for a way that asks it.
+        value: File of the task's time to reach, or folder of MPC's trajectories for a way that asks them.
     """
 
     task_name: str
@@ -167,7 +167,7 @@ def ladder_runs(
         learners: Names of learners.
         seeds: Number of seeds.
         values: File of each task's time to reach.
-        mpc_values: File of MPC's time to go of each task, for the ways that ask it.
+        mpc_values: Folder of MPC's trajectories of each task, for the ways that ask them.
     """
     ordered = sorted(ways, key=list(WAYS).index)
     return [
