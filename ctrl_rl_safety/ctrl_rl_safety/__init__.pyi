@@ -4,7 +4,12 @@ from .filter.verdict import FilterOptions as FilterOptions
 from .filter.verdict import Mode as Mode
 from .filter.verdict import Reading as Reading
 from .filter.verdict import Verdict as Verdict
+from .flight.flight_guard import FlightGuard as FlightGuard
+from .flight.flight_guard import FlightOptions as FlightOptions
+from .flight.flight_guard import FlightVerdict as FlightVerdict
 from .models.growth import Growth as Growth
+from .models.quadrotor_model import QuadrotorModel as QuadrotorModel
+from .models.quadrotor_model import quadrotor_of as quadrotor_of
 from .models.robot_model import ROBOTS as ROBOTS
 from .models.robot_model import RobotModel as RobotModel
 from .models.robot_model import find_model as find_model

@@ -47,8 +47,8 @@ def test_it_counts_contacts_goes_on_and_keeps_other_rows(
     ("words", "reason"),
     [
         (("--sources", "nobody"), "no source 'nobody': there are full_speed, random"),
-        (("--sources", "quad_ttr"), "task 'quad_ttr' flies: the filter is for robots on wheels"),
-        (("--sources", "car_ttr@quad_trap"), "task 'quad_trap' flies"),
+        (("--sources", "car_ttr@quad_trap"), "policy 'car_ttr' is for a differential_drive: 'quad_trap' flies"),
+        (("--sources", "quad_ttr", "--guards", "late"), "guard 'late' is for robots on wheels: flights have none"),
         (("--sources", "attacker@car_ttr"), "the attacker has learnt in rooms: give it no task"),
     ],
 )
@@ -75,6 +75,20 @@ def test_a_late_robot_with_wheels_of_its_own_and_one_that_meets_nobody(
     assert values["random, car_ttr, filter, commands 0.7 s late", "avoidable collisions"] == [0.0]
     assert values["curved_corridor, corridor_crossing, nobody there", "success"] == [1.0]
     assert values["curved_corridor, corridor_crossing, no filter", "run into while standing"] == [1.0]
+
+
+def test_a_policy_flies_to_its_goal_with_and_without_the_guard_and_an_adversary_hits_without_it_only(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    results = tmp_path / "out" / "safety_filter.json"
+    words = ("--sources", "quad_navigation@quad_trap", "full_speed@quad_trap", "--episodes", 1)
+    assert run(monkeypatch, *words, "--folder", tmp_path / "runs", "--results", results) == 0
+    (experiment,) = read_results(results.parent)
+    values = {(row.method, row.metric): row.values for row in experiment.rows}
+    assert values["quad_navigation, quad_trap, filter", "success"] == [1.0]
+    assert abs(values["quad_navigation, quad_trap, filter", "time lost"][0]) < 0.05
+    contacts = [values[f"full_speed, quad_trap, {guard}", "avoidable collisions"] for guard in ("no filter", "filter")]
+    assert contacts == [[1.0], [0.0]]
 
 
 def test_the_base_moves_by_its_model_whatever_the_physics_engine_would_do() -> None:

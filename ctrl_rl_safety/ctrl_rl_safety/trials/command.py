@@ -23,8 +23,10 @@ from ctrl_rl_core.io.results import Result, read_experiment, write_results
 from ctrl_rl_core.policies.policy import shipped_policies
 from tqdm import tqdm
 
+from ctrl_rl_core import load_navigation_task
 from ctrl_rl_safety.errors import SafetyError
 from ctrl_rl_safety.trials.episodes import ADVERSARIES, GUARDS, UNGUARDED, Cell, Player, TrialOutcome, task_of
+from ctrl_rl_safety.trials.flights import FlightPlayer
 from ctrl_rl_safety.trials.worlds import PLACES
 
 _ROBOTS = ("turtlebot3_burger", "turtlebot2")
@@ -36,7 +38,9 @@ class Options:
     """Drives a simulated robot by adversaries and by policies, with and without the safety filter, and counts contacts.
 
     A contact is avoidable where the robot moves, or touches something that stands. A mover that runs into a robot that
-    stands is counted apart. Exits with 1 where a robot behind the filter had an avoidable one.
+    stands is counted apart. In tasks that fly the filter is the guard of planar quadrotors, which knows walls and
+    obstacles, and a tilt beyond the limit counts as a contact. Exits with 1 where a robot behind the filter had an
+    avoidable one.
     """
 
     sources: tuple[str, ...] = ADVERSARIES
@@ -48,8 +52,8 @@ class Options:
     """Seed of the first episode; the others follow."""
     guards: Annotated[tuple[str, ...], some_of(GUARDS)] = ("none", "filter")
     """Between source and robot: nothing, the filter, the filter with the map, the filter before a robot with 10 % less
-    braking and 30 ms more delay than it assumes (mismatch), the filter before the engine's own wheels whose commands
-    come 0.7 s late, as it knows (late), or nothing where nobody moves (alone)."""
+    braking and 30 ms more delay, or a quadrotor 3 % heavier, than it assumes (mismatch), the filter before the engine's
+    own wheels whose commands come 0.7 s late, as it knows (late), or nothing where nobody moves (alone)."""
     places: Annotated[tuple[str, ...], some_of(PLACES)] = PLACES
     """Rooms of adversaries: boxes that stand, or also two movers of up to 0.4 m/s."""
     robots: Annotated[tuple[str, ...], some_of(_ROBOTS)] = _ROBOTS
@@ -82,6 +86,17 @@ def cells_of(options: Options) -> list[Cell]:
             places = [(task or task_of(Path(source).stem), "")]
         out += [Cell(source, *place, guard) for place in places for guard in options.guards]
     return out
+
+
+def player_of(cell: Cell, engine: str) -> Player | FlightPlayer:
+    """Return who plays the episodes of a cell.
+
+    Raises:
+        CtrlRlError: Its source, task, robot or guard do not go together.
+    """
+    if cell.place not in PLACES and (task := load_navigation_task(cell.place)).plane == "xz":
+        return FlightPlayer(cell, engine, task)
+    return Player(cell, engine)
 
 
 def rows_of(
@@ -118,7 +133,7 @@ def _lost(outcomes: Sequence[TrialOutcome], others: Sequence[TrialOutcome]) -> l
 
 def _finished(cell: Cell, options: Options, bar: tqdm[Any]) -> list[TrialOutcome]:
     """Return the outcomes of a cell, and play what is missing."""
-    player = Player(cell, options.engine)
+    player = player_of(cell, options.engine)
     name = re.sub(r"\W+", "-", f"{cell.method}-{options.engine}")
     settings = {"cell": cell.method, "engine": options.engine, "seed": options.seed, "terms": player.terms}
     log = OutcomeLog(options.folder / f"{name}.jsonl", settings, TrialOutcome, SafetyError)

@@ -141,8 +141,6 @@ class Player:
             self._model = ROBOTS[cell.robot]
         else:
             self._task = with_whole_scan(load_navigation_task(cell.place))
-            if self._task.plane != "xy":
-                raise SafetyError(f"task '{cell.place}' flies: the filter is for robots on wheels")
             self._model = _OF_TASKS[self._task.robot.body]
         if cell.guard == "late":
             self._options = SimulationOptions(engine=engine, command_delay=_LATE)

@@ -1,0 +1,187 @@
+"""The value of a state by escapes: the largest room that some escape keeps until the quadrotor hovers; machine code.
+
+An escape accelerates in one direction for a time and then brakes. It is rolled out as it would be flown, with all six
+states and thrusts that are held for a tick. Between two places on the way no point of the body moves farther than its
+speed allows, which is taken off the room that is found at both; and after a time t it may be half the disturbance times
+t^2 nearer, which is taken off too.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from ctrl_rl_core.values.jit_cache import cached_njit
+from numba import njit
+from numpy.typing import NDArray
+
+from ctrl_rl_safety.flight.motion import State, escape_thrusts, moved, room_at
+
+Array = NDArray[np.float64]
+
+LOST = -1e3
+"""Value of a state from which no escape comes to a hover [m]."""
+LONGEST = 3.0
+"""Time in which an escape has to come to a hover [s]."""
+_SHORTEST = 0.3  # time of an escape [s]: a quadrotor that hovers and is pushed onto a wall has to get away from it
+_CHECKS = 2  # of the room, in a tick
+_SLOW, _LEVEL, _TURNS = 0.15, 0.1, 0.5  # a hover [m/s, rad, rad/s]: what is left of the motion moves it by centimetres
+
+
+_FAR_END = 1e-3  # of the room at the end of an escape [m], up to 1 m, that counts as room on the way
+_TICKS_IN_GOAL = 2  # that a flight has to be inside, so that whoever looks 30 times a second sees it
+
+
+class KnownWorld(NamedTuple):
+    """What is around the quadrotor.
+
+    Attributes:
+        shapes: Rows of `shape_rows` (k, 7).
+        goal: Region in which the flight ends (9,): bounds of x, z and psi, middle and radius of a disc.
+    """
+
+    shapes: Array
+    goal: Array
+
+
+@njit
+def _in_goal(goal: Array, state: State) -> bool:
+    x, z, psi = state[0], state[2], state[4]
+    box = goal[0] <= x <= goal[1] and goal[2] <= z <= goal[3] and goal[4] <= psi <= goal[5]
+    return box and math.hypot(x - goal[6], z - goal[7]) <= goal[8]
+
+
+@njit
+def _hovers(state: State) -> bool:
+    return math.hypot(state[1], state[3]) < _SLOW and abs(state[4]) < _LEVEL and abs(state[5]) < _TURNS
+
+
+@njit
+def _room_for_tick(craft: Any, shapes: Array, state: State, t_1: float, t_2: float, room: float) -> Any:
+    """Return the state after a tick, the room there, and the least room on the way to it [m]."""
+    seconds, least = craft.tick / _CHECKS, np.inf
+    reach = math.hypot(craft.half_length, craft.half_height)
+    for _ in range(_CHECKS):
+        before = math.hypot(state[1], state[3]) + reach * abs(state[5])
+        state = moved(craft, state, t_1, t_2, seconds)
+        after = math.hypot(state[1], state[3]) + reach * abs(state[5])
+        there = room_at(craft, shapes, state[0], state[2], state[4])
+        least = min(least, 0.5 * (room + there - max(before, after) * seconds), there)
+        room = there
+    return state, room, least
+
+
+@njit
+def _escaped(
+    craft: Any, world: KnownWorld, state: State, room: float, plan: Array, recorded: Array, enough: float, ahead: int
+) -> Any:
+    """Return the least room of an escape, or some number below `enough` where it is less, and the room at its end [m].
+
+    Args:
+        craft: Constants of the quadrotor, a `Craft`.
+        world: Shapes and goal around it.
+        state: State in which the escape begins.
+        room: Room there [m].
+        plan: Direction and duration of the acceleration (2,), after the thrusts that are recorded.
+        recorded: Thrusts with which it begins (n, 2).
+        enough: Room below which it is no use [m].
+        ahead: Ticks from now to that state.
+    """
+    least, inside, push_for = room, 0, plan[1]
+    for tick in range(round(LONGEST / craft.tick)):
+        if least < enough:
+            return least, room
+        if _hovers(state) and push_for <= 0.0 and tick * craft.tick >= _SHORTEST:
+            return least, room
+        inside = inside + 1 if _in_goal(world.goal, state) else 0
+        if inside > _TICKS_IN_GOAL:
+            return least, room
+        if tick < len(recorded):
+            t_1, t_2 = recorded[tick, 0], recorded[tick, 1]
+        else:
+            t_1, t_2 = escape_thrusts(craft, state, plan[0], push_for)
+            push_for -= craft.tick
+        state, room, on_way = _room_for_tick(craft, world.shapes, state, t_1, t_2, room)
+        elapsed = craft.tick * (ahead + tick + 1)
+        least = min(least, on_way - 0.5 * craft.disturbance * elapsed * elapsed)
+    return LOST, room
+
+
+@cached_njit
+def best_escape(craft: Any, world: KnownWorld, state: State, plans: Array, recorded: Array, enough: float) -> Any:
+    """Return the value of a state, and the plan that has it.
+
+    Of plans that keep enough room, or equally little, it is the one that ends with the most: else a disturbance could
+    push a quadrotor slowly onto a wall next to which it hovers, since no plan makes the room larger that it has now.
+
+    Args:
+        craft: Constants of the quadrotor, a `Craft`.
+        world: Shapes and goal around it.
+        state: State of it now.
+        plans: Escapes (n, 2): direction [rad], and time for which they accelerate [s].
+        recorded: Thrusts of one more escape (k, 2), after which it brakes [N].
+        enough: Room that is enough [m].
+
+    Returns:
+        The largest least room on the way to a hover or to the goal [m], `LOST` where no escape comes to one; the number
+        of the plan, -1 for the recorded thrusts.
+    """
+    room = room_at(craft, world.shapes, state[0], state[2], state[4])
+    value, best, score = LOST, 0, LOST
+    for k in range(-1, len(plans)):
+        if k >= 0:
+            found, end = _escaped(craft, world, state, room, plans[k], recorded[:0], score - _FAR_END, 0)
+        elif len(recorded):
+            found, end = _escaped(craft, world, state, room, np.zeros(2), recorded, LOST, 0)
+        else:
+            continue
+        its_score = min(found, enough) + _FAR_END * min(max(end, 0.0), 1.0)
+        if its_score > score:
+            value, best, score = found, k, its_score
+    return value, best
+
+
+@cached_njit
+def nearest_safe(craft: Any, world: KnownWorld, state: State, thrusts: Array, plans: Array, enough: float) -> Any:
+    """Return the first thrusts after which some plan keeps enough room.
+
+    Args:
+        craft: Constants of the quadrotor, a `Craft`.
+        world: Shapes and goal around it.
+        state: State of it now.
+        thrusts: Thrusts to try, each for a tick (m, 2) [N].
+        plans: Escapes (n, 2) as of `best_escape`.
+        enough: Room that they have to keep [m].
+
+    Returns:
+        The number of the thrusts, -1 where there are none; the room that is kept [m]; the number of the plan; the state
+        after the tick.
+    """
+    here = room_at(craft, world.shapes, state[0], state[2], state[4])
+    none = thrusts[:0]
+    for k in range(len(thrusts)):
+        after, room, on_way = _room_for_tick(craft, world.shapes, state, thrusts[k, 0], thrusts[k, 1], here)
+        on_way -= 0.5 * craft.disturbance * craft.tick * craft.tick
+        if on_way < enough:
+            continue
+        for j in range(len(plans)):
+            value, _ = _escaped(craft, world, after, room, plans[j], none, enough, 1)
+            if value >= enough:
+                return k, min(value, on_way), j, after
+    return -1, LOST, 0, state
+
+
+@cached_njit
+def record(craft: Any, state: State, plan: Array) -> Array:
+    """Return the thrusts of a plan (2,) from a state to a hover, one row a tick (k, 2) [N]."""
+    out, push_for = np.empty((round(LONGEST / craft.tick), 2)), plan[1]
+    for tick in range(len(out)):
+        if _hovers(state) and push_for <= 0.0:
+            return out[:tick]
+        t_1, t_2 = escape_thrusts(craft, state, plan[0], push_for)
+        push_for -= craft.tick
+        out[tick, 0], out[tick, 1] = t_1, t_2
+        for _ in range(_CHECKS):
+            state = moved(craft, state, t_1, t_2, craft.tick / _CHECKS)
+    return out

@@ -1,0 +1,151 @@
+"""A guard between a source of thrusts and a planar quadrotor: what leaves an escape passes, the rest is corrected.
+
+guard = FlightGuard(quadrotor_of(task), (*world.walls, *world.obstacles))
+verdict = guard.decide(state, raw)     # each tick
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ctrl_rl_core import Interval, Region, Shape
+from ctrl_rl_safety.errors import SafetyError
+from ctrl_rl_safety.flight.escapes import KnownWorld, best_escape, nearest_safe, record
+from ctrl_rl_safety.flight.motion import craft_of, escape_thrusts, shape_rows
+from ctrl_rl_safety.models.quadrotor_model import QuadrotorModel
+
+Array = NDArray[np.float64]
+
+_DIRECTIONS = 16
+_PUSHES = (0.15, 0.4, 0.8)  # times for which escapes accelerate [s]
+_LEVELS = 4  # of each thrust that are tried in place of the raw ones
+
+
+@dataclass(frozen=True)
+class FlightOptions:
+    """Settings of a `FlightGuard`.
+
+    Attributes:
+        tick: Time between two answers [s].
+        margin: Room that an escape must keep [m]: for what the model, the state and the shapes are wrong by.
+        hysteresis: Room by which it must be larger for the raw thrusts to pass again [m].
+
+    Raises:
+        SafetyError: A number is not finite or out of its range.
+    """
+
+    tick: float = 0.025
+    margin: float = 0.05
+    hysteresis: float = 0.02
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.tick) and 0.001 <= self.tick <= 0.1):
+            raise SafetyError(f"tick is {self.tick:g} s: give 0.001 to 0.1")
+        for name, number in (("margin", self.margin), ("hysteresis", self.hysteresis)):
+            if not (math.isfinite(number) and 0.0 <= number <= 1.0):
+                raise SafetyError(f"{name} is {number:g} m: give 0 to 1")
+
+
+class FlightVerdict(NamedTuple):
+    """Answer of a `FlightGuard`.
+
+    Attributes:
+        thrusts: Thrusts T_1 and T_2 to send (2,) [N].
+        changed: Whether they are not the raw ones.
+        room: Room that the best known escape keeps [m]; below 0 there was no way out in the model.
+    """
+
+    thrusts: Array
+    changed: bool
+    room: float
+
+
+class FlightGuard:
+    """Lets thrusts through to a planar quadrotor as long as an escape is left a tick later."""
+
+    def __init__(
+        self,
+        model: QuadrotorModel,
+        shapes: Sequence[Shape],
+        options: FlightOptions | None = None,
+        goal: Region | None = None,
+    ) -> None:
+        """Take the quadrotor and what it must not touch.
+
+        Args:
+            model: Constants of the quadrotor.
+            shapes: Walls and obstacles in the x-z plane.
+            options: Settings; the defaults unless given.
+            goal: Region of x, z and psi in which the flight ends, so that an escape may end there too; None for flights
+                that have to be safe for ever.
+        """
+        self.options = options or FlightOptions()
+        self._craft = craft_of(model, self.options.tick)
+        self._world = KnownWorld(shape_rows(shapes), _goal_row(goal))
+        levels = np.linspace(model.least, model.most, _LEVELS)
+        self._levels = np.stack(np.meshgrid(levels, levels, indexing="ij"), axis=-1).reshape(-1, 2)
+        angles = 2.0 * math.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
+        pushes = [(angle, push) for push in _PUSHES for angle in angles]
+        self._plans = np.array([(0.0, 0.0), (0.0, 0.0), *pushes])  # the first is the last answer's
+        self._way_out = np.zeros((0, 2))  # thrusts of the escape that the last answer left
+        self._changed = False
+
+    def room(self, state: ArrayLike) -> float:
+        """Return the room that the best escape from a state keeps [m]; not negative where it is recoverable."""
+        value, _ = best_escape(self._craft, self._world, _state(state), self._plans[1:], self._way_out[:0], math.inf)
+        return float(value)
+
+    def decide(self, state: ArrayLike, raw: ArrayLike) -> FlightVerdict:
+        """Return the thrusts for the next tick.
+
+        Args:
+            state: State x, v_x, z, v_z, psi, omega (6,), in the frame of the shapes.
+            raw: Thrusts that are asked for (2,) [N]; where they are not finite, the guard flies an escape.
+
+        Raises:
+            SafetyError: The state is not six finite numbers: whoever asks has to say where the robot is.
+        """
+        now, craft, world = _state(state), self._craft, self._world
+        asked = np.asarray(raw, dtype=np.float64)
+        if asked.shape == (2,) and np.isfinite(asked).all():
+            asked = np.clip(asked, craft.least, craft.most)
+            near = self._levels[np.argsort(np.hypot(*(self._levels - asked).T), kind="stable")]
+            tried = np.concatenate((asked[None], near))
+            enough = self.options.margin + self._changed * self.options.hysteresis
+            number, room, plan, after = nearest_safe(craft, world, now, tried, self._plans, enough)
+            if number >= 0:
+                self._changed = number > 0
+                self._plans[0] = self._plans[plan]
+                self._way_out = record(craft, after, self._plans[0])
+                return FlightVerdict(tried[number], self._changed, float(room))
+        room, plan = best_escape(craft, world, now, self._plans, self._way_out, self.options.margin)
+        if plan >= 0:
+            self._plans[0] = self._plans[plan]
+            self._way_out = record(craft, now, self._plans[0])
+        thrusts = self._way_out[0] if len(self._way_out) else np.array(escape_thrusts(craft, now, 0.0, 0.0))
+        self._way_out = self._way_out[1:]
+        self._changed = True
+        return FlightVerdict(thrusts, True, float(room))
+
+
+def _goal_row(goal: Region | None) -> Array:
+    """Return a goal as `KnownWorld` has it; a disc of no size for none."""
+    if goal is None:
+        return np.array((math.inf, -math.inf) * 3 + (0.0, 0.0, -1.0))
+    everywhere = Interval(-math.inf, math.inf)
+    bounds = [bound for name in ("x", "z", "psi") for bound in goal.intervals.get(name, everywhere)]
+    disc = (0.0, 0.0, math.inf) if goal.disc is None else (*goal.disc.centre, goal.disc.radius)
+    return np.array((*bounds, *disc), dtype=np.float64)
+
+
+def _state(state: ArrayLike) -> tuple[float, ...]:
+    given = np.asarray(state, dtype=np.float64)
+    if given.shape != (6,) or not np.isfinite(given).all():
+        raise SafetyError("the state of a quadrotor is six finite numbers: x, v_x, z, v_z, psi, omega")
+    return tuple(given.tolist())
