@@ -46,10 +46,11 @@ class KnownWorld(NamedTuple):
 
 
 @njit
-def _in_goal(goal: Array, state: State) -> bool:
+def _in_goal(goal: Array, state: State, off: float) -> bool:
+    """Return whether a state is in the goal, wherever it may be `off` by so much [m]."""
     x, z, psi = state[0], state[2], state[4]
-    box = goal[0] <= x <= goal[1] and goal[2] <= z <= goal[3] and goal[4] <= psi <= goal[5]
-    return box and math.hypot(x - goal[6], z - goal[7]) <= goal[8]
+    inside = goal[0] + off <= x <= goal[1] - off and goal[2] + off <= z <= goal[3] - off
+    return inside and goal[4] <= psi <= goal[5] and math.hypot(x - goal[6], z - goal[7]) <= goal[8] - off
 
 
 @njit
@@ -88,13 +89,13 @@ def _escaped(
         enough: Room below which it is no use [m].
         ahead: Ticks from now to that state.
     """
-    least, inside, push_for = room, 0, plan[1]
+    least, inside, push_for, off = room, 0, plan[1], 0.0
     for tick in range(round(LONGEST / craft.tick)):
         if least < enough:
             return least, room
         if _hovers(state) and push_for <= 0.0 and tick * craft.tick >= _SHORTEST:
             return least, room
-        inside = inside + 1 if _in_goal(world.goal, state) else 0
+        inside = inside + 1 if _in_goal(world.goal, state, off) else 0
         if inside > _TICKS_IN_GOAL:
             return least, room
         if tick < len(recorded):
@@ -103,8 +104,8 @@ def _escaped(
             t_1, t_2 = escape_thrusts(craft, state, plan[0], push_for)
             push_for -= craft.tick
         state, room, on_way = _room_for_tick(craft, world.shapes, state, t_1, t_2, room)
-        elapsed = craft.tick * (ahead + tick + 1)
-        least = min(least, on_way - 0.5 * craft.disturbance * elapsed * elapsed)
+        off = 0.5 * craft.disturbance * (craft.tick * (ahead + tick + 1)) ** 2
+        least = min(least, on_way - off)
     return LOST, room
 
 
