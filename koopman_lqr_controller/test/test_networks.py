@@ -2,7 +2,7 @@
 
 import pytest
 import torch
-from koopman_lqr_controller.training.networks.networks import TwinCritic
+from koopman_lqr_controller.training.networks.critics import TwinCritic
 from torch import Tensor, nn
 
 LATENT, CONTROLS, HIDDEN = 5, 2, 16

@@ -12,7 +12,7 @@ _KINDS = {"int": "a whole number", "float": "a number"}
 _CHOICES = {
     "encoder_loss": ("contrastive", "reconstruction", "reconstruction_prediction"),
     "policy": ("lqr", "network"),
-    "critic": ("layer_norm", "plain"),
+    "critic": ("layer_norm", "plain", "categorical"),
     "bfloat16": ("nothing", "all"),
     "cost": ("Q1", "Q2", "Q3", "Q4"),
 }
@@ -48,7 +48,8 @@ class Settings:
         encoder_loss: Loss of the encoder besides the task's: "contrastive" (Eq. 4.4), or that of an autoencoder,
             "reconstruction", or "reconstruction_prediction", which decodes the model's next z as well (4.3.5).
         policy: "lqr", or "network" as in CURL.
-        critic: "plain" hidden layers, or each with a "layer_norm": values cannot run away, and policies oscillate less.
+        critic: "plain" hidden layers, or each with a "layer_norm": values cannot run away, and policies oscillate less;
+            or "categorical", a distribution of values by residual layers, which bears more updates for each action.
         bfloat16: "all" hidden layers are computed so while learning, or "nothing": a third quicker, if processors can.
         cost: Hand-tuned cost of `two_stage_learner`, "Q1" to "Q4"; of no effect elsewhere.
     """

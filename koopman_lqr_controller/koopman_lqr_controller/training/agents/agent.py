@@ -21,9 +21,10 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from koopman_lqr_controller.training.agents.actor import AgentInterface, LqrActor, make_actor
+from koopman_lqr_controller.training.networks.critics import make_critic
 from koopman_lqr_controller.training.networks.differentiable_lqr import LatentLqr
 from koopman_lqr_controller.training.networks.encoder_losses import EncoderBatch, make_encoder_loss, noisy, random_crop
-from koopman_lqr_controller.training.networks.networks import TwinCritic, follow
+from koopman_lqr_controller.training.networks.networks import follow
 from koopman_lqr_controller.training.replay import Transitions
 from koopman_lqr_controller.training.settings import Settings
 
@@ -45,8 +46,7 @@ class Agent(nn.Module):
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
             self.actor = make_actor(interface, settings)
-            normalised, halved = settings.critic == "layer_norm", settings.bfloat16 == "all"
-            self.critic = TwinCritic(settings.latent, interface.controls, settings.hidden, normalised, halved)
+            self.critic = make_critic(interface.controls, settings)
             self.encoder_loss = make_encoder_loss(self.actor.encoder, settings)
         self.averaged = copy.deepcopy(self.actor).requires_grad_(False)
         self.key_encoder = copy.deepcopy(self.actor.encoder).requires_grad_(False)
@@ -127,7 +127,7 @@ class Agent(nn.Module):
             value = self.target(self.key_encoder(x_next), u_next).amin(dim=0)
             value = value - self.log_temperature.exp() * log_density
             goal = reward + self.settings.discount * (1.0 - terminated) * value
-        return (self.critic(z, u) - goal).square().mean(dim=1).sum(), z_next
+        return self.critic.loss(z, u, goal), z_next
 
     def _actor_losses(self, z: Tensor, generator: torch.Generator) -> dict[str, Tensor]:
         """Return the losses of actor and temperature; they share no parameter."""

@@ -1,8 +1,6 @@
-"""The networks around the linear controller: encoders of vectors and of images, and SAC's two critics."""
+"""The networks around the linear controller: encoders of vectors and of images, and their decoder."""
 
 from __future__ import annotations
-
-from itertools import pairwise
 
 import numpy as np
 import torch
@@ -199,39 +197,6 @@ def _transposed_convolutions(seen: tuple[int, ...], latent: int, depth: int) -> 
         if index:
             out.append(nn.ReLU())
     return out
-
-
-class TwinCritic(nn.Module):
-    """Q_1 and Q_2 of Eq. 4.10, computed together.
-
-    Args:
-        latent: Dimensions of z.
-        controls: Number of controls.
-        hidden: Units of each of the two hidden layers.
-        normalised: Whether these have a LayerNorm, without parameters, before their ReLU.
-        halved: Whether these are computed in bfloat16.
-    """
-
-    def __init__(self, latent: int, controls: int, hidden: int, normalised: bool = False, halved: bool = False) -> None:
-        super().__init__()
-        self._normalised, self._kind = normalised, torch.bfloat16 if halved else torch.float32
-        sizes = (latent + controls, hidden, hidden, 1)
-        self.weights, self.biases = nn.ParameterList(), nn.ParameterList()
-        for inputs, outputs in pairwise(sizes):
-            reach = inputs**-0.5
-            self.weights.append(nn.Parameter((2.0 * torch.rand(2, inputs, outputs) - 1.0) * reach))
-            self.biases.append(nn.Parameter((2.0 * torch.rand(2, 1, outputs) - 1.0) * reach))
-
-    def forward(self, z: Tensor, u: Tensor) -> Tensor:
-        """Return both values (2, N) of latent states (N, n) and actions (N, m)."""
-        x = torch.cat((z, u), dim=1).expand(2, -1, -1).to(self._kind)
-        *hidden, (weight, bias) = zip(self.weights, self.biases, strict=True)
-        for W, b in hidden:
-            x = torch.baddbmm(b.to(self._kind), x, W.to(self._kind))
-            if self._normalised:
-                x = nn.functional.layer_norm(x, x.shape[-1:])
-            x = torch.relu(x)
-        return torch.baddbmm(bias, x.float(), weight).squeeze(-1)
 
 
 def _array(tensor: Tensor) -> NDArray[np.float32]:

@@ -1,0 +1,135 @@
+"""SAC's two critics, computed together: hidden layers to a value, or residual layers to a distribution of values.
+
+The second learns by cross entropy, whose gradients do not grow with the value (Farebrother et al. 2024); its normalised
+residual layers bear several updates for each action (Nauman et al. 2024; Lee et al. 2025).
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import torch
+from torch import Tensor, nn
+from torch.nn.functional import layer_norm
+
+from koopman_lqr_controller.training.settings import Settings
+
+_BLOCKS = 2
+_BINS = 101
+_LARGEST = 8.0
+"""Symmetric logarithm of the largest value that can be told, about 3000."""
+
+
+class _Twin(nn.Module):
+    """Linear layers of two networks at once.
+
+    Args:
+        sizes: Inputs and outputs of each layer.
+        halved: Whether all but the last are computed in bfloat16.
+    """
+
+    def __init__(self, sizes: list[tuple[int, int]], halved: bool) -> None:
+        super().__init__()
+        self._kind = torch.bfloat16 if halved else torch.float32
+        self.weights, self.biases = nn.ParameterList(), nn.ParameterList()
+        for inputs, outputs in sizes:
+            reach = inputs**-0.5
+            self.weights.append(nn.Parameter((2.0 * torch.rand(2, inputs, outputs) - 1.0) * reach))
+            self.biases.append(nn.Parameter((2.0 * torch.rand(2, 1, outputs) - 1.0) * reach))
+
+    def _layer(self, number: int, x: Tensor) -> Tensor:
+        kind = x.dtype
+        return torch.baddbmm(self.biases[number].to(kind), x, self.weights[number].to(kind))
+
+    def _inputs(self, z: Tensor, u: Tensor) -> Tensor:
+        return torch.cat((z, u), dim=1).expand(2, -1, -1).to(self._kind)
+
+
+class TwinCritic(_Twin):
+    """Q_1 and Q_2 of Eq. 4.10 by two hidden layers.
+
+    Args:
+        latent: Dimensions of z.
+        controls: Number of controls.
+        hidden: Units of each hidden layer.
+        normalised: Whether these have a LayerNorm, without parameters, before their ReLU.
+        halved: Whether these are computed in bfloat16.
+    """
+
+    def __init__(self, latent: int, controls: int, hidden: int, normalised: bool = False, halved: bool = False) -> None:
+        super().__init__(list(pairwise((latent + controls, hidden, hidden, 1))), halved)
+        self._normalised = normalised
+
+    def forward(self, z: Tensor, u: Tensor) -> Tensor:
+        """Return both values (2, N) of latent states (N, n) and actions (N, m)."""
+        x = self._inputs(z, u)
+        for number in range(2):
+            x = self._layer(number, x)
+            x = torch.relu(layer_norm(x, x.shape[-1:]) if self._normalised else x)
+        return self._layer(2, x.float()).squeeze(-1)
+
+    def loss(self, z: Tensor, u: Tensor, goal: Tensor) -> Tensor:
+        """Return the mean squared error of both values against goals (N,), summed over the two."""
+        return (self(z, u) - goal).square().mean(dim=1).sum()
+
+
+class CategoricalCritic(_Twin):
+    """Q_1 and Q_2 of Eq. 4.10 as means of categorical distributions, by normalised residual layers.
+
+    Args:
+        latent: Dimensions of z.
+        controls: Number of controls.
+        hidden: Units of each hidden layer.
+        halved: Whether these are computed in bfloat16.
+    """
+
+    values: Tensor
+
+    def __init__(self, latent: int, controls: int, hidden: int, halved: bool = False) -> None:
+        sizes = [(latent + controls, hidden), *[(hidden, hidden)] * (2 * _BLOCKS), (hidden, _BINS)]
+        super().__init__(sizes, halved)
+        with torch.no_grad():
+            self.weights[-1].zero_()
+            self.biases[-1].zero_()
+        steps = torch.linspace(-_LARGEST, _LARGEST, _BINS)
+        self.register_buffer("values", steps.sign() * steps.abs().expm1())
+
+    def forward(self, z: Tensor, u: Tensor) -> Tensor:
+        """Return both values (2, N) of latent states (N, n) and actions (N, m)."""
+        values: Tensor = torch.softmax(self._logits(z, u), dim=-1) @ self.values
+        return values
+
+    def loss(self, z: Tensor, u: Tensor, goal: Tensor) -> Tensor:
+        """Return the cross entropy of both distributions against goals (N,), summed over the two."""
+        log_shares = torch.log_softmax(self._logits(z, u), dim=-1)
+        return -(self._two_hot(goal) * log_shares).sum(dim=-1).mean(dim=1).sum()
+
+    def _logits(self, z: Tensor, u: Tensor) -> Tensor:
+        x = self._inputs(z, u)
+        x = torch.relu(_normalised(self._layer(0, x)))
+        for first in range(1, 2 * _BLOCKS, 2):
+            inner = torch.relu(_normalised(self._layer(first, x)))
+            x = x + _normalised(self._layer(first + 1, inner))
+        return self._layer(2 * _BLOCKS + 1, x.float())
+
+    def _two_hot(self, goal: Tensor) -> Tensor:
+        """Return the distributions (N, bins) over the two nearest bins whose means are the goals (N,)."""
+        goal = goal.clamp(self.values[0], self.values[-1])
+        above = torch.searchsorted(self.values, goal).clamp(1, _BINS - 1)
+        low, high = self.values[above - 1], self.values[above]
+        share = ((goal - low) / (high - low))[:, None]
+        shares = torch.zeros(len(goal), _BINS, device=goal.device)
+        shares.scatter_(1, above[:, None] - 1, 1.0 - share)
+        return shares.scatter_(1, above[:, None], share)
+
+
+def _normalised(x: Tensor) -> Tensor:
+    return layer_norm(x, x.shape[-1:])
+
+
+def make_critic(controls: int, settings: Settings) -> TwinCritic | CategoricalCritic:
+    """Return the untrained critics that the settings ask for."""
+    sizes, halved = (settings.latent, controls, settings.hidden), settings.bfloat16 == "all"
+    if settings.critic == "categorical":
+        return CategoricalCritic(*sizes, halved)
+    return TwinCritic(*sizes, settings.critic == "layer_norm", halved)
