@@ -11,6 +11,7 @@ LADDER = (
     "dead_end",
     "maze_two_turns",
     "maze_four_turns",
+    "spiral",
     "loop",
     "far_start",
     "quad_tunnel",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
 import tyro
 from ctrl_rl_core.command import FileToWrite, at_least
@@ -17,7 +17,7 @@ from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.training.environments.benchmark_tasks import BENCHMARK_TASKS, find_task, task_of_manifest
 from koopman_lqr_controller.training.experiments.methods import LEARNERS
 
-_LEARN_WORDS = ("learner", "samples", "chunks", "actions", "episodes", "consolidation", "device")
+_LEARN_WORDS = ("learner", "keep", "samples", "chunks", "actions", "episodes", "consolidation", "device")
 _CONSOLIDATE_WORDS = ("latent", "episodes", "live", "noise", "seed")
 """Options that a policy's file records, because they decide what it holds."""
 _EPILOG = (
@@ -45,6 +45,8 @@ class Train(LearningOptions):
     """Number of seeds, counted from 0."""
     learner: Annotated[str, one_of(LEARNERS)] = "koopman"
     """Learner."""
+    keep: Literal["best", "last"] = "best"
+    """Policy that a run ends with: the best in the evaluations after each chunk, or the last, which nothing chose."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,7 +82,7 @@ def _learn(options: Train) -> int:
 
     settings = ["--set", *options.set_words] if options.set else []
     words = [*settings, *given_words(options, _LEARN_WORDS)]
-    runs = options.learning_runs(problem.name, changes, words, options.consolidation, options.learner)
+    runs = options.learning_runs(problem.name, changes, words, options.consolidation, options.learner, options.keep)
     title = Path(problem.name).stem
     results = run_experiments(runs, options.run_options(problem), options.workers, title, options.ray)
     rows, figures = collect(problem, results)

@@ -67,14 +67,20 @@ class LearningOptions(ExperimentOptions):
         return tuple(sorted(out.items()))
 
     def learning_runs(
-        self, task: str, changes: Changes, words: Sequence[str], consolidation: int, learner: str = "koopman"
+        self,
+        task: str,
+        changes: Changes,
+        words: Sequence[str],
+        consolidation: int,
+        learner: str = "koopman",
+        keep: Literal["best", "last"] = "best",
     ) -> list[LearningRun]:
         """Return a run for each seed; its policy says the words after `learn --task TASK` that make it again."""
         from koopman_lqr_controller.training.experiments.runs import LearningRun
 
         command = as_command("learn", "--task", task, *words)
         return [
-            LearningRun(task, seed, changes, self.device, f"{command} --seeds {seed + 1}", consolidation, learner)
+            LearningRun(task, seed, changes, self.device, f"{command} --seeds {seed + 1}", consolidation, learner, keep)
             for seed in range(self.seeds)
         ]
 

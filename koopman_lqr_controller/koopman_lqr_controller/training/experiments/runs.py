@@ -22,15 +22,15 @@ from koopman_lqr_controller.training.agents.learner import KoopmanLearner
 from koopman_lqr_controller.training.agents.two_stage_learner import TwoStageLearner
 from koopman_lqr_controller.training.consolidation.consolidation_config import ConsolidationConfig
 from koopman_lqr_controller.training.environments.benchmark_tasks import BenchmarkTask, find_task
-from koopman_lqr_controller.training.experiments.trainer import KoopmanLearning, Learner
+from koopman_lqr_controller.training.experiments.trainer import Keep, KoopmanLearning, Learner
 
 
 @dataclass(frozen=True)
 class LearningRun(Run):
     """A run with a learner of `methods.LEARNERS`.
 
-    Its folder then holds policy.safetensors, the best policy in the evaluations after each chunk, and
-    consolidated.safetensors, unless the run wants none. `KoopmanLearning` says what result and curve hold.
+    Its folder then holds policy.safetensors, the policy that is kept, and consolidated.safetensors, unless the run
+    wants none. `KoopmanLearning` says what result and curve hold.
 
     Attributes:
         problem_name: One of `BENCHMARK_TASKS`, or the .yaml file of a task with a corridor.
@@ -40,6 +40,7 @@ class LearningRun(Run):
         command: Command that the policy file names as its origin.
         consolidation: Episodes of each round of consolidation; 0 for none, and none unless an LQR was learnt.
         learner: One of `methods.LEARNERS`.
+        keep: Policy that the run ends with: the "best" in the evaluations after each chunk, or the "last".
     """
 
     problem_name: str
@@ -49,13 +50,15 @@ class LearningRun(Run):
     command: str = ""
     consolidation: int = 30
     learner: str = "koopman"
+    keep: Keep = "best"
 
     @property
     def name(self) -> str:
         """Name of the run and of its folder."""
         learner = "" if self.learner == "koopman" else f"-{self.learner}"
         changes = "".join(f"-{name}_{value}" for name, value in self.changes)
-        return f"{Path(self.problem_name).stem}{learner}{changes}-s{self.seed}"
+        kept = "-last" if self.keep == "last" else ""
+        return f"{Path(self.problem_name).stem}{learner}{changes}{kept}-s{self.seed}"
 
     @property
     def problem(self) -> BenchmarkTask:
@@ -96,7 +99,8 @@ class LearningRun(Run):
         plan = self.plan(options)
         names = ("iterations", "samples", "evaluations", "final_evaluations")
         budget = {name: getattr(options, name) for name in names}
-        return {**self.description, **budget, "consolidation": None if plan is None else plan.as_json()}
+        kept = {"keep": self.keep} if self.keep != "best" else {}  # runs of before it could be chosen go on
+        return {**self.description, **budget, **kept, "consolidation": None if plan is None else plan.as_json()}
 
     @contextmanager
     def begin(self, options: RunOptions, tell: Tell) -> Iterator[KoopmanLearning]:
@@ -107,13 +111,14 @@ class LearningRun(Run):
             learner = _LEARNERS[self.learner](self.problem, environment, self.seed, capacity, self.device)
             manifest = {**self.description, "command": self.command}
             folder = result_file(options.folder, self).parent
-            yield KoopmanLearning(learner, self.problem, tested, options, folder, manifest, self.plan(options), tell)
+            plan = self.plan(options)
+            yield KoopmanLearning(learner, self.problem, tested, options, folder, manifest, plan, self.keep, tell)
         finally:
             environment.close()
             tested.close()
 
     def words(self, point: Point) -> str:
-        """Return the best return so far."""
+        """Return the return of the policy that is kept so far."""
         return f"{point['best']:.1f}"
 
     def should_stop(self, curve: Sequence[Point]) -> bool:

@@ -1,11 +1,11 @@
-"""Learning by interaction, whatever the learner: chunks, evaluations after each, and the best policy kept."""
+"""Learning by interaction, whatever the learner: chunks, evaluations after each, and the best or last policy kept."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 from ctrl_rl_core.io.schema import Schema
@@ -26,8 +26,10 @@ from koopman_lqr_controller.training.consolidation.consolidation_config import R
 from koopman_lqr_controller.training.environments.benchmark_tasks import AnyEnvironment, BenchmarkTask
 from koopman_lqr_controller.training.replay import Replay
 
+Keep = Literal["best", "last"]
+"""Policy that a run keeps: the best in the evaluations, or the last."""
 POLICY_FILE = "policy.safetensors"
-"""The best policy so far, in the folder of a run."""
+"""The policy that is kept, in the folder of a run."""
 CONSOLIDATED_FILE = "consolidated.safetensors"
 """What is deployed, in the folder of a run."""
 _EVALUATION_SEED = 1_000_000
@@ -36,7 +38,7 @@ _MOST_FOR_REGION = 10_000
 
 
 class _Best(Schema):
-    """The best policy so far, as a checkpoint says it."""
+    """The policy that is kept so far, as a checkpoint says it."""
 
     model_config = ConfigDict(extra="allow", allow_inf_nan=True)
 
@@ -78,7 +80,7 @@ class Learner(Protocol):
 
 
 class KoopmanLearning:
-    """A learner as a `Learning`: chunks of interaction, evaluations, and the best policy kept.
+    """A learner as a `Learning`: chunks of interaction, evaluations, and one policy kept.
 
     Args:
         learner: Learner of the run.
@@ -88,6 +90,7 @@ class KoopmanLearning:
         folder: Folder of the run.
         manifest: Description of the run in its policies.
         plan: Settings of the consolidation; None for none.
+        keep: Policy that is kept: the "best" of all candidates in the evaluations, or the "last" first candidate.
         tell: Takes the chunks done and the work at hand, where that is no chunk.
     """
 
@@ -100,20 +103,22 @@ class KoopmanLearning:
         folder: Path,
         manifest: Mapping[str, Any],
         plan: ConsolidationConfig | None,
+        keep: Keep = "best",
         tell: Tell = lambda *_: None,
     ) -> None:
         self._learner, self._problem, self._tested = learner, problem, tested
         self._options, self._folder, self._plan, self._tell = options, folder, plan, tell
+        self._keep = keep
         self._manifest = {**manifest, "method": learner.method}
         self._best: dict[str, Any] = {"return": -float("inf"), "actions": 0}
         self._curve: Sequence[Point] = ()
 
     def iterate(self, curve: Sequence[Point], /) -> Point:
-        """Learn for one chunk, evaluate the candidates, and keep the best of them all.
+        """Learn for one chunk, evaluate the candidates, and keep the best or the last.
 
         Returns:
             `actions` and `episodes` so far, `steps` of the system, `returns` and `model_errors` of the candidates (see
-            `model_errors`), `best` return so far and its `best_actions`, and what it took to find out: `evaluated`.
+            `model_errors`), `best`, the return of the policy that is kept, its `best_actions`, and what it took to find out: `evaluated`.
         """
         before = curve[-1] if curve else {"actions": 0, "episodes": 0}
         problem = self._problem
@@ -138,13 +143,13 @@ class KoopmanLearning:
         returns: dict[str, float] = {}
         errors: dict[str, float] = {}
         everything: list[Episode] = []
-        for name, controller in self._learner.candidates().items():
+        for place, (name, controller) in enumerate(self._learner.candidates().items()):
             episodes = evaluate(controller, self._tested, self._options.evaluations, _EVALUATION_SEED, keep=True)
             everything += episodes
             returns[name] = mean_return(episodes)
             if isinstance(controller, LatentController):
                 errors[name] = model_errors(controller, episodes)["model_error"]
-            if returns[name] > self._best["return"]:
+            if place == 0 if self._keep == "last" else returns[name] > self._best["return"]:
                 self._best = {
                     "return": returns[name],
                     "actions": actions,
@@ -170,7 +175,7 @@ class KoopmanLearning:
             )
 
     def _read(self) -> tuple[LatentController | NetworkPolicy, Mapping[str, Any]]:
-        """Return the best policy so far and its manifest."""
+        """Return the policy that is kept and its manifest."""
         file = self._folder / POLICY_FILE
         if self._best["kind"] == NetworkPolicy.__name__:
             network = NetworkPolicy.load(file)
@@ -194,11 +199,11 @@ class KoopmanLearning:
         return progress
 
     def finish(self, folder: Path, /) -> dict[str, Any]:
-        """Evaluate the best policy on fresh episodes, and consolidate it where that is wanted.
+        """Evaluate the policy that is kept on fresh episodes, and consolidate it where that is wanted.
 
         Returns:
             `best` (return, actions, which candidate), `interaction` (episodes and actions that were learnt from, and
-            those that the best was chosen by), of fresh episodes `returns`, `outcomes` and, where there is a model,
+            those that the policy was chosen by, none for the last one), of fresh episodes `returns`, `outcomes` and, where there is a model,
             what `model_errors` says, `consolidated` (the figures of consolidation, or None) and `digests` of the
             policies.
         """
@@ -221,7 +226,7 @@ class KoopmanLearning:
                 )
                 save_policy(found, folder / CONSOLIDATED_FILE, overwrite=True)
                 files.append(CONSOLIDATED_FILE)
-        tested = [point["evaluated"] for point in self._curve]
+        tested = [] if self._keep == "last" else [point["evaluated"] for point in self._curve]
         learning = {name: self._curve[-1][name] for name in ("episodes", "actions")}
         choosing = {name: sum(each[name] for each in tested) for name in ("episodes", "actions")}
         return {
