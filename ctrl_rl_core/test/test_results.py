@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 
 import pytest
-from ctrl_rl_core.io.results import as_markdown
+from ctrl_rl_core.io.results import as_markdown, with_others
 
 from ctrl_rl_core import Result, ResultsError, read_benchmarks, read_results, write_results
 
@@ -39,3 +39,16 @@ def test_a_broken_file_is_named(tmp_path: Path) -> None:
     (tmp_path / "half.json").write_text('{"rows": [')
     with pytest.raises(ResultsError, match=r"half\.json: is not valid JSON"):
         read_results(tmp_path)
+
+
+def test_new_rows_stand_beside_those_of_other_methods(tmp_path: Path) -> None:
+    file = tmp_path / "results.json"
+    old = [Result("a", "time", "s", [1.0], 2.0), Result("a", "success", "1", [0.5]), Result("b", "time", "s", [3.0])]
+    new = [Result("a", "time", "s", [4.0])]
+    assert with_others(file, new) == new
+    write_results(file, "these", [0], old)
+    assert with_others(file, new) == [old[2], *new]
+    assert with_others(file, new, same_metric=True) == [*old[1:], *new]
+    file.write_text("{")
+    with pytest.raises(ResultsError):
+        with_others(file, new)

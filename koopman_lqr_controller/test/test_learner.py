@@ -24,6 +24,7 @@ from koopman_lqr_controller.training.agents.actor import AgentInterface
 from koopman_lqr_controller.training.agents.agent import Agent
 from koopman_lqr_controller.training.consolidation.consolidation_config import REPORT_SEED
 from koopman_lqr_controller.training.environments.benchmark_tasks import BENCHMARK_TASKS
+from koopman_lqr_controller.training.experiments.results import collect_last
 from koopman_lqr_controller.training.experiments.runs import LearningRun
 from koopman_lqr_controller.training.experiments.trainer import POLICY_FILE
 from koopman_lqr_controller.training.networks.encoder_losses import EncoderBatch
@@ -72,6 +73,7 @@ OTHERS = (
     replace(RUN, changes=(*TINY, ("policy", "network"))),
     replace(RUN, changes=(*TINY, ("encoder_loss", "reconstruction_prediction"))),
     replace(RUN, changes=(*TINY, ("bfloat16", "all"), ("critic", "plain"))),
+    replace(RUN, changes=(*TINY, ("critic", "categorical"), ("reward_steps", 3)), keep="last"),
     replace(RUN, learner="sac"),
     replace(RUN, learner="two_stage"),
     replace(RUN, learner="edmd"),
@@ -242,6 +244,19 @@ def test_learning_ends_when_nothing_gets_better(tmp_path: Path, monkeypatch: pyt
     assert len(other["curve"]) == 12, "what is not ours gets all of the budget"
 
 
+def test_the_last_policy_is_kept_whatever_evaluations_say(tmp_path: Path) -> None:
+    run = replace(RUN, keep="last")
+    result = train(run, options(tmp_path, 3))
+    last = result["curve"][-1]
+    assert result["best"]["return"] == last["returns"]["averaged"]
+    assert result["best"]["actions"] == last["actions"] == 60
+    assert result["interaction"]["choosing"] == {"episodes": 0, "actions": 0}
+    assert run.name != RUN.name, "its folder is another one"
+    rows = collect_last(run.problem, [result])
+    assert [(row.method, row.metric) for row in rows] == [("cartpole_swingup", "return at 0.48k frames")]
+    assert rows[0].values == [pytest.approx(np.mean(result["returns"]))]
+
+
 def test_a_broken_checkpoint_is_named(tmp_path: Path) -> None:
     checkpoint = result_file(tmp_path, RUN).with_name("checkpoint.safetensors")
     checkpoint.parent.mkdir()
@@ -265,7 +280,7 @@ def test_each_loss_moves_what_it_should_and_nothing_else(encoder_loss: str) -> N
     agent, data = some_agent(encoder_loss=encoder_loss)
     generator = torch.Generator().manual_seed(0)
     parts = {"encoder": agent.actor.encoder, "critic": agent.critic, "lqr": agent.actor.lqr}
-    x, u, reward, x_next, end = (torch.from_numpy(part) for part in data)
+    x, u, reward, x_next, end = (torch.from_numpy(part) for part in data[:5])
 
     def moved(learn) -> set[str]:
         before = {name: [p.clone() for p in part.parameters()] for name, part in parts.items()}
@@ -277,7 +292,9 @@ def test_each_loss_moves_what_it_should_and_nothing_else(encoder_loss: str) -> N
         }
 
     def critic() -> dict[str, torch.Tensor]:
-        return {"critic": agent._critic_loss(agent.actor.encoder(x), u, reward, x_next, end, generator)[0]}
+        with torch.no_grad():
+            value = agent._soft_value(agent.actor.encoder(x_next), agent.key_encoder(x_next), generator)
+        return {"critic": agent.critic.loss(agent.actor.encoder(x), u, reward + (1.0 - end) * value)}
 
     def encoder() -> dict[str, torch.Tensor]:
         seen = EncoderBatch(x, x, u, x_next, agent.key_encoder, agent.lqr)

@@ -1,9 +1,10 @@
 """The replay: every step with what followed it, across episodes and after it has turned around."""
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from koopman_lqr_controller.training.replay import Mirror, Replay, Transitions
+from koopman_lqr_controller.training.replay import Later, Mirror, Replay, Transitions
 
 
 def live(replay: Replay, lengths: list[int], first: int = 0) -> None:
@@ -89,14 +90,45 @@ def test_a_mirrored_step_is_mirrored_as_a_whole_and_twice_is_nothing() -> None:
     steps = Transitions(
         x, random.normal(size=(64, 2)).astype(np.float32), *random.random((1, 64)), x_next, np.zeros(64)
     )
+    steps = steps._replace(later=Later(steps.reward, x_next, np.ones(64, np.float32)))
     once = mirror.mirror_at_random(steps, np.random.default_rng(1))
     turned = once.u[:, 1] != steps.u[:, 1]
     assert 16 < turned.sum() < 48
     assert np.array_equal(once.x[turned], steps.x[turned][:, [1, 0, 2]] * np.float32([1, 1, -1]))
     assert np.array_equal(once.x_next[turned, 2], -steps.x_next[turned, 2])
-    assert all(np.array_equal(a[~turned], b[~turned]) for a, b in zip(once, steps, strict=True))
-    assert all(a.dtype == b.dtype for a, b in zip(once, steps, strict=True))
-    assert all(
-        np.array_equal(*each)
-        for each in zip(mirror.mirror_at_random(once, np.random.default_rng(1)), steps, strict=True)
-    )
+    assert once.later is not None
+    assert np.array_equal(once.later.x, once.x_next)
+    assert all(np.array_equal(a[~turned], b[~turned]) for a, b in zip(once[:5], steps[:5], strict=True))
+    assert all(a.dtype == b.dtype for a, b in zip(once[:5], steps[:5], strict=True))
+    twice = mirror.mirror_at_random(once, np.random.default_rng(1))
+    assert all(np.array_equal(*each) for each in zip(twice[:5], steps[:5], strict=True))
+
+
+@given(
+    lengths=st.lists(st.integers(1, 6), min_size=1, max_size=6),
+    capacity=st.integers(4, 40),
+    ahead=st.integers(2, 5),
+    seed=st.integers(0, 100),
+)
+@settings(max_examples=50, deadline=None)
+def test_values_go_on_after_several_steps_but_not_beyond_an_episode(
+    lengths: list[int], capacity: int, ahead: int, seed: int
+) -> None:
+    replay, number, episode_of, ends = Replay(capacity, (1,), 1, np.float64), 0, {}, {}
+    for episode, length in enumerate(lengths):
+        terminated = episode % 2 == 0  # the last step of each second episode ends for good
+        for step in range(length):
+            episode_of[number] = episode
+            replay.add(np.array([float(number)]), np.zeros(1, np.float32), number, terminated and step == length - 1)
+            number += 1
+        replay.end_episode(np.array([float(number)]))
+        ends[episode] = (number, terminated)
+        number += 1
+    drawn = replay.draw(50, np.random.default_rng(seed), ahead, 0.5)
+    assert drawn.later is not None
+    for x, gained, later, weight in zip(drawn.x[:, 0], *drawn.later, strict=True):
+        end, terminated = ends[episode_of[int(x)]]
+        stop = min(int(x) + ahead, end)
+        assert later[0] == stop
+        assert gained == pytest.approx(sum(0.5**k * (x + k) for k in range(stop - int(x))))
+        assert weight == (0.0 if terminated and stop == end else 0.5 ** (stop - int(x)))

@@ -121,6 +121,27 @@ def write_results(
     atomic_write(path, _dump(checked_json.with_digest(content)))
 
 
+def with_others(path: Path, rows: Sequence[Result], same_metric: bool = False) -> list[Result]:
+    """Return rows after those of a results file that they do not replace; the file need not be there.
+
+    Args:
+        path: Path of the results file.
+        rows: New rows; they replace all rows of their methods.
+        same_metric: Whether they replace only rows with their method and metric.
+
+    Raises:
+        ResultsError: The file cannot be read.
+    """
+
+    def name(row: Row | Result) -> tuple[str, str]:
+        return row.method, row.metric if same_metric else ""
+
+    before = read_experiment(path) if path.exists() else None
+    new = {name(row) for row in rows}
+    kept = [row for row in (before.rows if before else []) if name(row) not in new]
+    return [*(Result(row.method, row.metric, row.unit, row.values, row.thesis) for row in kept), *rows]
+
+
 def as_lines(rows: Sequence[Result]) -> str:
     """Return each row's mean and standard deviation over its values, one a line."""
     methods, metrics = (max((len(getattr(row, name)) for row in rows), default=0) for name in ("method", "metric"))

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from ctrl_rl_core.command import parse_options, run_command
 from ctrl_rl_core.io.outcome_log import OutcomeLog
-from ctrl_rl_core.io.results import Result, read_results, write_results
+from ctrl_rl_core.io.results import Result, with_others, write_results
 
 from ctrl_rl_core import OccupancyMap
 from ctrl_rl_navigation.cli.goals import GoalMaker
@@ -121,20 +121,10 @@ def _work(options: Options) -> int:
             outcomes = log.outcomes[: options.goals]
             found = rows_of(_method(name, options, engine), outcomes)
             if options.results is not None:
-                write_results(options.results, "navigator", [options.seed], _with_others(options.results, found))
+                write_results(options.results, "navigator", [options.seed], with_others(options.results, found))
             failed += sum(each.trial.reachable and not each.arrived for each in outcomes)
             print(f"{name}: " + ", ".join(f"{row.metric} {np.mean(row.values):.3f}" for row in found))
     return 0 if failed == 0 else 1
-
-
-def _with_others(path: Path, rows: list[Result]) -> list[Result]:
-    """Return the rows with those of other methods that a results file has already."""
-    if not path.exists():
-        return rows
-    ours = {row.method for row in rows}
-    before = [each for each in read_results(path.parent) if each.experiment == "navigator"]
-    kept = [row for each in before for row in each.rows if row.method not in ours]
-    return [*(Result(row.method, row.metric, row.unit, row.values) for row in kept), *rows]
 
 
 def main() -> int:

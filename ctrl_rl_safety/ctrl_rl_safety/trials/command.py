@@ -19,7 +19,7 @@ from ctrl_rl_core.command import (
     some_of,
 )
 from ctrl_rl_core.io.outcome_log import OutcomeLog
-from ctrl_rl_core.io.results import Result, read_experiment, write_results
+from ctrl_rl_core.io.results import Result, with_others, write_results
 from ctrl_rl_core.policies.policy import shipped_policies
 from tqdm import tqdm
 
@@ -158,18 +158,10 @@ def _work(options: Options) -> int:
                 figures = ", ".join(f"{row.metric} {np.mean(row.values):.3f}" for row in rows)
                 print(f"{cell.method}: {figures}")
             if options.results is not None:
-                write_results(options.results, _EXPERIMENT, [options.seed], _with_others(options.results, rows))
+                write_results(options.results, _EXPERIMENT, [options.seed], with_others(options.results, rows))
     hit = sum(each.avoidable for cell, played in outcomes.items() for each in played if cell.guard not in UNGUARDED)
     print(f"{hit} avoidable collisions behind the filter")
     return 0 if hit == 0 else 1
-
-
-def _with_others(path: Path, rows: list[Result]) -> list[Result]:
-    """Return the rows with those of other methods that a results file has already."""
-    before = read_experiment(path) if path.exists() else None
-    ours = {row.method for row in rows}
-    kept = [row for row in (before.rows if before else []) if row.method not in ours]
-    return [*(Result(row.method, row.metric, row.unit, row.values) for row in kept), *rows]
 
 
 def main() -> int:

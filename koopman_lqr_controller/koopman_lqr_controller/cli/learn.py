@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
 import tyro
 from ctrl_rl_core.command import FileToWrite, at_least
+from ctrl_rl_core.io.results import with_others
 from ctrl_rl_training.cli import NotNegative, Positive, make_command, make_old_command, one_of
 
 from ctrl_rl_core import write_results
@@ -46,7 +47,8 @@ class Train(LearningOptions):
     learner: Annotated[str, one_of(LEARNERS)] = "koopman"
     """Learner."""
     keep: Literal["best", "last"] = "best"
-    """Policy that a run ends with: the best in the evaluations after each chunk, or the last, which nothing chose."""
+    """Policy that a run ends with: the best in the evaluations after each chunk, or the last, which nothing chose.
+    With the last, --results holds returns by task and frames, beside those that the file has already."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,7 +80,7 @@ def _learn(options: Train) -> int:
     from ctrl_rl_training.experiments.matrix import run_experiments
     from ctrl_rl_training.experiments.run_folder import result_file
 
-    from koopman_lqr_controller.training.experiments.results import collect
+    from koopman_lqr_controller.training.experiments.results import collect, collect_last
 
     settings = ["--set", *options.set_words] if options.set else []
     words = [*settings, *given_words(options, _LEARN_WORDS)]
@@ -91,7 +93,11 @@ def _learn(options: Train) -> int:
     for run, result in zip(runs, results, strict=True):
         print(f"policy     {result_file(options.folder, run).with_name(list(result['digests'])[-1])}")
     if options.results is not None:
-        write_results(options.results, f"koopman_{title}", range(options.seeds), rows, figures)
+        if options.keep == "last":
+            rows = with_others(options.results, collect_last(problem, results), same_metric=True)
+            write_results(options.results, "koopman_last_policy", range(options.seeds), rows)
+        else:
+            write_results(options.results, f"koopman_{title}", range(options.seeds), rows, figures)
         print(f"results    {options.results}")
     return 0
 

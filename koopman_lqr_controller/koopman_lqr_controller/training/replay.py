@@ -12,6 +12,20 @@ from numpy.typing import NDArray
 _PREFIX = "replay."
 
 
+class Later(NamedTuple):
+    """Where the goals of values go on after several steps, fewer where an episode ends.
+
+    Attributes:
+        gained: Discounted rewards until then (N,).
+        x: Observations then (N, *shape).
+        weight: Discount of what follows, 0 where nothing does (N,).
+    """
+
+    gained: NDArray[np.float32]
+    x: NDArray[np.generic]
+    weight: NDArray[np.float32]
+
+
 class Transitions(NamedTuple):
     """Steps drawn from a replay.
 
@@ -21,6 +35,7 @@ class Transitions(NamedTuple):
         reward: Reward of each step (N,).
         x_next: Observations that followed (N, *shape).
         terminated: Whether nothing comes after these, 0 or 1 (N,).
+        later: Where values go on after more steps; None where they do after this one.
     """
 
     x: NDArray[np.generic]
@@ -28,6 +43,7 @@ class Transitions(NamedTuple):
     reward: NDArray[np.float32]
     x_next: NDArray[np.generic]
     terminated: NDArray[np.float32]
+    later: Later | None = None
 
 
 class Mirror(NamedTuple):
@@ -51,7 +67,8 @@ class Mirror(NamedTuple):
             return np.where(chosen, rows[:, self.order] * self.sign.astype(rows.dtype), rows)
 
         u = np.where(chosen, steps.u * self.control_sign.astype(np.float32), steps.u)
-        return steps._replace(x=turned(steps.x), u=u, x_next=turned(steps.x_next))
+        later = steps.later and steps.later._replace(x=turned(steps.later.x))
+        return steps._replace(x=turned(steps.x), u=u, x_next=turned(steps.x_next), later=later)
 
 
 class Replay:
@@ -96,13 +113,33 @@ class Replay:
         self._ring.add({name: np.asarray(value)[None] for name, value in zip(self._ring.columns, values, strict=True)})
         self._age += 1
 
-    def draw(self, count: int, random: np.random.Generator) -> Transitions:
-        """Return so many steps, drawn uniformly with replacement; at least one must be complete."""
+    def draw(self, count: int, random: np.random.Generator, ahead: int = 1, discount: float = 1.0) -> Transitions:
+        """Return steps drawn uniformly with replacement; at least one must be complete.
+
+        Args:
+            count: Number of steps.
+            random: Generator that draws.
+            ahead: Number of steps after which values go on.
+            discount: Discount of these.
+        """
         chosen = np.zeros(0, np.intp)
         while len(chosen) < count:
             index = random.integers(len(self._ring), size=count)
             chosen = np.concatenate((chosen, index[self._complete(index)]))
-        return self._take(chosen[:count])
+        steps = self._take(chosen[:count])
+        return steps if ahead == 1 else steps._replace(later=self._later(chosen[:count], ahead, discount))
+
+    def _later(self, index: NDArray[np.intp], ahead: int, discount: float) -> Later:
+        """Return where values of steps go on after so many steps, or where the known part of the episode ends."""
+        a, capacity = self._ring.columns, self._ring.capacity
+        at, goes_on = index, np.ones(len(index), np.bool_)
+        gained, weight = np.zeros(len(index)), np.ones(len(index))
+        for _ in range(ahead):
+            goes_on = goes_on & a["begins"][at].astype(np.bool_) & (at != (self._ring.seen - 1) % capacity)
+            gained += goes_on * weight * a["reward"][at]
+            weight = np.where(goes_on, weight * discount * (1.0 - a["terminated"][at]), weight)
+            at = np.where(goes_on, (at + 1) % capacity, at)
+        return Later(gained.astype(np.float32), self._observation(at), weight.astype(np.float32))
 
     def _complete(self, index: NDArray[np.intp]) -> NDArray[np.bool_]:
         """Return whether a step begins there whose next observation is there, and so are the pictures before it."""

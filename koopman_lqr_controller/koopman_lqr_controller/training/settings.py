@@ -34,6 +34,7 @@ class Settings:
         learning_rate: Learning rate of all networks.
         batch: Steps in an update.
         discount: Discount gamma of rewards.
+        reward_steps: Rewards in the goal of a value, before the target critic says what follows.
         first_steps: Actions at random before learning begins.
         replay: Steps that are remembered.
         temperature: Temperature alpha to begin with.
@@ -62,6 +63,7 @@ class Settings:
     learning_rate: float = 5e-4
     batch: int = 256
     discount: float = 0.99
+    reward_steps: int = 1
     first_steps: int = 1000
     replay: int = 100_000
     temperature: float = 0.1

@@ -83,10 +83,14 @@ class Agent(nn.Module):
             data: Batch of steps.
             generator: Generator of all noise, on the CPU.
         """
-        x, u, reward, x_next, terminated = (torch.from_numpy(it).to(self._device) for it in data)
+        x, u, reward, x_next, terminated = (torch.from_numpy(it).to(self._device) for it in data[:5])
+        gained, x_later, weight = reward, x_next, self.settings.discount * (1.0 - terminated)
+        if data.later is not None:
+            gained, x_later, weight = (torch.from_numpy(it).to(self._device) for it in data.later)
         if self._images:  # as in CURL all losses see a window at random
             query, key = (random_crop(x, self.settings.crop, generator) for _ in range(2))
             x, x_next = query, random_crop(x_next, self.settings.crop, generator)
+            x_later = x_next if data.later is None else random_crop(x_later, self.settings.crop, generator)
         elif self.encoder_loss.augments:
             query, key = (noisy(x, self.settings.noise, generator) for _ in range(2))
         else:
@@ -94,13 +98,16 @@ class Agent(nn.Module):
         seen = EncoderBatch(query, key, u, x_next, self.key_encoder, self.lqr)
         features = self.actor.encoder.features(x)
         z = self.actor.encoder.latent(features)
-        critic, z_next = self._critic_loss(z, u, reward, x_next, terminated, generator)
-        losses = {"critic": critic}
+        with torch.no_grad():
+            z_next = self.actor.encoder(x_next)
+            z_later = z_next if x_later is x_next else self.actor.encoder(x_later)
+            goal = gained + weight * self._soft_value(z_later, self.key_encoder(x_later), generator)
+        losses = {"critic": self.critic.loss(z, u, goal)}
         if self.lqr is not None:
             losses["model"] = self.lqr.model_loss(z.detach(), u, z_next)
         if self._images:
             own = self.encoder_loss(z, seen)
-            self._step({**losses, "encoder": _as_large_as(critic, own, z) * own})
+            self._step({**losses, "encoder": _as_large_as(losses["critic"], own, z) * own})
         else:
             self._step(losses)
             self._step({"encoder": self.encoder_loss(self.actor.encoder(query), seen)})
@@ -117,17 +124,10 @@ class Agent(nn.Module):
         """A, B, Q, R; None where a network acts."""
         return self.actor.lqr if isinstance(self.actor, LqrActor) else None
 
-    def _critic_loss(
-        self, z: Tensor, u: Tensor, reward: Tensor, x_next: Tensor, terminated: Tensor, generator: torch.Generator
-    ) -> tuple[Tensor, Tensor]:
-        """Return the loss of critics and encoder, and z_next as the encoder is now."""
-        with torch.no_grad():
-            z_next = self.actor.encoder(x_next)
-            u_next, log_density = self.actor.sample(z_next, generator)
-            value = self.target(self.key_encoder(x_next), u_next).amin(dim=0)
-            value = value - self.log_temperature.exp() * log_density
-            goal = reward + self.settings.discount * (1.0 - terminated) * value
-        return self.critic.loss(z, u, goal), z_next
+    def _soft_value(self, z: Tensor, key: Tensor, generator: torch.Generator) -> Tensor:
+        """Return the values (N,) of latent states by the target critics, which see them as the key encoder does."""
+        u, log_density = self.actor.sample(z, generator)
+        return self.target(key, u).amin(dim=0) - self.log_temperature.exp() * log_density
 
     def _actor_losses(self, z: Tensor, generator: torch.Generator) -> dict[str, Tensor]:
         """Return the losses of actor and temperature; they share no parameter."""

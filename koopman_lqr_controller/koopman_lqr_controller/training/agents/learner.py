@@ -118,7 +118,8 @@ class KoopmanLearner(ReplayLearner):
 
         def update() -> None:
             for _ in range(self._settings.updates):
-                steps = self.replay.draw(self._settings.batch, random)
+                settings = self._settings
+                steps = self.replay.draw(settings.batch, random, settings.reward_steps, settings.discount)
                 steps = steps if self._mirror is None else self._mirror.mirror_at_random(steps, random)
                 self._agent.update(steps, generator)
 

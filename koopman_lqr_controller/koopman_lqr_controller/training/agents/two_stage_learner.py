@@ -92,7 +92,7 @@ class TwoStageLearner(ReplayLearner):
         return None, update
 
     def _update(self, data: Transitions) -> None:
-        x, u, _, x_next, _ = (torch.from_numpy(it).to(self._device).float() for it in data)
+        x, u, x_next = (torch.from_numpy(it).to(self._device).float() for it in (data.x, data.u, data.x_next))
         model = self._model
         loss = model.linear.model_loss(model.lift(x), u, model.lift(x_next))
         self._optimizer.zero_grad()

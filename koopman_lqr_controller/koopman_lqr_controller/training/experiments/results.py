@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import reduce
 from itertools import pairwise
 from operator import getitem
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -38,7 +39,11 @@ def _goals(results: Results) -> list[float]:
     return [each.get("GOAL", 0) / max(1, sum(each.values())) for each in ended] if any(ended) else []
 
 
-_RETURN = metric("return", "1", lambda result: np.mean(result["returns"]))
+def _mean_return(result: Mapping[str, Any]) -> float:
+    return float(np.mean(result["returns"]))
+
+
+_RETURN = metric("return", "1", _mean_return)
 _TO_THE_BEST = metric("actions to the best", "1", _at("best", "actions"))
 _CPU_TIME = metric("CPU time", "min", lambda result: result["cpu_seconds"] / 60)
 _GOALS = Metric("goal reached", "1", _goals)
@@ -94,6 +99,22 @@ def collect(problem: BenchmarkTask, results: Sequence[dict[str, Any]]) -> tuple[
     for name in results[0]["curve"][0]["returns"]:
         curves[name] = [[point["returns"][name] for point in result["curve"]] for result in results]
     return rows, {"task": problem.name, "curves": curves}
+
+
+def collect_last(problem: BenchmarkTask, results: Results) -> list[Result]:
+    """Return the rows of runs that kept their last policy, by task: returns after all frames that were learnt from.
+
+    Consolidation takes frames of its own, which are counted beside.
+    """
+    frames, title = results[0]["curve"][-1]["steps"], Path(problem.name).stem
+    returned = metric(f"return at {frames / 1000:g}k frames", "1", _mean_return)
+    rows = _rows(title, results, (returned,))
+    if all(result["consolidated"] for result in results):
+        more = metric(
+            f"frames more, after {frames / 1000:g}k", "1", lambda end: end["interaction"]["actions"] * problem.repeat
+        )
+        rows += _rows(f"{title}, consolidated", [result["consolidated"] for result in results], (returned, more))
+    return rows
 
 
 def collect_comparison(name: str, task: str, results: Mapping[str, Results]) -> tuple[list[Result], dict[str, Any]]:

@@ -118,7 +118,8 @@ class KoopmanLearning:
 
         Returns:
             `actions` and `episodes` so far, `steps` of the system, `returns` and `model_errors` of the candidates (see
-            `model_errors`), `best`, the return of the policy that is kept, its `best_actions`, and what it took to find out: `evaluated`.
+            `model_errors`), `best`, the return of the policy that is kept, its `best_actions`, and `evaluated`, the
+            episodes and actions that these figures took.
         """
         before = curve[-1] if curve else {"actions": 0, "episodes": 0}
         problem = self._problem
@@ -203,9 +204,9 @@ class KoopmanLearning:
 
         Returns:
             `best` (return, actions, which candidate), `interaction` (episodes and actions that were learnt from, and
-            those that the policy was chosen by, none for the last one), of fresh episodes `returns`, `outcomes` and, where there is a model,
-            what `model_errors` says, `consolidated` (the figures of consolidation, or None) and `digests` of the
-            policies.
+            those that the policy was chosen by, none for the last one), of fresh episodes `returns`, `outcomes` and,
+            where there is a model, the figures of `model_errors`, `consolidated` (the figures of consolidation, or
+            None) and `digests` of the policies.
         """
         file, files, consolidated = folder / POLICY_FILE, [POLICY_FILE], None
         controller, manifest = self._read()
