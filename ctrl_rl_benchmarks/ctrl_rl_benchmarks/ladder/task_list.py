@@ -16,6 +16,7 @@ LADDER = (
     "far_start",
     "quad_tunnel",
     "quad_block",
+    "quad_dead_end",
     "narrow_gap",
     "wall",
     "open_field",
