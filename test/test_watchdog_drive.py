@@ -14,11 +14,7 @@ from ctrl_rl_core import SENSOR
 
 @pytest.mark.fault
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
-def test_the_robot_stands_after_its_controller_died(
-    run_node: Callable, monkeypatch: pytest.MonkeyPatch, number: int
-) -> None:
-    # Shared memory may leave who follows a killed process deaf, and tests before this one kill some.
-    monkeypatch.setenv("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
+def test_the_robot_stands_after_its_controller_died(run_node: Callable, number: int) -> None:
     rclpy.init()
     node, speeds = Node("onlooker"), list[float]()
     node.create_subscription(Odometry, "ground_truth", lambda said: speeds.append(said.twist.twist.linear.x), SENSOR)

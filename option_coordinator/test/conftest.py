@@ -7,18 +7,13 @@ from rig import Rig
 
 @pytest.fixture(scope="module")
 def watchers():
-    """The tests' nodes: they end together, since the middleware may crash where one ends as its peers are killed.
-
-    All speak UDP: Fast DDS's shared memory may leave who follows a killed process deaf (eProsima/Fast-DDS issue 5469).
-    """
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
-        rclpy.init()
-        nodes = []
-        yield nodes
-        for node in nodes:
-            node.destroy_node()
-        rclpy.try_shutdown()
+    """The tests' nodes: they end together, since the middleware may crash where one ends as its peers are killed."""
+    rclpy.init()
+    nodes = []
+    yield nodes
+    for node in nodes:
+        node.destroy_node()
+    rclpy.try_shutdown()
 
 
 @pytest.fixture

@@ -24,8 +24,8 @@ REALS = (0.0, -1.0, 1e-300, 1e4, 1e6, 1e9, -1e308, 1e308, math.nan, math.inf, -m
 def run(random: np.random.Generator, folder: Path) -> None:
     """Let a team work, attack it for some seconds, and see that it goes on."""
     os.environ["ROS_DOMAIN_ID"] = str(1 + os.getpid() % 100)
-    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-    os.environ["FASTDDS_BUILTIN_TRANSPORTS"] = "UDPv4"  # shared memory may leave who follows a killed process deaf
+    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "SUBNET"  # LOCALHOST would bring shared memory back
+    os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(Path(__file__).parents[1] / "loopback_udp.xml")
     sys.path.insert(0, str(TESTS))
     import rclpy
     from rig import Rig

@@ -108,6 +108,7 @@ class OptionCoordinator(SuiteNode):
     """
 
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = PARAMETERS
+    SHARED_MEMORY = False  # a frozen or killed robot would leave it deaf
 
     def __init__(self) -> None:
         super().__init__("option_coordinator")
