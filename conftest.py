@@ -24,9 +24,7 @@ ROOT = Path(__file__).parent
 
 # Before any test imports rclpy. Domains up to 101 are safe on every system; one per test process keeps them apart.
 os.environ["ROS_DOMAIN_ID"] = str(1 + os.getpid() % 100)
-# On this machine alone, and without shared memory, which the range LOCALHOST brings back: see the profile.
-os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "SUBNET"
-os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(ROOT / "test" / "loopback_udp.xml")
+os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 # Before any test imports NumPy or torch. Test processes run side by side: more threads get into each other's way.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 # A shell that starts the tests in the background lets SIGINT be ignored, and whatever they start inherits that.
@@ -163,6 +161,18 @@ def _nodes(folder: Path) -> Iterator[Callable[..., NodeProcess]]:
     for node in started:
         node.end()
     time.sleep(_GOODBYE_S)
+
+
+@pytest.fixture(scope="module")
+def _no_shared_memory() -> Iterator[None]:
+    """Let nodes speak UDP over the loopback interface: who shares memory with a killed process may be deaf afterwards.
+
+    With the range LOCALHOST rmw_fastrtps shares memory whatever it is told.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
+        patch.setenv("FASTRTPS_DEFAULT_PROFILES_FILE", str(ROOT / "test" / "loopback_udp.xml"))
+        yield
 
 
 @pytest.fixture

@@ -11,6 +11,8 @@ from rclpy.node import Node
 
 from ctrl_rl_core import SENSOR
 
+pytestmark = pytest.mark.usefixtures("_no_shared_memory")  # some are killed or frozen
+
 
 @pytest.mark.fault
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])

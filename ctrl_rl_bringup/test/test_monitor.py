@@ -10,6 +10,7 @@ from ctrl_rl_bringup.runner.monitor import Monitor, MonitorError
 from ctrl_rl_bringup.runner.session import ros
 
 _FROZEN_SPINS = 40
+pytestmark = pytest.mark.usefixtures("_no_shared_memory")  # some are killed or frozen
 """Calls of `check` at least 50 ms apart: longer than what the monitor lets matches settle."""
 
 

@@ -124,7 +124,7 @@ class Base:
 
 
 @pytest.fixture(scope="module", autouse=True)
-def _ros() -> Iterator[None]:
+def _ros(_no_shared_memory: None) -> Iterator[None]:
     rclpy.init()
     yield
     rclpy.try_shutdown()

@@ -32,6 +32,7 @@ from ttr_reward_node import load_value, problem_from_task, solve
 
 ARGUMENTS = ["--ros-args", "-r", f"{NAME}:cmd_vel:={RAW}"]
 OPEN = ("-p", "lidar_x:=0.0", "-p", "min_echo_share:=0.0", "-p", "largest_gap:=6.3")
+pytestmark = pytest.mark.usefixtures("_no_shared_memory")  # some are killed or frozen
 
 
 @pytest.fixture(scope="module")

@@ -15,6 +15,7 @@ from ctrl_rl_msgs.msg import SafetyStatus
 from ctrl_rl_safety import ROBOTS
 
 RADIUS = ROBOTS["turtlebot3_burger"].radius
+pytestmark = pytest.mark.usefixtures("_no_shared_memory")  # some are killed or frozen
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ from rig import Rig
 
 
 @pytest.fixture(scope="module")
-def watchers():
+def watchers(_no_shared_memory):
     """The tests' nodes: they end together, since the middleware may crash where one ends as its peers are killed."""
     rclpy.init()
     nodes = []
