@@ -13,6 +13,7 @@ from ctrl_rl_benchmarks.barn.dynamic_window import DynamicWindow
 from ctrl_rl_benchmarks.barn.scenarios import Scenario, load_scenario
 from ctrl_rl_benchmarks.cli.barn import barn
 
+from ctrl_rl_core import exclusive_lock
 from sim_bridge import SimulationOptions
 
 PLANAR = SimulationOptions(engine="planar", odom_drift=0.01)
@@ -98,6 +99,9 @@ def test_the_command_keeps_drives_and_goes_on(
     assert results.read_bytes() == before
     assert run(monkeypatch, *words, "--seed", "1") == 1
     assert "give another file" in capsys.readouterr().err
+    with exclusive_lock(tmp_path / ".barn.json.lock"):  # two writers would lose each other's drives
+        assert run(monkeypatch, *words) == 1
+    assert "another call is at work" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

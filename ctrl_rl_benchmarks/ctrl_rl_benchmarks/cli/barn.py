@@ -15,7 +15,7 @@ from ctrl_rl_benchmarks.barn.controllers import CONTROLLERS, FILTERED_JACKAL, JA
 from ctrl_rl_benchmarks.barn.drive import drive
 from ctrl_rl_benchmarks.barn.scenarios import MOVING, STATIC, Scenario, load_scenario
 from ctrl_rl_benchmarks.barn.table import BarnTable
-from ctrl_rl_core import atomic_write
+from ctrl_rl_core import atomic_write, exclusive_lock
 from sim_bridge import SimulationOptions
 
 _WORLDS = {
@@ -73,6 +73,14 @@ def _barn(options: BarnOptions) -> int:
     numbers = list(dict.fromkeys(number for word in options.worlds for number in _numbers(word)))
     if options.tasks is not None:
         return _write_tasks(options.folder, numbers, options.tasks)
+    if options.results is None:
+        return _drive(options, numbers)
+    with exclusive_lock(options.results.with_name(f".{options.results.name}.lock")):
+        return _drive(options, numbers)
+
+
+def _drive(options: BarnOptions, numbers: list[int]) -> int:
+    """Drive in the worlds in which no drive is kept yet, and print the table."""
     table = BarnTable(options.results, options.seed)
     todo = [
         (number, f"{name}{', filter' if filtered == 'on' else ''}", name, filtered)
