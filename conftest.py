@@ -46,6 +46,7 @@ LONGEST = (
     "test_learner.py",
     "test_training.py",
     "test_watchdog.py",
+    "test_flight_guard_node.py",
     "test_memory.py",
     "test_policy_demo.py",
     "test_oc_mpc.py",

@@ -32,6 +32,7 @@ NODES = {
     "navigator": ("ctrl_rl_navigation", ("map:=maze",)),
     "map_server": ("ctrl_rl_navigation", ("map:=maze",)),
     "safety_filter": ("ctrl_rl_safety", ()),
+    "flight_guard": ("ctrl_rl_safety", ()),
 }
 FULL_NAMES = {
     "bridge": "/sim_bridge",
@@ -52,6 +53,7 @@ BAD = {
     "navigation_agent": ("robot:=nobody", "team 'delivery_team' has robot_1"),
     "navigator": ("map:={folder}/none.yaml", "none.yaml: there is no such file"),
     "map_server": ("map:=nowhere", "no map 'nowhere': there are corridor, maze, warehouse"),
+    "flight_guard": ("task:=car_ttr", "task 'car_ttr' has no planar quadrotor"),
     "safety_filter": ("robot:=nobody", "no robot model 'nobody': there are turtlebot3_burger"),
 }
 

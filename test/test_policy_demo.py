@@ -9,14 +9,17 @@ from commands import check_refused, command
 from ctrl_rl_bags import bag_info
 
 
-def test_a_quadrotor_flies_to_its_goal_and_the_flight_is_reported(tmp_path: Path) -> None:
+def test_a_quadrotor_flies_to_its_goal_behind_its_guard_and_the_flight_is_reported(tmp_path: Path) -> None:
     folder = tmp_path / "run"
     # Slowly: on a busy machine late thrusts bring a quadrotor down.
-    answer = command("demo", "--task", "quad_navigation", "--speed", 0.5, "--seed", 3, "--output", folder)
+    words = ("--task", "quad_navigation", "--filter", "--speed", 0.5, "--seed", 3)
+    answer = command("demo", *words, "--output", folder)
     assert answer.returncode == 0, answer.stderr
     report = json.loads((folder / "report.json").read_text())
     assert report["outcome"] == "goal reached"
     assert report["lacks"] == []
+    assert report["safety_filter"]["passed"] > 10
+    assert "flight guard " in answer.stdout
     assert report["oc_value_at_start"] is not None
     assert (folder / "path.png").read_bytes().startswith(b"\x89PNG")
     topics = bag_info(folder / "bag").topics

@@ -17,6 +17,7 @@ NODES = (
     ("koopman_lqr_controller", "controller", "koopman_lqr_controller", (RAW,), ()),
     ("ctrl_rl_core", "policy", "policy", (RAW,), ("policy:=curved_corridor",)),
     ("ctrl_rl_safety", "safety_filter", "safety_filter", ("cmd_vel:=cmd_vel_safe",), ("use_map:=true",)),
+    ("ctrl_rl_safety", "flight_guard", "flight_guard", ("rotor_thrusts:=rotor_thrusts_safe",), ()),
     ("ctrl_rl_core", "watchdog", "watchdog", (), ()),
     ("ctrl_rl_core", "thrust_watchdog", "thrust_watchdog", (), ()),
     ("ctrl_rl_navigation", "navigator", "navigator", (RAW,), ()),

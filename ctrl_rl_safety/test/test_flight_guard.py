@@ -138,3 +138,38 @@ def test_what_it_cannot_use_is_one_line() -> None:
     for wrong in ({"tick": 0.0}, {"margin": math.inf}, {"hysteresis": -0.1}):
         with pytest.raises(SafetyError, match=next(iter(wrong))):
             FlightOptions(**wrong)
+
+
+def test_without_usable_thrusts_it_brakes_and_stays() -> None:
+    world = world_of("quad_ttr", 0)
+    world.reset(0, (-3.0, 3.0, 5.0, -2.0, 0.3, 0.0))
+    guard = guard_of(world)
+    for _ in range(160):
+        world.command(0, guard.decide(world.state(), np.full(2, math.nan)).thrusts)
+        world.step(6)
+    stopped = world.state()
+    assert np.hypot(stopped[1], stopped[3]) < 0.1
+    for _ in range(80):
+        world.command(0, guard.decide(world.state(), np.full(2, math.nan)).thrusts)
+        world.step(6)
+    assert world.state()[[0, 2]] == pytest.approx(stopped[[0, 2]], abs=0.1)
+    assert world.episode().smallest_clearance > 0.0
+
+
+def test_the_last_escape_goes_on_without_a_state_until_it_hovers_and_other_thrusts_may_come_within_a_tick() -> None:
+    world = world_of("quad_ttr", 0)
+    guard = guard_of(world)
+    assert guard.escape_on() is None
+    for _ in range(30):
+        world.command(0, guard.decide(world.state(), np.full(2, MODEL.most)).thrusts)
+        world.step(6)
+    assert guard.change(world.state(), np.full(2, math.nan)) is None
+    thrusts = guard.escape_on()
+    while thrusts is not None:
+        world.command(0, thrusts)
+        world.step(6)
+        thrusts = guard.escape_on()
+    assert np.hypot(*world.state()[[1, 3]]) < 0.3
+    changed = guard.change(world.state(), HOVER)
+    assert changed is not None
+    assert not changed.changed

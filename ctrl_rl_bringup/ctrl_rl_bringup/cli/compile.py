@@ -48,6 +48,13 @@ def _filter() -> None:
     warm_up(ROBOTS["turtlebot3_burger"], FilterOptions())
 
 
+def _flight_guard() -> None:
+    from ctrl_rl_core import load_navigation_task
+    from ctrl_rl_safety import FlightGuard, quadrotor_of
+
+    FlightGuard(quadrotor_of(load_navigation_task("quad_ttr")), ()).warm_up()
+
+
 def _solver() -> None:
     from ttr_reward_node import problem_from_task, solve
 
@@ -74,6 +81,7 @@ def _values(dimensions: int) -> None:
 
 KERNELS: dict[str, Callable[[], None]] = {
     "safety filter": _filter,
+    "flight guard": _flight_guard,
     "time to reach": _solver,
     "navigator": _navigator,
     "values of cars": partial(_values, 3),

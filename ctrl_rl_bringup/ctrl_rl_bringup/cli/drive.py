@@ -68,7 +68,7 @@ class _RunOptions:
     """Physics engine of the simulator; PyBullet unless given, or MuJoCo where PyBullet is not installed."""
 
     filter: bool = False
-    """Put the safety filter between the driver and the robot."""
+    """Put the safety filter between the driver and the robot, or the flight guard between the pilot and a quadrotor."""
 
     gui: bool = False
     """Show PyBullet's window."""

@@ -103,8 +103,6 @@ def _drivers(options: DriveConfig, policy: Path) -> list[NodeSpec]:
     task = load_navigation_task(options.task)
     if (robot == "planar_quadrotor") != (task.plane == "xz"):
         raise CtrlRlError(f"{policy.name} is for a {robot}, the robot of task '{task.name}' is a {task.robot.body}")
-    if options.safety_filter and task.plane == "xz":
-        raise CtrlRlError(f"--filter is for robots on wheels, the robot of task '{task.name}' is a {task.robot.body}")
     if policy.suffix == ".safetensors" and "policy" in kind_of(policy):
         return [controller(options), *guards(options, task)]
     return policy_nodes(options, task)

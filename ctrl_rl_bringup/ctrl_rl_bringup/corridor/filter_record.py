@@ -1,4 +1,4 @@
-"""What the safety filter did in a recorded drive."""
+"""What the safety filter, or the guard of a quadrotor, did in a recorded drive."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ctrl_rl_bags import read_messages
 from ctrl_rl_msgs.msg import SafetyStatus
 
-FILTER = "/safety_filter/status"
+FILTER, GUARD = "/safety_filter/status", "/flight_guard/status"
 _MODES = {
     "passed": SafetyStatus.PASSED,
     "corrected": SafetyStatus.CORRECTED,
@@ -29,14 +29,15 @@ _LONGEST = 1.0
 
 @dataclass(frozen=True)
 class FilterRecord:
-    """The filter's answers, one row each.
+    """The filter's answers, one row each; those of the guard of a quadrotor are about thrusts.
 
     Attributes:
         times: Times since the start (n,) [s].
-        modes: Kinds of the answers, constants of SafetyStatus (n,).
-        raw: Raw commands (n, 2) [m/s, rad/s].
-        sent: Commands in their place (n, 2) [m/s, rad/s].
-        margins: Margins of the certificates (n,) [m]; NaN where there is none.
+        modes: Kinds of the answers, constants of SafetyStatus (n,); the first four are those of FlightStatus too.
+        raw: Raw commands (n, 2) [m/s, rad/s]; thrusts [N].
+        sent: Commands in their place (n, 2) [m/s, rad/s]; thrusts [N].
+        margins: Margins of the certificates (n,) [m]; room of the guard's escapes; NaN where there is none.
+        flies: Whether they are those of a quadrotor's guard.
     """
 
     times: NDArray[np.float64]
@@ -44,6 +45,7 @@ class FilterRecord:
     raw: NDArray[np.float64]
     sent: NDArray[np.float64]
     margins: NDArray[np.float64]
+    flies: bool = False
 
     @property
     def changed(self) -> NDArray[np.bool_]:
@@ -64,12 +66,12 @@ class FilterRecord:
     def as_dict(self) -> dict[str, Any]:
         """Return the figures as plain JSON values."""
         certified = self.margins[np.isfinite(self.margins)]
+        driven: dict[str, Any] = {} if self.flies else {"held_s": self.held, "speed_taken_off_m_s": self._taken_off}
         return {
             "commands": len(self.times),
             **{name: int(np.count_nonzero(self.modes == mode)) for name, mode in _MODES.items()},
             "changes": self.changes,
-            "held_s": self.held,
-            "speed_taken_off_m_s": float(np.abs(self.raw[:, 0] - self.sent[:, 0]).mean()),
+            **driven,
             "least_margin_m": float(certified.min()) if len(certified) else None,
         }
 
@@ -77,24 +79,36 @@ class FilterRecord:
         """Return the figures for people."""
         counts = [(name, np.count_nonzero(self.modes == mode)) for name, mode in _MODES.items()]
         shares = ", ".join(f"{100.0 * count / len(self.times):.1f} % {name}" for name, count in counts if count)
+        if self.flies:
+            return [
+                f"flight guard        {len(self.times)} answers: {shares}",
+                f"                    {self.changes} changes, escapes keep {np.nanmin(self.margins):.3f} m at least",
+            ]
         return [
             f"safety filter       {len(self.times)} commands: {shares}",
             f"                    robot held for {self.held:.1f} s, {self.changes} changes, "
-            f"{np.abs(self.raw[:, 0] - self.sent[:, 0]).mean():.3f} m/s taken off on average",
+            f"{self._taken_off:.3f} m/s taken off on average",
         ]
 
+    @property
+    def _taken_off(self) -> float:
+        return float(np.abs(self.raw[:, 0] - self.sent[:, 0]).mean())
 
-def read_filter(bag: Path, begin: float, end: float) -> FilterRecord | None:
-    """Return the filter's answers between two stamps [s] of a bag; None where it has none."""
-    rows = []
-    for message in read_messages(bag, [FILTER]):
+
+def read_filter(bag: Path, begin: float, end: float, topic: str = FILTER) -> FilterRecord | None:
+    """Return the answers of filter or guard between two stamps [s] of a bag, by their topic; None without any."""
+    rows, flies = [], topic == GUARD
+    for message in read_messages(bag, [topic]):
         data: Any = message.data
         at = seconds(data.header.stamp)
-        if begin <= at <= end:
-            rows.append(
-                (at - begin, data.mode, data.raw_speed, data.raw_turn_rate, data.speed, data.turn_rate, data.margin)
-            )
+        if not begin <= at <= end:
+            continue
+        if flies:
+            commands = data.raw_t1, data.raw_t2, data.t1, data.t2, data.room
+        else:
+            commands = data.raw_speed, data.raw_turn_rate, data.speed, data.turn_rate, data.margin
+        rows.append((at - begin, data.mode, *commands))
     if not rows:
         return None
     table = np.array(rows)
-    return FilterRecord(table[:, 0], table[:, 1].astype(np.int64), table[:, 2:4], table[:, 4:6], table[:, 6])
+    return FilterRecord(table[:, 0], table[:, 1].astype(np.int64), table[:, 2:4], table[:, 4:6], table[:, 6], flies)

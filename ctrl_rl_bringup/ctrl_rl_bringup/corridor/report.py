@@ -12,7 +12,7 @@ from ctrl_rl_core.ros.node import seconds
 from numpy.typing import NDArray
 
 from ctrl_rl_bags import BagError, bag_info, read_messages
-from ctrl_rl_bringup.corridor.filter_record import FILTER, FilterRecord, read_filter
+from ctrl_rl_bringup.corridor.filter_record import FILTER, GUARD, FilterRecord, read_filter
 from ctrl_rl_bringup.corridor.latent_model import LatentModel, read_latent_model
 from ctrl_rl_bringup.corridor.mover_tracks import MOVERS, MoverTrack, read_movers
 from ctrl_rl_bringup.runner.monitor import OUTCOMES
@@ -52,7 +52,7 @@ class DriveReport:
         predictions: Time, one-step error of the latent model, and that of "nothing changes" (n, 3).
         latent: Latent model of the controller; None if another driver drove.
         movers: Moving obstacles of the task.
-        safety_filter: Answers of the safety filter; None where it did not run.
+        safety_filter: Answers of the safety filter, or of the flight guard; None where neither ran.
         promised: Kinds of files that the run was started with: "policy", "time_to_reach", "oc_value" and so on.
     """
 
@@ -198,6 +198,7 @@ def read_drive(bag: Path) -> DriveReport:
 
     sent = read_sent(bag)
     latent = read_latent_model(bag)
+    guards = [topic for topic in (FILTER, GUARD) if topic in info.topics]
     return DriveReport(
         task=task,
         width=width,
@@ -217,7 +218,7 @@ def read_drive(bag: Path) -> DriveReport:
         predictions=latent.steps - (begin, 0.0, 0.0) if latent else np.empty((0, 3)),
         latent=latent,
         movers=read_movers(bag, begin) if MOVERS in info.topics else (),
-        safety_filter=read_filter(bag, begin, begin + _duration(episode)) if FILTER in info.topics else None,
+        safety_filter=read_filter(bag, begin, begin + _duration(episode), guards[0]) if guards else None,
         promised=frozenset(key.removeprefix(_DIGEST) for key in info.custom_data if key.startswith(_DIGEST)),
     )
 

@@ -17,8 +17,12 @@ SAFE = "cmd_vel_safe"
 """Topic of the safety filter's commands, which the watchdog passes on where there is a filter."""
 RAW_THRUSTS = "rotor_thrusts_raw"
 """Topic of the pilot's commands, which the watchdog passes on to the quadrotor as rotor_thrusts."""
+SAFE_THRUSTS = "rotor_thrusts_safe"
+"""Topic of the flight guard's commands, which the watchdog passes on where there is a guard."""
 _ODOMETRY, _MOST_ODOMETRY = 30.0, 240.0
 """Default and largest rate of the bridge's odometry [Hz]."""
+_GUARDED_ODOMETRY = 120.0
+"""Least rate of odometry for the flight guard [Hz]: three a period."""
 THROUGH_DOORWAYS = {"robot_radius": 0.105, "obstacle_margin": 0.0}
 """Parameters of a driver with which the obstacle stop of a burger lets it through doorways of 0.3 m."""
 _UNGUARDED = {"robot_radius": 0.0, "min_echo_share": 0.0, "largest_gap": 6.3, "frozen_scans": 0}
@@ -93,9 +97,10 @@ def simulator(options: DriveConfig) -> NodeSpec:
 
     Odometry comes with each scan of the task's lidar, at least so often as by the bridge's own default.
     """
-    scans = load_navigation_task(options.task).lidar.rate
+    task = load_navigation_task(options.task)
+    scans, least = task.lidar.rate, _GUARDED_ODOMETRY if options.safety_filter and task.plane == "xz" else _ODOMETRY
     parameters = {
-        "odom_rate": min(scans * math.ceil(_ODOMETRY / scans), _MOST_ODOMETRY),
+        "odom_rate": min(scans * math.ceil(least / scans), _MOST_ODOMETRY),
         "task": options.task,
         "seed": options.seed,
         "speed_factor": float(options.speed),
@@ -156,7 +161,9 @@ def policy_nodes(options: DriveConfig, task: NavigationTask) -> list[NodeSpec]:
         pilot = NodeSpec(
             "ctrl_rl_core", "policy", parameters, (RAW_THRUSTS,), remappings={"rotor_thrusts": RAW_THRUSTS}
         )
-        return [pilot, thrust_watchdog(options.speed, task)]
+        if not options.safety_filter:
+            return [pilot, thrust_watchdog(options.speed, task)]
+        return [pilot, flight_guard(options.task), thrust_watchdog(options.speed, task, SAFE_THRUSTS)]
     driver = NodeSpec("ctrl_rl_core", "policy", parameters, (RAW,), remappings={"cmd_vel": RAW})
     speed, turn = (max(abs(each.low), abs(each.high)) for each in task.robot.commands.values())
     return [driver, *guards(options, task, largest_speed=speed, largest_turn_rate=turn)]
@@ -176,17 +183,32 @@ def watchdog(speed: float, namespace: str = "", hears: str = RAW, **limits: floa
     return NodeSpec("ctrl_rl_core", "watchdog", parameters, namespace=namespace, remappings=remappings)
 
 
-def thrust_watchdog(speed: float, task: NavigationTask) -> NodeSpec:
-    """Return the watchdog between a pilot and its quadrotor; a paused simulation is no reason to stop the rotors."""
+def flight_guard(task: str) -> NodeSpec:
+    """Return the guard between a pilot and its watchdog, for flights that end at the goal of a task.
+
+    The simulator's odometry starts in the frame of the task.
+    """
+    parameters = {"use_sim_time": True, "task": task, "goal": True}
+    remappings = {"rotor_thrusts": SAFE_THRUSTS}
+    return NodeSpec("ctrl_rl_safety", "flight_guard", parameters, (SAFE_THRUSTS,), remappings=remappings)
+
+
+def thrust_watchdog(speed: float, task: NavigationTask, hears: str = RAW_THRUSTS) -> NodeSpec:
+    """Return the watchdog between a pilot and its quadrotor; a paused simulation is no reason to stop the rotors.
+
+    A pilot keeps to the thrusts of its task, and the flight guard to all that the rotors have.
+    """
     system = task.system.build()
+    pilots, rotors = max(each.high for each in task.robot.commands.values()), float(system.control_bounds[1].max())
     parameters = {
         "use_sim_time": True,
         "timeout": _timeout(speed),
         "rest_thrust": 0.5 * system.parameters["m"] * system.parameters["g"],
         "hover_for": 0.0,
-        "largest_thrust": max(each.high for each in task.robot.commands.values()),
+        "largest_thrust": pilots if hears == RAW_THRUSTS else rotors,
     }
-    return NodeSpec("ctrl_rl_core", "thrust_watchdog", parameters)
+    remappings = {RAW_THRUSTS: hears} if hears != RAW_THRUSTS else {}
+    return NodeSpec("ctrl_rl_core", "thrust_watchdog", parameters, remappings=remappings)
 
 
 def _timeout(speed: float) -> float:

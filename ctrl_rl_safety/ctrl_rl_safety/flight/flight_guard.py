@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from ctrl_rl_core import Interval, Region, Shape
 from ctrl_rl_safety.errors import SafetyError
 from ctrl_rl_safety.flight.escapes import KnownWorld, best_escape, nearest_safe, record
-from ctrl_rl_safety.flight.motion import craft_of, escape_thrusts, shape_rows
+from ctrl_rl_safety.flight.motion import craft_of, escape_thrusts, moved, shape_rows
 from ctrl_rl_safety.models.quadrotor_model import QuadrotorModel
 
 Array = NDArray[np.float64]
@@ -59,11 +59,13 @@ class FlightVerdict(NamedTuple):
         thrusts: Thrusts T_1 and T_2 to send (2,) [N].
         changed: Whether they are not the raw ones.
         room: Room that the best known escape keeps [m]; below 0 there was no way out in the model.
+        escaping: Whether they are those of an escape, as after no others one is left.
     """
 
     thrusts: Array
     changed: bool
     room: float
+    escaping: bool = False
 
 
 class FlightGuard:
@@ -93,8 +95,21 @@ class FlightGuard:
         angles = 2.0 * math.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
         pushes = [(angle, push) for push in _PUSHES for angle in angles]
         self._plans = np.array([(0.0, 0.0), (0.0, 0.0), *pushes])  # the first is the last answer's
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin anew, as with another flight."""
+        self._plans[0] = 0.0
         self._way_out = np.zeros((0, 2))  # thrusts of the escape that the last answer left
         self._changed = False
+
+    def warm_up(self) -> None:
+        """Compile what answers need, and forget them."""
+        hover = np.full(2, 0.5 * self._craft.mass * self._craft.gravity)
+        for asked in (hover, hover, np.full(2, math.nan)):
+            self.decide(np.zeros(6), asked)
+        self.moved_on(np.zeros(6), hover, self.options.tick)
+        self.forget()
 
     def room(self, state: ArrayLike) -> float:
         """Return the room that the best escape from a state keeps [m]; not negative where it is recoverable."""
@@ -106,32 +121,71 @@ class FlightGuard:
 
         Args:
             state: State x, v_x, z, v_z, psi, omega (6,), in the frame of the shapes.
-            raw: Thrusts that are asked for (2,) [N]; where they are not finite, the guard flies an escape.
+            raw: Thrusts that are asked for (2,) [N]; where they are not finite, the guard brakes and hovers.
 
         Raises:
             SafetyError: The state is not six finite numbers: whoever asks has to say where the robot is.
         """
-        now, craft, world = _state(state), self._craft, self._world
-        asked = np.asarray(raw, dtype=np.float64)
-        if asked.shape == (2,) and np.isfinite(asked).all():
-            asked = np.clip(asked, craft.least, craft.most)
-            near = self._levels[np.argsort(np.hypot(*(self._levels - asked).T), kind="stable")]
-            tried = np.concatenate((asked[None], near))
-            enough = self.options.margin + self._changed * self.options.hysteresis
-            number, room, plan, after = nearest_safe(craft, world, now, tried, self._plans, enough)
-            if number >= 0:
-                self._changed = number > 0
-                self._plans[0] = self._plans[plan]
-                self._way_out = record(craft, after, self._plans[0])
-                return FlightVerdict(tried[number], self._changed, float(room))
-        room, plan = best_escape(craft, world, now, self._plans, self._way_out, self.options.margin)
+        now, asked = _state(state), np.asarray(raw, dtype=np.float64)
+        usable = asked.shape == (2,) and np.isfinite(asked).all()
+        found = self._nearest(now, asked if usable else np.array(escape_thrusts(self._craft, now, 0.0, 0.0)))
+        if found is not None:
+            return found if usable else found._replace(changed=True)
+        craft = self._craft
+        room, plan = best_escape(craft, self._world, now, self._plans, self._way_out, self.options.margin)
         if plan >= 0:
             self._plans[0] = self._plans[plan]
             self._way_out = record(craft, now, self._plans[0])
         thrusts = self._way_out[0] if len(self._way_out) else np.array(escape_thrusts(craft, now, 0.0, 0.0))
         self._way_out = self._way_out[1:]
         self._changed = True
-        return FlightVerdict(thrusts, True, float(room))
+        return FlightVerdict(thrusts, True, float(room), True)
+
+    def change(self, state: ArrayLike, raw: ArrayLike) -> FlightVerdict | None:
+        """Return the thrusts to send before the tick is over, as others are asked for; None where the last ones stay.
+
+        The next tick then begins here. The arguments are those of `decide`.
+
+        Raises:
+            SafetyError: The state is not six finite numbers.
+        """
+        asked = np.asarray(raw, dtype=np.float64)
+        return self._nearest(_state(state), asked) if asked.shape == (2,) and np.isfinite(asked).all() else None
+
+    def _nearest(self, now: tuple[float, ...], asked: Array) -> FlightVerdict | None:
+        """Return the thrusts nearest to those that are asked for after which an escape is left; None without any."""
+        craft = self._craft
+        asked = np.clip(asked, craft.least, craft.most)
+        near = self._levels[np.argsort(np.hypot(*(self._levels - asked).T), kind="stable")]
+        tried = np.concatenate((asked[None], near))
+        enough = self.options.margin + self._changed * self.options.hysteresis
+        number, room, plan, after = nearest_safe(craft, self._world, now, tried, self._plans, enough)
+        if number < 0:
+            return None
+        self._changed = number > 0
+        self._plans[0] = self._plans[plan]
+        self._way_out = record(craft, after, self._plans[0])
+        return FlightVerdict(tried[number], self._changed, float(room))
+
+    def escape_on(self) -> Array | None:
+        """Return the thrusts (2,) of the next tick of the escape that was certified last, for when nothing is known.
+
+        Each call is a tick; None at its end, where the quadrotor hovers, and before the first answer.
+        """
+        if not len(self._way_out):
+            return None
+        thrusts: Array = self._way_out[0]
+        self._way_out, self._changed = self._way_out[1:], True
+        return thrusts
+
+    def moved_on(self, state: ArrayLike, thrusts: ArrayLike, seconds: float) -> Array:
+        """Return the state (6,) after thrusts (2,) that are held for a time up to a tick [s], in the model.
+
+        Raises:
+            SafetyError: The state is not six finite numbers.
+        """
+        t_1, t_2 = np.asarray(thrusts, dtype=np.float64).tolist()
+        return np.array(moved(self._craft, _state(state), t_1, t_2, seconds))
 
 
 def _goal_row(goal: Region | None) -> Array:

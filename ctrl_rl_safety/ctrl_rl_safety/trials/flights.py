@@ -118,8 +118,9 @@ class FlightPlayer:
             for _ in range(max(1, round(seconds / tick))):
                 thrusts = raw
                 if guard is not None:
-                    thrusts, other, _ = guard.decide(world.measured_state(), raw)
-                    changed += other
+                    verdict = guard.decide(world.measured_state(), raw)
+                    thrusts = verdict.thrusts
+                    changed += verdict.changed
                 ticks += 1
                 before = world.pose()
                 world.command(0, thrusts)
