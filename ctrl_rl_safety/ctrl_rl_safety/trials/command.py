@@ -31,6 +31,8 @@ from ctrl_rl_safety.trials.worlds import PLACES
 
 _ROBOTS = ("turtlebot3_burger", "turtlebot2")
 _EXPERIMENT = "safety_filter"
+ScanRate = Literal[0, 5, 10, 20]
+"""Rates that are whole numbers of the filter's ticks and of steps of each engine [Hz]."""
 
 
 @dataclass(frozen=True)
@@ -60,6 +62,9 @@ class Options:
     """Robots of adversaries."""
     engine: Literal["planar", "pybullet", "mujoco"] = "planar"
     """Physics engine."""
+    scan_rate: ScanRate = 0
+    """Scans per second in the tasks of policies on wheels: 5, 10 or 20; 0 for the task's own. A policy decides as often
+    as it does there."""
     folder: FolderToWrite = Path("runs/safety_filter")
     """Folder that keeps the episodes: after an interruption trials go on where they were."""
     results: OptionalFileToWrite = None
@@ -88,15 +93,15 @@ def cells_of(options: Options) -> list[Cell]:
     return out
 
 
-def player_of(cell: Cell, engine: str) -> Player | FlightPlayer:
-    """Return who plays the episodes of a cell.
+def player_of(cell: Cell, engine: str, scan_rate: float = 0.0) -> Player | FlightPlayer:
+    """Return who plays the episodes of a cell; `scan_rate` [Hz] is for policies of robots on wheels.
 
     Raises:
         CtrlRlError: Its source, task, robot or guard do not go together.
     """
     if cell.place not in PLACES and (task := load_navigation_task(cell.place)).plane == "xz":
         return FlightPlayer(cell, engine, task)
-    return Player(cell, engine)
+    return Player(cell, engine, scan_rate)
 
 
 def rows_of(
@@ -133,8 +138,9 @@ def _lost(outcomes: Sequence[TrialOutcome], others: Sequence[TrialOutcome]) -> l
 
 def _finished(cell: Cell, options: Options, bar: tqdm[Any]) -> list[TrialOutcome]:
     """Return the outcomes of a cell, and play what is missing."""
-    player = player_of(cell, options.engine)
-    name = re.sub(r"\W+", "-", f"{cell.method}-{options.engine}")
+    player = player_of(cell, options.engine, options.scan_rate)
+    rate = f"-{options.scan_rate}Hz" if options.scan_rate else ""
+    name = re.sub(r"\W+", "-", f"{cell.method}-{options.engine}{rate}")
     settings = {"cell": cell.method, "engine": options.engine, "seed": options.seed, "terms": player.terms}
     log = OutcomeLog(options.folder / f"{name}.jsonl", settings, TrialOutcome, SafetyError)
     bar.set_postfix_str(cell.method)
@@ -149,6 +155,7 @@ def _work(options: Options) -> int:
     cells = cells_of(options)
     outcomes: dict[Cell, list[TrialOutcome]] = {}
     suffix = "" if options.engine == "planar" else f", {options.engine}"
+    suffix += f", {options.scan_rate} scans a second" if options.scan_rate else ""
     with tqdm(total=len(cells) * options.episodes, unit="episode", disable=None) as bar:
         for cell in sorted(cells, key=lambda each: each.guard not in UNGUARDED):  # the time lost is counted from these
             outcomes[cell] = _finished(cell, options, bar)
@@ -156,7 +163,7 @@ def _work(options: Options) -> int:
             rows = rows_of(cell.method + suffix, outcomes[cell], *others)
             with bar.external_write_mode():
                 figures = ", ".join(f"{row.metric} {np.mean(row.values):.3f}" for row in rows)
-                print(f"{cell.method}: {figures}")
+                print(f"{cell.method}{suffix}: {figures}")
             if options.results is not None:
                 write_results(options.results, _EXPERIMENT, [options.seed], with_others(options.results, rows))
     hit = sum(each.avoidable for cell, played in outcomes.items() for each in played if cell.guard not in UNGUARDED)

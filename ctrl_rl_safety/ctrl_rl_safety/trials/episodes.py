@@ -123,12 +123,13 @@ def task_of(policy: str) -> str:
 class Player:
     """Plays the episodes of a cell."""
 
-    def __init__(self, cell: Cell, engine: str) -> None:
+    def __init__(self, cell: Cell, engine: str, scan_rate: float = 0.0) -> None:
         """Load what all episodes need.
 
         Args:
             cell: Who commands, where, which robot, and with which guard.
             engine: Physics engine, one of `sim_bridge.ENGINES`.
+            scan_rate: Scans per second in the task of a policy [Hz]; 0 for the task's own.
 
         Raises:
             CtrlRlError: There is no such policy, task or robot, or the policy is for another kind of robot.
@@ -140,7 +141,7 @@ class Player:
         if cell.place in PLACES:
             self._model = ROBOTS[cell.robot]
         else:
-            self._task = with_whole_scan(load_navigation_task(cell.place))
+            self._task = with_whole_scan(load_navigation_task(cell.place), scan_rate)
             self._model = _OF_TASKS[self._task.robot.body]
         if cell.guard == "late":
             self._options = SimulationOptions(engine=engine, command_delay=_LATE)
@@ -201,7 +202,7 @@ class Player:
 
     def _source(self, task: NavigationTask, seed: int) -> Source:
         if self._policy is not None:
-            return Driver(self._policy, task)
+            return Driver(self._policy, task if self._task is None else load_navigation_task(self._cell.place))
         return FullSpeed(self._model) if self._cell.source == "full_speed" else Random(self._model, seed)
 
 

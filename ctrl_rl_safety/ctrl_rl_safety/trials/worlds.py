@@ -21,6 +21,8 @@ _BOXES = {"boxes": 9, "movers": 6}
 _MOVERS = {"boxes": 0, "movers": 2}
 _LIDAR = {"beams": 360, "field": "0.0 .. 360.0 deg", "range": "0.1 .. 8.0 m", "rate": "5.0 Hz", "noise": "0.01 m"}
 _LONGEST_S = 15.0
+_AROUND = 360
+"""Beams all around of a lidar that the filter can use."""
 _ATTACKED = 1_000_000
 """Seed of the room in which attackers learn: none of trials."""
 
@@ -77,12 +79,16 @@ def attacked_room(body: str, model: RobotModel) -> NavigationTask:
     return task.model_copy(update={"lidar": lidar})
 
 
-def with_whole_scan(task: NavigationTask) -> NavigationTask:
+def with_whole_scan(task: NavigationTask, rate: float = 0.0) -> NavigationTask:
     """Return a task whose lidar looks all around with 360 beams: the filter must see what it is to avoid.
 
     A policy of fewer beams takes them from those at its own bearings.
+
+    Args:
+        task: Task of a policy.
+        rate: Scans per second [Hz]; 0 for the task's own.
     """
-    around = {"beams": 360, "field": Interval(-np.pi, np.pi), "placement": "edges"}
-    if task.lidar.beams >= around["beams"]:  # type: ignore[operator]
-        return task
-    return task.model_copy(update={"lidar": task.lidar.model_copy(update={**around, "noise": 0.01})})
+    changes: dict[str, Any] = {"rate": rate} if rate else {}
+    if task.lidar.beams < _AROUND:
+        changes |= {"beams": _AROUND, "field": Interval(-np.pi, np.pi), "placement": "edges", "noise": 0.01}
+    return task.model_copy(update={"lidar": task.lidar.model_copy(update=changes)})
