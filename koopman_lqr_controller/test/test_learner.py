@@ -74,6 +74,11 @@ OTHERS = (
     replace(RUN, changes=(*TINY, ("encoder_loss", "reconstruction_prediction"))),
     replace(RUN, changes=(*TINY, ("bfloat16", "all"), ("critic", "plain"))),
     replace(RUN, changes=(*TINY, ("critic", "categorical"), ("reward_steps", 3)), keep="last"),
+    replace(
+        RUN,
+        changes=(*TINY, ("critic_input", "observation"), ("scale", "seen"), ("encoder_loss", "nothing")),
+        keep="last",
+    ),
     replace(RUN, learner="sac"),
     replace(RUN, learner="two_stage"),
     replace(RUN, learner="edmd"),
@@ -255,6 +260,10 @@ def test_the_last_policy_is_kept_whatever_evaluations_say(tmp_path: Path) -> Non
     rows = collect_last(run.problem, [result])
     assert [(row.method, row.metric) for row in rows] == [("cartpole_swingup", "return at 0.48k frames")]
     assert rows[0].values == [pytest.approx(np.mean(result["returns"]))]
+    passed = {**result["curve"][0], "steps": 100_000}
+    early, late = collect_last(run.problem, [{**result, "curve": [passed, last]}])
+    assert (early.metric, early.values) == ("return at 100k frames", [passed["returns"]["averaged"]])
+    assert late == rows[0]
 
 
 def test_a_broken_checkpoint_is_named(tmp_path: Path) -> None:
@@ -293,7 +302,7 @@ def test_each_loss_moves_what_it_should_and_nothing_else(encoder_loss: str) -> N
 
     def critic() -> dict[str, torch.Tensor]:
         with torch.no_grad():
-            value = agent._soft_value(agent.actor.encoder(x_next), agent.key_encoder(x_next), generator)
+            value = agent._soft_value(agent.actor.encoder(x_next), x_next, generator)
         return {"critic": agent.critic.loss(agent.actor.encoder(x), u, reward + (1.0 - end) * value)}
 
     def encoder() -> dict[str, torch.Tensor]:
@@ -304,11 +313,41 @@ def test_each_loss_moves_what_it_should_and_nothing_else(encoder_loss: str) -> N
     assert moved(lambda: agent._step(critic())) == {"encoder", "critic"}
     assert moved(lambda: agent._step(encoder())) == {"encoder"}
     assert moved(lambda: agent._step({"model": agent.actor.lqr.model_loss(z, u, z)})) == {"lqr"}
-    assert moved(lambda: agent._step(agent._actor_losses(agent.actor.encoder(x), generator))) == {"encoder", "lqr"}
+    assert moved(lambda: agent._step(agent._actor_losses(agent.actor.encoder(x), x, generator))) == {"encoder", "lqr"}
+
+
+def test_critics_of_observations_leave_the_encoder_alone() -> None:
+    agent, data = some_agent(critic_input="observation", encoder_loss="nothing", actor_every=1000)
+    agent.updates = 1  # no turn of the actor's
+    generator = torch.Generator().manual_seed(0)
+    encoder, critic = ([p.clone() for p in part.parameters()] for part in (agent.actor.encoder, agent.critic))
+    agent.update(data, generator)
+    assert all(torch.equal(*each) for each in zip(encoder, agent.actor.encoder.parameters(), strict=True))
+    assert not any(torch.equal(*each) for each in zip(critic, agent.critic.parameters(), strict=True))
+    agent._step(agent._actor_losses(agent.actor.encoder(torch.from_numpy(data.x)), torch.from_numpy(data.x), generator))
+    assert not any(torch.equal(*each) for each in zip(encoder[:2], agent.actor.encoder.parameters(), strict=False))
+
+
+def test_observations_are_scaled_by_what_was_seen_in_the_deployed_policy_too() -> None:
+    agent, _ = some_agent(scale="seen", critic_input="observation")
+    met = np.random.default_rng(3).normal((5.0, -200.0, 0.0), (1.0, 30.0, 0.0), (200, 3)).astype(np.float32)
+    for x in met:
+        agent.meet(x)
+    expected = (met - met.mean(axis=0, dtype=float)) / (met.std(axis=0, dtype=float) + 1e-3)
+    for encoder in (agent.actor.encoder, agent.averaged.encoder, agent.key_encoder):
+        assert encoder.normalise(torch.from_numpy(met)).numpy() == pytest.approx(expected, abs=1e-4)
+    learnt = agent.actor.encoder(torch.from_numpy(met)).detach().numpy()
+    assert agent.actor.deploy().encoder(met) == pytest.approx(learnt, abs=1e-5)
+
+
+@pytest.mark.parametrize("change", [{"critic_input": "observation"}, {"scale": "seen"}])
+def test_pictures_are_seen_by_their_encoder_alone(change: dict[str, str]) -> None:
+    with pytest.raises(KoopmanError, match="critic_input must be latent and scale task: this task shows pictures"):
+        BENCHMARK_TASKS["cartpole_swingup_pixels"].with_settings(**change)
 
 
 @pytest.mark.parametrize("shape", [(3,), (2, 26, 26)])
-@pytest.mark.parametrize("encoder_loss", ENCODER_LOSSES)
+@pytest.mark.parametrize("encoder_loss", [*ENCODER_LOSSES, "nothing"])
 def test_updates_of_vectors_and_images_are_finite_and_the_average_follows(
     encoder_loss: str, shape: tuple[int, ...]
 ) -> None:

@@ -10,9 +10,11 @@ from koopman_lqr_controller.errors import KoopmanError
 
 _KINDS = {"int": "a whole number", "float": "a number"}
 _CHOICES = {
-    "encoder_loss": ("contrastive", "reconstruction", "reconstruction_prediction"),
+    "encoder_loss": ("contrastive", "reconstruction", "reconstruction_prediction", "nothing"),
     "policy": ("lqr", "network"),
     "critic": ("layer_norm", "plain", "categorical"),
+    "critic_input": ("latent", "observation"),
+    "scale": ("task", "seen"),
     "bfloat16": ("nothing", "all"),
     "cost": ("Q1", "Q2", "Q3", "Q4"),
 }
@@ -47,10 +49,15 @@ class Settings:
         noise: Noise eta of Eq. 4.5.
         average_rate: Rate at which the averaged actor follows.
         encoder_loss: Loss of the encoder besides the task's: "contrastive" (Eq. 4.4), or that of an autoencoder,
-            "reconstruction", or "reconstruction_prediction", which decodes the model's next z as well (4.3.5).
+            "reconstruction", or "reconstruction_prediction", which decodes the model's next z as well (4.3.5); or
+            "nothing", where the task's loss alone trains it.
         policy: "lqr", or "network" as in CURL.
         critic: "plain" hidden layers, or each with a "layer_norm": values cannot run away, and policies oscillate less;
             or "categorical", a distribution of values by residual layers, which bears more updates for each action.
+        critic_input: State that the critics see: the "latent" z, as in the thesis, or the "observation" as the encoder
+            scales it. The second leaves the encoder to the actor's loss and its own: values need not wait for z, and z
+            need not tell values.
+        scale: Scale of vectors that are observed: that of the "task", or the mean and deviation of those "seen" so far.
         bfloat16: "all" hidden layers are computed so while learning, or "nothing": a third quicker, if processors can.
         cost: Hand-tuned cost of `two_stage_learner`, "Q1" to "Q4"; of no effect elsewhere.
     """
@@ -78,6 +85,8 @@ class Settings:
     encoder_loss: str = "contrastive"
     policy: str = "lqr"
     critic: str = "layer_norm"
+    critic_input: str = "latent"
+    scale: str = "task"
     bfloat16: str = "nothing"
     cost: str = "Q1"
 
@@ -100,6 +109,8 @@ class Settings:
 
         if self.replay < _LEAST_REPLAY:
             raise KoopmanError(f"replay is {self.replay}: must be at least {_LEAST_REPLAY} steps to learn from")
+        if self.crop and (self.critic_input == "observation" or self.scale == "seen"):
+            raise KoopmanError("critic_input must be latent and scale task: this task shows pictures")
         if self.policy == "network" and self.encoder_loss == "reconstruction_prediction":
             raise KoopmanError("encoder_loss reconstruction_prediction needs a model: policy must be lqr")
 

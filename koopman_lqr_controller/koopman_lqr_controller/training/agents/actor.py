@@ -44,6 +44,8 @@ class AgentInterface(NamedTuple):
     def encoder(self, settings: Settings) -> TorchEncoder:
         """Return an untrained psi."""
         middle, unit = torch.from_numpy(self.middle), torch.from_numpy(self.unit)
+        if settings.scale == "seen":  # each component has a scale of its own
+            middle, unit = (scale.expand(self.shape).clone() for scale in (middle, unit))
         crop, halved = settings.crop or None, settings.bfloat16 == "all"
         return TorchEncoder(self.shape, settings.latent, settings.hidden, settings.depth, middle, unit, crop, halved)
 

@@ -24,7 +24,7 @@ from koopman_lqr_controller.training.agents.actor import AgentInterface, LqrActo
 from koopman_lqr_controller.training.networks.critics import make_critic
 from koopman_lqr_controller.training.networks.differentiable_lqr import LatentLqr
 from koopman_lqr_controller.training.networks.encoder_losses import EncoderBatch, make_encoder_loss, noisy, random_crop
-from koopman_lqr_controller.training.networks.networks import follow
+from koopman_lqr_controller.training.networks.networks import RunningScale, follow
 from koopman_lqr_controller.training.replay import Transitions
 from koopman_lqr_controller.training.settings import Settings
 
@@ -46,23 +46,27 @@ class Agent(nn.Module):
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
             self.actor = make_actor(interface, settings)
-            self.critic = make_critic(interface.controls, settings)
+            self.critic = make_critic(interface.shape[0], interface.controls, settings)
             self.encoder_loss = make_encoder_loss(self.actor.encoder, settings)
         self.averaged = copy.deepcopy(self.actor).requires_grad_(False)
         self.key_encoder = copy.deepcopy(self.actor.encoder).requires_grad_(False)
         self.target = copy.deepcopy(self.critic).requires_grad_(False)
         self.log_temperature = nn.Parameter(torch.tensor(math.log(settings.temperature)))
         self.updates = 0
+        self.scale = RunningScale(interface.shape[0]) if settings.scale == "seen" else None
+        self._sees_latent = settings.critic_input == "latent"
         self._target_entropy = -float(interface.controls)
         self._images = settings.crop > 0
         self.to(self._device)
-        encoder, own = self.actor.encoder.parameters(), self.encoder_loss.parameters()
+        encoder = list(self.actor.encoder.parameters())
         self.optimizers = {
-            "critic": self._adam(chain(self.actor.encoder.parameters(), self.critic.parameters())),
-            "encoder": self._adam(own if self._images else chain(encoder, own)),
+            "critic": self._adam(chain(encoder if self._sees_latent else [], self.critic.parameters())),
             "actor": self._adam(self.actor.parameters()),
             "temperature": self._adam([self.log_temperature]),
         }
+        if self.encoder_loss is not None:
+            own = self.encoder_loss.parameters()
+            self.optimizers["encoder"] = self._adam(own if self._images else chain(encoder, own))
         if self.lqr is not None:
             self.optimizers["model"] = self._adam([self.lqr.A, self.lqr.B])
 
@@ -75,6 +79,12 @@ class Agent(nn.Module):
             z = self.actor.encoder(torch.from_numpy(np.asarray(x, np.float32))[None].to(self._device))
             action: NDArray[np.float32] = self.actor.sample(z, generator)[0][0].cpu().numpy()
         return action
+
+    def meet(self, x: NDArray[np.generic]) -> None:
+        """Take note of an observation (*shape) that was met; of an effect where these make the scale."""
+        if self.scale is not None:
+            self.scale.add(torch.from_numpy(np.asarray(x, np.float64)).to(self._device))
+            self.scale.give((self.actor.encoder, self.averaged.encoder, self.key_encoder))
 
     def update(self, data: Transitions, generator: torch.Generator) -> None:
         """Learn from a batch of steps.
@@ -91,31 +101,35 @@ class Agent(nn.Module):
             query, key = (random_crop(x, self.settings.crop, generator) for _ in range(2))
             x, x_next = query, random_crop(x_next, self.settings.crop, generator)
             x_later = x_next if data.later is None else random_crop(x_later, self.settings.crop, generator)
-        elif self.encoder_loss.augments:
+        elif self.encoder_loss is not None and self.encoder_loss.augments:
             query, key = (noisy(x, self.settings.noise, generator) for _ in range(2))
         else:
             query = key = x
-        seen = EncoderBatch(query, key, u, x_next, self.key_encoder, self.lqr)
-        features = self.actor.encoder.features(x)
-        z = self.actor.encoder.latent(features)
+        encoder = self.actor.encoder
+        with torch.set_grad_enabled(self._sees_latent):
+            features = encoder.features(x)
+            z = encoder.latent(features)
         with torch.no_grad():
-            z_next = self.actor.encoder(x_next)
-            z_later = z_next if x_later is x_next else self.actor.encoder(x_later)
-            goal = gained + weight * self._soft_value(z_later, self.key_encoder(x_later), generator)
-        losses = {"critic": self.critic.loss(z, u, goal)}
+            z_next = encoder(x_next)
+            z_later = z_next if x_later is x_next else encoder(x_later)
+            goal = gained + weight * self._soft_value(z_later, x_later, generator)
+        losses = {"critic": self.critic.loss(z if self._sees_latent else encoder.normalise(x), u, goal)}
         if self.lqr is not None:
             losses["model"] = self.lqr.model_loss(z.detach(), u, z_next)
-        if self._images:
+        seen = EncoderBatch(query, key, u, x_next, self.key_encoder, self.lqr)
+        if self.encoder_loss is None:
+            self._step(losses)
+        elif self._images:
             own = self.encoder_loss(z, seen)
             self._step({**losses, "encoder": _as_large_as(losses["critic"], own, z) * own})
         else:
             self._step(losses)
-            self._step({"encoder": self.encoder_loss(self.actor.encoder(query), seen)})
+            self._step({"encoder": self.encoder_loss(encoder(query), seen)})
         if self.updates % self.settings.actor_every == 0:
-            z = self.actor.encoder.latent(features.detach()) if self._images else self.actor.encoder(x)
-            self._step(self._actor_losses(z, generator))
+            z = encoder.latent(features.detach()) if self._images else encoder(x)
+            self._step(self._actor_losses(z, x, generator))
             follow(self.target, self.critic, self.settings.critic_rate)
-            follow(self.key_encoder, self.actor.encoder, self.settings.encoder_rate)
+            follow(self.key_encoder, encoder, self.settings.encoder_rate)
         follow(self.averaged, self.actor, self.settings.average_rate)
         self.updates += 1
 
@@ -124,16 +138,18 @@ class Agent(nn.Module):
         """A, B, Q, R; None where a network acts."""
         return self.actor.lqr if isinstance(self.actor, LqrActor) else None
 
-    def _soft_value(self, z: Tensor, key: Tensor, generator: torch.Generator) -> Tensor:
-        """Return the values (N,) of latent states by the target critics, which see them as the key encoder does."""
+    def _soft_value(self, z: Tensor, x: Tensor, generator: torch.Generator) -> Tensor:
+        """Return the values (N,) of states by the target critics, which see latent ones as the key encoder does."""
         u, log_density = self.actor.sample(z, generator)
-        return self.target(key, u).amin(dim=0) - self.log_temperature.exp() * log_density
+        state = self.key_encoder(x) if self._sees_latent else self.key_encoder.normalise(x)
+        return self.target(state, u).amin(dim=0) - self.log_temperature.exp() * log_density
 
-    def _actor_losses(self, z: Tensor, generator: torch.Generator) -> dict[str, Tensor]:
+    def _actor_losses(self, z: Tensor, x: Tensor, generator: torch.Generator) -> dict[str, Tensor]:
         """Return the losses of actor and temperature; they share no parameter."""
         u, log_density = self.actor.sample(z, generator)
         self.critic.requires_grad_(False)
-        value = self.critic(z.detach(), u).amin(dim=0)
+        state = z.detach() if self._sees_latent else self.actor.encoder.normalise(x)
+        value = self.critic(state, u).amin(dim=0)
         self.critic.requires_grad_(True)
         entropy_gap = (log_density.detach() + self._target_entropy).mean()
         return {

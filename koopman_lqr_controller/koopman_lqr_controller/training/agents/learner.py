@@ -54,6 +54,9 @@ class ReplayLearner(ABC):
     def _begin(self, random: np.random.Generator) -> tuple[Act | None, Callable[[], None]]:
         """Return how a chunk acts, None for at random, and what updates the networks."""
 
+    def _meet(self, x: NDArray[np.generic]) -> None:  # noqa: B027 - most learners need none
+        """Take note of an observation that was met."""
+
     def learn(self, chunk: int, done: int, actions: int, episodes: int) -> tuple[int, int]:
         """Act, beginning with a fresh episode, and learn for one chunk.
 
@@ -77,6 +80,7 @@ class ReplayLearner(ABC):
             else:
                 u = random.uniform(-1.0, 1.0, environment.action_space.shape).astype(np.float32)
             x_next, reward, terminated, truncated, _ = environment.step(u)
+            self._meet(x)
             self.replay.add(x, u, float(reward), bool(terminated))
             x = x_next
             ended = terminated or truncated or step == actions
@@ -112,6 +116,9 @@ class KoopmanLearner(ReplayLearner):
         self._mirror: Mirror | None = getattr(environment, "mirror", None)
         self._agent = Agent(self.interface, problem.settings, seed, device)
         self._modules, self._optimizers = {"agent": self._agent}, self._agent.optimizers
+
+    def _meet(self, x: NDArray[np.generic]) -> None:
+        self._agent.meet(x)
 
     def _begin(self, random: np.random.Generator) -> tuple[Act, Callable[[], None]]:
         generator = torch.Generator().manual_seed(int(random.integers(2**63)))

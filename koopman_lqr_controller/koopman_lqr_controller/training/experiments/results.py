@@ -20,6 +20,8 @@ from koopman_lqr_controller.training.experiments.methods import METHODS
 
 Results = Sequence[Mapping[str, Any]]
 """Results of `train`, one a seed."""
+FRAMES = (100_000, 200_000, 350_000)
+"""Simulated frames after which others publish returns."""
 _LEARNT, _CONSOLIDATED = "task-oriented Koopman", "task-oriented Koopman, consolidated"
 
 
@@ -104,17 +106,29 @@ def collect(problem: BenchmarkTask, results: Sequence[dict[str, Any]]) -> tuple[
 def collect_last(problem: BenchmarkTask, results: Results) -> list[Result]:
     """Return the rows of runs that kept their last policy, by task: returns after all frames that were learnt from.
 
+    Those at `FRAMES` that runs passed are of the policy as it was then, in the episodes of that evaluation.
     Consolidation takes frames of its own, which are counted beside.
     """
-    frames, title = results[0]["curve"][-1]["steps"], Path(problem.name).stem
-    returned = metric(f"return at {frames / 1000:g}k frames", "1", _mean_return)
-    rows = _rows(title, results, (returned,))
+    last, title = results[0]["curve"][-1]["steps"], Path(problem.name).stem
+    passed = [(number, at["steps"]) for number, at in enumerate(results[0]["curve"]) if at["steps"] in FRAMES]
+    then = [metric(_at_frames(frames), "1", _returned(number)) for number, frames in passed if frames != last]
+    returned = metric(_at_frames(last), "1", _mean_return)
+    rows = _rows(title, results, (*then, returned))
     if all(result["consolidated"] for result in results):
         more = metric(
-            f"frames more, after {frames / 1000:g}k", "1", lambda end: end["interaction"]["actions"] * problem.repeat
+            f"frames more, after {last / 1000:g}k", "1", lambda end: end["interaction"]["actions"] * problem.repeat
         )
         rows += _rows(f"{title}, consolidated", [result["consolidated"] for result in results], (returned, more))
     return rows
+
+
+def _at_frames(frames: int) -> str:
+    return f"return at {frames / 1000:g}k frames"
+
+
+def _returned(number: int) -> Callable[[Mapping[str, Any]], float]:
+    """Return what looks up the return of the first candidate after so many chunks."""
+    return lambda result: float(next(iter(result["curve"][number]["returns"].values())))
 
 
 def collect_comparison(name: str, task: str, results: Mapping[str, Results]) -> tuple[list[Result], dict[str, Any]]:

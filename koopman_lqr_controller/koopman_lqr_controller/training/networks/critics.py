@@ -49,19 +49,19 @@ class TwinCritic(_Twin):
     """Q_1 and Q_2 of Eq. 4.10 by two hidden layers.
 
     Args:
-        latent: Dimensions of z.
+        inputs: Dimensions of the state that they see.
         controls: Number of controls.
         hidden: Units of each hidden layer.
         normalised: Whether these have a LayerNorm, without parameters, before their ReLU.
         halved: Whether these are computed in bfloat16.
     """
 
-    def __init__(self, latent: int, controls: int, hidden: int, normalised: bool = False, halved: bool = False) -> None:
-        super().__init__(list(pairwise((latent + controls, hidden, hidden, 1))), halved)
+    def __init__(self, inputs: int, controls: int, hidden: int, normalised: bool = False, halved: bool = False) -> None:
+        super().__init__(list(pairwise((inputs + controls, hidden, hidden, 1))), halved)
         self._normalised = normalised
 
     def forward(self, z: Tensor, u: Tensor) -> Tensor:
-        """Return both values (2, N) of latent states (N, n) and actions (N, m)."""
+        """Return both values (2, N) of states (N, n) and actions (N, m)."""
         x = self._inputs(z, u)
         for number in range(2):
             x = self._layer(number, x)
@@ -77,7 +77,7 @@ class CategoricalCritic(_Twin):
     """Q_1 and Q_2 of Eq. 4.10 as means of categorical distributions, by normalised residual layers.
 
     Args:
-        latent: Dimensions of z.
+        inputs: Dimensions of the state that they see.
         controls: Number of controls.
         hidden: Units of each hidden layer.
         halved: Whether these are computed in bfloat16.
@@ -85,8 +85,8 @@ class CategoricalCritic(_Twin):
 
     values: Tensor
 
-    def __init__(self, latent: int, controls: int, hidden: int, halved: bool = False) -> None:
-        sizes = [(latent + controls, hidden), *[(hidden, hidden)] * (2 * _BLOCKS), (hidden, _BINS)]
+    def __init__(self, inputs: int, controls: int, hidden: int, halved: bool = False) -> None:
+        sizes = [(inputs + controls, hidden), *[(hidden, hidden)] * (2 * _BLOCKS), (hidden, _BINS)]
         super().__init__(sizes, halved)
         with torch.no_grad():
             self.weights[-1].zero_()
@@ -95,7 +95,7 @@ class CategoricalCritic(_Twin):
         self.register_buffer("values", steps.sign() * steps.abs().expm1())
 
     def forward(self, z: Tensor, u: Tensor) -> Tensor:
-        """Return both values (2, N) of latent states (N, n) and actions (N, m)."""
+        """Return both values (2, N) of states (N, n) and actions (N, m)."""
         values: Tensor = torch.softmax(self._logits(z, u), dim=-1) @ self.values
         return values
 
@@ -127,9 +127,10 @@ def _normalised(x: Tensor) -> Tensor:
     return layer_norm(x, x.shape[-1:])
 
 
-def make_critic(controls: int, settings: Settings) -> TwinCritic | CategoricalCritic:
-    """Return the untrained critics that the settings ask for."""
-    sizes, halved = (settings.latent, controls, settings.hidden), settings.bfloat16 == "all"
+def make_critic(observed: int, controls: int, settings: Settings) -> TwinCritic | CategoricalCritic:
+    """Return the untrained critics that the settings ask for, of observations (observed,) or of z."""
+    inputs = observed if settings.critic_input == "observation" else settings.latent
+    sizes, halved = (inputs, controls, settings.hidden), settings.bfloat16 == "all"
     if settings.critic == "categorical":
         return CategoricalCritic(*sizes, halved)
     return TwinCritic(*sizes, settings.critic == "layer_norm", halved)

@@ -121,8 +121,10 @@ class Reconstruction(nn.Module):
         return loss
 
 
-def make_encoder_loss(encoder: TorchEncoder, settings: Settings) -> Contrast | Reconstruction:
-    """Return the untrained loss that the settings ask for."""
+def make_encoder_loss(encoder: TorchEncoder, settings: Settings) -> Contrast | Reconstruction | None:
+    """Return the untrained loss that the settings ask for; None for none."""
+    if settings.encoder_loss == "nothing":
+        return None
     if settings.encoder_loss == "contrastive":
         return Contrast(settings.latent)
     return Reconstruction(encoder.seen, settings, settings.encoder_loss == "reconstruction_prediction")

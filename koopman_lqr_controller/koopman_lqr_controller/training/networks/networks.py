@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -11,6 +13,8 @@ from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.models import encoder as deployed
 
 _KERNEL = 3
+_LEAST_DEVIATION = 1e-3
+"""Added to the deviation of what is observed: a component may stay as it is."""
 
 
 class TorchEncoder(nn.Module):
@@ -91,6 +95,43 @@ class TorchEncoder(nn.Module):
         layers: list[deployed.Layer] = [] if self.crop is None else [deployed.CentreCrop(self.crop)]
         layers += deploy_layers(self.layers)
         return deployed.Encoder(tuple(layers), self.shape, _array(self.middle), _array(self.unit))
+
+
+class RunningScale(nn.Module):
+    """Mean and deviation of all observations so far, one at a time (Welford 1962).
+
+    Args:
+        size: Components of an observation.
+
+    Attributes:
+        count: Number of observations.
+        mean: Their mean (n,).
+        squares: Sum of their squared distances from it (n,).
+    """
+
+    count: Tensor
+    mean: Tensor
+    squares: Tensor
+
+    def __init__(self, size: int) -> None:
+        super().__init__()
+        self.register_buffer("count", torch.zeros((), dtype=torch.float64))
+        self.register_buffer("mean", torch.zeros(size, dtype=torch.float64))
+        self.register_buffer("squares", torch.zeros(size, dtype=torch.float64))
+
+    def add(self, x: Tensor) -> None:
+        """Add an observation (n,)."""
+        self.count += 1.0
+        distance = x.to(self.mean.dtype) - self.mean
+        self.mean += distance / self.count
+        self.squares += distance * (x - self.mean)
+
+    def give(self, encoders: Iterable[TorchEncoder]) -> None:
+        """Make encoders scale by what was seen."""
+        deviation = (self.squares / self.count).sqrt() + _LEAST_DEVIATION
+        for encoder in encoders:
+            encoder.middle.copy_(self.mean)
+            encoder.unit.copy_(deviation)
 
 
 def _check_sizes(shape: tuple[int, ...], crop: int | None, depth: int) -> None:
