@@ -91,6 +91,21 @@ def test_a_policy_flies_to_its_goal_with_and_without_the_guard_and_an_adversary_
     assert contacts == [[1.0], [0.0]]
 
 
+def test_among_people_a_lidar_of_more_scans_loses_less_time_and_movers_may_be_added(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    results = tmp_path / "out" / "safety_filter.json"
+    common = ("--episodes", 1, "--folder", tmp_path / "runs", "--results", results)
+    assert run(monkeypatch, "--sources", "curved_corridor@corridor_sudden", "--scan-rate", 10, *common) == 0
+    assert run(monkeypatch, "--sources", "car_ttr", "--movers", 2, *common) == 0
+    (experiment,) = read_results(results.parent)
+    values = {(row.method, row.metric): row.values for row in experiment.rows}
+    sudden, car = "curved_corridor, corridor_sudden, filter, 10 scans a second", "car_ttr, filter, 2 movers"
+    assert values[sudden, "success"] == values[car, "success"] == [1.0]
+    assert values[sudden, "avoidable collisions"] == values[car, "avoidable collisions"] == [0.0]
+    assert values[sudden, "time lost"][0] < 0.8  # of simulated time; more than 1 with five scans a second
+
+
 def test_the_base_moves_by_its_model_whatever_the_physics_engine_would_do() -> None:
     slow = dataclasses.replace(MODEL, acceleration=0.5, braking=0.5, delay=0.2)
     world = SimulatedWorld(room("boxes", MODEL.name, MODEL, 1), 1, options=SETTINGS)

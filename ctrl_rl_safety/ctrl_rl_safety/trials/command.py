@@ -65,6 +65,8 @@ class Options:
     scan_rate: ScanRate = 0
     """Scans per second in the tasks of policies on wheels: 5, 10 or 20; 0 for the task's own. A policy decides as often
     as it does there."""
+    movers: NotNegative = 0
+    """Number of movers of up to 0.4 m/s that wander in the tasks of policies on wheels, besides their own."""
     folder: FolderToWrite = Path("runs/safety_filter")
     """Folder that keeps the episodes: after an interruption trials go on where they were."""
     results: OptionalFileToWrite = None
@@ -93,15 +95,15 @@ def cells_of(options: Options) -> list[Cell]:
     return out
 
 
-def player_of(cell: Cell, engine: str, scan_rate: float = 0.0) -> Player | FlightPlayer:
-    """Return who plays the episodes of a cell; `scan_rate` [Hz] is for policies of robots on wheels.
+def player_of(cell: Cell, engine: str, scan_rate: float = 0.0, movers: int = 0) -> Player | FlightPlayer:
+    """Return who plays the episodes of a cell; `scan_rate` [Hz] and `movers` are for policies of robots on wheels.
 
     Raises:
         CtrlRlError: Its source, task, robot or guard do not go together.
     """
     if cell.place not in PLACES and (task := load_navigation_task(cell.place)).plane == "xz":
         return FlightPlayer(cell, engine, task)
-    return Player(cell, engine, scan_rate)
+    return Player(cell, engine, scan_rate, movers)
 
 
 def rows_of(
@@ -136,11 +138,16 @@ def _lost(outcomes: Sequence[TrialOutcome], others: Sequence[TrialOutcome]) -> l
     return [one.seconds / other.seconds - 1.0 for one, other in pairs]
 
 
+def _changes(options: Options) -> str:
+    """Return in words what is not as in the tasks themselves."""
+    rate = f", {options.scan_rate} scans a second" if options.scan_rate else ""
+    return rate + (f", {options.movers} movers" if options.movers else "")
+
+
 def _finished(cell: Cell, options: Options, bar: tqdm[Any]) -> list[TrialOutcome]:
     """Return the outcomes of a cell, and play what is missing."""
-    player = player_of(cell, options.engine, options.scan_rate)
-    rate = f"-{options.scan_rate}Hz" if options.scan_rate else ""
-    name = re.sub(r"\W+", "-", f"{cell.method}-{options.engine}{rate}")
+    player = player_of(cell, options.engine, options.scan_rate, options.movers)
+    name = re.sub(r"\W+", "-", f"{cell.method}-{options.engine}{_changes(options)}")
     settings = {"cell": cell.method, "engine": options.engine, "seed": options.seed, "terms": player.terms}
     log = OutcomeLog(options.folder / f"{name}.jsonl", settings, TrialOutcome, SafetyError)
     bar.set_postfix_str(cell.method)
@@ -154,8 +161,7 @@ def _finished(cell: Cell, options: Options, bar: tqdm[Any]) -> list[TrialOutcome
 def _work(options: Options) -> int:
     cells = cells_of(options)
     outcomes: dict[Cell, list[TrialOutcome]] = {}
-    suffix = "" if options.engine == "planar" else f", {options.engine}"
-    suffix += f", {options.scan_rate} scans a second" if options.scan_rate else ""
+    suffix = ("" if options.engine == "planar" else f", {options.engine}") + _changes(options)
     with tqdm(total=len(cells) * options.episodes, unit="episode", disable=None) as bar:
         for cell in sorted(cells, key=lambda each: each.guard not in UNGUARDED):  # the time lost is counted from these
             outcomes[cell] = _finished(cell, options, bar)

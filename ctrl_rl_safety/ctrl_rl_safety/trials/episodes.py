@@ -24,7 +24,7 @@ from ctrl_rl_safety.filter.verdict import FilterOptions
 from ctrl_rl_safety.models.robot_model import ROBOTS, RobotModel
 from ctrl_rl_safety.trials.robot import MOTOR_LAG, TICK, TrialRobot
 from ctrl_rl_safety.trials.sources import Driver, FullSpeed, Random, Source
-from ctrl_rl_safety.trials.worlds import PLACES, room, with_whole_scan
+from ctrl_rl_safety.trials.worlds import PLACES, room, with_movers, with_whole_scan
 from sim_bridge import SimulatedWorld, SimulationOptions
 
 ADVERSARIES = ("full_speed", "random", "attacker")
@@ -123,13 +123,14 @@ def task_of(policy: str) -> str:
 class Player:
     """Plays the episodes of a cell."""
 
-    def __init__(self, cell: Cell, engine: str, scan_rate: float = 0.0) -> None:
+    def __init__(self, cell: Cell, engine: str, scan_rate: float = 0.0, movers: int = 0) -> None:
         """Load what all episodes need.
 
         Args:
             cell: Who commands, where, which robot, and with which guard.
             engine: Physics engine, one of `sim_bridge.ENGINES`.
             scan_rate: Scans per second in the task of a policy [Hz]; 0 for the task's own.
+            movers: Number of movers that wander in the task of a policy, besides its own.
 
         Raises:
             CtrlRlError: There is no such policy, task or robot, or the policy is for another kind of robot.
@@ -141,7 +142,7 @@ class Player:
         if cell.place in PLACES:
             self._model = ROBOTS[cell.robot]
         else:
-            self._task = with_whole_scan(load_navigation_task(cell.place), scan_rate)
+            self._task = with_movers(with_whole_scan(load_navigation_task(cell.place), scan_rate), movers)
             self._model = _OF_TASKS[self._task.robot.body]
         if cell.guard == "late":
             self._options = SimulationOptions(engine=engine, command_delay=_LATE)

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 from ctrl_rl_core.geometry.units import Interval
+from ctrl_rl_core.tasks.schema.movers import MoverSpec
 from ctrl_rl_core.tasks.schema.robot import BODIES
 
 from ctrl_rl_core import NavigationTask
@@ -23,6 +24,7 @@ _LIDAR = {"beams": 360, "field": "0.0 .. 360.0 deg", "range": "0.1 .. 8.0 m", "r
 _LONGEST_S = 15.0
 _AROUND = 360
 """Beams all around of a lidar that the filter can use."""
+_WANDER = {"radius": "0.2 m", "wander": {"points": 12, "speed": f"0.1 .. {MOVER_SPEED} m/s"}}
 _ATTACKED = 1_000_000
 """Seed of the room in which attackers learn: none of trials."""
 
@@ -46,7 +48,6 @@ def room(place: str, body: str, model: RobotModel, seed: int) -> NavigationTask:
         sides = random.uniform(0.15, 0.6, 2)
         size = f"({sides[0]:.3f}, {sides[1]:.3f}) m"
         boxes.append({"box": {"centre": f"({x:.3f}, {y:.3f}) m", "size": size}})
-    wander = {"radius": "0.2 m", "wander": {"points": 12, "speed": f"0.1 .. {MOVER_SPEED} m/s"}}
     content = {
         "name": f"room_of_{place}",
         "kind": "navigation",
@@ -64,7 +65,7 @@ def room(place: str, body: str, model: RobotModel, seed: int) -> NavigationTask:
         "start": {"x": f"{-start} .. {start} m", "y": f"{-start} .. {start} m", "theta": "-180.0 .. 180.0 deg"},
         "goal": {"x": "100.0 m"},
         "obstacles": boxes,
-        "movers": [wander] * _MOVERS[place],
+        "movers": [_WANDER] * _MOVERS[place],
         "episode": {"steps": round(_LONGEST_S / 0.2), "time_step": "0.2 s"},
         "rewards": {"goal": 0, "collision": 0},
         "lidar": _LIDAR,
@@ -92,3 +93,10 @@ def with_whole_scan(task: NavigationTask, rate: float = 0.0) -> NavigationTask:
     if task.lidar.beams < _AROUND:
         changes |= {"beams": _AROUND, "field": Interval(-np.pi, np.pi), "placement": "edges", "noise": 0.01}
     return task.model_copy(update={"lidar": task.lidar.model_copy(update=changes)})
+
+
+def with_movers(task: NavigationTask, count: int) -> NavigationTask:
+    """Return a task with so many more movers that wander in its arena."""
+    if not count:
+        return task
+    return task.model_copy(update={"movers": (*task.movers, *[MoverSpec.model_validate(_WANDER)] * count)})
