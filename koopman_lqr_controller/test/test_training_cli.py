@@ -59,6 +59,20 @@ def test_each_seed_has_a_value_a_curve_and_a_folder(tmp_path: Path) -> None:
     assert sorted(folder.name[-3:] for folder in (tmp_path / "runs").iterdir() if folder.is_dir()) == ["-s0", "-s1"]
 
 
+def test_a_recipe_is_where_settings_begin(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    short = ["--actions", "20", "--samples", "20", "--episodes", "1", "--consolidation", "0", "--folder", str(tmp_path)]
+    small = ["--set", "hidden=16", "latent=6", "batch=16", "first_steps=10", "updates=1"]
+    assert train(["--task", "cheetah_run", "--recipe", "quick", *short, *small]) == 0
+    policy = load_policy(next(tmp_path.glob("*-s0")) / POLICY_FILE)
+    settings = policy.manifest["settings"]
+    assert (settings["critic_input"], settings["scale"], settings["updates"]) == ("observation", "seen", 1)
+    assert "--recipe quick" in policy.manifest["command"]
+    assert policy.controller.encoder.unit.shape == (17,)
+    capsys.readouterr()
+    assert train(["--task", "cartpole_swingup_pixels", "--recipe", "quick", *short]) == 1
+    assert capsys.readouterr().err.endswith("critic_input must be latent and scale task: this task shows pictures\n")
+
+
 def test_a_finished_run_is_taken_only_as_it_was_left(
     learnt: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

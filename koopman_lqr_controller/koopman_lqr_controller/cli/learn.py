@@ -17,8 +17,9 @@ from koopman_lqr_controller.cli.run_options import LearningOptions, as_command, 
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.training.environments.benchmark_tasks import BENCHMARK_TASKS, find_task, task_of_manifest
 from koopman_lqr_controller.training.experiments.methods import LEARNERS
+from koopman_lqr_controller.training.settings import RECIPES
 
-_LEARN_WORDS = ("learner", "keep", "samples", "chunks", "actions", "episodes", "consolidation", "device")
+_LEARN_WORDS = ("recipe", "learner", "keep", "samples", "chunks", "actions", "episodes", "consolidation", "device")
 _CONSOLIDATE_WORDS = ("latent", "episodes", "live", "noise", "seed")
 """Options that a policy's file records, because they decide what it holds."""
 _EPILOG = (
@@ -44,6 +45,9 @@ class Train(LearningOptions):
     """Task to learn: one of those below, or a .yaml file with a corridor."""
     seeds: Positive = 1
     """Number of seeds, counted from 0."""
+    recipe: Annotated[str, one_of(tuple(RECIPES))] = "thesis"
+    """Settings to begin with: the task's, after the thesis; or "quick", which learns from far fewer simulated frames
+    where observations are vectors. Those of --set are changed after it."""
     learner: Annotated[str, one_of(LEARNERS)] = "koopman"
     """Learner."""
     keep: Literal["best", "last"] = "best"
@@ -75,7 +79,7 @@ class Consolidate:
 
 def _learn(options: Train) -> int:
     problem = find_task(options.task)
-    changes = options.changes()
+    changes = tuple(sorted({**RECIPES[options.recipe], **dict(options.changes())}.items()))
     problem = problem.with_settings(**dict(changes))  # refuses what is wrong before torch, which takes seconds, is here
     from ctrl_rl_training.experiments.matrix import run_experiments
     from ctrl_rl_training.experiments.run_folder import result_file

@@ -3,11 +3,29 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 from koopman_lqr_controller.errors import KoopmanError
 
+RECIPES: Mapping[str, Mapping[str, int | float | str]] = {
+    "thesis": {},
+    "quick": {
+        "critic_input": "observation",
+        "scale": "seen",
+        "encoder_loss": "nothing",
+        "learning_rate": 1e-3,
+        "model_rate": 0.01,
+        "critic_rate": 0.02,
+        "updates": 2,
+        "actor_every": 1,
+        "deviation": 0.135,
+        "deviations": "each",
+    },
+}
+"""Changes of a task's settings by name. "thesis": none, Algorithm 2. "quick": critics of scaled observations, and A and
+B that follow the actor's loss above all; it learns more from as many simulated frames, of vectors."""
 _KINDS = {"int": "a whole number", "float": "a number"}
 _CHOICES = {
     "encoder_loss": ("contrastive", "reconstruction", "reconstruction_prediction", "nothing"),
@@ -15,6 +33,7 @@ _CHOICES = {
     "critic": ("layer_norm", "plain", "categorical"),
     "critic_input": ("latent", "observation"),
     "scale": ("task", "seen"),
+    "deviations": ("one", "each"),
     "bfloat16": ("nothing", "all"),
     "cost": ("Q1", "Q2", "Q3", "Q4"),
 }
@@ -34,6 +53,7 @@ class Settings:
         depth: Hidden layers of an encoder of vectors, convolutions of one of images.
         crop: Rows and columns of an image that the encoder looks at; 0 for vectors.
         learning_rate: Learning rate of all networks.
+        model_rate: Share of it at which A and B follow the model loss, beside the actor's.
         batch: Steps in an update.
         discount: Discount gamma of rewards.
         reward_steps: Rewards in the goal of a value, before the target critic says what follows.
@@ -41,6 +61,7 @@ class Settings:
         replay: Steps that are remembered.
         temperature: Temperature alpha to begin with.
         deviation: Standard deviation of the controls to begin with, before tanh.
+        deviations: "one" deviation for all controls, as in the thesis, or one for "each".
         critic_rate: Rate at which the target critic follows.
         encoder_rate: Rate at which the key encoder follows.
         update_every: Actions before updates.
@@ -68,6 +89,7 @@ class Settings:
     depth: int = 2
     crop: int = 0
     learning_rate: float = 5e-4
+    model_rate: float = 1.0
     batch: int = 256
     discount: float = 0.99
     reward_steps: int = 1
@@ -75,6 +97,7 @@ class Settings:
     replay: int = 100_000
     temperature: float = 0.1
     deviation: float = 1.0
+    deviations: str = "one"
     critic_rate: float = 0.01
     encoder_rate: float = 0.05
     update_every: int = 1

@@ -55,7 +55,8 @@ class Actor(nn.Module, ABC):
 
     Attributes:
         encoder: Embedding psi of observations.
-        raw_deviation: Input of the tanh that bounds the logarithm of the controls' deviation, one for all (1,).
+        raw_deviation: Input of the tanh that bounds the logarithm of the controls' deviation, one for all (1,) or for
+            each (m,).
     """
 
     def __init__(self, interface: AgentInterface, settings: Settings) -> None:
@@ -67,7 +68,8 @@ class Actor(nn.Module, ABC):
                 f"deviation is {settings.deviation}: must lie between {math.exp(low):.3g} and {math.exp(high):.3g}"
             )
         share = 2.0 * (math.log(settings.deviation) - low) / (high - low) - 1.0
-        self.raw_deviation = nn.Parameter(torch.tensor([math.atanh(share)]))
+        count = interface.controls if settings.deviations == "each" else 1
+        self.raw_deviation = nn.Parameter(torch.full((count,), math.atanh(share)))
 
     @abstractmethod
     def mean(self, z: Tensor) -> Tensor:
@@ -79,7 +81,7 @@ class Actor(nn.Module, ABC):
 
     @property
     def log_deviation(self) -> Tensor:
-        """Logarithm of the controls' deviation before tanh (1,); unlike a clamp it has a gradient everywhere."""
+        """Logarithm of the deviation before tanh (1,) or (m,); unlike a clamp it has a gradient everywhere."""
         low, high = _LOG_DEVIATIONS
         return low + 0.5 * (high - low) * (torch.tanh(self.raw_deviation) + 1.0)
 

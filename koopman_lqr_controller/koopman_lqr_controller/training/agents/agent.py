@@ -68,10 +68,11 @@ class Agent(nn.Module):
             own = self.encoder_loss.parameters()
             self.optimizers["encoder"] = self._adam(own if self._images else chain(encoder, own))
         if self.lqr is not None:
-            self.optimizers["model"] = self._adam([self.lqr.A, self.lqr.B])
+            self.optimizers["model"] = self._adam([self.lqr.A, self.lqr.B], settings.model_rate)
 
-    def _adam(self, parameters: object) -> torch.optim.Optimizer:
-        return torch.optim.Adam(list(parameters), lr=self.settings.learning_rate, fused=True)  # type: ignore[call-overload]
+    def _adam(self, parameters: object, share: float = 1.0) -> torch.optim.Optimizer:
+        rate = share * self.settings.learning_rate
+        return torch.optim.Adam(list(parameters), lr=rate, fused=True)  # type: ignore[call-overload]
 
     def act(self, x: NDArray[np.generic], generator: torch.Generator) -> NDArray[np.float32]:
         """Return an action (m,) for an observation (*shape), with the noise that explores."""
