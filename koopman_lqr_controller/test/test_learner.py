@@ -328,6 +328,19 @@ def test_critics_of_observations_leave_the_encoder_alone() -> None:
     assert not any(torch.equal(*each) for each in zip(encoder[:2], agent.actor.encoder.parameters(), strict=False))
 
 
+def test_the_model_loss_may_join_the_steps_of_the_actor() -> None:
+    agent, data = some_agent(critic_input="observation", encoder_loss="nothing", actor_every=1, model_weight=1e6)
+    x, u, _, x_next, _ = (torch.from_numpy(part) for part in data[:5])
+    encoder, A = agent.actor.encoder, agent.lqr.A
+    with torch.no_grad():
+        z, z_next = encoder(x), encoder(x_next)
+    (slope,) = torch.autograd.grad(agent.lqr.model_loss(z, u, z_next), A)
+    before = A.detach().clone()
+    agent.update(data, torch.Generator().manual_seed(0))
+    assert torch.equal(torch.sign(A.detach() - before), -torch.sign(slope)), "it outweighs the value"
+    assert not agent.optimizers["model"].state, "no step of its own"
+
+
 def test_observations_are_scaled_by_what_was_seen_in_the_deployed_policy_too() -> None:
     agent, _ = some_agent(scale="seen", critic_input="observation")
     met = np.random.default_rng(3).normal((5.0, -200.0, 0.0), (1.0, 30.0, 0.0), (200, 3)).astype(np.float32)

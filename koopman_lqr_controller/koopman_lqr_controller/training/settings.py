@@ -15,8 +15,8 @@ RECIPES: Mapping[str, Mapping[str, int | float | str]] = {
         "critic_input": "observation",
         "scale": "seen",
         "encoder_loss": "nothing",
-        "learning_rate": 1e-3,
-        "model_rate": 0.01,
+        "learning_rate": 3e-4,
+        "model_weight": 0.02,
         "critic_rate": 0.02,
         "updates": 2,
         "actor_every": 1,
@@ -37,7 +37,7 @@ _CHOICES = {
     "bfloat16": ("nothing", "all"),
     "cost": ("Q1", "Q2", "Q3", "Q4"),
 }
-_MAY_BE_ZERO = ("crop", "noise")
+_MAY_BE_ZERO = ("crop", "noise", "model_weight")
 _LEAST_REPLAY = 100
 _SHARES = ("discount", "critic_rate", "encoder_rate", "average_rate")
 
@@ -53,7 +53,7 @@ class Settings:
         depth: Hidden layers of an encoder of vectors, convolutions of one of images.
         crop: Rows and columns of an image that the encoder looks at; 0 for vectors.
         learning_rate: Learning rate of all networks.
-        model_rate: Share of it at which A and B follow the model loss, beside the actor's.
+        model_weight: Weight of the model loss in the actor's steps; 0 where A and B have steps of their own for it.
         batch: Steps in an update.
         discount: Discount gamma of rewards.
         reward_steps: Rewards in the goal of a value, before the target critic says what follows.
@@ -89,7 +89,7 @@ class Settings:
     depth: int = 2
     crop: int = 0
     learning_rate: float = 5e-4
-    model_rate: float = 1.0
+    model_weight: float = 0.0
     batch: int = 256
     discount: float = 0.99
     reward_steps: int = 1

@@ -68,11 +68,10 @@ class Agent(nn.Module):
             own = self.encoder_loss.parameters()
             self.optimizers["encoder"] = self._adam(own if self._images else chain(encoder, own))
         if self.lqr is not None:
-            self.optimizers["model"] = self._adam([self.lqr.A, self.lqr.B], settings.model_rate)
+            self.optimizers["model"] = self._adam([self.lqr.A, self.lqr.B])
 
-    def _adam(self, parameters: object, share: float = 1.0) -> torch.optim.Optimizer:
-        rate = share * self.settings.learning_rate
-        return torch.optim.Adam(list(parameters), lr=rate, fused=True)  # type: ignore[call-overload]
+    def _adam(self, parameters: object) -> torch.optim.Optimizer:
+        return torch.optim.Adam(list(parameters), lr=self.settings.learning_rate, fused=True)  # type: ignore[call-overload]
 
     def act(self, x: NDArray[np.generic], generator: torch.Generator) -> NDArray[np.float32]:
         """Return an action (m,) for an observation (*shape), with the noise that explores."""
@@ -115,7 +114,8 @@ class Agent(nn.Module):
             z_later = z_next if x_later is x_next else encoder(x_later)
             goal = gained + weight * self._soft_value(z_later, x_later, generator)
         losses = {"critic": self.critic.loss(z if self._sees_latent else encoder.normalise(x), u, goal)}
-        if self.lqr is not None:
+        weight_of_model = self.settings.model_weight
+        if self.lqr is not None and not weight_of_model:
             losses["model"] = self.lqr.model_loss(z.detach(), u, z_next)
         seen = EncoderBatch(query, key, u, x_next, self.key_encoder, self.lqr)
         if self.encoder_loss is None:
@@ -128,7 +128,10 @@ class Agent(nn.Module):
             self._step({"encoder": self.encoder_loss(encoder(query), seen)})
         if self.updates % self.settings.actor_every == 0:
             z = encoder.latent(features.detach()) if self._images else encoder(x)
-            self._step(self._actor_losses(z, x, generator))
+            acting = self._actor_losses(z, x, generator)
+            if self.lqr is not None and weight_of_model:
+                acting["actor"] = acting["actor"] + weight_of_model * self.lqr.model_loss(z.detach(), u, z_next)
+            self._step(acting)
             follow(self.target, self.critic, self.settings.critic_rate)
             follow(self.key_encoder, encoder, self.settings.encoder_rate)
         follow(self.averaged, self.actor, self.settings.average_rate)
