@@ -6,6 +6,10 @@ leaves the encoder alone: it would make all latent states equal. The actor's pas
 through what the critics say of z; convolutions it leaves alone, they are most of the work. Losses of different
 parameters go back together. Of images so do Bellman's and the encoder's own, brought to one size: values grow to
 hundreds, and the encoder's own loss would no longer be heard.
+
+Settings change this: critics of observations leave the encoder to the actor's loss and its own, and the model loss may
+join the actor's with a weight. Adam's steps have one size however small a loss is, so a model loss with steps of its
+own pulls at A and B as hard as the actor's.
 """
 
 from __future__ import annotations
@@ -14,6 +18,7 @@ import copy
 import math
 from collections.abc import Mapping
 from itertools import chain
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -29,13 +34,37 @@ from koopman_lqr_controller.training.replay import Transitions
 from koopman_lqr_controller.training.settings import Settings
 
 
+class _Batch(NamedTuple):
+    """Steps as the losses see them.
+
+    Attributes:
+        x: Observations (N, *shape), windows of images.
+        u: Actions (N, m).
+        x_next: Observations that followed.
+        gained: Rewards until values go on (N,).
+        weight: Discount of what follows then (N,).
+        x_later: Observations then; `x_next` itself where they go on after one step.
+        query: Observations that the encoder's own loss sees.
+        key: The same, augmented in another way.
+    """
+
+    x: Tensor
+    u: Tensor
+    x_next: Tensor
+    gained: Tensor
+    weight: Tensor
+    x_later: Tensor
+    query: Tensor
+    key: Tensor
+
+
 class Agent(nn.Module):
     """Networks that are learnt, and their updates.
 
     Attributes:
         actor: Actor as it is now.
         averaged: The exponential average of `actor` over updates.
-        encoder_loss: The encoder's own.
+        encoder_loss: The encoder's own; None for none.
         key_encoder: Momentum encoder of contrastive keys and of the target critic.
         updates: Number of updates so far.
     """
@@ -93,49 +122,62 @@ class Agent(nn.Module):
             data: Batch of steps.
             generator: Generator of all noise, on the CPU.
         """
+        batch, encoder = self._augmented(data, generator), self.actor.encoder
+        with torch.set_grad_enabled(self._sees_latent):
+            features = encoder.features(batch.x)
+            z = encoder.latent(features)
+        with torch.no_grad():
+            z_next = encoder(batch.x_next)
+            z_later = z_next if batch.x_later is batch.x_next else encoder(batch.x_later)
+            goal = batch.gained + batch.weight * self._soft_value(z_later, batch.x_later, generator)
+        self._learn_values(batch, z, z_next, goal)
+        if self.updates % self.settings.actor_every == 0:
+            self._learn_law(batch, features, z_next, generator)
+            follow(self.target, self.critic, self.settings.critic_rate)
+            follow(self.key_encoder, encoder, self.settings.encoder_rate)
+        follow(self.averaged, self.actor, self.settings.average_rate)
+        self.updates += 1
+
+    def _augmented(self, data: Transitions, generator: torch.Generator) -> _Batch:
+        """Return a batch as the losses see it: windows of images, as in CURL, and noise for a loss that contrasts."""
         x, u, reward, x_next, terminated = (torch.from_numpy(it).to(self._device) for it in data[:5])
         gained, x_later, weight = reward, x_next, self.settings.discount * (1.0 - terminated)
         if data.later is not None:
             gained, x_later, weight = (torch.from_numpy(it).to(self._device) for it in data.later)
-        if self._images:  # as in CURL all losses see a window at random
+        query = key = x
+        if self._images:
             query, key = (random_crop(x, self.settings.crop, generator) for _ in range(2))
             x, x_next = query, random_crop(x_next, self.settings.crop, generator)
             x_later = x_next if data.later is None else random_crop(x_later, self.settings.crop, generator)
         elif self.encoder_loss is not None and self.encoder_loss.augments:
             query, key = (noisy(x, self.settings.noise, generator) for _ in range(2))
-        else:
-            query = key = x
+        return _Batch(x, u, x_next, gained, weight, x_later, query, key)
+
+    def _learn_values(self, batch: _Batch, z: Tensor, z_next: Tensor, goal: Tensor) -> None:
+        """Train the critics on goals (N,), the encoder on its own loss, A and B where their steps are their own."""
         encoder = self.actor.encoder
-        with torch.set_grad_enabled(self._sees_latent):
-            features = encoder.features(x)
-            z = encoder.latent(features)
-        with torch.no_grad():
-            z_next = encoder(x_next)
-            z_later = z_next if x_later is x_next else encoder(x_later)
-            goal = gained + weight * self._soft_value(z_later, x_later, generator)
-        losses = {"critic": self.critic.loss(z if self._sees_latent else encoder.normalise(x), u, goal)}
-        weight_of_model = self.settings.model_weight
-        if self.lqr is not None and not weight_of_model:
-            losses["model"] = self.lqr.model_loss(z.detach(), u, z_next)
-        seen = EncoderBatch(query, key, u, x_next, self.key_encoder, self.lqr)
+        losses = {"critic": self.critic.loss(z if self._sees_latent else encoder.normalise(batch.x), batch.u, goal)}
+        if self.lqr is not None and not self.settings.model_weight:
+            losses["model"] = self.lqr.model_loss(z.detach(), batch.u, z_next)
         if self.encoder_loss is None:
             self._step(losses)
-        elif self._images:
+            return
+        seen = EncoderBatch(batch.query, batch.key, batch.u, batch.x_next, self.key_encoder, self.lqr)
+        if self._images:
             own = self.encoder_loss(z, seen)
             self._step({**losses, "encoder": _as_large_as(losses["critic"], own, z) * own})
         else:
             self._step(losses)
-            self._step({"encoder": self.encoder_loss(encoder(query), seen)})
-        if self.updates % self.settings.actor_every == 0:
-            z = encoder.latent(features.detach()) if self._images else encoder(x)
-            acting = self._actor_losses(z, x, generator)
-            if self.lqr is not None and weight_of_model:
-                acting["actor"] = acting["actor"] + weight_of_model * self.lqr.model_loss(z.detach(), u, z_next)
-            self._step(acting)
-            follow(self.target, self.critic, self.settings.critic_rate)
-            follow(self.key_encoder, encoder, self.settings.encoder_rate)
-        follow(self.averaged, self.actor, self.settings.average_rate)
-        self.updates += 1
+            self._step({"encoder": self.encoder_loss(encoder(batch.query), seen)})
+
+    def _learn_law(self, batch: _Batch, features: Tensor, z_next: Tensor, generator: torch.Generator) -> None:
+        """Train the encoder, A, B, Q, R and the temperature on the actor's loss, images' convolutions left alone."""
+        encoder, weight = self.actor.encoder, self.settings.model_weight
+        z = encoder.latent(features.detach()) if self._images else encoder(batch.x)
+        losses = self._actor_losses(z, batch.x, generator)
+        if self.lqr is not None and weight:
+            losses["actor"] = losses["actor"] + weight * self.lqr.model_loss(z.detach(), batch.u, z_next)
+        self._step(losses)
 
     @property
     def lqr(self) -> LatentLqr | None:
