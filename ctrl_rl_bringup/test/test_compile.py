@@ -6,10 +6,12 @@ from ctrl_rl_core.values.interpolation import gradient_at, value_at, values_at
 from ctrl_rl_navigation.driving.roll_out import choose
 from ctrl_rl_navigation.values.fast_marching import march
 from ctrl_rl_safety.filter.answer import answer
+from ctrl_rl_safety.flight.escapes import best_escape, nearest_safe, record
 from ttr_reward_node.kernels.entry_points import kernels
 
 COMPILED = {
     "safety filter": [answer],
+    "flight guard": [best_escape, nearest_safe, record],
     "time to reach": [kernels().find_outcomes, kernels().sweep],
     "navigator": [choose, march],
     "values of cars": [value_at, values_at, gradient_at],

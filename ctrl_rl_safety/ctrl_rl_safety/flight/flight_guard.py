@@ -108,6 +108,7 @@ class FlightGuard:
         hover = np.full(2, 0.5 * self._craft.mass * self._craft.gravity)
         for asked in (hover, hover, np.full(2, math.nan)):
             self.decide(np.zeros(6), asked)
+        self.room(np.zeros(6))
         self.moved_on(np.zeros(6), hover, self.options.tick)
         self.forget()
 
