@@ -71,7 +71,7 @@ class FlightGuardNode(SuiteNode):
         self._guard = FlightGuard(model, (*world.walls, *world.obstacles), options, goal)
         self._hover = np.full(2, 0.5 * model.mass * model.gravity)
         self._guard.warm_up()
-        simulated = self.get_parameter("use_sim_time").value
+        self._simulated = simulated = bool(self.get_parameter("use_sim_time").value)
         self._ages = self.get_clock() if simulated else Clock(clock_type=ClockType.STEADY_TIME)
         # The clock of a fast simulation may arrive later than the odometry of that time.
         self._ahead = max(AHEAD, value["odometry_timeout"]) if simulated else AHEAD
@@ -228,8 +228,12 @@ class FlightGuardNode(SuiteNode):
         self._told.publish(out)
 
     def _now(self) -> float:
-        """Return the time on the clock that ages are measured on [s]."""
-        return float(self._ages.now().nanoseconds) * 1e-9
+        """Return the time on the clock that ages are measured on [s].
+
+        A simulated clock goes in steps and may arrive after the odometry of that time, which tells the time too.
+        """
+        now = self._ages.now().nanoseconds
+        return 1e-9 * float(max(now, self._stamp) if self._simulated else now)
 
 
 def main() -> int:
