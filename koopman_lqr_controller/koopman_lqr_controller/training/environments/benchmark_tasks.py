@@ -172,6 +172,17 @@ _ALL = (
         thesis=464.0,
     ),
     BenchmarkTask(
+        name="cheetah_run_fine",
+        about="the same with actions of two simulated steps, as TD-MPC2, SimbaV2 and MR.Q take it",
+        make=_suite("cheetah", "run", 2),
+        settings=Settings(learning_rate=3e-4, critic_rate=0.02, bfloat16="all"),
+        repeat=2,
+        chunk=5000,
+        chunks=35,
+        patience=15,
+        evaluations=6,
+    ),
+    BenchmarkTask(
         name="curved_corridor",
         about="a simulated TurtleBot3 drives along a narrow curved path, from lidar and odometry",
         make=_corridor("curved_corridor"),
