@@ -212,7 +212,6 @@ def test_a_policy_learned_from_scratch_drives(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_with_the_filter_somebody_walks_past_and_the_robot_reaches_the_goal(tmp_path: Path) -> None:
-    # Not faster: at twice the speed delays are twice as long, and a corridor policy that meets somebody late may turn round.
     answer = command("demo", "--filter", "--seed", 5, "--output", tmp_path / "run")
     assert answer.returncode == 0, answer.stderr
     assert "safety filter" in answer.stdout
