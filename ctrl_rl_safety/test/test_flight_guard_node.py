@@ -151,7 +151,7 @@ def chain(start_guard: Callable[[], Any], run_shared_node: Callable[..., Any]) -
         "task:=quad_trap",
         "engine:=planar",
         f"odom_rate:={_RATE}",
-        "speed_factor:=0.25",
+        "speed_factor:=0.15",
         remap=("odom:=simulated_odom",),
     )
     run_shared_node(
