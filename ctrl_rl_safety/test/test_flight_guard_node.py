@@ -188,7 +188,7 @@ def test_thrusts_pass_and_full_thrust_touches_nothing(pilot: Pilot) -> None:
     changed = next(each for each in pilot.told if each.mode == FlightStatus.CORRECTED)
     assert (changed.t1, changed.t2) != FULL
     assert "no escape is left" in changed.why
-    assert pilot.episode.outcome.value != TaskOutcome.COLLISION
+    assert pilot.episode.outcome.value in (TaskOutcome.RUNNING, TaskOutcome.GOAL, TaskOutcome.TIMEOUT)
     assert pilot.episode.smallest_clearance > 0.0
 
 
