@@ -18,7 +18,9 @@ Array = NDArray[np.float64]
 _PACES = (1.0, 0.7, 0.4)
 """Parts of a command's speed that are tried; a slower robot needs less room."""
 _STEP = 0.04
-"""Distance between two checked places on the arc [m]."""
+"""Distance between two checked places on the arc [m], at most."""
+_TURN_STEP = 0.1
+"""Turn between two checked places [rad], at most: on a narrow arc the robot comes nearer between them, too."""
 _FARTHEST = 4.0
 """Upper bound of the stopping distance [m], whatever odometry says."""
 _NEARER = 1e-3
@@ -80,8 +82,10 @@ class ObstacleStop:
         if len(close) == 0:
             return math.inf
         x, y, now = x[close], y[close], np.sqrt(now[close])
-        count = math.ceil(abs(room) / _STEP)
-        s = np.linspace(0.0, room, count + 1)[1:]
+        bend = abs(curvature)
+        way = min(abs(room), math.tau / bend) if bend > 0.0 else abs(room)  # after a whole turn it repeats itself
+        count = math.ceil(way * max(1.0 / _STEP, bend / _TURN_STEP))
+        s = np.linspace(0.0, math.copysign(way, room), count + 1)[1:]
         turn = 0.5 * s * curvature
         chord = s * np.sinc(turn / math.pi)
         there = np.hypot(x[:, None] - chord * np.cos(turn), y[:, None] - chord * np.sin(turn))
