@@ -2,6 +2,7 @@
 
 import json
 import signal
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -131,6 +132,11 @@ def test_stepped_steps_are_whole_the_operator_goes_first_and_episodes_end(stand:
     assert info["operator"] == 0.0, "it is given back when nobody drives it any more"
 
     node, now = it.ros.node, it.robot.now()
+    time.sleep(node.settings["wall_timeout"] + 0.1)  # held up: all inputs are too old, and the clock stands
+    assert "no recent" in node.input_fault()
+    assert it.robot.read().age < 0.11
+    assert it.robot.now() == pytest.approx(now + 0.1)
+    now = it.robot.now()
     kept = node.reading(now).sensors
     node.begin_step(now)
     node.on_scan(LaserScan(), np.ones(3, np.float32), ScanGeometry(3, 0.0, 0.1, 0.1, 8.0))

@@ -134,7 +134,8 @@ class RosRobot:
         scans, node.status_of_filter = node.scans, None
         node.hold(np.zeros(2))
         self.advance(self.now())
-        self._ros.until(lambda: node.scans > scans and not node.input_fault(), "no usable scan and odometry")
+        self._ros.until(lambda: node.scans > scans, "no scan")
+        self.await_inputs()
         self._ros.until(lambda: node.status_of_filter is not None, "no word of the safety filter")
         node.begin_step(self.now())
         return self.read()
@@ -145,9 +146,7 @@ class RosRobot:
         node.begin_step(self.now())
         node.hold(command)
         self.advance(until)
-        problem = node.input_fault()
-        if problem:  # the robot stands: what follows is a missed step
-            self._ros.until(lambda: not node.input_fault(), problem)
+        self.await_inputs()  # where it has to wait the robot stands: what follows is a missed step
         return node.end_step(self.now())
 
     def advance(self, until: float) -> None:
@@ -172,8 +171,17 @@ class RosRobot:
 
     def read(self) -> Reading:
         """Return what the robot senses, as soon as all inputs are usable; that time is a part of the next step."""
-        self._ros.until(lambda: not self._ros.node.input_fault(), "no usable scan and odometry")
+        self.await_inputs()
         return self._ros.node.reading(self.stamp_now())
+
+    def await_inputs(self) -> None:
+        """Let time pass until scan and odometry are usable.
+
+        Raises:
+            RobotError: They do not become so.
+        """
+        node = self._ros.node
+        self._ros.until(lambda: not node.input_fault(), node.input_fault() or "no usable scan and odometry")
 
     def stamp_now(self) -> float:
         """Return the time that a message would be stamped with now [s]."""
