@@ -89,9 +89,8 @@ test-all: build ## the same, slow tests too
 # Hundreds of processes import the same sources: each would parse them anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-# Two processes more than cores: tests of nodes wait for messages, and a third one lets them wait longer.
 tests: build
-	@$(RUN) python -m pytest -n $$(($$(nproc) + 2)) --dist loadfile --no-loadscope-reorder $(if $(SLOW),,-m "not slow") $(ARGS)
+	@$(RUN) scripts/tests "$(if $(SLOW),slow or not slow,not slow)" $(ARGS)
 
 lint: setup ## ruff and mypy
 	@.venv/bin/ruff check . && .venv/bin/ruff format --check . && .venv/bin/mypy $(LINKED)

@@ -14,6 +14,8 @@ from rosbags.highlevel import AnyReader
 
 from ctrl_rl_bringup import read_drive
 
+pytestmark = pytest.mark.realtime
+
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, subprocess.CompletedProcess[str]]:

@@ -12,6 +12,8 @@ from commands import check_refused, command
 from ctrl_rl_bags import read_messages
 from option_coordinator import OptionPolicy, load_team, recordings, team_file
 
+pytestmark = pytest.mark.realtime
+
 TEAM = load_team("delivery_team")
 
 

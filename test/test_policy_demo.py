@@ -8,6 +8,8 @@ from commands import check_refused, command
 
 from ctrl_rl_bags import bag_info
 
+pytestmark = pytest.mark.realtime
+
 
 def test_a_quadrotor_flies_to_its_goal_behind_its_guard_and_the_flight_is_reported(tmp_path: Path) -> None:
     folder = tmp_path / "run"

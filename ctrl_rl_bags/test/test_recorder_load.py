@@ -9,7 +9,7 @@ from recording import record, stop
 
 from ctrl_rl_bags import BagError, BagWriter, Topic, bag_info, read_messages, read_raw
 
-pytestmark = pytest.mark.fault
+pytestmark = [pytest.mark.realtime, pytest.mark.fault]
 # The file that the recorder writes to takes its time, as a worn card does.
 SLOW = """
 import io, pathlib, sys, time

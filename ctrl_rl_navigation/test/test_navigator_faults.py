@@ -18,7 +18,7 @@ from tf2_msgs.msg import TFMessage
 
 from ctrl_rl_msgs.msg import NavigatorStatus
 
-pytestmark = pytest.mark.usefixtures("_no_shared_memory")  # some are killed or frozen
+pytestmark = [pytest.mark.realtime, pytest.mark.usefixtures("_no_shared_memory")]  # some are killed or frozen
 
 FAR, BACK = (2.7, 1.7), (0.5, 0.5)
 DRIVING, WAITING, REACHED = NavigatorStatus.DRIVING, NavigatorStatus.WAITING, NavigatorStatus.REACHED

@@ -13,6 +13,8 @@ from std_srvs.srv import Trigger
 from ctrl_rl_msgs.msg import NavigatorStatus
 from ctrl_rl_msgs.srv import QueryValues
 
+pytestmark = pytest.mark.realtime
+
 GOAL = (2.5, 0.5)
 
 

@@ -21,7 +21,7 @@ from ctrl_rl_msgs.msg import EpisodeStatus, FlightStatus, RotorThrusts, TaskOutc
 from ctrl_rl_msgs.srv import ResetWorld, StepWorld
 from ctrl_rl_safety import quadrotor_of
 
-pytestmark = pytest.mark.usefixtures("_no_shared_memory")  # some are killed
+pytestmark = [pytest.mark.realtime, pytest.mark.usefixtures("_no_shared_memory")]  # some are killed
 MODEL = quadrotor_of(load_navigation_task("quad_trap"))
 REST = 0.5 * MODEL.mass * MODEL.gravity
 FULL = (MODEL.most, MODEL.most)

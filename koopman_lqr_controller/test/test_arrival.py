@@ -14,6 +14,8 @@ from ctrl_rl_core import RESULT, SENSOR, Outcome
 from ctrl_rl_msgs.msg import EpisodeStatus, TaskOutcome
 from ctrl_rl_msgs.srv import ResetWorld
 
+pytestmark = pytest.mark.realtime
+
 SECOND = 10**9
 
 
