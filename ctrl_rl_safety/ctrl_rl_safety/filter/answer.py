@@ -184,8 +184,12 @@ def _nearest(
 def _braking(sit: Any, ask: Any, state: tuple[float, float, float, float, float], t: float) -> Any:
     """Return full braking with the turn rate that leaves the most room, its margin and its escape.
 
-    Among them are those with which any escape that was certified before goes on.
+    Among them are those with which any escape that was certified before goes on. A disc that stands has as much room
+    whichever way it turns: it turns as it is wanted to, and not away from where it was going.
     """
+    if sit.core[0] == 0.0 and abs(state[3]) < STANDS:
+        margin, kind = certify(sit, state, t, (0.0, ask.raw[1]), sit.hold, ask.first, FAR)
+        return 0.0, ask.raw[1], margin, kind
     best, which, turn = -FAR, ask.first, 0.0
     turns = (state[4], best_turn(sit, state) if sit.guide.ready else 0.0, -1.0, 1.0, -0.5, 0.5, 0.0)
     for k in range(len(turns)):

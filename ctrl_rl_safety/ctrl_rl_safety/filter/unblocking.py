@@ -11,7 +11,9 @@ from ctrl_rl_safety.models.motion import STANDS
 
 Array = NDArray[np.float64]
 
-_HEADINGS = np.radians(np.arange(-175.0, 180.0, 5.0))
+_HEADINGS = np.radians(np.arange(-180.0, 180.0, 5.0))
+_BESIDE = 2
+"""Headings on either side that count as much: along a wall that it touches a robot would be held again by noise."""
 _FARTHEST = 1.0
 """Room beyond which more of it does not matter [m]."""
 _TURN_COST = 0.15
@@ -68,7 +70,7 @@ class Unblocking:
 
 
 def freest_heading(state: Array, sense: float, echoes: Array, room: float) -> float:
-    """Return the heading in which the robot has the most room, near its own if several have [rad].
+    """Return the heading around which the robot has the most room, near its own if several have [rad].
 
     Args:
         state: State of the robot (5,).
@@ -77,16 +79,14 @@ def freest_heading(state: Array, sense: float, echoes: Array, room: float) -> fl
         room: Radius that the robot needs [m].
     """
     dx, dy = echoes[0] - state[0], echoes[1] - state[1]
-    best, most = 0.0, -math.inf
-    for turn in sorted(_HEADINGS.tolist(), key=abs):
+    rooms = np.full(len(_HEADINGS), _FARTHEST)
+    for k, turn in enumerate(_HEADINGS.tolist()):
         c, s = math.cos(state[2] + turn), math.sin(state[2] + turn)
         along = sense * (c * dx + s * dy)
         aside = np.abs(c * dy - s * dx)
         ahead = (aside < room) & (along > 0.0)
-        free = _FARTHEST
         if ahead.any():
             free = float(np.min(along[ahead] - np.sqrt(room * room - aside[ahead] ** 2)))
-        score = min(free, _FARTHEST) - _TURN_COST * abs(turn)
-        if score > most + 1e-9:
-            best, most = turn, score
-    return float(state[2]) + best
+            rooms[k] = min(free, _FARTHEST)
+    around = np.mean([np.roll(rooms, k) for k in range(-_BESIDE, _BESIDE + 1)], axis=0)
+    return float(state[2] + _HEADINGS[np.argmax(around - _TURN_COST * np.abs(_HEADINGS))])
