@@ -26,6 +26,8 @@ _LAST = 0.05
 _RISE = 0.2
 """Part of the acceleration with which a corrected speed rises."""
 _REFINEMENTS = 4
+_ASIDE = math.radians(45.0)
+"""Turn from the heading with which a wanted command last passed up to which braking turns a disc that stands [rad]."""
 _STEADY = 0.3
 """Part of a speed down to which it is slowed so that it lasts until the next scan; below that it rises and falls."""
 
@@ -185,11 +187,12 @@ def _braking(sit: Any, ask: Any, state: tuple[float, float, float, float, float]
     """Return full braking with the turn rate that leaves the most room, its margin and its escape.
 
     Among them are those with which any escape that was certified before goes on. A disc that stands has as much room
-    whichever way it turns: it turns as it is wanted to, and not away from where it was going.
+    whichever way it turns: it turns a part of a right angle at most, and not at all where it is wanted to stand.
     """
-    if sit.core[0] == 0.0 and abs(state[3]) < STANDS:
-        margin, kind = certify(sit, state, t, (0.0, ask.raw[1]), sit.hold, ask.first, FAR)
-        return 0.0, ask.raw[1], margin, kind
+    if sit.core[0] == 0.0 and abs(state[3]) < STANDS and (abs(ask.raw[0]) < STANDS or abs(ask.turned) > _ASIDE):
+        turn = ask.raw[1] if abs(ask.raw[0]) < STANDS else 0.0
+        margin, kind = certify(sit, state, t, (0.0, turn), sit.hold, ask.first, FAR)
+        return 0.0, turn, margin, kind
     best, which, turn = -FAR, ask.first, 0.0
     turns = (state[4], best_turn(sit, state) if sit.guide.ready else 0.0, -1.0, 1.0, -0.5, 0.5, 0.0)
     for k in range(len(turns)):
