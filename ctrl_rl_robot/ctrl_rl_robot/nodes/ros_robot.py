@@ -41,8 +41,14 @@ class Ros:
         """Handle one message, or wait for so long [s]."""
         self._executor.spin_once(timeout_sec=seconds)
 
-    def until(self, done: Callable[[], bool], what: str, patience: float | None = None) -> None:
-        """Return once something is true.
+    def until(
+        self,
+        done: Callable[[], bool],
+        what: str,
+        patience: float | None = None,
+        wait: Callable[[], object] | None = None,
+    ) -> None:
+        """Return once something is true; `wait` lets time pass in place of `spin`.
 
         Raises:
             RobotError: It was not true in so much wall time [s]; `what` says what was missing.
@@ -52,7 +58,7 @@ class Ros:
         while not done():
             if time.monotonic() > deadline:
                 raise RobotError(f"{what} for {patience:g} s")
-            self.spin()
+            (wait or self.spin)()
 
     def call(self, client: Any, request: Any) -> Any:
         """Return the response of a service.
@@ -181,7 +187,13 @@ class RosRobot:
             RobotError: They do not become so.
         """
         node = self._ros.node
-        self._ros.until(lambda: not node.input_fault(), node.input_fault() or "no usable scan and odometry")
+        problem = node.input_fault()
+        if problem:
+            self._ros.until(lambda: not node.input_fault(), problem, wait=self._pass_time)
+
+    def _pass_time(self) -> None:
+        """Let a little time pass."""
+        self._ros.spin()
 
     def stamp_now(self) -> float:
         """Return the time that a message would be stamped with now [s]."""

@@ -54,19 +54,12 @@ class SteppedRobot(RosRobot):
             if self._time >= until - _ROUNDING_S:
                 return
 
-    def await_inputs(self) -> None:
-        """Step the simulator until scan and odometry are usable: time that stands brings no fresh ones.
+    def _pass_time(self) -> None:
+        """Step the simulator: time that stands brings no fresh inputs.
 
-        They are not where one came before the clock's first word, or where this process was held up for seconds.
-
-        Raises:
-            RobotError: They do not become so.
+        They are too old where one came before the clock's first word, or where this process was held up for seconds.
         """
-        node, begun = self._ros.node, time.monotonic()
-        while problem := node.input_fault():
-            if time.monotonic() - begun > self._ros.patience:
-                raise RobotError(f"{problem} for {self._ros.patience:g} s")
-            self._slice(SLICE_S)
+        self._slice(SLICE_S)
 
     def _slice(self, duration: float) -> None:
         response = self._ros.call(self._step, StepWorld.Request(duration=duration))
