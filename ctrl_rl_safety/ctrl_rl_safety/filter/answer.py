@@ -187,10 +187,11 @@ def _braking(sit: Any, ask: Any, state: tuple[float, float, float, float, float]
     """Return full braking with the turn rate that leaves the most room, its margin and its escape.
 
     Among them are those with which any escape that was certified before goes on. A disc that stands has as much room
-    whichever way it turns: it turns a part of a right angle at most, and not at all where it is wanted to stand.
+    whichever way it turns: it turns as it is wanted to where it is to stand, and no farther than `_ASIDE` elsewhere.
     """
-    if sit.core[0] == 0.0 and abs(state[3]) < STANDS and (abs(ask.raw[0]) < STANDS or abs(ask.turned) > _ASIDE):
-        turn = ask.raw[1] if abs(ask.raw[0]) < STANDS else 0.0
+    to_stand = abs(ask.raw[0]) < STANDS
+    if sit.core[0] == 0.0 and abs(state[3]) < STANDS and (to_stand or abs(ask.turned) > _ASIDE):
+        turn = ask.raw[1] if to_stand else 0.0
         margin, kind = certify(sit, state, t, (0.0, turn), sit.hold, ask.first, FAR)
         return 0.0, turn, margin, kind
     best, which, turn = -FAR, ask.first, 0.0
