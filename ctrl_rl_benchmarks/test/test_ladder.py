@@ -1,18 +1,20 @@
-"""Tests of the ladder: its tasks, what a step pays, and one short training of each way."""
+"""Tests of the ladder: its tasks, what a step pays, one short training of each way, its file."""
 
 import math
 
 import numpy as np
 import pytest
+from ctrl_rl_benchmarks.experiments.results import read_curves, write
 from ctrl_rl_benchmarks.experiments.runs import LadderRun
 from ctrl_rl_benchmarks.ladder.task_list import LADDER, PRACTICE, load_ladder_task
 from ctrl_rl_benchmarks.ways import baseline, demonstrations
 from ctrl_rl_benchmarks.ways.methods import WAYS
+from ctrl_rl_core.io.results import read_experiment
 from hypothesis import given
 from hypothesis import strategies as st
 from ttr_reward_node.rewards.progress import PER_SECOND, BestProgress, Progress, Shaping
 
-from ctrl_rl_core import task_digest
+from ctrl_rl_core import Result, ResultsError, task_digest
 from sim_bridge import SimulatedWorld, SimulationOptions
 from ttr_reward_node import problem_from_task, solve
 
@@ -103,3 +105,23 @@ def test_each_way_learns(way, learner, value, monkeypatch):
         assert any(changed)
     finally:
         model.env.close()
+
+
+def test_results_of_other_methods_stay_in_the_file(tmp_path):
+    file = tmp_path / "ladder.json"
+    row = {name: Result(f"wall: {name}, sac", "success", "1", [0.5]) for name in ("sparse", "distance")}
+    curve = {"samples": [10240], "success": [[0.5]]}
+    write(file, 5, [row["sparse"], row["distance"]], {row["sparse"].method: curve, row["distance"].method: curve})
+    better = Result(row["sparse"].method, "success", "1", [0.9, 1.0])
+    curves = {better.method: {"samples": [10240], "success": [[0.9], [1.0]]}}
+    write(file, 2, [better], curves)
+    assert read_curves(file) == {row["distance"].method: curve, **curves}
+    experiment = read_experiment(file)
+    assert [(each.method, list(each.values)) for each in experiment.rows] == [
+        (row["distance"].method, [0.5]),
+        (better.method, [0.9, 1.0]),
+    ]
+    file.write_text("{}")
+    with pytest.raises(ResultsError, match="not a file that `train --results` wrote"):
+        write(file, 2, [better], curves)
+    assert file.read_text() == "{}"

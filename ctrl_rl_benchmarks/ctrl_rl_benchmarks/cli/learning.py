@@ -21,7 +21,6 @@ from ctrl_rl_training.experiments.run import RunOptions
 
 from ctrl_rl_benchmarks.ladder.task_list import LADDER, load_ladder_task
 from ctrl_rl_benchmarks.ways.methods import BY_DEFAULT, LEARNERS, WAYS
-from ctrl_rl_core import write_results
 
 _EVALUATIONS, _FINAL_EVALUATIONS = 20, 10
 
@@ -45,7 +44,7 @@ class Train(ExperimentOptions):
     learners: Annotated[tuple[str, ...], some_of(LEARNERS)] = LEARNERS
     """Learners."""
     results: OptionalFileToWrite = None
-    """JSON file to write table and curves to."""
+    """JSON file to write table and curves to; what it holds about other methods stays."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,7 +60,7 @@ def _train(options: Train) -> int:
     # Torch takes seconds to import: not before the arguments are right.
     from ctrl_rl_training.experiments.matrix import run_experiments
 
-    from ctrl_rl_benchmarks.experiments.results import as_table, collect
+    from ctrl_rl_benchmarks.experiments.results import as_table, collect, read_curves, write
     from ctrl_rl_benchmarks.experiments.runs import ladder_runs
     from ctrl_rl_benchmarks.ways.time_to_go import find_or_solve_trajectories
     from ttr_reward_node import find_or_solve
@@ -69,6 +68,8 @@ def _train(options: Train) -> int:
     def tell(line: str) -> None:
         print(line)
 
+    if options.results is not None:
+        read_curves(options.results)  # A file that cannot be kept is an error now, not after days.
     values = {name: find_or_solve(task, options.folder / "values", tell) for name, task in tasks.items()}
     ways, learners = options.ways or BY_DEFAULT, options.learners or LEARNERS
     workers = options.workers or os.cpu_count() or 1
@@ -82,11 +83,11 @@ def _train(options: Train) -> int:
     try:
         run_experiments(runs, how, options.workers, "ladder", options.ray)
     finally:
-        rows, figures = collect(runs, options.folder)
+        rows, curves = collect(runs, options.folder)
         if rows:
             print(as_table(rows))
         if rows and options.results is not None:
-            write_results(options.results, "ladder", range(options.seeds), rows, {"task": "ladder", **figures})
+            write(options.results, options.seeds, rows, curves)
             print(f"results    {options.results}")
     return 0
 

@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from ctrl_rl_core.io.results import with_others
 from ctrl_rl_training.experiments.results import (
     collect_rows,
     curves_of,
     finished_runs,
     metric,
     metrics_of_speed,
+    read_figures,
 )
 
+from ctrl_rl_benchmarks.experiments.plots import LadderFigures
 from ctrl_rl_benchmarks.experiments.runs import LadderRun
-from ctrl_rl_core import Result
+from ctrl_rl_core import Result, write_results
 
 
 def collect(todo: Sequence[LadderRun], folder: Path) -> tuple[list[Result], dict[str, Any]]:
@@ -24,11 +27,30 @@ def collect(todo: Sequence[LadderRun], folder: Path) -> tuple[list[Result], dict
 
     Returns:
         For each task, way and learner `success` (in PyBullet), one value a seed, and `samples to 90 %` (in the engine
-        of learning; seeds that never get there are left out and counted); and the `curves` of success by method.
+        of learning; seeds that never get there are left out and counted); and the curves of success by method.
     """
     found = finished_runs(todo, folder, lambda run: run.method)
     metrics = [metric("success", "1", lambda result: result["success"]), *metrics_of_speed(words="90 %")]
-    return collect_rows(found, metrics), {"curves": curves_of(found, success="evaluation")}
+    return collect_rows(found, metrics), curves_of(found, success="evaluation")
+
+
+def read_curves(path: Path) -> dict[str, Any]:
+    """Return the curves of success by method of a results file; none where there is no file.
+
+    Raises:
+        ResultsError: The file cannot be read, or is not the ladder's.
+    """
+    return dict(read_figures(path, LadderFigures)["curves"]) if path.exists() else {}
+
+
+def write(path: Path, seeds: int, rows: Sequence[Result], curves: Mapping[str, Any]) -> None:
+    """Write rows and curves; what the file holds about other methods stays.
+
+    Raises:
+        ResultsError: The file that is there cannot be read, or is not the ladder's.
+    """
+    figures = {"task": "ladder", "curves": {**read_curves(path), **curves}}
+    write_results(path, "ladder", range(seeds), with_others(path, rows), figures)
 
 
 def as_table(rows: Sequence[Result]) -> str:
