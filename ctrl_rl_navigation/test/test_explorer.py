@@ -5,9 +5,10 @@ import math
 import numpy as np
 import pytest
 from ctrl_rl_navigation.driving.explorer import Explorer, ExplorerOptions
-from ctrl_rl_navigation.driving.look_ahead import LookAhead
+from ctrl_rl_navigation.driving.look_ahead import REVERSING, TURNS_AFTER, LookAhead
 from ctrl_rl_navigation.driving.moving_echoes import MovingEchoes
 from ctrl_rl_navigation.driving.scan_map import ScanMap
+from ctrl_rl_navigation.driving.stuck_watch import StuckWatch
 from ctrl_rl_navigation.errors import NavigationError
 from ctrl_rl_navigation.values.map_solver import MapSolver
 
@@ -119,3 +120,30 @@ def test_it_explores_round_a_post_to_the_goal() -> None:
         now += 0.05
     assert nearest > 0.2 + 0.5 * LONG.width
     assert not explorer.decide(now, pose).any()
+
+
+def test_a_robot_that_stays_about_a_place_is_stuck_until_it_has_left_it() -> None:
+    watch = StuckWatch()
+    poses = [(0.0, 0.0), (0.9, 0.05), (1.1, 0.05), (1.2, 0.3), (1.3, 0.6), (1.4, 0.6), (2.5, 0.6)]
+    said = [watch.stuck(now, np.array((x, 0.0, 0.0))) for now, x in poses]
+    assert said == [False, False, True, True, False, False, True]
+
+
+def test_a_robot_that_turns_on_the_spot_is_not_stuck() -> None:
+    watch = StuckWatch()
+    assert not any(watch.stuck(0.1 * k, np.array((0.0, 0.0, 0.1 * k))) for k in range(50))
+
+
+def test_a_stuck_robot_puts_nothing_off() -> None:
+    empty = OccupancyMap(np.zeros((160, 160), np.int8), 0.05, (-4.0, -4.0, 0.0))
+    value = MapSolver(empty, LONG).solve((3.0, 0.0), 0.3)
+    ahead = LookAhead(LONG, 0.05, 0.1, 3.0, 0.05, 1.2, turns_after=TURNS_AFTER, speeds=REVERSING)
+    random, waited = np.random.default_rng(0), 0
+    for _ in range(60):
+        away, bearing = random.uniform(0.35, 1.2, 6), random.uniform(-math.pi, math.pi, 6)
+        posts = np.column_stack((away * np.cos(bearing), away * np.sin(bearing)))
+        free, stuck = (ahead.choose(value, np.zeros(3), np.zeros(2), posts, None, each) for each in (False, True))
+        waited += free.plan[0] == 0.0 < free.cost < math.inf
+        assert stuck.cost >= free.cost
+        assert stuck.command[0] != 0.0 or stuck.cost == math.inf
+    assert waited > 0, "none of them told the two apart"

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ctrl_rl_navigation.driving.look_ahead import REVERSING, TURNS_AFTER, LookAhead
 from ctrl_rl_navigation.driving.moving_echoes import MovingEchoes
 from ctrl_rl_navigation.driving.scan_map import ScanMap
+from ctrl_rl_navigation.driving.stuck_watch import StuckWatch
 from ctrl_rl_navigation.errors import NavigationError
 from ctrl_rl_navigation.robot import DriveLimits
 from ctrl_rl_navigation.values.map_solver import MapSolver
@@ -90,6 +91,7 @@ class Explorer:
         self._echoes: Array = np.empty((0, 4))
         self._horizon = settings.horizon
         self._command, self._plan = np.zeros(2), np.zeros(4)
+        self._watch = StuckWatch()
         self._seen, self._solved_at = False, -math.inf
 
     def sent(self, command: Array) -> None:
@@ -126,7 +128,9 @@ class Explorer:
             self._solve()
         if self.value is None:
             return np.zeros(2)
-        choice = self._ahead.choose(self.value, pose, self._command, self._around(pose), self._plan)
+        around = self._around(pose)
+        stuck = self._watch.stuck(now, pose) and not around[:, 2:].any()  # what moves is worth waiting for
+        choice = self._ahead.choose(self.value, pose, self._command, around, self._plan, stuck)
         self._plan = choice.plan
         return choice.command
 

@@ -108,11 +108,21 @@ class LookAhead:
         self._candidates = np.array(held)
         self.reach = limits.speed * horizon + limits.gap + ease + math.hypot(0.5 * limits.length, 0.5 * limits.width)
 
-    def choose(self, value: MapValue, pose: Array, command: Array, points: Array, plan: Array | None = None) -> Choice:
+    def choose(
+        self,
+        value: MapValue,
+        pose: Array,
+        command: Array,
+        points: Array,
+        plan: Array | None = None,
+        stuck: bool = False,
+    ) -> Choice:
         """Return the command to send.
 
         Where the last choice's plan is given, the rest of it is a candidate too. A robot that waits for a moment as the
-        best plan begins so then goes on with it, and does not begin to wait again and again.
+        best plan begins so then goes on with it, and does not begin to wait again and again. It may still do so where a
+        plan that drives at once would end before an obstacle, and one that waits first does not get so far: such a
+        robot is stuck.
 
         Args:
             value: Time to reach the goal.
@@ -120,6 +130,7 @@ class LookAhead:
             command: Command that was sent last (2,) [m/s, rad/s].
             points: Echoes in the robot's frame (n, 2) [m], or with their velocities (n, 4) [m, m, m/s, m/s].
             plan: Plan of the last choice (4,), one period ago; None for none.
+            stuck: Whether the robot is, so that no plan may begin with standing or with a turn on the spot.
         """
         origin = value.map.origin
         dx, dy = value.goal[0] - pose[0], value.goal[1] - pose[1]
@@ -143,6 +154,8 @@ class LookAhead:
             near = np.hstack((near, np.zeros_like(near)))
         motion = (float(command[0]), float(command[1]))
         candidates = self._candidates if plan is None else np.vstack((self._candidates, self._rest(plan)))
+        if stuck:
+            candidates = candidates[candidates[:, 0] != 0.0]
         best, cost = choose(value.times, place, np.ascontiguousarray(near.T), self._rules, motion, candidates)
         most = np.array((self.limits.acceleration, self.limits.turn_acceleration)) * self._period
         if best < 0:
