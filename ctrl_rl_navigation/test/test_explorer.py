@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 from ctrl_rl_navigation.driving.explorer import Explorer, ExplorerOptions
-from ctrl_rl_navigation.driving.look_ahead import REVERSING, TURNS_AFTER, LookAhead
+from ctrl_rl_navigation.driving.look_ahead import REVERSING, TURNS_AFTER, Choice, LookAhead
 from ctrl_rl_navigation.driving.moving_echoes import MovingEchoes
 from ctrl_rl_navigation.driving.scan_map import ScanMap
 from ctrl_rl_navigation.driving.stuck_watch import StuckWatch
@@ -136,14 +136,21 @@ def test_a_robot_that_turns_on_the_spot_is_not_stuck() -> None:
 
 def test_a_stuck_robot_puts_nothing_off() -> None:
     empty = OccupancyMap(np.zeros((160, 160), np.int8), 0.05, (-4.0, -4.0, 0.0))
-    value = MapSolver(empty, LONG).solve((3.0, 0.0), 0.3)
+    value = MapSolver(empty, LONG).solve((-3.0, 0.0), 0.3)
     ahead = LookAhead(LONG, 0.05, 0.1, 3.0, 0.05, 1.2, turns_after=TURNS_AFTER, speeds=REVERSING)
     random, waited = np.random.default_rng(0), 0
-    for _ in range(60):
-        away, bearing = random.uniform(0.35, 1.2, 6), random.uniform(-math.pi, math.pi, 6)
-        posts = np.column_stack((away * np.cos(bearing), away * np.sin(bearing)))
+
+    def choose(posts: np.ndarray) -> tuple[Choice, Choice]:
         free, stuck = (ahead.choose(value, np.zeros(3), np.zeros(2), posts, None, each) for each in (False, True))
-        waited += free.plan[0] == 0.0 < free.cost < math.inf
-        assert stuck.cost >= free.cost
-        assert stuck.command[0] != 0.0 or stuck.cost == math.inf
+        return free, stuck
+
+    for _ in range(30):
+        away, bearing = random.uniform(0.35, 1.2, 6), random.uniform(-math.pi, math.pi, 6)
+        free, stuck = choose(np.column_stack((away * np.cos(bearing), away * np.sin(bearing))))
+        waited += free.plan[0] == 0.0
+        assert stuck.plan[0] != 0.0
+        assert free.cost <= stuck.cost < math.inf
     assert waited > 0, "none of them told the two apart"
+    free, stuck = choose(np.array(((0.345, 0.0), (-0.345, 0.0))))
+    assert stuck.cost == free.cost < math.inf, "where no way is free it still turns on the spot"
+    assert stuck.command[1] != 0.0

@@ -130,7 +130,8 @@ class LookAhead:
             command: Command that was sent last (2,) [m/s, rad/s].
             points: Echoes in the robot's frame (n, 2) [m], or with their velocities (n, 4) [m, m, m/s, m/s].
             plan: Plan of the last choice (4,), one period ago; None for none.
-            stuck: Whether the robot is, so that no plan may begin with standing or with a turn on the spot.
+            stuck: Whether the robot is, so that plans that drive at once go before those that begin with standing or a
+                turn on the spot.
         """
         origin = value.map.origin
         dx, dy = value.goal[0] - pose[0], value.goal[1] - pose[1]
@@ -154,14 +155,14 @@ class LookAhead:
             near = np.hstack((near, np.zeros_like(near)))
         motion = (float(command[0]), float(command[1]))
         candidates = self._candidates if plan is None else np.vstack((self._candidates, self._rest(plan)))
-        if stuck:
-            candidates = candidates[candidates[:, 0] != 0.0]
-        best, cost = choose(value.times, place, np.ascontiguousarray(near.T), self._rules, motion, candidates)
+        driving = candidates[candidates[:, 0] != 0.0]
         most = np.array((self.limits.acceleration, self.limits.turn_acceleration)) * self._period
-        if best < 0:
-            turn = float(np.clip(0.0, motion[1] - most[1], motion[1] + most[1]))
-            return Choice(np.array((0.0, turn)), math.inf, np.zeros(4))
-        return Choice(np.clip(candidates[best, :2], command - most, command + most), cost, candidates[best])
+        for tried in (driving, candidates) if stuck else (candidates,):
+            best, cost = choose(value.times, place, np.ascontiguousarray(near.T), self._rules, motion, tried)
+            if best >= 0:
+                return Choice(np.clip(tried[best, :2], command - most, command + most), cost, tried[best])
+        turn = float(np.clip(0.0, motion[1] - most[1], motion[1] + most[1]))
+        return Choice(np.array((0.0, turn)), math.inf, np.zeros(4))
 
     def _rest(self, plan: Array) -> Array:
         """Return what is left of a plan (4,) after one period."""
