@@ -99,21 +99,6 @@ def test_pictures_are_seen_by_their_encoder_alone(change: dict[str, str]) -> Non
         BENCHMARK_TASKS["cartpole_swingup_pixels"].with_settings(**change)
 
 
-def test_the_learning_rate_falls_with_the_updates_also_of_a_learner_that_goes_on() -> None:
-    agent, data = some_agent(learning_rate=1e-3, half_rate_after=2)
-    generator = torch.Generator().manual_seed(0)
-
-    def rates() -> set[float]:
-        agent.update(data, generator)
-        return {group["lr"] for each in agent.optimizers.values() for group in each.param_groups}
-
-    assert [rates() for _ in range(3)] == [{1e-3}, {1e-3 / 1.5}, {1e-3 / 2.0}]
-    agent.updates = 4
-    assert rates() == {1e-3 / 3.0}
-    agent, data = some_agent(learning_rate=1e-3)
-    assert [rates() for _ in range(2)] == [{1e-3}] * 2
-
-
 @pytest.mark.parametrize("shape", [(3,), (2, 26, 26)])
 @pytest.mark.parametrize("encoder_loss", [*ENCODER_LOSSES, "nothing"])
 def test_updates_of_vectors_and_images_are_finite_and_the_average_follows(

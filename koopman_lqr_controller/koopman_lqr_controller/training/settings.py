@@ -37,7 +37,7 @@ _CHOICES = {
     "bfloat16": ("nothing", "all"),
     "cost": ("Q1", "Q2", "Q3", "Q4"),
 }
-_MAY_BE_ZERO = ("crop", "noise", "model_weight", "half_rate_after")
+_MAY_BE_ZERO = ("crop", "noise", "model_weight")
 _LEAST_REPLAY = 100
 _SHARES = ("discount", "critic_rate", "encoder_rate", "average_rate")
 
@@ -53,8 +53,6 @@ class Settings:
         depth: Hidden layers of an encoder of vectors, convolutions of one of images.
         crop: Rows and columns of an image that the encoder looks at; 0 for vectors.
         learning_rate: Learning rate of all networks.
-        half_rate_after: Updates of `KoopmanLearner` after which the learning rate is half of that, a third after twice
-            as many, and so on; 0 for a constant one.
         model_weight: Weight of the model loss in the actor's steps; 0 where A and B have steps of their own for it.
         batch: Steps in an update.
         discount: Discount gamma of rewards.
@@ -91,7 +89,6 @@ class Settings:
     depth: int = 2
     crop: int = 0
     learning_rate: float = 5e-4
-    half_rate_after: int = 0
     model_weight: float = 0.0
     batch: int = 256
     discount: float = 0.99

@@ -122,7 +122,6 @@ class Agent(nn.Module):
             data: Batch of steps.
             generator: Generator of all noise, on the CPU.
         """
-        self._set_learning_rate()
         batch, encoder = self._augmented(data, generator), self.actor.encoder
         with torch.set_grad_enabled(self._sees_latent):
             features = encoder.features(batch.x)
@@ -138,13 +137,6 @@ class Agent(nn.Module):
             follow(self.key_encoder, encoder, self.settings.encoder_rate)
         follow(self.averaged, self.actor, self.settings.average_rate)
         self.updates += 1
-
-    def _set_learning_rate(self) -> None:
-        after = self.settings.half_rate_after
-        if after:
-            rate = self.settings.learning_rate / (1.0 + self.updates / after)
-            for group in chain.from_iterable(each.param_groups for each in self.optimizers.values()):
-                group["lr"] = rate
 
     def _augmented(self, data: Transitions, generator: torch.Generator) -> _Batch:
         """Return a batch as the losses see it: windows of images, as in CURL, and noise for a loss that contrasts."""
