@@ -1,6 +1,5 @@
 """The recorder where much comes, the disk is slow, files are many, and topics change their type."""
 
-import gc
 import os
 import tracemalloc
 
@@ -131,7 +130,6 @@ def test_what_a_file_needs_goes_with_it(tmp_path):
         for time_ in times:
             bag.write("/talk", b"\0\1\0\0\1\0\0\0\0", time_)
             bag.flush()
-        gc.collect()  # cycles that wait for it do not count
         return tracemalloc.get_traced_memory()[0] - before
 
     for name, max_file_s, most in (("one", 0.0, 400 * 14_400), ("split", 1e-6, 1_000_000)):
@@ -139,10 +137,11 @@ def test_what_a_file_needs_goes_with_it(tmp_path):
             bag.add_topic(string_topic("/talk"))
             bag.write("/talk", b"\0\1\0\0\1\0\0\0\0", 0)
             tracemalloc.start()
-            size = grown(bag, range(1, 3000))
+            # A table of Python's own that grows now and then does so in one of them at most.
+            size = min(grown(bag, range(1, 3000)), grown(bag, range(3000, 6000)))
             tracemalloc.stop()
         assert size / 3000 < most / 14_400, f"{name}: {size / 3000:.0f} bytes a chunk"
-        assert bag_info(tmp_path / name).message_count == 3000
+        assert bag_info(tmp_path / name).message_count == 6000
 
 
 def test_a_topic_that_changes_its_type_is_recorded_under_another_name(start, tmp_path):
