@@ -155,10 +155,11 @@ class LookAhead:
             near = np.hstack((near, np.zeros_like(near)))
         motion = (float(command[0]), float(command[1]))
         candidates = self._candidates if plan is None else np.vstack((self._candidates, self._rest(plan)))
-        driving = candidates[candidates[:, 0] != 0.0]
+        in_turn = (candidates[candidates[:, 0] != 0.0], candidates) if stuck else (candidates,)
+        echoes = np.ascontiguousarray(near.T)
         most = np.array((self.limits.acceleration, self.limits.turn_acceleration)) * self._period
-        for tried in (driving, candidates) if stuck else (candidates,):
-            best, cost = choose(value.times, place, np.ascontiguousarray(near.T), self._rules, motion, tried)
+        for tried in in_turn:
+            best, cost = choose(value.times, place, echoes, self._rules, motion, tried)
             if best >= 0:
                 return Choice(np.clip(tried[best, :2], command - most, command + most), cost, tried[best])
         turn = float(np.clip(0.0, motion[1] - most[1], motion[1] + most[1]))
