@@ -45,7 +45,7 @@ LONGEST = (
     "test_options_demo.py",
     "test_learner.py",
     "test_training.py",
-    "test_watchdog.py",
+    "test_watchdog_node.py",
     "test_flight_guard_node.py",
     "test_memory.py",
     "test_policy_demo.py",
