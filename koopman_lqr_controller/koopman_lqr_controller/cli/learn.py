@@ -99,7 +99,7 @@ def _learn(options: Train) -> int:
     if options.results is not None:
         if options.keep == "last":
             rows = with_others(options.results, collect_last(problem, results), same_metric=True)
-            write_results(options.results, "koopman_last_policy", range(options.seeds), rows)
+            write_results(options.results, options.results.stem, range(options.seeds), rows)
         else:
             write_results(options.results, f"koopman_{title}", range(options.seeds), rows, figures)
         print(f"results    {options.results}")
