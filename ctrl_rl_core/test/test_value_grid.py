@@ -5,16 +5,15 @@ import sys
 import numpy as np
 import pytest
 from ctrl_rl_core.values.value_grid import Axis, GridError
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.interpolate import RegularGridInterpolator
-from value_grids import make_grid, random_axes
+from value_grids import make_grid, quickly, random_axes
 
 from ctrl_rl_core import ValueGrid
 
 KERNELS = st.sampled_from([*((n, np.float64) for n in (1, 2, 3, 6)), (2, np.float32)])
 """Dimensions and type of the values: each pair is compiled for seconds where no machine code is kept yet."""
-quickly = settings(max_examples=25, deadline=None, derandomize=True)
 
 
 def mesh(axes) -> np.ndarray:

@@ -7,15 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from ctrl_rl_core.values.value_grid import Axis, GridError
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from safetensors import safe_open
 from safetensors.numpy import save_file
-from value_grids import make_grid, random_axes
+from value_grids import make_grid, quickly, random_axes
 
 from ctrl_rl_core import ValueGrid
-
-quickly = settings(max_examples=25, deadline=None, derandomize=True)
 
 
 def small_grid(**changes) -> ValueGrid:

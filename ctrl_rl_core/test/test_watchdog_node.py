@@ -25,7 +25,6 @@ from ctrl_rl_core import COMMAND
 from ctrl_rl_msgs.msg import RotorThrusts
 
 PATIENCE_S = 120.0
-TIMEOUT, PERIOD, REPEAT = 0.5, 0.1, 2.0
 QUICK = ("timeout:=0.3", "zero_rate:=20.0")
 SHARED = ("--topic", "/shared/cmd_vel_raw")
 

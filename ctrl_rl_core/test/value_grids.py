@@ -2,10 +2,12 @@
 
 import numpy as np
 from ctrl_rl_core.values.value_grid import Axis
+from hypothesis import settings
 
 from ctrl_rl_core import ValueGrid
 
 DIGEST = "0123456789abcdef" * 4
+quickly = settings(max_examples=25, deadline=None, derandomize=True)
 
 
 def make_grid(values, axes, kind="oc_value", **changes) -> ValueGrid:
