@@ -5,7 +5,7 @@ import pytest
 import torch
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.training.agents.actor import AgentInterface
-from koopman_lqr_controller.training.agents.agent import Agent
+from koopman_lqr_controller.training.agents.soft_agent import SoftAgent
 from koopman_lqr_controller.training.environments.benchmark_tasks import BENCHMARK_TASKS
 from koopman_lqr_controller.training.networks.encoder_losses import EncoderBatch
 from koopman_lqr_controller.training.replay import Transitions
@@ -14,14 +14,14 @@ from koopman_lqr_controller.training.settings import Settings
 ENCODER_LOSSES = ("contrastive", "reconstruction", "reconstruction_prediction")
 
 
-def some_agent(shape: tuple[int, ...] = (3,), **changes: object) -> tuple[Agent, Transitions]:
+def some_agent(shape: tuple[int, ...] = (3,), **changes: object) -> tuple[SoftAgent, Transitions]:
     settings = Settings(**{"hidden": 16, "latent": 5, "batch": 32, **changes})
     goal = None if len(shape) > 1 else np.array([0.0, 1.0, 0.0], np.float32)
     interface = AgentInterface(shape, 2, np.zeros((), np.float32), np.ones((), np.float32), goal)
     random = np.random.default_rng(0)
     x, x_next = random.normal(size=(2, 32, *shape)).astype(np.float32)
     u, reward = random.uniform(-1, 1, (32, 2)).astype(np.float32), random.normal(size=32).astype(np.float32)
-    return Agent(interface, settings, seed=0), Transitions(x, u, reward, x_next, np.zeros(32, np.float32))
+    return SoftAgent(interface, settings, seed=0), Transitions(x, u, reward, x_next, np.zeros(32, np.float32))
 
 
 @pytest.mark.parametrize("encoder_loss", ENCODER_LOSSES)
@@ -151,7 +151,7 @@ def test_the_deployed_policy_acts_like_the_learnt_one(policy: str) -> None:
 def test_the_encoder_of_images_hears_its_own_loss_beside_values_that_are_large() -> None:
     settings = Settings(latent=8, hidden=16, depth=2, crop=20, batch=32, learning_rate=1e-3)
     grey = np.array(127.5, np.float32)
-    agent = Agent(AgentInterface((3, 24, 24), 1, grey, grey, None), settings, seed=0)
+    agent = SoftAgent(AgentInterface((3, 24, 24), 1, grey, grey, None), settings, seed=0)
     random, generator = np.random.default_rng(0), torch.Generator().manual_seed(0)
     pictures = random.integers(0, 255, (32, 3, 6, 6)).repeat(4, axis=2).repeat(4, axis=3).astype(np.uint8)
     batch = Transitions(

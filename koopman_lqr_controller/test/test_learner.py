@@ -20,7 +20,7 @@ from ctrl_rl_training.experiments.trainer import train
 from koopman_lqr_controller.data.roll_outs import evaluate
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.policies.policy_file import digest, load_policy
-from koopman_lqr_controller.training.agents.agent import Agent
+from koopman_lqr_controller.training.agents.soft_agent import SoftAgent
 from koopman_lqr_controller.training.consolidation.consolidation_config import REPORT_SEED
 from koopman_lqr_controller.training.environments.benchmark_tasks import BENCHMARK_TASKS
 from koopman_lqr_controller.training.experiments.results import collect_last
@@ -70,6 +70,11 @@ OTHERS = (
     replace(
         RUN,
         changes=(*TINY, ("critic_input", "observation"), ("scale", "seen"), ("encoder_loss", "nothing")),
+        keep="last",
+    ),
+    replace(
+        RUN,
+        changes=(*TINY, ("critic", "model_based"), ("scale", "seen"), ("model_steps", 2), ("renewal", 7), ("depth", 3)),
         keep="last",
     ),
     replace(RUN, learner="sac"),
@@ -224,7 +229,7 @@ def test_a_chunk_may_end_with_its_episodes(tmp_path: Path, monkeypatch: pytest.M
 
 def test_updates_may_be_many_or_few(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     counts = []
-    monkeypatch.setattr(Agent, "update", lambda agent, *_: counts.append(agent))
+    monkeypatch.setattr(SoftAgent, "update", lambda agent, *_: counts.append(agent))
     for updates, every in ((3, 1), (2, 5)):
         changes = (*TINY, ("update_every", every), ("updates", updates))
         train(replace(RUN, changes=changes), options(tmp_path, 1))

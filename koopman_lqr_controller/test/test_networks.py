@@ -29,10 +29,11 @@ def alone(critic: TwinCritic, index: int, normalised: bool) -> nn.Sequential:
     return nn.Sequential(*layers)
 
 
+@pytest.mark.parametrize("depth", [2, 3])
 @pytest.mark.parametrize("normalised", [False, True])
-def test_two_critics_at_once_are_two_critics(normalised: bool) -> None:
+def test_two_critics_at_once_are_two_critics(normalised: bool, depth: int) -> None:
     torch.manual_seed(0)
-    critic = TwinCritic(LATENT, CONTROLS, HIDDEN, normalised)
+    critic = TwinCritic(LATENT, CONTROLS, HIDDEN, normalised, depth=depth)
     z, u = inputs()
     for index, values in enumerate(critic(z, u)):
         torch.testing.assert_close(values, alone(critic, index, normalised)(torch.cat((z, u), dim=1)).squeeze(1))

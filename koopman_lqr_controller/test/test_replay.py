@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from koopman_lqr_controller.training.replay import Later, Mirror, Replay, Transitions
+from koopman_lqr_controller.training.replay import Later, Mirror, Replay, SequenceReplay, Sequences, Transitions
 
 
 def live(replay: Replay, lengths: list[int], first: int = 0) -> None:
@@ -132,3 +132,72 @@ def test_values_go_on_after_several_steps_but_not_beyond_an_episode(
         assert later[0] == stop
         assert gained == pytest.approx(sum(0.5**k * (x + k) for k in range(stop - int(x))))
         assert weight == (0.0 if terminated and stop == end else 0.5 ** (stop - int(x)))
+
+
+def sequence_replay(capacity: int = 30, length: int = 3) -> SequenceReplay:
+    return SequenceReplay(capacity, (1,), 1, np.float32, length)
+
+
+@settings(deadline=None, max_examples=50)
+@given(
+    st.lists(st.integers(1, 9), min_size=1, max_size=8).filter(lambda lengths: sum(lengths) > 0),
+    st.integers(14, 30),
+    st.integers(0, 99),
+)
+def test_a_stretch_lies_within_an_episode_or_ends_with_it(lengths: list[int], capacity: int, seed: int) -> None:
+    """All episodes of `live` terminate, so that each of their steps begins a stretch."""
+    replay = sequence_replay(capacity)
+    live(replay, lengths)
+    assert replay.ready
+    drawn = replay.draw_sequences(300, np.random.default_rng(seed))
+    goes_on = np.cumprod(1.0 - drawn.terminated, axis=1)
+    counts = np.concatenate((np.ones((300, 1)), goes_on[:, :-1]), axis=1) > 0.0
+    assert np.array_equal(drawn.reward[counts], drawn.x[:, :-1, 0][counts])
+    assert np.array_equal(drawn.x[:, 1:, 0][counts], drawn.x[:, :-1, 0][counts] + 1)
+    ends = np.cumsum(np.array(lengths) + 1) - 2
+    assert np.array_equal(drawn.terminated[counts], np.isin(drawn.reward[counts], ends).astype(np.float32))
+    newest = sum(lengths) + len(lengths) - 1
+    steps = set(range(newest + 1)) - {end + 1 for end in ends}
+    assert set(drawn.x[:, 0, 0].astype(int)) <= {step for step in steps if step > newest - capacity}
+
+
+def test_an_episode_that_was_cut_off_gives_whole_stretches_alone() -> None:
+    replay = sequence_replay()
+    for number in range(6):
+        assert replay.ready == (number > 3), "three steps and what followed them"
+        replay.add(np.array([number], np.float32), np.zeros(1, np.float32), 0.0, False)
+    replay.end_episode(np.array([6], np.float32))
+    replay.add(np.array([7], np.float32), np.zeros(1, np.float32), 0.0, False)
+    assert set(replay.draw_sequences(200, np.random.default_rng(0)).x[:, 0, 0]) == {0.0, 1.0, 2.0, 3.0}
+
+
+def test_stretches_are_drawn_by_their_priorities_and_new_ones_by_the_largest() -> None:
+    replay = sequence_replay()
+    live(replay, [4])
+    replay.set_priority(np.arange(4), np.array([1.0, 0.0, 2.0, 5.0]))
+    live(replay, [2], first=5)
+    begun = replay.draw_sequences(40_000, np.random.default_rng(0)).x[:, 0, 0].astype(int)
+    shares = np.bincount(begun, minlength=7) / 40_000
+    assert shares == pytest.approx(np.array([1.0, 0.0, 2.0, 5.0, 0.0, 5.0, 5.0]) / 18.0, abs=0.01)
+
+
+def test_a_replay_of_stretches_can_be_taken_up_again() -> None:
+    one, other = sequence_replay(16), sequence_replay(16)
+    live(one, [5, 4, 7, 3])
+    one.set_priority(np.arange(3), np.array([3.0, 4.0, 5.0]))
+    other.restore({name: array.copy() for name, array in one.arrays().items()})
+    for replay in (one, other):
+        live(replay, [3], first=30)
+    drawn = [replay.draw_sequences(50, np.random.default_rng(1)) for replay in (one, other)]
+    assert all(np.array_equal(a, b) for a, b in zip(*drawn, strict=True))
+
+
+def test_stretches_are_mirrored_whole() -> None:
+    mirror = Mirror(np.array([1, 0]), np.array([1.0, 1.0]), np.array([-1.0]))
+    x, u = np.random.default_rng(0).normal(size=(100, 4, 2)).astype(np.float32), np.ones((100, 3, 1), np.float32)
+    zeros = np.zeros((100, 3), np.float32)
+    turned = mirror.mirror_sequences_at_random(Sequences(np.arange(100), x, u, zeros, zeros), np.random.default_rng(1))
+    chosen = turned.u[:, 0, 0] < 0.0
+    assert 30 < chosen.sum() < 70
+    assert np.array_equal(turned.u, np.where(chosen[:, None, None], -u, u))
+    assert np.array_equal(turned.x, np.where(chosen[:, None, None], x[..., ::-1], x))

@@ -102,6 +102,17 @@ class Flatten:
 
 
 @dataclass(frozen=True)
+class Rectifier:
+    """What is negative cut off: a ReLU behind a layer that has none of its own."""
+
+    NAME: ClassVar[str] = "rectifier"
+
+    def __call__(self, x: Weights) -> Weights:
+        """Return the outputs, as many."""
+        return np.maximum(x, np.float32(0.0))
+
+
+@dataclass(frozen=True)
 class LayerNorm:
     """Brings a vector to mean 0 and variance 1 over its entries, then scales and shifts each of them.
 
@@ -126,7 +137,7 @@ class LayerNorm:
         return y
 
 
-_KINDS: tuple[Any, ...] = (Dense, Convolution, CentreCrop, Flatten, LayerNorm)
+_KINDS: tuple[Any, ...] = (Dense, Convolution, CentreCrop, Flatten, Rectifier, LayerNorm)
 
 
 @dataclass(frozen=True)

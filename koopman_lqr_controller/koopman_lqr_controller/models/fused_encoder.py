@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from koopman_lqr_controller.arrays import Array
 from koopman_lqr_controller.errors import KoopmanError
-from koopman_lqr_controller.models.encoder import EPSILON, Dense, Encoder, LayerNorm, Weights
+from koopman_lqr_controller.models.encoder import EPSILON, Dense, Encoder, LayerNorm, Rectifier, Weights
 
 _ZERO = np.array(0.0, np.float32)  # NumPy takes a Python number in twice the time
 
@@ -46,17 +46,17 @@ class FusedEncoder:
         for layer in encoder.layers:
             if isinstance(layer, Dense):
                 linear = _affine(layer.weight, layer.bias) @ linear
-                if layer.rectified:
-                    self._steps.append(_Step(_float32(linear), rectified=True))
-                    linear = np.eye(len(linear))
             elif isinstance(layer, LayerNorm):
                 n = len(layer.weight)
                 self._steps.append(_Step(_float32(_affine(np.eye(n) - 1.0 / n, np.zeros(n)) @ linear), normalised=True))
                 linear = _affine(np.diag(layer.weight), layer.bias)
-            else:
+            elif not isinstance(layer, Rectifier):
                 raise KoopmanError(
                     f"only an encoder of dense layers and norms can be fused, not one with {type(layer).__name__}"
                 )
+            if isinstance(layer, Rectifier) or (isinstance(layer, Dense) and layer.rectified):
+                self._steps.append(_Step(_float32(linear), rectified=True))
+                linear = np.eye(len(linear))
         if projection is not None:
             linear = _affine(projection, np.zeros(len(projection))) @ linear
         self._last = _float32(linear[:-1])

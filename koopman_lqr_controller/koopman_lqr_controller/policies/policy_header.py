@@ -118,7 +118,7 @@ class _CentreCrop(Schema):
 
 
 class _Other(Schema):
-    kind: Literal["flatten", "layer_norm"]
+    kind: Literal["flatten", "rectifier", "layer_norm"]
 
 
 _Layer = Annotated[_Dense | _Convolution | _CentreCrop | _Other, Field(discriminator="kind")]

@@ -46,6 +46,24 @@ class Transitions(NamedTuple):
     later: Later | None = None
 
 
+class Sequences(NamedTuple):
+    """Stretches of H steps drawn from a replay.
+
+    Attributes:
+        place: Place of each in the replay (N,).
+        x: Observations (N, H + 1, *shape).
+        u: Actions in [-1, 1] (N, H, m).
+        reward: Reward of each step (N, H).
+        terminated: Whether nothing comes after a step, 0 or 1 (N, H); what is behind it belongs to others.
+    """
+
+    place: NDArray[np.intp]
+    x: NDArray[np.generic]
+    u: NDArray[np.float32]
+    reward: NDArray[np.float32]
+    terminated: NDArray[np.float32]
+
+
 class Mirror(NamedTuple):
     """The symmetry of a task whose left and right are alike.
 
@@ -62,13 +80,24 @@ class Mirror(NamedTuple):
     def mirror_at_random(self, steps: Transitions, random: np.random.Generator) -> Transitions:
         """Return the steps, each as it was or mirrored, by lot."""
         chosen = (random.random(len(steps.u)) < 0.5)[:, None]
+        later = steps.later and steps.later._replace(x=self._turned(chosen, steps.later.x))
+        return steps._replace(
+            x=self._turned(chosen, steps.x),
+            u=self._swerved(chosen, steps.u),
+            x_next=self._turned(chosen, steps.x_next),
+            later=later,
+        )
 
-        def turned(rows: NDArray[np.generic]) -> NDArray[np.generic]:
-            return np.where(chosen, rows[:, self.order] * self.sign.astype(rows.dtype), rows)
+    def mirror_sequences_at_random(self, sequences: Sequences, random: np.random.Generator) -> Sequences:
+        """Return the sequences, each as it was or mirrored, by lot."""
+        chosen = (random.random(len(sequences.u)) < 0.5)[:, None, None]
+        return sequences._replace(x=self._turned(chosen, sequences.x), u=self._swerved(chosen, sequences.u))
 
-        u = np.where(chosen, steps.u * self.control_sign.astype(np.float32), steps.u)
-        later = steps.later and steps.later._replace(x=turned(steps.later.x))
-        return steps._replace(x=turned(steps.x), u=u, x_next=turned(steps.x_next), later=later)
+    def _turned(self, chosen: NDArray[np.bool_], x: NDArray[np.generic]) -> NDArray[np.generic]:
+        return np.where(chosen, x[..., self.order] * self.sign.astype(x.dtype), x)
+
+    def _swerved(self, chosen: NDArray[np.bool_], u: NDArray[np.float32]) -> NDArray[np.float32]:
+        return np.where(chosen, u * self.control_sign.astype(np.float32), u)
 
 
 class Replay:
@@ -188,3 +217,72 @@ class Replay:
             column[: len(kept)] = kept
         end, full, self._age = (int(value) for value in arrays[_PREFIX + "end"])
         self._ring.seen = end + full * self._ring.capacity
+
+
+class SequenceReplay(Replay):
+    """A replay of stretches of H steps, drawn the more often the larger their errors were (Fujimoto et al. 2020).
+
+    What was not drawn yet comes as often as what had the largest error. A stretch lies within an episode, or ends with
+    one that terminated.
+
+    Args:
+        capacity: Largest number of observations.
+        shape: Shape of an observation (n,).
+        controls: Number of controls.
+        kind: Type of an observation's entries.
+        length: Number H of steps.
+    """
+
+    def __init__(
+        self, capacity: int, shape: tuple[int, ...], controls: int, kind: type[np.generic], length: int
+    ) -> None:
+        super().__init__(capacity, shape, controls, kind)
+        self._length, self._priority, self._largest = length, np.zeros(capacity), 1.0
+
+    @property
+    def ready(self) -> bool:
+        """Whether there is a stretch to draw."""
+        return bool(self._priority.any())
+
+    def draw_sequences(self, count: int, random: np.random.Generator) -> Sequences:
+        """Return stretches drawn by their priorities with replacement; there must be one, see `ready`."""
+        total = np.cumsum(self._priority[: len(self._ring)])
+        found = np.searchsorted(total, random.random(count) * total[-1], side="right")
+        first = np.minimum(found, np.searchsorted(total, total[-1]))
+        a = self._ring.columns
+        places = (first[:, None] + np.arange(self._length + 1)) % self._ring.capacity
+        steps = places[:, :-1]
+        return Sequences(first, a["x"][places], a["u"][steps], a["reward"][steps], a["terminated"][steps])
+
+    def set_priority(self, place: NDArray[np.intp], priority: NDArray[np.floating]) -> None:
+        """Set how often stretches (N,) are drawn from now on, relative to others (N,)."""
+        self._priority[place] = priority
+        self._largest = max(self._largest, float(priority.max()))
+
+    def end_episode(self, x: NDArray[np.generic]) -> None:
+        """Add an episode's last observation."""
+        steps = self._age
+        super().end_episode(x)
+        last, capacity = self._ring.seen - 1, self._ring.capacity
+        if self._ring.columns["terminated"][(last - 1) % capacity]:
+            whole = last - 1 - np.arange(min(steps, self._length - 1))
+            self._priority[whole % capacity] = self._largest
+
+    def _put(self, x: NDArray[np.generic], u: NDArray[np.float32] | np.float32, *rest: float) -> None:
+        place, capacity = self._ring.seen, self._ring.capacity
+        super()._put(x, u, *rest)
+        self._priority[place % capacity] = 0.0
+        if self._age > self._length:
+            self._priority[(place - self._length) % capacity] = self._largest
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Return everything, for a checkpoint."""
+        kept = {"priority": self._priority[: len(self._ring)], "largest": np.array(self._largest)}
+        return {**super().arrays(), **{_PREFIX + name: array for name, array in kept.items()}}
+
+    def restore(self, arrays: Mapping[str, NDArray[Any]]) -> None:
+        """Take up what `arrays` returned; others may lie among them."""
+        super().restore(arrays)
+        priority = arrays[_PREFIX + "priority"]
+        self._priority[: len(priority)] = priority
+        self._largest = arrays[_PREFIX + "largest"].item()

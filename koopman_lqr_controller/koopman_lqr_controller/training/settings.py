@@ -23,14 +23,24 @@ RECIPES: Mapping[str, Mapping[str, int | float | str]] = {
         "deviation": 0.135,
         "deviations": "each",
     },
+    "model_based": {
+        "critic": "model_based",
+        "scale": "seen",
+        "encoder_loss": "nothing",
+        "depth": 3,
+        "learning_rate": 3e-4,
+        "model_weight": 0.02,
+        "reward_steps": 3,
+    },
 }
 """Changes of a task's settings by name. "thesis": none, Algorithm 2. "quick": critics of scaled observations, and A and
-B that follow the actor's loss above all; it learns more from as many simulated frames, of vectors."""
+B that follow the actor's loss above all; it learns more from as many simulated frames, of vectors. "model_based":
+values and features after MR.Q, whose model looks several steps ahead; it learns most where motions are quick."""
 _KINDS = {"int": "a whole number", "float": "a number"}
 _CHOICES = {
     "encoder_loss": ("contrastive", "reconstruction", "reconstruction_prediction", "nothing"),
     "policy": ("lqr", "network"),
-    "critic": ("layer_norm", "plain", "categorical"),
+    "critic": ("layer_norm", "plain", "categorical", "model_based"),
     "critic_input": ("latent", "observation"),
     "scale": ("task", "seen"),
     "deviations": ("one", "each"),
@@ -39,7 +49,7 @@ _CHOICES = {
 }
 _MAY_BE_ZERO = ("crop", "noise", "model_weight")
 _LEAST_REPLAY = 100
-_SHARES = ("discount", "critic_rate", "encoder_rate", "average_rate")
+_SHARES = ("discount", "critic_rate", "encoder_rate", "average_rate", "exploration")
 
 
 @dataclass(frozen=True)
@@ -74,12 +84,18 @@ class Settings:
             "nothing", where the task's loss alone trains it.
         policy: "lqr", or "network" as in CURL.
         critic: "plain" hidden layers, or each with a "layer_norm": values cannot run away, and policies oscillate less;
-            or "categorical", a distribution of values by residual layers, which bears more updates for each action.
+            or "categorical", a distribution of values by residual layers, which bears more updates for each action;
+            or "model_based", values of what a model of several steps makes of observations and actions (MR.Q): the
+            actor has a fixed noise then and no temperature, its encoder is the model's but for the last layer, and
+            critic_input, encoder_loss, actor_every, critic_rate and what concerns deviations are of no effect.
         critic_input: State that the critics see: the "latent" z, as in the thesis, or the "observation" as the encoder
             scales it. The second leaves the encoder to the actor's loss and its own: values need not wait for z, and z
             need not tell values.
         scale: Scale of vectors that are observed: that of the "task", or the mean and deviation of those "seen" so far.
         bfloat16: "all" hidden layers are computed so while learning, or "nothing": a third quicker, if processors can.
+        model_steps: Steps that the model of a "model_based" critic looks ahead.
+        renewal: Updates for which its targets stay as they are.
+        exploration: Deviation of the noise that explores, of actions in [-1, 1], with it.
         cost: Hand-tuned cost of `two_stage_learner`, "Q1" to "Q4"; of no effect elsewhere.
     """
 
@@ -111,6 +127,9 @@ class Settings:
     critic_input: str = "latent"
     scale: str = "task"
     bfloat16: str = "nothing"
+    model_steps: int = 5
+    renewal: int = 250
+    exploration: float = 0.2
     cost: str = "Q1"
 
     def __post_init__(self) -> None:
@@ -132,6 +151,10 @@ class Settings:
 
         if self.replay < _LEAST_REPLAY:
             raise KoopmanError(f"replay is {self.replay}: must be at least {_LEAST_REPLAY} steps to learn from")
+        if self.critic == "model_based" and self.reward_steps > self.model_steps:
+            raise KoopmanError(f"reward_steps is {self.reward_steps}: must be at most model_steps, {self.model_steps}")
+        if self.crop and self.critic == "model_based":
+            raise KoopmanError("critic must not be model_based: this task shows pictures")
         if self.crop and (self.critic_input == "observation" or self.scale == "seen"):
             raise KoopmanError("critic_input must be latent and scale task: this task shows pictures")
         if self.policy == "network" and self.encoder_loss == "reconstruction_prediction":

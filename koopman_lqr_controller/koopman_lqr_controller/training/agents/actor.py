@@ -33,6 +33,7 @@ class AgentInterface(NamedTuple):
         middle: Value of an observation that becomes 0; broadcasts to `shape`.
         unit: Distance above the middle that becomes 1.
         goal: Observation of the goal, x_ref; None for z_ref = 0.
+        kind: Type of an observation's entries.
     """
 
     shape: tuple[int, ...]
@@ -40,14 +41,16 @@ class AgentInterface(NamedTuple):
     middle: NDArray[np.float32]
     unit: NDArray[np.float32]
     goal: NDArray[np.float32] | None
+    kind: type[np.generic] = np.float32
 
     def encoder(self, settings: Settings) -> TorchEncoder:
         """Return an untrained psi."""
         middle, unit = torch.from_numpy(self.middle), torch.from_numpy(self.unit)
         if settings.scale == "seen":  # each component has a scale of its own
             middle, unit = (scale.expand(self.shape).clone() for scale in (middle, unit))
-        crop, halved = settings.crop or None, settings.bfloat16 == "all"
-        return TorchEncoder(self.shape, settings.latent, settings.hidden, settings.depth, middle, unit, crop, halved)
+        sizes, crop = (self.shape, settings.latent, settings.hidden, settings.depth), settings.crop or None
+        halved, normalised = settings.bfloat16 == "all", settings.critic == "model_based"
+        return TorchEncoder(*sizes, middle, unit, crop, halved, normalised)
 
 
 class Actor(nn.Module, ABC):

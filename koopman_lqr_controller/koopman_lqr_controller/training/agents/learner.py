@@ -14,7 +14,9 @@ from torch import nn
 from koopman_lqr_controller.control.latent_controller import LatentController
 from koopman_lqr_controller.training.agents.actor import AgentInterface
 from koopman_lqr_controller.training.agents.agent import Agent
+from koopman_lqr_controller.training.agents.model_based_agent import ModelBasedAgent
 from koopman_lqr_controller.training.agents.network_policy import NetworkPolicy
+from koopman_lqr_controller.training.agents.soft_agent import SoftAgent
 from koopman_lqr_controller.training.environments.benchmark_tasks import AnyEnvironment, BenchmarkTask
 from koopman_lqr_controller.training.replay import Mirror, Replay
 
@@ -29,14 +31,15 @@ class ReplayLearner(ABC):
         problem: Task to learn.
         environment: Environment to act in.
         seed: Seed of all random numbers.
-        capacity: Largest number of observations in the replay.
 
     Attributes:
         interface: Observations and controls of the agent.
         replay: Steps that were met.
     """
 
-    def __init__(self, problem: BenchmarkTask, environment: AnyEnvironment, seed: int, capacity: int) -> None:
+    replay: Replay
+
+    def __init__(self, problem: BenchmarkTask, environment: AnyEnvironment, seed: int) -> None:
         self._settings, self._environment, self._seed = problem.settings, environment, seed
         self.interface = AgentInterface(
             shape=environment.observation_space.shape,
@@ -44,9 +47,8 @@ class ReplayLearner(ABC):
             middle=np.array(problem.middle, np.float32),
             unit=np.array(problem.unit, np.float32),
             goal=None if problem.goal is None else np.array(problem.goal, np.float32),
+            kind=environment.observation_space.dtype.type,
         )
-        kind = environment.observation_space.dtype.type
-        self.replay = Replay(capacity, self.interface.shape, self.interface.controls, kind)
         self._modules: Mapping[str, nn.Module] = {}
         self._optimizers: Mapping[str, torch.optim.Optimizer] = {}
 
@@ -105,16 +107,29 @@ class ReplayLearner(ABC):
 
 
 class KoopmanLearner(ReplayLearner):
-    """The learner of Algorithm 2: an agent, what it has met, and where it acts; `device` is that of its networks."""
+    """An agent, what it has met, and where it acts; its settings decide whether it is that of Algorithm 2.
 
-    method = "task-oriented Koopman control with contrastive encoder (thesis 4.2)"
+    Args:
+        problem: Task to learn.
+        environment: Environment to act in.
+        seed: Seed of all random numbers.
+        capacity: Largest number of observations in the replay.
+        device: Device of the networks.
+    """
 
     def __init__(
         self, problem: BenchmarkTask, environment: AnyEnvironment, seed: int, capacity: int, device: str = "cpu"
     ) -> None:
-        super().__init__(problem, environment, seed, min(problem.settings.replay, capacity))
+        super().__init__(problem, environment, seed)
         self._mirror: Mirror | None = getattr(environment, "mirror", None)
-        self._agent = Agent(self.interface, problem.settings, seed, device)
+        model_based = problem.settings.critic == "model_based"
+        self._agent: Agent = (ModelBasedAgent if model_based else SoftAgent)(
+            self.interface, problem.settings, seed, device
+        )
+        self.method = "task-oriented Koopman control" + (
+            " with values after MR.Q" if model_based else " with contrastive encoder (thesis 4.2)"
+        )
+        self.replay = self._agent.make_replay(self.interface, min(problem.settings.replay, capacity))
         self._modules, self._optimizers = {"agent": self._agent}, self._agent.optimizers
 
     def _meet(self, x: NDArray[np.generic]) -> None:
@@ -125,10 +140,7 @@ class KoopmanLearner(ReplayLearner):
 
         def update() -> None:
             for _ in range(self._settings.updates):
-                settings = self._settings
-                steps = self.replay.draw(settings.batch, random, settings.reward_steps, settings.discount)
-                steps = steps if self._mirror is None else self._mirror.mirror_at_random(steps, random)
-                self._agent.update(steps, generator)
+                self._agent.learn(self.replay, random, generator, self._mirror)
 
         return lambda x: self._agent.act(x, generator), update
 

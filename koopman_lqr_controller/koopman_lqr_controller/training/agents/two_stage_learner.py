@@ -22,7 +22,7 @@ from koopman_lqr_controller.training.agents.actor import AgentInterface
 from koopman_lqr_controller.training.agents.learner import ReplayLearner
 from koopman_lqr_controller.training.environments.benchmark_tasks import AnyEnvironment, BenchmarkTask
 from koopman_lqr_controller.training.networks.differentiable_lqr import LatentLqr
-from koopman_lqr_controller.training.replay import Transitions
+from koopman_lqr_controller.training.replay import Replay, Transitions
 from koopman_lqr_controller.training.settings import Settings
 
 _RIDGE = 1e-6
@@ -68,7 +68,8 @@ class TwoStageLearner(ReplayLearner):
         device: str = "cpu",
         learnt: bool = True,
     ) -> None:
-        super().__init__(problem, environment, seed, capacity)
+        super().__init__(problem, environment, seed)
+        self.replay = Replay(capacity, self.interface.shape, self.interface.controls, self.interface.kind)
         self._device, self._learnt = torch.device(device), learnt
         self.method = "two-stage Koopman control, " + ("learnt lifting" if learnt else "EDMD with random features")
         goal = self.interface.goal

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import layer_norm
 
+from koopman_lqr_controller.training.networks.two_hot import cross_entropy, symmetric_bins
 from koopman_lqr_controller.training.settings import Settings
 
 _BLOCKS = 2
@@ -41,32 +42,45 @@ class _Twin(nn.Module):
         kind = x.dtype
         return torch.baddbmm(self.biases[number].to(kind), x, self.weights[number].to(kind))
 
-    def _inputs(self, z: Tensor, u: Tensor) -> Tensor:
-        return torch.cat((z, u), dim=1).expand(2, -1, -1).to(self._kind)
+    def _inputs(self, x: Tensor) -> Tensor:
+        return x.expand(2, -1, -1).to(self._kind)
 
 
 class TwinCritic(_Twin):
-    """Q_1 and Q_2 of Eq. 4.10 by two hidden layers.
+    """Q_1 and Q_2 of Eq. 4.10 by hidden layers.
 
     Args:
         inputs: Dimensions of the state that they see.
-        controls: Number of controls.
+        controls: Number of controls; 0 where the state that they see tells the action.
         hidden: Units of each hidden layer.
         normalised: Whether these have a LayerNorm, without parameters, before their ReLU.
         halved: Whether these are computed in bfloat16.
+        depth: Number of hidden layers.
     """
 
-    def __init__(self, inputs: int, controls: int, hidden: int, normalised: bool = False, halved: bool = False) -> None:
-        super().__init__(list(pairwise((inputs + controls, hidden, hidden, 1))), halved)
-        self._normalised = normalised
+    def __init__(
+        self,
+        inputs: int,
+        controls: int,
+        hidden: int,
+        normalised: bool = False,
+        halved: bool = False,
+        depth: int = 2,
+    ) -> None:
+        super().__init__(list(pairwise((inputs + controls, *[hidden] * depth, 1))), halved)
+        self._normalised, self._depth = normalised, depth
 
     def forward(self, z: Tensor, u: Tensor) -> Tensor:
         """Return both values (2, N) of states (N, n) and actions (N, m)."""
-        x = self._inputs(z, u)
-        for number in range(2):
+        return self.values(torch.cat((z, u), dim=1))
+
+    def values(self, x: Tensor) -> Tensor:
+        """Return both values (2, N) of states and actions in one (N, n + m)."""
+        x = self._inputs(x)
+        for number in range(self._depth):
             x = self._layer(number, x)
             x = torch.relu(layer_norm(x, x.shape[-1:]) if self._normalised else x)
-        return self._layer(2, x.float()).squeeze(-1)
+        return self._layer(self._depth, x.float()).squeeze(-1)
 
     def loss(self, z: Tensor, u: Tensor, goal: Tensor) -> Tensor:
         """Return the mean squared error of both values against goals (N,), summed over the two."""
@@ -91,8 +105,7 @@ class CategoricalCritic(_Twin):
         with torch.no_grad():
             self.weights[-1].zero_()
             self.biases[-1].zero_()
-        steps = torch.linspace(-_LARGEST, _LARGEST, _BINS)
-        self.register_buffer("values", steps.sign() * steps.abs().expm1())
+        self.register_buffer("values", symmetric_bins(_LARGEST, _BINS))
 
     def forward(self, z: Tensor, u: Tensor) -> Tensor:
         """Return both values (2, N) of states (N, n) and actions (N, m)."""
@@ -101,26 +114,15 @@ class CategoricalCritic(_Twin):
 
     def loss(self, z: Tensor, u: Tensor, goal: Tensor) -> Tensor:
         """Return the cross entropy of both distributions against goals (N,), summed over the two."""
-        log_shares = torch.log_softmax(self._logits(z, u), dim=-1)
-        return -(self._two_hot(goal) * log_shares).sum(dim=-1).mean(dim=1).sum()
+        return cross_entropy(self._logits(z, u), goal.expand(2, -1), self.values).mean(dim=1).sum()
 
     def _logits(self, z: Tensor, u: Tensor) -> Tensor:
-        x = self._inputs(z, u)
+        x = self._inputs(torch.cat((z, u), dim=1))
         x = torch.relu(_normalised(self._layer(0, x)))
         for first in range(1, 2 * _BLOCKS, 2):
             inner = torch.relu(_normalised(self._layer(first, x)))
             x = x + _normalised(self._layer(first + 1, inner))
         return self._layer(2 * _BLOCKS + 1, x.float())
-
-    def _two_hot(self, goal: Tensor) -> Tensor:
-        """Return the distributions (N, bins) over the two nearest bins whose means are the goals (N,)."""
-        goal = goal.clamp(self.values[0], self.values[-1])
-        above = torch.searchsorted(self.values, goal).clamp(1, _BINS - 1)
-        low, high = self.values[above - 1], self.values[above]
-        share = ((goal - low) / (high - low))[:, None]
-        shares = torch.zeros(len(goal), _BINS, device=goal.device)
-        shares.scatter_(1, above[:, None] - 1, 1.0 - share)
-        return shares.scatter_(1, above[:, None], share)
 
 
 def _normalised(x: Tensor) -> Tensor:

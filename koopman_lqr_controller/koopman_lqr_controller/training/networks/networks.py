@@ -29,6 +29,7 @@ class TorchEncoder(nn.Module):
         unit: Distance above the middle that becomes 1.
         crop: Rows and columns of an image that are looked at, its middle; None for all, and for vectors.
         halved: Whether all but the last layer is computed in bfloat16 while it trains.
+        normalised: Whether a vector's hidden layers have a LayerNorm before their ReLU.
     """
 
     middle: Tensor
@@ -44,6 +45,7 @@ class TorchEncoder(nn.Module):
         unit: Tensor,
         crop: int | None = None,
         halved: bool = False,
+        normalised: bool = False,
     ) -> None:
         super().__init__()
         if len(shape) == 3:
@@ -51,7 +53,7 @@ class TorchEncoder(nn.Module):
         self.shape, self.crop, self._halves = shape, crop, halved
         self.register_buffer("middle", middle)
         self.register_buffer("unit", unit)
-        body = _convolutions(shape, depth) if len(shape) == 3 else dense(shape[0], hidden, depth)
+        body = _convolutions(shape, depth) if len(shape) == 3 else dense(shape[0], hidden, depth, normalised)
         with torch.no_grad():
             width = int(nn.Sequential(*body)(torch.zeros(1, *self.seen)).shape[1])
         self.layers = nn.Sequential(*body, nn.Linear(width, latent), nn.LayerNorm(latent))
@@ -164,6 +166,8 @@ def deploy_layers(layers: nn.Sequential) -> list[deployed.Layer]:
             out.append(deployed.LayerNorm(_array(module.weight), _array(module.bias)))
         elif isinstance(module, nn.Flatten):
             out.append(deployed.Flatten())
+        elif isinstance(module, nn.ReLU) and isinstance(modules[index - 1], nn.LayerNorm):
+            out.append(deployed.Rectifier())
     return out
 
 
@@ -187,11 +191,11 @@ class Decoder(nn.Module):
         return x
 
 
-def dense(inputs: int, hidden: int, depth: int) -> list[nn.Module]:
-    """Return hidden layers with ReLU."""
+def dense(inputs: int, hidden: int, depth: int, normalised: bool = False) -> list[nn.Module]:
+    """Return hidden layers with ReLU, each with a LayerNorm before it where they are normalised."""
     out: list[nn.Module] = []
     for _ in range(depth):
-        out += [nn.Linear(inputs, hidden), nn.ReLU()]
+        out += [nn.Linear(inputs, hidden), *([nn.LayerNorm(hidden)] if normalised else []), nn.ReLU()]
         inputs = hidden
     return out
 

@@ -1,0 +1,185 @@
+"""The differentiable LQR with values and a representation after MR.Q (Fujimoto et al. 2025).
+
+A model of several steps makes the encoder's features and an embedding of features with actions; values see nothing but
+that embedding. Of the features the actor makes z by one linear layer and a norm, and its loss trains that layer, A, B,
+Q and R. So the representation learns from what happens at every step, values from a representation that keeps still
+while they follow, and the law from both.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterable
+from itertools import chain
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+from torch.nn.functional import smooth_l1_loss
+
+from koopman_lqr_controller.training.agents.actor import AgentInterface
+from koopman_lqr_controller.training.agents.agent import Agent
+from koopman_lqr_controller.training.networks.critics import TwinCritic
+from koopman_lqr_controller.training.networks.networks import TorchEncoder, follow
+from koopman_lqr_controller.training.networks.representation import Representation
+from koopman_lqr_controller.training.replay import Mirror, Replay, SequenceReplay
+from koopman_lqr_controller.training.settings import Settings
+
+_CRITIC_DEPTH = 3
+_REPRESENTATION_SHARE = 1.0 / 3.0
+"""Learning rate of the representation over that of values and actor."""
+_TARGET_NOISE, _LARGEST_TARGET_NOISE = 0.2, 0.3
+"""Deviation and bound of what is added to the actions that a target's value is of (TD3; Fujimoto et al. 2018)."""
+_PRIORITY_POWER = 0.4
+_LEAST_ERROR = 1.0
+"""Errors of values below this, in units of the scale of rewards, are drawn equally often."""
+_INPUT_WEIGHT = 1e-5
+"""Weight of the square of u before tanh, so that it does not run away where tanh is flat."""
+
+
+class _Batch(NamedTuple):
+    """Stretches of H steps as the losses see them."""
+
+    place: NDArray[np.intp]
+    x: Tensor
+    u: Tensor
+    reward: Tensor
+    goes_on: Tensor
+
+
+class ModelBasedAgent(Agent):
+    """Networks that are learnt, and their updates.
+
+    Attributes:
+        representation: Embedding of the encoder's features with actions, and the model behind it.
+        critic: Values of these embeddings, in units of `reward_scale`.
+        target_actor: Actor with its encoder as it was at the last renewal.
+        target_representation: The representation then.
+        target_critic: The critic then.
+        reward_scale: Mean absolute reward at the last renewal, and at the one before (2,).
+    """
+
+    reward_scale: Tensor
+
+    def __init__(self, interface: AgentInterface, settings: Settings, seed: int, device: str = "cpu") -> None:
+        super().__init__(interface, settings, seed, device)
+        self.target_actor = copy.deepcopy(self.actor).requires_grad_(False)
+        self.target_representation = copy.deepcopy(self.representation).requires_grad_(False)
+        self.target_critic = copy.deepcopy(self.critic).requires_grad_(False)
+        self.register_buffer("reward_scale", torch.tensor([1.0, 0.0]))
+        self.to(self._device)
+        encoder, head = self.actor.encoder.layers[:-2], self.actor.encoder.layers[-2:]
+        law = [p for name, p in self.actor.named_parameters() if not name.startswith("encoder.")]
+        self.optimizers = {
+            "representation": self._adam(
+                chain(encoder.parameters(), self.representation.parameters()),
+                _REPRESENTATION_SHARE * settings.learning_rate,
+            ),
+            "critic": self._adam(self.critic.parameters()),
+            "actor": self._adam(chain(head.parameters(), law)),
+        }
+
+    def _make_networks(self, interface: AgentInterface) -> None:
+        settings, halved = self.settings, self.settings.bfloat16 == "all"
+        self.representation = Representation(settings.hidden, interface.controls, settings.hidden, halved)
+        self.critic = TwinCritic(settings.hidden, 0, settings.hidden, True, halved, _CRITIC_DEPTH)
+
+    def make_replay(self, interface: AgentInterface, capacity: int) -> SequenceReplay:
+        """Return an empty replay of stretches."""
+        return SequenceReplay(capacity, interface.shape, interface.controls, interface.kind, self.settings.model_steps)
+
+    def _scaled_encoders(self) -> Iterable[TorchEncoder]:
+        return (self.actor.encoder, self.averaged.encoder, self.target_actor.encoder)
+
+    def act(self, x: NDArray[np.generic], generator: torch.Generator) -> NDArray[np.float32]:
+        """Return an action (m,) for an observation (*shape), with the noise that explores."""
+        with torch.no_grad():
+            u = torch.tanh(self.actor.mean(self._latent(x)))[0].cpu()
+            noise = self.settings.exploration * torch.randn(u.shape, generator=generator)
+            action: NDArray[np.float32] = (u + noise).clamp(-1.0, 1.0).numpy()
+        return action
+
+    def learn(
+        self, replay: Replay, random: np.random.Generator, generator: torch.Generator, mirror: Mirror | None
+    ) -> None:
+        """Do one update; one that renews the targets first trains the representation as often as they are kept."""
+        assert isinstance(replay, SequenceReplay)
+        if not replay.ready:
+            return
+        if self.updates % self.settings.renewal == 0:
+            self._renew_targets(replay)
+            for _ in range(self.settings.renewal):
+                self._learn_representation(self._draw(replay, random, mirror))
+        batch = self._draw(replay, random, mirror)
+        with torch.no_grad():
+            features = self.actor.encoder.features(batch.x[:, 0])
+        errors = self._learn_values(batch, features, generator)
+        self._learn_law(batch, features)
+        replay.set_priority(batch.place, errors.clamp(min=_LEAST_ERROR).pow(_PRIORITY_POWER).cpu().numpy())
+        follow(self.averaged, self.actor, self.settings.average_rate)
+        self.updates += 1
+
+    def _draw(self, replay: SequenceReplay, random: np.random.Generator, mirror: Mirror | None) -> _Batch:
+        drawn = replay.draw_sequences(self.settings.batch, random)
+        if mirror is not None:
+            drawn = mirror.mirror_sequences_at_random(drawn, random)
+        x, u, reward, terminated = (torch.from_numpy(it).to(self._device) for it in drawn[1:])
+        return _Batch(drawn.place, x, u, reward, 1.0 - terminated)
+
+    def _renew_targets(self, replay: SequenceReplay) -> None:
+        follow(self.target_actor, self.actor, 1.0)
+        follow(self.target_representation, self.representation, 1.0)
+        follow(self.target_critic, self.critic, 1.0)
+        scale = max(float(np.abs(replay.everything().reward).mean()), torch.finfo(torch.float32).tiny)
+        before = self.reward_scale[0] if self.updates else 0.0
+        self.reward_scale.copy_(torch.tensor([scale, float(before)]))
+
+    def _learn_representation(self, batch: _Batch) -> None:
+        encoder, target = self.actor.encoder, self.target_actor.encoder
+        with torch.no_grad():
+            later = target.features(batch.x[:, 1:].flatten(0, 1)).float().reshape(*batch.u.shape[:2], -1)
+        features = encoder.features(batch.x[:, 0])
+        loss = self.representation.loss(features, batch.u, batch.reward, later, batch.goes_on)
+        self._step({"representation": loss})
+
+    def _learn_values(self, batch: _Batch, features: Tensor, generator: torch.Generator) -> Tensor:
+        """Train the critic on goals of several steps; return the larger error of both values (N,)."""
+        with torch.no_grad():
+            goal = self._goal(batch, generator)
+            pair = self.representation(features, batch.u[:, 0])
+        values = self.critic.values(pair)
+        self._step({"critic": smooth_l1_loss(values, goal.expand(2, -1))})
+        return (values.detach() - goal).abs().amax(dim=0)
+
+    def _goal(self, batch: _Batch, generator: torch.Generator) -> Tensor:
+        """Return rewards of some steps and the target's value of what follows (N,), in units of the reward's scale."""
+        settings, actor = self.settings, self.target_actor
+        scale, scale_before = self.reward_scale
+        gained, weight = torch.zeros(len(batch.u), device=self._device), torch.ones(len(batch.u), device=self._device)
+        for step in range(settings.reward_steps):
+            gained = gained + weight * batch.reward[:, step]
+            weight = weight * settings.discount * batch.goes_on[:, step]
+        features = actor.encoder.features(batch.x[:, settings.reward_steps])
+        u = torch.tanh(actor.mean(actor.encoder.latent(features)))
+        noise = _TARGET_NOISE * torch.randn(u.shape, generator=generator).to(self._device)
+        u = (u + noise.clamp(-_LARGEST_TARGET_NOISE, _LARGEST_TARGET_NOISE)).clamp(-1.0, 1.0)
+        value = self.target_critic.values(self.target_representation(features, u)).amin(dim=0)
+        return (gained + weight * value * scale_before) / scale
+
+    def _learn_law(self, batch: _Batch, features: Tensor) -> None:
+        """Train z, A, B, Q and R, or the network in their place, on the values of their actions."""
+        encoder, weight = self.actor.encoder, self.settings.model_weight
+        z = encoder.latent(features)
+        u = self.actor.mean(z)
+        judges = nn.ModuleList((self.representation, self.critic)).requires_grad_(False)
+        loss = -self.critic.values(self.representation(features, torch.tanh(u))).mean()
+        judges.requires_grad_(True)
+        loss = loss + _INPUT_WEIGHT * u.square().mean()
+        if self.lqr is not None and weight:
+            with torch.no_grad():
+                z_next = encoder(batch.x[:, 1])
+            model_loss = self.lqr.model_loss(z.detach(), batch.u[:, 0], z_next)
+            loss = loss + weight / self.reward_scale[0] * model_loss
+        self._step({"actor": loss})

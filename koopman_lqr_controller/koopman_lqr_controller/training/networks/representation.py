@@ -1,0 +1,83 @@
+"""A model that is there for what it makes learnt: embeddings of states, and of states with actions.
+
+From the second, a linear layer tells the next embedding and the reward, several steps ahead (MR.Q; Fujimoto et al.
+2025). What predicts both is what values depend on, and it is learnt from every step, not only from those with rewards.
+"""
+
+from __future__ import annotations
+
+from typing import TypeAlias
+
+import torch
+from torch import Tensor, nn
+from torch.nn.functional import layer_norm, linear
+
+from koopman_lqr_controller.training.networks.two_hot import cross_entropy, symmetric_bins
+
+_BINS = 65
+_LARGEST = 10.0
+"""Symmetric logarithm of the largest reward that can be told, about 22,000."""
+_REWARD_WEIGHT = 0.1
+_Layer: TypeAlias = tuple[Tensor, Tensor]
+
+
+class Representation(nn.Module):
+    """Embedding of states with actions, and its linear prediction.
+
+    Args:
+        features: Dimensions of the embedding of a state.
+        controls: Number of controls.
+        hidden: Units of each hidden layer, and dimensions of the embedding of a state with an action.
+        halved: Whether all is computed in bfloat16 but the losses.
+    """
+
+    bins: Tensor
+
+    def __init__(self, features: int, controls: int, hidden: int, halved: bool = False) -> None:
+        super().__init__()
+        self._kind = torch.bfloat16 if halved else torch.float32
+        self.action = nn.Linear(controls, hidden // 2)
+        self.body = nn.ModuleList((nn.Linear(features + hidden // 2, hidden), nn.Linear(hidden, hidden)))
+        self.last = nn.Linear(hidden, hidden)
+        self.head = nn.Linear(hidden, features + _BINS)
+        self.register_buffer("bins", symmetric_bins(_LARGEST, _BINS))
+
+    def forward(self, features: Tensor, u: Tensor) -> Tensor:
+        """Return the embedding (N, hidden) of states, by their features (N, k), with actions (N, m)."""
+        return self._embedding(features.to(self._kind), u.to(self._kind), *self._layers())
+
+    def loss(self, features: Tensor, u: Tensor, reward: Tensor, later: Tensor, goes_on: Tensor) -> Tensor:
+        """Return the error of the predicted embeddings and rewards, summed over H steps ahead.
+
+        Args:
+            features: Embeddings of the states that are begun with (N, k).
+            u: Actions (N, H, m).
+            reward: Reward of each (N, H).
+            later: Embeddings of the states after each (N, H, k).
+            goes_on: Whether the episode goes on after each, 0 or 1 (N, H); what comes after its end does not count.
+        """
+        *layers, head = (*self._layers(), self._rounded(self.head))
+        features, actions, size = features.to(self._kind), u.to(self._kind), features.shape[1]
+        counts, total = torch.ones_like(goes_on[:, 0]), torch.zeros((), device=goes_on.device)
+        for step in range(u.shape[1]):
+            told = linear(self._embedding(features, actions[:, step], *layers), *head)
+            features = told[:, :size]
+            embedding_error = (features.float() - later[:, step]).square().mean(dim=1)
+            reward_error = cross_entropy(told[:, size:].float(), reward[:, step], self.bins)
+            total = total + (counts * (embedding_error + _REWARD_WEIGHT * reward_error)).mean()
+            counts = counts * goes_on[:, step]
+        return total
+
+    def _embedding(self, features: Tensor, u: Tensor, action: _Layer, *body: _Layer) -> Tensor:
+        x = torch.cat((features, torch.relu(linear(u, *action))), dim=1)
+        for weights, biases in body[:-1]:
+            x = torch.relu(layer_norm(linear(x, weights, biases), biases.shape))
+        return linear(x, *body[-1])
+
+    def _layers(self) -> tuple[_Layer, ...]:
+        return tuple(self._rounded(layer) for layer in (self.action, *self.body, self.last))
+
+    def _rounded(self, layer: nn.Module) -> _Layer:
+        """Return weights and biases as they are computed with; once for all steps, as rounding takes time."""
+        assert isinstance(layer, nn.Linear)
+        return layer.weight.to(self._kind), layer.bias.to(self._kind)

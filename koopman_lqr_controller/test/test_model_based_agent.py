@@ -1,0 +1,170 @@
+"""Updates of the agent whose values see what a model makes of observations: which loss moves what, and the goals."""
+
+from collections.abc import Callable
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import torch
+from koopman_lqr_controller.errors import KoopmanError
+from koopman_lqr_controller.training.agents.actor import AgentInterface
+from koopman_lqr_controller.training.agents.model_based_agent import ModelBasedAgent
+from koopman_lqr_controller.training.environments.benchmark_tasks import BENCHMARK_TASKS
+from koopman_lqr_controller.training.replay import SequenceReplay
+from koopman_lqr_controller.training.settings import RECIPES, Settings
+from torch import Tensor, nn
+
+SHAPE, CONTROLS, LENGTH = 3, 2, 5
+
+
+def some_agent(**changes: object) -> ModelBasedAgent:
+    small = {"hidden": 16, "latent": 6, "batch": 32, **RECIPES["model_based"]}
+    zero, one = np.zeros((), np.float32), np.ones((), np.float32)
+    return ModelBasedAgent(
+        AgentInterface((SHAPE,), CONTROLS, zero, one, None), Settings(**{**small, **changes}), seed=0
+    )
+
+
+def lived(agent: ModelBasedAgent, steps: int = 60, seed: int = 0) -> SequenceReplay:
+    """Return a replay with an episode at random, whose observations the agent met."""
+    random = np.random.default_rng(seed)
+    interface = AgentInterface((SHAPE,), CONTROLS, np.zeros(()), np.ones(()), None)
+    replay = agent.make_replay(interface, 1000)
+    for _ in range(steps):
+        x = random.normal(size=SHAPE).astype(np.float32)
+        agent.meet(x)
+        replay.add(x, random.uniform(-1.0, 1.0, CONTROLS).astype(np.float32), float(random.normal()), False)
+    replay.end_episode(random.normal(size=SHAPE).astype(np.float32))
+    return replay
+
+
+def weights(module: nn.Module) -> list[Tensor]:
+    return [p.detach().clone() for p in module.parameters()]
+
+
+def test_each_loss_moves_what_it_should_and_nothing_else() -> None:
+    agent = some_agent()
+    batch = agent._draw(lived(agent), np.random.default_rng(0), None)
+    encoder = agent.actor.encoder
+    parts = {
+        "features": encoder.layers[:-2],
+        "z": encoder.layers[-2:],
+        "representation": agent.representation,
+        "critic": agent.critic,
+        "lqr": agent.lqr,
+        "targets": nn.ModuleList((agent.target_actor, agent.target_representation, agent.target_critic)),
+    }
+    with torch.no_grad():
+        features = encoder.features(batch.x[:, 0])
+
+    def moved(learn: Callable[[], object]) -> set[str]:
+        before = {name: weights(part) for name, part in parts.items()}
+        learn()
+        return {
+            name
+            for name, part in parts.items()
+            if any(not torch.equal(a, b) for a, b in zip(before[name], part.parameters(), strict=True))
+        }
+
+    generator = torch.Generator().manual_seed(0)
+    assert moved(lambda: agent._learn_representation(batch)) == {"features", "representation"}
+    assert moved(lambda: agent._learn_values(batch, features, generator)) == {"critic"}
+    assert moved(lambda: agent._learn_law(batch, features)) == {"z", "lqr"}
+
+
+def test_targets_stay_as_they_are_until_they_are_renewed() -> None:
+    agent = some_agent(renewal=3)
+    replay, random, generator = lived(agent), np.random.default_rng(0), torch.Generator().manual_seed(0)
+    pairs = ((agent.target_actor, agent.actor), (agent.target_critic, agent.critic))
+    seen = []
+    for _ in range(7):
+        agent.learn(replay, random, generator, None)
+        seen.append(weights(agent.target_critic))
+    changed = [not torch.equal(a[0], b[0]) for a, b in pairwise(seen)]
+    assert changed == [False, False, True, False, False, True]
+    agent._renew_targets(replay)
+    assert all(torch.equal(a, b) for pair in pairs for a, b in zip(*map(weights, pair), strict=True))
+    assert agent.updates == 7
+    assert float(agent.reward_scale[0]) == pytest.approx(np.abs(replay.everything().reward).mean())
+
+
+def test_goals_are_rewards_of_some_steps_and_the_value_of_what_follows() -> None:
+    agent = some_agent(discount=0.9)
+    batch = agent._draw(lived(agent), np.random.default_rng(0), None)
+    goes_on = batch.goes_on.clone()
+    goes_on[0, 1] = 0.0  # the second step is an episode's last one
+    batch = batch._replace(goes_on=goes_on)
+    agent.reward_scale.copy_(torch.tensor([2.0, 0.5]))
+    with torch.no_grad():
+        goal = agent._goal(batch, torch.Generator().manual_seed(0))
+        agent.reward_scale.copy_(torch.tensor([2.0, 0.0]))
+        gained = agent._goal(batch, torch.Generator().manual_seed(0))
+    r = batch.reward
+    assert gained[0] == pytest.approx(float(r[0, 0] + 0.9 * r[0, 1]) / 2.0)
+    assert gained[1:].numpy() == pytest.approx(((r[1:, :3] @ torch.tensor([1.0, 0.9, 0.81])) / 2.0).numpy(), abs=1e-5)
+    assert goal[0] == gained[0], "nothing follows"
+    with torch.no_grad():
+        encoder, x = agent.target_actor.encoder, batch.x[:, 3]
+        u = torch.tanh(agent.target_actor.mean(encoder(x)))
+        value = agent.target_critic.values(agent.target_representation(encoder.features(x), u)).amin(dim=0)
+    error = (goal - gained)[1:] - 0.729 * 0.5 / 2.0 * value[1:]
+    assert 0.0 < error.abs().max() < 0.05, "but for the noise of the target's actions"
+
+
+def test_no_update_is_made_before_there_is_a_whole_stretch() -> None:
+    agent = some_agent()
+    replay = lived(agent, LENGTH - 1)
+    before = weights(agent)
+    agent.learn(replay, np.random.default_rng(0), torch.Generator(), None)
+    assert all(torch.equal(a, b) for a, b in zip(before, weights(agent), strict=True))
+    assert agent.updates == 0
+
+
+@pytest.mark.parametrize("policy", ["lqr", "network"])
+def test_the_deployed_policy_acts_like_the_learnt_one(policy: str) -> None:
+    agent = some_agent(policy=policy)
+    replay, random, generator = lived(agent), np.random.default_rng(0), torch.Generator().manual_seed(0)
+    for _ in range(5):
+        agent.learn(replay, random, generator, None)
+    controller, x = agent.actor.deploy(), replay.everything().x
+    with torch.no_grad():
+        expected = torch.tanh(agent.actor.mean(agent.actor.encoder(torch.from_numpy(x)))).numpy()
+    u = controller.control(controller.project(controller.encoder(x)))
+    assert controller.saturate(u) == pytest.approx(expected, abs=1e-5)
+    explored = np.array([agent.act(x[0], generator) for _ in range(2000)])
+    assert explored.std(axis=0) == pytest.approx(0.2, abs=0.03)
+    assert np.abs(explored).max() <= 1.0
+
+
+def test_the_law_learns_which_action_pays() -> None:
+    """Each episode is one step, and pays for an action near one that depends on the observation."""
+    agent = some_agent(hidden=32, renewal=50, learning_rate=3e-3)
+    random, generator = np.random.default_rng(0), torch.Generator().manual_seed(0)
+    replay = agent.make_replay(AgentInterface((SHAPE,), CONTROLS, np.zeros(()), np.ones(()), None), 4000)
+
+    def best(x: np.ndarray) -> np.ndarray:
+        return 0.6 * np.tanh(x[..., :CONTROLS])
+
+    for _ in range(1500):
+        x, u = random.normal(size=SHAPE).astype(np.float32), random.uniform(-1.0, 1.0, CONTROLS).astype(np.float32)
+        agent.meet(x)
+        replay.add(x, u, 1.0 - float(np.square(u - best(x)).sum()), True)
+        replay.end_episode(x)
+    fresh = np.random.default_rng(1).normal(size=(200, SHAPE)).astype(np.float32)
+
+    def distance() -> float:
+        controller = agent.actor.deploy()
+        u = controller.saturate(controller.control(controller.project(controller.encoder(fresh))))
+        return float(np.abs(u - best(fresh)).mean())
+
+    before = distance()
+    for _ in range(1000):
+        agent.learn(replay, random, generator, None)
+    assert distance() < 0.35 * before
+
+
+def test_pictures_and_goals_beyond_the_model_are_refused() -> None:
+    with pytest.raises(KoopmanError, match="critic must not be model_based: this task shows pictures"):
+        BENCHMARK_TASKS["cartpole_swingup_pixels"].with_settings(critic="model_based")
+    with pytest.raises(KoopmanError, match="reward_steps is 6: must be at most model_steps, 5"):
+        Settings(critic="model_based", reward_steps=6)
