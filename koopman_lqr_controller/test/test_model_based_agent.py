@@ -14,7 +14,7 @@ from koopman_lqr_controller.training.replay import SequenceReplay
 from koopman_lqr_controller.training.settings import RECIPES, Settings
 from torch import Tensor, nn
 
-SHAPE, CONTROLS, LENGTH = 3, 2, 5
+SHAPE, CONTROLS, LENGTH = 3, 2, RECIPES["model_based"]["model_steps"]
 
 
 def some_agent(**changes: object) -> ModelBasedAgent:
@@ -47,8 +47,8 @@ def test_each_loss_moves_what_it_should_and_nothing_else() -> None:
     batch = agent._draw(lived(agent), np.random.default_rng(0), None)
     encoder = agent.actor.encoder
     parts = {
-        "features": encoder.layers[:-2],
-        "z": encoder.layers[-2:],
+        "features": encoder.body,
+        "z": encoder.head,
         "representation": agent.representation,
         "critic": agent.critic,
         "lqr": agent.lqr,

@@ -28,9 +28,11 @@ RECIPES: Mapping[str, Mapping[str, int | float | str]] = {
         "scale": "seen",
         "encoder_loss": "nothing",
         "depth": 3,
+        "depth_behind": 2,
         "learning_rate": 3e-4,
         "model_weight": 0.02,
         "reward_steps": 3,
+        "model_steps": 3,
     },
 }
 """Changes of a task's settings by name. "thesis": none, Algorithm 2. "quick": critics of scaled observations, and A and
@@ -47,7 +49,7 @@ _CHOICES = {
     "bfloat16": ("nothing", "all"),
     "cost": ("Q1", "Q2", "Q3", "Q4"),
 }
-_MAY_BE_ZERO = ("crop", "noise", "model_weight")
+_MAY_BE_ZERO = ("depth_behind", "crop", "noise", "model_weight")
 _LEAST_REPLAY = 100
 _SHARES = ("discount", "critic_rate", "encoder_rate", "average_rate", "exploration")
 
@@ -61,9 +63,11 @@ class Settings:
         riccati_iterations: Number M of iterations of Algorithm 1.
         hidden: Units of each hidden layer.
         depth: Hidden layers of an encoder of vectors, convolutions of one of images.
+        depth_behind: Hidden layers between these and z, which the actor's loss trains where others have their own.
         crop: Rows and columns of an image that the encoder looks at; 0 for vectors.
         learning_rate: Learning rate of all networks.
-        model_weight: Weight of the model loss in the actor's steps; 0 where A and B have steps of their own for it.
+        model_weight: Weight of the model loss in the actor's steps; 0 where A and B have steps of their own for it, or
+            none with a "model_based" critic, whose values are in units of the mean reward.
         batch: Steps in an update.
         discount: Discount gamma of rewards.
         reward_steps: Rewards in the goal of a value, before the target critic says what follows.
@@ -103,6 +107,7 @@ class Settings:
     riccati_iterations: int = 5
     hidden: int = 256
     depth: int = 2
+    depth_behind: int = 0
     crop: int = 0
     learning_rate: float = 5e-4
     model_weight: float = 0.0

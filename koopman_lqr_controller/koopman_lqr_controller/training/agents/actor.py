@@ -50,7 +50,7 @@ class AgentInterface(NamedTuple):
             middle, unit = (scale.expand(self.shape).clone() for scale in (middle, unit))
         sizes, crop = (self.shape, settings.latent, settings.hidden, settings.depth), settings.crop or None
         halved, normalised = settings.bfloat16 == "all", settings.critic == "model_based"
-        return TorchEncoder(*sizes, middle, unit, crop, halved, normalised)
+        return TorchEncoder(*sizes, middle, unit, crop, halved, normalised, settings.depth_behind)
 
 
 class Actor(nn.Module, ABC):

@@ -1,9 +1,9 @@
 """The differentiable LQR with values and a representation after MR.Q (Fujimoto et al. 2025).
 
 A model of several steps makes the encoder's features and an embedding of features with actions; values see nothing but
-that embedding. Of the features the actor makes z by one linear layer and a norm, and its loss trains that layer, A, B,
-Q and R. So the representation learns from what happens at every step, values from a representation that keeps still
-while they follow, and the law from both.
+that embedding. Of the features the actor makes z by layers of its own, and its loss trains these, A, B, Q and R. So the
+representation learns from what happens at every step, values from a representation that keeps still while they follow,
+and the law from both.
 """
 
 from __future__ import annotations
@@ -70,15 +70,15 @@ class ModelBasedAgent(Agent):
         self.target_critic = copy.deepcopy(self.critic).requires_grad_(False)
         self.register_buffer("reward_scale", torch.tensor([1.0, 0.0]))
         self.to(self._device)
-        encoder, head = self.actor.encoder.layers[:-2], self.actor.encoder.layers[-2:]
+        encoder = self.actor.encoder
         law = [p for name, p in self.actor.named_parameters() if not name.startswith("encoder.")]
         self.optimizers = {
             "representation": self._adam(
-                chain(encoder.parameters(), self.representation.parameters()),
+                chain(encoder.body.parameters(), self.representation.parameters()),
                 _REPRESENTATION_SHARE * settings.learning_rate,
             ),
             "critic": self._adam(self.critic.parameters()),
-            "actor": self._adam(chain(head.parameters(), law)),
+            "actor": self._adam(chain(encoder.head.parameters(), law)),
         }
 
     def _make_networks(self, interface: AgentInterface) -> None:
@@ -181,5 +181,5 @@ class ModelBasedAgent(Agent):
             with torch.no_grad():
                 z_next = encoder(batch.x[:, 1])
             model_loss = self.lqr.model_loss(z.detach(), batch.u[:, 0], z_next)
-            loss = loss + weight / self.reward_scale[0] * model_loss
+            loss = loss + weight * model_loss
         self._step({"actor": loss})

@@ -30,6 +30,7 @@ class TorchEncoder(nn.Module):
         crop: Rows and columns of an image that are looked at, its middle; None for all, and for vectors.
         halved: Whether all but the last layer is computed in bfloat16 while it trains.
         normalised: Whether a vector's hidden layers have a LayerNorm before their ReLU.
+        behind: Hidden layers, of so many units too, between the features and the last linear layer.
     """
 
     middle: Tensor
@@ -46,6 +47,7 @@ class TorchEncoder(nn.Module):
         crop: int | None = None,
         halved: bool = False,
         normalised: bool = False,
+        behind: int = 0,
     ) -> None:
         super().__init__()
         if len(shape) == 3:
@@ -56,27 +58,39 @@ class TorchEncoder(nn.Module):
         body = _convolutions(shape, depth) if len(shape) == 3 else dense(shape[0], hidden, depth, normalised)
         with torch.no_grad():
             width = int(nn.Sequential(*body)(torch.zeros(1, *self.seen)).shape[1])
-        self.layers = nn.Sequential(*body, nn.Linear(width, latent), nn.LayerNorm(latent))
+        head = dense(width, hidden, behind, normalised)
+        last = nn.Linear(hidden if behind else width, latent), nn.LayerNorm(latent)
+        self.layers, self._split = nn.Sequential(*body, *head, *last), len(body)
 
     def forward(self, x: Tensor) -> Tensor:
         """Return z (N, latent) of observations (N, *shape), or of images that are cropped already."""
         return self.latent(self.features(x))
 
     def features(self, x: Tensor) -> Tensor:
-        """Return what the last linear layer gets of observations (N, *shape), or of images that are cropped already."""
+        """Return the features of observations (N, *shape), or of images that are cropped already."""
         x = self.normalise(x)
         if x.dim() == 4:  # colours last: quicker
             x = x.contiguous(memory_format=torch.channels_last)
         with self._halved():
-            y: Tensor = self.layers[:-2](x)
+            y: Tensor = self.body(x)
         return y
 
     def latent(self, features: Tensor) -> Tensor:
         """Return z (N, latent) of features."""
         with self._halved():
-            y = self.layers[-2](features)
+            y = self.head[:-1](features)
         z: Tensor = self.layers[-1](y.float())
         return z
+
+    @property
+    def body(self) -> nn.Sequential:
+        """Layers up to the features."""
+        return nn.Sequential(*list(self.layers)[: self._split])
+
+    @property
+    def head(self) -> nn.Sequential:
+        """Layers from the features on to z."""
+        return nn.Sequential(*list(self.layers)[self._split :])
 
     def _halved(self) -> torch.autocast:
         return torch.autocast(self.middle.device.type, torch.bfloat16, enabled=self.training and self._halves)
