@@ -23,7 +23,7 @@ class Agent(nn.Module, ABC):
 
     Args:
         interface: Observations and controls.
-        settings: Hyperparameters.
+        settings: Hyperparameters of networks, replay and updates.
         seed: Seed of all weights.
         device: Device of the networks.
 

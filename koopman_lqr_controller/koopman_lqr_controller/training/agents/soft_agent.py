@@ -65,7 +65,7 @@ class SoftAgent(Agent):
         critic: Values of states and actions.
         encoder_loss: The encoder's own; None for none.
         key_encoder: Momentum encoder of contrastive keys and of the target critic.
-        target: Target critic.
+        target: Slowly following copy of the critic that targets are computed from.
         log_temperature: Logarithm of the temperature alpha.
     """
 
