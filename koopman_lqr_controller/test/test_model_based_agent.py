@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,18 +11,21 @@ from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.training.agents.actor import AgentInterface
 from koopman_lqr_controller.training.agents.model_based_agent import ModelBasedAgent
 from koopman_lqr_controller.training.environments.benchmark_tasks import BENCHMARK_TASKS
-from koopman_lqr_controller.training.replay import SequenceReplay
+from koopman_lqr_controller.training.replay import Mirror, SequenceReplay
 from koopman_lqr_controller.training.settings import RECIPES, Settings
 from torch import Tensor, nn
 
 SHAPE, CONTROLS, LENGTH = 3, 2, RECIPES["model_based"]["model_steps"]
 
 
-def some_agent(**changes: object) -> ModelBasedAgent:
+GOAL = np.array([0.5, -1.0, 2.0], np.float32)
+
+
+def some_agent(goal: np.ndarray | None = None, **changes: object) -> ModelBasedAgent:
     small = {"hidden": 16, "latent": 6, "batch": 32, **RECIPES["model_based"]}
     zero, one = np.zeros((), np.float32), np.ones((), np.float32)
     return ModelBasedAgent(
-        AgentInterface((SHAPE,), CONTROLS, zero, one, None), Settings(**{**small, **changes}), seed=0
+        AgentInterface((SHAPE,), CONTROLS, zero, one, goal), Settings(**{**small, **changes}), seed=0
     )
 
 
@@ -42,8 +46,9 @@ def weights(module: nn.Module) -> list[Tensor]:
     return [p.detach().clone() for p in module.parameters()]
 
 
-def test_each_loss_moves_what_it_should_and_nothing_else() -> None:
-    agent = some_agent()
+@pytest.mark.parametrize("goal", [None, GOAL])
+def test_each_loss_moves_what_it_should_and_nothing_else(goal: np.ndarray | None) -> None:
+    agent = some_agent(goal)
     batch = agent._draw(lived(agent), np.random.default_rng(0), None)
     encoder = agent.actor.encoder
     parts = {
@@ -75,7 +80,11 @@ def test_each_loss_moves_what_it_should_and_nothing_else() -> None:
 def test_targets_stay_as_they_are_until_they_are_renewed() -> None:
     agent = some_agent(renewal=3)
     replay, random, generator = lived(agent), np.random.default_rng(0), torch.Generator().manual_seed(0)
-    pairs = ((agent.target_actor, agent.actor), (agent.target_critic, agent.critic))
+    pairs = (
+        (agent.target_actor, agent.actor),
+        (agent.target_representation, agent.representation),
+        (agent.target_critic, agent.critic),
+    )
     seen = []
     for _ in range(7):
         agent.learn(replay, random, generator, None)
@@ -109,6 +118,74 @@ def test_goals_are_rewards_of_some_steps_and_the_value_of_what_follows() -> None
         value = agent.target_critic.values(agent.target_representation(encoder.features(x), u)).amin(dim=0)
     error = (goal - gained)[1:] - 0.729 * 0.5 / 2.0 * value[1:]
     assert 0.0 < error.abs().max() < 0.05, "but for the noise of the target's actions"
+
+
+def test_an_update_trains_all_networks_follows_with_the_average_and_weighs_what_was_drawn() -> None:
+    agent = some_agent()
+    replay, generator = lived(agent), torch.Generator().manual_seed(0)
+    parts = (agent.actor.encoder.body, agent.actor.encoder.head, agent.representation, agent.critic, agent.averaged)
+    before = [weights(part) for part in parts]
+    errors = []
+    learn_values = agent._learn_values
+
+    def noted(*terms: Any) -> Tensor:
+        errors.append((terms[0].place, learn_values(*terms)))
+        return errors[-1][1]
+
+    agent._learn_values = noted  # type: ignore[method-assign]
+    agent.learn(replay, np.random.default_rng(0), generator, None)
+    for part, old in zip(parts, before, strict=True):
+        assert any(not torch.equal(a, b) for a, b in zip(old, part.parameters(), strict=True))
+    ((place, error),) = errors
+    expected = {int(at): max(float(e), 1.0) ** 0.4 for at, e in zip(place, error, strict=True)}
+    assert {at: replay._priority[at] for at in expected} == pytest.approx(expected)
+
+
+def test_all_encoders_scale_what_is_observed_alike() -> None:
+    agent = some_agent()
+    lived(agent)
+    encoders = (agent.actor.encoder, agent.averaged.encoder, agent.target_actor.encoder)
+    assert all(torch.equal(each.middle, encoders[0].middle) for each in encoders)
+    assert all(torch.equal(each.unit, encoders[0].unit) for each in encoders)
+    assert not torch.equal(encoders[0].unit, torch.ones(SHAPE))
+
+
+def test_stretches_are_mirrored_where_a_task_has_a_symmetry() -> None:
+    """Rewards are all paid for u_0; half of the stretches come with its sign changed."""
+    agent = some_agent(batch=500)
+    mirror = Mirror(np.arange(SHAPE), np.ones(SHAPE), np.array([-1.0, 1.0]))
+    replay = lived(agent)
+    plain, mirrored = (agent._draw(replay, np.random.default_rng(0), it) for it in (None, mirror))
+    changed = (plain.u[:, :, 0] == -mirrored.u[:, :, 0]).all(dim=1)
+    assert 200 < int(changed.sum()) < 300
+    assert torch.equal(plain.u[~changed], mirrored.u[~changed])
+
+
+def test_a_and_b_learn_to_predict_the_next_z() -> None:
+    agent = some_agent(model_weight=1e6)  # the value's pull at A and B is nothing beside it
+    batch, encoder, lqr = agent._draw(lived(agent), np.random.default_rng(0), None), agent.actor.encoder, agent.lqr
+    with torch.no_grad():
+        features, z_next = encoder.features(batch.x[:, 0]), encoder(batch.x[:, 1])
+    error = (z_next - encoder.latent(features).detach() @ lqr.A.T - batch.u[:, 0] @ lqr.B.T).square().sum(dim=1).mean()
+    expected = torch.autograd.grad(error, (lqr.A, lqr.B))
+    agent._learn_law(batch, features)
+    for parameter, pull in zip((lqr.A, lqr.B), expected, strict=True):
+        torch.testing.assert_close(parameter.grad / 1e6, pull, rtol=1e-3, atol=1e-4)
+
+
+def test_a_first_reward_after_none_leaves_priorities_that_others_can_reach() -> None:
+    agent = some_agent(renewal=50)
+    random, generator, x = np.random.default_rng(0), torch.Generator().manual_seed(0), np.zeros(SHAPE, np.float32)
+    replay = agent.make_replay(AgentInterface((SHAPE,), CONTROLS, np.zeros(()), np.ones(()), None), 1000)
+    for _ in range(50):
+        replay.add(x, np.zeros(CONTROLS, np.float32), 0.0, False)
+    agent.learn(replay, random, generator, None)
+    for reward in (8.0, 0.0, 0.0, 0.0):
+        replay.add(x, np.zeros(CONTROLS, np.float32), reward, False)
+    for _ in range(20):
+        agent.learn(replay, random, generator, None)
+    assert replay._largest < 1e4
+    assert len(np.unique(replay.draw_sequences(2000, random).place)) > 10
 
 
 def test_no_update_is_made_before_there_is_a_whole_stretch() -> None:
@@ -168,3 +245,5 @@ def test_pictures_and_goals_beyond_the_model_are_refused() -> None:
         BENCHMARK_TASKS["cartpole_swingup_pixels"].with_settings(critic="model_based")
     with pytest.raises(KoopmanError, match="reward_steps is 6: must be at most model_steps, 5"):
         Settings(critic="model_based", reward_steps=6)
+    with pytest.raises(KoopmanError, match="model_steps is 100: must be less than replay, 100"):
+        Settings(critic="model_based", model_steps=100, replay=100)

@@ -29,20 +29,26 @@ def test_what_comes_after_an_end_does_not_count() -> None:
     loss = model.loss(features, u, reward, later, goes_on)
     u[:, 2], reward[:, 2], later[:, 2] = 0.5, 100.0, 100.0
     torch.testing.assert_close(model.loss(features, u, reward, later, goes_on), loss)
+    goes_on[:, 2] = 0.0
+    torch.testing.assert_close(model.loss(features, u, reward, later, goes_on), loss)
     later[:, 1] += 1.0
     assert model.loss(features, u, reward, later, goes_on) > loss, "the last observation itself does"
 
 
 def test_the_loss_is_the_sum_over_steps_of_what_is_predicted_from_what_was_predicted() -> None:
     model = some_representation()
+    torch.nn.init.normal_(model.end.weight)
     features, u, reward, later, goes_on = stretch()
+    goes_on[:8, -1] = 0.0
     expected, at = torch.zeros(()), features
     for step in range(HORIZON):
-        told = model.head(model(at, u[:, step]))
+        pair = model(at, u[:, step])
+        told, end = model.head(pair), model.end(pair)[:, 0]
         at, logits = told[:, :FEATURES], told[:, FEATURES:]
         shares = two_hot(reward[:, step], model.bins)
         entropy = -(shares * torch.log_softmax(logits, dim=1)).sum(dim=1)
-        expected = expected + (at - later[:, step]).square().mean() + 0.1 * entropy.mean()
+        end_error = (end - (1.0 - goes_on[:, step])).square()
+        expected = expected + (at - later[:, step]).square().mean() + 0.1 * (entropy + end_error).mean()
     torch.testing.assert_close(model.loss(features, u, reward, later, goes_on), expected)
 
 
@@ -72,6 +78,28 @@ def test_it_learns_to_look_ahead() -> None:
         optimizer.step()
     with torch.no_grad():
         assert model.loss(*lived(1000)) < 0.2 * before
+
+
+def test_it_learns_when_an_episode_ends_and_expects_no_end_before_one_was_met() -> None:
+    """An episode ends where the first feature is beyond a bound."""
+    model = some_representation()
+    optimizer = torch.optim.Adam(model.parameters(), lr=3e-3)
+
+    def lived(seed: int) -> tuple[Tensor, Tensor, Tensor]:
+        features, u, *_ = stretch(256, seed)
+        return features, u, (features[:, 0] < 0.5).float()
+
+    features, u, goes_on = lived(1000)
+    assert torch.equal(model.end(model(features, u[:, 0])), torch.zeros(256, 1))
+    for seed in range(300):
+        began, actions, on = lived(seed)
+        optimizer.zero_grad()
+        zeros = torch.zeros(256, 1)
+        model.loss(began, actions[:, :1], zeros, began[:, None], on[:, None]).backward()
+        optimizer.step()
+    with torch.no_grad():
+        expected = model.end(model(features, u[:, 0]))[:, 0]
+    assert ((expected > 0.5) == (goes_on == 0.0)).float().mean() > 0.95
 
 
 def test_half_the_bits_give_nearly_the_same_loss() -> None:

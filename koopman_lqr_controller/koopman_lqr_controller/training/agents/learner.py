@@ -21,6 +21,12 @@ from koopman_lqr_controller.training.environments.benchmark_tasks import AnyEnvi
 from koopman_lqr_controller.training.replay import Mirror, Replay
 
 _UPDATES = "updates"
+_ENCODERS = {
+    "contrastive": " with contrastive encoder (thesis 4.2)",
+    "reconstruction": " with an autoencoder (thesis 4.3.5)",
+    "reconstruction_prediction": " with an autoencoder that predicts (thesis 4.3.5)",
+    "nothing": "",
+}
 Act = Callable[[NDArray[np.generic]], NDArray[np.float32]]
 
 
@@ -126,9 +132,8 @@ class KoopmanLearner(ReplayLearner):
         self._agent: Agent = (ModelBasedAgent if model_based else SoftAgent)(
             self.interface, problem.settings, seed, device
         )
-        self.method = "task-oriented Koopman control" + (
-            " with values after MR.Q" if model_based else " with contrastive encoder (thesis 4.2)"
-        )
+        encoder = "" if model_based else _ENCODERS[problem.settings.encoder_loss]
+        self.method = "task-oriented Koopman control" + (" with values after MR.Q" if model_based else encoder)
         self.replay = self._agent.make_replay(self.interface, min(problem.settings.replay, capacity))
         self._modules, self._optimizers = {"agent": self._agent}, self._agent.optimizers
 

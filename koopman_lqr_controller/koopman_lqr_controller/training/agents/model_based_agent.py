@@ -35,6 +35,8 @@ _TARGET_NOISE, _LARGEST_TARGET_NOISE = 0.2, 0.3
 _PRIORITY_POWER = 0.4
 _LEAST_ERROR = 1.0
 """Errors of values below this, in units of the scale of rewards, are drawn equally often."""
+_LEAST_REWARD_SCALE = 1e-8
+"""Scale of rewards that were all zero so far; goals of the first that is not must stay finite."""
 _INPUT_WEIGHT = 1e-5
 """Weight of the square of u before tanh, so that it does not run away where tanh is flat."""
 
@@ -55,7 +57,8 @@ class ModelBasedAgent(Agent):
     Attributes:
         representation: Embedding of the encoder's features with actions, and the model behind it.
         critic: Values of these embeddings, in units of `reward_scale`.
-        target_actor: Actor with its encoder as it was at the last renewal.
+        target_actor: Actor with its encoder as it was at the last renewal, but for the scale of observations, which
+            is that of now.
         target_representation: The representation then.
         target_critic: The critic then.
         reward_scale: Mean absolute reward at the last renewal, and at the one before (2,).
@@ -68,7 +71,7 @@ class ModelBasedAgent(Agent):
         self.target_actor = copy.deepcopy(self.actor).requires_grad_(False)
         self.target_representation = copy.deepcopy(self.representation).requires_grad_(False)
         self.target_critic = copy.deepcopy(self.critic).requires_grad_(False)
-        self.register_buffer("reward_scale", torch.tensor([1.0, 0.0]))
+        self.register_buffer("reward_scale", torch.zeros(2))
         self.to(self._device)
         encoder = self.actor.encoder
         law = [p for name, p in self.actor.named_parameters() if not name.startswith("encoder.")]
@@ -84,7 +87,9 @@ class ModelBasedAgent(Agent):
     def _make_networks(self, interface: AgentInterface) -> None:
         settings, halved = self.settings, self.settings.bfloat16 == "all"
         self.representation = Representation(settings.hidden, interface.controls, settings.hidden, halved)
-        self.critic = TwinCritic(settings.hidden, 0, settings.hidden, True, halved, _CRITIC_DEPTH)
+        self.critic = TwinCritic(
+            settings.hidden, 0, settings.hidden, normalised=True, halved=halved, depth=_CRITIC_DEPTH
+        )
 
     def make_replay(self, interface: AgentInterface, capacity: int) -> SequenceReplay:
         """Return an empty replay of stretches."""
@@ -132,9 +137,8 @@ class ModelBasedAgent(Agent):
         follow(self.target_actor, self.actor, 1.0)
         follow(self.target_representation, self.representation, 1.0)
         follow(self.target_critic, self.critic, 1.0)
-        scale = max(float(np.abs(replay.everything().reward).mean()), torch.finfo(torch.float32).tiny)
-        before = self.reward_scale[0] if self.updates else 0.0
-        self.reward_scale.copy_(torch.tensor([scale, float(before)]))
+        scale = max(float(np.abs(replay.everything().reward).mean()), _LEAST_REWARD_SCALE)
+        self.reward_scale.copy_(torch.tensor([scale, float(self.reward_scale[0])]))
 
     def _learn_representation(self, batch: _Batch) -> None:
         encoder, target = self.actor.encoder, self.target_actor.encoder

@@ -1,7 +1,8 @@
 """A model that is there for what it makes learnt: embeddings of states, and of states with actions.
 
-From the second, a linear layer tells the next embedding and the reward, several steps ahead (MR.Q; Fujimoto et al.
-2025). What predicts both is what values depend on, and it is learnt from every step, not only from those with rewards.
+From the second, linear layers tell the next embedding, the reward and whether the episode ends, several steps ahead
+(MR.Q; Fujimoto et al. 2025). What predicts these is what values depend on, and it is learnt from every step, not only
+from those with rewards.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ _BINS = 65
 _LARGEST = 10.0
 """Symmetric logarithm of the largest reward that can be told, about 22,000."""
 _REWARD_WEIGHT = 0.1
+_END_WEIGHT = 0.1
 _Layer: TypeAlias = tuple[Tensor, Tensor]
 
 
@@ -40,6 +42,9 @@ class Representation(nn.Module):
         self.body = nn.ModuleList((nn.Linear(features + hidden // 2, hidden), nn.Linear(hidden, hidden)))
         self.last = nn.Linear(hidden, hidden)
         self.head = nn.Linear(hidden, features + _BINS)
+        self.end = nn.utils.skip_init(nn.Linear, hidden, 1)  # no end is expected before one was met
+        for parameter in self.end.parameters():
+            nn.init.zeros_(parameter)
         self.register_buffer("bins", symmetric_bins(_LARGEST, _BINS))
 
     def forward(self, features: Tensor, u: Tensor) -> Tensor:
@@ -47,7 +52,7 @@ class Representation(nn.Module):
         return self._embedding(features.to(self._kind), u.to(self._kind), *self._layers())
 
     def loss(self, features: Tensor, u: Tensor, reward: Tensor, later: Tensor, goes_on: Tensor) -> Tensor:
-        """Return the error of the predicted embeddings and rewards, summed over H steps ahead.
+        """Return the error of the predicted embeddings, rewards and ends, summed over H steps ahead.
 
         Args:
             features: Embeddings of the states that are begun with (N, k).
@@ -56,15 +61,18 @@ class Representation(nn.Module):
             later: Embeddings of the states after each (N, H, k).
             goes_on: Whether the episode goes on after each, 0 or 1 (N, H); what comes after its end does not count.
         """
-        *layers, head = (*self._layers(), self._rounded(self.head))
+        layers, head, end = self._layers(), self._rounded(self.head), self._rounded(self.end)
         features, actions, size = features.to(self._kind), u.to(self._kind), features.shape[1]
         counts, total = torch.ones_like(goes_on[:, 0]), torch.zeros((), device=goes_on.device)
         for step in range(u.shape[1]):
-            told = linear(self._embedding(features, actions[:, step], *layers), *head)
+            pair = self._embedding(features, actions[:, step], *layers)
+            told, expected_end = linear(pair, *head), linear(pair, *end).squeeze(1).float()
             features = told[:, :size]
             embedding_error = (features.float() - later[:, step]).square().mean(dim=1)
             reward_error = cross_entropy(told[:, size:].float(), reward[:, step], self.bins)
-            total = total + (counts * (embedding_error + _REWARD_WEIGHT * reward_error)).mean()
+            end_error = (expected_end - (1.0 - goes_on[:, step])).square()
+            error = embedding_error + _REWARD_WEIGHT * reward_error + _END_WEIGHT * end_error
+            total = total + (counts * error).mean()
             counts = counts * goes_on[:, step]
         return total
 
