@@ -50,7 +50,8 @@ class AgentInterface(NamedTuple):
             middle, unit = (scale.expand(self.shape).clone() for scale in (middle, unit))
         sizes, crop = (self.shape, settings.latent, settings.hidden, settings.depth), settings.crop or None
         halved, normalised = settings.bfloat16 == "all", settings.critic == "model_based"
-        return TorchEncoder(*sizes, middle, unit, crop, halved, normalised, settings.depth_behind)
+        origin = None if self.goal is None or settings.origin == "free" else torch.from_numpy(self.goal)
+        return TorchEncoder(*sizes, middle, unit, crop, halved, normalised, settings.depth_behind, origin)
 
 
 class Actor(nn.Module, ABC):
@@ -116,8 +117,10 @@ class LqrActor(Actor):
         self.register_buffer("goal", goal)
 
     def z_ref(self) -> Tensor:
-        """Return psi(x_ref), or zeros (n,)."""
-        return self.encoder(self.goal)[0] if len(self.goal) else torch.zeros_like(self.lqr.log_Q)
+        """Return z of x_ref (n,): zeros where there is none, or where it is the origin."""
+        if len(self.goal) and self.encoder.origin is None:
+            return self.encoder(self.goal)[0]
+        return torch.zeros_like(self.lqr.log_Q)
 
     def mean(self, z: Tensor) -> Tensor:
         """Return u of the linear law (N, m), before tanh; K is what the thesis calls G."""
