@@ -97,7 +97,7 @@ class CategoricalCritic(_Twin):
         halved: Whether these are computed in bfloat16.
     """
 
-    values: Tensor
+    bins: Tensor
 
     def __init__(self, inputs: int, controls: int, hidden: int, halved: bool = False) -> None:
         sizes = [(inputs + controls, hidden), *[(hidden, hidden)] * (2 * _BLOCKS), (hidden, _BINS)]
@@ -105,16 +105,16 @@ class CategoricalCritic(_Twin):
         with torch.no_grad():
             self.weights[-1].zero_()
             self.biases[-1].zero_()
-        self.register_buffer("values", symmetric_bins(_LARGEST, _BINS))
+        self.register_buffer("bins", symmetric_bins(_LARGEST, _BINS))
 
     def forward(self, z: Tensor, u: Tensor) -> Tensor:
         """Return both values (2, N) of states (N, n) and actions (N, m)."""
-        values: Tensor = torch.softmax(self._logits(z, u), dim=-1) @ self.values
+        values: Tensor = torch.softmax(self._logits(z, u), dim=-1) @ self.bins
         return values
 
     def loss(self, z: Tensor, u: Tensor, goal: Tensor) -> Tensor:
         """Return the cross entropy of both distributions against goals (N,), summed over the two."""
-        return cross_entropy(self._logits(z, u), goal.expand(2, -1), self.values).mean(dim=1).sum()
+        return cross_entropy(self._logits(z, u), goal.expand(2, -1), self.bins).mean(dim=1).sum()
 
     def _logits(self, z: Tensor, u: Tensor) -> Tensor:
         x = self._inputs(torch.cat((z, u), dim=1))
