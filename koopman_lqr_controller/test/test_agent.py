@@ -56,20 +56,6 @@ def test_each_loss_moves_what_it_should_and_nothing_else(encoder_loss: str) -> N
     assert moved(lambda: agent._step(agent._actor_losses(agent.actor.encoder(x), x, generator))) == {"encoder", "lqr"}
 
 
-@pytest.mark.parametrize("origin", ["free", "goal"])
-def test_the_law_asks_for_nothing_at_a_goal_that_is_the_origin(origin: str) -> None:
-    agent, data = some_agent(origin=origin, bfloat16="all", model_weight=0.1, encoder_loss="nothing")
-    generator, goal = torch.Generator().manual_seed(0), np.array([0.0, 1.0, 0.0], np.float32)
-    for _ in range(20):
-        agent.update(data, generator)
-    for controller in (agent.actor.deploy(), agent.averaged.deploy()):
-        at_goal = np.abs(controller.action(goal)).max(), np.abs(controller.latent(goal)).max()
-        assert (max(at_goal) < 1e-6) == (origin == "goal"), at_goal
-    with torch.no_grad():
-        expected = torch.tanh(agent.actor.eval().mean(agent.actor.encoder(torch.from_numpy(data.x[:1]))))
-    assert agent.actor.deploy().action(data.x[0]) == pytest.approx(expected[0].numpy(), abs=1e-4)
-
-
 def test_critics_of_observations_leave_the_encoder_alone() -> None:
     agent, data = some_agent(critic_input="observation", encoder_loss="nothing", actor_every=1000)
     agent.updates = 1  # no turn of the actor's

@@ -42,18 +42,6 @@ def test_numpy_agrees_with_torch(kind: str) -> None:
     assert deployed(x).dtype == np.float64
 
 
-def test_an_observation_can_be_the_origin_of_z() -> None:
-    free, x = some_encoder("vector")
-    encoder = TorchEncoder((7,), 6, 16, 2, free.middle, free.unit, origin=torch.from_numpy(x[2]).float())
-    encoder.layers.load_state_dict(free.layers.state_dict())
-    with torch.no_grad():
-        z, expected = encoder.eval()(torch.from_numpy(x).float()), free.eval()(torch.from_numpy(x).float())
-    torch.testing.assert_close(z, expected - expected[2])
-    deployed = encoder.deploy()
-    assert deployed(x) == pytest.approx(z.numpy(), abs=2e-5)
-    assert np.abs(deployed(x[2])).max() < 1e-6
-
-
 @pytest.mark.parametrize("kind", ENCODERS)
 def test_a_description_gives_the_same_encoder_back(kind: str) -> None:
     encoder, x = some_encoder(kind)

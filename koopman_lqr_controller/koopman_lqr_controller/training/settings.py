@@ -46,7 +46,6 @@ _CHOICES = {
     "critic": ("layer_norm", "plain", "categorical", "model_based"),
     "critic_input": ("latent", "observation"),
     "scale": ("task", "seen"),
-    "origin": ("free", "goal"),
     "deviations": ("one", "each"),
     "bfloat16": ("nothing", "all"),
     "cost": ("Q1", "Q2", "Q3", "Q4"),
@@ -100,9 +99,6 @@ class Settings:
             scales it. The second leaves the encoder to the actor's loss and its own: values need not wait for z, and z
             need not tell values.
         scale: Scale of vectors that are observed: that of the "task", or the mean and deviation of those "seen" so far.
-        origin: Where z is zero: "free", as the network has it, or at the task's "goal", z = psi(x) - psi(x_ref). Then
-            the model has an equilibrium there, and the law asks for no control; x_ref must be one of the real system.
-            Of no effect where a task has no goal.
         bfloat16: "all" hidden layers are computed so while learning, or "nothing": a third quicker, if processors can.
         model_steps: Steps that the model of a "model_based" critic looks ahead.
         renewal: Updates for which its targets stay as they are.
@@ -138,7 +134,6 @@ class Settings:
     critic: str = "layer_norm"
     critic_input: str = "latent"
     scale: str = "task"
-    origin: str = "free"
     bfloat16: str = "nothing"
     model_steps: int = 5
     renewal: int = 250

@@ -50,8 +50,7 @@ class AgentInterface(NamedTuple):
             middle, unit = (scale.expand(self.shape).clone() for scale in (middle, unit))
         sizes, crop = (self.shape, settings.latent, settings.hidden, settings.depth), settings.crop or None
         halved, normalised = settings.bfloat16 == "all", settings.critic == "model_based"
-        origin = None if self.goal is None or settings.origin == "free" else torch.from_numpy(self.goal)
-        return TorchEncoder(*sizes, middle, unit, crop, halved, normalised, settings.depth_behind, origin)
+        return TorchEncoder(*sizes, middle, unit, crop, halved, normalised, settings.depth_behind)
 
 
 class Actor(nn.Module, ABC):
@@ -117,10 +116,8 @@ class LqrActor(Actor):
         self.register_buffer("goal", goal)
 
     def z_ref(self) -> Tensor:
-        """Return z of x_ref (n,): zeros where there is none, or where it is the origin."""
-        if len(self.goal) and self.encoder.origin is None:
-            return self.encoder(self.goal)[0]
-        return torch.zeros_like(self.lqr.log_Q)
+        """Return psi(x_ref), or zeros (n,)."""
+        return self.encoder(self.goal)[0] if len(self.goal) else torch.zeros_like(self.lqr.log_Q)
 
     def mean(self, z: Tensor) -> Tensor:
         """Return u of the linear law (N, m), before tanh; K is what the thesis calls G."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import replace
 
 import numpy as np
 import torch
@@ -32,12 +31,10 @@ class TorchEncoder(nn.Module):
         halved: Whether all but the last layer is computed in bfloat16 while it trains.
         normalised: Whether a vector's hidden layers have a LayerNorm before their ReLU.
         behind: Hidden layers, of so many units too, between the features and the last linear layer.
-        origin: Observation (*shape) whose z is zero, at all times; None where the network decides.
     """
 
     middle: Tensor
     unit: Tensor
-    origin: Tensor | None
 
     def __init__(
         self,
@@ -51,7 +48,6 @@ class TorchEncoder(nn.Module):
         halved: bool = False,
         normalised: bool = False,
         behind: int = 0,
-        origin: Tensor | None = None,
     ) -> None:
         super().__init__()
         if len(shape) == 3:
@@ -59,7 +55,6 @@ class TorchEncoder(nn.Module):
         self.shape, self.crop, self._halves = shape, crop, halved
         self.register_buffer("middle", middle)
         self.register_buffer("unit", unit)
-        self.register_buffer("origin", None if origin is None else origin[None])
         body = _convolutions(shape, depth) if len(shape) == 3 else dense(shape[0], hidden, depth, normalised)
         with torch.no_grad():
             width = int(nn.Sequential(*body)(torch.zeros(1, *self.seen)).shape[1])
@@ -82,10 +77,6 @@ class TorchEncoder(nn.Module):
 
     def latent(self, features: Tensor) -> Tensor:
         """Return z (N, latent) of features."""
-        z = self._latent(features)
-        return z if self.origin is None else z - self._latent(self.features(self.origin))
-
-    def _latent(self, features: Tensor) -> Tensor:
         with self._halved():
             y = self.head[:-1](features)
         z: Tensor = self.layers[-1](y.float())
@@ -119,13 +110,7 @@ class TorchEncoder(nn.Module):
         """Return the same encoder without torch."""
         layers: list[deployed.Layer] = [] if self.crop is None else [deployed.CentreCrop(self.crop)]
         layers += deploy_layers(self.layers)
-        encoder = deployed.Encoder(tuple(layers), self.shape, _array(self.middle), _array(self.unit))
-        if self.origin is None:
-            return encoder
-        last = layers[-1]
-        assert isinstance(last, deployed.LayerNorm)
-        shift = encoder(_array(self.origin[0])).astype(np.float32)
-        return replace(encoder, layers=(*layers[:-1], replace(last, bias=last.bias - shift)))
+        return deployed.Encoder(tuple(layers), self.shape, _array(self.middle), _array(self.unit))
 
 
 class RunningScale(nn.Module):
