@@ -42,9 +42,9 @@ class Representation(nn.Module):
         self.body = nn.ModuleList((nn.Linear(features + hidden // 2, hidden), nn.Linear(hidden, hidden)))
         self.last = nn.Linear(hidden, hidden)
         self.head = nn.Linear(hidden, features + _BINS)
-        self.end = nn.utils.skip_init(nn.Linear, hidden, 1)  # no end is expected before one was met
+        self.end: nn.Linear = nn.utils.skip_init(nn.Linear, hidden, 1)  # type: ignore[no-untyped-call]
         for parameter in self.end.parameters():
-            nn.init.zeros_(parameter)
+            nn.init.zeros_(parameter)  # no end is expected before one was met
         self.register_buffer("bins", symmetric_bins(_LARGEST, _BINS))
 
     def forward(self, features: Tensor, u: Tensor) -> Tensor:
