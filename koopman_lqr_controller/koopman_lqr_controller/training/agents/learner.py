@@ -132,8 +132,8 @@ class KoopmanLearner(ReplayLearner):
         self._agent: Agent = (ModelBasedAgent if model_based else SoftAgent)(
             self.interface, problem.settings, seed, device
         )
-        encoder = "" if model_based else _ENCODERS[problem.settings.encoder_loss]
-        self.method = "task-oriented Koopman control" + (" with values after MR.Q" if model_based else encoder)
+        how = " with values after MR.Q" if model_based else _ENCODERS[problem.settings.encoder_loss]
+        self.method = "task-oriented Koopman control" + how
         self.replay = self._agent.make_replay(self.interface, min(problem.settings.replay, capacity))
         self._modules, self._optimizers = {"agent": self._agent}, self._agent.optimizers
 
