@@ -104,6 +104,22 @@ def test_the_command_keeps_drives_and_goes_on(
     assert "another call is at work" in capsys.readouterr().err
 
 
+def test_drives_are_the_same_by_one_worker_and_by_two(
+    checkout: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drives = []
+    for workers in "12":
+        results = tmp_path / f"{workers}.json"
+        words = ["--worlds", "0", "300", "--controllers", "explorer", "dynamic_window", "--workers", workers]
+        assert run(monkeypatch, str(checkout), *words, "--results", str(results)) == 0
+        drives.append(json.loads(results.read_text())["figures"]["drives"])
+    assert drives[0] == drives[1]
+    assert {method: [each[0] for each in ends] for method, ends in drives[0].items()} == {
+        "explorer": [0, 300],
+        "dynamic_window": [0, 300],
+    }
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [

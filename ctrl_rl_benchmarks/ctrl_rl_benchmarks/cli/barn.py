@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -11,11 +12,11 @@ import yaml
 from ctrl_rl_core.command import CommandError, NotNegative, OptionalFileToWrite, make_command
 from tqdm import tqdm
 
-from ctrl_rl_benchmarks.barn.controllers import CONTROLLERS, FILTERED_JACKAL, JACKAL, SafetyCheck
-from ctrl_rl_benchmarks.barn.drive import drive
+from ctrl_rl_benchmarks.barn.controllers import CONTROLLERS
+from ctrl_rl_benchmarks.barn.plan import PlannedDrive, make
 from ctrl_rl_benchmarks.barn.scenarios import MOVING, STATIC, Scenario, load_scenario
 from ctrl_rl_benchmarks.barn.table import BarnTable
-from ctrl_rl_core import atomic_write, exclusive_lock
+from ctrl_rl_core import atomic_write, exclusive_lock, map_in_processes
 from sim_bridge import SimulationOptions
 
 _WORLDS = {
@@ -23,10 +24,6 @@ _WORLDS = {
     "barn": range(STATIC),
     "dynabarn": range(STATIC, STATIC + MOVING),
 }
-_SEEDS = 1000
-"""Distance between the seeds of one world."""
-_MOVERS = 2.0
-"""Speed of DynaBARN's obstacles that the filter assumes [m/s]; their key frames have up to 1.95 m/s between them."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +55,9 @@ class BarnOptions:
     seed: NotNegative = 0
     """Seed of noise and drift, which differ from world to world."""
 
+    workers: NotNegative = 0
+    """Drives at a time; 0 for one for each core."""
+
     results: OptionalFileToWrite = None
     """JSON file for the results; drives that it has are kept."""
 
@@ -82,25 +82,25 @@ def _barn(options: BarnOptions) -> int:
 def _drive(options: BarnOptions, numbers: list[int]) -> int:
     """Drive in the worlds in which no drive is kept yet, and print the table."""
     table = BarnTable(options.results, options.seed)
+    settings = SimulationOptions(engine=options.engine, odom_drift=options.drift)
     todo = [
-        (number, f"{name}{', filter' if filtered == 'on' else ''}", name, filtered)
+        PlannedDrive(options.folder, number, name, filtered == "on", options.seed, settings)
         for filtered in options.filters
         for name in options.controllers
         for number in numbers
     ]
-    left = [each for each in todo if not table.has(each[1], each[0])]
+    left = [plan for plan in todo if not table.has(plan.method, plan.world)]
     if len(left) < len(todo):
         print(f"{len(todo) - len(left)} of {len(todo)} drives are in {options.results} already")
-    settings = SimulationOptions(engine=options.engine, odom_drift=options.drift)
-    with tqdm(left, unit="drive", disable=None) as bar:
-        for number, method, name, filtered in bar:
-            scenario = load_scenario(options.folder, number)
-            check = SafetyCheck(_MOVERS if scenario.task.movers else 0.0) if filtered == "on" else None
-            controller = CONTROLLERS[name](scenario, JACKAL if check is None else FILTERED_JACKAL)
-            end = drive(scenario, controller, check, _SEEDS * options.seed + number, settings)
-            table.add(method, end)
-            bar.clear()
-            print(f"{method}, world {number}: {end.end} after {end.seconds:.1f} s, score {end.score():.3f}")
+    if left:
+        workers = min(len(left), options.workers or os.cpu_count() or 1)
+        with tqdm(total=len(left), unit="drive", disable=None) as bar:
+            for plan, end in map_in_processes(make, left, workers):
+                table.add(plan.method, end)
+                bar.clear()
+                told = f"{end.end} after {end.seconds:.1f} s, score {end.score():.3f}"
+                print(f"{plan.method}, world {plan.world}: {told}")
+                bar.update()
     print(table.text())
     return 0
 
