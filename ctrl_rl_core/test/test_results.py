@@ -52,3 +52,21 @@ def test_new_rows_stand_beside_those_of_other_methods(tmp_path: Path) -> None:
     file.write_text("{")
     with pytest.raises(ResultsError):
         with_others(file, new)
+
+
+def test_values_of_other_seeds_join_those_that_the_same_terms_made(tmp_path: Path) -> None:
+    file = tmp_path / "results.json"
+
+    def row(values: list[float], seeds: tuple[int, ...], terms: str = "a") -> Result:
+        return Result("koopman", "return", "1", values, None, seeds, terms)
+
+    write_results(file, "returns", [0, 3], [row([1.0, 4.0], (0, 3))])
+    more = with_others(file, [row([2.0, 5.0], (1, 3))], same_metric=True)
+    assert more == [row([1.0, 2.0, 5.0], (0, 1, 3))], "the new value of seed 3 replaces the old one"
+    write_results(file, "returns", [0, 1, 3], more)
+    assert with_others(file, [row([9.0], (0,), "b")], same_metric=True) == [row([9.0], (0,), "b")]
+    assert with_others(file, [row([9.0], (0,), "")], same_metric=True) == [row([9.0], (0,), "")]
+    assert with_others(file, [row([9.0], (0,))]) == [row([9.0], (0,))], "rows of methods are replaced as a whole"
+    write_results(file, "returns", [0], [row([1.0, 2.0], (0,))])
+    with pytest.raises(ResultsError, match="one a value"):
+        with_others(file, [row([9.0], (0,))], same_metric=True)

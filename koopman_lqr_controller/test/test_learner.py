@@ -261,7 +261,12 @@ def test_the_last_policy_is_kept_whatever_evaluations_say(tmp_path: Path) -> Non
     passed = {**result["curve"][0], "steps": 100_000}
     early, late = collect_last(run.problem, [{**result, "curve": [passed, last]}])
     assert (early.metric, early.values) == ("return at 100k frames", [passed["returns"]["averaged"]])
-    assert late == rows[0]
+    assert late.values == rows[0].values
+    again = {**result, "run": {**result["run"], "seed": 7}}
+    assert (again_row := collect_last(run.problem, [again])[0]).seeds == (7,)
+    assert again_row.terms == rows[0].terms, "seeds are learnt by the same terms"
+    other = {**result, "run": {**result["run"], "evaluations": 99}}
+    assert collect_last(run.problem, [other])[0].terms != rows[0].terms
 
 
 def test_a_broken_checkpoint_is_named(tmp_path: Path) -> None:

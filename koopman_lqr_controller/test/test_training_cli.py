@@ -59,6 +59,20 @@ def test_each_seed_has_a_value_a_curve_and_a_folder(tmp_path: Path) -> None:
     assert sorted(folder.name[-3:] for folder in (tmp_path / "runs").iterdir() if folder.is_dir()) == ["-s0", "-s1"]
 
 
+def test_calls_with_different_seeds_fill_one_file(tmp_path: Path) -> None:
+    file = tmp_path / "results.json"
+    short = ["--actions", "20", "--samples", "20", "--episodes", "1", "--consolidation", "0", "--keep", "last"]
+    small = ["--set", "hidden=16", "latent=6", "batch=16", "first_steps=10", "updates=1"]
+    for number, words in enumerate((["--first-seed", "2"], ["--seeds", "2"])):  # as on two machines
+        where = ["--folder", str(tmp_path / str(number)), "--results", str(file)]
+        assert train(["--task", "cartpole_swingup", *words, *short, *where, *small]) == 0
+    results = json.loads(file.read_text(encoding="utf-8"))
+    assert results["seeds"] == results["rows"][0]["seeds"] == [0, 1, 2]
+    assert len(results["rows"]) == 1
+    assert len(results["rows"][0]["values"]) == 3
+    assert next((tmp_path / "0").glob("*-s*")).name.endswith("-s2")
+
+
 def test_a_recipe_is_where_settings_begin(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     short = ["--actions", "20", "--samples", "20", "--episodes", "1", "--consolidation", "0", "--folder", str(tmp_path)]
     small = ["--set", "hidden=16", "latent=6", "batch=16", "first_steps=10", "updates=1"]

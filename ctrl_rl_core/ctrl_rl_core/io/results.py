@@ -6,12 +6,12 @@ import json
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import ConfigDict, Field, TypeAdapter
+from pydantic import ConfigDict, Field, TypeAdapter, model_validator
 
 from ctrl_rl_core.errors import CtrlRlError
 from ctrl_rl_core.io import checked_json
@@ -43,6 +43,20 @@ class Row(_Written):
     mean: float
     std: float
     thesis: float | None
+    seeds: Annotated[list[int], Field(default_factory=list, max_length=1_000_000)]
+    terms: Text = ""
+
+    @model_validator(mode="after")
+    def _check_seeds(self) -> Row:
+        """Refuse seeds that are not one a value."""
+        if self.terms and len(set(self.seeds)) != len(self.values):
+            raise ValueError("seeds: must be one a value")
+        return self
+
+    @property
+    def result(self) -> Result:
+        """Return the row as it was given."""
+        return Result(self.method, self.metric, self.unit, self.values, self.thesis, tuple(self.seeds), self.terms)
 
 
 class Experiment(_Written):
@@ -72,13 +86,36 @@ _BENCHMARKS = TypeAdapter(Annotated[list[Benchmark], Field(max_length=10_000)])
 
 @dataclass(frozen=True)
 class Result:
-    """One row: a method's figure, one value per seed, beside the thesis's where it has one."""
+    """One row: a method's figure, one value per seed, beside the thesis's where it has one.
+
+    Attributes:
+        method: Name of the method.
+        metric: Name of the figure.
+        unit: Its unit, "1" for none.
+        values: Values, one a seed.
+        thesis: The thesis's figure.
+        seeds: Seeds of the values, in their order, where rows of one file have different ones.
+        terms: Digest of all that made the values but the seed; with it, values of other seeds can join them.
+    """
 
     method: str
     metric: str
     unit: str
     values: Sequence[float]
     thesis: float | None = None
+    seeds: tuple[int, ...] = ()
+    terms: str = ""
+
+    def joined(self, other: Result) -> Result:
+        """Return the row with the values of another row's seeds that this one lacks, in the order of the seeds.
+
+        A row that has other terms, or none, adds nothing.
+        """
+        if not self.terms or other.terms != self.terms:
+            return self
+        values = dict(zip((*other.seeds, *self.seeds), (*other.values, *self.values), strict=True))
+        seeds = tuple(sorted(values))
+        return replace(self, seeds=seeds, values=[values[seed] for seed in seeds])
 
 
 def write_results(
@@ -111,6 +148,7 @@ def write_results(
                 "mean": float(np.mean(row.values)),
                 "std": float(np.std(row.values)),
                 "thesis": row.thesis,
+                **({"seeds": list(row.seeds), "terms": row.terms} if row.terms else {}),
             }
             for row in rows
         ],
@@ -127,7 +165,8 @@ def with_others(path: Path, rows: Sequence[Result], same_metric: bool = False) -
     Args:
         path: Path of the results file.
         rows: New rows; they replace all rows of their methods.
-        same_metric: Whether they replace only rows with their method and metric.
+        same_metric: Whether they replace only rows with their method and metric, and values of other seeds that were
+            made by the same terms stay in these.
 
     Raises:
         ResultsError: The file cannot be read.
@@ -137,9 +176,11 @@ def with_others(path: Path, rows: Sequence[Result], same_metric: bool = False) -
         return row.method, row.metric if same_metric else ""
 
     before = read_experiment(path) if path.exists() else None
+    old = [row.result for row in before.rows] if before else []
     new = {name(row) for row in rows}
-    kept = [row for row in (before.rows if before else []) if name(row) not in new]
-    return [*(Result(row.method, row.metric, row.unit, row.values, row.thesis) for row in kept), *rows]
+    beside = {name(row): row for row in old} if same_metric else {}
+    kept = [row for row in old if name(row) not in new]
+    return [*kept, *(row.joined(beside.get(name(row), row)) for row in rows)]
 
 
 def as_lines(rows: Sequence[Result]) -> str:

@@ -44,7 +44,9 @@ class Train(LearningOptions):
     task: str
     """Task to learn: one of those below, or a .yaml file with a corridor."""
     seeds: Positive = 1
-    """Number of seeds, counted from 0."""
+    """Number of seeds, counted from --first-seed."""
+    first_seed: NotNegative = 0
+    """First seed. Machines that learn different seeds with --keep last can fill one --results file in turn."""
     recipe: Annotated[str, one_of(tuple(RECIPES))] = "thesis"
     """Settings to begin with: the task's, after the thesis; or, where observations are vectors, "quick", which learns
     from far fewer simulated frames, and "model_based", which begins later and ends higher on the cheetah, in three
@@ -53,7 +55,8 @@ class Train(LearningOptions):
     """Learner."""
     keep: Literal["best", "last"] = "best"
     """Policy that a run ends with: the best in the evaluations after each chunk, or the last, which nothing chose.
-    With the last, --results holds returns by task and frames, beside those that the file has already."""
+    With the last, --results holds returns by task and frames, beside those that the file has already: of other tasks,
+    and of other seeds with the same settings."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,7 +92,9 @@ def _learn(options: Train) -> int:
 
     settings = ["--set", *options.set_words] if options.set else []
     words = [*settings, *given_words(options, _LEARN_WORDS)]
-    runs = options.learning_runs(problem.name, changes, words, options.consolidation, options.learner, options.keep)
+    runs = options.learning_runs(
+        problem.name, changes, words, options.consolidation, options.learner, options.keep, options.first_seed
+    )
     title = Path(problem.name).stem
     results = run_experiments(runs, options.run_options(problem), options.workers, title, options.ray)
     rows, figures = collect(problem, results)
@@ -98,11 +103,13 @@ def _learn(options: Train) -> int:
     for run, result in zip(runs, results, strict=True):
         print(f"policy     {result_file(options.folder, run).with_name(list(result['digests'])[-1])}")
     if options.results is not None:
+        seeds = [run.seed for run in runs]
         if options.keep == "last":
             rows = with_others(options.results, collect_last(problem, results), same_metric=True)
-            write_results(options.results, options.results.stem, range(options.seeds), rows)
+            seeds = sorted({*seeds, *(seed for row in rows for seed in row.seeds)})
+            write_results(options.results, options.results.stem, seeds, rows)
         else:
-            write_results(options.results, f"koopman_{title}", range(options.seeds), rows, figures)
+            write_results(options.results, f"koopman_{title}", seeds, rows, figures)
         print(f"results    {options.results}")
     return 0
 

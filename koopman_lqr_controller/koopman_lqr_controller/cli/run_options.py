@@ -74,6 +74,7 @@ class LearningOptions(ExperimentOptions):
         consolidation: int,
         learner: str = "koopman",
         keep: Literal["best", "last"] = "best",
+        first_seed: int = 0,
     ) -> list[LearningRun]:
         """Return a run for each seed; its policy says the words after `learn --task TASK` that make it again."""
         from koopman_lqr_controller.training.experiments.runs import LearningRun
@@ -81,7 +82,7 @@ class LearningOptions(ExperimentOptions):
         command = as_command("learn", "--task", task, *words)
         return [
             LearningRun(task, seed, changes, self.device, f"{command} --seeds {seed + 1}", consolidation, learner, keep)
-            for seed in range(self.seeds)
+            for seed in range(first_seed, first_seed + self.seeds)
         ]
 
     def run_options(self, task: BenchmarkTask) -> RunOptions:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import reduce
+from hashlib import sha256
 from itertools import pairwise
 from operator import getitem
 from pathlib import Path
@@ -107,7 +110,8 @@ def collect_last(problem: BenchmarkTask, results: Results) -> list[Result]:
     """Return the rows of runs that kept their last policy, by task: returns after all frames that were learnt from.
 
     Those at `FRAMES` that runs passed are of the policy as it was then, in the episodes of that evaluation.
-    Consolidation takes frames of its own, which are counted beside.
+    Consolidation takes frames of its own, which are counted beside. Rows name their seeds and terms, so that a results
+    file can join them with those of seeds that were learnt elsewhere.
     """
     last, title = results[0]["curve"][-1]["steps"], Path(problem.name).stem
     passed = [(number, at["steps"]) for number, at in enumerate(results[0]["curve"]) if at["steps"] in FRAMES]
@@ -119,7 +123,13 @@ def collect_last(problem: BenchmarkTask, results: Results) -> list[Result]:
             f"frames more, after {last / 1000:g}k", "1", lambda end: end["interaction"]["actions"] * problem.repeat
         )
         rows += _rows(f"{title}, consolidated", [result["consolidated"] for result in results], (returned, more))
-    return rows
+    seeds = tuple(result["run"]["seed"] for result in results)
+    return [replace(row, seeds=seeds, terms=_terms(results[0])) for row in rows]
+
+
+def _terms(result: Mapping[str, Any]) -> str:
+    """Return the digest of a run's terms but its seed."""
+    return sha256(json.dumps({**result["run"], "seed": None}, sort_keys=True).encode()).hexdigest()[:16]
 
 
 def _at_frames(frames: int) -> str:
