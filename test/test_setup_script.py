@@ -84,6 +84,14 @@ def test_a_python_that_does_not_serve_is_refused(workspace: Path, python: str) -
 
 
 @pytest.mark.fault
+def test_a_shell_of_another_workspace_is_not_an_installed_ros(workspace: Path, tmp_path: Path) -> None:
+    other = f"{tmp_path}/other/.venv"
+    line = refusal(set_up(workspace, ROS_DISTRO="jazzy", VIRTUAL_ENV=other, AMENT_PREFIX_PATH=f"/a:{other}"))
+    assert line.startswith(f"setup: the ROS of another workspace, {tmp_path}/other, is on this shell's paths.")
+    assert not (workspace / ".venv").exists()
+
+
+@pytest.mark.fault
 def test_missing_headers_are_said_before_anything_is_installed(workspace: Path, tmp_path: Path) -> None:
     python = tmp_path / "python"
     python.write_text(f'#!/bin/bash\n[[ $2 == *get_path* ]] && echo /nowhere && exit\nexec {sys.executable} "$@"\n')
