@@ -40,6 +40,8 @@ _ANY = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
 """Hears every publisher, and keeps what comes in bunches."""
 _STATIC = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _STEP_S = 0.1
+_ANOTHER_TIME_S = 3600.0
+"""Stamps so far from this computer's clock are taken for a simulation's, whose /clock may be heard of last."""
 
 
 class Listener(Node):
@@ -69,10 +71,16 @@ class Listener(Node):
             self.create_subscription(TFMessage, "/tf_static", lambda message: self._on_frames(message, True), _STATIC)
 
     def wait(self, executor: Executor, patience: float) -> None:
-        """Return once scan and odometry have come, or after some time [s]."""
+        """Return once scan, odometry and the clock that they are stamped by have come, or after some time [s]."""
         deadline = time.monotonic() + patience
-        while time.monotonic() < deadline and not (self.heard.scans and self.heard.odometry):
+        while time.monotonic() < deadline and not self._can_listen():
             executor.spin_once(timeout_sec=_STEP_S)
+
+    def _can_listen(self) -> bool:
+        heard = self.heard
+        if not (heard.scans and heard.odometry):
+            return False
+        return heard.simulated or abs(heard.scans[-1].times.age) < _ANOTHER_TIME_S
 
     def listen(self, executor: Executor, duration: float, progress: Callable[[float], None]) -> Recording:
         """Record for some time [s], tell the time that has passed [s] now and then, and return the recording."""
