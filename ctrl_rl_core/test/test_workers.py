@@ -46,6 +46,11 @@ def test_what_a_worker_raises_is_raised_here():
         list(map_in_processes(refuse, [3], 1))
 
 
+def test_without_a_number_there_is_a_worker_for_each_core_and_without_items_none():
+    assert sorted(map_in_processes(add, range(5), 0, prepare, (100,))) == [100, 101, 102, 103, 104]
+    assert list(map_in_processes(die, [])) == []
+
+
 def test_a_killed_worker_is_told_in_words():
     with pytest.raises(WorkersError, match="run the same command again"):
         list(map_in_processes(die, [1], 1))

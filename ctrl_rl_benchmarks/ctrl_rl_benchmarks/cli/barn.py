@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -92,15 +91,12 @@ def _drive(options: BarnOptions, numbers: list[int]) -> int:
     left = [plan for plan in todo if not table.has(plan.method, plan.world)]
     if len(left) < len(todo):
         print(f"{len(todo) - len(left)} of {len(todo)} drives are in {options.results} already")
-    if left:
-        workers = min(len(left), options.workers or os.cpu_count() or 1)
-        with tqdm(total=len(left), unit="drive", disable=None) as bar:
-            for plan, end in map_in_processes(make, left, workers):
-                table.add(plan.method, end)
-                bar.clear()
-                told = f"{end.end} after {end.seconds:.1f} s, score {end.score():.3f}"
-                print(f"{plan.method}, world {plan.world}: {told}")
-                bar.update()
+    with tqdm(total=len(left), unit="drive", disable=None) as bar:
+        for plan, end in map_in_processes(make, left, options.workers):
+            table.add(plan.method, end)
+            bar.clear()
+            print(f"{plan.method}, world {plan.world}: {end.end} after {end.seconds:.1f} s, score {end.score():.3f}")
+            bar.update()
     print(table.text())
     return 0
 

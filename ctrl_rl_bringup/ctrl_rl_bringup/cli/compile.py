@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -30,7 +29,7 @@ def compile_kernels() -> int:
 
 
 def _compile() -> int:
-    for name in map_in_processes(_call, list(KERNELS), min(len(KERNELS), os.cpu_count() or 1)):
+    for name in map_in_processes(_call, list(KERNELS)):
         print(f"compiled   {name}")
     return 0
 

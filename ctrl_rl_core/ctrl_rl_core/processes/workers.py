@@ -32,7 +32,7 @@ class WorkersError(CtrlRlError):
 def map_in_processes(
     work: Callable[[Item], Answer],
     items: Sequence[Item],
-    workers: int,
+    workers: int = 0,
     prepare: Callable[..., None] | None = None,
     terms: tuple[Any, ...] = (),
     tick: Callable[[], None] | None = None,
@@ -42,7 +42,7 @@ def map_in_processes(
     Args:
         work: Function of one item; importable by name, called in a worker.
         items: Arguments of `work`, begun in this order.
-        workers: Number of processes.
+        workers: Number of processes; 0 for one for each core. There are no more than items.
         prepare: Function that runs once in each worker before the first item; importable by name.
         terms: Arguments of `prepare`.
         tick: Function that is called in this process about once a second, e.g. to show progress.
@@ -52,6 +52,7 @@ def map_in_processes(
         Exception: Any error of `work`; items that have not begun are dropped.
     """
     _preload(work, *items[:1])
+    workers = max(1, min(len(items), workers or os.cpu_count() or 1))
     with ProcessPoolExecutor(workers, CONTEXT, _begin, (prepare, terms)) as pool:
         with _deaf_to_interrupts():
             waiting: set[Future[Answer]] = {pool.submit(work, item) for item in items}

@@ -5,7 +5,6 @@ results = run_experiments(runs, RunOptions(Path("runs/mine"), 10, 10240))
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
@@ -53,7 +52,7 @@ def run_experiments(
             with tqdm(total=len(todo) * options.iterations, desc=title, unit="iteration", mininterval=5.0) as bar:
                 show = _Progress(bar)
                 if ray is None:
-                    _in_processes(todo, options, min(len(todo), workers or os.cpu_count() or 1), show)
+                    _in_processes(todo, options, workers, show)
                 else:
                     work = partial(_train_there, options=options)
                     for _ in map_in_ray(ray, work, todo, options.folder, lambda run: run.name, workers, show):

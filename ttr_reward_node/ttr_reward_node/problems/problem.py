@@ -11,7 +11,6 @@ failed.
 from __future__ import annotations
 
 import hashlib
-import json
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -22,6 +21,7 @@ from typing import Any
 
 import numpy as np
 from ctrl_rl_core.geometry.units import parse_interval
+from ctrl_rl_core.io import checked_json
 from ctrl_rl_core.tasks.schema.system import STATE_UNITS
 from ctrl_rl_core.tasks.schema.world import CorridorSpec
 from numpy.typing import NDArray
@@ -169,7 +169,7 @@ class TimeToReachProblem:
         if self.clearance is not None:  # without one the digest is that of earlier versions
             values = np.ascontiguousarray(self.clearance.values, dtype="<f4")
             content["clearance"] = [list(self.clearance.axes), hashlib.sha256(values.tobytes()).hexdigest()]
-        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+        return checked_json.digest(content)
 
 
 def problem_from_task(

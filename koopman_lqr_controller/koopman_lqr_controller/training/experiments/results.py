@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import reduce
-from hashlib import sha256
 from itertools import pairwise
 from operator import getitem
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from ctrl_rl_core.io import checked_json
 from ctrl_rl_training.experiments.results import Metric, collect_rows, metric
 
 from ctrl_rl_core import Result
@@ -129,7 +128,7 @@ def collect_last(problem: BenchmarkTask, results: Results) -> list[Result]:
 
 def _terms(result: Mapping[str, Any]) -> str:
     """Return the digest of a run's terms but its seed."""
-    return sha256(json.dumps({**result["run"], "seed": None}, sort_keys=True).encode()).hexdigest()[:16]
+    return checked_json.digest({**result["run"], "seed": None})[:16]
 
 
 def _at_frames(frames: int) -> str:
