@@ -1,10 +1,11 @@
 """Results as files and as a page."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from ctrl_rl_core.io.results import as_markdown, with_others
+from ctrl_rl_core.io.results import Origin, as_markdown, with_others
 
 from ctrl_rl_core import Result, ResultsError, read_benchmarks, read_results, write_results
 
@@ -45,10 +46,10 @@ def test_new_rows_stand_beside_those_of_other_methods(tmp_path: Path) -> None:
     file = tmp_path / "results.json"
     old = [Result("a", "time", "s", [1.0], 2.0), Result("a", "success", "1", [0.5]), Result("b", "time", "s", [3.0])]
     new = [Result("a", "time", "s", [4.0])]
-    assert with_others(file, new) == new
+    assert _figures(with_others(file, new)) == new
     write_results(file, "these", [0], old)
-    assert with_others(file, new) == [old[2], *new]
-    assert with_others(file, new, same_metric=True) == [*old[1:], *new]
+    assert _figures(with_others(file, new)) == [old[2], *new]
+    assert _figures(with_others(file, new, same_metric=True)) == [*old[1:], *new]
     file.write_text("{")
     with pytest.raises(ResultsError):
         with_others(file, new)
@@ -62,11 +63,52 @@ def test_values_of_other_seeds_join_those_that_the_same_terms_made(tmp_path: Pat
 
     write_results(file, "returns", [0, 3], [row([1.0, 4.0], (0, 3))])
     more = with_others(file, [row([2.0, 5.0], (1, 3))], same_metric=True)
-    assert more == [row([1.0, 2.0, 5.0], (0, 1, 3))], "the new value of seed 3 replaces the old one"
+    assert _figures(more) == [row([1.0, 2.0, 5.0], (0, 1, 3))], "the new value of seed 3 replaces the old one"
     write_results(file, "returns", [0, 1, 3], more)
-    assert with_others(file, [row([9.0], (0,), "b")], same_metric=True) == [row([9.0], (0,), "b")]
-    assert with_others(file, [row([9.0], (0,), "")], same_metric=True) == [row([9.0], (0,), "")]
-    assert with_others(file, [row([9.0], (0,))]) == [row([9.0], (0,))], "rows of methods are replaced as a whole"
+    for terms in ("b", ""):
+        alone = [row([9.0], (0,), terms)]
+        assert _figures(with_others(file, alone, same_metric=True)) == alone
+    alone = [row([9.0], (0,))]
+    assert _figures(with_others(file, alone)) == alone, "rows of methods are replaced as a whole"
     write_results(file, "returns", [0], [row([1.0, 2.0], (0,))])
     with pytest.raises(ResultsError, match="one a value"):
         with_others(file, [row([9.0], (0,))], same_metric=True)
+
+
+def _figures(rows: list[Result]) -> list[Result]:
+    """Return rows without the command that the tests run by."""
+    return [replace(row, origins=()) for row in rows]
+
+
+def test_each_row_keeps_the_command_and_commit_that_measured_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "returns.json"
+
+    def run(command: str, rows: list[Result]) -> None:
+        monkeypatch.setattr("sys.argv", ["bin/train", command])
+        write_results(file, "returns", [0, 1], with_others(file, rows, same_metric=True))
+
+    def row(method: str, values: list[float], seeds: tuple[int, ...]) -> Result:
+        return Result(method, "return", "1", values, None, seeds, "a")
+
+    run("first", [row("cart", [1.0], (0,)), row("pole", [2.0, 3.0], (0, 1))])
+    run("second", [row("cart", [4.0], (1,))])
+    run("second", [row("cart", [5.0], (1,))])
+    run("third", [row("pole", [6.0, 7.0], (0, 1))])
+    (experiment,) = read_results(tmp_path)
+    origins = {row.method: row.origins for row in experiment.rows}
+    commit = experiment.commit
+    assert [each.command for each in origins["cart"]] == ["train first", "train second"]
+    assert origins["pole"] == [Origin(command="train third", commit=commit)]
+    page = as_markdown([experiment])
+    assert f"    train second\n\nCommit {commit}: cart.\n" in page
+    assert f"    train third\n\nCommit {commit}: pole.\n" in page
+    assert "2 rows, 2 seeds, mean and standard deviation over them." in page
+
+
+def test_rows_whose_command_is_not_known_are_called_older(tmp_path: Path) -> None:
+    file = tmp_path / "returns.json"
+    write_results(file, "returns", [0], [Result("cart", "return", "1", [1.0])])
+    write_results(file, "returns", [0], with_others(file, [Result("pole", "return", "1", [2.0])]))
+    assert "2 rows; the other rows are older." in as_markdown(read_results(tmp_path))

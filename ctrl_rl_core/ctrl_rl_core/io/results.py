@@ -33,6 +33,13 @@ class _Written(Schema):
     model_config = ConfigDict(allow_inf_nan=True)
 
 
+class Origin(_Written):
+    """The command that measured a row, and the commit that it ran on."""
+
+    command: Text
+    commit: Text
+
+
 class Row(_Written):
     """One row as it is written."""
 
@@ -45,6 +52,7 @@ class Row(_Written):
     thesis: float | None
     seeds: Annotated[list[int], Field(default_factory=list, max_length=1_000_000)]
     terms: Text = ""
+    origins: Annotated[list[Origin], Field(default_factory=list, max_length=1_000)]
 
     @model_validator(mode="after")
     def _check_seeds(self) -> Row:
@@ -56,7 +64,16 @@ class Row(_Written):
     @property
     def result(self) -> Result:
         """Return the row as it was given."""
-        return Result(self.method, self.metric, self.unit, self.values, self.thesis, tuple(self.seeds), self.terms)
+        return Result(
+            self.method,
+            self.metric,
+            self.unit,
+            self.values,
+            self.thesis,
+            tuple(self.seeds),
+            self.terms,
+            tuple(self.origins),
+        )
 
 
 class Experiment(_Written):
@@ -96,6 +113,7 @@ class Result:
         thesis: The thesis's figure.
         seeds: Seeds of the values, in their order, where rows of one file have different ones.
         terms: Digest of all that made the values but the seed; with it, values of other seeds can join them.
+        origins: Commands that measured the values, where rows of one file come from different ones.
     """
 
     method: str
@@ -105,17 +123,19 @@ class Result:
     thesis: float | None = None
     seeds: tuple[int, ...] = ()
     terms: str = ""
+    origins: tuple[Origin, ...] = ()
 
     def joined(self, other: Result) -> Result:
         """Return the row with the values of another row's seeds that this one lacks, in the order of the seeds.
 
         A row that has other terms, or none, adds nothing.
         """
-        if not self.terms or other.terms != self.terms:
+        if not self.terms or other.terms != self.terms or set(other.seeds) <= set(self.seeds):
             return self
         values = dict(zip((*other.seeds, *self.seeds), (*other.values, *self.values), strict=True))
         seeds = tuple(sorted(values))
-        return replace(self, seeds=seeds, values=[values[seed] for seed in seeds])
+        origins = tuple(dict.fromkeys((*other.origins, *self.origins)))
+        return replace(self, seeds=seeds, values=[values[seed] for seed in seeds], origins=origins)
 
 
 def write_results(
@@ -134,10 +154,11 @@ def write_results(
         rows: Rows of the results table.
         figures: Data of its plots, as JSON.
     """
+    origin = _origin()
     content: dict[str, Any] = {
         "experiment": experiment,
-        "command": " ".join([Path(sys.argv[0]).name, *sys.argv[1:]]),
-        "commit": _commit(),
+        "command": origin.command,
+        "commit": origin.commit,
         "seeds": list(seeds),
         "rows": [
             {
@@ -149,6 +170,7 @@ def write_results(
                 "std": float(np.std(row.values)),
                 "thesis": row.thesis,
                 **({"seeds": list(row.seeds), "terms": row.terms} if row.terms else {}),
+                **({"origins": [each.model_dump() for each in row.origins]} if row.origins else {}),
             }
             for row in rows
         ],
@@ -160,7 +182,9 @@ def write_results(
 
 
 def with_others(path: Path, rows: Sequence[Result], same_metric: bool = False) -> list[Result]:
-    """Return rows after those of a results file that they do not replace; the file need not be there.
+    """Return rows after those of a results file that they do not replace, each with its origin.
+
+    The file need not be there.
 
     Args:
         path: Path of the results file.
@@ -177,10 +201,12 @@ def with_others(path: Path, rows: Sequence[Result], same_metric: bool = False) -
 
     before = read_experiment(path) if path.exists() else None
     old = [row.result for row in before.rows] if before else []
-    new = {name(row) for row in rows}
+    origin = _origin()
+    new = [replace(row, origins=(origin,)) for row in rows]
+    replaced = {name(row) for row in new}
     beside = {name(row): row for row in old} if same_metric else {}
-    kept = [row for row in old if name(row) not in new]
-    return [*kept, *(row.joined(beside.get(name(row), row)) for row in rows)]
+    kept = [row for row in old if name(row) not in replaced]
+    return [*kept, *(row.joined(beside.get(name(row), row)) for row in new)]
 
 
 def as_lines(rows: Sequence[Result]) -> str:
@@ -229,8 +255,7 @@ def as_markdown(experiments: Sequence[Experiment], benchmarks: Sequence[Benchmar
     """Return experiments and benchmarks as a page of tables, each figure beside the thesis's or a peer's."""
     lines = ["# Results", "", "Made from the JSON files in `docs/results/` by `make results`; do not edit."]
     for experiment in experiments:
-        lines += ["", f"## {experiment.experiment}", "", f"    {experiment.command}", ""]
-        lines += [_remark(experiment), "", *_table(experiment.rows)]
+        lines += ["", f"## {experiment.experiment}", "", *_head(experiment), "", *_table(experiment.rows)]
     if benchmarks:
         lines += ["", "## Benchmarks", "", "    make bench", "", "Each figure and its peer were measured in one run."]
         lines += ["", "| what | ours | against | ratio |", "|---|---|---|---|"]
@@ -240,16 +265,36 @@ def as_markdown(experiments: Sequence[Experiment], benchmarks: Sequence[Benchmar
     return "\n".join(lines) + "\n"
 
 
-def _remark(experiment: Experiment) -> str:
-    remark = f"Commit {experiment.commit}"
-    seeds = len(experiment.seeds)
-    if seeds > 1:
-        remark += f", {seeds} seeds, mean and standard deviation over them"
+def _head(experiment: Experiment) -> list[str]:
+    """Return the commands that measured an experiment's rows, and how its figures are written."""
+    methods: dict[Origin, dict[str, None]] = {}
+    for row in experiment.rows:
+        for origin in row.origins:
+            methods.setdefault(origin, {})[row.method] = None
+    if not methods:
+        return [f"    {experiment.command}", "", f"Commit {experiment.commit}{_notation(experiment)}."]
+    lines: list[str] = []
+    for origin, measured in methods.items():
+        lines += [f"    {origin.command}", "", f"Commit {origin.commit}: {'; '.join(measured)}.", ""]
+    older = "" if all(row.origins for row in experiment.rows) else "; the other rows are older"
+    return [*lines, f"{len(experiment.rows)} rows{_notation(experiment)}{older}."]
+
+
+def _notation(experiment: Experiment) -> str:
+    """Return how many seeds stand behind the figures, and what is written beside a mean."""
+    remark = ""
+    if len(experiment.seeds) > 1:
+        counts: dict[str, int] = {}
+        for row in experiment.rows:
+            counts[row.method] = max(counts.get(row.method, 0), len(row.values))
+        most = max(counts.values(), default=0)
+        up_to = "" if len(set(counts.values())) <= 1 else "up to "
+        remark += f", {up_to}{most} seeds, mean and standard deviation over them"
     elif any(len(row.values) > 1 for row in experiment.rows):
         remark += ", mean and standard deviation"
     if any(row.thesis is not None for row in experiment.rows):
         remark += "; in brackets the thesis's"
-    return f"{remark}."
+    return remark
 
 
 def _table(rows: Sequence[Row]) -> list[str]:
@@ -274,6 +319,11 @@ def _dump(content: Mapping[str, Any]) -> str:
     figures = content.get("figures")
     text = json.dumps({key: value for key, value in content.items() if key != "figures"}, indent=1)
     return f"{text}\n" if figures is None else f'{text[:-2]},\n "figures": {json.dumps(figures)}\n}}\n'
+
+
+def _origin() -> Origin:
+    """Return the running command, and the commit of the working folder."""
+    return Origin(command=" ".join([Path(sys.argv[0]).name, *sys.argv[1:]]), commit=_commit())
 
 
 def _commit() -> str:
