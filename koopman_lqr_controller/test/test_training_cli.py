@@ -8,6 +8,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
+from koopman_lqr_controller.cli.compare import plot
 from koopman_lqr_controller.cli.learn import consolidate, learn, train
 from koopman_lqr_controller.policies.latent_policy import LatentPolicy
 from koopman_lqr_controller.policies.policy_file import find_policy, load_policy
@@ -26,7 +27,7 @@ def learnt(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_a_run_leaves_policies_and_results(learnt: Path) -> None:
+def test_a_run_leaves_policies_and_results(learnt: Path, tmp_path: Path) -> None:
     results = json.loads((learnt / "results.json").read_text(encoding="utf-8"))
     assert results["experiment"] == "koopman_cartpole_swingup"
     rows = {(row["method"], row["metric"]): row for row in results["rows"]}
@@ -36,6 +37,8 @@ def test_a_run_leaves_policies_and_results(learnt: Path) -> None:
     assert max(rows[consolidated, "spectral radius of A - B K"]["values"]) < 1.0
     assert max(rows[consolidated, "Riccati residual"]["values"]) < 1e-8
     assert [len(curve) for curve in results["figures"]["curves"]["steps"]] == [2]
+    assert plot([str(learnt / "results.json"), "--output", str(tmp_path)]) == 0
+    assert (tmp_path / "results.png").stat().st_size > 10_000
     folders = sorted(folder for folder in learnt.iterdir() if folder.is_dir())
     assert len(folders) == 1
     for folder in folders:
@@ -70,6 +73,12 @@ def test_calls_with_different_seeds_fill_one_file(tmp_path: Path) -> None:
     assert results["seeds"] == results["rows"][0]["seeds"] == [0, 1, 2]
     assert len(results["rows"]) == 1
     assert len(results["rows"][0]["values"]) == 3
+    curves = results["figures"]["last_policies"]["cartpole_swingup"]
+    assert curves["seeds"] == [0, 1, 2]
+    assert curves["curve"]["samples"] == [160.0], "20 actions of eight frames"
+    assert [len(values) for values in curves["curve"]["values"]] == [1, 1, 1]
+    assert plot([str(file), "--output", str(tmp_path)]) == 0
+    assert (tmp_path / "results.png").stat().st_size > 10_000
     assert next((tmp_path / "0").glob("*-s*")).name.endswith("-s2")
 
 

@@ -153,6 +153,8 @@ def read_figures(file: Path, kind: type[Figures]) -> dict[str, Any]:
         content = read_json(file)
         figures = content.get("figures") if isinstance(content, dict) else None
         if not isinstance(figures, dict):
+            if isinstance(content, dict) and "rows" in content:
+                raise FileError("holds a table without curves: there is nothing to draw")
             raise FileError(f"{other}: give one of those")
         lacking = [name for name, field in kind.model_fields.items() if field.is_required() and name not in figures]
         if lacking:

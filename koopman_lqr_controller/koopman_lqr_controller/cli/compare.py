@@ -59,7 +59,7 @@ class Plot:
     """Draw the curves of learning (thesis Fig. 4.3, 4.8, 4.9) from results that `compare` wrote."""
 
     results: Annotated[tuple[Path, ...], tyro.conf.Positional]
-    """JSON files of `compare`."""
+    """JSON files of `compare` or `train`."""
     output: FolderToWrite = Path("docs/images")
     """Folder of the pictures."""
 
@@ -120,18 +120,12 @@ def _compare_on(task: str, name: str, methods: Sequence[str], changes: Changes, 
 
 
 def _draw(options: Plot) -> int:
-    from ctrl_rl_training.experiments.results import read_figures
-
-    from koopman_lqr_controller.training.experiments.plots import (  # matplotlib is not for robots
-        Comparison,
-        draw_comparison,
-    )
+    from koopman_lqr_controller.training.experiments.plots import draw  # matplotlib is not for robots
 
     options.output.mkdir(parents=True, exist_ok=True)
     for file in options.results:
-        figures = read_figures(file, Comparison)
         picture = options.output / f"{file.stem}.png"
-        draw_comparison(figures, picture)
+        draw(file, picture)
         print(f"picture    {picture}")
     return 0
 

@@ -88,6 +88,7 @@ def _learn(options: Train) -> int:
     from ctrl_rl_training.experiments.matrix import run_experiments
     from ctrl_rl_training.experiments.run_folder import result_file
 
+    from koopman_lqr_controller.training.experiments.last_curves import collect_curves
     from koopman_lqr_controller.training.experiments.results import collect, collect_last
 
     settings = ["--set", *options.set_words] if options.set else []
@@ -105,9 +106,11 @@ def _learn(options: Train) -> int:
     if options.results is not None:
         seeds = [run.seed for run in runs]
         if options.keep == "last":
-            rows = with_others(options.results, collect_last(problem, results), same_metric=True)
+            last = collect_last(problem, results)
+            figures = collect_curves(title, last[0].terms, results, options.results)
+            rows = with_others(options.results, last, same_metric=True)
             seeds = sorted({*seeds, *(seed for row in rows for seed in row.seeds)})
-            write_results(options.results, options.results.stem, seeds, rows)
+            write_results(options.results, options.results.stem, seeds, rows, figures)
         else:
             write_results(options.results, f"koopman_{title}", seeds, rows, figures)
         print(f"results    {options.results}")

@@ -18,6 +18,7 @@ from ctrl_rl_training.experiments.results import Metric, collect_rows, metric
 from ctrl_rl_core import Result
 from koopman_lqr_controller.training.environments.benchmark_tasks import BenchmarkTask
 from koopman_lqr_controller.training.experiments.comparisons import COMPARISONS, LEVELS, REFERENCE
+from koopman_lqr_controller.training.experiments.last_curves import kept_return
 from koopman_lqr_controller.training.experiments.methods import METHODS
 
 Results = Sequence[Mapping[str, Any]]
@@ -114,7 +115,7 @@ def collect_last(problem: BenchmarkTask, results: Results) -> list[Result]:
     """
     last, title = results[0]["curve"][-1]["steps"], Path(problem.name).stem
     passed = [(number, at["steps"]) for number, at in enumerate(results[0]["curve"]) if at["steps"] in FRAMES]
-    then = [metric(_at_frames(frames), "1", _returned(number)) for number, frames in passed if frames != last]
+    then = [metric(_at_frames(frames), "1", _kept_after(number)) for number, frames in passed if frames != last]
     returned = metric(_at_frames(last), "1", _mean_return)
     rows = _rows(title, results, (*then, returned))
     if all(result["consolidated"] for result in results):
@@ -131,13 +132,13 @@ def _terms(result: Mapping[str, Any]) -> str:
     return checked_json.digest({**result["run"], "seed": None})[:16]
 
 
+def _kept_after(number: int) -> Callable[[Mapping[str, Any]], float]:
+    """Return what looks up the return of the policy that would be kept after so many chunks."""
+    return lambda result: kept_return(result["curve"][number])
+
+
 def _at_frames(frames: int) -> str:
     return f"return at {frames / 1000:g}k frames"
-
-
-def _returned(number: int) -> Callable[[Mapping[str, Any]], float]:
-    """Return what looks up the return of the first candidate after so many chunks."""
-    return lambda result: float(next(iter(result["curve"][number]["returns"].values())))
 
 
 def collect_comparison(name: str, task: str, results: Mapping[str, Results]) -> tuple[list[Result], dict[str, Any]]:
