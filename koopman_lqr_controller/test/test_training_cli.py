@@ -82,6 +82,17 @@ def test_calls_with_different_seeds_fill_one_file(tmp_path: Path) -> None:
     assert next((tmp_path / "0").glob("*-s*")).name.endswith("-s2")
 
 
+def test_a_results_file_with_other_curves_is_refused_before_learning(
+    learnt: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    other = ["--results", str(learnt / "results.json"), "--folder", str(tmp_path / "runs")]
+    before = (learnt / "results.json").read_bytes()
+    assert train(["--task", "cartpole_swingup", "--keep", "last", *other, *TINY]) == 1
+    assert "results.json: holds other curves than those of `train --keep last`: name another" in capsys.readouterr().err
+    assert (learnt / "results.json").read_bytes() == before
+    assert not (tmp_path / "runs").exists()
+
+
 def test_a_recipe_is_where_settings_begin(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     short = ["--actions", "20", "--samples", "20", "--episodes", "1", "--consolidation", "0", "--folder", str(tmp_path)]
     small = ["--set", "hidden=16", "latent=6", "batch=16", "first_steps=10", "updates=1"]

@@ -88,9 +88,11 @@ def _learn(options: Train) -> int:
     from ctrl_rl_training.experiments.matrix import run_experiments
     from ctrl_rl_training.experiments.run_folder import result_file
 
-    from koopman_lqr_controller.training.experiments.last_curves import collect_curves
+    from koopman_lqr_controller.training.experiments.last_curves import collect_curves, read_curves
     from koopman_lqr_controller.training.experiments.results import collect, collect_last
 
+    if options.results is not None and options.keep == "last":
+        read_curves(options.results)  # refuses a file that nothing can be added to before hours are spent
     settings = ["--set", *options.set_words] if options.set else []
     words = [*settings, *given_words(options, _LEARN_WORDS)]
     runs = options.learning_runs(
@@ -107,10 +109,10 @@ def _learn(options: Train) -> int:
         seeds = [run.seed for run in runs]
         if options.keep == "last":
             last = collect_last(problem, results)
-            figures = collect_curves(title, last[0].terms, results, options.results)
+            last_curves = collect_curves(title, last[0].terms, results, options.results)
             rows = with_others(options.results, last, same_metric=True)
             seeds = sorted({*seeds, *(seed for row in rows for seed in row.seeds)})
-            write_results(options.results, options.results.stem, seeds, rows, figures)
+            write_results(options.results, options.results.stem, seeds, rows, last_curves)
         else:
             write_results(options.results, f"koopman_{title}", seeds, rows, figures)
         print(f"results    {options.results}")

@@ -12,6 +12,8 @@ from ctrl_rl_training.experiments.figure_data import Figures, ValueCurve
 from ctrl_rl_training.experiments.results import read_figures
 from pydantic import Field, model_validator
 
+from koopman_lqr_controller.errors import KoopmanError
+
 PUBLISHED: Mapping[str, Mapping[str, Mapping[int, float]]] = {
     "cheetah_run": {
         "MR.Q": {100_000: 648, 350_000: 881},
@@ -45,8 +47,25 @@ class LastPolicies(Figures):
     last_policies: Annotated[dict[Name, SeedCurves], Field(min_length=1, max_length=100)]
 
 
-def collect_curves(method: str, terms: str, results: Sequence[Mapping[str, Any]], file: Path) -> dict[str, Any]:
-    """Return the figures' data of a results file with the curves of new seeds.
+def read_curves(file: Path) -> dict[str, Any]:
+    """Return the curves of a results file by method; none where there is no file, or one without curves.
+
+    Raises:
+        ResultsError: The file cannot be read.
+        KoopmanError: It holds other curves.
+    """
+    before = read_experiment(file) if file.exists() else None
+    if before is None or before.figures is None:
+        return {}
+    if "last_policies" not in before.figures:
+        raise KoopmanError(f"{file}: holds other curves than those of `train --keep last`: name another file")
+    return dict(read_figures(file, LastPolicies)["last_policies"])
+
+
+def collect_curves(method: str, terms: str, results: Sequence[Mapping[str, Any]], file: Path) -> dict[str, Any] | None:
+    """Return the figures' data of a results file with the curves of new seeds; None where there is no curve.
+
+    Seeds that were evaluated after different frames, as with a budget of episodes, have no curve in common.
 
     Args:
         method: Name of the curves.
@@ -57,18 +76,19 @@ def collect_curves(method: str, terms: str, results: Sequence[Mapping[str, Any]]
 
     Raises:
         ResultsError: The file cannot be read.
+        KoopmanError: It holds other curves.
     """
-    before = read_experiment(file) if file.exists() else None
-    curves: dict[str, Any] = read_figures(file, LastPolicies)["last_policies"] if before and before.figures else {}
-    frames = [float(point["steps"]) for point in results[0]["curve"]]
-    values = {each["run"]["seed"]: [kept_return(point) for point in each["curve"]] for each in results}
-    old = curves.get(method)
-    if old and old["terms"] == terms and old["curve"]["samples"] == frames:
-        values = {**dict(zip(old["seeds"], old["curve"]["values"], strict=True)), **values}
-    seeds = sorted(values)
-    curve = {"samples": frames, "values": [values[seed] for seed in seeds]}
-    curves[method] = {"curve": curve, "seeds": seeds, "terms": terms}
-    return {"task": "last_policies", "last_policies": curves}
+    curves = read_curves(file)
+    old = curves.pop(method, None)
+    frames, *others = ([float(point["steps"]) for point in each["curve"]] for each in results)
+    if all(each == frames for each in others):
+        values = {each["run"]["seed"]: [kept_return(point) for point in each["curve"]] for each in results}
+        if old and old["terms"] == terms and old["curve"]["samples"] == frames:
+            values = {**dict(zip(old["seeds"], old["curve"]["values"], strict=True)), **values}
+        seeds = sorted(values)
+        curve = {"samples": frames, "values": [values[seed] for seed in seeds]}
+        curves[method] = {"curve": curve, "seeds": seeds, "terms": terms}
+    return {"task": "last_policies", "last_policies": curves} if curves else None
 
 
 def kept_return(point: Mapping[str, Any]) -> float:
