@@ -62,7 +62,7 @@ def draw(file: Path, path: Path) -> None:
     """Draw a results file of `train` or `compare`.
 
     Args:
-        file: Results file.
+        file: Results file that `train` or `compare` wrote.
         path: Path of the picture.
 
     Raises:
