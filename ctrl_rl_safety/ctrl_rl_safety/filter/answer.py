@@ -49,6 +49,8 @@ class Request(NamedTuple):
         braking: Largest change of the speed towards zero [m/s^2].
         turn_acceleration: Largest change of the turn rate [rad/s^2].
         turned: Turn of the robot since a wanted command last passed [rad].
+        escape: Turn rate with which the last certified escape goes on; NaN for none [rad/s].
+        noise: Margin that the noise of two scans may take from a certified escape [m].
     """
 
     raw: tuple[float, float]
@@ -64,6 +66,8 @@ class Request(NamedTuple):
     braking: float
     turn_acceleration: float
     turned: float
+    escape: float
+    noise: float
 
 
 class Answer(NamedTuple):
@@ -187,11 +191,12 @@ def _braking(sit: Any, ask: Any, state: tuple[float, float, float, float, float]
     """Return full braking with the turn rate that leaves the most room, its margin and its escape.
 
     Among them are those with which any escape that was certified before goes on. A disc that stands has as much room
-    whichever way it turns: it turns as it is wanted to where it is to stand, and no farther than `_ASIDE` elsewhere.
+    whichever way it turns: it turns as it is wanted to where it is to stand, and no farther than `_ASIDE` elsewhere. A
+    rectangle that stands stops turning, as it sweeps space.
     """
-    to_stand = abs(ask.raw[0]) < STANDS
-    if sit.core[0] == 0.0 and abs(state[3]) < STANDS and (to_stand or abs(ask.turned) > _ASIDE):
-        turn = ask.raw[1] if to_stand else 0.0
+    to_stand, is_disc = abs(ask.raw[0]) < STANDS, sit.core[0] == 0.0
+    if abs(state[3]) < STANDS and (not is_disc or to_stand or abs(ask.turned) > _ASIDE):
+        turn = ask.raw[1] if is_disc and to_stand else 0.0
         margin, kind = certify(sit, state, t, (0.0, turn), sit.hold, ask.first, FAR)
         return 0.0, turn, margin, kind
     best, which, turn = -FAR, ask.first, 0.0
@@ -220,6 +225,12 @@ def _from_here(sit: Any, x: float, y: float, theta: float, t: float) -> Any:
     return Situation(sit.obstacles, growth, motion, guide, core, rooms, True, sit.hold, sit.turn_rate, sit.lag)
 
 
+@njit
+def _needs_escape(sit: Any, ask: Any, state: tuple[float, float, float, float, float]) -> bool:
+    """Return whether there is an escape that was certified before; a disc that stands needs none."""
+    return not math.isnan(ask.escape) and (sit.core[0] > 0.0 or abs(state[3]) >= STANDS)
+
+
 @cached_njit
 def answer(sit: Any, ask: Any, begin: Array, t: float, commands: Array) -> Any:
     """Return the `Answer` to a request.
@@ -239,7 +250,7 @@ def answer(sit: Any, ask: Any, begin: Array, t: float, commands: Array) -> Any:
     guide, value = sit.guide, math.nan
     if guide.ready:
         value = value_at(guide.values, guide.x, guide.y, guide.cell, guide.top, state[0], state[1], state[2], state[3])
-    sit = _from_here(sit, state[0], state[1], state[2], t)
+    seen, sit = sit, _from_here(sit, state[0], state[1], state[2], t)
     again = ask.corrected and abs(ask.raw[0]) >= STANDS
     extra, steps = (ask.hysteresis, ask.patience) if again else (0.0, sit.hold)
     margin, kind = certify(sit, state, t, ask.raw, steps, ask.first, extra)
@@ -254,4 +265,8 @@ def answer(sit: Any, ask: Any, begin: Array, t: float, commands: Array) -> Any:
     if margin >= 0.0:
         return Answer(v, omega, CORRECTED, min(margin, first), value, kind, state)
     v, omega, margin, kind = _braking(sit, ask, state, t)
+    if min(margin, first) < 0.0 and _needs_escape(sit, ask, state):
+        found, which = certify(seen, state, t, (0.0, ask.escape), sit.hold, ask.first, FAR)
+        if min(found, first) >= -ask.noise:  # else a bound does not hold, and neither does that escape
+            omega, margin, kind = ask.escape, found, which
     return Answer(v, omega, ESCAPING, min(margin, first), value, kind, state)

@@ -25,8 +25,6 @@ Array = NDArray[np.float64]
 FAMILY = 5
 """Escapes of a constant turn rate; the first one after them is chosen by the recoverable set."""
 MOST_STEPS = 1000
-_STEPS_A_TURN = 4
-"""Time steps for which an escape by the set holds a turn rate."""
 _TURNS = 7
 AWAY = 1e-3
 """Least gain of a motion that begins too near to something [m]."""
@@ -122,7 +120,7 @@ def best_turn(sit: Any, state: tuple[float, float, float, float, float]) -> floa
     for k in range(_TURNS):
         turn = sit.turn_rate * (2.0 * k / (_TURNS - 1) - 1.0)
         x, y, theta, v, omega = state
-        for _ in range(_STEPS_A_TURN):
+        for _ in range(sit.hold):
             x, y, theta, v, omega = next_state(x, y, theta, v, omega, 0.0, turn, sit.motion)
         guide = sit.guide
         value = value_at(guide.values, guide.x, guide.y, guide.cell, guide.top, x, y, theta, v)
@@ -138,6 +136,8 @@ def _escape_turn(
 ) -> float:
     """Return the turn rate to command in a step of an escape [rad/s]; one that stands stops to turn, too.
 
+    It changes only when a new command may come, so that what is certified can be driven.
+
     Args:
         sit: Motion and set.
         state: State before the step.
@@ -145,10 +145,12 @@ def _escape_turn(
         step: Number of the step.
         before: Turn rate of the step before [rad/s].
     """
+    if step % sit.hold:
+        return before
     if sit.core[0] > 0.0 and abs(state[3]) < STANDS:
         return 0.0
     if kind == FAMILY:
-        return best_turn(sit, state) if step % _STEPS_A_TURN == 0 else before
+        return best_turn(sit, state)
     if kind == 0:
         return state[4] if step == 0 else before
     return sit.turn_rate * (2.0 * (kind - 1) / (FAMILY - 2) - 1.0)

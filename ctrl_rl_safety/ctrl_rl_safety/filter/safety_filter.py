@@ -210,6 +210,8 @@ class SafetyFilter:
             self.model.braking,
             self.model.turn_acceleration,
             math.remainder(state[2] - self._headed, 2.0 * math.pi),
+            math.nan if self._certified is None else float(self.stopping(now)[1]),
+            2.0 * self.model.range_error,
         )
         age = now - reading.age - seen_at
         situation = self._situation(now, obstacles)
