@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 from koopman_lqr_controller.errors import KoopmanError
+from koopman_lqr_controller.training.agents import cuda_graph
 from koopman_lqr_controller.training.agents.actor import AgentInterface
 from koopman_lqr_controller.training.agents.model_based_agent import ModelBasedAgent
 from koopman_lqr_controller.training.environments.benchmark_tasks import BENCHMARK_TASKS
@@ -20,9 +21,9 @@ INTERFACE = AgentInterface((SHAPE,), CONTROLS, np.zeros((), np.float32), np.ones
 GOAL = np.array([0.5, -1.0, 2.0], np.float32)
 
 
-def some_agent(goal: np.ndarray | None = None, **changes: object) -> ModelBasedAgent:
+def some_agent(goal: np.ndarray | None = None, device: str = "cpu", **changes: object) -> ModelBasedAgent:
     small = {"hidden": 16, "latent": 6, "batch": 32, **RECIPES["model_based"]}
-    return ModelBasedAgent(INTERFACE._replace(goal=goal), Settings(**{**small, **changes}), seed=0)
+    return ModelBasedAgent(INTERFACE._replace(goal=goal), Settings(**{**small, **changes}), 0, device)
 
 
 def lived(agent: ModelBasedAgent, steps: int = 60, seed: int = 0) -> SequenceReplay:
@@ -44,7 +45,7 @@ def weights(module: nn.Module) -> list[Tensor]:
 @pytest.mark.parametrize("goal", [None, GOAL])
 def test_each_loss_moves_what_it_should_and_nothing_else(goal: np.ndarray | None) -> None:
     agent = some_agent(goal)
-    batch = agent._draw(lived(agent), np.random.default_rng(0), None)
+    batch = agent._draw(lived(agent), np.random.default_rng(0), None)[1]
     encoder = agent.actor.encoder
     parts = {
         "features": encoder.body,
@@ -66,9 +67,8 @@ def test_each_loss_moves_what_it_should_and_nothing_else(goal: np.ndarray | None
             if any(not torch.equal(a, b) for a, b in zip(before[name], part.parameters(), strict=True))
         }
 
-    generator = torch.Generator().manual_seed(0)
-    assert moved(lambda: agent._learn_representation(batch)) == {"features", "representation"}
-    assert moved(lambda: agent._learn_values(batch, features, generator)) == {"critic"}
+    assert moved(lambda: agent._learn_representation(*batch)) == {"features", "representation"}
+    assert moved(lambda: agent._learn_values(batch, features, torch.zeros(CONTROLS))) == {"critic"}
     assert moved(lambda: agent._learn_law(batch, features)) == {"z", "lqr"}
 
 
@@ -94,15 +94,15 @@ def test_targets_stay_as_they_are_until_they_are_renewed() -> None:
 
 def test_goals_are_rewards_of_some_steps_and_the_value_of_what_follows() -> None:
     agent = some_agent(discount=0.9)
-    batch = agent._draw(lived(agent), np.random.default_rng(0), None)
+    batch = agent._draw(lived(agent), np.random.default_rng(0), None)[1]
     goes_on = batch.goes_on.clone()
     goes_on[0, 1] = 0.0  # the second step is an episode's last one
     batch = batch._replace(goes_on=goes_on)
     agent.reward_scale.copy_(torch.tensor([2.0, 0.5]))
     with torch.no_grad():
-        goal = agent._goal(batch, torch.Generator().manual_seed(0))
+        goal = agent._goal(batch, torch.zeros(CONTROLS))
         agent.reward_scale.copy_(torch.tensor([2.0, 0.0]))
-        gained = agent._goal(batch, torch.Generator().manual_seed(0))
+        gained = agent._goal(batch, torch.zeros(CONTROLS))
     r = batch.reward
     assert gained[0] == pytest.approx(float(r[0, 0] + 0.9 * r[0, 1]) / 2.0)
     assert gained[1:].numpy() == pytest.approx(((r[1:, :3] @ torch.tensor([1.0, 0.9, 0.81])) / 2.0).numpy(), abs=1e-5)
@@ -120,18 +120,22 @@ def test_an_update_trains_all_networks_follows_with_the_average_and_weighs_what_
     replay, generator = lived(agent), torch.Generator().manual_seed(0)
     parts = (agent.actor.encoder.body, agent.actor.encoder.head, agent.representation, agent.critic, agent.averaged)
     before = [weights(part) for part in parts]
-    errors = []
-    learn_values = agent._learn_values
+    places, errors = [], []
+    draw, learn_values = agent._draw, agent._learn_values
+
+    def drawn(*terms: Any) -> Any:
+        places.append(draw(*terms))
+        return places[-1]
 
     def noted(*terms: Any) -> Tensor:
-        errors.append((terms[0].place, learn_values(*terms)))
-        return errors[-1][1]
+        errors.append(learn_values(*terms))
+        return errors[-1]
 
-    agent._learn_values = noted  # type: ignore[method-assign]
+    agent._draw, agent._learn_values = drawn, noted  # type: ignore[method-assign]
     agent.learn(replay, np.random.default_rng(0), generator, None)
     for part, old in zip(parts, before, strict=True):
         assert any(not torch.equal(a, b) for a, b in zip(old, part.parameters(), strict=True))
-    ((place, error),) = errors
+    (error,), (place, _) = errors, places[-1]
     expected = {int(at): max(float(e), 1.0) ** 0.4 for at, e in zip(place, error, strict=True)}
     assert {at: replay._priority[at] for at in expected} == pytest.approx(expected)
 
@@ -150,7 +154,7 @@ def test_stretches_are_mirrored_where_a_task_has_a_symmetry() -> None:
     agent = some_agent(batch=500)
     mirror = Mirror(np.arange(SHAPE), np.ones(SHAPE), np.array([-1.0, 1.0]))
     replay = lived(agent)
-    plain, mirrored = (agent._draw(replay, np.random.default_rng(0), it) for it in (None, mirror))
+    plain, mirrored = (agent._draw(replay, np.random.default_rng(0), it)[1] for it in (None, mirror))
     changed = (plain.u[:, :, 0] == -mirrored.u[:, :, 0]).all(dim=1)
     assert 200 < int(changed.sum()) < 300
     assert torch.equal(plain.u[~changed], mirrored.u[~changed])
@@ -158,7 +162,7 @@ def test_stretches_are_mirrored_where_a_task_has_a_symmetry() -> None:
 
 def test_a_and_b_learn_to_predict_the_next_z() -> None:
     agent = some_agent(model_weight=1e6)  # the value's pull at A and B is nothing beside it
-    batch, encoder, lqr = agent._draw(lived(agent), np.random.default_rng(0), None), agent.actor.encoder, agent.lqr
+    batch, encoder, lqr = agent._draw(lived(agent), np.random.default_rng(0), None)[1], agent.actor.encoder, agent.lqr
     with torch.no_grad():
         features, z_next = encoder.features(batch.x[:, 0]), encoder(batch.x[:, 1])
     error = lqr.model_loss(encoder.latent(features).detach(), batch.u[:, 0], z_next)
@@ -242,3 +246,28 @@ def test_pictures_and_goals_beyond_the_model_are_refused() -> None:
         Settings(critic="model_based", reward_steps=6)
     with pytest.raises(KoopmanError, match="model_steps is 100: must be less than replay, 100"):
         Settings(critic="model_based", model_steps=100, replay=100)
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="torch sees no GPU")
+@pytest.mark.parametrize("goal", [None, GOAL])
+def test_a_gpu_learns_the_same_by_graphs_as_by_single_kernels_and_as_a_cpu(
+    goal: np.ndarray | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def learnt(device: str, eager_calls: int) -> tuple[np.ndarray, list[Tensor]]:
+        monkeypatch.setattr(cuda_graph, "_EAGER_CALLS", eager_calls)
+        agent = some_agent(goal, device, renewal=5)
+        replay, random, generator = lived(agent), np.random.default_rng(0), torch.Generator().manual_seed(0)
+        actions = []
+        for _ in range(20):
+            agent.learn(replay, random, generator, None)
+            agent.meet(random.normal(size=SHAPE))
+            actions.append(agent.act(random.normal(size=SHAPE).astype(np.float32), generator))
+        assert (agent._mean._graph is None) == (device == "cpu" or eager_calls > 20)
+        return np.array(actions), weights(agent.averaged)
+
+    (by_graphs, graph_weights), (one_by_one, single_weights) = learnt("cuda", 3), learnt("cuda", 1000)
+    on_cpu, _ = learnt("cpu", 3)
+    assert by_graphs == pytest.approx(one_by_one, abs=1e-4)
+    for a, b in zip(graph_weights, single_weights, strict=True):
+        torch.testing.assert_close(a, b, rtol=1e-3, atol=1e-4)
+    assert by_graphs == pytest.approx(on_cpu, abs=0.02)  # Adam makes steps of one size of gradients near 0

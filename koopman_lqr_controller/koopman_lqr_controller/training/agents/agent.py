@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from koopman_lqr_controller.training.agents.actor import AgentInterface, LqrActor, NetworkActor, make_actor
+from koopman_lqr_controller.training.agents.cuda_graph import Graphed
 from koopman_lqr_controller.training.networks.differentiable_lqr import LatentLqr
 from koopman_lqr_controller.training.networks.networks import RunningScale, TorchEncoder
 from koopman_lqr_controller.training.replay import Mirror, Replay
@@ -47,6 +48,7 @@ class Agent(nn.Module, ABC):
             self._make_networks(interface)
         self.averaged = copy.deepcopy(self.actor).requires_grad_(False)
         self.scale = RunningScale(interface.shape[0]) if settings.scale == "seen" else None
+        self._add_to_scale = Graphed(self._rescale, self._device)
 
     @abstractmethod
     def _make_networks(self, interface: AgentInterface) -> None:
@@ -85,8 +87,14 @@ class Agent(nn.Module, ABC):
     def meet(self, x: NDArray[np.generic]) -> None:
         """Take note of an observation (*shape) that was met; of an effect where these make the scale."""
         if self.scale is not None:
-            self.scale.add(torch.from_numpy(np.asarray(x, np.float64)).to(self._device))
-            self.scale.give(self._scaled_encoders())
+            self._add_to_scale(torch.from_numpy(np.asarray(x, np.float64)))
+
+    def _rescale(self, x: Tensor) -> Tensor:
+        """Add an observation (n,) to the scale and give this to all encoders; return the number of observations."""
+        assert self.scale is not None
+        self.scale.add(x)
+        self.scale.give(self._scaled_encoders())
+        return self.scale.count
 
     def _latent(self, x: NDArray[np.generic]) -> Tensor:
         """Return z (1, n) of an observation (*shape)."""
@@ -95,7 +103,7 @@ class Agent(nn.Module, ABC):
 
     def _adam(self, parameters: Iterable[nn.Parameter], rate: float | None = None) -> torch.optim.Optimizer:
         rate = self.settings.learning_rate if rate is None else rate
-        return torch.optim.Adam(list(parameters), lr=rate, fused=True)
+        return torch.optim.Adam(list(parameters), lr=rate, fused=True, capturable=self._device.type == "cuda")
 
     def _step(self, losses: Mapping[str, Tensor]) -> None:
         """Go down losses, by the names of their optimisers, with one backward pass."""

@@ -21,6 +21,7 @@ from torch.nn.functional import smooth_l1_loss
 
 from koopman_lqr_controller.training.agents.actor import AgentInterface
 from koopman_lqr_controller.training.agents.agent import Agent
+from koopman_lqr_controller.training.agents.cuda_graph import Graphed
 from koopman_lqr_controller.training.networks.critics import TwinCritic
 from koopman_lqr_controller.training.networks.networks import TorchEncoder, follow
 from koopman_lqr_controller.training.networks.representation import Representation
@@ -44,7 +45,6 @@ _INPUT_WEIGHT = 1e-5
 class _Batch(NamedTuple):
     """Stretches of H steps as the losses see them."""
 
-    place: NDArray[np.intp]
     x: Tensor
     u: Tensor
     reward: Tensor
@@ -83,6 +83,9 @@ class ModelBasedAgent(Agent):
             "critic": self._adam(self.critic.parameters()),
             "actor": self._adam(chain(encoder.head.parameters(), law)),
         }
+        self._mean = Graphed(self._squashed_mean, self._device)
+        self._learn_representation = Graphed(self._improve_representation, self._device)
+        self._learn_values_and_law = Graphed(self._improve_values_and_law, self._device)
 
     def _make_networks(self, interface: AgentInterface) -> None:
         settings, halved = self.settings, self.settings.bfloat16 == "all"
@@ -100,11 +103,14 @@ class ModelBasedAgent(Agent):
 
     def act(self, x: NDArray[np.generic], generator: torch.Generator) -> NDArray[np.float32]:
         """Return an action (m,) for an observation (*shape), with the noise that explores."""
-        with torch.no_grad():
-            u = torch.tanh(self.actor.mean(self._latent(x)))[0].cpu()
-            noise = self.settings.exploration * torch.randn(u.shape, generator=generator)
-            action: NDArray[np.float32] = (u + noise).clamp(-1.0, 1.0).numpy()
+        u = self._mean(torch.from_numpy(np.asarray(x, np.float32))[None])[0].cpu()
+        noise = self.settings.exploration * torch.randn(u.shape, generator=generator)
+        action: NDArray[np.float32] = (u + noise).clamp(-1.0, 1.0).numpy()
         return action
+
+    @torch.no_grad()
+    def _squashed_mean(self, x: Tensor) -> Tensor:
+        return torch.tanh(self.actor.mean(self.actor.encoder(x)))
 
     def learn(
         self, replay: Replay, random: np.random.Generator, generator: torch.Generator, mirror: Mirror | None
@@ -116,22 +122,22 @@ class ModelBasedAgent(Agent):
         if self.updates % self.settings.renewal == 0:
             self._renew_targets(replay)
             for _ in range(self.settings.renewal):
-                self._learn_representation(self._draw(replay, random, mirror))
-        batch = self._draw(replay, random, mirror)
-        with torch.no_grad():
-            features = self.actor.encoder.features(batch.x[:, 0])
-        errors = self._learn_values(batch, features, generator)
-        self._learn_law(batch, features)
-        replay.set_priority(batch.place, errors.clamp(min=_LEAST_ERROR).pow(_PRIORITY_POWER).cpu().numpy())
-        follow(self.averaged, self.actor, self.settings.average_rate)
+                self._learn_representation(*self._draw(replay, random, mirror)[1])
+        place, batch = self._draw(replay, random, mirror)
+        noise = _TARGET_NOISE * torch.randn(batch.u[:, 0].shape, generator=generator)
+        errors = self._learn_values_and_law(*batch, noise.clamp(-_LARGEST_TARGET_NOISE, _LARGEST_TARGET_NOISE))
+        replay.set_priority(place, errors.clamp(min=_LEAST_ERROR).pow(_PRIORITY_POWER).cpu().numpy())
         self.updates += 1
 
-    def _draw(self, replay: SequenceReplay, random: np.random.Generator, mirror: Mirror | None) -> _Batch:
+    def _draw(
+        self, replay: SequenceReplay, random: np.random.Generator, mirror: Mirror | None
+    ) -> tuple[NDArray[np.intp], _Batch]:
+        """Return stretches and their places in the replay (N,)."""
         drawn = replay.draw_sequences(self.settings.batch, random)
         if mirror is not None:
             drawn = mirror.mirror_sequences_at_random(drawn, random)
-        x, u, reward, terminated = (torch.from_numpy(it).to(self._device) for it in drawn[1:])
-        return _Batch(drawn.place, x, u, reward, 1.0 - terminated)
+        x, u, reward, terminated = (torch.from_numpy(it) for it in drawn[1:])
+        return drawn.place, _Batch(x, u, reward, 1.0 - terminated)
 
     def _renew_targets(self, replay: SequenceReplay) -> None:
         follow(self.target_actor, self.actor, 1.0)
@@ -140,24 +146,36 @@ class ModelBasedAgent(Agent):
         scale = max(float(np.abs(replay.everything().reward).mean()), _LEAST_REWARD_SCALE)
         self.reward_scale.copy_(torch.tensor([scale, float(self.reward_scale[0])]))
 
-    def _learn_representation(self, batch: _Batch) -> None:
-        encoder, target = self.actor.encoder, self.target_actor.encoder
+    def _improve_representation(self, *tensors: Tensor) -> Tensor:
+        """Train the representation on a batch; return its loss."""
+        batch, encoder, target = _Batch(*tensors), self.actor.encoder, self.target_actor.encoder
         with torch.no_grad():
             later = target.features(batch.x[:, 1:].flatten(0, 1)).float().reshape(*batch.u.shape[:2], -1)
         features = encoder.features(batch.x[:, 0])
         loss = self.representation.loss(features, batch.u, batch.reward, later, batch.goes_on)
         self._step({"representation": loss})
+        return loss.detach()
 
-    def _learn_values(self, batch: _Batch, features: Tensor, generator: torch.Generator) -> Tensor:
+    def _improve_values_and_law(self, *tensors: Tensor) -> Tensor:
+        """Train critic and law on a batch and noise of the target's actions (N, m); return the values' errors (N,)."""
+        batch = _Batch(*tensors[:-1])
+        with torch.no_grad():
+            features = self.actor.encoder.features(batch.x[:, 0])
+        errors = self._learn_values(batch, features, tensors[-1])
+        self._learn_law(batch, features)
+        follow(self.averaged, self.actor, self.settings.average_rate)
+        return errors
+
+    def _learn_values(self, batch: _Batch, features: Tensor, noise: Tensor) -> Tensor:
         """Train the critic on goals of several steps; return the larger error of both values (N,)."""
         with torch.no_grad():
-            goal = self._goal(batch, generator)
+            goal = self._goal(batch, noise)
             pair = self.representation(features, batch.u[:, 0])
         values = self.critic.values(pair)
         self._step({"critic": smooth_l1_loss(values, goal.expand(2, -1))})
         return (values.detach() - goal).abs().amax(dim=0)
 
-    def _goal(self, batch: _Batch, generator: torch.Generator) -> Tensor:
+    def _goal(self, batch: _Batch, noise: Tensor) -> Tensor:
         """Return rewards of some steps and the target's value of what follows (N,), in units of the reward's scale."""
         settings, actor = self.settings, self.target_actor
         scale, scale_before = self.reward_scale
@@ -166,9 +184,7 @@ class ModelBasedAgent(Agent):
             gained = gained + weight * batch.reward[:, step]
             weight = weight * settings.discount * batch.goes_on[:, step]
         features = actor.encoder.features(batch.x[:, settings.reward_steps])
-        u = torch.tanh(actor.mean(actor.encoder.latent(features)))
-        noise = _TARGET_NOISE * torch.randn(u.shape, generator=generator).to(self._device)
-        u = (u + noise.clamp(-_LARGEST_TARGET_NOISE, _LARGEST_TARGET_NOISE)).clamp(-1.0, 1.0)
+        u = (torch.tanh(actor.mean(actor.encoder.latent(features))) + noise).clamp(-1.0, 1.0)
         value = self.target_critic.values(self.target_representation(features, u)).amin(dim=0)
         return (gained + weight * value * scale_before) / scale
 

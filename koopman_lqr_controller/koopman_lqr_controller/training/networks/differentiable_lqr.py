@@ -22,12 +22,12 @@ def riccati_gain(A: Tensor, B: Tensor, Q: Tensor, R: Tensor, z_ref: Tensor, iter
     R_full, Q_full = torch.diag(R), torch.diag(Q)
     for _ in range(iterations):
         PB = P @ B
-        closed = A - B @ torch.linalg.solve(R_full + B.T @ PB, PB.T @ A)
+        closed = A - B @ torch.linalg.solve_ex(R_full + B.T @ PB, PB.T @ A)[0]
         v = closed.T @ v + Q * z_ref
         P = A.T @ P @ closed + Q_full
         P = 0.5 * (P + P.T)
     PB = P @ B
-    law = torch.linalg.solve(R_full + B.T @ PB, torch.cat((PB.T @ A, (B.T @ v)[:, None]), dim=1))
+    law = torch.linalg.solve_ex(R_full + B.T @ PB, torch.cat((PB.T @ A, (B.T @ v)[:, None]), dim=1))[0]
     return law[:, :-1], law[:, -1]
 
 
