@@ -47,8 +47,8 @@ def test_a_run_leaves_policies_and_results(learnt: Path, tmp_path: Path) -> None
             assert isinstance(policy, LatentPolicy)
             assert policy.controller.horizon == horizon
             command = policy.manifest["command"]
-            assert "learn --task cartpole_swingup --set batch=16" in command
-            assert "--chunks 2 --actions 30 --episodes 3 --consolidation 5 --seeds " in command
+            assert "train --task cartpole_swingup --set batch=16" in command
+            assert command.endswith("--chunks 2 --actions 30 --episodes 3 --consolidation 5 --first-seed 0")
 
 
 def test_each_seed_has_a_value_a_curve_and_a_folder(tmp_path: Path) -> None:
