@@ -17,3 +17,13 @@ def test_what_takes_long_is_told_without_counting_as_an_iteration() -> None:
             show(("b", done, 1.0))
         assert bar.n == 4, "no more than there are"
         assert bar.postfix == "b 4: 100 %"
+
+
+def test_what_was_learnt_before_a_run_was_cut_off_is_shown_and_sets_no_pace() -> None:
+    with tqdm(total=70, file=io.StringIO()) as bar:
+        show = _Progress(bar)
+        show(("a", 22, 0.5))
+        assert (bar.n, bar.initial) == (22, 22)
+        show(("a", 23, 0.5))
+        show(("b", 1, 0.5))
+        assert (bar.n, bar.initial) == (24, 22)

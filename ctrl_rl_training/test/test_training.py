@@ -119,7 +119,10 @@ def test_a_run_that_was_cut_off_may_go_on_to_more_iterations_but_not_to_fewer(tm
     cut_off(train, run, RunOptions(tmp_path, 2, ROLL_OUT, 0, 0))
     with pytest.raises(TrainingError, match=r"checkpoint\.safetensors: has 1 iterations already: ask for no fewer"):
         train(run, RunOptions(tmp_path, 0, ROLL_OUT, 0, 0))
-    assert len(train(run, RunOptions(tmp_path, 3, ROLL_OUT, 0, 0))["curve"]) == 3
+    told = []
+    result = train(run, RunOptions(tmp_path, 3, ROLL_OUT, 0, 0), lambda _, done, __: told.append(done))
+    assert len(result["curve"]) == 3
+    assert told == [1, 2, 3], "where it goes on, and each iteration"
 
 
 def test_a_broken_checkpoint_is_named(tmp_path):

@@ -70,8 +70,14 @@ class _Progress:
 
     def __call__(self, report: tuple[str, int, float | str]) -> None:
         name, done, how = report
-        if done > self._done.get(name, 0):
-            self._bar.update(min(1, int(self._bar.total or 0) - self._bar.n))
+        before, left = self._done.get(name, 0), int(self._bar.total or 0) - self._bar.n
+        new = min(max(done - before, 0), left)
+        if name not in self._done and done > 1:  # it goes on from a checkpoint: what was done before sets no pace
+            self._bar.initial += new
+            self._bar.last_print_n += new
+            self._bar.n += new
+        else:
+            self._bar.update(new)
         self._done[name] = done
         self._bar.set_postfix_str(f"{name} {done}: {how if isinstance(how, str) else f'{100 * how:.0f} %'}")
 

@@ -39,7 +39,7 @@ def train(run: AnyRun, options: RunOptions, report: Report[AnyRun] = lambda *_: 
     Args:
         run: Run to learn.
         options: Settings of the experiment.
-        report: Function that is called after each iteration.
+        report: Function that is called after each iteration, and where a run goes on.
 
     Returns:
         `run` (its terms), `curve` (figures of each iteration, with `seconds` and `cpu_seconds`), the figures that
@@ -84,6 +84,7 @@ def _learn(
                 raise TrainingError(
                     f"{checkpoint}: has {len(curve)} iterations already: ask for no fewer, or delete it to begin anew"
                 )
+            report(run, len(curve), run.words(curve[-1]))
         while len(curve) < options.iterations and not run.should_stop(curve):
             start, cpu = time.perf_counter(), time.process_time()
             point = learning.iterate(curve)
