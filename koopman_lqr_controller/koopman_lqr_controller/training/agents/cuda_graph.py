@@ -44,7 +44,7 @@ class Graphed:
 
     def _beside(self, *given: Tensor) -> Tensor:
         """Call the function on a stream of its own, as it is when it is recorded."""
-        stream, now = torch.cuda.Stream(), torch.cuda.current_stream()
+        stream, now = torch.cuda.Stream(), torch.cuda.current_stream()  # type: ignore[no-untyped-call]
         stream.wait_stream(now)
         with torch.cuda.stream(stream):
             answer = self._function(*given)
