@@ -125,10 +125,17 @@ def test_what_cannot_be_learnt_is_refused(run: LearningRun, words: str, tmp_path
 
 def test_a_run_that_was_cut_off_ends_bit_by_bit_as_if_it_had_not_been(whole: tuple, tmp_path: Path) -> None:
     """Between chunks, and after the last of them."""
-    cut = tmp_path / "cut"
+    cut, told = tmp_path / "cut", []
+
+    def cut_off_after_one_more(_: object, done: int, __: object) -> None:
+        told.append(done)
+        if told.count(done) == 1:
+            raise CutOffError
+
     for _ in range(3):
         with pytest.raises(CutOffError):
-            train(RUN, options(cut), cut_off)
+            train(RUN, options(cut), cut_off_after_one_more)
+    assert told == [1, 1, 2, 2, 3], "where it goes on, and each chunk"
     assert not result_file(cut, RUN).exists()
     train(RUN, options(cut))
     assert learnt(cut) == learnt(whole[0])
@@ -262,6 +269,8 @@ def test_the_last_policy_is_kept_whatever_evaluations_say(tmp_path: Path) -> Non
     early, late = collect_last(run.problem, [{**result, "curve": [passed, last]}])
     assert (early.metric, early.values) == ("return at 100k frames", [passed["returns"]["averaged"]])
     assert late.values == rows[0].values
+    resumed = {**result, "curve": [{**passed, "returns": dict(reversed(passed["returns"].items()))}, last]}
+    assert collect_last(run.problem, [resumed])[0].values == early.values, "checkpoints keep no order"
     again = {**result, "run": {**result["run"], "seed": 7}}
     assert (again_row := collect_last(run.problem, [again])[0]).seeds == (7,)
     assert again_row.terms == rows[0].terms, "seeds are learnt by the same terms"

@@ -82,7 +82,7 @@ def collect_curves(method: str, terms: str, results: Sequence[Mapping[str, Any]]
     old = curves.pop(method, None)
     frames, *others = ([float(point["steps"]) for point in each["curve"]] for each in results)
     if all(each == frames for each in others):
-        values = {each["run"]["seed"]: [kept_return(point) for point in each["curve"]] for each in results}
+        values = {each["run"]["seed"]: [shown_return(point) for point in each["curve"]] for each in results}
         if old and old["terms"] == terms and old["curve"]["samples"] == frames:
             values = {**dict(zip(old["seeds"], old["curve"]["values"], strict=True)), **values}
         seeds = sorted(values)
@@ -91,6 +91,10 @@ def collect_curves(method: str, terms: str, results: Sequence[Mapping[str, Any]]
     return {"task": "last_policies", "last_policies": curves} if curves else None
 
 
-def kept_return(point: Mapping[str, Any]) -> float:
-    """Return what the policy that would be kept had at a point of the curve: the first candidate."""
-    return float(next(iter(point["returns"].values())))
+def shown_return(point: Mapping[str, Any]) -> float:
+    """Return what curves show of a point: the return of the averaged actor, or of the only candidate.
+
+    Checkpoints keep no order, so that the first candidate may be another one where a run was cut off.
+    """
+    returns = point["returns"]
+    return float(returns["averaged"] if "averaged" in returns else next(iter(returns.values())))

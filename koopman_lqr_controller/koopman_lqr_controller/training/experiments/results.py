@@ -18,7 +18,7 @@ from ctrl_rl_training.experiments.results import Metric, collect_rows, metric
 from ctrl_rl_core import Result
 from koopman_lqr_controller.training.environments.benchmark_tasks import BenchmarkTask
 from koopman_lqr_controller.training.experiments.comparisons import COMPARISONS, LEVELS, REFERENCE
-from koopman_lqr_controller.training.experiments.last_curves import kept_return
+from koopman_lqr_controller.training.experiments.last_curves import shown_return
 from koopman_lqr_controller.training.experiments.methods import METHODS
 
 Results = Sequence[Mapping[str, Any]]
@@ -115,7 +115,7 @@ def collect_last(problem: BenchmarkTask, results: Results) -> list[Result]:
     """
     last, title = results[0]["curve"][-1]["steps"], Path(problem.name).stem
     passed = [(number, at["steps"]) for number, at in enumerate(results[0]["curve"]) if at["steps"] in FRAMES]
-    then = [metric(_at_frames(frames), "1", _kept_after(number)) for number, frames in passed if frames != last]
+    then = [metric(_at_frames(frames), "1", _shown_after(number)) for number, frames in passed if frames != last]
     returned = metric(_at_frames(last), "1", _mean_return)
     rows = _rows(title, results, (*then, returned))
     if all(result["consolidated"] for result in results):
@@ -132,9 +132,9 @@ def _terms(result: Mapping[str, Any]) -> str:
     return checked_json.digest({**result["run"], "seed": None})[:16]
 
 
-def _kept_after(number: int) -> Callable[[Mapping[str, Any]], float]:
-    """Return what looks up the return of the policy that would be kept after so many chunks."""
-    return lambda result: kept_return(result["curve"][number])
+def _shown_after(number: int) -> Callable[[Mapping[str, Any]], float]:
+    """Return what looks up the return that curves show after so many chunks."""
+    return lambda result: shown_return(result["curve"][number])
 
 
 def _at_frames(frames: int) -> str:
@@ -204,7 +204,7 @@ def _best_at(level: float, curve: Sequence[Mapping[str, Any]]) -> float | None:
 def _curves(results: Results) -> dict[str, list[Any]]:
     curves = [result["curve"] for result in results]
     longest = max(curves, key=len)
-    values = [[next(iter(point["returns"].values())) for point in curve] for curve in curves]
+    values = [[shown_return(point) for point in curve] for curve in curves]
     return {
         "samples": [point["steps"] for point in longest],
         "values": [each + [each[-1]] * (len(longest) - len(each)) for each in values],
