@@ -226,6 +226,18 @@ def _from_here(sit: Any, x: float, y: float, theta: float, t: float) -> Any:
 
 
 @njit
+def _smaller(sit: Any, by: float) -> Any:
+    """Return the situation of a robot that is smaller on each side by a distance [m]."""
+    core, rooms = sit.core, sit.rooms
+    if core[0] > 0.0:
+        core = (max(core[0] - by, AWAY), max(core[1] - by, AWAY))
+    else:
+        rooms = (rooms[0] - by, rooms[1] - by)
+    parts = (sit.obstacles, sit.growth, sit.motion, sit.guide)
+    return Situation(*parts, core, rooms, sit.close, sit.hold, sit.turn_rate, sit.lag)
+
+
+@njit
 def _needs_escape(sit: Any, ask: Any, state: tuple[float, float, float, float, float]) -> bool:
     """Return whether there is an escape that was certified before; a disc that stands needs none."""
     return not math.isnan(ask.escape) and (sit.core[0] > 0.0 or abs(state[3]) >= STANDS)
@@ -266,7 +278,7 @@ def answer(sit: Any, ask: Any, begin: Array, t: float, commands: Array) -> Any:
         return Answer(v, omega, CORRECTED, min(margin, first), value, kind, state)
     v, omega, margin, kind = _braking(sit, ask, state, t)
     if min(margin, first) < 0.0 and _needs_escape(sit, ask, state):
-        found, which = certify(seen, state, t, (0.0, ask.escape), sit.hold, ask.first, FAR)
-        if min(found, first) >= -ask.noise:  # else a bound does not hold, and neither does that escape
-            omega, margin, kind = ask.escape, found, which
+        found, which = certify(_smaller(seen, ask.noise), state, t, (0.0, ask.escape), sit.hold, ask.first, FAR)
+        if found >= 0.0:  # else a bound does not hold, and neither does that escape
+            omega, margin, kind = ask.escape, min(found - ask.noise, -AWAY), which
     return Answer(v, omega, ESCAPING, min(margin, first), value, kind, state)
