@@ -96,11 +96,6 @@ class Agent(nn.Module, ABC):
         self.scale.give(self._scaled_encoders())
         return self.scale.count
 
-    def _latent(self, x: NDArray[np.generic]) -> Tensor:
-        """Return z (1, n) of an observation (*shape)."""
-        z: Tensor = self.actor.encoder(torch.from_numpy(np.asarray(x, np.float32))[None].to(self._device))
-        return z
-
     def _adam(self, parameters: Iterable[nn.Parameter], rate: float | None = None) -> torch.optim.Optimizer:
         rate = self.settings.learning_rate if rate is None else rate
         return torch.optim.Adam(list(parameters), lr=rate, fused=True, capturable=self._device.type == "cuda")

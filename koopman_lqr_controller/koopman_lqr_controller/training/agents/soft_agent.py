@@ -104,7 +104,8 @@ class SoftAgent(Agent):
     def act(self, x: NDArray[np.generic], generator: torch.Generator) -> NDArray[np.float32]:
         """Return an action (m,) for an observation (*shape), with the noise that explores."""
         with torch.no_grad():
-            action: NDArray[np.float32] = self.actor.sample(self._latent(x), generator)[0][0].cpu().numpy()
+            z = self.actor.encoder(torch.from_numpy(np.asarray(x, np.float32))[None].to(self._device))
+            action: NDArray[np.float32] = self.actor.sample(z, generator)[0][0].cpu().numpy()
         return action
 
     def learn(

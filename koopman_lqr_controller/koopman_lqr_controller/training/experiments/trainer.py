@@ -70,7 +70,7 @@ class Learner(Protocol):
         """Act and learn for one chunk, as `ReplayLearner.learn` does; return actions done and episodes begun."""
 
     def candidates(self) -> Mapping[str, LatentController | NetworkPolicy]:
-        """Return what may be deployed now, by name; the first is what curves show."""
+        """Return what may be deployed now, by name; the first is the last policy that is kept, and curves show it."""
 
     def arrays(self) -> Arrays:
         """Return what it goes on from."""

@@ -22,13 +22,19 @@ def riccati_gain(A: Tensor, B: Tensor, Q: Tensor, R: Tensor, z_ref: Tensor, iter
     R_full, Q_full = torch.diag(R), torch.diag(Q)
     for _ in range(iterations):
         PB = P @ B
-        closed = A - B @ torch.linalg.solve_ex(R_full + B.T @ PB, PB.T @ A)[0]
+        closed = A - B @ _solved(R_full + B.T @ PB, PB.T @ A)
         v = closed.T @ v + Q * z_ref
         P = A.T @ P @ closed + Q_full
         P = 0.5 * (P + P.T)
     PB = P @ B
-    law = torch.linalg.solve_ex(R_full + B.T @ PB, torch.cat((PB.T @ A, (B.T @ v)[:, None]), dim=1))[0]
+    law = _solved(R_full + B.T @ PB, torch.cat((PB.T @ A, (B.T @ v)[:, None]), dim=1))
     return law[:, :-1], law[:, -1]
+
+
+def _solved(M: Tensor, Y: Tensor) -> Tensor:
+    """Return X of M X = Y; on a GPU a singular M is not refused, as a CUDA graph cannot wait for an answer."""
+    X: Tensor = torch.linalg.solve_ex(M, Y, check_errors=not M.is_cuda)[0]
+    return X
 
 
 def doubled_gain(A: Tensor, B: Tensor, Q: Tensor, R: Tensor, doublings: int = 6) -> Tensor:
