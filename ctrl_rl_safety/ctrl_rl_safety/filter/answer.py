@@ -210,6 +210,12 @@ def _braking(sit: Any, ask: Any, state: tuple[float, float, float, float, float]
 
 
 @njit
+def _changed(sit: Any, growth: Any, core: tuple[float, float], rooms: tuple[float, float], close: bool) -> Any:
+    """Return a situation with other bounds of motion, and another robot in it; machine code has no `_replace`."""
+    return Situation(sit.obstacles, growth, sit.motion, sit.guide, core, rooms, close, sit.hold, sit.turn_rate, sit.lag)
+
+
+@njit
 def _from_here(sit: Any, x: float, y: float, theta: float, t: float) -> Any:
     """Return the situation of a robot at a place, which counts from there where it has less room than it needs.
 
@@ -220,9 +226,7 @@ def _from_here(sit: Any, x: float, y: float, theta: float, t: float) -> Any:
         return sit
     growth = Growth(0.0, sit.growth.mover_speed, 0.0, 0.0)
     gap = margin_at(sit.obstacles, growth, sit.core, x, y, theta, 0.0, (room, -FAR))
-    rooms = (room + min(gap - 2.0 * AWAY, 0.0), room)
-    guide, motion, core = sit.guide, sit.motion, sit.core
-    return Situation(sit.obstacles, growth, motion, guide, core, rooms, True, sit.hold, sit.turn_rate, sit.lag)
+    return _changed(sit, growth, sit.core, (room + min(gap - 2.0 * AWAY, 0.0), room), True)
 
 
 @njit
@@ -233,8 +237,7 @@ def _smaller(sit: Any, by: float) -> Any:
         core = (max(core[0] - by, AWAY), max(core[1] - by, AWAY))
     else:
         rooms = (rooms[0] - by, rooms[1] - by)
-    parts = (sit.obstacles, sit.growth, sit.motion, sit.guide)
-    return Situation(*parts, core, rooms, sit.close, sit.hold, sit.turn_rate, sit.lag)
+    return _changed(sit, sit.growth, core, rooms, sit.close)
 
 
 @njit
