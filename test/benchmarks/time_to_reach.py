@@ -31,7 +31,7 @@ THESIS_QUADROTOR = 90.0
 INSTALL = "hj_reachability is not installed: pip install -r requirements/benchmarks.txt"
 _FIRST_USE = """
 import time
-from ttr_reward_node.problems.problem import problem_from_task
+from ttr_reward_node.problems.from_task import problem_from_task
 from ttr_reward_node.solvers.solver import solve
 problem = problem_from_task("car_ttr", counts=(21, 21, 18))
 begin = time.process_time()

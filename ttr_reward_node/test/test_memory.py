@@ -17,7 +17,7 @@ from ttr_reward_node import METHODS, TimeToReachError, memory_needed, problem_fr
 
 _SOLVE = """
 from ttr_reward_node.kernels.entry_points import kernels
-from ttr_reward_node.problems.problem import problem_from_task
+from ttr_reward_node.problems.from_task import problem_from_task
 from ttr_reward_node.solvers.solver import solve
 solve(problem_from_task("car_ttr", counts=(21, 21, 18)), "lax_friedrichs")  # it compiles soonest
 stats = kernels().lax_friedrichs.stats

@@ -6,13 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import yaml
-from games import line, plane
+from games import double_integrator, line, plane
 from hypothesis import given
 from hypothesis import strategies as st
 from ttr_reward_node.cli.values import solve_value
 
-from ctrl_rl_core import SYSTEM_MODELS, Disc, Interval, Region, task_file
-from ttr_reward_node import Clearance, TimeToReachError, TimeToReachProblem, load_value
+from ctrl_rl_core import SYSTEM_MODELS, Axis, Disc, Interval, Region, task_file
+from ttr_reward_node import Clearance, SafetyGame, TimeToReachError, TimeToReachProblem, load_value, roll_out, solve
 
 
 def write_task(folder, name, **changes):
@@ -136,3 +136,45 @@ def test_the_digest_tells_obstacles_apart():
     moved = replace(problem, target=Region({"x": Interval(-1.6, -1.2)}))
     assert moved.content_digest != free
     assert replace(problem, digest="0" * 64).content_digest == "0" * 64
+
+
+def bounded_cart(low=-1.0, high=1.0):
+    """A cart whose speed has bounds of its own, on a grid to +-2 m/s."""
+    cart = double_integrator().system
+    return TimeToReachProblem(
+        system=replace(cart, states=(cart.states[0], replace(cart.states[1], lower=low, upper=high))),
+        axes=(Axis("x", "m", -6.0, 6.0, 61), Axis("v", "m/s", -2.0, 2.0, 41)),
+        target=Region({"x": Interval(-0.2, 0.2), "v": Interval(-0.2, 0.2)}),
+    )
+
+
+def test_the_states_own_bounds_limit_it_within_the_grid():
+    cart, free = bounded_cart(), bounded_cart(-math.inf, math.inf)
+    assert cart.limits.tolist() == [[-6.0, -1.0], [6.0, 1.0]]
+    assert free.limits.tolist() == [[-6.0, -2.0], [6.0, 2.0]]
+    assert cart.outside()[0].tolist() == (np.abs(cart.axes[1].nodes) > 1.0).tolist()
+    assert not free.outside().any()
+    # The bounds count where they are tighter than the grid, and nowhere else.
+    assert bounded_cart(-2.0, 9.0).content_digest == free.content_digest != cart.content_digest
+    with pytest.raises(TimeToReachError, match=r"'v' in \[1.5, 1.8\] m/s, outside the state's own bounds, \[-1, 1\]"):
+        replace(cart, target=Region({"v": Interval(1.5, 1.8)}))
+
+
+def test_the_grid_of_a_safety_game_ends_within_the_states_bounds():
+    cart = bounded_cart()
+    with pytest.raises(TimeToReachError, match=r"'v' stays in \[-1, 1\], but its axis goes beyond"):
+        SafetyGame(cart.system, cart.axes)
+
+
+def test_lax_friedrichs_keeps_to_the_states_bounds():
+    values = solve(bounded_cart(), "lax_friedrichs").grid
+    assert np.isinf(values.values[:, np.abs(values.axes[1].nodes) > 1.01]).all()
+    # From rest at 4 m the free cart takes 4 s less a bit; at most at 1 m/s it takes 5 s.
+    assert 4.6 < values.value([[4.0, 0.0]])[0] < 5.6
+
+
+def test_a_roll_out_that_leaves_the_states_bounds_has_left():
+    free = solve(bounded_cart(-math.inf, math.inf)).grid
+    outcome = roll_out(free, bounded_cart(), [[4.0, 0.0], [0.7, 0.0]])
+    assert outcome.left.tolist() == [True, False]
+    assert outcome.reached.tolist() == [False, True]

@@ -140,7 +140,7 @@ def test_a_file_says_how_it_was_solved():
 _PIECES = """
 import numpy as np
 from ttr_reward_node.solvers.decomposition import PLANAR_QUADROTOR_FIVE, split
-from ttr_reward_node.problems.problem import problem_from_task
+from ttr_reward_node.problems.from_task import problem_from_task
 from ttr_reward_node.solvers.solver import solve
 problem = problem_from_task("quad_ttr", counts={"psi": 31, "v_x": 21, "omega": 9})
 for part in split(problem, PLANAR_QUADROTOR_FIVE):

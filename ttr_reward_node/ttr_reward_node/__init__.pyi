@@ -1,8 +1,8 @@
 from .errors import TimeToReachError as TimeToReachError
+from .problems.from_task import problem_from_task as problem_from_task
+from .problems.from_task import with_disturbances as with_disturbances
 from .problems.problem import Clearance as Clearance
 from .problems.problem import TimeToReachProblem as TimeToReachProblem
-from .problems.problem import problem_from_task as problem_from_task
-from .problems.problem import with_disturbances as with_disturbances
 from .problems.safety import SafetyGame as SafetyGame
 from .rewards.relabel import relabel as relabel
 from .rewards.rewards import REWARDS as REWARDS

@@ -18,7 +18,7 @@ from ctrl_rl_core.tasks.task import load_navigation_task
 from tqdm import tqdm
 
 from ttr_reward_node.errors import TimeToReachError
-from ttr_reward_node.problems.problem import problem_from_task
+from ttr_reward_node.problems.from_task import problem_from_task
 from ttr_reward_node.solvers.decomposition import DECOMPOSITIONS
 from ttr_reward_node.verification import convergence, cost, decomposition_error
 from ttr_reward_node.verification.check import as_line, check_task

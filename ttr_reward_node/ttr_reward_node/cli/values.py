@@ -24,7 +24,8 @@ from tqdm import tqdm
 
 from ttr_reward_node.cli.safe_sets import solve_and_save
 from ttr_reward_node.errors import TimeToReachError
-from ttr_reward_node.problems.problem import TimeToReachProblem, problem_from_task
+from ttr_reward_node.problems.from_task import problem_from_task
+from ttr_reward_node.problems.problem import TimeToReachProblem
 from ttr_reward_node.rewards.relabel import relabel
 from ttr_reward_node.rewards.rewards import RewardEvaluator
 from ttr_reward_node.solvers.decomposition import DECOMPOSITIONS, find_decomposition, join, split

@@ -1,11 +1,10 @@
 """A time-to-reach problem (thesis Eq. 2.17-2.20): a system on a grid, a target, and obstacles.
 
-    problem = problem_from_task("car_ttr")
     problem = TimeToReachProblem(system, axes, target=Region({"x": Interval(-0.1, 0.1)}))
 
 Between the nodes the target is exact: it is kept as intervals and a disc, not as marked nodes. Obstacles are kept as
-the clearance at the nodes and interpolated between them. What leaves the grid on an axis that is not periodic has
-failed.
+the clearance at the nodes and interpolated between them. What leaves the grid on an axis that is not periodic, or the
+state's own bounds, has failed.
 """
 
 from __future__ import annotations
@@ -13,36 +12,19 @@ from __future__ import annotations
 import hashlib
 import math
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.geometry.units import parse_interval
 from ctrl_rl_core.io import checked_json
-from ctrl_rl_core.tasks.schema.system import STATE_UNITS
-from ctrl_rl_core.tasks.schema.world import CorridorSpec
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from ctrl_rl_core import (
-    Axis,
-    Interval,
-    NavigationTask,
-    Region,
-    System,
-    World,
-    load_navigation_task,
-    position_indices,
-    task_digest,
-)
+from ctrl_rl_core import Axis, Region, System, position_indices
 from ttr_reward_node.errors import TimeToReachError
 from ttr_reward_node.problems.dependence import check_game
-from ttr_reward_node.problems.obstacles import make_clearance
+from ttr_reward_node.problems.limits import state_limits, tighter_limits
 from ttr_reward_node.problems.problem_checks import check_axes, check_clearance, check_system, check_target
-
-_STRAIGHT = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +75,7 @@ class TimeToReachProblem:
         check_axes(self.system, self.axes)
         check_system(self.system)
         check_game(self.system)
-        check_target(self.target, self.axes)
+        check_target(self.target, self.axes, self.limits)
         if self.clearance is not None:
             check_clearance(self.clearance.axes, self.clearance.values, self.axes)
         for what, number in (("inflation", self.inflation), ("corridor_width", self.corridor_width)):
@@ -118,6 +100,35 @@ class TimeToReachProblem:
     def points(self) -> int:
         """Number of nodes."""
         return math.prod(self.counts)
+
+    @cached_property
+    def limits(self) -> NDArray[np.float64]:
+        """Range (2, n) within which each state must stay: the grid's ends, tightened by the state's own bounds.
+
+        -inf and inf along a periodic axis.
+        """
+        return state_limits(self.system, self.axes)
+
+    def wrap(self, states: ArrayLike) -> NDArray[np.float64]:
+        """Return a copy of states (..., n) with those along periodic axes in [lower, upper) of the axis.
+
+        A periodic state along an axis that is not periodic stays as it is: it may leave the grid.
+        """
+        wrapped = np.array(states, dtype=np.float64)
+        for k, axis in enumerate(self.axes):
+            if axis.periodic:
+                angle = axis.lower + np.mod(wrapped[..., k] - axis.lower, axis.upper - axis.lower)
+                # The remainder of a tiny negative number rounds up to the whole period.
+                wrapped[..., k] = np.where(angle >= axis.upper, axis.lower, angle)
+        return wrapped
+
+    def outside(self) -> NDArray[np.bool_]:
+        """Whether each node lies outside the limits, shape of the grid; none does where the axes end within them."""
+        beyond = np.zeros((1,) * len(self.axes), dtype=bool)
+        for k, axis in enumerate(self.axes):
+            low, high = self.limits[:, k]
+            beyond = beyond | self.along(k, (axis.nodes < low) | (axis.nodes > high))
+        return np.broadcast_to(beyond, self.counts)
 
     def along(self, axis: int, values: NDArray[Any]) -> NDArray[Any]:
         """Values (count,) at the nodes of one axis, shaped to broadcast over the grid."""
@@ -169,131 +180,6 @@ class TimeToReachProblem:
         if self.clearance is not None:  # without one the digest is that of earlier versions
             values = np.ascontiguousarray(self.clearance.values, dtype="<f4")
             content["clearance"] = [list(self.clearance.axes), hashlib.sha256(values.tobytes()).hexdigest()]
+        if limits := tighter_limits(system, self.axes):  # likewise
+            content["limits"] = limits
         return checked_json.digest(content)
-
-
-def problem_from_task(
-    task: NavigationTask | str | Path,
-    *,
-    counts: Sequence[int] | Mapping[str, int] | None = None,
-    inflation: float = 0.0,
-    width: float | None = None,
-    disturbances: Mapping[str, Sequence[float]] | None = None,
-    control_counts: int | tuple[int, ...] = 3,
-) -> TimeToReachProblem:
-    """Make the problem that a navigation task describes.
-
-    Args:
-        task: Navigation task with a `grid`, its name or its file.
-        counts: Number of nodes by state name, or one for each state, in place of the task's.
-        inflation: Distance by which walls and obstacles are widened [m], such as the robot's radius; 0 for a point
-            robot. Walls thinner than a cell need it.
-        width: Width of the task's corridor [m]; None for the task's own.
-        disturbances: Bounds by name ("d_" and the state's name); no disturbance unless given.
-        control_counts: Number of samples of each control that the solver tries, one for all or one for each.
-
-    Raises:
-        TimeToReachError: the task has no grid, or its corridor's goal is not a box along the axes; unknown states in
-            `counts`; an inflation that is negative or not a number; walls or obstacles thinner than a cell.
-        TaskError, SystemModelError: the task or the disturbance is wrong.
-    """
-    if not isinstance(task, NavigationTask):
-        task = load_navigation_task(task)
-    if not (math.isfinite(inflation) and inflation >= 0.0):
-        raise TimeToReachError(f"inflation {inflation:g} m: it must be 0 or more")
-    if not task.grid:
-        raise TimeToReachError(f"task '{task.name}' has no value grid: add 'grid' with an axis for each state")
-    system = task.system.build()
-    if disturbances:
-        system = with_disturbances(system, disturbances)
-    axes = _axes(task, system, counts)
-    world = task.build_world(width)
-    return TimeToReachProblem(
-        system=system,
-        axes=axes,
-        target=task.goal.region if task.corridor is None else _corridor_goal(task, task.corridor, width),
-        clearance=_clearance(task, axes, world, inflation),
-        control_counts=control_counts,
-        name=task.name,
-        digest=task_digest(task),
-        inflation=inflation,
-        corridor_width=world.width,
-    )
-
-
-def _clearance(task: NavigationTask, axes: tuple[Axis, ...], world: World, inflation: float) -> Clearance | None:
-    """Return the clearance of a task's walls and obstacles; None for a system without positions."""
-    names = [axis.name for axis in axes]
-    plane = tuple(position_indices(names))
-    walls = "xy" if task.arena is None or task.arena.z is None else "xz"
-    if not plane and not world.obstacles:
-        return None
-    if [names[k] for k in plane] != list(walls):
-        own = ", ".join(names[k] for k in plane) or "none"
-        raise TimeToReachError(
-            f"task '{task.name}': walls and obstacles lie in {walls[0]} and {walls[1]}; the positions of "
-            f"{task.system.model} are {own}"
-        )
-    arena = None if task.arena is None else task.arena.bounds
-    shapes = world.obstacles if arena is not None else (*world.walls, *world.obstacles)
-    return Clearance(plane, make_clearance(shapes, arena, [axes[k] for k in plane], inflation))
-
-
-def with_disturbances(system: System, bounds: Mapping[str, Sequence[float]]) -> System:
-    """Return the system with disturbance bounds by name ("d_" and the state's name).
-
-    Raises:
-        TimeToReachError: an unknown name, or a lower bound above the upper one.
-    """
-    known = {disturbance.name for disturbance in system.disturbances}
-    for name, (lower, upper) in bounds.items():
-        if name not in known or not lower <= upper:
-            raise TimeToReachError(
-                f"disturbance '{name}' in [{lower:g}, {upper:g}]: choose from {sorted(known)}, lower <= upper"
-            )
-    changed = tuple(
-        replace(d, lower=float(bounds[d.name][0]), upper=float(bounds[d.name][1])) if d.name in bounds else d
-        for d in system.disturbances
-    )
-    return replace(system, disturbances=changed)
-
-
-def _corridor_goal(task: NavigationTask, corridor: CorridorSpec, width: float | None) -> Region:
-    """Return the goal of a corridor, given along its path, as a box of positions."""
-    goal, path = task.goal.intervals, corridor.path
-    along = goal.get("s", Interval(0.0, path.length))
-    (x, y, heading), (_, _, end) = path.pose((along.low, along.high))
-    if abs(end - heading) > _STRAIGHT or abs(np.sin(2.0 * heading)) > _STRAIGHT:
-        raise TimeToReachError(
-            f"task '{task.name}': its goal lies on a turn or askew; it must be on a straight piece along x or y"
-        )
-    half = 0.5 * (corridor.width if width is None else width)
-    aside = goal.get("lateral", Interval(-half, half))
-    s, lateral = np.meshgrid((0.0, along.length), aside)
-    xs, ys = x + s * np.cos(heading) - lateral * np.sin(heading), y + s * np.sin(heading) + lateral * np.cos(heading)
-    intervals = {"x": Interval(xs.min(), xs.max()), "y": Interval(ys.min(), ys.max())}
-    if "heading" in goal:
-        intervals["theta"] = Interval(heading + goal["heading"].low, heading + goal["heading"].high)
-    return Region(intervals)
-
-
-def _axes(task: NavigationTask, system: System, counts: Sequence[int] | Mapping[str, int] | None) -> tuple[Axis, ...]:
-    names = system.state_names
-    if set(task.grid) != set(names):
-        raise TimeToReachError(f"task '{task.name}': grid has {sorted(task.grid)}; the states are {', '.join(names)}")
-    if counts is None:
-        counts = {}
-    elif not isinstance(counts, Mapping):
-        if len(counts) != len(names):
-            raise TimeToReachError(f"{len(counts)} counts are given; the states are {', '.join(names)}")
-        counts = dict(zip(names, counts, strict=True))
-    unknown = set(counts) - set(names)
-    if unknown:
-        raise TimeToReachError(f"counts for '{min(unknown)}'; the states are {', '.join(names)}")
-    axes = []
-    for state in system.states:
-        spec = task.grid[state.name]
-        interval = parse_interval(spec.interval, STATE_UNITS[state.name])
-        count = counts.get(state.name, spec.count)
-        axes.append(Axis(state.name, state.unit, interval.low, interval.high, count, state.periodic))
-    return tuple(axes)

@@ -47,19 +47,19 @@ def check_axes(system: System, axes: Sequence[Axis]) -> None:
             raise TimeToReachError(f"axis '{axis.name}' is periodic, but the state is not")
 
 
-def check_target(target: Region, axes: Sequence[Axis]) -> None:
-    """Refuse a target that is no set, or that lies outside the grid.
+def check_target(target: Region, axes: Sequence[Axis], limits: NDArray[np.float64]) -> None:
+    """Refuse a target that is no set, or that lies outside the limits of the state (2, n).
 
     Raises:
         TimeToReachError: An interval or the disc, which is named, is wrong.
     """
-    by_name = {axis.name: axis for axis in axes}
+    by_name = {axis.name: k for k, axis in enumerate(axes)}
     for name, (low, high) in target.intervals.items():
         if name not in by_name:
             raise TimeToReachError(f"the target bounds '{name}'; the states are {', '.join(by_name)}")
         if not (math.isfinite(low) and math.isfinite(high) and low <= high):
             raise TimeToReachError(f"the target has '{name}' in [{low:g}, {high:g}]: give finite lower <= upper")
-        _check_on_grid(by_name[name], low, high)
+        _check_within(axes[by_name[name]], limits[:, by_name[name]], low, high)
     if target.disc is not None:
         plane = position_indices(list(by_name))
         if len(plane) < 2:
@@ -68,14 +68,16 @@ def check_target(target: Region, axes: Sequence[Axis]) -> None:
         if not (math.isfinite(radius) and radius > 0.0 and all(map(math.isfinite, target.disc.centre))):
             raise TimeToReachError(f"the target is a disc of radius {radius:g} m: give finite numbers, above 0")
         for k, centre in zip(plane, target.disc.centre, strict=True):
-            _check_on_grid(axes[k], centre - radius, centre + radius)
+            _check_within(axes[k], limits[:, k], centre - radius, centre + radius)
 
 
-def _check_on_grid(axis: Axis, low: float, high: float) -> None:
-    if not axis.periodic and (high < axis.lower or low > axis.upper):
+def _check_within(axis: Axis, limits: NDArray[np.float64], low: float, high: float) -> None:
+    least, most = limits
+    if high < least or low > most:
+        whose = "the grid's" if high < axis.lower or low > axis.upper else "the state's own bounds,"
         raise TimeToReachError(
-            f"nothing reaches the goal: it has '{axis.name}' in [{low:g}, {high:g}] {axis.unit}, outside the grid's "
-            f"[{axis.lower:g}, {axis.upper:g}]"
+            f"nothing reaches the goal: it has '{axis.name}' in [{low:g}, {high:g}] {axis.unit}, outside {whose} "
+            f"[{least:g}, {most:g}]"
         )
 
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ctrl_rl_core import Axis, System
 from ttr_reward_node.errors import TimeToReachError
 from ttr_reward_node.problems.dependence import AFFINE, check_game, dependences
+from ttr_reward_node.problems.limits import check_grid_within_limits
 from ttr_reward_node.problems.problem_checks import check_axes, check_system
 
 Array = NDArray[np.float64]
@@ -31,8 +32,8 @@ class SafetyGame:
         disturbances: Finite set of disturbances (k, n); None for the vertices of the system's bounds.
 
     Raises:
-        TimeToReachError: Axes or sets do not suit the system, or its best control or worst disturbance need not lie at
-            the bounds, which alone are tried.
+        TimeToReachError: Axes or sets do not suit the system, an axis goes beyond its state's bounds, or the best
+            control or worst disturbance need not lie at the bounds, which alone are tried.
     """
 
     system: System
@@ -44,6 +45,7 @@ class SafetyGame:
         object.__setattr__(self, "axes", tuple(self.axes))
         check_axes(self.system, self.axes)
         check_system(self.system)
+        check_grid_within_limits(self.system, self.axes, "the safety solver")
         for name, given, width in (
             ("controls", self.controls, len(self.system.controls)),
             ("disturbances", self.disturbances, len(self.system.disturbances)),

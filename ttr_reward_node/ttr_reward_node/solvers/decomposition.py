@@ -24,7 +24,8 @@ from numpy.typing import NDArray
 from ctrl_rl_core import Disc, Interval, NavigationTask, Quantity, Region, System, position_indices
 from ttr_reward_node.errors import TimeToReachError
 from ttr_reward_node.problems.dependence import dependences
-from ttr_reward_node.problems.problem import Clearance, TimeToReachProblem, problem_from_task
+from ttr_reward_node.problems.from_task import problem_from_task
+from ttr_reward_node.problems.problem import Clearance, TimeToReachProblem
 from ttr_reward_node.solvers.solution import Progress, Solution
 from ttr_reward_node.solvers.solver import solve
 from ttr_reward_node.values.decomposed_value import DecomposedValue
@@ -170,7 +171,11 @@ def _make_subproblem(
     """Return the problem of the kept states, with borrowed states as controls."""
     whole, names = problem.system, problem.system.state_names
     kept = [names.index(name) for name in states]
-    lent = [Quantity(axis.name, axis.unit, axis.lower, axis.upper) for axis in problem.axes if axis.name in borrowed]
+    lent = [
+        Quantity(axis.name, axis.unit, max(low, axis.lower), min(high, axis.upper))
+        for axis, low, high in zip(problem.axes, *problem.limits, strict=True)
+        if axis.name in borrowed
+    ]
     own = [control for control in whole.controls if control.name in used]
     sources: list[tuple[int, int]] = []
     for name in names:

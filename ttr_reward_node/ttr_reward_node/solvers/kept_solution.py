@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from ctrl_rl_core import NavigationTask, task_digest
-from ttr_reward_node.problems.problem import problem_from_task
+from ttr_reward_node.problems.from_task import problem_from_task
 from ttr_reward_node.solvers.solver import check_reached, solve
 
 Tell = Callable[[str], None]

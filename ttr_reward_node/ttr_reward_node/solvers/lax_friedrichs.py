@@ -54,9 +54,10 @@ def solve(
     unit = float(np.max(spacings[top > 0] / top[top > 0], initial=0.0)) or 1.0
     tolerance = _TOLERANCE * unit if tolerance is None else tolerance
     rate = 1.0 / (_CROSSINGS * unit * max(layout.counts))
-    target = problem.in_target() & ~problem.blocked()
+    failed = problem.blocked() | problem.outside()
+    target = problem.in_target() & ~failed
     v = np.where(flat(target, layout), 0.0, 1.0)
-    fixed = flat(target | problem.blocked(), layout)
+    fixed = flat(target | failed, layout)
     n = len(layout.order)
     grid = make_grid(layout.counts, layout.periodic, len(layout.outer))
     hamiltonian = Hamiltonian(rates, controls, viscosity, spacings, rate)

@@ -16,7 +16,8 @@ import numpy as np
 
 from ctrl_rl_core import NavigationTask, ValueFunction, ValueGrid
 from ttr_reward_node.errors import TimeToReachError
-from ttr_reward_node.problems.problem import TimeToReachProblem, problem_from_task
+from ttr_reward_node.problems.from_task import problem_from_task
+from ttr_reward_node.problems.problem import TimeToReachProblem
 from ttr_reward_node.rewards.rewards import longest_time
 from ttr_reward_node.solvers import lax_friedrichs, semi_lagrangian
 from ttr_reward_node.solvers.solution import Progress, Solution

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from ctrl_rl_core import NavigationTask, ValueFunction, World, load_navigation_task, position_indices
 from ttr_reward_node.errors import TimeToReachError
-from ttr_reward_node.problems.problem import TimeToReachProblem, problem_from_task
+from ttr_reward_node.problems.from_task import problem_from_task
+from ttr_reward_node.problems.problem import TimeToReachProblem
 from ttr_reward_node.rewards.rewards import KIND
 from ttr_reward_node.solvers.solution import Progress
 from ttr_reward_node.solvers.solver import solve
@@ -120,7 +121,8 @@ def random_starts(
     """
     plane = position_indices(problem.system.state_names)
     random = np.random.default_rng(seed)
-    lower, upper = np.array([(axis.lower, axis.upper) for axis in problem.axes]).T
+    ends = np.array([[axis.lower for axis in problem.axes], [axis.upper for axis in problem.axes]])
+    lower, upper = np.clip(ends, *problem.limits)
     starts, drawn = np.empty((0, len(lower))), 0
     while len(starts) < count:
         if drawn >= _MOST_DRAWS * count:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ttr_reward_node.problems.problem import problem_from_task
+from ttr_reward_node.problems.from_task import problem_from_task
 from ttr_reward_node.solvers.solver import METHODS, solve
 from ttr_reward_node.verification.exact_times import reference
 

@@ -30,8 +30,8 @@ class RollOuts:
     Attributes:
         predicted: the value at the start (N,) [s].
         executed: time until the target (N,) [s], NaN where it was not reached.
-        reached, collided, left: Whether each roll-out reached the target, collided, or left the grid (N,); none of them
-            where it ran out of time.
+        reached, collided, left: Whether each roll-out reached the target, collided, or left the grid or the state's own
+            bounds (N,); none of them where it ran out of time.
         last: the last state (N, n).
     """
 
@@ -91,7 +91,7 @@ def roll_out(
     Raises:
         TimeToReachError: a state at which there is no finite prediction.
     """
-    x = problem.system.wrap(np.atleast_2d(np.asarray(states, dtype=np.float64)))
+    x = problem.wrap(np.atleast_2d(np.asarray(states, dtype=np.float64)))
     predicted = value.value(x)
     if not np.isfinite(predicted).all():
         bad = x[~np.isfinite(predicted)][0]
@@ -100,7 +100,7 @@ def roll_out(
     time_step = 0.2 * unit if time_step is None else time_step
     look_ahead = 1.5 * unit if look_ahead is None else look_ahead
     controls = problem.system.control_samples(problem.control_counts)
-    lower, upper = np.array([(-np.inf, np.inf) if a.periodic else (a.lower, a.upper) for a in problem.axes]).T
+    lower, upper = problem.limits
     count = len(x)
     executed, last = np.full(count, np.nan), x.copy()
     reached, collided, left = (np.zeros(count, dtype=bool) for _ in range(3))
@@ -119,6 +119,6 @@ def roll_out(
         running = running[~(inside | hit | out | late)]
         x = last[running]
         u = controls[best_control(value, problem, x, controls, look_ahead)]
-        last[running] = problem.system.wrap(problem.system.step(x, u, dt=time_step))
+        last[running] = problem.wrap(problem.system.step(x, u, dt=time_step))
         time += time_step
     return RollOuts(predicted, executed, reached, collided, left, last)
