@@ -1,15 +1,30 @@
-"""Arrays of models and policies: their type, and the checks that a file's must pass."""
+"""Arrays of models and policies: their type, and the checks that a file's or a caller's must pass."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from koopman_lqr_controller.errors import KoopmanError
 
 Array = NDArray[np.float64]
+
+
+def real_array(name: str, values: ArrayLike) -> Array:
+    """Return values as an array of float64; it is the same one where it is that already.
+
+    Raises:
+        KoopmanError: the values are not real numbers, e.g. complex, text or rows of unequal length.
+    """
+    try:
+        array = np.asarray(values)
+    except ValueError:
+        raise KoopmanError(f"{name} has rows of unequal length: give an array of numbers") from None
+    if array.dtype.kind not in "biuf":
+        raise KoopmanError(f"{name} holds {array.dtype} values: give real numbers")
+    return np.asarray(array, dtype=np.float64)
 
 
 def check_arrays(shapes: Mapping[str, tuple[Array, tuple[int, ...]]], reason: str) -> None:

@@ -14,10 +14,13 @@ from ctrl_rl_core import Interval
 from koopman_lqr_controller.control.riccati import solve_lqr
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.models.edmd import Snapshots, fit, persistence_error
+from koopman_lqr_controller.models.identifiability import check_controls_move
 from koopman_lqr_controller.models.shrinkage import fit_with_shrinkage
 from koopman_lqr_controller.policies.edmd_policy import EdmdPolicy
 from koopman_lqr_controller.safety.latent_distribution import fit_distribution
 from koopman_lqr_controller.sensing.observables import CorridorObservables
+
+_COMMANDS = ("the commanded speed", "the commanded turn rate")
 
 
 @dataclass(frozen=True)
@@ -62,7 +65,8 @@ def train(
         shrunk: Whether the model is shrunk towards "nothing changes", for little and noisy data.
 
     Raises:
-        KoopmanError: the speed is beyond the limits, too little data, or no stabilising regulator.
+        KoopmanError: the speed is beyond the limits, too little data or none that tells what the commands do, or no
+            stabilising regulator.
     """
     if not limits[0].low <= speed <= limits[0].high:
         raise KoopmanError(f"the speed to drive at is {speed} m/s: must be from {limits[0].low} to {limits[0].high}")
@@ -73,10 +77,11 @@ def train(
     z_ref = np.zeros(len(observables.names))
     z_ref[-1] = speed
     u_ref = np.array([speed, 0.0])
+    check_controls_move(seen.u, _COMMANDS)
     # What was driven left could have been driven right: the mirrored drive is as true, and makes the model symmetric.
     data = seen.centred(z_ref, u_ref)
     mirrored = data.mirrored(observables.mirror, np.array([1.0, -1.0]))
-    model = fit_with_shrinkage(data, mirrored, drift=False).model if shrunk else fit(data + mirrored)
+    model = fit_with_shrinkage(data, mirrored, drift=False).model if shrunk else fit(data + mirrored, redundant=True)
     constant = [
         name
         for name, here, there in zip(observables.names, data.z.T, data.z_next.T, strict=True)

@@ -8,9 +8,20 @@ import numpy as np
 
 from koopman_lqr_controller.arrays import Array
 from koopman_lqr_controller.errors import KoopmanError
+from koopman_lqr_controller.models.identifiability import (
+    RegressionData,
+    check_controls_told,
+    check_no_drift,
+    check_states_told,
+)
+from koopman_lqr_controller.models.least_squares import Deviations, LeastSquares, sizes
 
 _FADING = 0.999
 """Largest modulus of a model that was contracted."""
+_BEYOND_NOISE = 3.0
+"""Standard errors beyond which what a ridge does to a coefficient is a bias, and no cure of noise."""
+_BEARABLE = 0.5
+"""Part of a control's effect that a ridge may hide: an LQR stays stable from half of its gain on."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +73,8 @@ class LinearModel:
 
     def contracted(self) -> tuple[float, LinearModel]:
         """Return a factor, and the same with A times it, so that all modes fade; 1 where they do already."""
-        factor = min(1.0, _FADING / float(np.abs(np.linalg.eigvals(self.A)).max()))
+        radius = float(np.abs(np.linalg.eigvals(self.A)).max())
+        factor = _FADING / radius if radius > _FADING else 1.0
         return factor, LinearModel(np.ascontiguousarray(factor * self.A), self.B)
 
     def one_step_error(self, data: Snapshots) -> Array:
@@ -75,21 +87,50 @@ def persistence_error(data: Snapshots) -> Array:
     return np.sqrt(np.mean((data.z_next - data.z) ** 2, axis=0))
 
 
-def fit(data: Snapshots, regularisation: float = 1e-3) -> LinearModel:
+def fit(data: Snapshots, regularisation: float = 1e-3, redundant: bool = False) -> LinearModel:
     """Return the least-squares model, K = G^+ M of Eq. 2.34 with Psi(x, u) = [Psi(x), u].
 
-    The ridge is relative to each regressor's variance; 0 is Eq. 2.34 to the letter. There are n + m rows at least.
+    The model has no drift: z and u are deviations from a fixed point, or z holds the constant 1. The ridge is there for
+    noise. Where it would move the coefficients by more than noise can, as with data of a simulation, it stays out.
+
+    Args:
+        data: Snapshots, at least n + m + 2 unless observables repeat each other.
+        regularisation: Ridge relative to each regressor's variance; 0 is Eq. 2.34 to the letter.
+        redundant: Whether observables may be constant or repeat each other, as those of a lifting do: A is then the
+            smallest that predicts as well, and the ridge is always there.
 
     Raises:
-        KoopmanError: too few rows, or values that are not finite.
+        KoopmanError: the data are not finite numbers of fitting shapes, or do not tell A and B; it names the columns.
     """
-    Psi = np.hstack((data.z, data.u))
-    if len(data) < Psi.shape[1]:
-        raise KoopmanError(f"{len(data)} snapshots are too few for {Psi.shape[1]} observables: record a longer drive")
-    if not (np.isfinite(Psi).all() and np.isfinite(data.z_next).all()):
-        raise KoopmanError("snapshots hold values that are not finite")
-    G = Psi.T @ Psi / len(data)
-    M = Psi.T @ data.z_next / len(data)
-    K = np.linalg.pinv(G + regularisation * np.diag(Psi.var(axis=0)), hermitian=True) @ M
-    n = data.z.shape[1]
-    return LinearModel(A=np.ascontiguousarray(K[:n].T), B=np.ascontiguousarray(K[n:].T))
+    if not (np.isfinite(regularisation) and regularisation >= 0.0):
+        raise KoopmanError(f"the regularisation is {regularisation}: must be a number from 0 on")
+    given = RegressionData.of(data.z, data.u, data.z_next)
+    if not redundant:
+        check_states_told(given)
+    check_controls_told(given)
+    Psi, n = np.hstack((given.z, given.u)), given.z.shape[1]
+    spread, problem = Deviations.of(Psi).spread, LeastSquares(Psi)
+    plain = problem.solve(given.z_next)
+    ridge = np.sqrt(regularisation * len(Psi)) * spread / problem.size
+    ridged = LeastSquares(Psi, ridge).solve(given.z_next)
+    moved = _row_sizes(ridged - plain, given.z_next)
+    errors = problem.standard_errors(given.z_next - Psi @ plain, given.eps * sizes(given.z_next))
+    biased = moved > _BEYOND_NOISE * _row_sizes(errors, given.z_next)
+    if not redundant:
+        check_no_drift(given, plain)
+        W = plain if biased.any() else ridged
+    elif (biased & (moved > _BEARABLE * _row_sizes(plain, given.z_next)))[n:].any():
+        raise KoopmanError(
+            f"controls vary so little apart from the state that a ridge of {regularisation:g} hides what they do: add "
+            "a larger dither of its own to each control while recording"
+        )
+    else:
+        W = ridged
+    if not np.isfinite(W).all():
+        raise KoopmanError("A and B are too large for their units: give z and u in units nearer to what they hold")
+    return LinearModel(A=np.ascontiguousarray(W[:n].T), B=np.ascontiguousarray(W[n:].T))
+
+
+def _row_sizes(W: Array, Y: Array) -> Array:
+    """Return the size of the coefficients of each regressor (p,), outputs in units of their own size."""
+    return np.asarray(np.linalg.norm(W / sizes(Y), axis=1), dtype=np.float64)

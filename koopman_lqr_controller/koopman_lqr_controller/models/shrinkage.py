@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 from koopman_lqr_controller.arrays import Array
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.models.edmd import LinearModel, Snapshots
+from koopman_lqr_controller.models.identifiability import RegressionData, check_controls_move, check_controls_told
+from koopman_lqr_controller.models.least_squares import Deviations
 
 RIDGES = tuple(float(10.0**power) for power in np.arange(-6.0, 2.1, 1.0 / 3.0))
 """Strengths that are tried, relative to each regressor's variance."""
@@ -48,21 +50,25 @@ def fit_with_shrinkage(data: Snapshots, twin: Snapshots | None = None, drift: bo
         drift: Whether there may be one; else the model is of deviations from a fixed point.
 
     Raises:
-        KoopmanError: fewer than two rows for each part, values that are not finite, or nothing moves.
+        KoopmanError: fewer than two rows for each part, values that are not finite numbers of fitting shapes, nothing
+            moves, or the data do not tell what the controls do.
     """
-    if len(data) < 2 * _FOLDS:
-        raise KoopmanError(f"{len(data)} steps are too few to choose a model by: record a longer drive")
+    given = RegressionData.of(data.z, data.u, data.z_next)
+    if len(given.z) < 2 * _FOLDS:
+        raise KoopmanError(f"{len(given.z)} steps are too few to choose a model by: record a longer drive")
+    if not (given.z_next - given.z).any():
+        raise KoopmanError("nothing changes in this drive: record one in which the robot moves")
+    check_controls_move(given.u)  # a twin would make a control that stands still seem to move
     parts = [[rows] for rows in np.array_split(np.arange(len(data)), _FOLDS)]
     if twin is not None:
+        RegressionData.of(twin.z, twin.u, twin.z_next).check_like(given)
         parts = [[rows, rows + len(data)] for (rows,) in parts]
         data = data + twin
-    X, Y = np.hstack((data.z, data.u)), data.z_next - data.z
-    if not (np.isfinite(X).all() and np.isfinite(Y).all()):
-        raise KoopmanError("snapshots hold values that are not finite")
-    if not Y.any():
-        raise KoopmanError("nothing changes in this drive: record one in which the robot moves")
+        given = RegressionData.of(data.z, data.u, data.z_next)
+    check_controls_told(given)
+    X, Y = np.hstack((given.z, given.u)), given.z_next - given.z
     middle, moved = (X.mean(axis=0), Y.mean(axis=0)) if drift else (np.zeros(X.shape[1]), np.zeros(Y.shape[1]))
-    unit = X.std(axis=0)
+    unit = Deviations.of(X).spread
     unit[unit == 0.0] = 1.0
     X, Y = (X - middle) / unit, Y - moved
     errors = _cross_validation_errors(X, Y, moved, [np.concatenate(part) for part in parts])

@@ -105,7 +105,8 @@ class TwoStageLearner(ReplayLearner):
         encoder, data = self._model.deploy(), self.replay.everything()
         u = data.u.astype(np.float64)
         z_ref = encoder(self._goal)
-        model = fit(Snapshots(encoder(data.x), u, encoder(data.x_next)).centred(z_ref, np.zeros(u.shape[1])), _RIDGE)
+        seen = Snapshots(encoder(data.x), u, encoder(data.x_next)).centred(z_ref, np.zeros(u.shape[1]))
+        model = fit(seen, _RIDGE, redundant=True)
         first, rest = self._cost
         Q = np.concatenate((first, np.full(len(z_ref) - len(first), rest)))
         for each in (model, model.contracted()[1]):
