@@ -9,7 +9,7 @@ import yaml
 from ctrl_rl_core.tasks.regions import wrap
 from ctrl_rl_core.tasks.task import FOLDER
 
-from ctrl_rl_core import TaskError, load_navigation_task, load_task, task_digest, task_names
+from ctrl_rl_core import NavigationTask, TaskError, load_navigation_task, load_task, task_digest, task_names
 
 MOVING = ("corridor_crossing", "corridor_cutting_in", "corridor_head_on", "corridor_sudden", "walkers")
 NAVIGATION = (
@@ -82,6 +82,18 @@ def test_a_system_with_some_parameters_scaled_is_otherwise_the_same() -> None:
         spec.scaled({"mass": 1.1})
     with pytest.raises(ValueError, match="'m' is 0; it must be more than zero"):
         spec.scaled({"m": 0.0})
+
+
+def test_a_task_says_within_which_bounds_the_state_stays(tmp_path: Path) -> None:
+    old = "controls: {T_1"
+    task = load_task(changed(tmp_path, "quad_ttr", old, f"states: {{v_x: -3.0 .. 3.0 m/s}}\n  {old}"))
+    assert isinstance(task, NavigationTask)
+    speed = task.system.build().states[1]
+    assert (speed.name, speed.lower, speed.upper) == ("v_x", -3.0, 3.0)
+    assert task.system.scaled({"m": 1.1}).build().states[1] == speed
+    assert task_digest(task) != task_digest(load_task("quad_ttr"))
+    with pytest.raises(TaskError, match="system: 'v': no such name"):
+        load_task(changed(tmp_path, "quad_ttr", old, f"states: {{v: -3.0 .. 3.0 m/s}}\n  {old}"))
 
 
 def test_the_lidar_of_the_burger_has_a_beam_per_degree() -> None:

@@ -212,4 +212,6 @@ def task_digest(task: TaskHeader) -> str:
     left_out: dict[str, Any] = dict.fromkeys(_PROSE | {name for name in _YOUNG if not getattr(task, name, None)}, True)
     if isinstance(task, NavigationTask) and task.robot.footprint is None:
         left_out["robot"] = {"footprint"}
+    if isinstance(task, NavigationTask) and not task.system.states:  # as digests were before there was such a key
+        left_out["system"] = {"states"}
     return hashlib.sha256(task.model_dump_json(exclude=left_out).encode()).hexdigest()

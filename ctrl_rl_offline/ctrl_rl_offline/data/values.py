@@ -117,7 +117,9 @@ def _solvable(task: NavigationTask) -> NavigationTask:
     if set(task.robot.commands) == set(system.controls):
         units = {"v": "m/s", "omega": "rad/s"}
         controls = {name: f"{low} .. {high} {units[name]}" for name, (low, high) in task.robot.commands.items()}
-        changes["system"] = SystemSpec(model=system.model, parameters=system.parameters, controls=controls)
+        changes["system"] = SystemSpec(
+            model=system.model, parameters=system.parameters, controls=controls, states=system.states
+        )
     if not task.grid and task.arena is not None and system.build().state_names == ("x", "y", "theta"):
         sides = dict(zip(("x", "y"), task.arena.bounds, strict=False))
         grid = {

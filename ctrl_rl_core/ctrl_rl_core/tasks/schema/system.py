@@ -24,11 +24,13 @@ class SystemSpec(Part):
         model: Name of a model in `ctrl_rl_core.SYSTEM_MODELS`, or of one that an installed package offers.
         parameters: Parameters by name, with units; the model's defaults where left out.
         controls: Bounds by control name; the model's defaults where left out.
+        states: Bounds by state name, within which the state must stay; the model's own where left out.
     """
 
     model: str
     parameters: dict[str, str] = Field(default_factory=dict)
     controls: dict[str, str] = Field(default_factory=dict)
+    states: dict[str, str] = Field(default_factory=dict)
 
     @model_validator(mode="after")
     def _known(self) -> SystemSpec:
@@ -48,13 +50,14 @@ class SystemSpec(Part):
         units = {name: unit_of(name, self._parameter_units()) for name in factors}
         own = self.build().parameters
         changed = {name: f"{factor * own[name]!r} {units[name]}" for name, factor in factors.items()}
-        return SystemSpec(model=self.model, parameters={**self.parameters, **changed}, controls=self.controls)
+        parameters = {**self.parameters, **changed}
+        return SystemSpec(model=self.model, parameters=parameters, controls=self.controls, states=self.states)
 
     def _parameter_units(self) -> dict[str, str]:
         return {parameter.name: parameter.unit for parameter in find_model(self.model).parameters}
 
     def build(self) -> System:
-        """Return the system model with this task's parameters and control bounds."""
+        """Return the system model with this task's parameters and bounds."""
         model = find_model(self.model)
         parameter_units = self._parameter_units()
         control_units = {control.name: control.unit for control in model.controls}
@@ -62,7 +65,9 @@ class SystemSpec(Part):
             name: parse_scalar(text, unit_of(name, parameter_units)) for name, text in self.parameters.items()
         }
         controls = {name: parse_interval(text, unit_of(name, control_units)) for name, text in self.controls.items()}
+        state_units = {state.name: state.unit for state in model.states}
+        states = {name: parse_interval(text, unit_of(name, state_units)) for name, text in self.states.items()}
         try:
-            return make_system(self.model, parameters=parameters, control_bounds=controls)
+            return make_system(self.model, parameters=parameters, state_bounds=states, control_bounds=controls)
         except SystemModelError as error:
             raise ValueError(str(error)) from None
