@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 
 import casadi
 import numpy as np
@@ -202,6 +203,25 @@ def test_control_samples_count_a_held_control_once():
     np.testing.assert_allclose(free.disturbance_samples(), [[0, 0, 0]])
     windy = make_system("dubins_car", disturbance_bounds={"d_x": (-0.1, 0.1)})
     np.testing.assert_allclose(windy.disturbance_samples(), [[-0.1, 0, 0], [0.1, 0, 0]])
+
+
+def test_a_system_without_controls_has_one_empty_sample():
+    free = replace(SYSTEMS["dubins_car"], controls=(), equations=lambda _m, _p: lambda x, _u, _d: (-x[0], x[1], 0.0))
+    assert free.control_samples().shape == free.control_samples(3).shape == (1, 0)
+    np.testing.assert_allclose(free.dynamics([1.0, 2.0, 0.0], free.control_samples()), [-1.0, 2.0, 0.0])
+
+
+def test_a_disturbance_that_is_held_acts_where_none_is_given():
+    bounds = {"d_x": (0.5, 0.5), "d_y": (0.2, 0.4), "d_theta": (-0.1, 0.3)}
+    boat = make_system("dubins_car", disturbance_bounds=bounds)
+    np.testing.assert_allclose(boat.nominal_disturbance, [0.5, 0.3, 0.0])
+    still = SYSTEMS["dubins_car"]
+    x, u = np.array([0.0, 0.0, 0.5]), np.array([1.0, 1.0])
+    np.testing.assert_allclose(boat.dynamics(x, u), still.dynamics(x, u) + np.array([0.5, 0.3, 0.0]))
+    np.testing.assert_allclose(boat.dynamics(x, u, np.zeros(3)), still.dynamics(x, u))
+    np.testing.assert_allclose(boat.step(x, u, dt=0.1), still.step(x, u, [0.5, 0.3, 0.0], dt=0.1))
+    by_casadi = boat.dynamics(casadi.DM(x), casadi.DM(u), math=casadi)
+    np.testing.assert_allclose(np.array(by_casadi).ravel(), boat.dynamics(x, u))
 
 
 def test_units_of_the_disturbance_are_those_of_the_rates():

@@ -56,10 +56,22 @@ class System:
         """Lower and upper bounds of d, shape (2, n)."""
         return _bounds_array(self.disturbances)
 
+    @cached_property
+    def nominal_disturbance(self) -> NDArray[np.float64]:
+        """Disturbance (n,) that acts where none is given: zero, or the middle of bounds that exclude zero.
+
+        A steady current has equal bounds, and is its own middle.
+        """
+        lower, upper = self.disturbance_bounds
+        nominal = np.where((lower <= 0.0) & (upper >= 0.0), 0.0, 0.5 * (lower + upper))
+        nominal.flags.writeable = False
+        return nominal
+
     def control_samples(self, counts: int | Sequence[int] = 2) -> NDArray[np.float64]:
         """Evenly spaced controls that include the bounds, shape (k, m); two per control are the vertices of the box.
 
-        A control that is held (equal bounds) counts once, so the Dubins car at constant speed has two vertices.
+        A control that is held (equal bounds) counts once, so the Dubins car at constant speed has two vertices. A
+        system without controls has one sample, which is empty.
         """
         return _box_samples(self.controls, counts)
 
@@ -73,7 +85,7 @@ class System:
         Args:
             x: States, shape (..., n); for CasADi (n, N), one state a column.
             u: Controls, shape (..., m) or (m, N); broadcast against x.
-            d: Disturbances shaped like x, or None for zero.
+            d: Disturbances shaped like x, or None for `nominal_disturbance`.
             math: The namespace of cos, sin, tan: numpy, or the casadi module.
 
         Returns:
@@ -83,7 +95,10 @@ class System:
             SystemModelError: A number of components that is not the system's.
         """
         n, m = len(self.states), len(self.controls)
-        disturbance = (0.0,) * n if d is None else _components(d, n, f"{self.name}: d", math)
+        if d is None:
+            disturbance: tuple[Any, ...] = tuple(self.nominal_disturbance.tolist())
+        else:
+            disturbance = _components(d, n, f"{self.name}: d", math)
         f = self.equations(math, self.parameters)
         rates = f(_components(x, n, f"{self.name}: x", math), _components(u, m, f"{self.name}: u", math), disturbance)
         if math is np:
@@ -235,10 +250,12 @@ def _bounds_array(quantities: tuple[Quantity, ...]) -> NDArray[np.float64]:
 
 def _box_samples(quantities: tuple[Quantity, ...], counts: int | Sequence[int]) -> NDArray[np.float64]:
     each = [counts] * len(quantities) if isinstance(counts, int) else list(counts)
-    if len(each) != len(quantities) or min(each) < 2:
+    if len(each) != len(quantities) or min(each, default=2) < 2:
         raise SystemModelError(
             f"sample counts are {counts}; give at least 2 for each of {[q.name for q in quantities]}"
         )
+    if not quantities:
+        return np.zeros((1, 0))
     ticks = [
         np.linspace(q.lower, q.upper, 1 if q.lower == q.upper else count)
         for q, count in zip(quantities, each, strict=True)
