@@ -132,7 +132,7 @@ def problem(equations, bound=0.5):
 
 
 def test_a_disturbance_that_multiplies_a_state_is_seen():
-    layout = make_layout(problem(lambda _m, _p: lambda x, u, d: (u[0] + d[0] * x[1], u[1], x[2] * 0.0 + d[2])))
+    layout = make_layout(problem(lambda _m, _p: lambda x, u, d: (u[0] + d[0] * x[1], u[1] + d[1], x[2] * 0.0 + d[2])))
     assert layout.outer == (1,)
     assert layout.inner == (0, 2)
 

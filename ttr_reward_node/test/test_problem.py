@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from ttr_reward_node.cli.values import solve_value
 
-from ctrl_rl_core import SYSTEM_MODELS, Axis, Disc, Interval, Region, task_file
+from ctrl_rl_core import SYSTEM_MODELS, Axis, Disc, Interval, Region, make_system, task_file
 from ttr_reward_node import Clearance, SafetyGame, TimeToReachError, TimeToReachProblem, load_value, roll_out, solve
 
 
@@ -26,7 +26,7 @@ def write_task(folder, name, **changes):
 
 
 def small_grid(model):
-    """Five nodes an axis, over the bounds of the state or, where it has none, from -2 to 2."""
+    """Five nodes an axis, eight on a periodic one, over the bounds of the state or, where it has none, from -2 to 2."""
     grid, goal = {}, {}
     for state in SYSTEM_MODELS[model].states:
         low, high = (
@@ -34,7 +34,7 @@ def small_grid(model):
         )
         if model == "quadrotor_rotation" and state.name == "theta":
             low, high = -1.0, 1.0  # singular upright
-        grid[state.name] = {"interval": f"{low} .. {high} {state.unit}", "count": 5}
+        grid[state.name] = {"interval": f"{low} .. {high} {state.unit}", "count": 8 if state.periodic else 5}
         goal[state.name] = f"{low / 2.0} .. {high / 2.0} {state.unit}"
     return {"grid": grid, "goal": goal}
 
@@ -178,3 +178,58 @@ def test_a_roll_out_that_leaves_the_states_bounds_has_left():
     outcome = roll_out(free, bounded_cart(), [[4.0, 0.0], [0.7, 0.0]])
     assert outcome.left.tolist() == [True, False]
     assert outcome.reached.tolist() == [False, True]
+
+
+def turning(lower, upper, count=16, periodic=True):
+    """The car, on an axis of its heading."""
+    axes = (
+        Axis("x", "m", -2.0, 2.0, 9),
+        Axis("y", "m", -2.0, 2.0, 9),
+        Axis("theta", "rad", lower, upper, count, periodic),
+    )
+    return TimeToReachProblem(make_system("dubins_car"), axes, Region({"x": Interval(-0.5, 0.5)}))
+
+
+@pytest.mark.fault
+@pytest.mark.parametrize(
+    ("ends", "periodic", "words"),
+    [
+        (
+            (-math.pi / 2, math.pi / 2),
+            True,
+            "is 3.14159 rad long, but the state comes round after 6.28319: give one period",
+        ),
+        ((-180.0, 180.0), True, "it seems to be in degrees: give one period"),
+        ((0.0, 180.0), False, "it seems to be in degrees: give one period"),
+        ((0.0, 4.0 * math.pi), True, "is 12.5664 rad long"),
+        ((-4.0, 4.0), False, "is 8 rad long"),
+    ],
+)
+def test_an_axis_that_goes_round_another_way_than_the_state_is_refused(ends, periodic, words):
+    with pytest.raises(TimeToReachError, match=words):
+        turning(*ends, periodic=periodic)
+
+
+def test_a_heading_may_have_an_axis_that_it_must_not_leave():
+    turning(0.0, 2.0 * math.pi)
+    turning(-3.1416, 3.1416)
+    assert turning(-1.0, 1.0, periodic=False).limits[:, 2].tolist() == [-1.0, 1.0]
+    # A car that may not turn over does not come back from behind.
+    whole, half = turning(-math.pi, math.pi, 24), turning(-math.pi / 2, math.pi / 2, 13, periodic=False)
+    assert np.isfinite(solve(whole).grid.value([[1.0, 0.0, 0.0]])[0])
+    assert np.isinf(solve(half).grid.value([[1.0, 0.0, 0.0]])[0])
+
+
+@pytest.mark.fault
+def test_too_few_nodes_to_carry_a_step_are_refused():
+    with pytest.raises(TimeToReachError, match=r"axis 'theta' has 7 nodes, .* give at least 8"):
+        turning(-math.pi, math.pi, 7)
+    with pytest.raises(TimeToReachError, match=r"axis 'x' has 4 nodes, .* give at least 5"):
+        line(count=4)
+    turning(-math.pi, math.pi, 8)
+    # Nothing moves along the second axis, which is a number that is only looked up.
+    still = double_integrator().system
+    still = replace(still, equations=lambda _m, _p: lambda x, u, d: (u[0] + d[0], 0.0 * x[1]))
+    axes = (Axis("x", "m", -3.0, 3.0, 61), Axis("v", "m/s", 0.0, 1.0, 2))
+    solved = solve(TimeToReachProblem(still, axes, Region({"x": Interval(-0.5, 0.5)}))).grid
+    np.testing.assert_allclose(solved.value([[2.0, 0.3]]), 1.5, atol=0.02)

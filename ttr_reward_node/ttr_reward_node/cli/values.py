@@ -58,6 +58,7 @@ def _cut(text: str) -> tuple[str, tuple[float, ...]]:
 
 _Decomposition = Annotated[str, one_of(sorted({name for choices in DECOMPOSITIONS.values() for name in choices}))]
 _Counts = Annotated[tuple[tuple[str, int], ...], checked_list(_count, "STATE=N")]
+_ControlCounts = Annotated[tuple[tuple[str, int], ...], checked_list(_count, "CONTROL=N")]
 _Disturbances = Annotated[tuple[tuple[str, tuple[float, float]], ...], checked_list(_disturbance, "D_STATE=LOW:HIGH")]
 _Cuts = Annotated[tuple[tuple[str, tuple[float, ...]], ...], checked_list(_cut, "STATE=VALUE,...")]
 _File = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
@@ -85,7 +86,9 @@ class Solve:
     count: _Counts = ()
     """Number of nodes on a state's axis, in place of the task's."""
     disturbance: _Disturbances = ()
-    """Bounded disturbances that work against the robot, such as d_x=-0.1:0.1."""
+    """Bounded disturbances that work against the robot, such as d_x=-0.1:0.1; d_x=0.5:0.5 is a steady current."""
+    controls: _ControlCounts = ()
+    """Number of samples of a control between its bounds; as many as the equations need where it is not named."""
     inflation: FiniteNumber | None = None
     """Distance by which obstacles are widened [m]; 0 where neither this nor --robot-size is given."""
     robot_size: bool = False
@@ -168,6 +171,7 @@ def _problem(options: Solve) -> TimeToReachProblem:
         inflation=task.robot.radius if options.robot_size else options.inflation or 0.0,
         width=options.width,
         disturbances=dict(options.disturbance),
+        control_counts=dict(options.controls),
     )
 
 

@@ -66,7 +66,7 @@ def dependences(system: System, *, hold: bool = True) -> tuple[Dependence, ...]:
     try:
         rates = system.equations(_TracedMath(), system.parameters)(x, u, d)
         found = [rate.dependence if isinstance(rate, _TracedNumber) else Dependence() for rate in rates]
-    except (TypeError, ValueError, AttributeError):  # what Python raises for a number that has no value
+    except Exception:  # a number that has no value may make any function fail
         controls, disturbances = _true_indices(free_u), _true_indices(free_d)
         found = [_bent(Dependence(frozenset(range(n)), controls, disturbances))] * n
     return tuple(found)
@@ -88,6 +88,11 @@ def check_game(system: System) -> None:
                 f"{system.name}: the disturbance acts on the derivative of '{state.name}' {wrong}; its worst value may "
                 "lie between its bounds, which alone are tried: make it linear, with an effect that no control changes"
             )
+
+
+def is_affine(system: System) -> bool:
+    """Whether every derivative is affine in the controls, so that the best control lies at the bounds."""
+    return all(rate.control_degree <= AFFINE for rate in dependences(system))
 
 
 def check_affine_controls(system: System) -> None:

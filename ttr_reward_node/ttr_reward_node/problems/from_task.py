@@ -5,6 +5,7 @@ problem = problem_from_task("car_ttr")
 
 from __future__ import annotations
 
+import ast
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -27,6 +28,7 @@ from ctrl_rl_core import (
     task_digest,
 )
 from ttr_reward_node.errors import TimeToReachError
+from ttr_reward_node.problems.control_choice import VelocityHulls, choose_control_counts
 from ttr_reward_node.problems.obstacles import make_clearance
 from ttr_reward_node.problems.problem import Clearance, TimeToReachProblem
 
@@ -40,7 +42,7 @@ def problem_from_task(
     inflation: float = 0.0,
     width: float | None = None,
     disturbances: Mapping[str, Sequence[float]] | None = None,
-    control_counts: int | tuple[int, ...] = 3,
+    control_counts: int | tuple[int, ...] | Mapping[str, int] | None = None,
 ) -> TimeToReachProblem:
     """Make the problem that a navigation task describes.
 
@@ -51,7 +53,8 @@ def problem_from_task(
             robot. Walls thinner than a cell need it.
         width: Width of the task's corridor [m]; None for the task's own.
         disturbances: Bounds by name ("d_" and the state's name); no disturbance unless given.
-        control_counts: Number of samples of each control that the solver tries, one for all or one for each.
+        control_counts: Number of samples of each control that the solver tries: one for all, one for each, or by
+            control name; None, and what is not named, is chosen.
 
     Raises:
         TimeToReachError: the task has no grid, or its corridor's goal is not a box along the axes; unknown states in
@@ -69,6 +72,8 @@ def problem_from_task(
         system = with_disturbances(system, disturbances)
     axes = _axes(task, system, counts)
     world = task.build_world(width)
+    if isinstance(control_counts, Mapping):
+        control_counts = choose_control_counts(VelocityHulls(system, axes), control_counts) if control_counts else None
     return TimeToReachProblem(
         system=system,
         axes=axes,
@@ -117,6 +122,23 @@ def with_disturbances(system: System, bounds: Mapping[str, Sequence[float]]) -> 
         for d in system.disturbances
     )
     return replace(system, disturbances=changed)
+
+
+def disturbances_from_notes(notes: Mapping[str, str]) -> dict[str, tuple[float, float]]:
+    """Return the bounds of the disturbances that a value file was solved for, by name.
+
+    Raises:
+        TimeToReachError: The note is none that `solve` writes.
+    """
+    text = notes.get("disturbances", "{}")
+    try:
+        given = ast.literal_eval(text)
+        bounds = {str(name): (float(low), float(high)) for name, (low, high) in given.items()}
+    except (ValueError, SyntaxError, TypeError, AttributeError, MemoryError, RecursionError):
+        raise TimeToReachError(
+            f"the value's note on disturbances is {text[:80]!r}: solve the task again, which writes a new file"
+        ) from None
+    return bounds
 
 
 def _corridor_goal(task: NavigationTask, corridor: CorridorSpec, width: float | None) -> Region:

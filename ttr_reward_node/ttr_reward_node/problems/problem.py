@@ -12,7 +12,7 @@ from __future__ import annotations
 import hashlib
 import math
 import re
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -20,11 +20,27 @@ import numpy as np
 from ctrl_rl_core.io import checked_json
 from numpy.typing import ArrayLike, NDArray
 
-from ctrl_rl_core import Axis, Region, System, position_indices
+from ctrl_rl_core import Axis, Interval, Region, System, position_indices
 from ttr_reward_node.errors import TimeToReachError
+from ttr_reward_node.problems.control_choice import (
+    VelocityHulls,
+    check_control_counts,
+    choose_control_counts,
+    control_doubt,
+    sample_controls,
+)
 from ttr_reward_node.problems.dependence import check_game
+from ttr_reward_node.problems.equation_checks import check_disturbances, check_equations
 from ttr_reward_node.problems.limits import state_limits, tighter_limits
-from ttr_reward_node.problems.problem_checks import check_axes, check_clearance, check_system, check_target
+from ttr_reward_node.problems.problem_checks import (
+    check_axes,
+    check_clearance,
+    check_counts,
+    check_system,
+    check_target,
+)
+
+_ROUNDING = 1e-9  # of an axis's length
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,8 +65,9 @@ class TimeToReachProblem:
         axes: one for each state of the system, in its order.
         target: Gamma of Eq. 2.17; state components that it does not bound are free.
         clearance: Distance to the obstacles at the nodes; None for no obstacles.
-        control_counts: samples of each control between its bounds. Two are enough for the Hamiltonian of a system that
-            is affine in u; the third, the middle, saves switching to and fro between the bounds.
+        control_counts: Samples of each control between its bounds, one number for all or one for each. None chooses,
+            and can be read afterwards: three for a system that is affine in u, where two are enough for the Hamiltonian
+            and the middle saves switching to and fro; else as many as `control_choice` finds.
         name: Name of the task, for the value file.
         digest: SHA-256 of the task; empty where there is no task file, and `content_digest` then stands for it.
         inflation: Distance by which the clearance has been reduced [m], for the record.
@@ -64,7 +81,7 @@ class TimeToReachProblem:
     axes: tuple[Axis, ...]
     target: Region
     clearance: Clearance | None = None
-    control_counts: int | tuple[int, ...] = 3
+    control_counts: int | tuple[int, ...] | None = None
     name: str = "custom"
     digest: str = field(default="")
     inflation: float = 0.0
@@ -72,10 +89,16 @@ class TimeToReachProblem:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "axes", tuple(self.axes))
-        check_axes(self.system, self.axes)
         check_system(self.system)
+        check_axes(self.system, self.axes)
+        check_counts(self.axes, check_equations(self.system, self.axes))
         check_game(self.system)
+        check_disturbances(self.system, self.axes)
         check_target(self.target, self.axes, self.limits)
+        if self.control_counts is None:
+            object.__setattr__(self, "control_counts", choose_control_counts(self._hulls))
+        else:
+            check_control_counts(self.system, self.control_counts)
         if self.clearance is not None:
             check_clearance(self.clearance.axes, self.clearance.values, self.axes)
         for what, number in (("inflation", self.inflation), ("corridor_width", self.corridor_width)):
@@ -100,6 +123,23 @@ class TimeToReachProblem:
     def points(self) -> int:
         """Number of nodes."""
         return math.prod(self.counts)
+
+    @property
+    def disturbances(self) -> dict[str, tuple[float, float]]:
+        """Bounds by name of the disturbances that are not zero throughout, also of those that are held."""
+        return {d.name: (d.lower, d.upper) for d in self.system.disturbances if (d.lower, d.upper) != (0.0, 0.0)}
+
+    @cached_property
+    def control_samples(self) -> NDArray[np.float64]:
+        """Controls (k, m) that the solvers try, and that roll-outs choose from."""
+        assert self.control_counts is not None  # chosen where the problem was made
+        return sample_controls(self._hulls, self.control_counts)
+
+    @cached_property
+    def control_doubt(self) -> str:
+        """Line that says that the controls have too few samples, and what to change; empty where they have enough."""
+        assert self.control_counts is not None
+        return control_doubt(self._hulls, self.control_counts)
 
     @cached_property
     def limits(self) -> NDArray[np.float64]:
@@ -151,6 +191,33 @@ class TimeToReachProblem:
             inside = inside & (self.target.disc.signed_distance(points) <= 0.0)
         return np.broadcast_to(inside, self.counts)
 
+    def reached(self, states: ArrayLike) -> NDArray[np.bool_]:
+        """Whether each of some states (..., n) lies in the target, up to rounding."""
+        x = np.array(states, dtype=np.float64)
+        for k, axis in enumerate(self.axes):
+            if axis.periodic and axis.name in self.target.intervals:
+                period, middle = axis.upper - axis.lower, self.target.intervals[axis.name].centre
+                x[..., k] -= period * np.round((x[..., k] - middle) / period)
+        return self._rounded_target.contains(self.system.state_names, x)
+
+    @cached_property
+    def _rounded_target(self) -> Region:
+        """The target, wider by what rounding takes away."""
+        slack = {axis.name: _ROUNDING * (axis.upper - axis.lower) for axis in self.axes}
+        intervals = {
+            name: Interval(low - slack[name], high + slack[name]) for name, (low, high) in self.target.intervals.items()
+        }
+        disc = self.target.disc
+        if disc is not None:
+            disc = replace(disc, radius=disc.radius * (1.0 + _ROUNDING))
+        return Region(intervals, disc)
+
+    def left(self, states: ArrayLike) -> NDArray[np.bool_]:
+        """Whether each of some states (..., n) lies outside the limits, by more than rounding."""
+        slack = np.array([_ROUNDING * (axis.upper - axis.lower) for axis in self.axes])
+        x = np.asarray(states, dtype=np.float64)
+        return np.asarray(((x < self.limits[0] - slack) | (x > self.limits[1] + slack)).any(axis=-1))
+
     def blocked(self) -> NDArray[np.bool_]:
         """Whether each node lies in an obstacle, shape of the grid."""
         if self.clearance is None:
@@ -168,6 +235,10 @@ class TimeToReachProblem:
         if self.corridor_width is not None:
             notes["corridor_width"] = repr(float(self.corridor_width))
         return notes
+
+    @cached_property
+    def _hulls(self) -> VelocityHulls:
+        return VelocityHulls(self.system, self.axes)
 
     def _own_digest(self) -> str:
         system = self.system

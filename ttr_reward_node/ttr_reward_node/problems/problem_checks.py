@@ -9,18 +9,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrl_rl_core import Axis, Region, System, position_indices
+from ctrl_rl_core import Axis, Quantity, Region, System, position_indices
 from ttr_reward_node.errors import TimeToReachError
+from ttr_reward_node.problems.equation_checks import check_names
 
+_PERIOD = 1e-3  # relative error of a period, such as that of 3.14 for a half turn
+_LEAST, _LEAST_PERIODIC = 5, 8  # nodes of an axis along which something moves
 _MOST_DIMENSIONS = 6  # the kernels' tables have room for the 2^6 corners of a cell
 
 
 def check_system(system: System) -> None:
-    """Refuse bounds that are not finite or not in order.
+    """Refuse bounds that are not finite or not in order, and names that stand for two components.
 
     Raises:
         TimeToReachError: The bounds of a control or disturbance, which is named, are wrong.
     """
+    check_names(system)
     for quantity in (*system.controls, *system.disturbances):
         if not (math.isfinite(quantity.lower) and math.isfinite(quantity.upper) and quantity.lower <= quantity.upper):
             raise TimeToReachError(
@@ -33,7 +37,8 @@ def check_axes(system: System, axes: Sequence[Axis]) -> None:
     """Refuse axes that do not suit the states of a system.
 
     Raises:
-        TimeToReachError: The axes have other names, there are too many, or one is periodic that the state is not.
+        TimeToReachError: The axes have other names, there are too many, or one goes round that the state does not, or
+            another way round.
     """
     names = system.state_names
     if tuple(axis.name for axis in axes) != names:
@@ -43,8 +48,49 @@ def check_axes(system: System, axes: Sequence[Axis]) -> None:
     if not 1 <= len(names) <= _MOST_DIMENSIONS:
         raise TimeToReachError(f"{system.name} has {len(names)} states; the solvers take 1 to {_MOST_DIMENSIONS}")
     for axis, state in zip(axes, system.states, strict=True):
-        if axis.periodic and not state.periodic:
+        if state.periodic:
+            _check_period(axis, state)
+        elif axis.periodic:
             raise TimeToReachError(f"axis '{axis.name}' is periodic, but the state is not")
+
+
+def _check_period(axis: Axis, state: Quantity) -> None:
+    """Refuse an axis of a periodic state that is longer than the period, or periodic with another one.
+
+    One that is not periodic may be as long as the period or shorter: a heading that must not leave a range.
+    """
+    period, length = state.upper - state.lower, axis.upper - axis.lower
+    if abs(length - period) <= _PERIOD * period or (length < period and not axis.periodic):
+        return
+    degrees = state.unit == "rad" and any(abs(length - turn) < 1.0 for turn in (180.0, 360.0))
+    why = "it seems to be in degrees: " if degrees else ""
+    other = "" if axis.periodic and length > period else ", or one that is not periodic for a part of it"
+    raise TimeToReachError(
+        f"axis '{axis.name}' is {length:.6g} {state.unit} long, but the state comes round after {period:.6g}: {why}"
+        f"give one period, such as [{state.lower:.6g}, {state.upper:.6g}] {state.unit}{other}"
+    )
+
+
+def check_counts(axes: Sequence[Axis], speeds: NDArray[np.float64]) -> None:
+    """Refuse axes that have too few nodes to carry a step of two or three cells.
+
+    A periodic axis needs room for such a step to either side, and two nodes that no step confuses. An axis along which
+    nothing moves needs no more than two nodes.
+
+    Args:
+        axes: Axis of each state.
+        speeds: Largest absolute derivative of each state (n,).
+
+    Raises:
+        TimeToReachError: An axis, which is named, has too few nodes.
+    """
+    for axis, speed in zip(axes, speeds, strict=True):
+        least = _LEAST_PERIODIC if axis.periodic else _LEAST
+        if speed > 0.0 and axis.count < least:
+            raise TimeToReachError(
+                f"axis '{axis.name}' has {axis.count} nodes, too few for steps of two and three cells: give at least "
+                f"{least}"
+            )
 
 
 def check_target(target: Region, axes: Sequence[Axis], limits: NDArray[np.float64]) -> None:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ctrl_rl_core import Axis, System
 from ttr_reward_node.errors import TimeToReachError
 from ttr_reward_node.problems.dependence import AFFINE, check_game, dependences
+from ttr_reward_node.problems.equation_checks import check_disturbances, check_equations
 from ttr_reward_node.problems.limits import check_grid_within_limits
 from ttr_reward_node.problems.problem_checks import check_axes, check_system
 
@@ -43,8 +44,9 @@ class SafetyGame:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "axes", tuple(self.axes))
-        check_axes(self.system, self.axes)
         check_system(self.system)
+        check_axes(self.system, self.axes)
+        check_equations(self.system, self.axes)
         check_grid_within_limits(self.system, self.axes, "the safety solver")
         for name, given, width in (
             ("controls", self.controls, len(self.system.controls)),
@@ -61,12 +63,13 @@ class SafetyGame:
                     )
         if self.disturbances is None:
             check_game(self.system)
+            check_disturbances(self.system, self.axes)
 
     def pairs(self) -> tuple[Array, Array, int]:
         """Return controls (p, m) and disturbances (p, n) of all pairs, and how many disturbances, the faster index."""
         controls = self.controls
         if controls is None:
-            controls = self.system.control_samples(2) if self.system.controls else np.zeros((1, 0))
+            controls = self.system.control_samples(2)
         disturbances = self.system.disturbance_samples(2) if self.disturbances is None else self.disturbances
         u = np.repeat(controls, len(disturbances), axis=0)
         return u, np.tile(disturbances, (len(controls), 1)), len(disturbances)

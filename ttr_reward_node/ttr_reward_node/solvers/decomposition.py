@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from ctrl_rl_core import Disc, Interval, NavigationTask, Quantity, Region, System, position_indices
 from ttr_reward_node.errors import TimeToReachError
-from ttr_reward_node.problems.dependence import dependences
+from ttr_reward_node.problems.dependence import dependences, is_affine
 from ttr_reward_node.problems.from_task import problem_from_task
 from ttr_reward_node.problems.problem import Clearance, TimeToReachProblem
 from ttr_reward_node.solvers.solution import Progress, Solution
@@ -184,28 +184,39 @@ def _make_subproblem(
         else:
             sources.append((1, borrowed.index(name)) if name in borrowed else (2, 0))
     sources.extend((1, len(lent) + used.index(name)) if name in used else (2, 0) for name in whole.control_names)
+    nominal = tuple(whole.nominal_disturbance.tolist())
     system = System(
         name=f"{whole.name}[{','.join(states)}]",
         states=tuple(whole.states[k] for k in kept),
         controls=tuple(lent + own),
         disturbances=tuple(whole.disturbances[k] for k in kept),
         parameters=whole.parameters,
-        equations=_sub_equations(whole.equations, tuple(sources), tuple(kept), len(names)),
+        equations=_sub_equations(whole.equations, tuple(sources), tuple(kept), nominal),
     )
+    counts = problem.control_counts  # those of other controls, and not of borrowed states, which may be angles
     return replace(
         problem,
         system=system,
         axes=tuple(problem.axes[k] for k in kept),
         target=_project_target(problem.target, names, states),
         clearance=_project_clearance(problem.clearance, kept),
+        control_counts=counts if isinstance(counts, int) and is_affine(system) else None,
     )
 
 
 @lru_cache(maxsize=32)
 def _sub_equations(
-    whole: Equations, sources: tuple[tuple[int, int], ...], kept: tuple[int, ...], states: int
+    whole: Equations, sources: tuple[tuple[int, int], ...], kept: tuple[int, ...], nominal: tuple[float, ...]
 ) -> Equations:
-    """Return the whole's equations for some states; `sources`: where each state and control of the whole comes from."""
+    """Return the whole's equations for some states.
+
+    Args:
+        whole: Equations of the whole system.
+        sources: Where each state and control of the whole comes from.
+        kept: Indices of the states.
+        nominal: Disturbance of the whole, for the states that are not kept.
+    """
+    states = len(nominal)
 
     def equations(math: Any, parameters: Mapping[str, float]) -> Dynamics:
         f: Callable[..., Any] = whole(math, parameters)
@@ -213,10 +224,10 @@ def _sub_equations(
         def part(x: Any, u: Any, d: Any) -> tuple[Any, ...]:
             from_ = (x, u)
             full = [0.0 if kind == 2 else from_[kind][index] for kind, index in sources]
-            still = [0.0] * states
+            pushed = list(nominal)
             for place, k in enumerate(kept):
-                still[k] = d[place]
-            rates = f(full[:states], full[states:], still)
+                pushed[k] = d[place]
+            rates = f(full[:states], full[states:], pushed)
             return tuple(rates[k] for k in kept)
 
         return part

@@ -85,7 +85,7 @@ def solve(
             "converged": "yes" if sweeps.converged else "no",
             "system": problem.system.name,
             "reachable": f"{reachable:.4f}",
-            "disturbances": str({d.name: (d.lower, d.upper) for d in problem.system.disturbances if d.lower < d.upper}),
+            "disturbances": str(problem.disturbances),
         },
     )
     return Solution(grid, sweeps.number, sweeps.residual, sweeps.converged, seconds, reachable, memory)

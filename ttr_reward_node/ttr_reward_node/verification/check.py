@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ctrl_rl_core import NavigationTask, ValueFunction, World, load_navigation_task, position_indices
 from ttr_reward_node.errors import TimeToReachError
-from ttr_reward_node.problems.from_task import problem_from_task
+from ttr_reward_node.problems.from_task import disturbances_from_notes, problem_from_task
 from ttr_reward_node.problems.problem import TimeToReachProblem
 from ttr_reward_node.rewards.rewards import KIND
 from ttr_reward_node.solvers.solution import Progress
@@ -84,7 +84,8 @@ def check_value(
 ) -> tuple[dict[str, float], TimeToReachProblem]:
     """Drive from random states by a value function of a task, in the task's world, and return figures and problem.
 
-    Figures are those of `check_task`.
+    The problem has the disturbances of the function's notes; one that they hold, such as a steady current, acts in the
+    drive. Figures are those of `check_task`.
 
     Args:
         value: Time-to-reach function to check.
@@ -104,6 +105,7 @@ def check_value(
         counts={axis.name: axis.count for grid in value.grids for axis in grid.axes},
         inflation=float(value.grids[0].notes.get("inflation", 0.0)),
         width=width,
+        disturbances=disturbances_from_notes(value.grids[0].notes),
     )
     # A system without positions has no walls either.
     world = None if problem.clearance is None else task.build_world(width)

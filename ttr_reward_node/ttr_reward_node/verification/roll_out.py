@@ -44,8 +44,10 @@ class RollOuts:
 
     @property
     def ratio(self) -> Array:
-        """Executed over predicted time of those that reached the target."""
-        return self.executed[self.reached] / self.predicted[self.reached]
+        """Executed over predicted time of those that reached the target; 1 for those that began in it."""
+        executed, predicted = self.executed[self.reached], self.predicted[self.reached]
+        at_once = np.where(executed > 0.0, np.inf, 1.0)  # where the prediction is 0
+        return np.divide(executed, predicted, out=at_once, where=predicted > 0.0)
 
 
 def best_control(
@@ -77,7 +79,9 @@ def roll_out(
     look_ahead: float | None = None,
     patience: float = 2.0,
 ) -> RollOuts:
-    """Simulate from states (N, n) without disturbance until each has reached the target, failed, or run out of time.
+    """Simulate from states (N, n) until each has reached the target, failed, or run out of time.
+
+    The disturbance is the system's nominal one: none, or a steady one that its bounds hold.
 
     Args:
         value: predicts and steers.
@@ -99,19 +103,18 @@ def roll_out(
     unit = crossing_time(problem)
     time_step = 0.2 * unit if time_step is None else time_step
     look_ahead = 1.5 * unit if look_ahead is None else look_ahead
-    controls = problem.system.control_samples(problem.control_counts)
-    lower, upper = problem.limits
+    controls = problem.control_samples
     count = len(x)
     executed, last = np.full(count, np.nan), x.copy()
     reached, collided, left = (np.zeros(count, dtype=bool) for _ in range(3))
     running = np.arange(count)
-    names, plane = problem.system.state_names, position_indices(problem.system.state_names)
+    plane = position_indices(problem.system.state_names)
     time = 0.0
     while len(running):
         now = last[running]
-        inside = problem.target.contains(names, now)
+        inside = problem.reached(now)
         hit = np.zeros(len(running), dtype=bool) if world is None else world.signed_distance(now[:, plane]) <= 0.0
-        out = ((now < lower) | (now > upper)).any(axis=1) & ~hit
+        out = problem.left(now) & ~hit
         reached[running] = inside & ~hit & ~out
         collided[running], left[running] = hit, out
         executed[running[inside & ~hit & ~out]] = time
