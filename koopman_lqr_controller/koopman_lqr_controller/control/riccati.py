@@ -8,11 +8,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import LinAlgError, solve_discrete_are
 
 from koopman_lqr_controller.arrays import Array
+from koopman_lqr_controller.control.lqr_conditions import check_cost, check_model, check_modes
+from koopman_lqr_controller.control.scaling import LqrProblem, Units
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.models.edmd import LinearModel
+
+_EXACT = 1e-10
+"""Residual of the Riccati equation in balanced units, relative to P, that rounding alone may leave."""
+_BORNE = 1e-6
+"""The same that is still borne: K is then right to about as many digits."""
 
 
 @dataclass(frozen=True)
@@ -35,27 +41,54 @@ class Regulator:
 def solve_lqr(model: LinearModel, Q: Array, R: Array) -> Regulator:
     """Return the stabilising regulator that minimises sum z^T Q z + u^T R u.
 
-    Q (n, n) is symmetric and positive semi-definite, R (m, m) symmetric and positive definite.
+    Q (n, n) is symmetric and positive semi-definite, R (m, m) symmetric and positive definite. Units do not matter:
+    where they are so far apart that rounding spoils the solution, it is found in balanced ones.
 
     Raises:
-        KoopmanError: the model cannot be stabilised, or Q leaves an undamped mode unseen.
+        KoopmanError: a matrix has another shape, is not finite or is no such cost; no control moves a mode that does
+            not fade, or Q leaves one unseen (the message names it); or rounding leaves no solution.
     """
-    A, B = model.A, model.B
-    try:
-        solution = solve_discrete_are(A, B, Q, R)
-    except (LinAlgError, ValueError) as error:
-        radius = np.abs(np.linalg.eigvals(A)).max()
-        raise KoopmanError(
-            f"no LQR for this model ({error}; spectral radius of A {radius:.3f}): excite all controls while recording"
-        ) from None
-    P: Array = np.asarray(0.5 * (solution + solution.T), dtype=np.float64)
-    S = R + B.T @ P @ B
-    K = np.asarray(np.linalg.solve(S, B.T @ P @ A), dtype=np.float64)
+    A, B = check_model(model.A, model.B)
+    Q, R = check_cost("Q", Q, len(A), positive=False), check_cost("R", R, B.shape[1], positive=True)
+    problem = LqrProblem(A, B, Q, R)
+    units = Units.balancing(problem)
+    balanced = units.of(problem)
+    check_modes(balanced.A, balanced.B, balanced.Q)
+    P = _solution(problem, balanced, units)
+    K = problem.gain(P)
     residual = np.abs(A.T @ P @ A - P - A.T @ P @ B @ K + Q).max() / max(1.0, np.abs(P).max())
     radius = float(np.abs(np.linalg.eigvals(A - B @ K)).max())
-    if radius >= 1.0:
+    if not radius < 1.0:
         raise KoopmanError(f"the closed loop's spectral radius is {radius:.3f}: the model cannot be stabilised")
     return Regulator(K=K, P=P, spectral_radius=radius, residual=float(residual))
+
+
+def _solution(problem: LqrProblem, balanced: LqrProblem, units: Units) -> Array:
+    """Return the cost-to-go P (n, n), found as the problem is given where that is exact, else in balanced units.
+
+    Raises:
+        KoopmanError: there is none, or only an inexact one.
+    """
+    P = problem.solution()
+    left = float("inf") if P is None else balanced.residual(units.cost_to_go(P))
+    if left > _EXACT:
+        found = balanced.solution()
+        if found is not None:
+            found = balanced.refined(found)
+            if balanced.residual(found) < left:
+                P, left = units.back(found), balanced.residual(found)
+    if P is None:
+        radius = np.abs(np.linalg.eigvals(problem.A)).max()
+        raise KoopmanError(
+            f"no LQR for this model (spectral radius of A {radius:.3f}): excite all controls while recording, or give "
+            "weights that are less far apart"
+        )
+    if left > _BORNE:
+        raise KoopmanError(
+            f"the Riccati equation of this model is solved to {left:.0e} only: its poles, or the weights of Q and R, "
+            "are too far apart; bring them nearer"
+        )
+    return P
 
 
 def finite_horizon(model: LinearModel, Q: Array, R: Array, z_ref: Array, iterations: int) -> tuple[Array, Array, Array]:
@@ -64,15 +97,26 @@ def finite_horizon(model: LinearModel, Q: Array, R: Array, z_ref: Array, iterati
     It minimises sum (z - z_ref)^T Q (z - z_ref) + u^T R u; k comes from the linear part of the cost-to-go, whose
     recursion begins with Q z_ref. The diagonals Q (n,) and R (m,) are not negative, and positive. K is (m, n), k (m,),
     P (n, n).
+
+    Raises:
+        KoopmanError: the costs of so many steps are beyond the numbers there are.
     """
     A, B = model.A, model.B
     P, v = np.diag(Q), Q * z_ref
     for _ in range(iterations):
-        closed = A - B @ np.linalg.solve(np.diag(R) + B.T @ P @ B, B.T @ P @ A)
+        closed = A - B @ _solve(np.diag(R) + B.T @ P @ B, B.T @ P @ A)
         v = closed.T @ v + Q * z_ref
         P = A.T @ P @ closed + np.diag(Q)
         P = 0.5 * (P + P.T)
     S = np.diag(R) + B.T @ P @ B
-    K: Array = np.asarray(np.linalg.solve(S, B.T @ P @ A), dtype=np.float64)
-    k: Array = np.asarray(np.linalg.solve(S, B.T @ v), dtype=np.float64)
-    return K, k, P
+    return _solve(S, B.T @ P @ A), _solve(S, B.T @ v), P
+
+
+def _solve(S: Array, Y: Array) -> Array:
+    try:
+        X = np.asarray(np.linalg.solve(S, Y), dtype=np.float64)
+    except np.linalg.LinAlgError:
+        X = np.full(Y.shape, np.inf)
+    if not np.isfinite(X).all():
+        raise KoopmanError("the gain of this model is not finite: its modes grow too fast for so many iterations")
+    return X
