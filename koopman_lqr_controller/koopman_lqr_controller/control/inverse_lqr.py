@@ -8,7 +8,8 @@ import numpy as np
 from scipy.linalg import solve_discrete_lyapunov
 from scipy.optimize import minimize
 
-from koopman_lqr_controller.arrays import Array
+from koopman_lqr_controller.arrays import Array, check_arrays, real_array
+from koopman_lqr_controller.control.lqr_conditions import check_model
 from koopman_lqr_controller.control.riccati import solve_lqr
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.models.edmd import LinearModel
@@ -36,7 +37,16 @@ class LinearLaw:
 
     @classmethod
     def from_samples(cls, z: Array, u: Array, weight: Array) -> LinearLaw:
-        """Return the law of samples z (N, n), u (N, m) with weights (N,)."""
+        """Return the law of samples z (N, n), u (N, m) with weights (N,), of which none is negative and one positive.
+
+        Raises:
+            KoopmanError: other shapes or weights, or values that are not finite numbers.
+        """
+        z, u, weight = (real_array(name, it) for name, it in (("z", z), ("u", u), ("weight", weight)))
+        shapes = {"z": (z, (len(weight), *z.shape[1:])), "u": (u, (len(weight), *u.shape[1:]))}
+        check_arrays({**shapes, "weight": (weight, (len(weight),))}, "one row for each sample of the law")
+        if (weight < 0.0).any() or not weight.any():
+            raise KoopmanError("the samples of a law must have weights that are not negative, and one that is positive")
         share = (weight / weight.sum())[:, None]
         return cls(float((share * u * u).sum()), (share * u).T @ z, (share * z).T @ z)
 
@@ -89,9 +99,15 @@ def fit_costs(
         iterations: Largest number of iterations of the search.
 
     Raises:
-        KoopmanError: the model has no regulator for the costs to begin with.
+        KoopmanError: the model has no regulator for the costs to begin with, or shapes and values are no such costs.
     """
-    n = len(Q)
+    A, B = check_model(model.A, model.B)
+    n = len(A)
+    Q, R = real_array("Q", Q), real_array("R", R)
+    shapes = {"Q": (Q, (n,)), "R": (R, B.shape[1:]), "the law's E[w u z^T]": (law.uz, (B.shape[1], n))}
+    check_arrays(shapes, "for the model it comes with")
+    if (Q <= 0.0).any() or (R <= 0.0).any():
+        raise KoopmanError("the costs to begin with must be positive: their logarithms are searched")
     begin = np.clip(np.log(np.concatenate((Q, R))), -_LOG_RANGE, _LOG_RANGE)
     mismatch_and_gradient(begin, model, law)  # refuses a model that cannot be regulated at all
 

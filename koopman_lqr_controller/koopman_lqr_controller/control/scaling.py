@@ -11,6 +11,8 @@ from koopman_lqr_controller.arrays import Array
 
 _FARTHEST = 400.0
 """Largest power of two that a unit may change by."""
+_FREE = 1e-8
+"""Cost of a state over that of the controls below which it costs nothing."""
 
 
 @dataclass(frozen=True)
@@ -48,11 +50,14 @@ class LqrProblem:
         return bool(np.isfinite(K).all() and np.abs(np.linalg.eigvals(self.A - self.B @ K)).max() < 1.0)
 
     def residual(self, P: Array) -> float:
-        """Return the largest entry of the Riccati equation's residual, relative to that of P."""
+        """Return the largest entry of the Riccati equation's residual, relative to that of P.
+
+        Where states cost next to nothing beside the controls, it is relative to that.
+        """
         if not np.isfinite(P).all():
             return float("inf")
         left = np.abs(self.A.T @ P @ (self.A - self.B @ self.gain(P)) - P + self.Q).max()
-        size = max(float(np.abs(P).max()), np.finfo(float).tiny)
+        size = max(float(np.abs(P).max()), _FREE * float(np.abs(self.R).max()))
         return float(left / size) if np.isfinite(left) else float("inf")
 
     def refined(self, P: Array) -> Array:

@@ -18,9 +18,11 @@ from koopman_lqr_controller.models.least_squares import Deviations, LeastSquares
 
 _FADING = 0.999
 """Largest modulus of a model that was contracted."""
-_BEYOND_NOISE = 3.0
+BEYOND_NOISE = 3.0
 """Standard errors beyond which what a ridge does to a coefficient is a bias, and no cure of noise."""
-_BEARABLE = 0.5
+_FEW = 0.01
+"""Standard error over the size of all coefficients that is borne where hardly more rows than unknowns tell it."""
+BEARABLE = 0.5
 """Part of a control's effect that a ridge may hide: an LQR stays stable from half of its gain on."""
 
 
@@ -113,13 +115,14 @@ def fit(data: Snapshots, regularisation: float = 1e-3, redundant: bool = False) 
     plain = problem.solve(given.z_next)
     ridge = np.sqrt(regularisation * len(Psi)) * spread / problem.size
     ridged = LeastSquares(Psi, ridge).solve(given.z_next)
-    moved = _row_sizes(ridged - plain, given.z_next)
+    moved = row_sizes(ridged - plain, given.z_next)
     errors = problem.standard_errors(given.z_next - Psi @ plain, given.eps * sizes(given.z_next))
-    biased = moved > _BEYOND_NOISE * _row_sizes(errors, given.z_next)
+    biased = moved > BEYOND_NOISE * row_sizes(errors, given.z_next)
     if not redundant:
         check_no_drift(given, plain)
+        _check_enough(errors, plain, given)
         W = plain if biased.any() else ridged
-    elif (biased & (moved > _BEARABLE * _row_sizes(plain, given.z_next)))[n:].any():
+    elif (biased & (moved > BEARABLE * row_sizes(plain, given.z_next)))[n:].any():
         raise KoopmanError(
             f"controls vary so little apart from the state that a ridge of {regularisation:g} hides what they do: add "
             "a larger dither of its own to each control while recording"
@@ -131,6 +134,16 @@ def fit(data: Snapshots, regularisation: float = 1e-3, redundant: bool = False) 
     return LinearModel(A=np.ascontiguousarray(W[:n].T), B=np.ascontiguousarray(W[n:].T))
 
 
-def _row_sizes(W: Array, Y: Array) -> Array:
+def _check_enough(errors: Array, W: Array, data: RegressionData) -> None:
+    """Refuse hardly more rows than unknowns where noise decides the coefficients: their errors are then a guess too."""
+    few = len(data.z) < 2 * len(W)
+    if few and np.linalg.norm(row_sizes(errors, data.z_next)) > _FEW * np.linalg.norm(row_sizes(W, data.z_next)):
+        raise KoopmanError(
+            f"{len(data.z)} snapshots are too few for {len(W)} observables and controls with such noise: record at "
+            f"least {2 * len(W)}, better ten times as many"
+        )
+
+
+def row_sizes(W: Array, Y: Array) -> Array:
     """Return the size of the coefficients of each regressor (p,), outputs in units of their own size."""
     return np.asarray(np.linalg.norm(W / sizes(Y), axis=1), dtype=np.float64)

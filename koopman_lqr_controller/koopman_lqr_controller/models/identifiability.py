@@ -32,6 +32,8 @@ is what a regulator bears.
 """
 _DRIFT = 0.05
 """Part of A and B that a constant may change: less is what a linear model of a bent system misses anyway."""
+_EXPLAINED = 0.1
+"""Part of the error that is left where a constant explains it: then it is no bend."""
 _NAMED = 6
 """Columns that a message names; of more it gives the number."""
 _ROUNDED = 1e3
@@ -158,7 +160,8 @@ def check_controls_told(data: RegressionData, names: Sequence[str] = ()) -> None
         )
     left = _without(u.values, span)
     P, own, directions = np.linalg.svd(left, full_matrices=False)
-    floor = max(_ON_ITS_OWN, _ROUNDED * max(z.rounding, u.rounding))
+    # A control is known to so many digits of itself, offset included, and not of its spread.
+    floor = max(_ON_ITS_OWN * u.rounding / data.eps, _ROUNDED * max(z.rounding, u.rounding))
     weakest, told = directions[-1], _named(directions[-1], names)
     if own[-1] < floor:
         raise KoopmanError(
@@ -220,12 +223,16 @@ def check_no_drift(data: RegressionData, W: Array) -> None:
     with_constant = np.hstack((X, np.ones((len(X), 1))))
     problem = LeastSquares(with_constant)
     affine = problem.solve(data.z_next)
-    errors = problem.standard_errors(data.z_next - with_constant @ affine, data.eps * sizes(data.z_next))
+    missed = data.z_next - with_constant @ affine
+    errors = problem.standard_errors(missed, data.eps * sizes(data.z_next))
     of, to = Deviations.of(X).spread[:, None], Deviations.of(data.z_next).spread
-    scale = np.where(of > 0.0, of, 0.0) / np.where(to > 0.0, to, np.inf)
+    unit = np.where(to > 0.0, to, np.inf)
+    scale = of / unit
     bent, known = np.linalg.norm((affine[:-1] - W) * scale), np.linalg.norm(affine[:-1] * scale)
     finite = np.where(np.isfinite(errors[:-1]), errors[:-1], 0.0)
-    if bent > _DRIFT * known and bent > _KNOWN * np.linalg.norm(finite * scale):
+    left, without = (np.linalg.norm(it / unit) for it in (missed, data.z_next - X @ W))
+    material = bent > _DRIFT * known or left < _EXPLAINED * without
+    if material and bent > _KNOWN * np.linalg.norm(finite * scale):
         raise KoopmanError(
             f"z and u are not deviations from a fixed point: a constant changes A and B by {100 * bent / known:.2g} %; "
             "take one away first, as with Snapshots.centred, or give z the constant 1 as a state"

@@ -12,6 +12,7 @@ import numpy as np
 
 from koopman_lqr_controller.arrays import Array
 from koopman_lqr_controller.errors import KoopmanError
+from koopman_lqr_controller.models.least_squares import LeastSquares
 
 Predict = Callable[[Array, Array], Array]
 
@@ -74,7 +75,7 @@ def linear_floor(z: Sequence[Array], actions: Sequence[Array]) -> float:
     here = np.hstack((np.concatenate([each[:-1] for each in z]), np.concatenate(actions)))
     regressors = np.hstack((here, np.ones((len(here), 1))))
     moved = np.concatenate([np.diff(each, axis=0) for each in z])
-    fitted = regressors @ np.linalg.lstsq(regressors, moved, rcond=None)[0]
+    fitted = regressors @ LeastSquares(regressors).solve(moved)
     return _over_persistence([moved - fitted], z)
 
 

@@ -15,12 +15,14 @@ from numpy.typing import NDArray
 
 from koopman_lqr_controller.arrays import Array
 from koopman_lqr_controller.errors import KoopmanError
-from koopman_lqr_controller.models.edmd import LinearModel, Snapshots
+from koopman_lqr_controller.models.edmd import BEARABLE, BEYOND_NOISE, LinearModel, Snapshots, row_sizes
 from koopman_lqr_controller.models.identifiability import RegressionData, check_controls_move, check_controls_told
-from koopman_lqr_controller.models.least_squares import Deviations
+from koopman_lqr_controller.models.least_squares import Deviations, LeastSquares
 
-RIDGES = tuple(float(10.0**power) for power in np.arange(-6.0, 2.1, 1.0 / 3.0))
-"""Strengths that are tried, relative to each regressor's variance."""
+RIDGES = (0.0, *(float(10.0**power) for power in np.arange(-6.0, 2.1, 1.0 / 3.0)))
+"""Strengths that are tried, relative to each regressor's variance; none for data without noise."""
+_ROUNDING = 1e-13
+"""Share of the largest singular value below which a direction holds only rounding."""
 _FOLDS = 8
 
 
@@ -73,8 +75,9 @@ def fit_with_shrinkage(data: Snapshots, twin: Snapshots | None = None, drift: bo
     X, Y = (X - middle) / unit, Y - moved
     errors = _cross_validation_errors(X, Y, moved, [np.concatenate(part) for part in parts])
     chosen = _chosen(errors)
-    W = _solve(X.T @ X, X.T @ Y, len(X), RIDGES[chosen]).T / unit
-    n = data.z.shape[1]
+    n = given.z.shape[1]
+    chosen = _bearable(X, Y, chosen, n)
+    W = _solutions(X, Y, RIDGES[chosen : chosen + 1])[0].T / unit
     A = np.eye(n) + W[:, :n]
     if not drift:
         # What stays at the fixed point for ever says nothing; A = I would make a mode of it that nobody can damp.
@@ -86,13 +89,12 @@ def fit_with_shrinkage(data: Snapshots, twin: Snapshots | None = None, drift: bo
 
 def _cross_validation_errors(X: Array, Y: Array, moved: Array, parts: Sequence[NDArray[np.intp]]) -> Array:
     """Return squared errors over those of persistence (parts, ridges), each part predicted by the others."""
-    G, M = X.T @ X, X.T @ Y
     out = []
     for rows in parts:
         x, y = X[rows], Y[rows]
-        G_rest, M_rest, rest = G - x.T @ x, M - x.T @ y, len(X) - len(rows)
+        found = _solutions(np.delete(X, rows, axis=0), np.delete(Y, rows, axis=0), RIDGES)
         still = max(float(np.sum((y + moved) ** 2)), np.finfo(float).tiny)
-        out.append([np.sum((y - x @ _solve(G_rest, M_rest, rest, ridge)) ** 2) / still for ridge in RIDGES])
+        out.append([np.sum((y - x @ W) ** 2) / still for W in found])
     return np.array(out)
 
 
@@ -104,5 +106,26 @@ def _chosen(errors: Array) -> int:
     return int(np.flatnonzero(excess.mean(axis=0) <= allowed).max())
 
 
-def _solve(G: Array, M: Array, rows: int, ridge: float) -> Array:
-    return np.asarray(np.linalg.solve(G + ridge * rows * np.eye(len(G)), M), dtype=np.float64)
+def _bearable(X: Array, Y: Array, chosen: int, n: int) -> int:
+    """Return the strongest ridge up to the chosen one that hides no control's effect which the data tell.
+
+    A control that mostly follows the state is small where it is on its own, and what is small is shrunk first. The
+    regressors after the first n are the controls.
+    """
+    plain, *ridged = _solutions(X, Y, (0.0, *RIDGES[: chosen + 1]))
+    problem = LeastSquares(X)
+    errors = row_sizes(problem.standard_errors(Y - X @ plain, 0.0), Y)[n:]
+    known = row_sizes(plain, Y)[n:]
+    for index in range(chosen, 0, -1):
+        hidden = row_sizes(ridged[index] - plain, Y)[n:]
+        if not ((hidden > BEARABLE * known) & (hidden > BEYOND_NOISE * errors)).any():
+            return index
+    return 0
+
+
+def _solutions(X: Array, Y: Array, ridges: Sequence[float]) -> list[Array]:
+    """Return the coefficients for each ridge, from one decomposition of X: X^T X would lose half of the digits."""
+    U, s, Vt = np.linalg.svd(X, full_matrices=False)
+    s = s[s > _ROUNDING * s[0]]
+    along, V = U[:, : len(s)].T @ Y, Vt[: len(s)].T
+    return [np.asarray(V @ ((s / (s**2 + ridge * len(X)))[:, None] * along), dtype=np.float64) for ridge in ridges]
