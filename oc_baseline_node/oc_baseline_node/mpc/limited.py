@@ -1,0 +1,154 @@
+"""A solver in a process of its own, which ends at a limit of its processor time whatever the solver does.
+
+An interior point may loop in its own code without asking back (fatrop does where a derivative is NaN): no signal
+reaches Python then. The kernel ends a process that has used its time.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+import warnings
+import weakref
+from dataclasses import dataclass
+from multiprocessing import Pipe
+from multiprocessing.connection import Connection
+from typing import Any, NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+_WAIT = 10.0
+"""Wall time that is waited for a second of processor time, on a busy machine; then the process is ended, too."""
+_seconds_elsewhere = 0.0
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a solver said.
+
+    Attributes:
+        variables: Variables where it ended.
+        multipliers: Multipliers of the constraints there.
+        success: Whether it calls that a solution.
+        status: Its status, in its own words.
+        iterations: Number of iterations.
+        seconds: Processor time [s].
+    """
+
+    variables: Array
+    multipliers: Array
+    success: bool
+    status: str
+    iterations: int
+    seconds: float
+
+
+class LimitedSolver:
+    """Asks a CasADi solver in a process that is forked on the first call and ends with this object.
+
+    Args:
+        solver: Solver; what it prints is lost.
+    """
+
+    def __init__(self, solver: Any) -> None:
+        self._solver = solver
+        self._connection: Connection | None = None
+        self._end: weakref.finalize[Any, Any] | None = None
+        self._owner = 0
+
+    def __call__(self, arguments: dict[str, Array], limit: float) -> Answer | None:
+        """Return the answer; None where it took more than `limit` seconds of processor time.
+
+        Args:
+            arguments: Arguments of the solver by name.
+            limit: Processor time that it may take [s].
+        """
+        global _seconds_elsewhere
+        if self._connection is None or self._owner != os.getpid():  # a fork of this process has its own
+            self._begin()
+        assert self._connection is not None
+        answer: Answer | None = None
+        try:
+            self._connection.send((arguments, limit))
+            if self._connection.poll(_WAIT * limit):
+                answer = self._connection.recv()
+        except (EOFError, OSError):  # the kernel has ended it
+            pass
+        except BaseException:  # interrupted: its answer must not be taken for that of the next call
+            self._close()
+            raise
+        if answer is None:
+            self._close()
+        _seconds_elsewhere += limit if answer is None else answer.seconds
+        return answer
+
+    def _begin(self) -> None:
+        self._close()
+        ours, theirs = Pipe()
+        with warnings.catch_warnings():  # the child runs nothing but the solver: other threads' locks are not its own
+            warnings.simplefilter("ignore", DeprecationWarning)
+            process = os.fork()
+        if process == 0:
+            ours.close()
+            _serve(self._solver, theirs)
+        theirs.close()
+        self._connection, self._owner = ours, os.getpid()
+        self._end = weakref.finalize(self, _end, process, ours, os.getpid())
+
+    def _close(self) -> None:
+        if self._end is not None:
+            self._end()
+        self._connection = self._end = None
+
+
+def seconds_elsewhere() -> float:
+    """Return the processor time that solvers of this process have taken in processes of their own [s]."""
+    return _seconds_elsewhere
+
+
+def _end(process: int, connection: Connection, owner: int) -> None:
+    connection.close()
+    if owner == os.getpid():
+        os.kill(process, signal.SIGKILL)
+        os.waitpid(process, 0)
+
+
+def _serve(solver: Any, connection: Connection) -> NoReturn:
+    """Answer calls until the other side is gone."""
+    try:
+        nowhere = os.open(os.devnull, os.O_RDWR)
+        for stream in (1, 2):  # a NaN is answered with pages of numbers
+            os.dup2(nowhere, stream)
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which ends this one
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        signal.signal(signal.SIGPROF, signal.SIG_DFL)
+        while True:
+            arguments, limit = connection.recv()
+            signal.setitimer(signal.ITIMER_PROF, limit)
+            answer = _ask(solver, arguments)
+            signal.setitimer(signal.ITIMER_PROF, 0.0)
+            connection.send(answer)
+    except BaseException:  # what is behind a fork must not run: neither handlers at exit nor the parent's code
+        pass
+    finally:
+        os._exit(0)
+
+
+def _ask(solver: Any, arguments: dict[str, Array]) -> Answer:
+    begin = time.process_time()
+    try:
+        found = solver(**arguments)
+        variables, multipliers = (np.asarray(found[name], dtype=float).ravel() for name in ("x", "lam_g"))
+        failed = ""
+    except RuntimeError:  # CasADi's only error
+        variables, multipliers, failed = np.full(len(arguments["x0"]), np.nan), np.empty(0), "Error_In_Solver"
+    stats = solver.stats()
+    status = failed or str(stats["return_status"])
+    if not failed and status.lstrip("-").isdigit():  # fatrop has numbers only, so CasADi's general word is taken
+        status = str(stats.get("unified_return_status", status)).removeprefix("SOLVER_RET_")
+    iterations = int(stats.get("iter_count", 0))
+    success = bool(stats.get("success", False)) and not failed
+    return Answer(variables, multipliers, success, status, iterations, time.process_time() - begin)
