@@ -1,8 +1,8 @@
 from .errors import OcError as OcError
 from .mpc.initial_guess import shift_trajectory as shift_trajectory
 from .mpc.mpc import Mpc as Mpc
-from .mpc.mpc import MpcSolution as MpcSolution
-from .mpc.mpc import RecedingHorizon as RecedingHorizon
+from .mpc.receding_horizon import RecedingHorizon as RecedingHorizon
+from .mpc.solution import MpcSolution as MpcSolution
 from .plots import draw_heat_map as draw_heat_map
 from .plots import draw_trajectories as draw_trajectories
 from .problems.extraction import Extraction as Extraction

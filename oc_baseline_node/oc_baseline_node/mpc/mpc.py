@@ -1,66 +1,55 @@
-"""MPC: trajectories of the optimal control problem, and a receding-horizon controller (thesis Eq. 3.16)."""
+"""MPC: trajectories of the optimal control problem (thesis Eq. 3.16), from anywhere or from a trajectory nearby."""
 
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import cached_property
 from itertools import product
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ctrl_rl_core import signed_distance
-from oc_baseline_node.mpc.initial_guess import InitialGuesses, equilibrium_control, shift_trajectory
-from oc_baseline_node.mpc.transcription import NonlinearProgram, SolverName, trajectory_cost, transcribe
+from ctrl_rl_core import Region
+from oc_baseline_node.errors import OcError
+from oc_baseline_node.mpc.derivatives import Derivatives, undefined_start
+from oc_baseline_node.mpc.initial_guess import InitialGuesses
+from oc_baseline_node.mpc.limited import LimitedSolver
+from oc_baseline_node.mpc.solution import MpcSolution, checked, unsolved
+from oc_baseline_node.mpc.sqp import StageSqp
+from oc_baseline_node.mpc.transcription import SolverName, trajectory_cost, transcribe, variable_bounds
+from oc_baseline_node.problems.circle import nearest_turn
 from oc_baseline_node.problems.problem import OptimalControlProblem
 
 Array = NDArray[np.float64]
-_CHECKED_FRACTIONS = (0.25, 0.5, 0.75)
-"""Fractions of a step at which the clearance is checked."""
-TOLERANCE = 1e-4
-"""Largest violation of a constraint by a solved trajectory [m, rad, ...]."""
-
-
-@dataclass(frozen=True)
-class MpcSolution:
-    """Result of the solvers for one start.
-
-    Attributes:
-        states: States x_0 .. x_H (H+1, n); not to be used where not `solved`.
-        controls: Controls u_0 .. u_{H-1} (H, m).
-        time_step: Duration of a step [s].
-        solved: Whether the trajectory keeps every constraint.
-        reason: Status of the last solver (CasADi's return_status), or why no solver was asked.
-        cost: Cost of Eq. 3.16, NaN where not solved.
-        iterations: Number of iterations of all solvers asked.
-        cpu_seconds: Processor time of all solvers asked [s], without setting up their programs.
-    """
-
-    states: Array
-    controls: Array
-    time_step: float
-    solved: bool
-    reason: str
-    cost: float
-    iterations: int
-    cpu_seconds: float
-
-
+Guess = tuple[Array, Array]
 _SIMPLIFICATIONS = ("", " (with the least control alone)", " (with a state cost that does not grow)")
+_NUDGES = (1e-6, 1e-4, 1e-2, 1e-1)
+"""How far a guess is moved where a derivative there is no number, as a part of one and of each variable."""
+_FAR = 0.25
+"""Share of a period from which on the other way round may be the cheaper one, for what the other states have to do."""
+_MOST_PROGRAMS = 4
+"""Quadratic programs from a trajectory nearby, before an interior point is asked."""
+_SETTLED = 0.1
+"""Change of the cost, as a part of it, below which the next quadratic program would change less than a hundredth."""
 
 
 class Mpc:
     """Solves one problem from any start; the programs are set up once.
 
-    Where that fails and obstacles are in the way it goes by steps: first with the least control alone, then with a
-    state cost that does not grow, then the problem itself. Over hundreds of steps the growth of the state cost leaves
-    a solver nothing to hold on to at the beginning.
+    From a trajectory nearby it takes a few quadratic programs; from anywhere, an interior point. Where that fails and
+    obstacles are in the way it goes by steps: first with the least control alone, then with a state cost that does not
+    grow, then the problem itself. Over hundreds of steps the growth of the state cost leaves a solver nothing to hold
+    on to at the beginning.
 
     Args:
         problem: Optimal control problem to solve.
         solvers: Solvers, asked in this order with each guess until one succeeds; fatrop is faster, ipopt more robust.
         max_iterations: Largest number of iterations of each solver.
+        time_limit: Processor time that one start may take [s]; a solver that exceeds it is ended.
+
+    Raises:
+        OcError: The time limit is not more than zero.
     """
 
     def __init__(
@@ -68,17 +57,30 @@ class Mpc:
         problem: OptimalControlProblem,
         solvers: tuple[SolverName, ...] = ("fatrop", "ipopt"),
         max_iterations: int = 300,
+        time_limit: float = 20.0,
     ) -> None:
+        if not 0.0 < time_limit < np.inf:
+            raise OcError(f"the time limit is {time_limit:g} s: give seconds, more than zero")
         self.problem = problem
         self._solvers = solvers
         self._max_iterations = max_iterations
+        self._time_limit = time_limit
         level = replace(problem, gamma=1.0)
         self._problems = (problem, replace(level, state_weight=0.0, trap_weight=0.0), level)
-        self._programs: dict[tuple[int, SolverName], NonlinearProgram] = {}
+        self._tools: dict[tuple[int, SolverName], _Tool] = {}
         self._guesses = InitialGuesses(problem)
 
+    @property
+    def rounded(self) -> tuple[str, ...]:
+        """Operations of the model that were rounded off for the solvers, as they have no derivative somewhere."""
+        return self._tool(0, self._solvers[0]).program.rounded
+
     def solve(
-        self, start: ArrayLike, guess: tuple[Array, Array] | None = None, check_start: bool = True
+        self,
+        start: ArrayLike,
+        guess: Guess | None = None,
+        check_start: bool = True,
+        multipliers: Array | None = None,
     ) -> MpcSolution:
         """Return the trajectory from `start` (n,).
 
@@ -86,142 +88,162 @@ class Mpc:
             start: Start state x_0 (n,).
             guess: States (H+1, n) and controls (H, m) to begin with, such as a trajectory nearby (a warm start).
             check_start: Whether a start that breaks the constraints is refused without asking a solver.
+            multipliers: Multipliers of the constraints that belong to the guess (M,), where they are known.
         """
         start = np.asarray(start, dtype=float)
-        refusal = self.problem.refusal(start) if check_start else ""
+        refusal = (self.problem.refusal(start) if check_start else "") or undefined_start(self.problem, start)
         if refusal:
-            return _unsolved(self.problem, start, refusal)
-        guesses = self._guesses(start) if guess is None else [guess]
+            return unsolved(self.problem, start, refusal)
         tries: list[MpcSolution] = []
-        for name, each in product(self._solvers, guesses):
-            tries.append(self._attempt(0, name, start, *each))
+        if guess is not None:
+            guess = self._beside(start, guess)
+            tries.append(self._solve_nearby(start, guess, multipliers))
             if tries[-1].solved:
+                return tries[-1]
+        guesses = self._guesses(start) if guess is None else [guess]
+        bounds = self.problem.bounds_around(start)
+        toward = start if guess is None else guess[0][-1]
+        found: list[MpcSolution] = []
+        nearest = 0.0
+        for distance, way in self.problem.ways_round(toward, bounds):
+            nearest = nearest if found else distance
+            if nearest < _FAR and any(each.solved for each in found):
                 break
-        else:
-            if len(guesses) > 1:  # the straight line runs through an obstacle
-                tries.extend(self._solve_by_continuation(start, guesses[0]))
-        # The last of the steps that was solved; without any the reason is that of the problem itself.
-        best = next((each for each in reversed(tries) if each.solved), tries[-1])
+            found.append(self._solve_way(way, start, bounds, guesses, tries))
+        solved = [each for each in found if each.solved]
+        best = min(solved, key=lambda each: each.cost) if solved else found[0]
         iterations, seconds = sum(each.iterations for each in tries), sum(each.cpu_seconds for each in tries)
         return replace(best, iterations=iterations, cpu_seconds=seconds)
 
-    def _solve_by_continuation(self, start: Array, guess: tuple[Array, Array]) -> list[MpcSolution]:
+    def shift(self, multipliers: Array, steps: int) -> Array | None:
+        """Return multipliers (M,) for a trajectory that is shifted by `steps`; None where they are not known."""
+        return self._tool(0, self._solvers[0]).sqp.shift(multipliers, steps) if len(multipliers) else None
+
+    def _solve_way(
+        self, terminal: Region, start: Array, bounds: Array, guesses: list[Guess], tries: list[MpcSolution]
+    ) -> MpcSolution:
+        """Return the trajectory that ends in one of the places where the terminal set is, and add all attempts."""
+        mine: list[MpcSolution] = []
+        for name, guess in product(self._solvers, guesses):
+            mine.append(self._attempt(0, name, start, guess, bounds, terminal, tries))
+            if mine[-1].solved:
+                break
+        else:
+            if len(guesses) > 1:  # the straight line runs through an obstacle
+                mine += self._solve_by_continuation(start, guesses[0], bounds, terminal, tries)
+        # The last of the steps that was solved; without any the reason is that of the problem itself.
+        return next((each for each in reversed(mine) if each.solved), mine[-1])
+
+    def _solve_by_continuation(
+        self, start: Array, guess: Guess, bounds: Array, terminal: Region, tries: list[MpcSolution]
+    ) -> list[MpcSolution]:
         """Return trajectories of easier problems up to the problem itself, each begun with the one before.
 
         The last that is solved keeps every constraint, though its objective may be an easier one, as its reason says.
         """
         name, found = self._solvers[0], []
         for rung in range(1, len(self._problems) + 1):
-            trajectory = self._attempt(rung % len(self._problems), name, start, *guess)
+            trajectory = self._attempt(rung % len(self._problems), name, start, guess, bounds, terminal, tries)
             if not trajectory.solved:
                 break
             found.append(trajectory)
             guess = (trajectory.states, trajectory.controls)
         return found
 
-    def _attempt(self, rung: int, name: SolverName, start: Array, states: Array, controls: Array) -> MpcSolution:
-        """Return the result of one solver for one of the problems."""
-        program = self._program(rung, name)
+    def _attempt(
+        self,
+        rung: int,
+        name: SolverName,
+        start: Array,
+        guess: Guess,
+        bounds: Array,
+        terminal: Region,
+        tries: list[MpcSolution],
+    ) -> MpcSolution:
+        """Return the result of one solver for one of the problems, and add it to `tries`."""
+        tool, problem = self._tool(rung, name), self.problem
+        left = self._time_limit - sum(each.cpu_seconds for each in tries)
+        variables = tool.program.layout.pack(*guess, problem.time_step)
+        variables, trouble = tool.beside_trouble(variables, start)
+        if left <= 0.0 or trouble:
+            reason = trouble or f"no trajectory within {self._time_limit:g} CPU s"
+            tries.append(unsolved(problem, start, reason))
+            return tries[-1]
+        arguments = {"x0": variables, "p": start, **tool.program.bounds}
+        answer = tool.solver(arguments | variable_bounds(tool.program.layout, bounds, terminal), left)
+        if answer is None:
+            tries.append(unsolved(problem, start, f"{name}: ended after {left:.3g} CPU s", seconds=left))
+        elif answer.success:
+            trajectory = tool.program.layout.unpack(answer.variables)
+            reason = f"{name}: {answer.status}{_SIMPLIFICATIONS[rung]}"
+            multipliers = answer.multipliers if rung == 0 else np.empty(0)
+            spent = (answer.iterations, answer.seconds)
+            tries.append(checked(problem, start, trajectory, reason, *spent, multipliers))
+        else:
+            said = f"{name}: {answer.status}{_SIMPLIFICATIONS[rung]}"
+            where = tool.derivatives.trouble(answer.variables, start) if "Invalid" in answer.status else ""
+            reason = f"{said}: {where}" if where else said
+            tries.append(unsolved(problem, start, reason, answer.iterations, answer.seconds))
+        return tries[-1]
+
+    def _solve_nearby(self, start: Array, guess: Guess, multipliers: Array | None) -> MpcSolution:
+        """Return the trajectory to which a few quadratic programs lead from a trajectory nearby."""
+        problem, tool = self.problem, self._tool(0, self._solvers[0])
+        layout, sqp = tool.program.layout, tool.sqp
         begin = time.process_time()
-        variables = program.layout.pack(states, controls, self.problem.time_step)
-        answer = program.solver(x0=variables, p=start, **program.bounds)
-        stats = program.solver.stats()
-        seconds, iterations = time.process_time() - begin, int(stats["iter_count"])
-        reason = _reason(name, stats) + _SIMPLIFICATIONS[rung]
-        if not stats["success"]:
-            return _unsolved(self.problem, start, reason, iterations, seconds)
-        states, controls, time_step = program.layout.unpack(np.asarray(answer["x"]).ravel())
-        broken = self._violated_constraint(start, states, controls, time_step)
-        if broken:
-            return _unsolved(self.problem, start, broken, iterations, seconds)
-        cost = trajectory_cost(self.problem, states, controls, time_step)
-        return MpcSolution(states, controls, time_step, True, reason, cost, iterations, seconds)
+        bounds = problem.bounds_around(start)
+        limits = variable_bounds(layout, bounds, problem.ways_round(guess[0][-1], bounds)[0][1])
+        variables = layout.pack(*guess, problem.time_step)
+        if multipliers is None:
+            multipliers = np.zeros(len(tool.program.kinds))
+        cost, found = trajectory_cost(problem, *guess, problem.time_step), unsolved(problem, start, "sqp: no minimum")
+        for count in range(1, _MOST_PROGRAMS + 1):
+            step = sqp.step(variables, start, limits, multipliers)
+            if step is None:
+                break
+            variables, multipliers = step.variables, step.multipliers
+            found = checked(problem, start, layout.unpack(variables), "sqp: solved", count, 0.0, multipliers)
+            if found.solved and abs(found.cost - cost) <= _SETTLED * abs(found.cost):
+                return replace(found, cpu_seconds=time.process_time() - begin)
+            cost = found.cost
+        reason = "sqp: not settled" if found.solved else found.reason
+        return unsolved(problem, start, reason, found.iterations, time.process_time() - begin)
 
-    def _program(self, rung: int, name: SolverName) -> NonlinearProgram:
-        if (rung, name) not in self._programs:
-            self._programs[rung, name] = transcribe(self._problems[rung], name, self._max_iterations)
-        return self._programs[rung, name]
+    def _beside(self, start: Array, guess: Guess) -> Guess:
+        """Return a guess with its states on circles moved by whole periods, so that it begins beside the start."""
+        states, controls = guess
+        turn = nearest_turn(states[0], start, self.problem.periods) - states[0]
+        return states + turn, controls
 
-    def _violated_constraint(self, start: Array, states: Array, controls: Array, time_step: float) -> str:
-        """Say which constraint a trajectory misses by more than the tolerance, checked against the real boxes."""
-        problem = self.problem
-        low, high = problem.state_bounds
-        u_low, u_high = problem.system.control_bounds
-        steps = problem.system.step(states[:-1], controls, dt=time_step)
-        checks = {
-            "start": np.abs(states[0] - start).max(),
-            "dynamics": np.abs(states[1:] - steps).max(),
-            "clearance": -problem.margin(states[1:]).min(),
-            "clearance between samples": problem.clearance
-            - _clearance_between_samples(problem, states, controls, time_step),
-            "state bounds": max((low - states[1:]).max(), (states[1:] - high).max()),
-            "control bounds": max((u_low - controls).max(), (controls - u_high).max()),
-            "terminal set": problem.terminal_violation(states[-1]),
-        }
-        for name, violation in checks.items():
-            if not violation <= TOLERANCE:
-                return f"solution misses {name} by {violation:.2g}"
-        return ""
+    def _tool(self, rung: int, name: SolverName) -> _Tool:
+        if (rung, name) not in self._tools:
+            self._tools[rung, name] = _Tool(self._problems[rung], name, self._max_iterations)
+        return self._tools[rung, name]
 
 
-def _clearance_between_samples(
-    problem: OptimalControlProblem, states: Array, controls: Array, time_step: float
-) -> float:
-    """Return how near a trajectory comes to an obstacle between its samples [m], but for the step from the start.
+class _Tool:
+    """A problem's program with its solver, its derivatives and its quadratic programs."""
 
-    The start may lie at d_min, from where a step leads nearer to a corner before it leads away.
-    """
-    if not problem.obstacles:
-        return np.inf
-    between = [problem.system.step(states[1:-1], controls[1:], dt=part * time_step) for part in _CHECKED_FRACTIONS]
-    return float(signed_distance(problem.obstacles, np.array(between)[..., problem.positions]).min())
+    def __init__(self, problem: OptimalControlProblem, name: SolverName, max_iterations: int) -> None:
+        self.program = transcribe(problem, name, max_iterations)
+        self.solver = LimitedSolver(self.program.solver)
+        self.derivatives = Derivatives(self.program)
 
+    @cached_property
+    def sqp(self) -> StageSqp:
+        return StageSqp(self.program, self.derivatives)
 
-class RecedingHorizon:
-    """A controller: solves anew from each state, begins with what it planned before, applies the first control.
+    def beside_trouble(self, variables: Array, start: Array) -> tuple[Array, str]:
+        """Return variables moved off a point where a derivative is no number, and which one is where all attempts fail.
 
-    Where no solver finds a trajectory it carries on with the plan that it has.
-
-    Attributes:
-        plan: Last solved trajectory, None before the first.
-        reason: Status of the last solver; not a success where `plan` is an older one.
-    """
-
-    def __init__(self, mpc: Mpc) -> None:
-        self._mpc = mpc
-        self._rest = equilibrium_control(mpc.problem.system)
-        self._age = 0
-        self.plan: MpcSolution | None = None
-        self.reason = ""
-        self.solved = False
-
-    def control(self, state: ArrayLike) -> Array:
-        """Return u (m,) for a state (n,); call it once each time step."""
-        self._age += 1
-        guess = None if self.plan is None else shift_trajectory(self.plan.states, self.plan.controls, self._age)
-        trajectory = self._mpc.solve(state, guess, check_start=False)
-        if not trajectory.solved and guess is not None:
-            trajectory = self._mpc.solve(state, check_start=False)
-        self.solved, self.reason = trajectory.solved, trajectory.reason
-        if trajectory.solved:
-            self.plan, self._age = trajectory, 0
-        if self.plan is None or self._age >= len(self.plan.controls):
-            return self._rest.copy()
-        return self.plan.controls[self._age].copy()
-
-
-def _reason(name: SolverName, stats: dict[str, Any]) -> str:
-    """Return the solver's own words; fatrop has numbers only, so CasADi's general word is added."""
-    status = str(stats["return_status"])
-    if name == "fatrop":
-        status = str(stats.get("unified_return_status", status)).removeprefix("SOLVER_RET_")
-    return f"{name}: {status}"
-
-
-def _unsolved(
-    problem: OptimalControlProblem, start: Array, reason: str, iterations: int = 0, seconds: float = 0.0
-) -> MpcSolution:
-    states = np.full((problem.horizon + 1, len(problem.system.states)), np.nan)
-    states[0] = start if start.shape == states[0].shape else np.nan
-    controls = np.full((problem.horizon, len(problem.system.controls)), np.nan)
-    return MpcSolution(states, controls, problem.time_step, False, reason, float("nan"), iterations, seconds)
+        A solver that begins there cannot take a step, and fatrop never ends.
+        """
+        trouble = self.derivatives.trouble(variables, start)
+        if not trouble:
+            return variables, ""
+        random = np.random.default_rng(0)
+        for size in _NUDGES:
+            moved = variables + size * (1.0 + np.abs(variables)) * random.uniform(-1.0, 1.0, len(variables))
+            if not self.derivatives.trouble(moved, start):
+                return moved, ""
+        return variables, trouble

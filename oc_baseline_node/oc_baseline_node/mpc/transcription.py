@@ -14,11 +14,14 @@ import casadi
 import numpy as np
 from numpy.typing import NDArray
 
+from ctrl_rl_core import Region
 from oc_baseline_node.mpc.obstacles import covering_superellipses
+from oc_baseline_node.mpc.rounded import rounded
 from oc_baseline_node.problems.problem import TIME_STEP_RANGE, OptimalControlProblem
 
 Array = NDArray[np.float64]
 SolverName = Literal["ipopt", "fatrop"]
+Kind = Literal["dynamics", "start", "obstacle", "disc"]
 _LEAST_CLEARANCE = 0.05
 """Smallest d_min in the corner-cutting allowance [m]: a corner that may be touched would make it infinite."""
 _COST_RANGE = 1e3
@@ -67,18 +70,25 @@ class NonlinearProgram:
     Attributes:
         layout: Places of states and controls in the vector of variables.
         solver: CasADi function of the solver; its parameter is the start x_0.
-        bounds: Bounds of variables and constraints: lbx, ubx, lbg, ubg.
+        bounds: Bounds of the constraints: lbg, ubg; those of the variables follow from the start.
+        rounded: Operations of the model that were rounded off, because they have no derivative somewhere.
+        kinds: Kind of each constraint (M,).
+        stages: Stage k that each constraint belongs to (M,).
     """
 
     layout: Layout
     solver: Any
     bounds: dict[str, Array]
+    rounded: tuple[str, ...]
+    kinds: NDArray[np.str_]
+    stages: NDArray[np.intp]
 
 
 def transcribe(problem: OptimalControlProblem, solver: SolverName, max_iterations: int) -> NonlinearProgram:
     """Return the problem's program with its solver (which compiles nothing, but takes about a second to set up)."""
     layout = Layout(problem)
     H, n = problem.horizon, layout.n
+    rates, rounded_off = _rates(problem)
     start = casadi.SX.sym("x0", n)
     X = [casadi.SX.sym(f"x_{k}", n + layout.free_time) for k in range(H + 1)]
     U = [casadi.SX.sym(f"u_{k}", len(layout.free_controls)) for k in range(H)]
@@ -86,14 +96,11 @@ def transcribe(problem: OptimalControlProblem, solver: SolverName, max_iteration
     heaviest = problem.state_weight * problem.gamma**H
     scale = _COST_RANGE / max(heaviest, _COST_RANGE)
     g: list[Any] = []
-    low: list[float] = []
-    high: list[float] = []
+    table: list[tuple[Kind, int, float, float]] = []
 
-    def constrain(expression: Any, least: float, most: float) -> None:
-        count = expression.numel()
+    def constrain(kind: Kind, k: int, expression: Any, least: float, most: float) -> None:
         g.append(expression)
-        low.extend([least] * count)
-        high.extend([most] * count)
+        table.extend([(kind, k, least, most)] * expression.numel())
 
     cost = 0.0
     for k in range(H + 1):
@@ -101,35 +108,54 @@ def transcribe(problem: OptimalControlProblem, solver: SolverName, max_iteration
         if k < H:
             u = _controls(layout, U[k])
             step = X[k][n] if layout.free_time else problem.time_step
-            x_next = problem.system.step(X[k][:n], u, dt=step, math=casadi)
+            x_next = _runge_kutta(rates, X[k][:n], u, step)
             if layout.free_time:
                 x_next = casadi.vertcat(x_next, X[k][n])
-            constrain(X[k + 1] - x_next, 0.0, 0.0)
+            constrain("dynamics", k, X[k + 1] - x_next, 0.0, 0.0)
             cost += scale * stage_cost(problem, p, u, k) * (step / problem.time_step)
         if k == 0:
-            constrain(X[0][:n] - start, 0.0, 0.0)
+            constrain("start", k, X[0][:n] - start, 0.0, 0.0)
         else:
-            sag = 0.0 if k == H or not ellipses else corner_cutting_allowance(problem, X[k][:n], u, step)
+            sag = 0.0 if k == H or not ellipses else corner_cutting_allowance(problem, rates(X[k][:n], u), step)
             for ellipse in ellipses:
-                constrain(ellipse.outside(p[0], p[1]) - sag, 0.0, math.inf)
+                constrain("obstacle", k, ellipse.outside(p[0], p[1]) - sag, 0.0, math.inf)
     if problem.terminal.disc is not None:
         disc = problem.terminal.disc
         offset = X[H][problem.positions] - casadi.DM(disc.centre)
-        constrain(casadi.sumsqr(offset), 0.0, disc.radius**2)
+        constrain("disc", H, casadi.sumsqr(offset), 0.0, disc.radius**2)
     variables = [piece for pair in zip(X, [*U, casadi.SX(0, 1)], strict=True) for piece in pair]
     nlp = {"x": casadi.vertcat(*variables), "f": cost, "g": casadi.vertcat(*g), "p": start}
-    options = _options(solver, max_iterations, [least == most for least, most in zip(low, high, strict=True)])
-    bounds = {"lbg": np.array(low), "ubg": np.array(high), **_variable_bounds(layout)}
-    return NonlinearProgram(layout, casadi.nlpsol("mpc", solver, nlp, options), bounds)
+    kinds, stages, low, high = (np.array(column) for column in zip(*table, strict=True))
+    options = _options(solver, max_iterations, (low == high).tolist())
+    bounds = {"lbg": low, "ubg": high}
+    return NonlinearProgram(layout, casadi.nlpsol("mpc", solver, nlp, options), bounds, rounded_off, kinds, stages)
 
 
-def corner_cutting_allowance(problem: OptimalControlProblem, x: Any, u: Any, step: Any) -> Any:
-    """Return by how much a step from x may cut the corner of an obstacle [m], for CasADi.
+def _rates(problem: OptimalControlProblem) -> tuple[Any, tuple[str, ...]]:
+    """Return x'(x, u) for CasADi without corners, and what was rounded off for that; smooth models stay as they are."""
+    x, u = (casadi.SX.sym(name, len(parts)) for name, parts in (("x", problem.system.states),
+                                                                ("u", problem.system.controls)))  # fmt: skip
+    function, names = rounded(casadi.Function("rates", [x, u], [problem.system.dynamics(x, u, math=casadi)]))
+    if names:
+        return function, names
+    return lambda x, u: problem.system.dynamics(x, u, math=casadi), ()
+
+
+def _runge_kutta(rates: Any, x: Any, u: Any, dt: Any) -> Any:
+    """Return the state after `dt` seconds, as `System.step` does."""
+    k1 = rates(x, u)
+    k2 = rates(x + dt / 2 * k1, u)
+    k3 = rates(x + dt / 2 * k2, u)
+    k4 = rates(x + dt * k3, u)
+    return x + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+
+
+def corner_cutting_allowance(problem: OptimalControlProblem, rates: Any, step: Any) -> Any:
+    """Return by how much a step with rates x' (n,) may cut the corner of an obstacle [m], for CasADi.
 
     Between two positions at d_min from a corner the way is a chord of the circle around it, which is nearer in its
     middle by (v dt)^2 / (8 d_min).
     """
-    rates = problem.system.dynamics(x, u, math=casadi)
     speed_squared = sum(rates[index] ** 2 for index in problem.positions)
     return speed_squared * step**2 / (8.0 * max(problem.clearance, _LEAST_CLEARANCE))
 
@@ -160,13 +186,19 @@ def _controls(layout: Layout, free: Any) -> Any:
     return u
 
 
-def _variable_bounds(layout: Layout) -> dict[str, Array]:
-    """Return lbx and ubx; the start is bound by a constraint alone."""
+def variable_bounds(layout: Layout, state_bounds: Array, terminal: Region) -> dict[str, Array]:
+    """Return lbx and ubx; the start is bound by a constraint alone.
+
+    Args:
+        layout: Places of states and controls in the vector of variables.
+        state_bounds: Least and largest states (2, n).
+        terminal: Set in which x_H lies; its disc is a constraint.
+    """
     problem, H = layout.problem, layout.problem.horizon
     out = {}
     for name, row in (("lbx", 0), ("ubx", 1)):
-        states = np.tile(problem.state_bounds[row], (H + 1, 1))
-        for state, interval in problem.terminal.intervals.items():
+        states = np.tile(state_bounds[row], (H + 1, 1))
+        for state, interval in terminal.intervals.items():
             index = problem.system.state_names.index(state)
             bound = (max, min)[row](states[H, index], interval[row])
             states[H, index] = bound
@@ -183,8 +215,10 @@ def _options(solver: SolverName, max_iterations: int, equality: list[bool]) -> d
             "equality": equality,
             "fatrop": {"print_level": 0, "max_iter": max_iterations, "tol": 1e-6},
             "print_time": False,
+            "show_eval_warnings": False,
         }
     return {
         "ipopt": {"print_level": 0, "sb": "yes", "max_iter": max_iterations, "tol": 1e-6},
         "print_time": False,
+        "show_eval_warnings": False,
     }

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal, get_args
 
 import numpy as np
@@ -22,6 +23,7 @@ from ctrl_rl_core import (
     task_digest,
 )
 from oc_baseline_node.errors import OcError
+from oc_baseline_node.problems import circle
 from oc_baseline_node.problems.corridor import in_plane, path_car
 
 Array = NDArray[np.float64]
@@ -33,6 +35,8 @@ TIME_STEP_RANGE = (0.2, 4.0)
 """Range of a free time step, in multiples of the task's."""
 _ROOM = 0.02
 """Kept from what ends an episode, a touching body or the tilt limit, where the task's constants leave none [m, rad]."""
+_HEAVIEST = 1e100
+"""Largest weight of a squared distance [1/m^2]: sums and squares of what is larger are no numbers any more."""
 _INSIDE = 1e-3
 """Distance inside the goal's bounds at which a trajectory must end, beyond a solver's tolerance [m, rad]."""
 
@@ -85,6 +89,36 @@ class OptimalControlProblem:
         """Where in x the two coordinates of the plane stand: x and y, x and z, or s and lateral."""
         return [0, 1] if self.task.corridor is not None else position_indices(self.system.state_names)
 
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """Part of the task file that each control's bounds come from, or that they are the model's own (m,)."""
+        spec = self.task.optimal_control
+        freed = set(spec.controls) if spec is not None and self.form == "free_speed" else set()
+        return tuple(
+            "optimal_control.controls"
+            if name in freed
+            else "system.controls"
+            if name in self.task.system.controls
+            else "the model's own, as the task names none"
+            for name in self.system.control_names
+        )
+
+    @cached_property
+    def periods(self) -> Array:
+        """Period of each state (n,), inf where it is on no circle."""
+        return circle.periods(self.system, self.positions)
+
+    def bounds_around(self, state: Array) -> Array:
+        """Return the state bounds (2, n) of trajectories from a state (n,), on a circle moved by whole periods."""
+        return circle.bounds_around(state, self.state_bounds, self.periods)
+
+    def ways_round(self, state: Array, bounds: Array) -> list[tuple[float, Region]]:
+        """Return the terminal set as it may be reached from a state (n,) within bounds (2, n), the nearest way first.
+
+        Beside each stands its distance in periods.
+        """
+        return circle.ways_round(self.terminal, self.system.state_names, self.periods, state, bounds)
+
     def task_states(self, states: ArrayLike) -> Array:
         """Return states (..., n) of `system` as states (..., n) of the task's own system."""
         if self.task.corridor is None:
@@ -110,10 +144,10 @@ class OptimalControlProblem:
         names = self.system.state_names
         if state.shape != (len(names),) or not np.isfinite(state).all():
             return f"start is not {len(names)} finite numbers ({', '.join(names)})"
-        low, high = self.state_bounds
-        for name, value, least, most in zip(names, state, low, high, strict=True):
-            if not least - 1e-9 <= value <= most + 1e-9:
-                return f"start: {name} = {value:.3g} is out of bounds, {least:.4g} .. {most:.4g}"
+        low, high = self.bounds_around(state)
+        for index in np.flatnonzero((state < low - 1e-9) | (state > high + 1e-9)):
+            least, most = self.state_bounds[:, index]
+            return f"start: {names[index]} = {state[index]:.3g} is out of bounds, {least:.4g} .. {most:.4g}"
         margin = float(self.margin(state))
         if margin < -1e-9:
             gap = self.clearance + margin
@@ -124,11 +158,7 @@ class OptimalControlProblem:
     def terminal_violation(self, state: ArrayLike) -> float:
         """Return by how much a state (n,) misses the terminal set [m, rad, ...]; zero or less inside."""
         state = np.asarray(state, dtype=float)
-        names = self.system.state_names
-        out = -np.inf
-        for name, interval in self.terminal.intervals.items():
-            value = state[names.index(name)]
-            out = max(out, interval.low - value, value - interval.high)
+        out = circle.outside(self.terminal, self.system.state_names, self.periods, state)
         if self.terminal.disc is not None:
             out = max(out, float(self.terminal.disc.signed_distance(state[self.positions])))
         return out
@@ -151,6 +181,13 @@ def formulate(task: NavigationTask, form: Form = "free_speed", clearance: float 
         raise OcError(f"task '{task.name}' has no part 'optimal_control': add its constants to the task file")
     if form not in FORMS:
         raise OcError(f"no form '{form}': there are {', '.join(FORMS)}")
+    try:
+        heaviest = oc.state_weight * oc.gamma**oc.horizon
+    except OverflowError:
+        heaviest = np.inf
+    if heaviest > _HEAVIEST:
+        raise OcError(f"task '{task.name}': the state cost grows to optimal_control.gamma^horizon = {oc.gamma:g}^"
+                      f"{oc.horizon}, beyond {_HEAVIEST:g}: take a gamma nearer to 1")  # fmt: skip
     d_min = max(oc.clearance, task.robot.radius + _ROOM) if clearance is None else clearance
     system = _system(task, oc, form)
     if task.map is not None:
@@ -185,14 +222,20 @@ def _goal(task: NavigationTask) -> tuple[float, float]:
 
 
 def _system(task: NavigationTask, oc: OptimalControlSpec, form: Form) -> System:
-    """Return the model with the controls' bounds that the form wants: the task's own hold the speed of a car."""
+    """Return the model with the controls' bounds that the form wants: the task's own hold the speed of a car.
+
+    A control that `optimal_control.controls` leaves out keeps the bounds of `system.controls`, and the model's where
+    these leave it out, too.
+    """
     own = task.system.build()
     if form != "free_speed":
         return own
     unknown = set(oc.controls) - set(own.control_names)
     if unknown:
         raise OcError(f"task '{task.name}': optimal_control.controls names '{min(unknown)}', which the system lacks")
-    return make_system(own.name, parameters=own.parameters, control_bounds=oc.controls)
+    bounds = zip(own.control_names, own.control_bounds.T.tolist(), strict=True)
+    chosen = make_system(own.name, parameters=own.parameters, control_bounds={**dict(bounds), **oc.controls})
+    return replace(own, controls=chosen.controls)
 
 
 def _terminal(task: NavigationTask, oc: OptimalControlSpec) -> Region:

@@ -21,7 +21,8 @@ from tqdm import tqdm
 from ctrl_rl_core import NavigationTask, Region, exclusive_lock, map_in_processes
 from oc_baseline_node.errors import OcError
 from oc_baseline_node.mpc.initial_guess import braking_guess
-from oc_baseline_node.mpc.mpc import Mpc, MpcSolution
+from oc_baseline_node.mpc.mpc import Mpc
+from oc_baseline_node.mpc.solution import MpcSolution
 from oc_baseline_node.problems.problem import Form, OptimalControlProblem, formulate
 from oc_baseline_node.problems.start_states import draw_start
 from oc_baseline_node.value_data.dataset import (

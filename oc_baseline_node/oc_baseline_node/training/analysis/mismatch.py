@@ -11,7 +11,8 @@ from ctrl_rl_training.sb3.roll_out import EvaluatedEpisode, play_episode
 from numpy.typing import NDArray
 from sim_bridge.environments import NavigationEnv
 
-from oc_baseline_node.mpc.mpc import Mpc, RecedingHorizon
+from oc_baseline_node.mpc.mpc import Mpc
+from oc_baseline_node.mpc.receding_horizon import RecedingHorizon
 from oc_baseline_node.problems.problem import formulate
 
 Array = NDArray[np.float64]

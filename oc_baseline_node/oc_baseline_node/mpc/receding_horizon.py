@@ -1,0 +1,49 @@
+"""A receding horizon: a controller that solves anew from each state, beginning with what it planned before."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from oc_baseline_node.mpc.initial_guess import equilibrium_control, shift_trajectory
+from oc_baseline_node.mpc.mpc import Mpc
+from oc_baseline_node.mpc.solution import MpcSolution
+
+Array = NDArray[np.float64]
+
+
+class RecedingHorizon:
+    """A controller: solves anew from each state, begins with what it planned before, applies the first control.
+
+    Where no solver finds a trajectory it carries on with the plan that it has.
+
+    Attributes:
+        plan: Last solved trajectory, None before the first.
+        reason: Status of the last solver; not a success where `plan` is an older one.
+        solved: Whether the last state got a trajectory of its own.
+    """
+
+    def __init__(self, mpc: Mpc) -> None:
+        self._mpc = mpc
+        self._rest = equilibrium_control(mpc.problem.system)
+        self._age = 0
+        self.plan: MpcSolution | None = None
+        self.reason = ""
+        self.solved = False
+
+    def control(self, state: ArrayLike) -> Array:
+        """Return u (m,) for a state (n,); call it once each time step."""
+        self._age += 1
+        trajectory = None if self.plan is None else self._solve_nearby(state, self.plan)
+        if trajectory is None or not trajectory.solved:
+            trajectory = self._mpc.solve(state, check_start=False)
+        self.solved, self.reason = trajectory.solved, trajectory.reason
+        if trajectory.solved:
+            self.plan, self._age = trajectory, 0
+        if self.plan is None or self._age >= len(self.plan.controls):
+            return self._rest.copy()
+        return self.plan.controls[self._age].copy()
+
+    def _solve_nearby(self, state: ArrayLike, plan: MpcSolution) -> MpcSolution:
+        guess = shift_trajectory(plan.states, plan.controls, self._age)
+        return self._mpc.solve(state, guess, False, self._mpc.shift(plan.multipliers, self._age))

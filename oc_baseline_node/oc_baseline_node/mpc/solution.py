@@ -1,0 +1,112 @@
+"""Result of the solvers for one start, and whether it keeps every constraint."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrl_rl_core import signed_distance
+from oc_baseline_node.mpc.transcription import trajectory_cost
+from oc_baseline_node.problems.problem import OptimalControlProblem
+
+Array = NDArray[np.float64]
+TOLERANCE = 1e-4
+"""Largest violation of a constraint by a solved trajectory [m, rad, ...]."""
+_CHECKED_FRACTIONS = (0.25, 0.5, 0.75)
+"""Fractions of a step at which the clearance is checked."""
+
+
+@dataclass(frozen=True)
+class MpcSolution:
+    """Result of the solvers for one start.
+
+    Attributes:
+        states: States x_0 .. x_H (H+1, n); not to be used where not `solved`. A state on a circle goes on where it was,
+            beyond a whole turn too.
+        controls: Controls u_0 .. u_{H-1} (H, m).
+        time_step: Duration of a step [s].
+        solved: Whether the trajectory keeps every constraint.
+        reason: Status of the last solver (CasADi's return_status), or why no solver was asked.
+        cost: Cost of Eq. 3.16, NaN where not solved.
+        iterations: Number of iterations of all solvers asked; of quadratic programs for one begun nearby.
+        cpu_seconds: Processor time of all solvers asked [s], without setting up their programs.
+        multipliers: Multipliers of the constraints (M,), for a start nearby; empty where not known.
+    """
+
+    states: Array
+    controls: Array
+    time_step: float
+    solved: bool
+    reason: str
+    cost: float
+    iterations: int
+    cpu_seconds: float
+    multipliers: Array
+
+
+def unsolved(
+    problem: OptimalControlProblem, start: Array, reason: str, iterations: int = 0, seconds: float = 0.0
+) -> MpcSolution:
+    """Return the result where there is no trajectory from a start (n,)."""
+    states = np.full((problem.horizon + 1, len(problem.system.states)), np.nan)
+    states[0] = start if start.shape == states[0].shape else np.nan
+    controls = np.full((problem.horizon, len(problem.system.controls)), np.nan)
+    cost = float("nan")
+    return MpcSolution(states, controls, problem.time_step, False, reason, cost, iterations, seconds, np.empty(0))
+
+
+def checked(
+    problem: OptimalControlProblem,
+    start: Array,
+    trajectory: tuple[Array, Array, float],
+    reason: str,
+    iterations: int,
+    seconds: float,
+    multipliers: Array,
+) -> MpcSolution:
+    """Return states (H+1, n), controls (H, m) and time step [s] as a result, solved if they keep every constraint."""
+    states, controls, time_step = trajectory
+    with np.errstate(all="ignore"):
+        broken = violated_constraint(problem, start, states, controls, time_step)
+        if broken:
+            return unsolved(problem, start, broken, iterations, seconds)
+        cost = trajectory_cost(problem, states, controls, time_step)
+    return MpcSolution(states, controls, time_step, True, reason, cost, iterations, seconds, multipliers)
+
+
+def violated_constraint(
+    problem: OptimalControlProblem, start: Array, states: Array, controls: Array, time_step: float
+) -> str:
+    """Say which constraint a trajectory misses by more than the tolerance, checked against the real boxes."""
+    low, high = problem.bounds_around(start)
+    u_low, u_high = problem.system.control_bounds
+    steps = problem.system.step(states[:-1], controls, dt=time_step)
+    checks = {
+        "start": np.abs(states[0] - start).max(),
+        "dynamics": np.abs(states[1:] - steps).max(),
+        "clearance": -problem.margin(states[1:]).min(),
+        "clearance between samples": problem.clearance
+        - _clearance_between_samples(problem, states, controls, time_step),
+        "state bounds": max((low - states[1:]).max(), (states[1:] - high).max()),
+        "control bounds": max((u_low - controls).max(), (controls - u_high).max()),
+        "terminal set": problem.terminal_violation(states[-1]),
+    }
+    for name, violation in checks.items():
+        if not violation <= TOLERANCE:
+            return f"solution misses {name} by {violation:.2g}"
+    return ""
+
+
+def _clearance_between_samples(
+    problem: OptimalControlProblem, states: Array, controls: Array, time_step: float
+) -> float:
+    """Return how near a trajectory comes to an obstacle between its samples [m], but for the step from the start.
+
+    The start may lie at d_min, from where a step leads nearer to a corner before it leads away.
+    """
+    if not problem.obstacles:
+        return np.inf
+    between = [problem.system.step(states[1:-1], controls[1:], dt=part * time_step) for part in _CHECKED_FRACTIONS]
+    return float(signed_distance(problem.obstacles, np.array(between)[..., problem.positions]).min())

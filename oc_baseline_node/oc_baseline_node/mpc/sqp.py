@@ -1,0 +1,175 @@
+"""Sequential quadratic programming from a trajectory nearby: few programs, where an interior point begins anew.
+
+Each step solves the quadratic program of the point (exact Hessian of the Lagrangian), stage by stage. From the plan of
+the step before one or two of them do: real-time iterations (Diehl, Bock, Schlöder, SIAM J. Control Optim. 43, 2005).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oc_baseline_node.mpc.derivatives import Derivatives
+from oc_baseline_node.mpc.stage_qp import solve_stages
+from oc_baseline_node.mpc.transcription import NonlinearProgram
+
+Array = NDArray[np.float64]
+_DAMPING = (0.0, 1e-4, 1e-2, 1.0)
+"""Numbers added to the Hessian's diagonal, tried in turn until the program has a minimum."""
+_LEAST_SLACK = 1e-2
+"""Slack of an inequality to begin with, at least."""
+_BARRIERS = (1e-4, 1.0, 1e2)
+"""Products of slack and multiplier to begin with: from a large one it gets on where multipliers are large."""
+_NEAR = 1.0
+"""An obstacle further than this is left out of a quadratic program [m]; the trajectory is checked against all."""
+
+
+_GAP = 1e-4
+"""Part of the cost that the inequalities of a program may leave."""
+_LEAST_GAP, _LARGEST_GAP = 1e-12, 1e-8
+"""Range of the same for one inequality, in the program's units."""
+
+
+@dataclass(frozen=True)
+class SqpStep:
+    """Where a quadratic program leads.
+
+    Attributes:
+        variables: Variables of the program.
+        multipliers: Multipliers of its constraints (M,), with CasADi's signs.
+    """
+
+    variables: Array
+    multipliers: Array
+
+
+class StageSqp:
+    """Steps of sequential quadratic programming for one program.
+
+    Args:
+        program: Nonlinear program.
+        derivatives: Its derivatives.
+    """
+
+    def __init__(self, program: NonlinearProgram, derivatives: Derivatives) -> None:
+        layout = program.layout
+        self._program = program
+        self._n, self._w, self._K = layout.n + layout.free_time, layout.width, layout.problem.horizon
+        self._start = program.kinds == "start"
+        self._dynamics = program.kinds == "dynamics"
+        self._unequal = ~self._start & ~self._dynamics
+        stages = program.stages[self._unequal]
+        # Where each inequality stands among those of its stage: constraints are ordered by stages.
+        self._place = np.arange(len(stages)) - np.searchsorted(stages, stages)
+        self._rows = int(self._place.max(initial=-1)) + 1
+        self._sign = np.where(program.kinds[self._unequal] == "disc", -1.0, 1.0)
+        self._edge = np.where(program.kinds == "disc", program.bounds["ubg"], program.bounds["lbg"])[self._unequal]
+        self._derivatives = derivatives
+        self._index_jacobian()
+        self._index_hessian()
+        self._compile()
+
+    def step(self, variables: Array, start: Array, bounds: dict[str, Array], multipliers: Array) -> SqpStep | None:
+        """Return where the quadratic program at a point leads; None where it has no solution.
+
+        Args:
+            variables: Variables of the program at the point.
+            start: Start state x_0 (n,).
+            bounds: Bounds of the variables, lbx and ubx.
+            multipliers: Multipliers of the constraints there (M,); zeros leave their curvature out.
+        """
+        K, n, w = self._K, self._n, self._w
+        g, jacobian = self._derivatives.jacobian(variables, start)
+        (gradient,) = self._derivatives.gradient(variables, start)
+        if not all(np.isfinite(each).all() for each in (g, jacobian, gradient)):
+            return None
+        A, G = np.zeros((K, n, w)), np.zeros((K + 1, self._rows, w))
+        A.ravel()[self._A[1]] = -jacobian[self._A[0]]
+        G.ravel()[self._G[1]] = jacobian[self._G[0]] * self._G[2]
+        c = np.full((K + 1, self._rows), np.inf)
+        at = (g[self._unequal] - self._edge) * self._sign
+        c[self._program.stages[self._unequal], self._place] = np.where(at < _NEAR, at, np.inf)
+        q = self._by_stages(gradient, 0.0)
+        lower = self._by_stages(bounds["lbx"] - variables, -np.inf)
+        upper = self._by_stages(bounds["ubx"] - variables, np.inf)
+        rest = (q, A, -g[self._dynamics].reshape(K, n), lower, upper, G, c, -g[self._start])
+        for each in (multipliers, np.zeros(len(g))) if multipliers.any() else (multipliers,):
+            found = self._solve(variables, start, each, rest)
+            if found is not None:
+                z, weights, gradients = found
+                new = np.zeros(len(g))
+                new[self._dynamics] = -gradients[1:].ravel()
+                new[self._unequal] = -self._sign * weights[self._program.stages[self._unequal], self._place]
+                return SqpStep(variables + z.ravel()[: len(variables)], new)
+        return None
+
+    def _solve(
+        self, variables: Array, start: Array, multipliers: Array, rest: tuple[Array, ...]
+    ) -> tuple[Array, Array, Array] | None:
+        """Return z, multipliers and gradients of the program with the Hessian of these multipliers; None for none."""
+        (entries,) = self._derivatives.hessian(variables, start, np.ones(1), multipliers)
+        if not np.isfinite(entries).all():
+            return None
+        H = np.zeros((self._K + 1, self._w, self._w))
+        H.ravel()[self._H[1]] = entries[self._H[0]]
+        cost = abs(float(self._derivatives.cost(variables, start)[0][0]))
+        gap = float(np.clip(_GAP * cost / rest[0].size, _LEAST_GAP, _LARGEST_GAP))
+        for damping, barrier in product(_DAMPING, _BARRIERS):
+            count, *found = solve_stages(H, *rest, damping, gap, _LEAST_SLACK, barrier)
+            if count > 0:
+                return found[0], found[1], found[2]
+            if count == 0 and barrier == _BARRIERS[-1]:  # no damping makes a program feasible
+                return None
+        return None
+
+    def shift(self, multipliers: Array, steps: int) -> Array:
+        """Return multipliers (M,) of a trajectory from `steps` on, as `shift_trajectory` does with its states."""
+        out, gamma = np.zeros_like(multipliers), self._program.layout.problem.gamma
+        for which in (self._dynamics, self._unequal & (self._program.kinds == "obstacle")):
+            table = multipliers[which].reshape(self._K, -1)
+            out[which] = table[np.minimum(np.arange(self._K) + steps, self._K - 1)].ravel()
+        disc = self._program.kinds == "disc"
+        out[disc] = multipliers[disc]
+        return out / gamma**steps
+
+    def _compile(self) -> None:
+        """Have the recursion compiled, or read from where it lies compiled: that is no part of the first solution."""
+        empty = np.zeros((2, 1)), np.zeros((1, 1, 2)), np.zeros((2, 2)), np.zeros((2, 0, 2)), np.zeros((2, 0))
+        H = np.stack((np.eye(2), np.eye(2)))
+        solve_stages(
+            H, empty[2], empty[1], empty[0][:1], empty[2], empty[2], empty[3], empty[4], np.ones(1), 0.0, 1.0, 1.0, 1.0
+        )
+
+    def _by_stages(self, flat: Array, rest: float) -> Array:
+        out = np.full((self._K + 1) * self._w, rest)
+        out[: len(flat)] = flat
+        return out.reshape(self._K + 1, self._w)
+
+    def _index_jacobian(self) -> None:
+        """Note which entries of the sparse Jacobian are those of A and of G, and where they stand there."""
+        row, column = self._derivatives.jacobian.rows, self._derivatives.jacobian.columns
+        program, w = self._program, self._w
+        stage, local = column // w, column % w
+        mine = np.flatnonzero(self._dynamics[row] & (stage == program.stages[row]))
+        order = np.cumsum(self._dynamics) - 1
+        self._A = mine, order[row[mine]] * w + local[mine]
+        mine = np.flatnonzero(self._unequal[row])
+        order = np.cumsum(self._unequal) - 1
+        inequality = order[row[mine]]
+        self._G = (
+            mine,
+            (program.stages[row[mine]] * self._rows + self._place[inequality]) * w + local[mine],
+            self._sign[inequality],
+        )
+
+    def _index_hessian(self) -> None:
+        row, column = self._derivatives.hessian.rows, self._derivatives.hessian.columns
+        entries = np.arange(len(row))
+        lone = row != column if (row <= column).all() else np.zeros(len(row), dtype=bool)  # ipopt keeps the upper half
+        row, column = np.concatenate((row, column[lone])), np.concatenate((column, row[lone]))
+        entries = np.concatenate((entries, entries[lone]))
+        w = self._w
+        self._H = entries, (row // w * w + row % w) * w + column % w
