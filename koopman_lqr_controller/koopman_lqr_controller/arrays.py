@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from koopman_lqr_controller.errors import KoopmanError
 
 Array = NDArray[np.float64]
+_LARGEST = 1e100
 
 
 def real_array(name: str, values: ArrayLike) -> Array:
@@ -25,6 +26,17 @@ def real_array(name: str, values: ArrayLike) -> Array:
     if array.dtype.kind not in "biuf":
         raise KoopmanError(f"{name} holds {array.dtype} values: give real numbers")
     return np.asarray(array, dtype=np.float64)
+
+
+def check_size(name: str, array: Array) -> None:
+    """Refuse numbers whose squares or products would leave the range of floats.
+
+    Raises:
+        KoopmanError: names the array.
+    """
+    largest = float(np.abs(array).max(initial=0.0))
+    if largest > _LARGEST or 0.0 < largest < 1.0 / _LARGEST:
+        raise KoopmanError(f"{name} holds values up to {largest:.1e}: give it in other units")
 
 
 def check_arrays(shapes: Mapping[str, tuple[Array, tuple[int, ...]]], reason: str) -> None:

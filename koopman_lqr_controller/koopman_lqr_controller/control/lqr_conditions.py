@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from koopman_lqr_controller.arrays import Array, check_arrays, real_array
+from koopman_lqr_controller.arrays import Array, check_arrays, check_size, real_array
 from koopman_lqr_controller.errors import KoopmanError
 
 _SYMMETRIC = 1e-8
@@ -32,6 +32,8 @@ def check_model(A: ArrayLike, B: ArrayLike) -> tuple[Array, Array]:
     if B.ndim != 2 or not B.size:
         raise KoopmanError(f"B has shape {B.shape}: must have a row for each state and a column for each control")
     check_arrays({"A": (A, (len(B), len(B))), "B": (B, B.shape)}, "for the B it comes with")
+    check_size("A", A)
+    check_size("B", B)
     return A, B
 
 
@@ -51,6 +53,7 @@ def check_cost(name: str, weight: ArrayLike, size: int, positive: bool) -> Array
     if cost.shape == (size,):
         raise KoopmanError(f"{name} has shape {cost.shape}, must have {(size, size)}: give np.diag({name})")
     check_arrays({name: (cost, (size, size))}, "for the model it comes with")
+    check_size(name, cost)
     diagonal, largest = np.diag(cost), float(np.abs(cost).max())
     if (diagonal < -_DEFINITE * largest).any() or (positive and (diagonal <= 0.0).any()):
         index = int(diagonal.argmin())
@@ -120,4 +123,4 @@ def _told(pole: complex, direction: NDArray[np.complex128]) -> str:
     part = np.abs(direction)
     states = [str(index) for index in np.argsort(-part)[:4] if part[index] > 0.3 * part.max()]
     number = f"{pole.real:.6g}" if pole.imag == 0.0 else f"{pole.real:.4g} +- {pole.imag:.4g}i"
-    return f"at the pole {number} (state {', '.join(states)})"
+    return f"at the pole {number} ({'state' if len(states) == 1 else 'states'} {', '.join(states)})"

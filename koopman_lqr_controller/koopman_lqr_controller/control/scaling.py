@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import LinAlgError, solve_discrete_are, solve_discrete_lyapunov
+from scipy.linalg import LinAlgError, LinAlgWarning, solve_discrete_are, solve_discrete_lyapunov
 
 from koopman_lqr_controller.arrays import Array
 
@@ -64,7 +65,9 @@ class LqrProblem:
         """Return P after a step of Newton's method (Hewer 1971), where that makes the residual smaller."""
         K = self.gain(P)
         try:
-            better = solve_discrete_lyapunov((self.A - self.B @ K).T, self.Q + K.T @ self.R @ K)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", LinAlgWarning)  # the residual decides
+                better = solve_discrete_lyapunov((self.A - self.B @ K).T, self.Q + K.T @ self.R @ K)
         except (LinAlgError, ValueError):
             return P
         symmetric: Array = np.asarray(0.5 * (better + better.T), dtype=np.float64)

@@ -140,7 +140,7 @@ class RegulatorFitter:
     def shrunk(self, C: Array) -> ShrinkageFit:
         """Return the model of C psi and the action around the reference, and how it was chosen."""
         twin = self._snapshots(C, self._mirrored) if self._mirrored else None
-        return fit_with_shrinkage(self._snapshots(C, self._episodes), twin)
+        return fit_with_shrinkage(self._snapshots(C, self._episodes), twin, lifted=True)
 
     def _snapshots(self, C: Array, episodes: Sequence[Episode]) -> Snapshots:
         """Return drives as deviations of C psi and of the actions from the reference."""

@@ -81,7 +81,10 @@ def train(
     # What was driven left could have been driven right: the mirrored drive is as true, and makes the model symmetric.
     data = seen.centred(z_ref, u_ref)
     mirrored = data.mirrored(observables.mirror, np.array([1.0, -1.0]))
-    model = fit_with_shrinkage(data, mirrored, drift=False).model if shrunk else fit(data + mirrored, redundant=True)
+    if shrunk:
+        model = fit_with_shrinkage(data, mirrored, drift=False, lifted=True).model
+    else:
+        model = fit(data + mirrored, lifted=True)
     constant = [
         name
         for name, here, there in zip(observables.names, data.z.T, data.z_next.T, strict=True)

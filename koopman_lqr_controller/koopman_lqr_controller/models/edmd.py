@@ -12,6 +12,7 @@ from koopman_lqr_controller.models.identifiability import (
     RegressionData,
     check_controls_told,
     check_no_drift,
+    check_rows,
     check_states_told,
 )
 from koopman_lqr_controller.models.least_squares import Deviations, LeastSquares, sizes
@@ -89,7 +90,7 @@ def persistence_error(data: Snapshots) -> Array:
     return np.sqrt(np.mean((data.z_next - data.z) ** 2, axis=0))
 
 
-def fit(data: Snapshots, regularisation: float = 1e-3, redundant: bool = False) -> LinearModel:
+def fit(data: Snapshots, regularisation: float = 1e-3, lifted: bool = False) -> LinearModel:
     """Return the least-squares model, K = G^+ M of Eq. 2.34 with Psi(x, u) = [Psi(x), u].
 
     The model has no drift: z and u are deviations from a fixed point, or z holds the constant 1. The ridge is there for
@@ -98,8 +99,8 @@ def fit(data: Snapshots, regularisation: float = 1e-3, redundant: bool = False) 
     Args:
         data: Snapshots, at least n + m + 2 unless observables repeat each other.
         regularisation: Ridge relative to each regressor's variance; 0 is Eq. 2.34 to the letter.
-        redundant: Whether observables may be constant or repeat each other, as those of a lifting do: A is then the
-            smallest that predicts as well, and the ridge is always there.
+        lifted: Whether z are functions that may be constant, repeat each other and leave a rest that is no noise: A is
+            then the smallest that predicts as well, and the ridge is always there.
 
     Raises:
         KoopmanError: the data are not finite numbers of fitting shapes, or do not tell A and B; it names the columns.
@@ -107,9 +108,11 @@ def fit(data: Snapshots, regularisation: float = 1e-3, redundant: bool = False) 
     if not (np.isfinite(regularisation) and regularisation >= 0.0):
         raise KoopmanError(f"the regularisation is {regularisation}: must be a number from 0 on")
     given = RegressionData.of(data.z, data.u, data.z_next)
-    if not redundant:
+    if not lifted:
+        check_rows(given)
+    check_controls_told(given, lifted)
+    if not lifted:
         check_states_told(given)
-    check_controls_told(given)
     Psi, n = np.hstack((given.z, given.u)), given.z.shape[1]
     spread, problem = Deviations.of(Psi).spread, LeastSquares(Psi)
     plain = problem.solve(given.z_next)
@@ -118,7 +121,7 @@ def fit(data: Snapshots, regularisation: float = 1e-3, redundant: bool = False) 
     moved = row_sizes(ridged - plain, given.z_next)
     errors = problem.standard_errors(given.z_next - Psi @ plain, given.eps * sizes(given.z_next))
     biased = moved > BEYOND_NOISE * row_sizes(errors, given.z_next)
-    if not redundant:
+    if not lifted:
         check_no_drift(given, plain)
         _check_enough(errors, plain, given)
         W = plain if biased.any() else ridged

@@ -14,14 +14,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from koopman_lqr_controller.arrays import Array, real_array
+from koopman_lqr_controller.arrays import Array, check_size, real_array
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.models.least_squares import EPS, Deviations, LeastSquares, sizes
 
 _STILL = 1e-9
 """Spread of a control over its size below which it does not move: of 16 digits fewer than 7 are left of the motion."""
 _ON_ITS_OWN = 1e-8
-"""Part of a control that is its own below which B would be rounding: no command is known to 8 digits."""
+"""Part of a control that is its own below which B would be rounding: no command is known to 8 digits, nor is A."""
 _WEAK = 0.1
 """Part of a control that is its own below which noise can take its place, so that noise is asked for."""
 _KNOWN = 5.0
@@ -77,6 +77,8 @@ class RegressionData:
             raise KoopmanError(f"snapshots are empty (z has shape {arrays['z'].shape}): record a drive first")
         for name, array in arrays.items():
             _check_finite(name, array)
+            for column in array.T:
+                check_size(name, column)
         return cls(arrays["z"], arrays["u"], arrays["z_next"], max(map(_precision, (z, u, z_next))))
 
     def check_like(self, other: RegressionData) -> None:
@@ -135,21 +137,22 @@ def check_controls_move(u: Array, names: Sequence[str] = ()) -> None:
             )
 
 
-def check_controls_told(data: RegressionData, names: Sequence[str] = ()) -> None:
+def check_controls_told(data: RegressionData, lifted: bool) -> None:
     """Refuse data from which B cannot be told, however A is chosen.
 
     Args:
         data: Snapshots.
-        names: Names of the controls for the message (m,); "control 0" and so on unless given.
+        lifted: Whether z holds many functions that nearly repeat each other, or noise: what they miss is then no noise
+            of the state, and counts only beside controls of which little is their own.
 
     Raises:
         KoopmanError: names the controls and says what to record.
     """
-    names = names or [f"control {index}" for index in range(data.u.shape[1])]
     N, m = data.u.shape
     if m == 0:
         return
-    check_controls_move(data.u, names)
+    names = [f"control {index}" for index in range(m)]
+    check_controls_move(data.u)
     z, u, y = (Deviations.of(it, data.eps) for it in (data.z, data.u, data.z_next))
     span = _orthonormal(z.values)
     spare = N - span.shape[1] - m - 1
@@ -168,26 +171,25 @@ def check_controls_told(data: RegressionData, names: Sequence[str] = ()) -> None
             f"{told}: a linear function of the state to {own[-1]:.0e}, as under feedback u = -K z, so A and B cannot "
             "be told apart: add a dither of its own to each control while recording"
         )
-    if own[-1] >= _WEAK:
-        return
     missed = _without(_without(y.values, span), P)
     noise = np.maximum(np.sqrt(np.sum(missed**2, axis=0) / spare), y.rounding / np.sqrt(N))
     effect = np.abs(P[:, -1] @ y.values) / np.maximum(noise, np.finfo(float).tiny)
     # Noise of measured states looks like a dither of a control that follows them: K times what the model misses.
     feedback = np.linalg.lstsq(z.values, u.values @ weakest, rcond=1e-10)[0]
     alike = float(np.linalg.norm(feedback * noise) * np.sqrt(N))
-    if effect.max(initial=0.0) < _KNOWN or own[-1] < alike:
+    unclear = own[-1] < alike and (own[-1] < _WEAK or not lifted)
+    if unclear or (own[-1] < _WEAK and effect.max(initial=0.0) < _KNOWN):
         raise KoopmanError(
             f"{told}: all but {100 * own[-1]:.2g} % follows from the state, too little for B beside the noise: add a "
             "larger dither of its own to each control while recording, or record for longer"
         )
 
 
-def check_states_told(data: RegressionData) -> None:
-    """Refuse states that are zero or that repeat each other, and too few rows: A is not unique then.
+def check_rows(data: RegressionData) -> None:
+    """Refuse as few rows as unknowns or fewer.
 
     Raises:
-        KoopmanError: names the states.
+        KoopmanError: says how many there must be.
     """
     least = data.z.shape[1] + data.u.shape[1] + 2
     if len(data.z) < least:
@@ -195,17 +197,25 @@ def check_states_told(data: RegressionData) -> None:
             f"{len(data.z)} snapshots are too few for {data.z.shape[1]} observables and {data.u.shape[1]} controls: "
             f"record at least {least}, better ten times as many"
         )
+
+
+def check_states_told(data: RegressionData) -> None:
+    """Refuse states that are zero or that repeat each other: A is not unique then.
+
+    Raises:
+        KoopmanError: names the states.
+    """
     names = [f"state {index}" for index in range(data.z.shape[1])]
     for index in map(int, np.flatnonzero(~data.z.any(axis=0))):
         raise KoopmanError(
             f"{names[index]} is 0 throughout, so nothing tells how it acts: excite it while recording, or leave it "
-            "out; with redundant=True it is taken to act on nothing"
+            "out; with lifted=True it is taken to act on nothing"
         )
     null = LeastSquares(data.z).null
     if null.shape[1]:
         raise KoopmanError(
             f"{_named(np.linalg.norm(null, axis=1), names)} repeat each other, so A is not unique: leave some out; "
-            "with redundant=True, as for functions of a lifting, the smallest A is taken, which predicts as well"
+            "with lifted=True, as for functions of a lifting, the smallest A is taken, which predicts as well"
         )
 
 
@@ -232,7 +242,7 @@ def check_no_drift(data: RegressionData, W: Array) -> None:
     finite = np.where(np.isfinite(errors[:-1]), errors[:-1], 0.0)
     left, without = (np.linalg.norm(it / unit) for it in (missed, data.z_next - X @ W))
     material = bent > _DRIFT * known or left < _EXPLAINED * without
-    if material and bent > _KNOWN * np.linalg.norm(finite * scale):
+    if material and bent > max(_KNOWN * float(np.linalg.norm(finite * scale)), _ON_ITS_OWN * float(known)):
         raise KoopmanError(
             f"z and u are not deviations from a fixed point: a constant changes A and B by {100 * bent / known:.2g} %; "
             "take one away first, as with Snapshots.centred, or give z the constant 1 as a state"

@@ -72,7 +72,7 @@ class LeastSquares:
             rows = np.vstack((rows, np.diag(weight)))
         U, s, Vt = np.linalg.svd(rows, full_matrices=True) if len(rows) < rows.shape[1] else _thin_svd(rows)
         rank = int(np.count_nonzero(s > _RANK * np.sqrt(max(rows.shape)) * max(float(s[0]), EPS))) if len(s) else 0
-        self._U, self._s, self._V = U[: len(X), :rank], s[:rank], Vt[:rank].T
+        self._U, self._s, self._V = U[: len(X), :rank], s[:rank], Vt[:rank].T * (np.abs(X).max(axis=0) > 0.0)[:, None]
         self.null = np.asarray(Vt[rank:].T, dtype=np.float64)
 
     def solve(self, Y: Array) -> Array:

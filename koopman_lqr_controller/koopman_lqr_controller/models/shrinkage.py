@@ -43,13 +43,16 @@ class ShrinkageFit:
     cross_validation_error: float
 
 
-def fit_with_shrinkage(data: Snapshots, twin: Snapshots | None = None, drift: bool = True) -> ShrinkageFit:
+def fit_with_shrinkage(
+    data: Snapshots, twin: Snapshots | None = None, drift: bool = True, lifted: bool = False
+) -> ShrinkageFit:
     """Return the model of snapshots in the order of time; neighbours stay together when parts are left out.
 
     Args:
         data: Snapshots in the order of time.
         twin: As many more, e.g. the same mirrored; each is left out together with its own.
         drift: Whether there may be one; else the model is of deviations from a fixed point.
+        lifted: Whether z are functions that leave a rest which is no noise, as in `fit`.
 
     Raises:
         KoopmanError: fewer than two rows for each part, values that are not finite numbers of fitting shapes, nothing
@@ -67,7 +70,7 @@ def fit_with_shrinkage(data: Snapshots, twin: Snapshots | None = None, drift: bo
         parts = [[rows, rows + len(data)] for (rows,) in parts]
         data = data + twin
         given = RegressionData.of(data.z, data.u, data.z_next)
-    check_controls_told(given)
+    check_controls_told(given, lifted)
     X, Y = np.hstack((given.z, given.u)), given.z_next - given.z
     middle, moved = (X.mean(axis=0), Y.mean(axis=0)) if drift else (np.zeros(X.shape[1]), np.zeros(Y.shape[1]))
     unit = Deviations.of(X).spread
@@ -127,5 +130,5 @@ def _solutions(X: Array, Y: Array, ridges: Sequence[float]) -> list[Array]:
     """Return the coefficients for each ridge, from one decomposition of X: X^T X would lose half of the digits."""
     U, s, Vt = np.linalg.svd(X, full_matrices=False)
     s = s[s > _ROUNDING * s[0]]
-    along, V = U[:, : len(s)].T @ Y, Vt[: len(s)].T
+    along, V = U[:, : len(s)].T @ Y, Vt[: len(s)].T * (np.abs(X).max(axis=0) > 0.0)[:, None]
     return [np.asarray(V @ ((s / (s**2 + ridge * len(X)))[:, None] * along), dtype=np.float64) for ridge in ridges]

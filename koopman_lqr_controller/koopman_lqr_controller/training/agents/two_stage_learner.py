@@ -106,7 +106,7 @@ class TwoStageLearner(ReplayLearner):
         u = data.u.astype(np.float64)
         z_ref = encoder(self._goal)
         seen = Snapshots(encoder(data.x), u, encoder(data.x_next)).centred(z_ref, np.zeros(u.shape[1]))
-        model = fit(seen, _RIDGE, redundant=True)
+        model = fit(seen, _RIDGE, lifted=True)
         first, rest = self._cost
         Q = np.concatenate((first, np.full(len(z_ref) - len(first), rest)))
         for each in (model, model.contracted()[1]):
