@@ -32,7 +32,7 @@ def turning_times(x: Array, centre: Array, rate: float, disc: Disc, bounds: Arra
 def stream_times(x: Array, target: list[Interval], rates: Array, periods: list[float]) -> Array:
     """Return times (N,) [s] for a stream to carry into a box.
 
-    An axis with a period comes round again; on a torus, where that never ends, NaN where three laps do not suffice.
+    An axis with a period comes round again; on a torus, where that never ends, NaN after a lap of the quicker axis.
     """
     entries, lasts = [], []
     for k, each in enumerate(target):
@@ -47,7 +47,7 @@ def stream_times(x: Array, target: list[Interval], rates: Array, periods: list[f
     last = np.minimum(lasts[0][:, :, None], lasts[1][:, None, :])
     times = np.where(first <= last, first, np.inf).min(axis=(1, 2))
     if all(periods):
-        return np.where(times <= 3.0 * min(p / abs(r) for p, r in zip(periods, rates, strict=True)), times, np.nan)
+        return np.where(times <= min(p / abs(r) for p, r in zip(periods, rates, strict=True)), times, np.nan)
     return times
 
 

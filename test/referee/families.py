@@ -11,6 +11,7 @@ from referee.carts import draw_cart
 from referee.case import Case
 from referee.drift import draw_stream, draw_turning
 from referee.scalar import draw_lag, draw_line, draw_nonlinear
+from referee.springs import draw_motor, draw_spring
 
 FAMILIES: dict[str, Callable[[np.random.Generator], Case]] = {
     "line": draw_line,
@@ -21,6 +22,8 @@ FAMILIES: dict[str, Callable[[np.random.Generator], Case]] = {
     "boat": draw_boat,
     "zermelo": draw_zermelo,
     "cart": draw_cart,
+    "spring": draw_spring,
+    "motor": draw_motor,
 }
 
 
