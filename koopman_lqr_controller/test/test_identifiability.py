@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from koopman_lqr_controller.models.identifiability import check_controls_move
 from koopman_lqr_controller.models.shrinkage import fit_with_shrinkage
 
-from koopman_lqr_controller import KoopmanError, LinearModel, Snapshots, fit, solve_lqr
+from ctrl_rl_core import Interval
+from koopman_lqr_controller import CorridorObservables, KoopmanError, LinearModel, Snapshots, fit, solve_lqr, train
 
 Array = np.ndarray
 Fit = Callable[[Snapshots], LinearModel]
@@ -270,6 +271,15 @@ def test_commands_are_judged_before_they_are_mirrored() -> None:
         fit_with_shrinkage(under(U * [1.0, 0.0] + [0.0, 0.5]), under(U * [1.0, 0.0] - [0.0, 0.5]))
     with pytest.raises(KoopmanError, match="twin has shape"):
         fit_with_shrinkage(GOOD, Snapshots(GOOD.z[1:], GOOD.u[1:], GOOD.z_next[1:]))
+
+
+def test_two_stages_refuse_a_drive_that_never_turns() -> None:
+    observables = CorridorObservables()
+    z = RANDOM.normal(size=(300, len(observables.names)))
+    u = RANDOM.normal(size=(300, 2)) * [0.1, 0.0]
+    limits = Interval(-0.22, 0.22), Interval(-2.84, 2.84)
+    with pytest.raises(KoopmanError, match="the commanded turn rate never moves"):
+        train([Snapshots(z, u, 0.9 * z)], observables, 0.18, limits)
 
 
 def test_a_model_that_forgets_at_once_is_contracted_already() -> None:
