@@ -34,14 +34,13 @@ from numpy.typing import NDArray
 from oc_baseline_node.errors import OcError
 from oc_baseline_node.problems.extraction import extract
 from oc_baseline_node.problems.problem import Form, OptimalControlProblem, formulate
-from oc_baseline_node.problems.start_states import draw_episode_start, draw_start
-from oc_baseline_node.value_data.dataset import DataSettings, ValueData, load_data, read_description
+from oc_baseline_node.problems.start_states import draw_start
+from oc_baseline_node.value_data.dataset import DataSettings, load_data, read_description
+from oc_baseline_node.value_data.report import remarks, report, start_set
 from oc_baseline_node.value_data.results import value_rows
 from oc_baseline_node.values.value_file import find_value, load_value, save_value
 
 _SUMMARY = "Take a task to its optimal control values: extract the problem, make value data, fit V_oc, draw it."
-_EPISODES = 10
-"""Starts of an episode that `oc data` tries."""
 
 
 def _state(text: str) -> NDArray[np.float64]:
@@ -184,6 +183,7 @@ def _solve(options: Solve) -> int:
     mpc = Mpc(problem) if options.solver is None else Mpc(problem, (options.solver,))
     start = draw_start(problem, np.random.default_rng(options.seed)) if options.start is None else options.start
     trajectory = mpc.solve(start)
+    print(*remarks(problem, mpc.rounded), sep="", end="")
     print(f"start         {_named(problem, start)}")
     print(f"answer        {trajectory.reason}, {trajectory.iterations} iterations, {trajectory.cpu_seconds:.3f} CPU s")
     if not trajectory.solved:
@@ -202,48 +202,21 @@ def _solve(options: Solve) -> int:
 
 
 def _data(options: Data) -> int:
+    from oc_baseline_node.mpc.mpc import Mpc
     from oc_baseline_node.value_data.workers import make_data
 
     problem = formulate(*_terms(options))
     assert problem.task.optimal_control is not None  # without it there is no problem
     wanted = problem.task.optimal_control.trajectories if options.trajectories is None else options.trajectories
     settings = DataSettings(wanted, seed=options.seed)
+    print(*remarks(problem, Mpc(problem).rounded), sep="", end="")
     data, wall, cpu = make_data(problem, settings, options.output, options.workers, ray=options.ray)
-    print(_report(data))
-    print(_start_set(problem, options.seed))
+    print(report(data))
+    print(start_set(problem, options.seed))
     with_what = f"{options.workers} processes" if options.ray is None else f"the Ray cluster {options.ray}"
     print(f"this run      {wall:.1f} s with {with_what}, {cpu:.1f} CPU s in all")
     print(f"data          {options.output}")
     return 0
-
-
-def _start_set(problem: OptimalControlProblem, seed: int) -> str:
-    """Say from how many starts of an episode there is a trajectory: the data are drawn from the whole map."""
-    from oc_baseline_node.mpc.mpc import Mpc
-
-    mpc, random = Mpc(problem), np.random.default_rng(seed)
-    found = [mpc.solve(draw_episode_start(problem, random)) for _ in range(_EPISODES)]
-    lacking = sorted({each.reason for each in found if not each.solved})
-    lines = [
-        f"start set     {sum(each.solved for each in found)} of {_EPISODES} starts of an episode have a trajectory"
-    ]
-    return "\n".join(lines + [f"              {reason}" for reason in lacking])
-
-
-def _report(data: ValueData) -> str:
-    solved, tried = len(data.states), len(data.states) + len(data.unsolved)
-    doomed = int(data.doomed.sum())
-    rest = [reason for reason, hopeless in zip(data.reasons, data.doomed, strict=True) if not hopeless]
-    lines = [
-        f"trajectories  {solved} of {data.states.shape[1] - 1} steps",
-        f"success       {data.success_rate:.1%} of {tried} random starts",
-        f"no trajectory {doomed} starts cannot keep clear for a second, goal or not; without them "
-        f"{data.success_rate_of_viable:.1%}",
-        *(f"              {rest.count(reason)} times {reason}" for reason in sorted(set(rest))),
-        f"CPU seconds   {data.cpu_seconds.mean():.3f} mean, {np.percentile(data.cpu_seconds, 95):.3f} p95 "
-        f"per trajectory; {(data.cpu_seconds.sum() + data.wasted_seconds.sum()) / solved:.3f} with the failed starts",
-    ]
-    return "\n".join(lines)
 
 
 def _fit(options: Fit) -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import casadi
 import numpy as np
 from numpy.typing import NDArray
 
@@ -127,20 +128,13 @@ def undefined_start(problem: OptimalControlProblem, start: Array) -> str:
             "control: start elsewhere, or give the equation a value there")  # fmt: skip
 
 
-def singular_derivatives(problem: OptimalControlProblem, rates: Any, start: Array) -> str:
-    """Say which derivative of the model is no number in a start (n,); empty where all are numbers.
-
-    Args:
-        problem: Optimal control problem.
-        rates: CasADi function of x (n,) and u (m,) that returns the model's own x'.
-        start: Start state (n,).
-    """
-    jacobian = rates.jacobian()
-    low, high = problem.system.control_bounds
-    values = np.asarray(jacobian(start, 0.5 * (low + high), 0)[0].full())
-    wrong = np.argwhere(~np.isfinite(values))
-    if not len(wrong):
-        return ""
-    names = problem.system.state_names
-    row, column = wrong[0]
-    return f"the model's derivative of {names[row]}' by {names[column]} is {values[row, column]:g} at the start"
+def singular_derivative(problem: OptimalControlProblem, start: Array) -> str:
+    """Say which derivative of the model itself is no number in a start (n,); empty where all are numbers."""
+    system = problem.system
+    x, u = casadi.SX.sym("x", len(system.states)), casadi.SX.sym("u", len(system.controls))
+    by_state = casadi.Function("f_x", [x, u], [casadi.jacobian(system.dynamics(x, u, math=casadi), x)])
+    values = by_state(start, system.control_bounds.mean(axis=0)).full()
+    for row, column in np.argwhere(~np.isfinite(values)):
+        names, value = system.state_names, values[row, column]
+        return f"the derivative of the rate of {names[row]} by {names[column]} is {value:g} at the start"
+    return ""

@@ -12,12 +12,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from ctrl_rl_core import Region
 from oc_baseline_node.errors import OcError
-from oc_baseline_node.mpc.derivatives import Derivatives, undefined_start
+from oc_baseline_node.mpc.derivatives import Derivatives, singular_derivative, undefined_start
 from oc_baseline_node.mpc.initial_guess import InitialGuesses
 from oc_baseline_node.mpc.limited import LimitedSolver
 from oc_baseline_node.mpc.solution import MpcSolution, checked, unsolved
 from oc_baseline_node.mpc.sqp import StageSqp
-from oc_baseline_node.mpc.transcription import SolverName, trajectory_cost, transcribe, variable_bounds
+from oc_baseline_node.mpc.transcription import SolverName, model_rates, trajectory_cost, transcribe, variable_bounds
 from oc_baseline_node.problems.circle import nearest_turn
 from oc_baseline_node.problems.problem import OptimalControlProblem
 
@@ -26,6 +26,8 @@ Guess = tuple[Array, Array]
 _SIMPLIFICATIONS = ("", " (with the least control alone)", " (with a state cost that does not grow)")
 _NUDGES = (1e-6, 1e-4, 1e-2, 1e-1)
 """How far a guess is moved where a derivative there is no number, as a part of one and of each variable."""
+_FATROP_SHARE = 0.25
+"""Share of the time limit after which fatrop is ended, so that ipopt has its turn."""
 _FAR = 0.25
 """Share of a period from which on the other way round may be the cheaper one, for what the other states have to do."""
 _MOST_PROGRAMS = 4
@@ -45,8 +47,10 @@ class Mpc:
     Args:
         problem: Optimal control problem to solve.
         solvers: Solvers, asked in this order with each guess until one succeeds; fatrop is faster, ipopt more robust.
+            Where the model has corners and both are given, ipopt is asked alone: fatrop may never end there.
         max_iterations: Largest number of iterations of each solver.
-        time_limit: Processor time that one start may take [s]; a solver that exceeds it is ended.
+        time_limit: Processor time that one start may take [s]; a solver that exceeds it, or fatrop a quarter of it, is
+            ended.
 
     Raises:
         OcError: The time limit is not more than zero.
@@ -57,7 +61,7 @@ class Mpc:
         problem: OptimalControlProblem,
         solvers: tuple[SolverName, ...] = ("fatrop", "ipopt"),
         max_iterations: int = 300,
-        time_limit: float = 20.0,
+        time_limit: float = 40.0,
     ) -> None:
         if not 0.0 < time_limit < np.inf:
             raise OcError(f"the time limit is {time_limit:g} s: give seconds, more than zero")
@@ -70,10 +74,15 @@ class Mpc:
         self._tools: dict[tuple[int, SolverName], _Tool] = {}
         self._guesses = InitialGuesses(problem)
 
-    @property
+    @cached_property
     def rounded(self) -> tuple[str, ...]:
         """Operations of the model that were rounded off for the solvers, as they have no derivative somewhere."""
-        return self._tool(0, self._solvers[0]).program.rounded
+        return model_rates(self.problem)[1]
+
+    @cached_property
+    def _asked(self) -> tuple[SolverName, ...]:
+        """Solvers that are asked, in order."""
+        return ("ipopt",) if "ipopt" in self._solvers and self.rounded else self._solvers
 
     def solve(
         self,
@@ -113,18 +122,20 @@ class Mpc:
         solved = [each for each in found if each.solved]
         best = min(solved, key=lambda each: each.cost) if solved else found[0]
         iterations, seconds = sum(each.iterations for each in tries), sum(each.cpu_seconds for each in tries)
-        return replace(best, iterations=iterations, cpu_seconds=seconds)
+        cause = "" if best.solved or not self.rounded else singular_derivative(self.problem, start)
+        reason = f"{best.reason}; {cause}" if cause else best.reason
+        return replace(best, reason=reason, iterations=iterations, cpu_seconds=seconds)
 
     def shift(self, multipliers: Array, steps: int) -> Array | None:
         """Return multipliers (M,) for a trajectory that is shifted by `steps`; None where they are not known."""
-        return self._tool(0, self._solvers[0]).sqp.shift(multipliers, steps) if len(multipliers) else None
+        return self._tool(0, self._asked[0]).sqp.shift(multipliers, steps) if len(multipliers) else None
 
     def _solve_way(
         self, terminal: Region, start: Array, bounds: Array, guesses: list[Guess], tries: list[MpcSolution]
     ) -> MpcSolution:
         """Return the trajectory that ends in one of the places where the terminal set is, and add all attempts."""
         mine: list[MpcSolution] = []
-        for name, guess in product(self._solvers, guesses):
+        for name, guess in product(self._asked, guesses):
             mine.append(self._attempt(0, name, start, guess, bounds, terminal, tries))
             if mine[-1].solved:
                 break
@@ -141,7 +152,7 @@ class Mpc:
 
         The last that is solved keeps every constraint, though its objective may be an easier one, as its reason says.
         """
-        name, found = self._solvers[0], []
+        name, found = self._asked[0], []
         for rung in range(1, len(self._problems) + 1):
             trajectory = self._attempt(rung % len(self._problems), name, start, guess, bounds, terminal, tries)
             if not trajectory.solved:
@@ -163,6 +174,7 @@ class Mpc:
         """Return the result of one solver for one of the problems, and add it to `tries`."""
         tool, problem = self._tool(rung, name), self.problem
         left = self._time_limit - sum(each.cpu_seconds for each in tries)
+        share = min(left, _FATROP_SHARE * self._time_limit) if name == "fatrop" and "ipopt" in self._asked else left
         variables = tool.program.layout.pack(*guess, problem.time_step)
         variables, trouble = tool.beside_trouble(variables, start)
         if left <= 0.0 or trouble:
@@ -170,9 +182,9 @@ class Mpc:
             tries.append(unsolved(problem, start, reason))
             return tries[-1]
         arguments = {"x0": variables, "p": start, **tool.program.bounds}
-        answer = tool.solver(arguments | variable_bounds(tool.program.layout, bounds, terminal), left)
+        answer = tool.solver(arguments | variable_bounds(tool.program.layout, bounds, terminal), share)
         if answer is None:
-            tries.append(unsolved(problem, start, f"{name}: ended after {left:.3g} CPU s", seconds=left))
+            tries.append(unsolved(problem, start, f"{name}: ended after {share:.3g} CPU s", seconds=share))
         elif answer.success:
             trajectory = tool.program.layout.unpack(answer.variables)
             reason = f"{name}: {answer.status}{_SIMPLIFICATIONS[rung]}"
@@ -188,7 +200,7 @@ class Mpc:
 
     def _solve_nearby(self, start: Array, guess: Guess, multipliers: Array | None) -> MpcSolution:
         """Return the trajectory to which a few quadratic programs lead from a trajectory nearby."""
-        problem, tool = self.problem, self._tool(0, self._solvers[0])
+        problem, tool = self.problem, self._tool(0, self._asked[0])
         layout, sqp = tool.program.layout, tool.sqp
         begin = time.process_time()
         bounds = problem.bounds_around(start)

@@ -1,7 +1,7 @@
 """Equations of a model with its corners rounded off: sqrt, a fraction's power, asin and the like have no derivative.
 
 A solver that begins at rest in |v| v by a square root asks for 0/0. Each such operation is replaced by one that is
-finite everywhere and differs by 1e-5 at the corner, by far less elsewhere. Trajectories are checked by the equations
+finite everywhere and differs by 1e-4 at the corner, by far less elsewhere. Trajectories are checked by the equations
 themselves, so the replacement moves none further than the tolerance.
 """
 
@@ -12,7 +12,7 @@ from typing import Any
 
 import casadi
 
-_ROUND = 1e-10
+_ROUND = 1e-8
 """Added under a root: its square root is the error at the corner."""
 _APART = 1e-8
 """Divisor below which a quotient bends back to zero."""
@@ -21,13 +21,15 @@ _LARGEST_EXPONENT = 300.0
 
 
 def rounded(function: casadi.Function) -> tuple[casadi.Function, tuple[str, ...]]:
-    """Return an SX function without corners, and the names of the operations that were rounded off.
+    """Return an SX function without corners, and the names of the operations that have some.
 
-    Without any the function itself is returned.
+    A quotient and exp are kept finite as well, but are not named: they have derivatives wherever they have values. The
+    function itself is returned where nothing is to be done.
     """
-    names = _corners(function)
-    if not names:
+    found = _corners(function)
+    if not found:
         return function, ()
+    names = tuple(name for name in found if name not in _SMOOTH)
     inputs = [casadi.SX.sym(f"i{k}", function.size1_in(k), function.size2_in(k)) for k in range(function.n_in())]
     outputs = [casadi.SX(function.sparsity_out(k)) for k in range(function.n_out())]
     work: list[Any] = [casadi.SX(0)] * function.sz_w()
@@ -114,6 +116,7 @@ _REPLACEMENTS: dict[int, Callable[..., Any]] = {
     casadi.OP_ATAN2: lambda y, x: casadi.atan2(y, x + _APART),
     casadi.OP_EXP: _exponential,
 }
+_SMOOTH = ("a quotient", "exp")
 _NAMES = {
     casadi.OP_SQRT: "sqrt",
     casadi.OP_HYPOT: "hypot",

@@ -83,6 +83,8 @@ def violated_constraint(
     low, high = problem.bounds_around(start)
     u_low, u_high = problem.system.control_bounds
     steps = problem.system.step(states[:-1], controls, dt=time_step)
+    for step, index in np.argwhere(~np.isfinite(steps)):
+        return f"the model's {problem.system.state_names[index]} at step {step + 1} is {steps[step, index]:g}"
     checks = {
         "start": np.abs(states[0] - start).max(),
         "dynamics": np.abs(states[1:] - steps).max(),

@@ -19,10 +19,8 @@ from oc_baseline_node.mpc.transcription import NonlinearProgram
 Array = NDArray[np.float64]
 _DAMPING = (0.0, 1e-4, 1e-2, 1.0)
 """Numbers added to the Hessian's diagonal, tried in turn until the program has a minimum."""
-_LEAST_SLACK = 1e-2
-"""Slack of an inequality to begin with, at least."""
-_BARRIERS = (1e-4, 1.0, 1e2)
-"""Products of slack and multiplier to begin with: from a large one it gets on where multipliers are large."""
+_BEGINNINGS = ((1e-2, 1e-4), (1e-2, 1.0), (1.0, 1e2))
+"""Least slack, and product of slack and multiplier, to begin with: the larger ones where it is stuck at an edge."""
 _NEAR = 1.0
 """An obstacle further than this is left out of a quadratic program [m]; the trajectory is checked against all."""
 
@@ -117,11 +115,11 @@ class StageSqp:
         H.ravel()[self._H[1]] = entries[self._H[0]]
         cost = abs(float(self._derivatives.cost(variables, start)[0][0]))
         gap = float(np.clip(_GAP * cost / rest[0].size, _LEAST_GAP, _LARGEST_GAP))
-        for damping, barrier in product(_DAMPING, _BARRIERS):
-            count, *found = solve_stages(H, *rest, damping, gap, _LEAST_SLACK, barrier)
+        for damping, beginning in product(_DAMPING, _BEGINNINGS):
+            count, *found = solve_stages(H, *rest, damping, gap, *beginning)
             if count > 0:
                 return found[0], found[1], found[2]
-            if count == 0 and barrier == _BARRIERS[-1]:  # no damping makes a program feasible
+            if count == 0 and beginning == _BEGINNINGS[-1]:  # no damping makes a program feasible
                 return None
         return None
 

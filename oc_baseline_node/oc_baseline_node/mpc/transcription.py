@@ -71,7 +71,6 @@ class NonlinearProgram:
         layout: Places of states and controls in the vector of variables.
         solver: CasADi function of the solver; its parameter is the start x_0.
         bounds: Bounds of the constraints: lbg, ubg; those of the variables follow from the start.
-        rounded: Operations of the model that were rounded off, because they have no derivative somewhere.
         kinds: Kind of each constraint (M,).
         stages: Stage k that each constraint belongs to (M,).
     """
@@ -79,7 +78,6 @@ class NonlinearProgram:
     layout: Layout
     solver: Any
     bounds: dict[str, Array]
-    rounded: tuple[str, ...]
     kinds: NDArray[np.str_]
     stages: NDArray[np.intp]
 
@@ -88,7 +86,7 @@ def transcribe(problem: OptimalControlProblem, solver: SolverName, max_iteration
     """Return the problem's program with its solver (which compiles nothing, but takes about a second to set up)."""
     layout = Layout(problem)
     H, n = problem.horizon, layout.n
-    rates, rounded_off = _rates(problem)
+    rates, _ = model_rates(problem)
     start = casadi.SX.sym("x0", n)
     X = [casadi.SX.sym(f"x_{k}", n + layout.free_time) for k in range(H + 1)]
     U = [casadi.SX.sym(f"u_{k}", len(layout.free_controls)) for k in range(H)]
@@ -128,15 +126,16 @@ def transcribe(problem: OptimalControlProblem, solver: SolverName, max_iteration
     kinds, stages, low, high = (np.array(column) for column in zip(*table, strict=True))
     options = _options(solver, max_iterations, (low == high).tolist())
     bounds = {"lbg": low, "ubg": high}
-    return NonlinearProgram(layout, casadi.nlpsol("mpc", solver, nlp, options), bounds, rounded_off, kinds, stages)
+    return NonlinearProgram(layout, casadi.nlpsol("mpc", solver, nlp, options), bounds, kinds, stages)
 
 
-def _rates(problem: OptimalControlProblem) -> tuple[Any, tuple[str, ...]]:
+def model_rates(problem: OptimalControlProblem) -> tuple[Any, tuple[str, ...]]:
     """Return x'(x, u) for CasADi without corners, and what was rounded off for that; smooth models stay as they are."""
     x, u = (casadi.SX.sym(name, len(parts)) for name, parts in (("x", problem.system.states),
                                                                 ("u", problem.system.controls)))  # fmt: skip
-    function, names = rounded(casadi.Function("rates", [x, u], [problem.system.dynamics(x, u, math=casadi)]))
-    if names:
+    own = casadi.Function("rates", [x, u], [problem.system.dynamics(x, u, math=casadi)])
+    function, names = rounded(own)
+    if function is not own:
         return function, names
     return lambda x, u: problem.system.dynamics(x, u, math=casadi), ()
 

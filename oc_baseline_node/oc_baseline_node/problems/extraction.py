@@ -13,7 +13,7 @@ import numpy as np
 
 from ctrl_rl_core import SYSTEM_MODELS, NavigationTask
 from oc_baseline_node.errors import OcError
-from oc_baseline_node.problems.problem import Form, OptimalControlProblem, formulate
+from oc_baseline_node.problems.problem import MODELS_OWN, Form, OptimalControlProblem, formulate
 
 ROBOT_TYPES: Mapping[str, str] = {
     "turtlebot3_burger": "car",
@@ -157,7 +157,8 @@ def problem_lines(problem: OptimalControlProblem) -> list[str]:
         if np.isfinite(least) or np.isfinite(most)
     ]
     controls = [
-        f"{name} {a:g} .. {b:g}" for name, a, b in zip(system.control_names, *system.control_bounds, strict=True)
+        f"{name} {a:g} .. {b:g}{f' ({source})' if source == MODELS_OWN else ''}"
+        for name, a, b, source in zip(system.control_names, *system.control_bounds, problem.sources, strict=True)
     ]
     centre = "" if problem.trap is None else f", p_trap = ({problem.trap[0]:g}, {problem.trap[1]:g})"
     step = "free" if problem.form == "free_time" else f"{problem.time_step:g} s"

@@ -33,6 +33,8 @@ FORMS: tuple[Form, ...] = get_args(Form)
 the constant speed kept and the time step free, one for the whole trajectory (`free_time`); `letter` frees neither."""
 TIME_STEP_RANGE = (0.2, 4.0)
 """Range of a free time step, in multiples of the task's."""
+MODELS_OWN = "the model's own bounds, as the task names none"
+"""Source of a control's bounds."""
 _ROOM = 0.02
 """Kept from what ends an episode, a touching body or the tilt limit, where the task's constants leave none [m, rad]."""
 _HEAVIEST = 1e100
@@ -99,7 +101,7 @@ class OptimalControlProblem:
             if name in freed
             else "system.controls"
             if name in self.task.system.controls
-            else "the model's own, as the task names none"
+            else MODELS_OWN
             for name in self.system.control_names
         )
 
@@ -261,6 +263,9 @@ def _state_bounds(task: NavigationTask, oc: OptimalControlSpec, system: System, 
         if name not in system.state_names:
             raise OcError(f"task '{task.name}': optimal_control.bounds names '{name}', which the system lacks")
         bounds[:, system.state_names.index(name)] = interval
+    for name in set(task.system.states) & set(system.state_names):
+        own, index = system.states[system.state_names.index(name)], system.state_names.index(name)
+        bounds[:, index] = max(bounds[0, index], own.lower), min(bounds[1, index], own.upper)
     for name, wall in _walls(task).items():
         index = system.state_names.index(name)
         low, high = bounds[:, index]

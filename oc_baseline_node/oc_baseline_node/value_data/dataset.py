@@ -6,6 +6,8 @@ Reading them needs no solver; `oc_baseline_node.value_data.workers` makes them.
 from __future__ import annotations
 
 import json
+import re
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -28,6 +30,9 @@ Array = NDArray[np.float64]
 FORMAT = "oc-value-data-1"
 LOCK = ".lock"
 """File of a folder of value data that keeps a second call out."""
+DOOMED = "cannot keep clear for a second, goal or not"
+"""Reason of doomed starts."""
+_NUMBER = re.compile(r"(?<![\w.])-?\d+(\.\d+)?(e[+-]?\d+)?(?![\w.])")
 _LARGEST_CHUNK = 2_000_000_000
 """Bytes of the arrays of a chunk."""
 _KINDS = dict.fromkeys(("states", "controls", "time_steps", "cpu_seconds", "unsolved", "wasted_seconds"), "f") | {
@@ -108,9 +113,21 @@ class ValueData:
     wasted_seconds: Array
 
     @property
+    def starts(self) -> int:
+        """Number of random starts, with a trajectory or without."""
+        return len(self.states) + len(self.unsolved)
+
+    @property
+    def dropped(self) -> dict[str, int]:
+        """Number of starts without a trajectory by reason, the most frequent first; doomed ones are one reason."""
+        kinds = (DOOMED if hopeless else _NUMBER.sub("...", reason)
+                 for reason, hopeless in zip(self.reasons, self.doomed, strict=True))  # fmt: skip
+        return dict(Counter(kinds).most_common())
+
+    @property
     def success_rate(self) -> float:
         """Fraction of the random starts from which a trajectory was found."""
-        return len(self.states) / (len(self.states) + len(self.unsolved))
+        return len(self.states) / self.starts
 
     @property
     def success_rate_of_viable(self) -> float:

@@ -12,7 +12,7 @@ from oc_baseline_node.values.mlp_value import MlpValue
 def value_rows(data: ValueData, value: MlpValue) -> list[Result]:
     """Return rows that tell how the data came about and how well V_oc fits them; the thesis has 800 x 140 states."""
     count, horizon = len(data.states), data.states.shape[1] - 1
-    tried, doomed = count + len(data.unsolved), int(data.doomed.sum())
+    tried, doomed = data.starts, int(data.doomed.sum())
     unseen, seconds = value.manifest["held_out"], data.cpu_seconds
     in_all = float(seconds.sum() + data.wasted_seconds.sum())
     spread = unseen["std_of_values"]
@@ -21,6 +21,7 @@ def value_rows(data: ValueData, value: MlpValue) -> list[Result]:
         ("MPC", "starts with a trajectory", "of all", data.success_rate, None),
         ("MPC", "starts that cannot keep clear for 1 s", "of all", doomed / tried, None),
         ("MPC", "starts with a trajectory, of those that can", "of them", data.success_rate_of_viable, None),
+        *(("MPC", f"starts dropped: {reason}", "of all", n / tried, None) for reason, n in data.dropped.items()),
         ("MPC", "time of a trajectory, mean", "CPU s", float(seconds.mean()), None),
         ("MPC", "time of a trajectory, 95th percentile", "CPU s", float(np.percentile(seconds, 95)), None),
         ("MPC", "time of a trajectory, with starts in vain", "CPU s", in_all / count, None),

@@ -97,7 +97,7 @@ def fit(
     manifest = {
         "discount": discount,
         "fit": {**asdict(settings), "hidden": list(settings.hidden)},
-        "data": {"trajectories": count, "states": int(met.sum())},
+        "data": {"trajectories": count, "states": int(met.sum()), "starts": data.starts, "dropped": data.dropped},
         "clearance": problem.clearance,
         "form": problem.form,
         "held_out": {

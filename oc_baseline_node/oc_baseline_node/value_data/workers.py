@@ -21,6 +21,7 @@ from tqdm import tqdm
 from ctrl_rl_core import NavigationTask, Region, exclusive_lock, map_in_processes
 from oc_baseline_node.errors import OcError
 from oc_baseline_node.mpc.initial_guess import braking_guess
+from oc_baseline_node.mpc.limited import seconds_elsewhere
 from oc_baseline_node.mpc.mpc import Mpc
 from oc_baseline_node.mpc.solution import MpcSolution
 from oc_baseline_node.problems.problem import Form, OptimalControlProblem, formulate
@@ -129,15 +130,17 @@ def make_data(
                 finished = _finished(problem, settings, folder, lacking, min(workers, max(1, len(lacking))))
             else:
                 finished = _finished_by_ray(ray, problem, settings, folder, lacking)
-            for index in finished:
+            elsewhere = 0.0
+            for index, seconds in finished:
+                elsewhere += seconds
                 bar.update(settings.size(index))
-        return load_data(folder, problem), time.monotonic() - wall, _cpu_seconds() - cpu
+        return load_data(folder, problem), time.monotonic() - wall, _cpu_seconds() - cpu + elsewhere
 
 
 def _finished(
     problem: OptimalControlProblem, settings: DataSettings, folder: Path, lacking: list[int], workers: int
-) -> Iterator[int]:
-    """Make the chunks and yield each one's index once its file is there."""
+) -> Iterator[tuple[int, float]]:
+    """Make the chunks and yield each one's index once its file is there, with what its solvers' processes took [s]."""
     if not lacking:
         return
     terms = (problem.task, problem.form, problem.clearance, settings)
@@ -150,14 +153,14 @@ def _finished(
 
 def _finished_by_ray(
     address: str, problem: OptimalControlProblem, settings: DataSettings, folder: Path, lacking: list[int]
-) -> Iterator[int]:
-    """Let a cluster solve the chunks, write them here and yield each one's index."""
+) -> Iterator[tuple[int, float]]:
+    """Let a cluster solve the chunks, write them here and yield each one's index, with no time: it passed there."""
     if not lacking:
         return
     solve = partial(_solve_there, (problem.task, problem.form, problem.clearance, settings))
     for index, data in map_in_ray(address, solve, lacking, folder, shared=True):  # it writes nothing there
         write_chunk(folder, index, data)
-        yield index
+        yield index, 0.0
 
 
 def _solve_there(
@@ -178,9 +181,10 @@ def _prepare(task: NavigationTask, form: Form, clearance: float, settings: DataS
     _solver = ChunkSolver(formulate(task, form, clearance), settings)
 
 
-def _make(folder: Path, index: int) -> int:
+def _make(folder: Path, index: int) -> tuple[int, float]:
+    begin = seconds_elsewhere()
     write_chunk(folder, index, _solver.solve(index))
-    return index
+    return index, seconds_elsewhere() - begin
 
 
 def _cpu_seconds() -> float:

@@ -1,0 +1,56 @@
+"""What `oc solve` and `oc data` say about a problem and about value data, as lines for a terminal."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from oc_baseline_node.problems.problem import MODELS_OWN, OptimalControlProblem
+from oc_baseline_node.problems.start_states import draw_episode_start
+from oc_baseline_node.value_data.dataset import ValueData
+
+_EPISODES = 10
+"""Starts of an episode that `oc data` tries."""
+
+
+def remarks(problem: OptimalControlProblem, rounded: tuple[str, ...]) -> list[str]:
+    """Return lines on what was taken that the task file does not name, and on what differs from the model.
+
+    Args:
+        problem: Optimal control problem.
+        rounded: Operations of the model that were rounded off.
+    """
+    lines = [
+        f"control       {control.name} {control.lower:g} .. {control.upper:g} {control.unit}: {source}\n"
+        for control, source in zip(problem.system.controls, problem.sources, strict=True)
+        if source == MODELS_OWN
+    ]
+    if rounded:
+        names = ", ".join(rounded)
+        lines.append(f"rounded off   {names}: no derivative somewhere; the model itself checks each trajectory\n")
+    return lines
+
+
+def start_set(problem: OptimalControlProblem, seed: int) -> str:
+    """Say from how many starts of an episode there is a trajectory: the data are drawn from the whole map."""
+    from oc_baseline_node.mpc.mpc import Mpc
+
+    mpc, random = Mpc(problem), np.random.default_rng(seed)
+    found = [mpc.solve(draw_episode_start(problem, random)) for _ in range(_EPISODES)]
+    lacking = [each.reason for each in found if not each.solved]
+    first = f"start set     {_EPISODES - len(lacking)} of {_EPISODES} starts of an episode have a trajectory"
+    return "\n".join([first, *(f"              {lacking.count(each)} {each}" for each in sorted(set(lacking)))])
+
+
+def report(data: ValueData) -> str:
+    """Say how many starts have a trajectory, and why the others have none."""
+    solved, in_all = len(data.states), data.cpu_seconds.sum() + data.wasted_seconds.sum()
+    lines = [
+        f"trajectories  {solved} of {data.states.shape[1] - 1} steps",
+        f"success       {data.success_rate:.1%} of {data.starts} random starts; {data.success_rate_of_viable:.1%} of "
+        "those that can keep clear for a second",
+        f"dropped       {len(data.unsolved)} starts without a trajectory{':' if data.dropped else ''}",
+        *(f"              {count} {reason}" for reason, count in data.dropped.items()),
+        f"CPU seconds   {data.cpu_seconds.mean():.3f} mean, {np.percentile(data.cpu_seconds, 95):.3f} p95 "
+        f"per trajectory; {in_all / solved:.3f} with the failed starts",
+    ]
+    return "\n".join(lines)
