@@ -9,7 +9,7 @@ from oc_baseline_node.mpc.solution import TOLERANCE, violated_constraint
 from oc_baseline_node.mpc.stage_qp import solve_stages
 
 from ctrl_rl_core import load_navigation_task
-from oc_baseline_node import Mpc, MpcSolution, RecedingHorizon, draw_start, formulate, shift_trajectory
+from oc_baseline_node import Mpc, RecedingHorizon, draw_start, formulate, shift_trajectory
 
 STATES, CONTROLS, STAGES, ROWS = 3, 2, 6, 2
 WIDTH = STATES + CONTROLS
@@ -77,20 +77,16 @@ def test_a_program_that_nothing_meets_and_one_without_a_minimum_are_told() -> No
     assert solve_stages(-H, q, A, b, -free, free, G, free[:, :ROWS], first, 0.0, 1e-9, 1e-2, 1.0)[0] == -1
 
 
-def interior_point(mpc: Mpc, start: np.ndarray, guess: tuple[np.ndarray, np.ndarray]) -> MpcSolution:
-    problem = mpc.problem
-    return mpc._solve_way(problem.terminal, start, problem.bounds_around(start), [guess], [])
-
-
 @pytest.mark.parametrize("name", ["car_navigation", "quad_navigation", "quad_trap"])
 def test_one_step_on_it_costs_what_the_interior_point_finds(name: str) -> None:
-    mpc, random = Mpc(formulate(load_navigation_task(name))), np.random.default_rng(1)
+    problem, random = formulate(load_navigation_task(name)), np.random.default_rng(1)
+    mpc, interior_point = Mpc(problem), Mpc(problem, nearby=False)
     plans = [mpc.solve(draw_start(mpc.problem, random)) for _ in range(8)]
     nearby = 0
     for plan in (each for each in plans if each.solved):
         guess, start = shift_trajectory(plan.states, plan.controls, 1), plan.states[1]
         for multipliers in (None, mpc.shift(plan.multipliers, 1)):
-            warm, cold = mpc.solve(start, guess, multipliers=multipliers), interior_point(mpc, start, guess)
+            warm, cold = mpc.solve(start, guess, multipliers=multipliers), interior_point.solve(start, guess)
             assert warm.solved, warm.reason
             assert warm.cost <= cold.cost + 0.01 * abs(cold.cost)
             assert violated_constraint(mpc.problem, start, warm.states, warm.controls, warm.time_step) == ""

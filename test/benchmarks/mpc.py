@@ -1,4 +1,4 @@
-"""Whole trajectories of the optimal control problems: ipopt, fatrop, both in turn, warm starts, the letter of Eq. 3.16.
+"""Whole trajectories of the optimal control problems: ipopt, fatrop, both in turn, from a plan, the letter of Eq. 3.16.
 
 Every way of solving gets the same random starts in the same run, from all over the map and then from the task's start
 set; times are CPU seconds without setting up.
@@ -30,9 +30,10 @@ def rows() -> list[Row]:
         ours = [fatrop.solve(start) for start in starts]
         out.append(_time(f"MPC {name}, fatrop", ours, "ipopt", peer))
         out.append(_time(f"MPC {name}, fatrop, ipopt where it fails", [both.solve(s) for s in starts], "ipopt", peer))
-        warm = [_next(fatrop, trajectory) for trajectory in ours if trajectory.solved]
-        cold = [trajectory for trajectory in ours if trajectory.solved]
-        out.append(_time(f"MPC {name}, fatrop, warm start one step on", warm, "cold", cold))
+        plans = [trajectory for trajectory in ours if trajectory.solved]
+        interior_point = Mpc(problem, ("fatrop",), nearby=False)
+        warm, again = ([_next(mpc, plan) for plan in plans] for mpc in (fatrop, interior_point))
+        out.append(_time(f"MPC {name}, warm start one step on", warm, "fatrop from the same plan", again))
         own = [problem.task.start.region.sample(problem.system.state_names, random) for _ in range(START_SET)]
         theirs, mine = ([mpc.solve(start) for start in own] for mpc in (ipopt, both))
         out.append(_time(f"MPC {name}, from the start set", mine, "ipopt", theirs))
@@ -43,8 +44,9 @@ def rows() -> list[Row]:
     return out
 
 
-def _next(mpc: Mpc, trajectory: MpcSolution) -> MpcSolution:
-    return mpc.solve(trajectory.states[1], shift_trajectory(trajectory.states, trajectory.controls, 1))
+def _next(mpc: Mpc, plan: MpcSolution) -> MpcSolution:
+    guess = shift_trajectory(plan.states, plan.controls, 1)
+    return mpc.solve(plan.states[1], guess, multipliers=mpc.shift(plan.multipliers, 1))
 
 
 def _time(name: str, ours: list[MpcSolution], other: str, theirs: list[MpcSolution]) -> Row:

@@ -51,6 +51,8 @@ class Mpc:
         max_iterations: Largest number of iterations of each solver.
         time_limit: Processor time that one start may take [s]; a solver that exceeds it, or fatrop a quarter of it, is
             ended.
+        nearby: Whether a trajectory to begin with is followed by quadratic programs first; otherwise an interior point
+            begins there.
 
     Raises:
         OcError: The time limit is not more than zero.
@@ -62,6 +64,7 @@ class Mpc:
         solvers: tuple[SolverName, ...] = ("fatrop", "ipopt"),
         max_iterations: int = 300,
         time_limit: float = 40.0,
+        nearby: bool = True,
     ) -> None:
         if not 0.0 < time_limit < np.inf:
             raise OcError(f"the time limit is {time_limit:g} s: give seconds, more than zero")
@@ -69,6 +72,7 @@ class Mpc:
         self._solvers = solvers
         self._max_iterations = max_iterations
         self._time_limit = time_limit
+        self._nearby = nearby
         level = replace(problem, gamma=1.0)
         self._problems = (problem, replace(level, state_weight=0.0, trap_weight=0.0), level)
         self._tools: dict[tuple[int, SolverName], _Tool] = {}
@@ -106,6 +110,7 @@ class Mpc:
         tries: list[MpcSolution] = []
         if guess is not None:
             guess = self._beside(start, guess)
+        if guess is not None and self._nearby:
             tries.append(self._solve_nearby(start, guess, multipliers))
             if tries[-1].solved:
                 return tries[-1]

@@ -21,6 +21,7 @@ class RecedingHorizon:
         plan: Last solved trajectory, None before the first.
         reason: Status of the last solver; not a success where `plan` is an older one.
         solved: Whether the last state got a trajectory of its own.
+        spent: Processor time of the solvers for the last state [s].
     """
 
     def __init__(self, mpc: Mpc) -> None:
@@ -30,13 +31,15 @@ class RecedingHorizon:
         self.plan: MpcSolution | None = None
         self.reason = ""
         self.solved = False
+        self.spent = 0.0
 
     def control(self, state: ArrayLike) -> Array:
         """Return u (m,) for a state (n,); call it once each time step."""
         self._age += 1
-        trajectory = None if self.plan is None else self._solve_nearby(state, self.plan)
-        if trajectory is None or not trajectory.solved:
-            trajectory = self._mpc.solve(state, check_start=False)
+        tries = [] if self.plan is None else [self._solve_nearby(state, self.plan)]
+        if not tries or not tries[-1].solved:
+            tries.append(self._mpc.solve(state, check_start=False))
+        trajectory, self.spent = tries[-1], sum(each.cpu_seconds for each in tries)
         self.solved, self.reason = trajectory.solved, trajectory.reason
         if trajectory.solved:
             self.plan, self._age = trajectory, 0

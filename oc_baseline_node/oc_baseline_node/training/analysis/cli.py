@@ -2,6 +2,7 @@
 
 analyse mismatch      Table 3.5: distance of model and simulator after 1, 5 and 10 steps
 analyse mpc           Fig. 3.17: MPC with a receding horizon in the simulator, beside the learnt policy
+analyse speed         processor time of MPC that begins with its plan, beside the interior point's
 analyse gradient      Table 3.7: cosine similarity of estimated and true policy gradient
 
 Comparisons of learning (advantages, noise, entropy, other baselines) come from `train --compare ...`.
@@ -18,7 +19,7 @@ from typing import Annotated, Any
 import numpy as np
 import tyro
 from ctrl_rl_core.command import FolderToWrite, NotNegative, Positive, checked_list, make_command
-from ctrl_rl_core.io.results import Result, ResultsError, write_results
+from ctrl_rl_core.io.results import Result, ResultsError, as_lines, write_results
 from ctrl_rl_core.tasks.task import NavigationTask, load_navigation_task
 from tqdm import tqdm
 
@@ -83,6 +84,16 @@ class MpcDrives(_Analysis):
 
 
 @dataclass(frozen=True, kw_only=True)
+class Speed(_Analysis):
+    """Measure the processor time of MPC that begins with its plan, beside the interior point's."""
+
+    tasks: tuple[str, ...] = ("car_navigation", "quad_navigation", "quad_trap", "curved_corridor")
+    """Names or .yaml files of the tasks."""
+    starts: Positive = 40
+    """Number of random starts of each task."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Gradient(_Analysis):
     """Compare estimates of the policy gradient with the true one by cosine similarity (Table 3.7)."""
 
@@ -97,6 +108,7 @@ class Gradient(_Analysis):
 _Command: Any = (
     Annotated[Mismatch, tyro.conf.subcommand("mismatch")]
     | Annotated[MpcDrives, tyro.conf.subcommand("mpc")]
+    | Annotated[Speed, tyro.conf.subcommand("speed")]
     | Annotated[Gradient, tyro.conf.subcommand("gradient")]
 )
 _SUMMARY = "Analyse the optimal control model, its MPC, and the policy gradients that V_oc improves (thesis 3.3)."
@@ -165,6 +177,18 @@ def _learnt_paths(file: Path, task: NavigationTask) -> Sequence[Mapping[str, Any
     return paths
 
 
+def _speed(options: Speed) -> int:
+    from oc_baseline_node.training.analysis.speed import warm_rows
+
+    rows: list[Result] = []
+    tasks = [load_navigation_task(name) for name in options.tasks]
+    with tqdm(total=len(tasks) * options.starts, desc="plans", unit="plan", mininterval=5.0) as bar:
+        for task in tasks:
+            rows += warm_rows(task, options.starts, options.seed, bar.update)
+    print(as_lines(rows))
+    return _write(options, "mpc_speed", rows)
+
+
 def _gradient(options: Gradient) -> int:
     from oc_baseline_node.training.analysis import gradients
     from oc_baseline_node.training.analysis.gradients import find_early_policy
@@ -210,7 +234,7 @@ def _write(options: _Analysis, name: str, rows: Sequence[Result], figures: dict[
     return 0
 
 
-_WORK: dict[type, Callable[[Any], int]] = {Mismatch: _mismatch, MpcDrives: _mpc, Gradient: _gradient}
+_WORK: dict[type, Callable[[Any], int]] = {Mismatch: _mismatch, MpcDrives: _mpc, Speed: _speed, Gradient: _gradient}
 main = make_command("analyse", _Command, lambda options: _WORK[type(options)](options), _SUMMARY)
 
 if __name__ == "__main__":
