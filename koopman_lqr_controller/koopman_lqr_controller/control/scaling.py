@@ -34,8 +34,8 @@ class LqrProblem:
 
     def gain(self, P: Array) -> Array:
         """Return K (m, n) of the cost-to-go P (n, n)."""
-        PB = P @ self.B
-        return np.asarray(np.linalg.solve(self.R + self.B.T @ PB, PB.T @ self.A), dtype=np.float64)
+        A, B = self.A, self.B
+        return np.asarray(np.linalg.solve(self.R + B.T @ P @ B, B.T @ P @ A), dtype=np.float64)
 
     def solution(self) -> Array | None:
         """Return the stabilising P (n, n) of the Riccati equation; None where rounding leaves none."""

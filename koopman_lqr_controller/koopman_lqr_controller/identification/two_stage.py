@@ -14,7 +14,7 @@ from ctrl_rl_core import Interval
 from koopman_lqr_controller.control.riccati import solve_lqr
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.models.edmd import Snapshots, fit, persistence_error
-from koopman_lqr_controller.models.identifiability import check_controls_move
+from koopman_lqr_controller.models.identifiability import RegressionData, check_controls_move
 from koopman_lqr_controller.models.shrinkage import fit_with_shrinkage
 from koopman_lqr_controller.policies.edmd_policy import EdmdPolicy
 from koopman_lqr_controller.safety.latent_distribution import fit_distribution
@@ -72,6 +72,12 @@ def train(
         raise KoopmanError(f"the speed to drive at is {speed} m/s: must be from {limits[0].low} to {limits[0].high}")
     if not sequences:
         raise KoopmanError("no snapshots: record a drive first")
+    for each in sequences:
+        if RegressionData.of(each.z, each.u, each.z_next).shape != (len(observables.names), len(_COMMANDS)):
+            raise KoopmanError(
+                f"snapshots have z {each.z.shape} and u {each.u.shape}: must have {len(observables.names)} observables "
+                f"and {len(_COMMANDS)} commands"
+            )
     weights = weights or Weights()
     seen, unseen = _split(reduce(add, sequences), held_out)
     z_ref = np.zeros(len(observables.names))

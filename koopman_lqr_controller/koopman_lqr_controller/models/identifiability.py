@@ -81,6 +81,11 @@ class RegressionData:
                 check_size(name, column)
         return cls(arrays["z"], arrays["u"], arrays["z_next"], max(map(_precision, (z, u, z_next))))
 
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Numbers of states and of controls."""
+        return self.z.shape[1], self.u.shape[1]
+
     def check_like(self, other: RegressionData) -> None:
         """Refuse data of other shapes than some others.
 
@@ -118,8 +123,9 @@ def check_controls_move(u: Array, names: Sequence[str] = ()) -> None:
         names: Names of the controls for the message (m,); "control 0" and so on unless given.
 
     Raises:
-        KoopmanError: names the controls.
+        KoopmanError: names the controls, or a value that is not finite.
     """
+    _check_finite("u", u)
     names = names or [f"control {index}" for index in range(u.shape[1])]
     largest = np.abs(u).max(axis=0, initial=0.0)
     around = Deviations.of(u)
@@ -165,23 +171,40 @@ def check_controls_told(data: RegressionData, lifted: bool) -> None:
     P, own, directions = np.linalg.svd(left, full_matrices=False)
     # A control is known to so many digits of itself, offset included, and not of its spread.
     floor = max(_ON_ITS_OWN * u.rounding / data.eps, _ROUNDED * max(z.rounding, u.rounding))
-    weakest, told = directions[-1], _named(directions[-1], names)
     if own[-1] < floor:
         raise KoopmanError(
-            f"{told}: a linear function of the state to {own[-1]:.0e}, as under feedback u = -K z, so A and B cannot "
-            "be told apart: add a dither of its own to each control while recording"
+            f"{_named(directions[-1], names)}: a linear function of the state to {own[-1]:.0e}, as under feedback "
+            "u = -K z, so A and B cannot be told apart: add a dither of its own to each control while recording"
         )
     missed = _without(_without(y.values, span), P)
     noise = np.maximum(np.sqrt(np.sum(missed**2, axis=0) / spare), y.rounding / np.sqrt(N))
-    effect = np.abs(P[:, -1] @ y.values) / np.maximum(noise, np.finfo(float).tiny)
+    for index in range(m):
+        _check_beside_noise(index, z.values, u.values, y.values, noise, lifted)
+
+
+def _check_beside_noise(index: int, z: Array, u: Array, z_next: Array, noise: Array, lifted: bool) -> None:
+    """Refuse a control whose own part noise hides or could have made.
+
+    Args:
+        index: Which control.
+        z: States as columns of unit length (N, n).
+        u: Controls likewise (N, m).
+        z_next: Next states likewise (N, n).
+        noise: What a linear model misses of each next state, per row (n,).
+        lifted: As in `check_controls_told`.
+    """
+    others = np.hstack((z, np.delete(u, index, axis=1)))
+    own = _without(u[:, index], _orthonormal(others))
+    size = float(np.linalg.norm(own))
+    effect = np.abs(own @ z_next) / (size * np.maximum(noise, np.finfo(float).tiny))
     # Noise of measured states looks like a dither of a control that follows them: K times what the model misses.
-    feedback = np.linalg.lstsq(z.values, u.values @ weakest, rcond=1e-10)[0]
-    alike = float(np.linalg.norm(feedback * noise) * np.sqrt(N))
-    unclear = own[-1] < alike and (own[-1] < _WEAK or not lifted)
-    if unclear or (own[-1] < _WEAK and effect.max(initial=0.0) < _KNOWN):
+    feedback = np.linalg.lstsq(others, u[:, index], rcond=1e-10)[0][: len(noise)]
+    alike = float(np.linalg.norm(feedback * noise) * np.sqrt(len(z)))
+    weak = size < _WEAK
+    if (weak and effect.max() < _KNOWN) or (size < alike and (weak or not lifted)):
         raise KoopmanError(
-            f"{told}: all but {100 * own[-1]:.2g} % follows from the state, too little for B beside the noise: add a "
-            "larger dither of its own to each control while recording, or record for longer"
+            f"control {index}: all but {100 * size:.2g} % follows from the state and other controls, too little for B "
+            "beside the noise: add a larger dither of its own to each control while recording, or record for longer"
         )
 
 
