@@ -57,7 +57,7 @@ def _flight_guard() -> None:
 def _solver() -> None:
     from ttr_reward_node import problem_from_task, solve
 
-    solve(problem_from_task("car_ttr", counts=(11, 11, 8), inflation=0.5), max_sweeps=2)
+    solve(problem_from_task("car_ttr", counts=(11, 11, 8), inflation=0.5), max_sweeps=2, certify=False)
 
 
 def _navigator() -> None:

@@ -22,6 +22,7 @@ from ctrl_rl_core.tasks.task import load_navigation_task
 from ctrl_rl_core.values.value_grid import ValueGrid
 from tqdm import tqdm
 
+from ttr_reward_node.certificates.certificate import Certificate
 from ttr_reward_node.cli.safe_sets import solve_and_save
 from ttr_reward_node.errors import TimeToReachError
 from ttr_reward_node.problems.from_task import problem_from_task
@@ -101,6 +102,8 @@ class Solve:
     """Largest change of the last sweep [s]; a fraction of the time to cross a cell where none is given."""
     max_sweeps: Positive | None = None
     """Number of sweeps after which the solver gives up; the method's own limit where none is given."""
+    strict: bool = False
+    """Exit with 1 where the solution is doubtful."""
 
 
 @dataclass(frozen=True)
@@ -162,6 +165,8 @@ def _problem(options: Solve) -> TimeToReachProblem:
         raise TimeToReachError("--inflation and --robot-size exclude each other: give one of them")
     if options.kind == "time_to_reach" and options.horizon is not None:
         raise TimeToReachError("--horizon is for --kind avoid and reach_avoid: leave it out")
+    if options.kind != "time_to_reach" and options.strict:
+        raise TimeToReachError(f"--strict is for times to reach: leave it out of {options.kind}")
     if options.kind != "time_to_reach" and (options.decomposition or options.method != "semi_lagrangian"):
         raise TimeToReachError(f"--decomposition and --method are for times to reach: leave them out of {options.kind}")
     task = load_navigation_task(options.task)
@@ -204,7 +209,8 @@ def _solve(options: Solve) -> int:
     check_reached(problem, value)
     value.save(output, overwrite=options.overwrite)
     print(f"file       {output}")
-    return 0 if all(solution.converged for solution in solutions) else 1
+    doubtful = options.strict and any(s.certificate is not None and s.certificate.doubts for s in solutions)
+    return 0 if all(solution.converged for solution in solutions) and not doubtful else 1
 
 
 def _solve_one(problem: TimeToReachProblem, options: Solve) -> Solution:
@@ -223,7 +229,16 @@ def _solve_one(problem: TimeToReachProblem, options: Solve) -> Solution:
     print(f"solved     {state} after {solution.sweeps} sweeps, {solution.cpu_seconds:.2f} s CPU")
     print(f"residual   {solution.residual:.2g} s, the largest change of the last sweep")
     print(f"reachable  {100 * solution.reachable:.1f} % of the nodes")
+    _print_certificate(solution.certificate)
     return solution
+
+
+def _print_certificate(certificate: Certificate | None) -> None:
+    if certificate is None:
+        return
+    print(f"certified  {certificate.line}")
+    for doubt in certificate.doubts:
+        print(f"doubt      {doubt}")
 
 
 def _check(options: Check) -> int:
@@ -233,6 +248,8 @@ def _check(options: Check) -> int:
     print(as_line(found))
     if cause := advice(found, problem, task.robot.radius):
         print(cause)
+    for grid in value.grids:
+        _print_certificate(Certificate.from_notes(grid.notes))
     return 0 if options.at_least is None or found["reached"] >= options.at_least else 1
 
 

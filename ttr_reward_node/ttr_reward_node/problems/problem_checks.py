@@ -14,7 +14,6 @@ from ttr_reward_node.errors import TimeToReachError
 from ttr_reward_node.problems.equation_checks import check_names
 
 _PERIOD = 1e-3  # relative error of a period, such as that of 3.14 for a half turn
-_LEAST, _LEAST_PERIODIC = 5, 8  # nodes of an axis along which something moves
 _MOST_DIMENSIONS = 6  # the kernels' tables have room for the 2^6 corners of a cell
 
 
@@ -71,6 +70,11 @@ def _check_period(axis: Axis, state: Quantity) -> None:
     )
 
 
+def least_count(periodic: bool) -> int:
+    """Return how many nodes an axis needs along which something moves."""
+    return 8 if periodic else 5
+
+
 def check_counts(axes: Sequence[Axis], speeds: NDArray[np.float64]) -> None:
     """Refuse axes that have too few nodes to carry a step of two or three cells.
 
@@ -85,7 +89,7 @@ def check_counts(axes: Sequence[Axis], speeds: NDArray[np.float64]) -> None:
         TimeToReachError: An axis, which is named, has too few nodes.
     """
     for axis, speed in zip(axes, speeds, strict=True):
-        least = _LEAST_PERIODIC if axis.periodic else _LEAST
+        least = least_count(axis.periodic)
         if speed > 0.0 and axis.count < least:
             raise TimeToReachError(
                 f"axis '{axis.name}' has {axis.count} nodes, too few for steps of two and three cells: give at least "

@@ -10,6 +10,7 @@ from ctrl_rl_core.io.file_checks import available_memory
 from numpy.typing import NDArray
 
 from ctrl_rl_core import ValueGrid
+from ttr_reward_node.certificates.certificate import Certificate
 from ttr_reward_node.errors import TimeToReachError
 
 Progress = Callable[[int, float], None]
@@ -38,6 +39,7 @@ class Solution:
         cpu_seconds: Processor time [s], without compilation where the kernels were compiled before.
         reachable: Fraction of the nodes from which the target can be reached.
         memory: Estimate of the memory that the solver made beforehand [bytes].
+        certificate: Figures of drives and paths back, and doubts; None where it was not asked for.
     """
 
     grid: ValueGrid
@@ -47,6 +49,7 @@ class Solution:
     cpu_seconds: float
     reachable: float
     memory: float
+    certificate: Certificate | None = None
 
 
 def require_memory(needed: float, points: int) -> None:

@@ -16,6 +16,7 @@ import numpy as np
 
 from ctrl_rl_core import Axis, Interval, Region, make_system
 from ttr_reward_node.problems.problem import TimeToReachProblem
+from ttr_reward_node.problems.problem_checks import least_count
 from ttr_reward_node.solvers.decomposition import PLANAR_QUADROTOR_4D, PLANAR_QUADROTOR_FIVE, Decomposition, split
 from ttr_reward_node.solvers.solver import memory_needed, solve
 
@@ -99,7 +100,7 @@ CASES = {
 
 @cache
 def make_problem(name: str, points: float) -> TimeToReachProblem:
-    """Return the case's problem on a grid of about so many points; at least three nodes on each axis."""
+    """Return the case's problem on a grid of about so many points; on each axis as many as a problem needs at least."""
     case = CASES[name]
     system = make_system(case.system)
     if case.piece is None:
@@ -108,9 +109,15 @@ def make_problem(name: str, points: float) -> TimeToReachProblem:
         kept = case.piece[0].subsystems[case.piece[1]]
         kept = tuple(state for state in system.state_names if state in kept)
     scale = (points / math.prod(case.shares)) ** (1.0 / len(kept))
-    counts = {state: max(3, round(scale * share)) for state, share in zip(kept, case.shares, strict=True)}
+    counts = {state: round(scale * share) for state, share in zip(kept, case.shares, strict=True)}
     axes = tuple(
-        Axis(state.name, state.unit, *case.domain[state.name], counts.get(state.name, 3), state.periodic)
+        Axis(
+            state.name,
+            state.unit,
+            *case.domain[state.name],
+            max(counts.get(state.name, 0), least_count(state.periodic)),
+            state.periodic,
+        )
         for state in system.states
     )
     target = Region({state: Interval(*bounds) for state, bounds in case.target.items()})
@@ -140,14 +147,14 @@ def measure_cost(
     for name in names:
         for method in methods:
             # Once on a small grid, to compile.
-            solve(make_problem(name, min(sizes)), method, max_sweeps=1)
+            solve(make_problem(name, min(sizes)), method, max_sweeps=1, certify=False)
             for size in sizes:
                 problem = make_problem(name, size)
                 if size > CASES[name].most:
                     continue
                 if progress is not None:
                     progress(name, problem.points)
-                solution = solve(problem, method)
+                solution = solve(problem, method, certify=False)
                 rows.append(
                     {
                         "system": name,

@@ -1,0 +1,1 @@
+"""Certificates of times to reach: drives and paths back that a solution has to agree with."""

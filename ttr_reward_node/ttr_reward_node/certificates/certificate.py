@@ -1,0 +1,214 @@
+"""The certificate of a time to reach: what drives and paths back say of it, and what is doubtful.
+
+    certificate = certify(solution, problem)
+    certificate.doubts        # one line each: where, and what to change; () where nothing is doubtful
+
+Drives start at random states and follow the values (`drives`): if values are too small, they do not arrive in time.
+Paths back come from the target (`paths_back`): if values are too large, they arrive too soon, or where nothing should.
+Both cost as much as some hundred steps of some hundred states, whatever the grid.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrl_rl_core import ValueGrid
+from ttr_reward_node.certificates.drives import Drives, drive
+from ttr_reward_node.certificates.paths_back import PathsBack, search
+from ttr_reward_node.errors import TimeToReachError
+from ttr_reward_node.problems.dependence import is_affine
+from ttr_reward_node.problems.equation_checks import place
+from ttr_reward_node.problems.problem import TimeToReachProblem
+
+Array = NDArray[np.float64]
+_NOTE = "certificate"
+_STARTS = 128
+_DRAWS = 32  # random states for each start that is wanted
+# Measured on the suite's tasks and the models of thesis Table 3.1 (docs/explanation/time_to_reach.md): right solutions
+# have medians of 0.98 to 1.03, and nine of ten drives arrive: seven of ten where a fast state hardly has room to move.
+_ARRIVED = 0.6  # of the drives that tell
+_FEWEST = 16  # drives that tell; fewer say nothing
+_SLOWER, _SOONER = 1.1, 0.9  # median of the time over the promised one
+_STEPS = 3.0  # by which the median differs at least: near the target a step is a large part of the way
+_OTHER = {
+    "semi_lagrangian": ", or try lax_friedrichs",
+    "lax_friedrichs": ", or with semi_lagrangian, which is more exact",
+}
+
+
+class Solved(Protocol):
+    """What has been solved: anything with a value grid."""
+
+    @property
+    def grid(self) -> ValueGrid:
+        """Time to reach."""
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """What was tried on a solution, and what came out.
+
+    Attributes:
+        drives: Number of drives by the greedy policy that ended, or went far enough to tell how they go on.
+        arrived: Fraction of them that arrived, or come nearer; None without any.
+        ratio_median, ratio_p95: Quantiles of their time over the promised one; None where none arrives.
+        paths: Number of paths back, from the target and from states that reach it.
+        contradictions: Number of those that arrive although the solution says they cannot, or much sooner.
+        doubts: One line each that says what is doubtful, where, and what to change.
+    """
+
+    drives: int
+    arrived: float | None
+    ratio_median: float | None
+    ratio_p95: float | None
+    paths: int
+    contradictions: int
+    doubts: tuple[str, ...] = ()
+
+    @property
+    def line(self) -> str:
+        """Figures as one line of text."""
+        if self.drives and self.arrived is not None:
+            driven = f"{100 * self.arrived:.0f} % of {self.drives} drives arrive"
+            if self.ratio_median is not None:
+                driven += f", in {self.ratio_median:.3f} of the promised time (median; 95 %: {self.ratio_p95:.2f})"
+        else:
+            driven = "no drive tells"
+        return f"{driven}; {self.contradictions} of {self.paths} paths back contradict"
+
+    def as_notes(self) -> dict[str, str]:
+        """Return the certificate as a note of a value file."""
+        return {_NOTE: json.dumps(asdict(self), allow_nan=False)}
+
+    @classmethod
+    def from_notes(cls, notes: Mapping[str, str]) -> Certificate | None:
+        """Return the certificate of a value file's notes; None where they have none.
+
+        Raises:
+            TimeToReachError: The note is no certificate.
+        """
+        if _NOTE not in notes:
+            return None
+        try:
+            given = json.loads(notes[_NOTE])
+            arrived, median, high = (_number_or_none(given[name]) for name in ("arrived", "ratio_median", "ratio_p95"))
+            drives, paths, contradictions = (int(given[name]) for name in ("drives", "paths", "contradictions"))
+            if not all(isinstance(doubt, str) for doubt in given["doubts"]):
+                raise TypeError("a doubt is no text")
+            return cls(drives, arrived, median, high, paths, contradictions, tuple(given["doubts"]))
+        except (ValueError, TypeError, KeyError, RecursionError) as error:
+            raise TimeToReachError(
+                f"the value's certificate cannot be read ({error}): solve the task again, which writes a new one"
+            ) from None
+
+
+def certify(solved: ValueGrid | Solved, problem: TimeToReachProblem, *, seed: int = 0) -> Certificate:
+    """Try a time to reach, and say what is doubtful.
+
+    Args:
+        solved: Solution of the problem, or its value grid. Of a decomposed value each part has its own problem.
+        problem: Problem that was solved.
+        seed: Seed of random states and controls.
+
+    Raises:
+        TimeToReachError: The grid has other axes than the problem.
+    """
+    value = solved if isinstance(solved, ValueGrid) else solved.grid
+    if tuple(axis.name for axis in value.axes) != problem.system.state_names:
+        raise TimeToReachError(
+            f"the value has axes {list(value.state_names)}, the problem {list(problem.system.state_names)}: "
+            "certify the value of this problem"
+        )
+    random = np.random.default_rng(seed)
+    states = _starts(value, problem, random)
+    paths = search(value, problem, states, random)
+    drives = drive(value, problem, states)
+    told = drives.told
+    ratio = (drives.taken / drives.promised)[told & drives.arrives]
+    median, high = np.quantile(ratio, (0.5, 0.95)) if len(ratio) else (None, None)
+    doubts = (problem.control_doubt, _doubt_of_paths(paths, problem, value), _doubt_of_drives(drives, problem))
+    return Certificate(
+        drives=int(told.sum()),
+        arrived=float(drives.arrives[told].mean()) if told.any() else None,
+        ratio_median=_number_or_none(median),
+        ratio_p95=_number_or_none(high),
+        paths=paths.paths,
+        contradictions=paths.contradictions,
+        doubts=tuple(doubt for doubt in doubts if doubt),
+    )
+
+
+def _starts(value: ValueGrid, problem: TimeToReachProblem, random: np.random.Generator) -> Array:
+    """Draw states (N, n) outside the target that reach it: random ones, or nodes where hardly any does."""
+    ends = np.array([[axis.lower for axis in problem.axes], [axis.upper for axis in problem.axes]])
+    lower, upper = np.clip(ends, *problem.limits)
+    drawn = random.uniform(lower, upper, (_STARTS * _DRAWS, len(lower)))
+    times = value.value(drawn)
+    drawn = drawn[np.isfinite(times) & (times > 0.0)][:_STARTS]
+    if len(drawn) == _STARTS:
+        return drawn
+    flat = value.values.ravel()
+    nodes = np.flatnonzero(np.isfinite(flat) & (flat > 0.0))
+    nodes = random.choice(nodes, min(_STARTS, len(nodes)), replace=False) if len(nodes) else nodes
+    index = np.unravel_index(nodes, value.values.shape)
+    return np.stack([axis.nodes[at] for axis, at in zip(problem.axes, index, strict=True)], axis=-1)
+
+
+def _doubt_of_paths(paths: PathsBack, problem: TimeToReachProblem, value: ValueGrid) -> str:
+    if paths.state is None:
+        return ""
+    claim = "calls it unreachable" if np.isinf(paths.promised) else f"says {paths.promised:.3g} s"
+    other = _OTHER.get(value.solver, "") if is_affine(problem.system) else ""
+    return (
+        f"from {place(problem.system, paths.state)} it arrives in {paths.possible:.3g} s, but the solution {claim}, "
+        f"and so for {paths.contradictions} of {paths.paths} paths back: {_finer(problem)}{other}"
+    )
+
+
+def _doubt_of_drives(drives: Drives, problem: TimeToReachProblem) -> str:
+    told = drives.told
+    if told.sum() < _FEWEST:
+        return ""
+    arrives = told & drives.arrives
+    arrived = arrives.sum() / told.sum()
+    if arrived < _ARRIVED:
+        failed = np.flatnonzero(told & ~drives.arrives)
+        row = failed[np.argmin(drives.promised[failed])]
+        return (
+            f"{100 * arrived:.0f} % of {told.sum()} drives arrive; from {place(problem.system, drives.states[row])} "
+            f"one does not in 1.5 times {drives.promised[row]:.3g} s, the solution's time: {_finer(problem)}"
+        )
+    ratio = np.median((drives.taken / drives.promised)[arrives])
+    steps = np.median(((drives.taken - drives.promised) / drives.step)[arrives])
+    if abs(steps) > _STEPS and not _SOONER <= ratio <= _SLOWER:
+        longer = "longer than" if ratio > 1.0 else "less than"
+        part = 100 * abs(ratio - 1.0)
+        return f"drives take {part:.0f} % {longer} the solution's times, in the median: {_finer(problem)}"
+    return ""
+
+
+def _finer(problem: TimeToReachProblem) -> str:
+    """Return which axis to make finer: the one with the fewest cells, or along which the target has the fewest."""
+
+    def cells(k: int) -> float:
+        axis = problem.axes[k]
+        target = problem.target.intervals.get(axis.name)
+        across = np.inf if target is None else 10.0 * (target.high - target.low) / axis.spacing
+        return min(float(axis.count), across)
+
+    axis = problem.axes[min(range(len(problem.axes)), key=cells)]
+    return f"solve with more nodes, first along '{axis.name}' ({axis.count})"
+
+
+def _number_or_none(number: float | None) -> float | None:
+    if number is None:
+        return None
+    if not np.isfinite(float(number)):
+        raise ValueError("a figure is not finite")
+    return float(number)

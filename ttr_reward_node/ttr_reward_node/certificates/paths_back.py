@@ -1,0 +1,193 @@
+"""Paths that arrive, by construction: driven back from the target, and from states that reach it.
+
+Whoever follows such a path the right way round arrives in its duration. So no value on it may be larger, let alone
+infinite: phi(x) <= t + phi(end) for every control, by dynamic programming. A path back goes where the solution claims
+the most, so it finds states that are called unreachable and are not, and times that are too long.
+
+On a grid both sides are known to a few cells. A state has the least value of its surroundings, two cells in each
+direction, and an end the largest of its own. A path keeps half a cell off obstacles, and within the limits.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrl_rl_core import ValueGrid, position_indices
+from ttr_reward_node.certificates.local_steps import LocalSteps
+from ttr_reward_node.problems.problem import TimeToReachProblem
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+_AROUND = 2  # cells by which either side may be off
+_STEP = 1.0  # cells
+_HOLD = 6  # steps for which a control is held, at most
+_CHOICE = 3  # controls to choose from, where the solution claims the most
+_STEPS, _STEPS_OF_A_GAME = 48, 12
+_LOOK = 4  # steps between two looks at the value
+_FEINTS = 4  # disturbances that switch at random between their extremes
+_FROM_TARGET = 128  # paths from the target itself
+_APART = 0.5  # cells to keep off obstacles
+_RATIO, _CELLS = 1.15, 3.0  # values may be larger by so much, and the time of so many cells
+
+
+@dataclass(frozen=True, eq=False)
+class PathsBack:
+    """What the paths showed.
+
+    Attributes:
+        paths: Number of paths.
+        contradictions: Number of those that contradict the solution.
+        state: State (n,) at which the contradiction is largest; None without any.
+        promised: Value there, the least within two cells [s].
+        possible: Time in which it arrives all the same [s].
+    """
+
+    paths: int
+    contradictions: int
+    state: Array | None
+    promised: float
+    possible: float
+
+
+@dataclass(frozen=True, eq=False)
+class Held:
+    """Controls (N, m) that are held for `number` steps of a duration (N,) [s] each."""
+
+    controls: Array
+    duration: Array
+    number: int
+
+
+def search(value: ValueGrid, problem: TimeToReachProblem, states: Array, random: np.random.Generator) -> PathsBack:
+    """Drive back from the target, and from states (N, n) that reach it.
+
+    Against a disturbance a path is a single control for a few cells, and its end is the worst for any of the extreme
+    disturbances.
+    """
+    steps, around = LocalSteps(problem), Surroundings(value, problem)
+    begins = np.concatenate((in_target(problem, _FROM_TARGET, random), states))
+    at_begin = np.concatenate((np.zeros(len(begins) - len(states)), around.largest(states)))
+    kept = np.isfinite(at_begin) & ~steps.beyond(begins) & (steps.clearance(begins) > _APART)
+    x, elapsed, at_begin = begins[kept], np.zeros(kept.sum()), at_begin[kept]
+    paths = len(x)
+    low, high = problem.system.disturbance_bounds
+    played = bool((low < high).any())
+    worst, place = np.ones(paths), x.copy()
+    found = np.zeros((paths, 2))
+    alive = np.arange(paths)
+    u, hold = np.zeros((paths, len(problem.system.controls))), np.zeros(paths, dtype=int)
+    d = problem.system.nominal_disturbance
+    for number in range(1, (_STEPS_OF_A_GAME if played else _STEPS) + 1):
+        fresh = alive[hold[alive] == 0]
+        if len(fresh):
+            u[fresh] = _bold_controls(value, steps, x[fresh], random)
+            hold[fresh] = _STEPS_OF_A_GAME if played else random.integers(1, _HOLD + 1, len(fresh))
+        hold[alive] -= 1
+        h = steps.durations(x[alive], u[alive], d, _STEP)
+        ends = steps.move(x[alive], u[alive], d, -h)
+        points = steps.chord(x[alive], ends)
+        free = np.isfinite(h) & ~steps.beyond(points).any(axis=0) & (steps.clearance(points) > _APART).all(axis=0)
+        alive, h, ends = alive[free], h[free], ends[free]
+        if not len(alive):
+            break
+        x[alive] = steps.on_grid(ends)
+        elapsed[alive] += h
+        if number % _LOOK:
+            continue
+        possible = elapsed[alive] + at_begin[alive]
+        if played:
+            held = Held(u[alive], elapsed[alive] / number, number)
+            possible = elapsed[alive] + _worst_end(steps, around, x[alive], held, random)
+        promised = around.least(x[alive])
+        slack = _CELLS * elapsed[alive] / number
+        ratio = np.divide(promised, _RATIO * possible + slack, out=np.zeros(len(alive)), where=np.isfinite(possible))
+        larger = ratio > worst[alive]
+        rows = alive[larger]
+        worst[rows], place[rows] = ratio[larger], x[rows]
+        found[rows] = np.stack((promised, possible), axis=-1)[larger]
+    wrong = worst > 1.0
+    if not wrong.any():
+        return PathsBack(paths, 0, None, 0.0, 0.0)
+    # Of the worst the soonest, which is the easiest to try.
+    row = int(np.lexsort((found[:, 1], -worst))[0])
+    return PathsBack(paths, int(wrong.sum()), place[row], float(found[row, 0]), float(found[row, 1]))
+
+
+def _bold_controls(value: ValueGrid, steps: LocalSteps, x: Array, random: np.random.Generator) -> Array:
+    """Return the controls (N, m) that lead back to where the solution claims the most, of a few."""
+    problem = steps.problem
+    samples, (low, high) = problem.control_samples, problem.system.control_bounds
+    offered = samples[random.integers(len(samples), size=(len(x), _CHOICE))]
+    offered[:, -1] = random.uniform(low, high, (len(x), samples.shape[1]))
+    d = problem.system.nominal_disturbance
+    h = steps.durations(x[:, None], offered, d, 2.0 * _STEP)
+    ends = steps.move(x[:, None], offered, d, -h)
+    with np.errstate(invalid="ignore"):
+        claims = value.value(steps.on_grid(ends)) - h
+    lost = steps.beyond(ends) | np.isnan(claims)
+    best = np.where(lost, -np.inf, claims).argmax(axis=1)
+    return offered[np.arange(len(x)), best]
+
+
+def _worst_end(steps: LocalSteps, around: Surroundings, x: Array, held: Held, random: np.random.Generator) -> Array:
+    """Return the largest value (N,) after the control has been held, whatever the disturbance did meanwhile [s]."""
+    extremes, worst = steps.problem.system.disturbance_samples(2), np.zeros(len(x))
+    for play in range(len(extremes) + _FEINTS):
+        at, lost = x, np.zeros(len(x), dtype=bool)
+        for _ in range(held.number):
+            d = extremes[play] if play < len(extremes) else extremes[random.integers(len(extremes), size=len(x))]
+            end = steps.move(at, held.controls, d, held.duration)
+            lost |= steps.beyond(end) | (steps.clearance(end) <= _APART)
+            at = steps.on_grid(np.where(lost[:, None], x, end))
+        value = np.where(steps.problem.reached(at), 0.0, around.largest(at))
+        worst = np.maximum(worst, np.where(lost, np.inf, value))
+    return worst
+
+
+def in_target(problem: TimeToReachProblem, count: int, random: np.random.Generator) -> Array:
+    """Draw up to `count` states (..., n) of the target."""
+    low, high = np.array([[axis.lower, axis.upper] for axis in problem.axes]).T
+    low, high = np.clip([low, high], *problem.limits)
+    for k, axis in enumerate(problem.axes):
+        if axis.name in problem.target.intervals:
+            begin, end = problem.target.intervals[axis.name]
+            low[k], high[k] = (begin, end) if axis.periodic else (max(low[k], begin), min(high[k], end))
+    disc = problem.target.disc
+    if disc is not None:
+        for k, middle in zip(position_indices(problem.system.state_names), disc.centre, strict=True):
+            low[k], high[k] = max(low[k], middle - disc.radius), min(high[k], middle + disc.radius)
+    drawn = problem.wrap(random.uniform(low, np.maximum(low, high), (2 * count, len(low))))
+    return drawn[problem.reached(drawn)][:count]
+
+
+class Surroundings:
+    """Least and largest values within two cells of a state.
+
+    Args:
+        value: Values at the nodes.
+        problem: Problem with the axes.
+    """
+
+    def __init__(self, value: ValueGrid, problem: TimeToReachProblem) -> None:
+        self._values, self._axes = value.values, problem.axes
+        self._offsets = np.array(list(product((-_AROUND, 0, _AROUND), repeat=len(problem.axes))))
+
+    def least(self, states: Array) -> Array:
+        """Return the least value (N,) around states (N, n) on the grid [s]."""
+        return np.asarray(self._around(states).min(axis=1))
+
+    def largest(self, states: Array) -> Array:
+        """Return the largest value (N,) around states (N, n) on the grid [s]."""
+        return np.asarray(self._around(states).max(axis=1))
+
+    def _around(self, states: Array) -> Array:
+        index = []
+        for k, axis in enumerate(self._axes):
+            nearest = np.round((states[:, k] - axis.lower) / axis.spacing).astype(np.int64)
+            at = nearest[:, None] + self._offsets[:, k]
+            index.append(at % axis.count if axis.periodic else np.clip(at, 0, axis.count - 1))
+        return self._values[tuple(index)].astype(np.float64)
