@@ -117,7 +117,7 @@ def fit(data: Snapshots, regularisation: float = 1e-3, lifted: bool = False) -> 
     spread, problem = Deviations.of(Psi).spread, LeastSquares(Psi)
     plain = problem.solve(given.z_next)
     ridge = np.sqrt(regularisation * len(Psi)) * spread / problem.size
-    ridged = LeastSquares(Psi, ridge).solve(given.z_next)
+    ridged = problem.ridged(ridge).solve(given.z_next)
     moved = row_sizes(ridged - plain, given.z_next)
     errors = problem.standard_errors(given.z_next - Psi @ plain, given.eps * sizes(given.z_next))
     biased = moved > BEYOND_NOISE * row_sizes(errors, given.z_next)

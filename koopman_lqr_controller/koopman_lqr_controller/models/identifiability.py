@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from koopman_lqr_controller.arrays import Array, check_size, real_array
 from koopman_lqr_controller.errors import KoopmanError
-from koopman_lqr_controller.models.least_squares import EPS, Deviations, LeastSquares, sizes
+from koopman_lqr_controller.models.least_squares import EPS, Deviations, LeastSquares, compressed, sizes
 
 _STILL = 1e-9
 """Spread of a control over its size below which it does not move: of 16 digits fewer than 7 are left of the motion."""
@@ -147,7 +147,7 @@ def check_controls_told(data: RegressionData, lifted: bool) -> None:
     """Refuse data from which B cannot be told, however A is chosen.
 
     Args:
-        data: Snapshots.
+        data: Snapshots that were checked.
         lifted: Whether z holds many functions that nearly repeat each other, or noise: what they miss is then no noise
             of the state, and counts only beside controls of which little is their own.
 
@@ -160,14 +160,15 @@ def check_controls_told(data: RegressionData, lifted: bool) -> None:
     names = [f"control {index}" for index in range(m)]
     check_controls_move(data.u)
     z, u, y = (Deviations.of(it, data.eps) for it in (data.z, data.u, data.z_next))
-    span = _orthonormal(z.values)
+    here, controls, there = compressed(z.values, u.values, y.values)
+    span = _orthonormal(here)
     spare = N - span.shape[1] - m - 1
     if spare < 1:
         raise KoopmanError(
             f"{N} snapshots are too few for {span.shape[1]} independent observables and {m} controls: record at least "
             f"{N - spare + 1}, better ten times as many"
         )
-    left = _without(u.values, span)
+    left = _without(controls, span)
     P, own, directions = np.linalg.svd(left, full_matrices=False)
     # A control is known to so many digits of itself, offset included, and not of its spread.
     floor = max(_ON_ITS_OWN * u.rounding / data.eps, _ROUNDED * max(z.rounding, u.rounding))
@@ -176,21 +177,23 @@ def check_controls_told(data: RegressionData, lifted: bool) -> None:
             f"{_named(directions[-1], names)}: a linear function of the state to {own[-1]:.0e}, as under feedback "
             "u = -K z, so A and B cannot be told apart: add a dither of its own to each control while recording"
         )
-    missed = _without(_without(y.values, span), P)
-    noise = np.maximum(np.sqrt(np.sum(missed**2, axis=0) / spare), y.rounding / np.sqrt(N))
+    missed = _without(_without(there, span), P)
+    noise = np.maximum(np.sqrt(np.sum(missed**2, axis=0) * N / spare), y.rounding)
     for index in range(m):
-        _check_beside_noise(index, z.values, u.values, y.values, noise, lifted)
+        _check_beside_noise(index, here, controls, there * np.sqrt(N), noise, lifted)
 
 
 def _check_beside_noise(index: int, z: Array, u: Array, z_next: Array, noise: Array, lifted: bool) -> None:
     """Refuse a control whose own part noise hides or could have made.
 
+    All columns are deviations over their spreads, in any orthonormal coordinates of the rows.
+
     Args:
-        index: Which control.
-        z: States as columns of unit length (N, n).
-        u: Controls likewise (N, m).
-        z_next: Next states likewise (N, n).
-        noise: What a linear model misses of each next state, per row (n,).
+        index: Index of the control.
+        z: States, of unit length (rows, n).
+        u: Controls, of unit length (rows, m).
+        z_next: Next states, of the length that as many unit spreads have (rows, n).
+        noise: Part of each next state's spread that a linear model misses (n,).
         lifted: As in `check_controls_told`.
     """
     others = np.hstack((z, np.delete(u, index, axis=1)))
@@ -199,7 +202,7 @@ def _check_beside_noise(index: int, z: Array, u: Array, z_next: Array, noise: Ar
     effect = np.abs(own @ z_next) / (size * np.maximum(noise, np.finfo(float).tiny))
     # Noise of measured states looks like a dither of a control that follows them: K times what the model misses.
     feedback = np.linalg.lstsq(others, u[:, index], rcond=1e-10)[0][: len(noise)]
-    alike = float(np.linalg.norm(feedback * noise) * np.sqrt(len(z)))
+    alike = float(np.linalg.norm(feedback * noise))
     weak = size < _WEAK
     if (weak and effect.max() < _KNOWN) or (size < alike and (weak or not lifted)):
         raise KoopmanError(
@@ -246,7 +249,7 @@ def check_no_drift(data: RegressionData, W: Array) -> None:
     """Refuse data that a constant explains much better: A and B of a model without a drift would bend to stand for it.
 
     Args:
-        data: Snapshots.
+        data: Snapshots that were checked.
         W: Least-squares coefficients without a constant (n + m, n).
 
     Raises:

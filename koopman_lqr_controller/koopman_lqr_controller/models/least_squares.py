@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -58,26 +59,36 @@ class LeastSquares:
 
     Args:
         X: Regressors (N, p).
-        weight: Size of the ridge on each scaled column (p,); None for no ridge.
 
     Attributes:
         size: Root mean square of each column (p,).
         null: Combinations of the scaled columns that are zero throughout (p, those).
     """
 
-    def __init__(self, X: Array, weight: Array | None = None) -> None:
+    def __init__(self, X: Array) -> None:
         self.size = sizes(X)
-        rows = X / self.size
-        if weight is not None:
-            rows = np.vstack((rows, np.diag(weight)))
-        U, s, Vt = np.linalg.svd(rows, full_matrices=True) if len(rows) < rows.shape[1] else _thin_svd(rows)
-        rank = int(np.count_nonzero(s > _RANK * np.sqrt(max(rows.shape)) * max(float(s[0]), EPS))) if len(s) else 0
-        self._U, self._s, self._V = U[: len(X), :rank], s[:rank], Vt[:rank].T * (np.abs(X).max(axis=0) > 0.0)[:, None]
+        self._moving = np.abs(X).max(axis=0, initial=0.0) > 0.0
+        # Of many rows only what they span counts: the rest is done on a triangle of as many rows as columns.
+        self._Q, self._R = np.linalg.qr(X / self.size)
+        self._decompose(self._R, len(X))
+
+    def _decompose(self, rows: Array, count: int) -> None:
+        U, s, Vt = np.linalg.svd(rows, full_matrices=len(rows) < rows.shape[1])
+        rank = int(
+            np.count_nonzero(s > _RANK * np.sqrt(max(count, rows.shape[1])) * max(float(s.max(initial=0.0)), EPS))
+        )
+        self._U, self._s, self._V = U[: len(self._R), :rank], s[:rank], Vt[:rank].T * self._moving[:, None]
         self.null = np.asarray(Vt[rank:].T, dtype=np.float64)
+
+    def ridged(self, weight: Array) -> LeastSquares:
+        """Return the same with a ridge of such a weight on each scaled column (p,)."""
+        problem = copy(self)
+        problem._decompose(np.vstack((self._R, np.diag(weight))), len(self._Q))
+        return problem
 
     def solve(self, Y: Array) -> Array:
         """Return the coefficients W (p, q) of X W = Y (N, q), in the units of X and Y."""
-        scaled = self._V @ ((self._U.T @ Y) / self._s[:, None])
+        scaled = self._V @ ((self._U.T @ (self._Q.T @ Y)) / self._s[:, None])
         return np.asarray(scaled / self.size[:, None], dtype=np.float64)
 
     def standard_errors(self, missed: Array, rounding: Array | float) -> Array:
@@ -96,6 +107,9 @@ class LeastSquares:
         return np.asarray(share[:, None] * np.maximum(noise, np.finfo(float).tiny), dtype=np.float64)
 
 
-def _thin_svd(X: Array) -> tuple[Array, Array, Array]:
-    U, s, Vt = np.linalg.svd(X, full_matrices=False)
-    return U, s, Vt
+def compressed(*blocks: Array) -> list[Array]:
+    """Return columns with the same inner products as those of some blocks, with no more rows than columns in all."""
+    joined = np.hstack(blocks)
+    if len(joined) > joined.shape[1]:
+        joined = np.asarray(np.linalg.qr(joined, mode="r"), dtype=np.float64)
+    return np.split(joined, np.cumsum([block.shape[1] for block in blocks])[:-1], axis=1)
