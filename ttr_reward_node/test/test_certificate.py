@@ -10,7 +10,14 @@ from ttr_reward_node.certificates.certificate import Certificate
 from ttr_reward_node.cli.values import check, solve_value
 
 from ctrl_rl_core import Axis, Interval, Quantity, Region, System, ValueGrid
-from ttr_reward_node import TimeToReachError, TimeToReachProblem, certify, problem_from_task, solve
+from ttr_reward_node import (
+    DoubtfulValueWarning,
+    TimeToReachError,
+    TimeToReachProblem,
+    certify,
+    problem_from_task,
+    solve,
+)
 
 
 def on_grid(problem, values):
@@ -74,15 +81,13 @@ def test_times_that_are_wrong_by_a_factor_are_doubted(disturbance):
     assert certify(on_grid(problem, times), problem).doubts == ()
     (small,) = certify(on_grid(problem, 0.6 * times), problem).doubts
     assert "% longer than the solution's times" in small or "drives arrive" in small
-    large = certify(on_grid(problem, 1.6 * times), problem)
-    assert any("% less than the solution's times" in doubt for doubt in large.doubts)
-    if disturbance == 0.0:
-        assert "it arrives in" in large.doubts[0]
-        assert "but the solution says" in large.doubts[0]
-        assert large.contradictions > 0
+    large = certify(on_grid(problem, 1.8 * times), problem)
+    assert "it arrives in" in large.doubts[0]
+    assert "but the solution says" in large.doubts[0]
+    assert large.contradictions > 0
 
 
-@pytest.mark.parametrize("disturbance", [0.0, 0.4])
+@pytest.mark.parametrize("disturbance", [0.0, 0.4, 0.75])
 def test_states_that_are_wrongly_called_unreachable_are_found(disturbance):
     problem = line(disturbance, count=121)
     half = np.where(problem.axes[0].nodes > 1.0, np.inf, line_times(problem))
@@ -126,6 +131,13 @@ def test_values_of_another_system_are_doubted():
     assert solution.certificate.doubts == ()
     assert certify(solution, limited).doubts != ()
     assert certify(solve(line()), line(0.5)).doubts != ()
+
+
+def test_python_is_warned_of_doubts():
+    """Times of Lax-Friedrichs are too long where they jump."""
+    with pytest.warns(DoubtfulValueWarning, match="but the solution says"):
+        solution = solve(car(inflation=0.354), "lax_friedrichs")
+    assert Certificate.from_notes(solution.grid.notes) == solution.certificate
 
 
 def test_few_samples_of_a_control_are_doubted():

@@ -1,5 +1,7 @@
 """The commands `solve`, `check` and `slices`: files, pictures, and one line for what is wrong."""
 
+from dataclasses import replace
+
 import pytest
 from ttr_reward_node.cli.values import check, slices, solve_value
 
@@ -146,3 +148,25 @@ def test_check_names_the_cause_of_collisions(tmp_path, capsys):
     assert "solve again with --robot-size (0.177 m), or with --inflation 0.1 or more" in said
     assert check([str(wide), "--starts", "200"]) == 0
     assert "--robot-size" not in capsys.readouterr().out
+
+
+def test_a_steady_current_is_kept_in_the_file_and_driven_in(tmp_path, capsys):
+    file = str(tmp_path / "car.safetensors")
+    fine = ["--count", "x=51", "y=51", "theta=36"]
+    current = ["--disturbance", "d_x=0.3:0.3"]
+    assert solve_value(["--task", "car_ttr", *fine, *current, "--robot-size", "--strict", "--output", file]) == 0
+    assert load_value(file).notes["disturbances"] == "{'d_x': (0.3, 0.3)}"
+    assert check([file, "--starts", "100", "--at-least", "0.8"]) == 0
+    assert "executed/predicted median 1.0" in capsys.readouterr().out
+
+
+@pytest.mark.fault
+@pytest.mark.parametrize("note", ["{'d_x': 1}", "{'d_x': (0.3,", "__import__('os')", "{'d_q': (0.0, 1.0)}", "(" * 999])
+def test_a_note_on_disturbances_that_is_none_is_refused(note, tmp_path, capsys):
+    file = tmp_path / "car.safetensors"
+    assert solve_value(["--task", "car_ttr", *COARSE, "--robot-size", "--output", str(file)]) == 0
+    value = ValueGrid.load(file)
+    replace(value, notes={**value.notes, "disturbances": note}).save(file, overwrite=True)
+    capsys.readouterr()
+    assert check([str(file), "--starts", "5"]) == 1
+    assert capsys.readouterr().err.count("\n") == 1

@@ -1,5 +1,6 @@
 from .certificates.certificate import Certificate as Certificate
 from .certificates.certificate import certify as certify
+from .errors import DoubtfulValueWarning as DoubtfulValueWarning
 from .errors import TimeToReachError as TimeToReachError
 from .problems.from_task import problem_from_task as problem_from_task
 from .problems.from_task import with_disturbances as with_disturbances

@@ -27,7 +27,8 @@ _STEP = 1.0  # cells
 _HOLD = 6  # steps for which a control is held, at most
 _CHOICE = 3  # controls to choose from, where the solution claims the most
 _STEPS, _STEPS_OF_A_GAME = 48, 12
-_LOOK = 4  # steps between two looks at the value
+_LOOK, _LOOK_OF_A_GAME = 4, 6  # steps between two looks at the value
+_PATIENCE = 3  # times as many steps as back, for the way against another disturbance
 _FEINTS = 4  # disturbances that switch at random between their extremes
 _FROM_TARGET = 128  # paths from the target itself
 _APART = 0.5  # cells to keep off obstacles
@@ -65,30 +66,33 @@ class Held:
 def search(value: ValueGrid, problem: TimeToReachProblem, states: Array, random: np.random.Generator) -> PathsBack:
     """Drive back from the target, and from states (N, n) that reach it.
 
-    Against a disturbance a path is a single control for a few cells, and its end is the worst for any of the extreme
-    disturbances.
+    Against a disturbance a path is a single control for a few cells, back against one of the extreme disturbances. It
+    counts for as long as the way takes against the worst of them, and of some that switch between the extremes.
     """
     steps, around = LocalSteps(problem), Surroundings(value, problem)
-    begins = np.concatenate((in_target(problem, _FROM_TARGET, random), states))
+    low, high = problem.system.disturbance_bounds
+    played = bool((low < high).any())
+    if played:
+        states = states[: len(states) // 2]  # each costs much more
+    begins = np.concatenate((in_target(problem, _FROM_TARGET // 2 if played else _FROM_TARGET, random), states))
     at_begin = np.concatenate((np.zeros(len(begins) - len(states)), around.largest(states)))
     kept = np.isfinite(at_begin) & ~steps.beyond(begins) & (steps.clearance(begins) > _APART)
     x, elapsed, at_begin = begins[kept], np.zeros(kept.sum()), at_begin[kept]
     paths = len(x)
-    low, high = problem.system.disturbance_bounds
-    played = bool((low < high).any())
     worst, place = np.ones(paths), x.copy()
     found = np.zeros((paths, 2))
     alive = np.arange(paths)
     u, hold = np.zeros((paths, len(problem.system.controls))), np.zeros(paths, dtype=int)
-    d = problem.system.nominal_disturbance
+    extremes = problem.system.disturbance_samples(2)
+    d = extremes[random.integers(len(extremes), size=paths)]
     for number in range(1, (_STEPS_OF_A_GAME if played else _STEPS) + 1):
         fresh = alive[hold[alive] == 0]
         if len(fresh):
-            u[fresh] = _bold_controls(value, steps, x[fresh], random)
+            u[fresh] = _bold_controls(value, steps, x[fresh], d[fresh], random)
             hold[fresh] = _STEPS_OF_A_GAME if played else random.integers(1, _HOLD + 1, len(fresh))
         hold[alive] -= 1
-        h = steps.durations(x[alive], u[alive], d, _STEP)
-        ends = steps.move(x[alive], u[alive], d, -h)
+        h = steps.durations(x[alive], u[alive], d[alive], _STEP)
+        ends = steps.move(x[alive], u[alive], d[alive], -h)
         points = steps.chord(x[alive], ends)
         free = np.isfinite(h) & ~steps.beyond(points).any(axis=0) & (steps.clearance(points) > _APART).all(axis=0)
         alive, h, ends = alive[free], h[free], ends[free]
@@ -96,12 +100,12 @@ def search(value: ValueGrid, problem: TimeToReachProblem, states: Array, random:
             break
         x[alive] = steps.on_grid(ends)
         elapsed[alive] += h
-        if number % _LOOK:
+        if number % (_LOOK_OF_A_GAME if played else _LOOK):
             continue
         possible = elapsed[alive] + at_begin[alive]
         if played:
             held = Held(u[alive], elapsed[alive] / number, number)
-            possible = elapsed[alive] + _worst_end(steps, around, x[alive], held, random)
+            possible = _longest_way(steps, around, x[alive], held, random)
         promised = around.least(x[alive])
         slack = _CELLS * elapsed[alive] / number
         ratio = np.divide(promised, _RATIO * possible + slack, out=np.zeros(len(alive)), where=np.isfinite(possible))
@@ -117,15 +121,14 @@ def search(value: ValueGrid, problem: TimeToReachProblem, states: Array, random:
     return PathsBack(paths, int(wrong.sum()), place[row], float(found[row, 0]), float(found[row, 1]))
 
 
-def _bold_controls(value: ValueGrid, steps: LocalSteps, x: Array, random: np.random.Generator) -> Array:
+def _bold_controls(value: ValueGrid, steps: LocalSteps, x: Array, d: Array, random: np.random.Generator) -> Array:
     """Return the controls (N, m) that lead back to where the solution claims the most, of a few."""
     problem = steps.problem
     samples, (low, high) = problem.control_samples, problem.system.control_bounds
     offered = samples[random.integers(len(samples), size=(len(x), _CHOICE))]
     offered[:, -1] = random.uniform(low, high, (len(x), samples.shape[1]))
-    d = problem.system.nominal_disturbance
-    h = steps.durations(x[:, None], offered, d, 2.0 * _STEP)
-    ends = steps.move(x[:, None], offered, d, -h)
+    h = steps.durations(x[:, None], offered, d[:, None], 2.0 * _STEP)
+    ends = steps.move(x[:, None], offered, d[:, None], -h)
     with np.errstate(invalid="ignore"):
         claims = value.value(steps.on_grid(ends)) - h
     lost = steps.beyond(ends) | np.isnan(claims)
@@ -133,18 +136,26 @@ def _bold_controls(value: ValueGrid, steps: LocalSteps, x: Array, random: np.ran
     return offered[np.arange(len(x)), best]
 
 
-def _worst_end(steps: LocalSteps, around: Surroundings, x: Array, held: Held, random: np.random.Generator) -> Array:
-    """Return the largest value (N,) after the control has been held, whatever the disturbance did meanwhile [s]."""
+def _longest_way(steps: LocalSteps, around: Surroundings, x: Array, held: Held, random: np.random.Generator) -> Array:
+    """Return the time (N,) in which states (N, n) arrive by the held control, whatever the disturbance does [s].
+
+    The control is given up for the solution's own where that takes it to the target soonest.
+    """
     extremes, worst = steps.problem.system.disturbance_samples(2), np.zeros(len(x))
     for play in range(len(extremes) + _FEINTS):
-        at, lost = x, np.zeros(len(x), dtype=bool)
-        for _ in range(held.number):
+        at, soonest, lost = x, np.full(len(x), np.inf), np.zeros(len(x), dtype=bool)
+        for step in range(1, _PATIENCE * held.number + 1):
             d = extremes[play] if play < len(extremes) else extremes[random.integers(len(extremes), size=len(x))]
             end = steps.move(at, held.controls, d, held.duration)
-            lost |= steps.beyond(end) | (steps.clearance(end) <= _APART)
+            points = steps.chord(at, end)
+            there = steps.problem.reached(points).any(axis=0) & ~lost
+            lost |= steps.beyond(end) | (steps.clearance(points) <= _APART).any(axis=0)
             at = steps.on_grid(np.where(lost[:, None], x, end))
-        value = np.where(steps.problem.reached(at), 0.0, around.largest(at))
-        worst = np.maximum(worst, np.where(lost, np.inf, value))
+            soonest = np.where(there, np.minimum(soonest, step * held.duration), soonest)
+            if step % _LOOK == 0:
+                other = np.where(lost, np.inf, around.largest(at))
+                soonest = np.minimum(soonest, step * held.duration + other)
+        worst = np.maximum(worst, soonest)
     return worst
 
 

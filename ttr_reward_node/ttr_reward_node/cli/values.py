@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -24,7 +25,7 @@ from tqdm import tqdm
 
 from ttr_reward_node.certificates.certificate import Certificate
 from ttr_reward_node.cli.safe_sets import solve_and_save
-from ttr_reward_node.errors import TimeToReachError
+from ttr_reward_node.errors import DoubtfulValueWarning, TimeToReachError
 from ttr_reward_node.problems.from_task import problem_from_task
 from ttr_reward_node.problems.problem import TimeToReachProblem
 from ttr_reward_node.rewards.relabel import relabel
@@ -222,9 +223,11 @@ def _solve_one(problem: TimeToReachProblem, options: Solve) -> Solution:
             bar.set_postfix_str(f"largest change {change:.2g} s", refresh=False)
             bar.update()
 
-        solution = solve(
-            problem, options.method, tolerance=options.tolerance, max_sweeps=options.max_sweeps, progress=show
-        )
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DoubtfulValueWarning)  # doubts are printed below
+            solution = solve(
+                problem, options.method, tolerance=options.tolerance, max_sweeps=options.max_sweeps, progress=show
+            )
     state = "converged" if solution.converged else "NOT converged (allow more with --max-sweeps)"
     print(f"solved     {state} after {solution.sweeps} sweeps, {solution.cpu_seconds:.2f} s CPU")
     print(f"residual   {solution.residual:.2g} s, the largest change of the last sweep")

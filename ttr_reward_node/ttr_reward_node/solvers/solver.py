@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import time
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ import numpy as np
 
 from ctrl_rl_core import NavigationTask, ValueFunction, ValueGrid
 from ttr_reward_node.certificates.certificate import certify as make_certificate
-from ttr_reward_node.errors import TimeToReachError
+from ttr_reward_node.errors import DoubtfulValueWarning, TimeToReachError
 from ttr_reward_node.problems.from_task import problem_from_task
 from ttr_reward_node.problems.problem import TimeToReachProblem
 from ttr_reward_node.rewards.rewards import longest_time
@@ -55,6 +56,7 @@ def solve(
             +inf where the semi-Lagrangian method has not yet found a time of the right size.
         progress: Function called after each sweep with its number and the largest change [s].
         certify: Whether to try the solution afterwards, which takes a tenth of a second or a few per cent of the time.
+            Each doubt is a DoubtfulValueWarning, and stands in the solution's certificate.
 
     Raises:
         TimeToReachError: an unknown method, a tolerance or number of sweeps that is not positive, or the problem does
@@ -82,6 +84,8 @@ def solve(
     certificate = make_certificate(_make_grid(problem, method, sweeps, notes), problem) if certify else None
     if certificate is not None:
         notes |= certificate.as_notes()
+        for doubt in certificate.doubts:
+            warnings.warn(doubt, DoubtfulValueWarning, stacklevel=2)
     grid = _make_grid(problem, method, sweeps, notes)
     return Solution(grid, sweeps.number, sweeps.residual, sweeps.converged, seconds, reachable, memory, certificate)
 
