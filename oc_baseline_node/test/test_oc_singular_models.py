@@ -15,6 +15,7 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "test" / "attack"))
 from _singular_models import TERMS, make_problem, random_problem
 from mpc import TIME_LIMIT, solve_one
 
+from ctrl_rl_core import exclusive_lock
 from oc_baseline_node import Mpc, OcError, RecedingHorizon
 
 
@@ -68,6 +69,15 @@ def test_a_solver_that_never_ends_is_ended_and_asked_again() -> None:
     assert answer is not None
     assert answer.iterations > 0
     assert 0.0 < answer.seconds < 5.0
+
+
+def test_a_solvers_process_holds_no_lock_of_its_parent(tmp_path: Path) -> None:
+    solver = LimitedSolver(endless())
+    call = {"x0": np.ones(3), "lbx": np.full(3, -9.0), "ubx": np.full(3, 9.0)}
+    with exclusive_lock(tmp_path / "lock"):
+        assert solver({**call, "lbg": np.zeros(2), "ubg": np.zeros(2)}, 5.0) is not None
+    with exclusive_lock(tmp_path / "lock"):
+        pass
 
 
 def test_the_time_of_a_start_is_bounded(tmp_path: Path) -> None:

@@ -119,6 +119,10 @@ def _end(process: int, connection: Connection, owner: int) -> None:
 def _serve(solver: Any, connection: Connection) -> NoReturn:
     """Answer calls until the other side is gone."""
     try:
+        # Nothing else of the parent's is held open: a lock on a file would last as long as this process.
+        mine, most = connection.fileno(), os.sysconf("SC_OPEN_MAX")
+        os.closerange(3, mine)
+        os.closerange(mine + 1, most)
         nowhere = os.open(os.devnull, os.O_RDWR)
         for stream in (1, 2):  # a NaN is answered with pages of numbers
             os.dup2(nowhere, stream)

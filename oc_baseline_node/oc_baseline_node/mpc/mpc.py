@@ -30,8 +30,8 @@ _FATROP_SHARE = 0.25
 """Share of the time limit after which fatrop is ended, so that ipopt has its turn."""
 _FAR = 0.25
 """Share of a period from which on the other way round may be the cheaper one, for what the other states have to do."""
-_MOST_PROGRAMS = 4
-"""Quadratic programs from a trajectory nearby, before an interior point is asked."""
+_DAMPINGS = (0.0, 0.0, 1e-2, 1e-1, 1.0, 1.0)
+"""Damping of each quadratic program from a trajectory nearby: full steps first, shorter ones where these lead off."""
 _SETTLED = 0.1
 """Change of the cost, as a part of it, below which the next quadratic program would change less than a hundredth."""
 
@@ -214,8 +214,8 @@ class Mpc:
         if multipliers is None:
             multipliers = np.zeros(len(tool.program.kinds))
         cost, found = trajectory_cost(problem, *guess, problem.time_step), unsolved(problem, start, "sqp: no minimum")
-        for count in range(1, _MOST_PROGRAMS + 1):
-            step = sqp.step(variables, start, limits, multipliers)
+        for count, damping in enumerate(_DAMPINGS, 1):
+            step = sqp.step(variables, start, limits, multipliers, damping)
             if step is None:
                 break
             variables, multipliers = step.variables, step.multipliers

@@ -17,7 +17,7 @@ from oc_baseline_node.mpc.stage_qp import solve_stages
 from oc_baseline_node.mpc.transcription import NonlinearProgram
 
 Array = NDArray[np.float64]
-_DAMPING = (0.0, 1e-4, 1e-2, 1.0)
+_DAMPING = (1e-4, 1e-2, 1.0)
 """Numbers added to the Hessian's diagonal, tried in turn until the program has a minimum."""
 _BEGINNINGS = ((1e-2, 1e-4), (1e-2, 1.0), (1.0, 1e2))
 """Least slack, and product of slack and multiplier, to begin with: the larger ones where it is stuck at an edge."""
@@ -70,7 +70,9 @@ class StageSqp:
         self._index_hessian()
         self._compile()
 
-    def step(self, variables: Array, start: Array, bounds: dict[str, Array], multipliers: Array) -> SqpStep | None:
+    def step(
+        self, variables: Array, start: Array, bounds: dict[str, Array], multipliers: Array, least_damping: float = 0.0
+    ) -> SqpStep | None:
         """Return where the quadratic program at a point leads; None where it has no solution.
 
         Args:
@@ -78,6 +80,7 @@ class StageSqp:
             start: Start state x_0 (n,).
             bounds: Bounds of the variables, lbx and ubx.
             multipliers: Multipliers of the constraints there (M,); zeros leave their curvature out.
+            least_damping: Number that is added to the Hessian's diagonal at least: the larger, the shorter the step.
         """
         K, n, w = self._K, self._n, self._w
         g, jacobian = self._derivatives.jacobian(variables, start)
@@ -95,7 +98,7 @@ class StageSqp:
         upper = self._by_stages(bounds["ubx"] - variables, np.inf)
         rest = (q, A, -g[self._dynamics].reshape(K, n), lower, upper, G, c, -g[self._start])
         for each in (multipliers, np.zeros(len(g))) if multipliers.any() else (multipliers,):
-            found = self._solve(variables, start, each, rest)
+            found = self._solve(variables, start, each, rest, least_damping)
             if found is not None:
                 z, weights, gradients = found
                 new = np.zeros(len(g))
@@ -105,7 +108,7 @@ class StageSqp:
         return None
 
     def _solve(
-        self, variables: Array, start: Array, multipliers: Array, rest: tuple[Array, ...]
+        self, variables: Array, start: Array, multipliers: Array, rest: tuple[Array, ...], least: float
     ) -> tuple[Array, Array, Array] | None:
         """Return z, multipliers and gradients of the program with the Hessian of these multipliers; None for none."""
         (entries,) = self._derivatives.hessian(variables, start, np.ones(1), multipliers)
@@ -115,7 +118,7 @@ class StageSqp:
         H.ravel()[self._H[1]] = entries[self._H[0]]
         cost = abs(float(self._derivatives.cost(variables, start)[0][0]))
         gap = float(np.clip(_GAP * cost / rest[0].size, _LEAST_GAP, _LARGEST_GAP))
-        for damping, beginning in product(_DAMPING, _BEGINNINGS):
+        for damping, beginning in product([least, *(each for each in _DAMPING if each > least)], _BEGINNINGS):
             count, *found = solve_stages(H, *rest, damping, gap, *beginning)
             if count > 0:
                 return found[0], found[1], found[2]
