@@ -33,6 +33,19 @@ def test_actions_and_commands_are_each_others_inverse(action):
     assert action_of(CAR, command(CAR, action)) == pytest.approx(action, abs=1e-6)
 
 
+def test_speed_sets_warm_solutions_beside_the_interior_point(tmp_path, capsys):
+    assert main(["speed", "--tasks", "car_navigation", "--starts", "3", "--results", str(tmp_path)]) == 0
+    rows = {
+        (row["method"], row["metric"]): row for row in json.loads((tmp_path / "mpc_speed.json").read_text())["rows"]
+    }
+    ours, theirs = rows["car_navigation", "warm"], rows["car_navigation, interior point", "warm"]
+    assert ours["unit"] == theirs["unit"] == "ms"
+    assert len(ours["values"]) == len(theirs["values"]) >= 2
+    assert rows["car_navigation", "cost above the interior point's"]["mean"] <= 1.0
+    assert rows["car_navigation", "solved by quadratic programs alone"]["mean"] > 0.5
+    assert "mpc_speed.json" in capsys.readouterr().out
+
+
 def test_the_model_drives_an_arc():
     system = make_system("dubins_car", control_bounds={"v": (-2.0, 2.0), "omega": (-2.0, 2.0)})
     x = predict(system, np.array([0.0, 0.0, 0.0]), np.array([1.0, 0.5]), 1.0)
@@ -86,7 +99,7 @@ def test_the_mismatch_command_writes_the_table(tmp_path, capsys):
         (["gradient", "--samples", "0"], "--samples must be a whole number of at least 1, not 0"),
         (["mismatch", "--seed", "-1"], "--seed must be a whole number of at least 0, not -1"),
         (["gradients"], "unknown option gradients"),
-        ([], "give one of: mismatch, mpc, gradient"),
+        ([], "give one of: mismatch, mpc, speed, gradient"),
     ],
 )
 def test_wrong_usage_is_said_in_one_line(arguments, words, tmp_path, capsys):

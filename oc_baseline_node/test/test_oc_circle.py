@@ -7,6 +7,7 @@ import pytest
 import yaml
 from oc_baseline_node.cli import main
 from oc_baseline_node.problems import circle
+from oc_baseline_node.values.returns import rewards
 
 from ctrl_rl_core import SYSTEM_MODELS, Interval, NavigationTask, Quantity, Region, SystemModel, load_navigation_task
 from oc_baseline_node import Mpc, OptimalControlProblem, RecedingHorizon, formulate
@@ -167,6 +168,8 @@ def test_a_circle_of_any_period_counts(period: float) -> None:
     assert low.cost == pytest.approx(high.cost, rel=1e-3)
     assert np.abs(np.diff(low.states[:, 2])).max() <= 0.1 + 1e-4
     assert -0.3 <= low.states[-1, 2] <= 0.3
+    for trajectory in (low, high):
+        assert rewards(mpc.problem.task, trajectory.states[-1])[0] == 1000.0, "V_oc's data count the arrival"
 
 
 def test_ways_round_are_the_nearest_ones_within_bounds() -> None:

@@ -22,8 +22,8 @@ class Compiled:
         wanted: Outputs that are computed.
 
     Attributes:
-        rows: Row of each entry of the last wanted output.
-        columns: Its column.
+        rows: Row of each entry of the last wanted output (E,).
+        columns: Column of each entry of the last wanted output (E,).
     """
 
     def __init__(self, function: Any, *wanted: int) -> None:

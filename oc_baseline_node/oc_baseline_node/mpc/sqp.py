@@ -48,8 +48,8 @@ class StageSqp:
     """Steps of sequential quadratic programming for one program.
 
     Args:
-        program: Nonlinear program.
-        derivatives: Its derivatives.
+        program: Nonlinear program whose variables stand in the order of its stages.
+        derivatives: Functions of the program's gradient, Jacobian and Hessian.
     """
 
     def __init__(self, program: NonlinearProgram, derivatives: Derivatives) -> None:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from ctrl_rl_core.tasks.regions import wrap
+from ctrl_rl_core.tasks.regions import ANGLES, wrap
 from ctrl_rl_core.tasks.rewards import tilt_reward
 from numpy.typing import ArrayLike, NDArray
 
 from ctrl_rl_core import NavigationTask, Outcome, TaskSets, terminal_reward
+from oc_baseline_node.problems.circle import nearest_turn
 
 Array = NDArray[np.float64]
 
@@ -19,7 +20,11 @@ def step_discount(task: NavigationTask, discount: float, time_steps: ArrayLike) 
 
 def rewards(task: NavigationTask, states: ArrayLike) -> tuple[Array, NDArray[np.bool_]]:
     """Return r(x) (Eq. 3.15, 3.17) and whether the episode ends there, both (...), for states (..., n)."""
-    states = np.asarray(states, dtype=float)
+    states = np.array(states, dtype=float)
+    for index, state in enumerate(task.system.build().states):  # regions know angles by their names, not other circles
+        if state.periodic and state.name not in ANGLES and state.name in task.goal.region.intervals:
+            middle = task.goal.region.intervals[state.name].centre
+            states[..., index] = nearest_turn(states[..., index], middle, state.upper - state.lower)
     pays = task.rewards
     outcomes = TaskSets(task).outcomes(states)
     paid = terminal_reward(outcomes, pays, running=pays.intermediate)
