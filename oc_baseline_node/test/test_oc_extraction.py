@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from oc_baseline_node.problems.extraction import CANDIDATES, assess, rl_info
 
-from ctrl_rl_core import Outcome, Region, TaskSets, load_navigation_task
+from ctrl_rl_core import Interval, NavigationTask, Outcome, Region, TaskSets, load_navigation_task
 from oc_baseline_node import OcError, extract, formulate
 
 
@@ -105,3 +105,36 @@ def test_terminal_set_and_goal_that_do_not_meet_are_refused() -> None:
     update = {"optimal_control": spec.model_copy(update={"terminal_set": apart})}
     with pytest.raises(OcError, match="do not meet in 'psi'"):
         formulate(task.model_copy(update=update))
+
+
+def changed_car(**optimal_control: object) -> NavigationTask:
+    """Return the car's task with some constants of its optimal control problem replaced."""
+    task = load_navigation_task("car_navigation")
+    assert task.optimal_control is not None
+    return task.model_copy(update={"optimal_control": task.optimal_control.model_copy(update=optimal_control)})
+
+
+def test_a_control_that_is_left_out_keeps_the_tasks_own_bounds() -> None:
+    problem = formulate(changed_car(controls={"v": Interval(0.0, 0.5)}))
+    assert problem.system.control_bounds.T.tolist() == [[0.0, 0.5], [-2.0, 2.0]]
+    assert problem.sources == ("optimal_control.controls", "system.controls")
+    bare = changed_car(controls={})
+    system = bare.system.model_copy(update={"controls": {"omega": "-0.3 .. 0.3 rad/s"}})
+    problem = formulate(bare.model_copy(update={"system": system}))
+    assert problem.system.control_bounds.T.tolist() == [[1.0, 1.0], [-0.3, 0.3]]
+    assert problem.sources[0] == "the model's own bounds, as the task names none"
+
+
+def test_a_state_cost_that_grows_beyond_numbers_is_refused() -> None:
+    for gamma, horizon in ((10.0, 10_000), (2.0, 1000), (1.5, 700)):
+        with pytest.raises(OcError, match=r"gamma\^horizon = .* take a gamma nearer to 1"):
+            formulate(changed_car(gamma=gamma, horizon=horizon))
+
+
+def test_bounds_of_the_tasks_system_hold_for_trajectories() -> None:
+    task = load_navigation_task("quad_navigation")
+    system = task.system.model_copy(update={"states": {"v_x": "-0.5 .. 0.5 m/s"}})
+    problem = formulate(task.model_copy(update={"system": system}))
+    index = problem.system.state_names.index("v_x")
+    assert problem.state_bounds[:, index].tolist() == [-0.5, 0.5]
+    assert np.isinf(formulate(task).state_bounds[:, index]).all()
