@@ -112,7 +112,7 @@ def test_values_that_lead_nowhere_are_doubted():
     problem = line()
     away = on_grid(problem, 0.1 + problem.axes[0].nodes - problem.axes[0].lower)
     assert "drives arrive; from x" in certify(away, problem).doubts[-1]
-    walled = plane(lambda x, y: np.maximum(np.abs(x) - 0.15, np.abs(y) - 1.9))
+    walled = plane(lambda x, y: np.maximum(np.abs(x + 0.7) - 0.15, np.abs(y) - 1.9))
     assert any(
         "drives arrive" in doubt for doubt in certify(on_grid(walled, solve(plane()).grid.values), walled).doubts
     )
