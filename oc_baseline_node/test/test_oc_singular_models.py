@@ -51,6 +51,15 @@ def test_a_derivative_that_is_no_number_is_named_where_there_is_no_trajectory(tm
     assert reason.endswith("the derivative of the rate of v_x by v_x is nan at the start"), reason
 
 
+def test_equations_that_casadi_cannot_take_are_refused_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(TERMS, "numpy's own", lambda m, v, c: -c * m.heaviside(v, 0.5))
+    problem = make_problem([("numpy's own", 2, 2, 0.3)], tmp_path)
+    with pytest.raises(OcError, match=r"model 'random_model': CasADi cannot differentiate it: .*heaviside"):
+        Mpc(problem).solve(np.zeros(4))
+
+
 def endless() -> casadi.Function:
     """Return fatrop on a program whose Jacobian is NaN at the first point: it never ends."""
     x, u, y = (casadi.SX.sym(name) for name in "xuy")

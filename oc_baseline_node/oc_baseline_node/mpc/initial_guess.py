@@ -106,6 +106,8 @@ def shift_trajectory(states: Array, controls: Array, steps: int) -> tuple[Array,
 def equilibrium_control(system: System) -> Array:
     """Return the control (m,) within bounds that comes nearest to rest at the origin: zero, or hover in flight."""
     n, m = len(system.states), len(system.controls)
+    if not m:
+        return np.zeros(0)
     with np.errstate(all="ignore"):
         drift = system.dynamics(np.zeros(n), np.zeros(m))
         effect = system.dynamics(np.zeros(n), np.eye(m)) - drift  # models are affine in u: row i is the effect of u_i

@@ -92,7 +92,7 @@ def violated_constraint(
         "clearance between samples": problem.clearance
         - _clearance_between_samples(problem, states, controls, time_step),
         "state bounds": max((low - states[1:]).max(), (states[1:] - high).max()),
-        "control bounds": max((u_low - controls).max(), (controls - u_high).max()),
+        "control bounds": np.maximum(u_low - controls, controls - u_high).max(initial=-np.inf),
         "terminal set": problem.terminal_violation(states[-1]),
     }
     for name, violation in checks.items():

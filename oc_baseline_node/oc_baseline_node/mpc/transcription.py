@@ -12,9 +12,11 @@ from typing import Any, Literal
 
 import casadi
 import numpy as np
+from ctrl_rl_core.io.file_checks import one_line
 from numpy.typing import NDArray
 
 from ctrl_rl_core import Region
+from oc_baseline_node.errors import OcError
 from oc_baseline_node.mpc.obstacles import covering_superellipses
 from oc_baseline_node.mpc.rounded import rounded
 from oc_baseline_node.problems.problem import TIME_STEP_RANGE, OptimalControlProblem
@@ -130,10 +132,18 @@ def transcribe(problem: OptimalControlProblem, solver: SolverName, max_iteration
 
 
 def model_rates(problem: OptimalControlProblem) -> tuple[Any, tuple[str, ...]]:
-    """Return x'(x, u) for CasADi without corners, and what was rounded off for that; smooth models stay as they are."""
+    """Return x'(x, u) for CasADi without corners, and what was rounded off for that; smooth models stay as they are.
+
+    Raises:
+        OcError: The model's equations do not work with CasADi.
+    """
     x, u = (casadi.SX.sym(name, len(parts)) for name, parts in (("x", problem.system.states),
                                                                 ("u", problem.system.controls)))  # fmt: skip
-    own = casadi.Function("rates", [x, u], [problem.system.dynamics(x, u, math=casadi)])
+    try:
+        own = casadi.Function("rates", [x, u], [problem.system.dynamics(x, u, math=casadi)])
+    except (AttributeError, TypeError, NotImplementedError) as error:  # of the user's equations
+        said = one_line(str(error).partition("\n")[0])
+        raise OcError(f"model '{problem.system.name}': CasADi cannot differentiate it: {said}") from None
     function, names = rounded(own)
     if function is not own:
         return function, names
