@@ -108,9 +108,9 @@ def test_what_only_switching_reaches_is_found():
 
 
 def test_values_that_lead_nowhere_are_doubted():
-    """As those of a car with two headings were: 0 s everywhere; and those of a world without its wall."""
+    """Values that grow towards the target, and those of a world without its wall."""
     problem = line()
-    away = on_grid(problem, 0.1 + problem.axes[0].nodes - problem.axes[0].lower)
+    away = on_grid(problem, 3.1 - np.abs(problem.axes[0].nodes))
     assert "drives arrive; from x" in certify(away, problem).doubts[-1]
     walled = plane(lambda x, y: np.maximum(np.abs(x + 0.7) - 0.15, np.abs(y) - 1.9))
     assert any(
