@@ -29,6 +29,7 @@ from ttr_reward_node import TimeToReachProblem
 
 TINY = 1e-9
 COUNTS = (81, 162)
+EDGE = 2
 
 
 @dataclass(frozen=True)
@@ -42,6 +43,7 @@ class Cart:
         v: Bounds of v, likewise.
         goal_y: Target in y, within its bounds.
         goal_v: Target in v, within its bounds.
+        edge: Width of what lies within the bounds of y, but where a grid's steps end outside: not known there.
     """
 
     brake: float
@@ -50,12 +52,14 @@ class Cart:
     v: Interval
     goal_y: Interval
     goal_v: Interval
+    edge: float = 0.0
 
     def times(self, y: Array, v: Array) -> Array:
         """Return times (N,) to the target; +inf where never, NaN where the fastest path leaves the bounds of y."""
         best, inside = np.full(y.shape, np.inf), np.zeros(y.shape, dtype=bool)
         for time, low, high in self._paths(y, v):
-            within = (low >= self.y.low - TINY * self.y.length) & (high <= self.y.high + TINY * self.y.length)
+            slack = TINY * self.y.length - self.edge
+            within = (low >= self.y.low - slack) & (high <= self.y.high + slack)
             faster = time < best
             inside = np.where(faster, within, inside)
             best = np.where(faster, time, best)
@@ -197,6 +201,7 @@ def draw_cart(random: np.random.Generator) -> Case:
         Interval(within.low - v0, within.high - v0),
         Interval(*ys),
         Interval(max(goal_v.low, within.low) - v0, min(goal_v.high, within.high) - v0),
+        EDGE * axes[0].spacing / abs(k),
     )
     system = make_system(
         "cart", states, [bounds], cart, {"k": k, "v0": v0, "g": g, "w": w}, [(0.0, 0.0), (-gust, gust)]

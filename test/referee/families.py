@@ -10,8 +10,11 @@ from referee.boats import draw_boat, draw_zermelo
 from referee.carts import draw_cart
 from referee.case import Case
 from referee.drift import draw_stream, draw_turning
+from referee.dubins import draw_dubins
+from referee.products import draw_product
 from referee.scalar import draw_lag, draw_line, draw_nonlinear
 from referee.springs import draw_motor, draw_spring
+from referee.swings import draw_bent, draw_pendulum
 
 FAMILIES: dict[str, Callable[[np.random.Generator], Case]] = {
     "line": draw_line,
@@ -24,6 +27,10 @@ FAMILIES: dict[str, Callable[[np.random.Generator], Case]] = {
     "cart": draw_cart,
     "spring": draw_spring,
     "motor": draw_motor,
+    "bent": draw_bent,
+    "pendulum": draw_pendulum,
+    "product": draw_product,
+    "dubins": draw_dubins,
 }
 
 

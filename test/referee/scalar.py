@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ctrl_rl_core import Interval, Quantity
+from ctrl_rl_core import Axis, Interval, Quantity
 from referee.case import (
     Array,
     Case,
@@ -26,6 +26,7 @@ from referee.case import (
 from ttr_reward_node import TimeToReachProblem
 
 COUNTS = (81, 201)
+CLEAR = 2.0
 
 
 def travel_times(start: Array, end: float, drift: float, equilibrium: float, rate: float) -> Array:
@@ -46,6 +47,20 @@ def scalar_times(x: Array, target: Interval, drift: float, centre: float, low: f
     below = travel_times(x, target.low, drift, centre, high)
     above = travel_times(x, target.high, drift, centre, low)
     return np.where(x < target.low, below, np.where(x > target.high, above, 0.0))
+
+
+def draw_clear_interval(
+    random: np.random.Generator, axis: Axis, drift: float, centre: float, low: float, high: float
+) -> Interval:
+    """Return a target that no equilibrium lies beside.
+
+    Where one lies within a cell of the target's ends, that cell decides whether anything arrives at all.
+    """
+    rests = [centre + rate / drift for rate in (low, high)] if drift else []
+    while True:
+        target = draw_interval(random, axis)
+        if all(abs(rest - end) > CLEAR * axis.spacing for rest in rests for end in target):
+            return target
 
 
 def circle_times(x: Array, target: Interval, period: float, low: float, high: float) -> Array:
@@ -128,7 +143,7 @@ def draw_lag(random: np.random.Generator) -> Case:
     pushes = sorted((gain * bounds[0], gain * bounds[1]))
     gust = random.uniform(0.0, 0.9) * min(-pushes[0], pushes[1]) * random.integers(0, 2)
     low, high = pushes[0] + gust, pushes[1] - gust
-    target = draw_interval(random, axis)
+    target = draw_clear_interval(random, axis, drift, centre, low, high)
     system = make_system(
         "lag",
         [state],
@@ -184,7 +199,7 @@ def draw_nonlinear(random: np.random.Generator) -> Case:
     pushes = sorted((gain * float(values.min()), gain * float(values.max())))
     wind = float(random.uniform(-0.9, 0.9) * min(abs(pushes[0]), abs(pushes[1])) * random.integers(0, 2))
     low, high = pushes[0] + wind, pushes[1] + wind
-    target = draw_interval(random, axis)
+    target = draw_clear_interval(random, axis, drift, centre, low, high)
     system = make_system(
         "nonlinear",
         [state],
