@@ -36,6 +36,7 @@ _GOODBYE_S = 0.1
 
 
 LONGEST = (
+    "test_referee.py",
     "test_robot_env.py",
     "test_hostile_nodes.py",
     "test_nodes.py",
@@ -50,6 +51,7 @@ LONGEST = (
     "test_memory.py",
     "test_policy_demo.py",
     "test_oc_mpc.py",
+    "test_oc_warm_start.py",
     "test_faults.py",
     "test_preflight.py",
     "test_oc_value_data.py",
@@ -58,6 +60,9 @@ LONGEST = (
     "test_safety_filter.py",
     "test_interruption.py",
     "test_oc_maze.py",
+    "test_certificate.py",
+    "test_oc_singular_models.py",
+    "test_oc_circle.py",
     "test_accuracy.py",
     "test_options_loop.py",
     "test_solver.py",
