@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numba import njit
@@ -17,17 +18,24 @@ from numba import njit
 from ctrl_rl_core import Axis, Interval
 from referee.case import Array, Reference
 
-FACE, FAN = 120, 160
-"""Number of extremals from a face and from a corner."""
-STEPS = 2000
+FIRST, ROUNDS, MOST = 40, 8, 600
+"""Extremals from each face and corner to begin with; rounds in which more go between those that part; most of them."""
+APART = 0.03
+"""How far neighbours may part, relative to the grid."""
+STEPS = 1500
 FINER = 4
 EDGE = 2
 """Cells at the grid's edges where a solver's steps end outside: what passes there is not judged."""
+WIDER = 0.5
+"""How far beyond the grid paths are followed, relative to it: where a faster one goes there, the edges bind."""
 WIDEST = 0.2
 """Neighbouring extremals this far apart, relative to the grid, say nothing about what lies between them."""
 
 Field = Callable[[Array, Array], tuple[Array, Array, Array]]
 """Returns g, dg/dx and dg/dv (N,) at x (N,) and v (N,)."""
+
+
+End = Callable[[Array], tuple[Array, Array]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +54,9 @@ class Plane:
         spacing = np.array([a.spacing for a in self.axes]) / FINER
         lower = np.array([a.lower for a in self.axes])
         rounds = np.array([a.periodic for a in self.axes])
-        paths = (self._back(*self._ends(), horizon) - lower) / spacing
+        gap = np.full((1, STEPS + 1, 2), np.nan)
+        parts = [part for fan in self._fans(horizon) for part in (fan, gap)]
+        paths = (np.concatenate(parts) - lower) / spacing
         table, inner = np.full(counts, np.inf), np.full(counts, np.inf)
         _spread(paths, horizon / STEPS, table, rounds, WIDEST * np.array(counts))
         edges = EDGE * FINER
@@ -62,30 +72,32 @@ class Plane:
 
         return times
 
-    def _ends(self) -> tuple[Array, Array]:
-        """Return states (N, 2) on all faces and corners with their outward normals (N, 2), NaN between two of them."""
-        (left, right), (slow, fast) = self.box
-        x, v = np.linspace(left, right, FACE), np.linspace(slow, fast, FACE)
-        zero, one = np.zeros(FACE), np.ones(FACE)
-        size = np.array([right - left, fast - slow])
-        ends = [
-            (np.stack((x, one * fast), axis=1), np.stack((zero, one), axis=1)),
-            (np.stack((x, one * slow), axis=1), np.stack((zero, -one), axis=1)),
-            (np.stack((one * right, v), axis=1), np.stack((one, zero), axis=1)),
-            (np.stack((one * left, v), axis=1), np.stack((-one, zero), axis=1)),
-        ]
-        angles = np.linspace(0.0, 0.5 * np.pi, FAN)
-        for sx, at_x in ((-1.0, left), (1.0, right)):
-            for sv, at_v in ((-1.0, slow), (1.0, fast)):
-                normal = np.stack((sx * np.cos(angles), sv * np.sin(angles)), axis=1) / size
-                ends.append((np.tile([at_x, at_v], (FAN, 1)), normal))
-        gap = np.full((1, 2), np.nan)
-        states = [part for state, _ in ends for part in (state, gap)]
-        normals = [part for _, normal in ends for part in (normal, gap)]
-        return np.concatenate(states), np.concatenate(normals)
+    def _ends(self) -> list[End]:
+        """Return faces and corners: the states (N, 2) and outward normals (N, 2) that numbers (N,) 0..1 stand for."""
+        lows, highs = np.array(self.box).T
+        faces = [partial(_face, lows, highs, axis, side) for axis in range(2) for side in (-1.0, 1.0)]
+        return faces + [partial(_corner, lows, highs, np.array([x, v])) for x in (-1.0, 1.0) for v in (-1.0, 1.0)]
+
+    def _fans(self, horizon: float) -> list[Array]:
+        """Return the paths (N, STEPS + 1, 2) from each face and corner, with more of them where neighbours part."""
+        scale = np.array([axis.upper - axis.lower for axis in self.axes])
+        ends = self._ends()
+        numbers, fans = [np.empty(0)] * len(ends), [np.empty((0, STEPS + 1, 2))] * len(ends)
+        new = [np.linspace(0.0, 1.0, FIRST)] * len(ends)
+        for _ in range(ROUNDS):
+            states, normals = zip(*(end(at) for end, at in zip(ends, new, strict=True)), strict=True)
+            paths = self._back(np.concatenate(states), np.concatenate(normals), horizon)
+            for k, each in enumerate(np.split(paths, np.cumsum([len(at) for at in new])[:-1])):
+                order = np.argsort(np.concatenate((numbers[k], new[k])))
+                numbers[k] = np.concatenate((numbers[k], new[k]))[order]
+                fans[k] = np.concatenate((fans[k], each))[order]
+                new[k] = _between(numbers[k], fans[k] / scale)
+            if not any(len(at) for at in new):
+                break
+        return fans
 
     def _back(self, state: Array, costate: Array, horizon: float) -> Array:
-        """Return the paths (N, STEPS + 1, 2) back in time, NaN from where they leave the grid."""
+        """Return the paths (N, STEPS + 1, 2) back in time, NaN from where they are far outside the grid."""
         dt = horizon / STEPS
         x, v, p, q = *state.T.copy(), *costate.T.copy()
         g = self.field(x, v)[0]
@@ -102,7 +114,8 @@ class Plane:
             gone = np.zeros(len(x), dtype=bool)
             for axis, values in zip(self.axes, (x, v), strict=True):
                 if not axis.periodic:
-                    gone |= (values < axis.lower) | (values > axis.upper)
+                    wider = WIDER * (axis.upper - axis.lower)
+                    gone |= (values < axis.lower - wider) | (values > axis.upper + wider)
             x = np.where(gone, np.nan, x)
             size = np.maximum(np.abs(p), np.abs(q))
             p, q = p / size, q / size
@@ -113,6 +126,30 @@ class Plane:
         """Return derivatives of state and costate by the time left."""
         g, by_x, by_v = self.field(x, v)
         return -v, -(g + u), q * by_x, p + q * by_v
+
+
+def _between(numbers: Array, paths: Array) -> Array:
+    """Return numbers of paths to add: three between two neighbours that part."""
+    apart = np.abs(np.diff(paths, axis=0))
+    parted = np.where(np.isfinite(apart), apart, 0.0).max(axis=(1, 2)) > APART
+    if len(numbers) + 3 * parted.sum() > MOST:
+        return np.empty(0)
+    steps = np.diff(numbers)[parted]
+    return np.concatenate([numbers[:-1][parted] + share * steps for share in (0.25, 0.5, 0.75)])
+
+
+def _face(lows: Array, highs: Array, axis: int, side: float, at: Array) -> tuple[Array, Array]:
+    states = lows + at[:, None] * (highs - lows)
+    states[:, axis] = highs[axis] if side > 0.0 else lows[axis]
+    normals = np.zeros(states.shape)
+    normals[:, axis] = side
+    return states, normals
+
+
+def _corner(lows: Array, highs: Array, sides: Array, at: Array) -> tuple[Array, Array]:
+    states = np.tile(np.where(sides > 0.0, highs, lows), (len(at), 1))
+    angles = 0.5 * np.pi * at
+    return states, sides * np.stack((np.cos(angles), np.sin(angles)), axis=1) / (highs - lows)
 
 
 @njit

@@ -48,7 +48,7 @@ def draw_pendulum(random: np.random.Generator) -> Case:
         return a * np.sin(x) - f * v, a * np.cos(x), np.full(x.shape, -f)
 
     plane = Plane(field, pushes[0] + gust, pushes[1] - gust, boxes, axes)
-    return _finish(pendulum, states, bounds, parameters, gust, boxes, plane, 25.0 / rate)
+    return _finish(pendulum, states, bounds, parameters, gust, boxes, plane, 16.0 / rate)
 
 
 def draw_bent(random: np.random.Generator) -> Case:
@@ -72,7 +72,7 @@ def draw_bent(random: np.random.Generator) -> Case:
         return -a * x * (1.0 + x * x / square) - f * v, -a * (1.0 + 3.0 * x * x / square), np.full(x.shape, -f)
 
     plane = Plane(field, pushes[0] + gust, pushes[1] - gust, boxes, axes)
-    return _finish(bent, states, bounds, parameters, gust, boxes, plane, 25.0 / w)
+    return _finish(bent, states, bounds, parameters, gust, boxes, plane, 16.0 / w)
 
 
 def _finish(
