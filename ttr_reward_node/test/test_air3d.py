@@ -41,7 +41,7 @@ def air3d(counts):
 
 @pytest.fixture(scope="module")
 def solution():
-    return solve(air3d((27, 24, 20)))
+    return solve(air3d((41, 36, 30)))
 
 
 def test_no_more_is_captured_than_the_barrier_encloses(solution):
@@ -65,7 +65,7 @@ def test_no_more_is_captured_than_the_barrier_encloses(solution):
 
 def test_left_and_right_are_alike(solution):
     values = solution.grid.values
-    mirrored = values[:, ::-1, np.concatenate(([0], np.arange(19, 0, -1)))]
+    mirrored = values[:, ::-1, np.concatenate(([0], np.arange(29, 0, -1)))]
     assert np.mean(np.isfinite(values) != np.isfinite(mirrored)) < 0.002
     both = np.isfinite(values) & np.isfinite(mirrored)
     assert np.quantile(np.abs(values[both] - mirrored[both]), 0.99) < 0.01

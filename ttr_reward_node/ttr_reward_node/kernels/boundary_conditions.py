@@ -8,15 +8,17 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from ttr_reward_node.kernels.stencil import Grid, StepTable
+from ttr_reward_node.kernels.stencil import Grid
 
-FREE, NEAR, FIXED = 0, 1, 2
-"""Flags of nodes: far from everything; within reach of target or obstacle; in one of them."""
+FREE, NEAR, FIXED, LOST = 0, 1, 2, 4
+"""Flags of nodes: far from everything; within reach of target or obstacle; in one of them. LOST is added to one of
+these where the first phase has found that the target cannot be reached."""
 
 INTERPOLATE, BLOCKED, PASSES_TARGET = 0.0, -1.0, -2.0
 """Outcomes of a step: interpolate where it ends; it hits an obstacle; it passes by the target, so skip its nodes."""
 
 _OPTIONS = {"error_model": "numpy"}
+_MARGIN = 0.6  # cells that a long step keeps from obstacles: who steers by what grazes them touches them
 
 
 class BoundaryConditions(NamedTuple):
@@ -28,6 +30,7 @@ class BoundaryConditions(NamedTuple):
         disc_axes: Indices of the disc's two axes, -1 for no disc.
         clearance: Distance to the nearest obstacle at the nodes (count, count) [m].
         clearance_axes: Indices of the clearance's axes, twice the same for one axis, -1 for no obstacles.
+        cell: Largest spacing of the clearance's axes [m].
     """
 
     box: NDArray[np.float64]
@@ -35,95 +38,143 @@ class BoundaryConditions(NamedTuple):
     disc_axes: NDArray[np.int64]
     clearance: NDArray[np.float32]
     clearance_axes: NDArray[np.int64]
+    cell: float
+
+
+class Paths(NamedTuple):
+    """Ways of the steps from some slabs, as straight pieces.
+
+    Attributes:
+        durations: Durations (k, pairs) [s]; 0 where there is no step.
+        moves: Displacements after each piece (k, pairs, parts, n) [cells].
+        ahead: Displacements from the end after each piece of a little more of the same (k, pairs, pieces, n) [cells].
+        more: Duration of that (k, pairs) [s]; 0 for none.
+        reach: Largest distance from the start in the plane of the obstacles (k, pairs) [m].
+    """
+
+    durations: NDArray[np.float64]
+    moves: NDArray[np.float32]
+    ahead: NDArray[np.float32]
+    more: NDArray[np.float64]
+    reach: NDArray[np.float64]
 
 
 @njit(**_OPTIONS)
 def find_outcomes(
-    flags: NDArray[np.uint8],
+    nodes: NDArray[np.int64],
+    slabs: NDArray[np.int64],
+    paths: Paths,
     grid: Grid,
-    steps: StepTable,
+    long: NDArray[np.bool_],
     boundary: BoundaryConditions,
     rate: float,
     outcomes: NDArray[np.float32],
 ) -> None:
-    """Fill `outcomes` (near nodes in order, pairs): the discount exp(-rate t) of a hit of the target, or a code.
+    """Fill `outcomes` (N, pairs) of nodes (N,): the discount exp(-rate t) of a hit of the target, or a code.
 
-    A step that ends in a cell which the target's edge cuts is followed by a second one to find the hit: interpolating
-    there would lengthen every path by a part of a cell.
+    A step that ends in a cell which the target's edge cuts goes on for a little under the same control to find the hit:
+    interpolating there would lengthen every path by a part of a cell.
+
+    Args:
+        nodes: Nodes near the target or an obstacle (N,).
+        slabs: Where `paths` has the ways of each node's steps (N,).
+        paths: Ways of the steps.
+        grid: Axes in the layout's order.
+        long: Whether the steps of each pair are long (pairs,).
+        boundary: Target and obstacles.
+        rate: Rate lambda of the transform [1/s].
+        outcomes: Outcomes to fill in (N, pairs).
     """
     n = grid.n
-    durations, moves, _ = steps
-    slabs, pairs = durations.shape
-    inner_size = flags.size // slabs
+    pairs = paths.durations.shape[1]
     start, end = np.zeros(n), np.zeros(n)
-    near = 0
-    for node in range(flags.size):
-        if flags[node] != NEAR:
-            continue
+    for i in range(len(nodes)):
         for k in range(n):
-            start[k] = node // grid.strides[k] % grid.counts[k]
-        slab = node // inner_size
+            start[k] = nodes[i] // grid.strides[k] % grid.counts[k]
+        free = _clearance(start, boundary)
         for p in range(pairs):
-            t = _classify_step(start, slab, p, grid, steps, boundary)
-            if 0.0 <= t <= 1.0:
-                outcomes[near, p] = np.exp(-rate * t * durations[slab, p])
+            duration, move = paths.durations[slabs[i], p], paths.moves[slabs[i], p]
+            outcomes[i, p] = INTERPOLATE
+            if duration == 0.0:
                 continue
-            outcomes[near, p] = BLOCKED if t < 0.0 else INTERPOLATE
-            if t < 0.0 or durations[slab, p] == 0.0:
+            margin = _MARGIN * boundary.cell if long[p] else 0.0
+            t = _classify_step(start, move, free <= paths.reach[slabs[i], p] + margin, margin, grid, boundary)
+            if 0.0 <= t <= 1.0:
+                outcomes[i, p] = np.exp(-rate * t * duration)
+                continue
+            if t < 0.0:
+                outcomes[i, p] = BLOCKED
                 continue
             for k in range(n):
-                end[k] = start[k] + moves[slab, p, 1, k]
+                end[k] = start[k] + move[-1, k]
             if _within_cell_of_target(end, grid, boundary):
-                then = _best_target_hit(end, grid, steps, boundary, rate)
-                outcomes[near, p] = then * np.exp(-rate * durations[slab, p]) if then > 0.0 else PASSES_TARGET
-        near += 1
-
-
-@njit(**_OPTIONS)
-def _best_target_hit(
-    start: NDArray[np.float64], grid: Grid, steps: StepTable, boundary: BoundaryConditions, rate: float
-) -> float:
-    """Discount of hitting the target within a step from between nodes; 0 if none does, whatever the disturbance."""
-    durations, _, controls = steps
-    slab, stride = 0, 1
-    for k in range(grid.n_outer - 1, -1, -1):
-        i = int(np.round(start[k]))
-        i = i % grid.counts[k] if grid.periodic[k] else min(max(i, 0), grid.counts[k] - 1)
-        slab += i * stride
-        stride *= grid.counts[k]
-    worst = 1.0
-    for first in range(0, durations.shape[1], controls):
-        best = 0.0
-        for p in range(first, first + controls):
-            t = _classify_step(start, slab, p, grid, steps, boundary)
-            if 0.0 <= t <= 1.0:
-                best = max(best, np.exp(-rate * t * durations[slab, p]))
-        worst = min(worst, best)
-    return worst
+                more = paths.more[slabs[i], p]
+                t = _classify_step(end, paths.ahead[slabs[i], p], True, 0.0, grid, boundary) if more > 0.0 else 2.0
+                outcomes[i, p] = np.exp(-rate * (duration + t * more)) if 0.0 <= t <= 1.0 else PASSES_TARGET
 
 
 @njit(**_OPTIONS)
 def _classify_step(
-    start: NDArray[np.float64], slab: int, p: int, grid: Grid, steps: StepTable, boundary: BoundaryConditions
+    start: NDArray[np.float64],
+    move: NDArray[np.float32],
+    obstacles: bool,
+    margin: float,
+    grid: Grid,
+    boundary: BoundaryConditions,
 ) -> float:
-    """Fraction of the step after which the target is hit; 2 if it is missed, -1 if an obstacle blocks the path."""
-    if steps.durations[slab, p] == 0.0:
+    """Fraction of the step after which the target is hit; 2 if it is missed, -1 if an obstacle blocks the path.
+
+    Args:
+        start: Start of the step (n,) [cells].
+        move: Displacements after each of its straight pieces (parts, n) [cells].
+        obstacles: Whether any obstacle is near enough to be looked at.
+        margin: Clearance that the path keeps [m].
+        grid: Axes in the layout's order.
+        boundary: Target and obstacles.
+    """
+    aims = _may_hit(start, move, grid, boundary)
+    if not (aims or obstacles):
         return 2.0
-    move = steps.moves[slab, p]
-    for half in range(2):
-        t = _target_entry(start, move, half, grid, boundary)
-        if _obstacle_ahead(start, move, half, min(t, 1.0), boundary):
+    for part in range(len(move)):
+        t = _target_entry(start, move, part, grid, boundary) if aims else 2.0
+        if obstacles and _obstacle_ahead(start, move, part, min(t, 1.0), margin, boundary):
             return -1.0
         if t <= 1.0:
-            return 0.5 * (half + t)
+            return (part + t) / len(move)
     return 2.0
 
 
 @njit(**_OPTIONS)
+def _may_hit(start: NDArray[np.float64], move: NDArray[np.float32], grid: Grid, boundary: BoundaryConditions) -> bool:
+    """Whether the box around a path meets the target's intervals: cheap, and false for most steps."""
+    box = boundary.box
+    for k in range(grid.n):
+        if box[k, 1] - box[k, 0] == np.inf:
+            continue
+        low, high = 0.0, 0.0
+        for part in range(len(move)):
+            low, high = min(low, move[part, k]), max(high, move[part, k])
+        at = start[k]
+        if grid.periodic[k]:
+            middle = 0.5 * (box[k, 0] + box[k, 1])
+            at -= np.round((at - middle) / grid.counts[k]) * grid.counts[k]
+            if high - low > 0.25 * grid.counts[k]:
+                continue
+        if at + high < box[k, 0] - 1e-6 or at + low > box[k, 1] + 1e-6:
+            return False
+    return True
+
+
+@njit(**_OPTIONS)
 def _obstacle_ahead(
-    start: NDArray[np.float64], move: NDArray[np.float32], half: int, end: float, boundary: BoundaryConditions
+    start: NDArray[np.float64],
+    move: NDArray[np.float32],
+    part: int,
+    end: float,
+    margin: float,
+    boundary: BoundaryConditions,
 ) -> bool:
-    """Whether an obstacle blocks a half of the step, taken as straight, up to the fraction `end` of it.
+    """Whether an obstacle blocks a part of the step, taken as straight, up to the fraction `end` of it.
 
     The clearance is sampled every half cell or closer: `problems.obstacles` makes sure that obstacles are at least a
     cell thick.
@@ -132,34 +183,34 @@ def _obstacle_ahead(
     if i < 0:
         return False
     from_i, from_j = start[i], start[j]
-    by_i, by_j = move[half, i], move[half, j]
-    if half == 1:
-        from_i, from_j = from_i + move[0, i], from_j + move[0, j]
-        by_i, by_j = by_i - move[0, i], by_j - move[0, j]
+    by_i, by_j = move[part, i], move[part, j]
+    if part > 0:
+        from_i, from_j = from_i + move[part - 1, i], from_j + move[part - 1, j]
+        by_i, by_j = by_i - move[part - 1, i], by_j - move[part - 1, j]
     count = max(1, int(np.ceil(2.0 * end * max(abs(by_i), abs(by_j)) - 1e-3)))
     for k in range(1, count + 1):
-        part = end * k / count
-        if clearance_at(boundary.clearance, from_i + part * by_i, 0.0 if i == j else from_j + part * by_j) <= 0.0:
+        way = end * k / count
+        if clearance_at(boundary.clearance, from_i + way * by_i, 0.0 if i == j else from_j + way * by_j) <= margin:
             return True
     return False
 
 
 @njit(**_OPTIONS)
 def _target_entry(
-    start: NDArray[np.float64], move: NDArray[np.float32], half: int, grid: Grid, boundary: BoundaryConditions
+    start: NDArray[np.float64], move: NDArray[np.float32], part: int, grid: Grid, boundary: BoundaryConditions
 ) -> float:
-    """Fraction of a half of the step, taken as straight, at which it enters the target; 2 if it does not."""
+    """Fraction of a part of the step, taken as straight, at which it enters the target; 2 if it does not."""
     box = boundary.box
     enter, leave = 0.0, 1.0
     for k in range(grid.n):
         low, high = box[k, 0], box[k, 1]
         if high - low == np.inf:
             continue
-        before = move[0, k] if half == 1 else np.float32(0.0)
+        before = move[part - 1, k] if part > 0 else np.float32(0.0)
         a = start[k] + before
         if grid.periodic[k]:
             a -= np.round((a - 0.5 * (low + high)) / grid.counts[k]) * grid.counts[k]
-        b = move[half, k] - before
+        b = move[part, k] - before
         if b == 0.0:
             if a < low - 1e-6 or a > high + 1e-6:
                 return 2.0
@@ -171,10 +222,10 @@ def _target_entry(
         disc = boundary.disc
         x, y, radius, dx, dy = disc[0], disc[1], disc[2], disc[3], disc[4]
         before_i, before_j = np.float32(0.0), np.float32(0.0)
-        if half == 1:
-            before_i, before_j = move[0, i], move[0, j]
+        if part > 0:
+            before_i, before_j = move[part - 1, i], move[part - 1, j]
         ax, ay = (start[i] + before_i) * dx - x, (start[j] + before_j) * dy - y
-        bx, by = (move[half, i] - before_i) * dx, (move[half, j] - before_j) * dy
+        bx, by = (move[part, i] - before_i) * dx, (move[part, j] - before_j) * dy
         aa, ab, bb = ax * ax + ay * ay - radius * radius, ax * bx + ay * by, bx * bx + by * by
         square = ab * ab - aa * bb
         if square < 0.0 or (bb == 0.0 and aa > 0.0):
@@ -203,6 +254,15 @@ def _within_cell_of_target(end: NDArray[np.float64], grid: Grid, boundary: Bound
         x, y, radius, dx, dy = disc[0], disc[1], disc[2], disc[3], disc[4]
         return np.hypot(end[i] * dx - x, end[j] * dy - y) < radius + np.hypot(dx, dy)
     return True
+
+
+@njit(**_OPTIONS)
+def _clearance(start: NDArray[np.float64], boundary: BoundaryConditions) -> float:
+    """Return the clearance at a node [m]; infinite without obstacles."""
+    i, j = boundary.clearance_axes[0], boundary.clearance_axes[1]
+    if i < 0:
+        return np.inf
+    return clearance_at(boundary.clearance, start[i], 0.0 if i == j else start[j])
 
 
 @njit(**_OPTIONS)

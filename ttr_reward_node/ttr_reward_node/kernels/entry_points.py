@@ -15,13 +15,14 @@ from typing import Any, NamedTuple
 
 from ctrl_rl_core.values.jit_cache import cached_njit
 
-from ttr_reward_node.kernels import boundary_conditions, lax_friedrichs_sweep, safety_sweep, sweep
+from ttr_reward_node.kernels import boundary_conditions, lax_friedrichs_sweep, node_sweep, safety_sweep, sweep
 
 KERNEL_FILES = (
     "stencil.py",
     "row_interpolation.py",
     "boundary_conditions.py",
     "sweep.py",
+    "node_sweep.py",
     "lax_friedrichs_sweep.py",
     "safety_stencil.py",
     "safety_sweep.py",
@@ -29,10 +30,11 @@ KERNEL_FILES = (
 
 
 class Kernels(NamedTuple):
-    """`boundary_conditions.find_outcomes`, `sweep.sweep`, `lax_friedrichs_sweep.sweep`, `safety_sweep.step_back`."""
+    """Those of the modules `boundary_conditions`, `sweep`, `node_sweep`, `lax_friedrichs_sweep` and `safety_sweep`."""
 
     find_outcomes: Callable[..., Any]
     sweep: Callable[..., Any]
+    sweep_nodes: Callable[..., Any]
     lax_friedrichs: Callable[..., Any]
     step_back: Callable[..., Any]
 
@@ -55,6 +57,10 @@ def _make(checksum: int) -> Kernels:
         assert checksum >= 0
         return sweep.sweep(*arguments)
 
+    def sweep_nodes(*arguments: Any) -> Any:
+        assert checksum >= 0
+        return node_sweep.sweep_nodes(*arguments)
+
     def lax_friedrichs(*arguments: Any) -> Any:
         assert checksum >= 0
         return lax_friedrichs_sweep.sweep(*arguments)
@@ -63,5 +69,6 @@ def _make(checksum: int) -> Kernels:
         assert checksum >= 0
         return safety_sweep.step_back(*arguments)
 
-    entries = (find_outcomes, semi_lagrangian, lax_friedrichs, step_back)
-    return Kernels(*(cached_njit(entry, error_model="numpy") for entry in entries))
+    entries = (find_outcomes, semi_lagrangian, sweep_nodes, lax_friedrichs, step_back)
+    # Without the interpreter's lock, so that threads share a sweep.
+    return Kernels(*(cached_njit(entry, error_model="numpy", nogil=True) for entry in entries))

@@ -23,6 +23,7 @@ STENCIL = np.dtype(
         ("begin", np.int64),
         ("end", np.int64),
         ("on_own_row", np.int64),
+        ("long", np.int64),
         ("curves", np.int64),
         ("corner", np.int64, MOST_CORNERS),
         ("corner_shift", np.int64, MOST_CORNERS),
@@ -41,6 +42,7 @@ Fields:
     size: Number of corners; 0 where the step leaves the grid.
     begin, end: Range of j for which all corners lie within their rows.
     on_own_row: 1 where more than half of the weight lies on this very row, else 0.
+    long: 1 for a long step, which counts only where all corners are reachable and no jump lies between them, else 0.
     curves: Number of curves.
     corner: Corner c is node corner[c] + j.
     corner_shift: Cells from the start to each corner along the row.
@@ -54,7 +56,6 @@ Stencil = Any
 """Record of the dtype `STENCIL`."""
 _OPTIONS = {"error_model": "numpy"}
 _INLINE = {"error_model": "numpy", "forceinline": True}
-_ENOUGH = 0.75  # weight of the corners that must be reachable; errors add up over the steps, so half is too little
 
 
 class RowRule(NamedTuple):
@@ -63,18 +64,40 @@ class RowRule(NamedTuple):
     Attributes:
         jump: Largest relative difference of w across a cell that a slope can make; infinite: unreachable corners count
             as w = 0.
+        enough: Weight of the corners that must be reachable.
         periodic: Whether the rows are periodic.
         length: Number of nodes in a row.
     """
 
     jump: np.float32
+    enough: np.float32
     periodic: bool
     length: int
 
 
+class Part(NamedTuple):
+    """Part of the grid that one thread sweeps. It reads the others' values as they were when the sweep began.
+
+    Attributes:
+        begin, end: Range of its nodes.
+        copy: Distance from a node's value to its copy from before the sweep.
+    """
+
+    begin: int
+    end: int
+    copy: int
+
+
 @njit(**_OPTIONS)
 def place_row(
-    grid: Grid, index: Integers, offset: int, slab: SlabOffsets, stencils: NDArray[Any], rows: Integers
+    grid: Grid,
+    index: Integers,
+    part: Part,
+    offset: int,
+    slab: SlabOffsets,
+    ranges: NDArray[np.int8],
+    stencils: NDArray[Any],
+    rows: Integers,
 ) -> int:
     """Fill in the stencils (pairs,) of the row at `index` (n,), whose first node has the given offset.
 
@@ -86,10 +109,10 @@ def place_row(
     for p in range(all_corners.size):
         stencil, corners = stencils[p], all_corners[p]
         stencil.size, stencil.curves, stencil.on_own_row = corners.number, 0, 0
-        begin, end = np.int64(0), last
+        begin, end = _range_of_starts(grid, index, ranges[p], stencil)
         own = np.float32(0.0)
-        for c in range(corners.number):
-            at = _row_of(grid, index, corners, c)
+        for c in range(stencil.size):
+            at = _row_of(grid, index, part, corners, c)
             if at < 0:
                 stencil.size = 0
                 break
@@ -109,7 +132,7 @@ def place_row(
             used = stencil.curves
             begin, end, fits = stencil.begin, stencil.end, True
             for i in range(4):
-                at = _row_of(grid, index, curves, 4 * q + i)
+                at = _row_of(grid, index, part, curves, 4 * q + i)
                 if at < 0:
                     fits = False
                     break
@@ -124,6 +147,23 @@ def place_row(
                 stencil.curve_weight[used] = curves.weight[q]
                 stencil.curves = used + 1
     return n_rows
+
+
+@njit(**_OPTIONS)
+def _range_of_starts(
+    grid: Grid, index: Integers, ranges: NDArray[np.int8], stencil: Stencil
+) -> tuple[np.int64, np.int64]:
+    """Range along the last axis of the nodes whose steps stay on the grid all the way; size 0 if none in this row."""
+    begin, end = np.int64(0), grid.counts[grid.n - 1]
+    for k in range(grid.n_outer, grid.n):
+        low, high = np.int64(ranges[k - grid.n_outer, 0]), np.int64(ranges[k - grid.n_outer, 1])
+        if grid.periodic[k]:
+            continue
+        if k == grid.n - 1:
+            begin, end = max(begin, -low), min(end, grid.counts[k] - high)
+        elif index[k] + low < 0 or index[k] + high >= grid.counts[k]:
+            stencil.size = 0
+    return begin, end
 
 
 @njit(**_OPTIONS)
@@ -173,13 +213,14 @@ def interpolate_row(values: Floats, stencil: Stencil, rule: RowRule, buffers: Fl
             line0, line1 = values[at0 : at0 + size], values[at1 : at1 + size]
             line2, line3 = values[at2 : at2 + size], values[at3 : at3 + size]
             for j in range(size):
-                smooth[j] += weight * _curvature(line0[j], line1[j], line2[j], line3[j])
+                smooth[j] += weight * curvature(line0[j], line1[j], line2[j], line3[j])
     odd = 0
+    instead = np.float32(0.0) if stencil.long else np.float32(-1.0)
     for j in range(m):
         jumps = high[j] - low[j] > jump * high[j]
         odd += 1 if jumps else 0
-        result[j] = np.float32(-1.0) if jumps else discount * total[j]
-    if odd > 0:
+        result[j] = instead if jumps else discount * total[j]
+    if odd > 0 and not stencil.long:
         for j in range(begin, end):
             if out[j] < 0.0:
                 out[j] = discount * interpolate_node(values, stencil, rule, j, False)
@@ -196,7 +237,7 @@ def _fill_periodic(values: Floats, stencil: Stencil, rule: RowRule, out: Floats)
 
 
 @njit(**_INLINE)
-def _curvature(v0: float, v1: float, v2: float, v3: float) -> np.float32:
+def curvature(v0: float, v1: float, v2: float, v3: float) -> np.float32:
     """Second difference between the middle two of four nodes, 0 where it is not clear or a node is unreachable."""
     a, b = v0 - v1 - v1 + v2, v1 - v2 - v2 + v3
     smaller = a if abs(a) < abs(b) else b
@@ -220,7 +261,9 @@ def interpolate_node(values: Floats, stencil: Stencil, rule: RowRule, j: int, pa
             low, high = min(low, v), max(high, v)
     if rule.jump == np.inf:
         return total
-    if reachable == 0.0 or (reachable < _ENOUGH and not past):
+    if stencil.long and (reachable < 0.9999 or high - low > rule.jump * high):
+        return np.float32(0.0)
+    if reachable == 0.0 or (reachable < rule.enough and not past):
         return np.float32(0.0)
     if high - low > rule.jump * high:
         middle = np.float32(0.5) * (high + low)
@@ -239,7 +282,7 @@ def interpolate_node(values: Floats, stencil: Stencil, rule: RowRule, j: int, pa
         if stencil.curve_begin[q] <= j < stencil.curve_end[q]:
             at0, at1 = stencil.curve_node[q, 0] + j, stencil.curve_node[q, 1] + j
             at2, at3 = stencil.curve_node[q, 2] + j, stencil.curve_node[q, 3] + j
-            total += stencil.curve_weight[q] * _curvature(values[at0], values[at1], values[at2], values[at3])
+            total += stencil.curve_weight[q] * curvature(values[at0], values[at1], values[at2], values[at3])
     return total
 
 
@@ -252,8 +295,8 @@ def _corner(values: Floats, stencil: Stencil, rule: RowRule, c: int, j: int) -> 
 
 
 @njit(**_INLINE)
-def _row_of(grid: Grid, index: Integers, offsets: Offsets, c: int) -> int:
-    """Offset of the row in which node c lies; -1 outside the grid."""
+def _row_of(grid: Grid, index: Integers, part: Part, offsets: Offsets, c: int) -> int:
+    """Offset of the row in which node c lies, of its copy where that is another part's; -1 outside the grid."""
     at = offsets.outer[c]
     for k in range(grid.n_outer, grid.n - 1):
         i = index[k] + offsets.shift[c, k - grid.n_outer]
@@ -262,4 +305,4 @@ def _row_of(grid: Grid, index: Integers, offsets: Offsets, c: int) -> int:
         elif i < 0 or i >= grid.counts[k]:
             return -1
         at += i * grid.strides[k]
-    return at
+    return at if part.begin <= at < part.end else at + part.copy

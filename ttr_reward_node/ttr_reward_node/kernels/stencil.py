@@ -19,6 +19,10 @@ from numpy.typing import NDArray
 _OPTIONS = {"error_model": "numpy"}
 MOST_CORNERS, MOST_AXES = 64, 7
 """Most corners of a cell, in six dimensions; most axes, with the dummy axis of a system without inner ones."""
+PER_CELL = 2048
+"""Displacements are whole numbers of this part of a cell: 16 bits hold up to 15 cells."""
+_CELL = 1.0 / PER_CELL
+_ALL = 0.99  # weight of its own node with which a step leads nowhere
 
 GRID = np.dtype(
     [
@@ -36,6 +40,7 @@ periodic is 0 or 1. The last axis is an inner one."""
 OFFSETS = np.dtype(
     [
         ("number", np.int64),
+        ("own", np.float32),
         ("outer", np.int64, MOST_CORNERS),
         ("shift", np.int64, (MOST_CORNERS, MOST_AXES)),
         ("weight", np.float32, MOST_CORNERS),
@@ -46,6 +51,7 @@ OFFSETS = np.dtype(
 
 Fields:
     number: Number of corners, or of curves; 0 where the step leaves the grid.
+    own: Weight of the node itself at which the step begins, which is no corner any more; the others' were 1 less this.
     outer: Offset of each node's slab, in nodes.
     shift: Cells from the start to each node along each inner axis.
     weight: Weight of each corner, or of each curve.
@@ -63,14 +69,22 @@ class StepTable(NamedTuple):
     """Steps of each slab under each pair of disturbance and control, as in `solvers.steps.Steps`.
 
     Attributes:
-        durations: Durations of the steps (slabs, pairs) [s].
-        moves: Displacements after half a step and after a whole one (slabs, pairs, 2, n) [cells].
+        codes: Number of each step's duration (slabs, pairs); 0 where there is no step.
+        ends: Displacements at the end (slabs, pairs, n) [1 / PER_CELL cells].
+        ranges: Lowest and highest cell along each inner axis that a step comes to on its way (slabs, pairs, inner, 2).
+        long: Whether the steps of each pair are long (pairs,): such a step must end where all is known and smooth.
         controls: Number of controls, the faster index of the pairs.
+        discounts: exp(-rate h) by the duration's number; 0 at number 0.
+        durations: Durations h by their number [s].
     """
 
-    durations: NDArray[np.float64]
-    moves: Floats
+    codes: NDArray[np.uint16]
+    ends: NDArray[np.int16]
+    ranges: NDArray[np.int8]
+    long: NDArray[np.bool_]
     controls: int
+    discounts: Floats
+    durations: NDArray[np.float64]
 
 
 class SlabOffsets(NamedTuple):
@@ -104,12 +118,12 @@ def make_grid(counts: Integers, periodic: NDArray[np.bool_], n_outer: int) -> Gr
 
 
 @njit(**_OPTIONS)
-def place_corners(grid: Grid, index: Integers, move: Floats, corners: Offsets) -> None:
-    """Fill in one pair's corners for the slab at `index` (n,) and its displacement `move` (n,) [cells]."""
+def place_corners(grid: Grid, index: Integers, move: NDArray[np.int16], corners: Offsets) -> None:
+    """Fill in one pair's corners for the slab at `index` (n,) and its displacement `move` (n,) [1 / PER_CELL cells]."""
     size = 1
     corners.number, corners.outer[0], corners.weight[0] = 0, 0, 1.0
     for k in range(grid.n):
-        position = np.float64(move[k])
+        position = _CELL * move[k]
         if k < grid.n_outer:
             position += index[k]
         lower = int(np.floor(position))
@@ -144,16 +158,46 @@ def place_corners(grid: Grid, index: Integers, move: Floats, corners: Offsets) -
                 corners.shift[c, k - grid.n_outer] = lower
         if between:
             size *= 2
-    corners.number = size
+    corners.number = _without_own(grid, index, size, corners)
 
 
 @njit(**_OPTIONS)
-def place_curves(grid: Grid, index: Integers, move: Floats, curves: Offsets) -> None:
+def _without_own(grid: Grid, index: Integers, size: int, corners: Offsets) -> int:
+    """Take the node at which the step begins out of the corners; return how many are left, 0 if none weighs much.
+
+    A step of less than a cell, which a game may need, ends in a cell of its own node: w = D (a w + b) is w = D b / (1 -
+    D a), which makes that node neither a reason to call itself unreachable nor slow to converge.
+    """
+    corners.own = np.float32(0.0)
+    here = np.int64(0)
+    for k in range(grid.n_outer):
+        here += index[k] * grid.strides[k]
+    for c in range(size):
+        same = corners.outer[c] == here
+        for j in range(grid.n - grid.n_outer):
+            same &= corners.shift[c, j] == 0
+        if same:
+            own = corners.weight[c]
+            if own > _ALL:
+                return 0
+            last = size - 1
+            corners.outer[c], corners.weight[c] = corners.outer[last], corners.weight[last]
+            for j in range(grid.n - grid.n_outer):
+                corners.shift[c, j] = corners.shift[last, j]
+            for other in range(last):
+                corners.weight[other] /= np.float32(1.0) - own
+            corners.own = own
+            return last
+    return size
+
+
+@njit(**_OPTIONS)
+def place_curves(grid: Grid, index: Integers, move: NDArray[np.int16], curves: Offsets) -> None:
     """Fill in one pair's curves, as `place_corners`; an axis on which four nodes do not fit has none."""
     n = grid.n
     curves.number = 0
     for k in range(n):
-        position = np.float64(move[k])
+        position = _CELL * move[k]
         if k < grid.n_outer:
             position += index[k]
         lower = int(np.floor(position))
@@ -169,8 +213,10 @@ def place_curves(grid: Grid, index: Integers, move: Floats, curves: Offsets) -> 
             curves.outer[4 * q + i] = 0
             for m in range(n):
                 if m < grid.n_outer:
-                    at = lower - 1 + i if m == k else int(np.round(index[m] + move[m]))
+                    at = lower - 1 + i if m == k else int(np.round(index[m] + _CELL * move[m]))
                     at = at % grid.counts[m] if grid.periodic[m] else min(max(at, 0), grid.counts[m] - 1)
                     curves.outer[4 * q + i] += at * grid.strides[m]
                 else:
-                    curves.shift[4 * q + i, m - grid.n_outer] = lower - 1 + i if m == k else int(np.round(move[m]))
+                    curves.shift[4 * q + i, m - grid.n_outer] = (
+                        lower - 1 + i if m == k else int(np.round(_CELL * move[m]))
+                    )

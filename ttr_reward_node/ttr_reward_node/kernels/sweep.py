@@ -16,8 +16,15 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from ttr_reward_node.kernels.boundary_conditions import BLOCKED, FIXED, NEAR, PASSES_TARGET
-from ttr_reward_node.kernels.row_interpolation import STENCIL, RowRule, interpolate_node, interpolate_row, place_row
+from ttr_reward_node.kernels.boundary_conditions import BLOCKED, FIXED, LOST, NEAR, PASSES_TARGET
+from ttr_reward_node.kernels.row_interpolation import (
+    STENCIL,
+    Part,
+    RowRule,
+    interpolate_node,
+    interpolate_row,
+    place_row,
+)
 from ttr_reward_node.kernels.stencil import (
     OFFSETS,
     Floats,
@@ -31,14 +38,16 @@ from ttr_reward_node.kernels.stencil import (
 )
 
 _OPTIONS = {"error_model": "numpy"}
-_TINY = np.float32(1e-30)  # numbers below are slow, and mean unreachable
+_INLINE = {"error_model": "numpy", "forceinline": True}
+TINY = np.float32(1e-30)  # numbers below are slow, and mean unreachable
 
 
 class Nodes(NamedTuple):
     """All nodes of the grid, flat, in the layout's order.
 
     Attributes:
-        values: w at the nodes (nodes,), changed by the sweep.
+        values: w at the nodes (nodes,), changed by the sweep; behind them, where there are two parts, a copy of all
+            from before the sweep.
         flags: FREE, NEAR or FIXED at the nodes (nodes,).
         outcomes: Outcome of each pair's step from the near nodes (near nodes, pairs), from `find_outcomes`.
         row_near: Number of near nodes before each row (rows + 1,).
@@ -54,14 +63,17 @@ class RowHistory(NamedTuple):
     """Times at which rows were done and changed: a row is done again only when a row it looks at has changed.
 
     Attributes:
-        changed: Last change of each row (rows,), in ticks of the clock.
-        seen: Last update of each row (rows,), in ticks of the clock; 0 for none.
-        clock: Number of updates and changes so far (1,).
+        changed: Last change of each row (rows,), in ticks of its part's clock.
+        seen: Last update of each row (rows,), in ticks of its part's clock; 0 for none.
+        clocks: Number of updates and changes so far in each part (parts,).
+        changed_in: Last sweep in which each row changed (rows,); behind them, where there are two parts, a copy of all
+            from before the sweep.
     """
 
     changed: Integers
     seen: Integers
-    clock: Integers
+    clocks: Integers
+    changed_in: Integers
 
 
 class SweepSettings(NamedTuple):
@@ -71,14 +83,20 @@ class SweepSettings(NamedTuple):
         rate: Rate lambda of the transform [1/s].
         jump: Difference of phi across a cell that no slope makes [s]: the corners on the heavier side count alone.
             Infinite: unreachable corners count as w = 0.
+        enough: Weight of the corners that must be reachable for a step to count.
         quiet: Largest change of phi that does not wake the rows that look at this one [s].
         curved: Whether the curvature is added.
+        number: Number of this sweep, from 1.
+        bits: Direction of the sweep: bit k says to go down axis k, where the motion does not say which way to go.
     """
 
     rate: float
     jump: float
+    enough: float
     quiet: float
     curved: bool
+    number: int
+    bits: int
 
 
 class _Row(NamedTuple):
@@ -125,55 +143,69 @@ class _Workspace(NamedTuple):
 
 @njit(**_OPTIONS)
 def sweep(
-    nodes: Nodes, grid: Grid, steps: StepTable, history: RowHistory, settings: SweepSettings, bits: int
+    nodes: Nodes, grid: Grid, steps: StepTable, history: RowHistory, settings: SweepSettings, part: int, parts: int
 ) -> tuple[np.float32, int]:
-    """Update every row (the nodes along the last axis) that looks at a row which has changed.
+    """Update every row (the nodes along the last axis) of a part that looks at a row which has changed.
 
     Args:
-        nodes: All nodes; their values are changed.
+        nodes: All nodes; the values of the part's are changed.
         grid: Axes in the layout's order.
         steps: Steps of each slab under each pair.
         history: Times of the rows' updates and changes, brought up to date.
-        settings: Settings of the interpolation.
-        bits: Direction of the sweep: bit k says to go down axis k, where the motion does not say which way to go.
+        settings: Settings of the sweep.
+        part: Number of the part, from 0: a stretch of the first axis.
+        parts: Number of parts.
 
     Returns:
         The largest change of phi [s], infinite where a node became reachable or unreachable; and the number of rows
         that were updated.
     """
-    n, last = grid.n, grid.counts[grid.n - 1]
-    durations, moves, controls = steps
-    slabs, pairs = durations.shape
-    inner_size = nodes.values.size // slabs
+    n, last, bits = grid.n, grid.counts[grid.n - 1], settings.bits
+    slabs, pairs = steps.codes.shape
+    all_rows = len(history.seen)
+    inner_size = all_rows * last // slabs
     index, down = np.zeros(n, np.int64), np.zeros(n, np.bool_)
     corners, curves = np.zeros(pairs, OFFSETS), np.zeros(pairs, OFFSETS)
     slab_offsets = SlabOffsets(corners, curves)
     rows = np.zeros(pairs * ((1 << n) + 2 * n), np.int64)
     stencils = np.zeros(pairs, STENCIL)
+    for p in range(pairs):
+        stencils[p].long = steps.long[p]
     buffers, found = np.zeros((3, last), np.float32), np.zeros((pairs, last), np.float32)
     work = _Workspace(stencils, buffers, found, np.zeros(pairs, np.int64))
     quiet = np.float32(settings.quiet * settings.rate)
-    rule = RowRule(np.float32(settings.jump * settings.rate), grid.periodic[n - 1] == 1, last)
-    game = _Game(controls, settings.curved or settings.jump == np.inf)
+    rule = RowRule(
+        np.float32(settings.jump * settings.rate), np.float32(settings.enough), grid.periodic[n - 1] == 1, last
+    )
+    game = _Game(steps.controls, settings.curved or settings.jump == np.inf)
     row_near = nodes.row_near
-    changed, seen, clock = history
+    changed, seen, clocks, changed_in = history
+    first, until = part * grid.counts[0] // parts, (part + 1) * grid.counts[0] // parts
+    own = Part(0, all_rows * last, 0)
+    if parts > 1:
+        own = Part(first * grid.strides[0], until * grid.strides[0], all_rows * last)
+    per_first = slabs if grid.n_outer == 0 else slabs // grid.counts[0]
     largest, done = np.float32(0.0), 0
-    for turn in range(slabs):
+    for turn in range(per_first if grid.n_outer == 0 else per_first * (until - first)):
         rest, offset = turn, 0
         for k in range(grid.n_outer - 1, -1, -1):
-            i = rest % grid.counts[k]
-            rest //= grid.counts[k]
-            index[k] = grid.counts[k] - 1 - i if (bits >> k) & 1 else i
+            low, high = (first, until) if k == 0 else (np.int64(0), grid.counts[k])
+            i = rest % (high - low)
+            rest //= high - low
+            index[k] = high - 1 - i if (bits >> k) & 1 else low + i
             offset += index[k] * grid.strides[k]
         slab, slab_offset = offset // inner_size, offset
         for p in range(pairs):
             corners[p].number, curves[p].number = 0, 0
-            if durations[slab, p] > 0.0:
-                stencils[p].discount = np.exp(-settings.rate * durations[slab, p])
-                place_corners(grid, index, moves[slab, p, 1], corners[p])
+            if steps.codes[slab, p] > 0:
+                place_corners(grid, index, steps.ends[slab, p], corners[p])
+                own_weight, discount = corners[p].own, steps.discounts[steps.codes[slab, p]]
+                stencils[p].discount = discount * (1.0 - own_weight) / (1.0 - discount * own_weight)
                 if settings.curved and corners[p].number > 0:
-                    place_curves(grid, index, moves[slab, p, 1], curves[p])
-        _directions(grid, moves[slab], corners, bits, down)
+                    place_curves(grid, index, steps.ends[slab, p], curves[p])
+                    for q in range(curves[p].number):
+                        curves[p].weight[q] /= np.float32(1.0) - own_weight
+        _directions(grid, steps.ends[slab], corners, bits, down)
         for row_turn in range(inner_size // last):
             rest, offset = row_turn, slab_offset
             for k in range(n - 2, grid.n_outer - 1, -1):
@@ -181,34 +213,39 @@ def sweep(
                 rest //= grid.counts[k]
                 index[k] = grid.counts[k] - 1 - i if down[k] else i
                 offset += index[k] * grid.strides[k]
-            n_rows = place_row(grid, index, offset, slab_offsets, stencils, rows)
+            n_rows = place_row(grid, index, own, offset, slab_offsets, steps.ranges[slab], stencils, rows)
             here = offset // last
             fresh = seen[here] == 0
             for i in range(n_rows):
-                fresh |= changed[rows[i] // last] > seen[here]
+                row = rows[i] // last
+                if row < all_rows:
+                    fresh |= changed[row] > seen[here]
+                else:  # a copy: what changed in the sweep before this one is news
+                    fresh |= changed_in[row] == settings.number - 1
             if not fresh:
                 continue
             done += 1
-            clock[0] += 1
-            seen[here] = clock[0]
+            clocks[part] += 1
+            seen[here] = clocks[part]
             near = row_near[here + 1] if down[n - 1] else row_near[here] - 1
             change = _update_row(nodes, _Row(offset, near, down[n - 1]), work, rule, game)
             largest = max(largest, change)
             if change > quiet:
-                clock[0] += 1  # later than `seen`: a row that looks at itself is done again
-                changed[here] = clock[0]
+                clocks[part] += 1  # later than `seen`: a row that looks at itself is done again
+                changed[here] = clocks[part]
+                changed_in[here] = settings.number
     return largest / settings.rate, done
 
 
 @njit(**_OPTIONS)
-def _directions(grid: Grid, moves: Floats, corners: Offsets, bits: int, down: NDArray[np.bool_]) -> None:
+def _directions(grid: Grid, ends: NDArray[np.int16], corners: Offsets, bits: int, down: NDArray[np.bool_]) -> None:
     """Go along each inner axis against the motion, so that a node is done after those it depends on."""
     for k in range(grid.n_outer, grid.n):
         ahead, way = np.float32(0.0), np.float32(0.0)
-        for p in range(len(moves)):
+        for p in range(len(ends)):
             if corners[p].number > 0:
-                ahead += moves[p, 1, k]
-                way += abs(moves[p, 1, k])
+                ahead += np.float32(ends[p, k])
+                way += abs(np.float32(ends[p, k]))
         down[k] = ahead > 0.0 if abs(ahead) > 0.5 * way else ((bits >> k) & 1) == 1
 
 
@@ -237,26 +274,37 @@ def _update_row(nodes: Nodes, row: _Row, work: _Workspace, rule: RowRule, game: 
     for turn in range(last):
         j = last - 1 - turn if down else turn
         flag = flags[offset + j]
-        if flag == FIXED:
+        if flag & NEAR:
+            near += step
+        if flag & (FIXED | LOST):
             continue
         new = news[j]
         for i in range(n_own):
             stencil = stencils[own[i]]
             found[own[i], j] = stencil.discount * interpolate_node(values, stencil, rule, j, False)
             new = max(new, found[own[i], j])
-        if flag == NEAR:
-            near += step
+        if flag & NEAR:
             new = _near_value(nodes, work, near, j, rule, game.controls)
-        if new < _TINY:
+        if new < TINY:
             new = np.float32(0.0)
         elif game.grow and new < values[offset + j]:
             continue
         old = values[offset + j]
         if new != old:
             values[offset + j] = new
-            change = abs(new - old) / max(new, old) if min(new, old) > 0.0 else np.float32(np.inf)
-            largest = max(largest, change)
+            largest = max(largest, change_of(old, new, rule.jump))
     return largest
+
+
+@njit(**_INLINE)
+def change_of(old: np.float32, new: np.float32, jump: np.float32) -> np.float32:
+    """Change of a node's value as that of phi, times the rate; infinite if it becomes reachable or unreachable.
+
+    The first phase only asks whether w is large: there the change is that of w itself.
+    """
+    if jump == np.inf:
+        return abs(new - old)
+    return abs(new - old) / max(new, old) if min(new, old) > 0.0 else np.float32(np.inf)
 
 
 @njit(**_OPTIONS)

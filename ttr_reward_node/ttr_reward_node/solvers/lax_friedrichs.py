@@ -15,7 +15,7 @@ from ttr_reward_node.kernels.lax_friedrichs_sweep import Hamiltonian
 from ttr_reward_node.kernels.stencil import make_grid
 from ttr_reward_node.problems.dependence import check_affine_controls
 from ttr_reward_node.problems.problem import TimeToReachProblem
-from ttr_reward_node.solvers.semi_lagrangian import flat
+from ttr_reward_node.solvers.near_nodes import flat
 from ttr_reward_node.solvers.solution import Progress, SweepResult, require_memory
 from ttr_reward_node.solvers.steps import Layout, make_layout, pairs, rates_under_all_pairs, slab_states
 
@@ -30,7 +30,7 @@ def memory_needed(problem: TimeToReachProblem) -> float:
     layout = make_layout(problem)
     n = len(layout.counts)
     # The rates, and states and viscosity.
-    table = layout.slabs * n * (len(pairs(problem, 2)[0]) * 4.0 + 32.0)
+    table = layout.slabs * n * (len(pairs(problem, problem.system.control_samples(2))[0]) * 4.0 + 32.0)
     return table + problem.points * 22.0 + 2e8  # the last for compiling
 
 
@@ -46,7 +46,7 @@ def solve(
     require_memory(memory_needed(problem), problem.points)
     layout = make_layout(problem)
     # f is affine in control and disturbance: their vertices give the Hamiltonian exactly.
-    u, d, controls = pairs(problem, 2)
+    u, d, controls = pairs(problem, problem.system.control_samples(2))
     rates, viscosity = _tabulate(problem, layout, u, d)
     # A dummy axis has any spacing.
     spacings = np.array([problem.axes[k].spacing for k in layout.order] + [1.0])[: len(layout.counts)]

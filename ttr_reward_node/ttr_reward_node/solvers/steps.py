@@ -4,14 +4,14 @@ Robots move the same way wherever they are: f does not depend on the position, o
 tabulated over the other axes alone (the 72 headings of a car, not its 734,472 nodes), with NumPy, from the one
 definition of f; and the compiled sweep needs to know no system.
 
-A step lasts until the axis that moves fastest, in cells, has moved `cells` whole cells. So it ends on a plane of the
-grid: there is nothing to interpolate along that axis, and a node never refers to itself.
+A step lasts until the axis that moves fastest, in cells, has moved `cells` whole cells, however long that takes. So it
+ends on a plane of the grid: there is nothing to interpolate along that axis, and a node never refers to itself.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -19,12 +19,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrl_rl_core import Axis, System
-from ttr_reward_node.problems.dependence import dependences
+from ttr_reward_node.kernels.stencil import PER_CELL
+from ttr_reward_node.problems.dependence import dependences, is_affine
 from ttr_reward_node.problems.problem import TimeToReachProblem
+from ttr_reward_node.solvers.held_motion import HeldPairs, Room, move_cells
 
-_BLOCK = 1 << 16  # steps that are computed at once
-_TO_PLANE = 4  # corrections of a step's duration until it ends on the plane
-_STIFF = 0.2  # of the longest step: in shorter ones nothing but the fastest axis moves
+_BLOCK = 1 << 13  # steps that are computed at once: their arrays stay in the cache
+_SOME = 4096  # nodes whose rates tell which controls are worth trying
+_FEW_AXES, _MANY_AXES = 2, 4
+_STIFF = (
+    0.2  # of the time in which the slowest axis moves as far at its top speed: in less nothing but the fastest moves
+)
+_PATIENCE = 1.5  # in a game: durations of the fastest pair at a node for which the others hold on at most
+_GRAZE = 0.02  # cells: a path that comes this far beyond a node has not left it
+_MOST_CODES = 1 << 16  # durations that 16 bits can tell apart
+PARTS = 8
+"""Straight pieces that stand for the path of a step."""
+_EDGE = 1e-3  # cells: a step that was cut short at a limit ends there only to rounding
 
 
 class Gridded(Protocol):
@@ -70,16 +81,25 @@ class Steps:
     """Steps of each slab under each pair of disturbance and control, axes in the layout's order.
 
     Attributes:
-        durations: Durations (slabs, pairs) [s]; disturbances are the slower index of the pairs; 0 where nothing moves.
-        moves: Displacements (slabs, pairs, 2, n) [cells] after half of the duration and after all of it.
+        held: Controls and disturbances of the pairs: disturbances vary slowest, then lengths, then controls.
+        lengths: Length of each pair's step [cells].
+        codes: Number of each step's duration (slabs, pairs), 0 where nothing moves, or where the step would leave the
+            limits of an outer axis.
+        durations: Durations by their number [s]; 0 at number 0.
+        ends: Displacements at the end (slabs, pairs, n) [1 / PER_CELL cells].
+        ranges: Lowest and highest cell along each inner axis that a step comes to (slabs, pairs, inner, 2).
         controls: Number of controls, each with each length of step; the number of pairs is a multiple of it.
-        longest: Time to cross a cell along the slowest axis at its top speed [s].
+        crossing: Time to cross a cell along the slowest axis at its top speed [s].
     """
 
+    held: HeldPairs
+    lengths: NDArray[np.float64]
+    codes: NDArray[np.uint16]
     durations: NDArray[np.float64]
-    moves: NDArray[np.float32]
+    ends: NDArray[np.int16]
+    ranges: NDArray[np.int8]
     controls: int
-    longest: float
+    crossing: float
 
 
 def make_layout(problem: Gridded) -> Layout:
@@ -94,24 +114,22 @@ def make_layout(problem: Gridded) -> Layout:
     return Layout(outer, inner, np.array(counts, dtype=np.int64), np.array(periodic))
 
 
-def slab_states(problem: Gridded, layout: Layout) -> NDArray[np.float64]:
-    """States (slabs, n) of the outer nodes, in the problem's order; inner components are at their axis's lower end."""
-    states = np.empty((layout.slabs, len(problem.axes)))
+def slab_states(problem: Gridded, layout: Layout, slabs: NDArray[np.int64] | None = None) -> NDArray[np.float64]:
+    """Return the states (k, n) of slabs (k,), all unless given, in the problem's order; inner ones at the lower end."""
+    chosen = np.arange(layout.slabs) if slabs is None else slabs
+    states = np.empty((len(chosen), len(problem.axes)))
     states[:] = [axis.lower for axis in problem.axes]
     if layout.outer:
-        nodes = np.meshgrid(*(problem.axes[k].nodes for k in layout.outer), indexing="ij")
-        states[:, layout.outer] = np.stack(nodes, axis=-1).reshape(layout.slabs, -1)
+        indices = np.unravel_index(chosen, tuple(layout.counts[: len(layout.outer)]))
+        for k, index in zip(layout.outer, indices, strict=True):
+            states[:, k] = problem.axes[k].nodes[index]
     return states
 
 
 def pairs(
-    problem: TimeToReachProblem, counts: int | tuple[int, ...]
+    problem: TimeToReachProblem, controls: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], int]:
-    """Return controls (p, m) and disturbances (p, n) of all pairs, and the number of controls, the faster index.
-
-    `counts` is how many samples of each control there are; two are the vertices of the box.
-    """
-    controls = problem.system.control_samples(counts) if problem.system.controls else np.zeros((1, 0))
+    """Return controls (p, m) and disturbances (p, n) of all pairs, controls the faster index, and how many they are."""
     disturbances = problem.system.disturbance_samples(2)
     u = np.tile(controls, (len(disturbances), 1))
     d = np.repeat(disturbances, len(controls), axis=0)
@@ -128,122 +146,168 @@ def rates_under_all_pairs(
 
 def crossing_time(problem: TimeToReachProblem) -> float:
     """Return how long the slowest axis takes to cross a cell at its top speed [s]; 0 where nothing moves."""
-    u, d, _ = pairs(problem, 2)
+    layout = make_layout(problem)
+    u, d, _ = pairs(problem, tried_controls(problem, layout))
     spacings = np.array([axis.spacing for axis in problem.axes])
-    return _longest(problem.system, slab_states(problem, make_layout(problem)), u, d, spacings)
-
-
-def make_steps(problem: TimeToReachProblem, layout: Layout, cells: Sequence[float]) -> Steps:
-    """Tabulate the steps; `cells` is how far they go: every control with every one of these lengths."""
-    u, d, controls = pairs(problem, problem.control_counts)
-    states = slab_states(problem, layout)
-    lengths, disturbances, n = len(cells), len(u) // controls, len(layout.order)
-    durations = np.empty((len(states), disturbances, lengths, controls))
-    spacings = np.array([axis.spacing for axis in problem.axes])
-    longest = _longest(problem.system, states, u, d, spacings)
-    size = max(1, _BLOCK // len(u))
-    for begin in range(0, len(states), size):
-        block = slice(begin, begin + size)
-        x = states[block, None]
-        for i, length in enumerate(cells):
-            h = _durations(problem, layout, x, (u, d), length, longest)
-            durations[block, :, i] = h.reshape(-1, disturbances, controls)
-    # Before the moves, which take the most memory, are allocated.
-    useful = np.flatnonzero(_controls_to_keep(problem, durations, cells, longest))
-    if len(useful) < controls:
-        durations = np.take(durations, useful, axis=-1)
-        u, d = (pair.reshape(disturbances, controls, -1)[:, useful].reshape(-1, pair.shape[-1]) for pair in (u, d))
-    pairs_ = disturbances * lengths * len(useful)
-    moves = np.zeros((len(states), disturbances, lengths, len(useful), 2, len(layout.counts)), dtype=np.float32)
-    for begin in range(0, len(states), size):
-        block = slice(begin, begin + size)
-        x = states[block, None]
-        for i in range(lengths):
-            h = durations[block, :, i].reshape(len(x), -1)
-            for half in (0, 1):
-                dt = (0.5 * (half + 1) * h)[..., None]
-                move = _snap((problem.system.step(x, u, d, dt=dt) - x) / spacings)[..., layout.order]
-                moves[block, :, i, :, half, :n] = move.reshape(-1, disturbances, len(useful), n)
-    return Steps(
-        durations=durations.reshape(len(states), pairs_),
-        moves=moves.reshape(len(states), pairs_, 2, len(layout.counts)),
-        controls=lengths * len(useful),
-        longest=longest,
-    )
-
-
-def _controls_to_keep(
-    problem: TimeToReachProblem, durations: NDArray[np.float64], cells: Sequence[float], longest: float
-) -> NDArray[np.bool_]:
-    """Whether each control is kept: the vertices, and those between that do not always make for very short steps.
-
-    Half of a torque that turns a quadrotor's pitch rate round in milliseconds leads nowhere that the whole of it does
-    not.
-    """
-    vertex = np.isin(problem.system.control_samples(problem.control_counts), problem.system.control_bounds)
-    short = durations < _STIFF * longest * np.asarray(cells)[:, None]
-    return np.asarray(vertex.all(axis=-1) | ~short.all(axis=(0, 1, 2)))
-
-
-def _longest(
-    system: System,
-    states: NDArray[np.float64],
-    u: NDArray[np.float64],
-    d: NDArray[np.float64],
-    spacings: NDArray[np.float64],
-) -> float:
-    """Time in which the slowest axis crosses a cell at its top speed [s]."""
     top = np.zeros(len(spacings))
-    size = max(1, _BLOCK // len(u))
-    for begin in range(0, len(states), size):
-        rates = np.abs(rates_under_all_pairs(system, states[begin : begin + size], u, d))
-        top = np.maximum(top, rates.max(axis=(0, 1)))
+    for block in _blocks(layout.slabs, len(u)):
+        states = slab_states(problem, layout, np.arange(block.start, block.stop))
+        with np.errstate(all="ignore"):
+            rates = np.abs(rates_under_all_pairs(problem.system, states, u, d))
+        top = np.fmax(top, np.where(np.isfinite(rates), rates, 0.0).max(axis=(0, 1)))
     top /= spacings
     return float(1.0 / top[top > 0].min()) if top.any() else 0.0
 
 
-def _durations(
-    problem: TimeToReachProblem,
-    layout: Layout,
-    x: NDArray[np.float64],
-    pair: tuple[NDArray[np.float64], NDArray[np.float64]],
-    cells: float,
-    crossing: float,
-) -> NDArray[np.float64]:
-    """Durations (block, pairs) of steps that end `cells` away, or at the edge of the grid on an outer axis.
+def step_lengths(problem: TimeToReachProblem) -> tuple[float, ...]:
+    """Return the lengths of the steps [cells] under each control.
 
-    Args:
-        problem: Problem with the system and the axes.
-        layout: Order of the axes.
-        x: States at which the steps begin (block, 1, n).
-        pair: Controls (pairs, m) and disturbances (pairs, n).
-        cells: Length of the steps [cells].
-        crossing: Time in which the slowest axis crosses a cell at its top speed [s], which limits the durations.
+    Under about one cell a node refers to itself. Lengths without a common divisor reach every heading of a lattice.
+    Each interpolation blurs the value a little, most where the best path runs along a kink (a car that brakes as late
+    as it can), so long steps make it exacter; the shortest finds the moment to switch. In a game both would hold a
+    disturbance for longer than it would hold itself.
     """
-    u, d = pair
-    spacings, longest = np.array([axis.spacing for axis in problem.axes]), cells * crossing
-    rates = np.abs(rates_under_all_pairs(problem.system, x[:, 0], u, d)) / spacings
+    if any(disturbance.lower < disturbance.upper for disturbance in problem.system.disturbances):
+        return (2.0, 3.0)
+    # In three dimensions and more, longer ones cost more than they gain.
+    return (1.0, 2.0, 3.0, 7.0, 15.0) if len(problem.axes) <= _FEW_AXES else (2.0, 3.0)
+
+
+def tried_controls(problem: TimeToReachProblem, layout: Layout) -> NDArray[np.float64]:
+    """Return the controls (k, m) of the steps: the problem's samples, or the vertices of the box alone.
+
+    The vertices are enough for a system that is affine in its controls; the others save switching to and fro. Where
+    each node has steps of its own in four or more dimensions, the tables of all would take most of the memory.
+    """
+    if not layout.inner and len(layout.outer) >= _MANY_AXES and is_affine(problem.system):
+        return problem.system.control_samples(2)
+    samples = problem.control_samples
+    low, high = problem.system.control_bounds
+    free = (low < 0.0) & (high > 0.0)
+    if free.any() and not (samples == np.where(free, 0.0, samples)).all(axis=-1).any():
+        rest = np.where(free, 0.0, 0.5 * (low + high))
+        return np.concatenate((samples, rest[None]))  # to coast: between bounds that differ, the middle is no rest
+    return samples
+
+
+def make_steps(problem: TimeToReachProblem, layout: Layout) -> Steps:
+    """Tabulate the steps: every control with every length of `step_lengths`."""
+    cells = step_lengths(problem)
+    u, d, controls = pairs(problem, tried_controls(problem, layout))
+    spacings = np.array([axis.spacing for axis in problem.axes])
+    crossing = crossing_time(problem)
+    disturbances = len(u) // controls
+    useful = _controls_to_keep(problem, layout, HeldPairs(u, d), crossing)
+    keep = np.tile(useful, disturbances)
+    held = HeldPairs(u[keep], d[keep])
+    shape = (layout.slabs, disturbances, len(cells), int(useful.sum()))
+    durations = np.empty(shape, np.float32)
+    ends = np.empty((*shape, len(layout.order)), np.int16)
+    ranges = np.empty((*shape, len(layout.inner), 2), np.int8)
+    for block in _blocks(layout.slabs, len(held.u)):
+        x = slab_states(problem, layout, np.arange(block.start, block.stop))[:, None]
+        room = _room(problem, layout, x)
+        for i, length in enumerate(cells):
+            motion = move_cells(
+                problem.system, x, held, spacings, room, length, _PATIENCE if disturbances > 1 else None
+            )
+            path = motion.path(PARTS)
+            h = np.where(_leaves(problem, layout, x, path), 0.0, motion.durations)
+            path = path[..., layout.order]
+            per = (len(x), disturbances, shape[-1])
+            durations[block, :, i] = h.reshape(per)
+            ends[block, :, i] = np.rint(path[..., -1, :] * PER_CELL).reshape(*per, -1)
+            along = path[..., len(layout.outer) :]
+            ranges[block, :, i, ..., 0] = np.floor(np.minimum(along.min(axis=-2), 0.0) + _GRAZE).reshape(*per, -1)
+            ranges[block, :, i, ..., 1] = np.ceil(np.maximum(along.max(axis=-2), 0.0) - _GRAZE).reshape(*per, -1)
+    n_pairs = math.prod(shape[1:])
+    codes, book = _numbered(durations.reshape(layout.slabs, n_pairs))
+    u, d = (np.repeat(each.reshape(disturbances, 1, shape[-1], -1), len(cells), axis=1) for each in held)
+    return Steps(
+        held=HeldPairs(u.reshape(n_pairs, -1), d.reshape(n_pairs, -1)),
+        lengths=np.tile(np.repeat(np.asarray(cells), shape[-1]), disturbances),
+        codes=codes,
+        durations=book,
+        ends=ends.reshape(layout.slabs, n_pairs, -1),
+        ranges=ranges.reshape(layout.slabs, n_pairs, len(layout.inner), 2),
+        controls=len(cells) * shape[-1],
+        crossing=crossing,
+    )
+
+
+def _blocks(count: int, width: int) -> Iterator[slice]:
+    """Yield ranges of so many rows that what is computed at once fits into the cache."""
+    size = max(1, _BLOCK // width)
+    for begin in range(0, count, size):
+        yield slice(begin, min(begin + size, count))
+
+
+def _numbered(durations: NDArray[np.float32]) -> tuple[NDArray[np.uint16], NDArray[np.float64]]:
+    """Return numbers of 16 bits for durations, and the durations by their numbers; 0 is number 0.
+
+    Exact where there are few, as of a robot that moves the same way wherever it is; else to 1 part in 5,000, of which
+    steps in a row average the most.
+    """
+    book, codes = np.unique(durations, return_inverse=True)
+    if len(book) < _MOST_CODES:
+        zero = int(len(book) == 0 or book[0] > 0.0)  # number 0 means no step, also where every pair has one
+        return (codes.reshape(durations.shape) + zero).astype(np.uint16), np.concatenate((np.zeros(zero), book))
+    positive = book[book > 0.0].astype(np.float64)
+    logs = np.linspace(math.log(positive[0]), math.log(positive[-1]), _MOST_CODES - 1)
     with np.errstate(divide="ignore"):
-        h = np.minimum(cells / rates.max(axis=-1), longest)
-    # Distances to the edges; without limit on periodic and inner axes.
-    room = np.full((2, len(x), 1, len(spacings)), np.inf)
+        at = (np.log(durations) - logs[0]) / (logs[1] - logs[0])
+    numbers = np.where(durations > 0.0, np.rint(np.maximum(at, 0.0)) + 1.0, 0.0)
+    return numbers.astype(np.uint16), np.concatenate(([0.0], np.exp(logs)))
+
+
+def _controls_to_keep(
+    problem: TimeToReachProblem, layout: Layout, held: HeldPairs, crossing: float
+) -> NDArray[np.bool_]:
+    """Whether each control is kept: the vertices, and those between that do not always make for very short steps.
+
+    Half of a torque that turns a quadrotor's pitch rate round in milliseconds leads nowhere that the whole of it does
+    not. Rates at some of the nodes decide.
+    """
+    controls = tried_controls(problem, layout)
+    if not problem.system.controls:
+        return np.ones(1, dtype=bool)
+    vertex = np.isin(controls, problem.system.control_bounds).all(axis=-1)
+    if vertex.all():
+        return np.asarray(vertex)
+    some = np.unique(np.linspace(0, layout.slabs - 1, _SOME).astype(np.int64))
+    spacings = np.array([axis.spacing for axis in problem.axes])
+    rates = rates_under_all_pairs(problem.system, slab_states(problem, layout, some), *held) / spacings
+    with np.errstate(divide="ignore"):
+        short = 1.0 / np.abs(rates).max(axis=-1) < _STIFF * crossing
+    return np.asarray(vertex | ~short.reshape(-1, len(controls)).all(axis=0))
+
+
+def _room(problem: TimeToReachProblem, layout: Layout, x: NDArray[np.float64]) -> Room:
+    """Return the room of states (k, 1, n): a step is cut short at a limit of an outer axis.
+
+    Along an inner axis, all nodes share the step: it is not cut, and who would leave by it does not take it.
+    """
+    below, above = np.full(x.shape, np.inf), np.full(x.shape, np.inf)
     for k in layout.outer:
-        axis = problem.axes[k]
-        if not axis.periodic:
-            room[0, ..., k] = (x[..., k] - axis.lower) / spacings[k]
-            room[1, ..., k] = (axis.upper - x[..., k]) / spacings[k]
-    for _ in range(_TO_PLANE):
-        move = (problem.system.step(x, u, d, dt=h[..., None]) - x) / spacings
-        limit = np.minimum(np.where(move < 0, room[0], room[1]), cells)
-        # From the edge outwards there is no room at all: the step stays too long, and is refused later.
-        limit = np.where(limit < 1e-6, cells, limit)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            scale = np.nanmin(np.where(move == 0, np.inf, limit / np.abs(move)), axis=-1)
-        h = np.minimum(h * scale, longest)
-    return h
+        low, high = problem.limits[:, k]
+        spacing = problem.axes[k].spacing
+        below[..., k], above[..., k] = (x[..., k] - low) / spacing, (high - x[..., k]) / spacing
+    return Room(below, above)
 
 
-def _snap(moves: NDArray[np.float64], tolerance: float = 1e-4) -> NDArray[np.float64]:
-    """Round moves that are within `tolerance` of whole cells."""
-    whole = np.round(moves)
-    return np.where(np.abs(moves - whole) < tolerance, whole, moves)
+def _leaves(
+    problem: TimeToReachProblem, layout: Layout, x: NDArray[np.float64], moves: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """Whether steps (k, p) from states (k, 1, n) leave the limits of an outer axis; moves (k, p, parts, n) in cells.
+
+    A step from beyond a limit, which may begin at the last node before it, only has to end within.
+    """
+    outside = np.zeros(moves.shape[:2], dtype=bool)
+    for k in layout.outer:
+        low, high = problem.limits[:, k]
+        spacing = problem.axes[k].spacing
+        way = x[..., None, k] + spacing * moves[..., k]
+        beyond = (way < low - _EDGE * spacing) | (way > high + _EDGE * spacing)
+        within = (x[..., k] >= low - _EDGE * spacing) & (x[..., k] <= high + _EDGE * spacing)
+        outside |= np.where(within, beyond.any(axis=-1), beyond[..., -1])
+    return outside

@@ -1,0 +1,329 @@
+"""One sweep of the semi-Lagrangian scheme where f depends on every state: each node has steps of its own. Compiled.
+
+The rule is that of `kernels.sweep`. There, all nodes of a row share their stencils; here, each node finds its own from
+its table of 16-bit displacements, and nothing else is kept. Two sweeps of three only try the step that was best before
+(as policy iteration does): that is most of what the next full sweep would find, at a fraction of its cost.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from ttr_reward_node.kernels.boundary_conditions import BLOCKED, FIXED, INTERPOLATE, LOST, NEAR, PASSES_TARGET
+from ttr_reward_node.kernels.row_interpolation import Part, curvature
+from ttr_reward_node.kernels.stencil import MOST_AXES, PER_CELL, Floats, Grid, Integers, StepTable
+from ttr_reward_node.kernels.sweep import TINY, Nodes, SweepSettings, change_of
+
+_OPTIONS = {"error_model": "numpy"}
+_INLINE = {"error_model": "numpy", "forceinline": True}
+_CELL_AXES, _MOST_CORNERS = 3, 8  # up to so many axes all corners of a cell count, above those of a simplex in it
+_BITS = 11  # PER_CELL is 2 to this power: a shift and a mask split a displacement
+_ROUNDED = 3  # [1 / PER_CELL cells]: a step that was cut short at the edge ends there only to rounding
+_CELL = np.float32(1.0 / PER_CELL)
+_ALL = np.float32(0.99)  # weight of its own node with which a step leads nowhere
+_LEAST_PART = 3  # [1 / PER_CELL cells]: nearer to a node there is no curvature to add
+
+CORNERS = np.dtype(
+    [
+        ("size", np.int64),
+        ("own", np.float32),
+        ("offset", np.int64, _MOST_CORNERS),
+        ("weight", np.float32, _MOST_CORNERS),
+        ("lower", np.int64, MOST_AXES),
+        ("part", np.int64, MOST_AXES),
+        ("between", np.int64),
+        ("sorted_part", np.int64, MOST_AXES),
+        ("sorted_ahead", np.int64, MOST_AXES),
+    ],
+    align=True,
+)
+"""Nodes around the end of one step.
+
+Fields:
+    size: Number of corners; 0 where the step leaves the grid.
+    own: Weight of the node itself at which the step begins, which is no corner (see `stencil.place_corners`).
+    offset, weight: Node and weight of each corner.
+    lower: Index of the lower node along each axis.
+    part: Way from the lower node along each axis [1 / PER_CELL cells].
+    between: Number of axes along which the end is not on a plane of the grid.
+    sorted_part, sorted_ahead: Ways along these in descending order; offsets from their lower to their upper node.
+"""
+
+Corners = Any
+"""Record of the dtype `CORNERS`."""
+
+
+class _Rule(NamedTuple):
+    """Interpolation of one sweep.
+
+    Attributes:
+        jump: Largest relative difference of w across a cell that a slope can make; infinite: unreachable corners count
+            as w = 0.
+        enough: Weight of the corners that must be reachable.
+        curved: Whether the curvature is added.
+    """
+
+    jump: np.float32
+    enough: np.float32
+    curved: bool
+
+
+@njit(**_OPTIONS)
+def sweep_nodes(
+    nodes: Nodes,
+    grid: Grid,
+    steps: StepTable,
+    best: NDArray[np.uint16],
+    settings: SweepSettings,
+    full: bool,
+    part: int,
+    parts: int,
+) -> np.float32:
+    """Update every node of a part.
+
+    Args:
+        nodes: All nodes; the values of the part's are changed.
+        grid: Axes, all of them outer ones.
+        steps: Steps of each node under each pair.
+        best: Best pair of each node (nodes,), found by full sweeps and used by the others.
+        settings: Settings of the sweep.
+        full: Whether all pairs are tried.
+        part: Number of the part, from 0: a stretch of the first axis.
+        parts: Number of parts.
+
+    Returns:
+        The largest change of phi [s], infinite where a node became reachable or unreachable.
+    """
+    n, last = grid.n, grid.counts[grid.n - 1]
+    first, until = part * grid.counts[0] // parts, (part + 1) * grid.counts[0] // parts
+    own = Part(0, len(nodes.flags), 0)
+    if parts > 1:
+        own = Part(first * grid.strides[0], until * grid.strides[0], len(nodes.flags))
+    rule = _Rule(np.float32(settings.jump * settings.rate), np.float32(settings.enough), settings.curved)
+    grow = settings.curved or settings.jump == np.inf or not full
+    # Numba counts references whenever it takes an array out of a tuple: not in the loop.
+    values, flags, outcomes, row_near = nodes
+    codes, ends, long, discounts, controls = steps.codes, steps.ends, steps.long, steps.discounts, steps.controls
+    pairs = codes.shape[1]
+    index = np.zeros(n, np.int64)
+    corners = np.zeros(1, CORNERS)[0]
+    largest = np.float32(0.0)
+    down = (settings.bits >> (n - 1)) & 1 == 1
+    for turn in range((until - first) * grid.strides[0] // last if n > 1 else 1):
+        rest, offset = turn, np.int64(0)
+        for k in range(n - 2, -1, -1):
+            low, high = (first, until) if k == 0 else (np.int64(0), grid.counts[k])
+            i = rest % (high - low)
+            rest //= high - low
+            index[k] = high - 1 - i if (settings.bits >> k) & 1 else low + i
+            offset += index[k] * grid.strides[k]
+        near = row_near[offset // last + 1] if down else row_near[offset // last] - 1
+        for j_turn in range(last):
+            node = offset + (last - 1 - j_turn if down else j_turn)
+            index[n - 1] = node - offset
+            flag = flags[node]
+            if flag & FIXED:
+                continue
+            if flag & NEAR:
+                near += -1 if down else 1
+            if flag & LOST:
+                continue
+            new = np.float32(1.0)
+            for group in range(0, pairs, controls):
+                most = np.float32(0.0)
+                begin, end = group, group + controls
+                if not full:
+                    begin, end = int(best[node]), int(best[node]) + 1
+                for p in range(begin, end):
+                    code = codes[node, p]
+                    outcome = outcomes[near, p] if flag == NEAR else np.float32(INTERPOLATE)
+                    if code == 0 or outcome == BLOCKED:
+                        continue
+                    found = outcome
+                    if outcome <= 0.0:
+                        _place(grid, index, ends, node, p, own, corners)
+                        found = np.float32(0.0)
+                        if corners.size > 0:
+                            past = outcome == PASSES_TARGET
+                            discount = discounts[code]
+                            if corners.own > 0.0:
+                                discount *= (np.float32(1.0) - corners.own) / (np.float32(1.0) - discount * corners.own)
+                            found = discount * _interpolate(values, grid, corners, rule, own, long[p], past)
+                    if found > most:
+                        most = found
+                        if full:
+                            best[node] = p
+                new = min(new, most)
+            old = values[node]
+            if new < TINY:
+                new = np.float32(0.0)
+            if new == old or (new < old and grow and new > 0.0) or (not full and new < old):
+                continue
+            values[node] = new
+            largest = max(largest, change_of(old, new, rule.jump))
+    return largest / settings.rate
+
+
+@njit(**_INLINE)
+def _place(
+    grid: Grid, index: Integers, ends: NDArray[np.int16], node: int, p: int, own: Part, corners: Corners
+) -> None:
+    """Find the corners around the end of a node's step under pair p; `index` (n,) is the node's, `ends` all steps'."""
+    between, base = 0, np.int64(0)
+    corners.size = 0
+    for k in range(grid.n):
+        move = np.int64(ends[node, p, k])
+        lower, part = index[k] + (move >> _BITS), move & (PER_CELL - 1)
+        count, ahead = grid.counts[k], grid.strides[k]
+        if grid.periodic[k]:
+            if lower < 0 or lower >= count:
+                lower %= count
+            if lower == count - 1:
+                ahead = -lower * grid.strides[k]
+        else:
+            if lower == -1 and part >= PER_CELL - _ROUNDED:
+                lower, part = np.int64(0), np.int64(0)
+            if lower == count - 1 and part <= _ROUNDED:
+                part = np.int64(0)
+            if lower < 0 or lower + (part > 0) >= count:
+                return
+        corners.lower[k], corners.part[k] = lower, part
+        base += lower * grid.strides[k]
+        if part > 0:
+            at = between
+            while at > 0 and corners.sorted_part[at - 1] < part:
+                corners.sorted_part[at] = corners.sorted_part[at - 1]
+                corners.sorted_ahead[at] = corners.sorted_ahead[at - 1]
+                at -= 1
+            corners.sorted_part[at], corners.sorted_ahead[at] = part, ahead
+            between += 1
+    corners.between = between
+    size = _cell(base, corners) if grid.n <= _CELL_AXES else _simplex(base, corners)
+    corners.own = np.float32(0.0)
+    for c in range(size):
+        if corners.offset[c] == node:
+            corners.own = corners.weight[c]
+            if corners.own > _ALL:
+                return
+            size -= 1
+            corners.offset[c], corners.weight[c] = corners.offset[size], corners.weight[size]
+            break
+    if corners.own > 0.0:
+        for c in range(size):
+            corners.weight[c] /= np.float32(1.0) - corners.own
+    for c in range(size):
+        if not own.begin <= corners.offset[c] < own.end:
+            corners.offset[c] += own.copy
+    corners.size = size
+
+
+@njit(**_INLINE)
+def _cell(base: int, corners: Corners) -> int:
+    """Fill in all corners of the cell, whose weights are products, and return how many there are: up to 2^n."""
+    size = 1
+    corners.offset[0], corners.weight[0] = base, np.float32(1.0)
+    for k in range(corners.between):
+        upper, ahead = np.float32(corners.sorted_part[k]) * _CELL, corners.sorted_ahead[k]
+        for c in range(size):
+            corners.offset[size + c], corners.weight[size + c] = corners.offset[c] + ahead, corners.weight[c] * upper
+            corners.weight[c] *= np.float32(1.0) - upper
+        size *= 2
+    return size
+
+
+@njit(**_INLINE)
+def _simplex(base: int, corners: Corners) -> int:
+    """Fill in the corners of the simplex in the cell, and return how many there are: up to n + 1.
+
+    From the lowest corner, they go up one axis after the other, first the one along which the end is farthest.
+    """
+    before = np.int64(PER_CELL)
+    for c in range(corners.between + 1):
+        part = corners.sorted_part[c] if c < corners.between else np.int64(0)
+        corners.offset[c], corners.weight[c] = base, np.float32(before - part) * _CELL
+        before = part
+        if c < corners.between:
+            base += corners.sorted_ahead[c]
+    return corners.between + 1
+
+
+@njit(**_INLINE)
+def _interpolate(
+    values: Floats, grid: Grid, corners: Corners, rule: _Rule, own: Part, long: bool, past: bool
+) -> np.float32:
+    """W at the end of a step, by the rule of `row_interpolation.interpolate_node`."""
+    total, low, high = np.float32(0.0), np.float32(1.0), np.float32(0.0)
+    for c in range(corners.size):
+        v = values[corners.offset[c]]
+        total += corners.weight[c] * v
+        low, high = min(low, v), max(high, v)
+    if not past and (rule.jump == np.inf or (low > 0.0 and high - low <= rule.jump * high)):
+        if rule.curved:
+            total += _bend(values, grid, corners, own) / (np.float32(1.0) - corners.own)
+        return total
+    total, reachable, low, high = np.float32(0.0), np.float32(0.0), np.float32(1.0), np.float32(0.0)
+    for c in range(corners.size):
+        v = values[corners.offset[c]]
+        if v > 0.0 and not (past and v == 1.0):
+            total += corners.weight[c] * v
+            reachable += corners.weight[c]
+            low, high = min(low, v), max(high, v)
+    if rule.jump == np.inf:
+        return total  # past the target, in the first phase
+    jumps = high - low > rule.jump * high
+    if long and (jumps or reachable < 0.9999):
+        return np.float32(0.0)
+    if reachable == 0.0 or (reachable < rule.enough and not past):
+        return np.float32(0.0)
+    if jumps:
+        middle = np.float32(0.5) * (high + low)
+        upper, weight = np.float32(0.0), np.float32(0.0)
+        for c in range(corners.size):
+            v = values[corners.offset[c]]
+            if v > middle and not (past and v == 1.0):
+                upper += corners.weight[c] * v
+                weight += corners.weight[c]
+        if weight + weight >= reachable:
+            return upper / weight
+        return (total - upper) / (reachable - weight)
+    return total / reachable
+
+
+@njit(**_OPTIONS)
+def _bend(values: Floats, grid: Grid, corners: Corners, own: Part) -> np.float32:
+    """Curvature along each axis that linear interpolation leaves out, taken at the nearest nodes of the other axes."""
+    nearest = np.int64(0)
+    for k in range(grid.n):
+        nearest += (corners.lower[k] + _ahead(grid, corners, k)) * grid.strides[k]
+    bend = np.float32(0.0)
+    for k in range(grid.n):
+        lower, part, count = corners.lower[k], corners.part[k], grid.counts[k]
+        outside = not grid.periodic[k] and (lower < 1 or lower + 2 >= count)
+        if part < _LEAST_PART or part > PER_CELL - _LEAST_PART or outside:
+            continue
+        base = nearest - (lower + _ahead(grid, corners, k)) * grid.strides[k]
+        v0 = values[_owned(base + (lower - 1) % count * grid.strides[k], own)]
+        v1 = values[_owned(base + lower * grid.strides[k], own)]
+        v2 = values[_owned(base + (lower + 1) % count * grid.strides[k], own)]
+        v3 = values[_owned(base + (lower + 2) % count * grid.strides[k], own)]
+        upper = np.float32(part) * _CELL
+        bend -= np.float32(0.5) * upper * (np.float32(1.0) - upper) * curvature(v0, v1, v2, v3)
+    return bend
+
+
+@njit(**_INLINE)
+def _ahead(grid: Grid, corners: Corners, k: int) -> np.int64:
+    """Cells from the lower node to the nearest one along axis k: 1, or 0, or round the seam."""
+    if 2 * corners.part[k] < PER_CELL:
+        return np.int64(0)
+    return np.int64(1) if corners.lower[k] + 1 < grid.counts[k] else -corners.lower[k]
+
+
+@njit(**_INLINE)
+def _owned(offset: np.int64, own: Part) -> np.int64:
+    """Where the value of a node is read: in its copy if it is another part's."""
+    return offset if own.begin <= offset < own.end else offset + own.copy

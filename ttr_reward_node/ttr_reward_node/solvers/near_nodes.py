@@ -1,0 +1,226 @@
+"""Nodes near target and obstacles, and what becomes of each step from there: found once, before the sweeps."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrl_rl_core import position_indices
+from ttr_reward_node.kernels.boundary_conditions import FIXED, FREE, INTERPOLATE, NEAR, BoundaryConditions, Paths
+from ttr_reward_node.kernels.entry_points import kernels
+from ttr_reward_node.kernels.stencil import Grid, StepTable
+from ttr_reward_node.problems.problem import TimeToReachProblem
+from ttr_reward_node.solvers.held_motion import move_for
+from ttr_reward_node.solvers.steps import PARTS, Layout, Steps, slab_states
+from ttr_reward_node.solvers.threads import share
+
+_FURTHER = 1.5  # cells that a step goes on, about, to find the target in the cell in which it ends
+_BLOCK = 1 << 18  # outcomes that are found at once
+_ROUNDING = 1e-6  # cells: nodes that are this near to a limit are on it
+
+
+@dataclass(frozen=True, eq=False)
+class NearNodes:
+    """What target, obstacles and limits make of the nodes, flat in the layout's order.
+
+    Attributes:
+        values: w at the nodes before the first sweep (nodes,): 1 in the target, 0 elsewhere.
+        flags: FREE, NEAR or FIXED (nodes,).
+        outcomes: Outcome of each pair's step from the near nodes (near nodes, pairs).
+        before_row: Number of near nodes before each row, which is the nodes along the last axis (rows + 1,).
+    """
+
+    values: NDArray[np.float32]
+    flags: NDArray[np.uint8]
+    outcomes: NDArray[np.float32]
+    before_row: NDArray[np.int64]
+
+
+def find_near_nodes(
+    problem: TimeToReachProblem, layout: Layout, steps: Steps, table: StepTable, grid: Grid, rate: float
+) -> NearNodes:
+    """Follow the steps from all nodes that are near enough to target or obstacle for one to meet it.
+
+    Args:
+        problem: Problem with target, obstacles and limits.
+        layout: Order of the axes.
+        steps: Steps of the slabs.
+        table: The same for compiled code.
+        grid: Axes for compiled code.
+        rate: Rate lambda of the transform [1/s].
+    """
+    failed = problem.blocked() | _beyond_limits(problem, layout)
+    shaped = _flags(problem, layout, steps, failed)
+    values = flat((shaped == FIXED) & ~failed, layout).astype(np.float32)
+    flags = flat(shaped, layout)
+    del shaped, failed
+    boundary = _boundary_conditions(problem, layout)
+    plane = [layout.order.index(k) for k in _plane(problem)]
+    spacings = np.array([problem.axes[k].spacing for k in _plane(problem)])
+    candidates = np.flatnonzero(flags == NEAR)
+    inner = flags.size // layout.slabs
+    pairs = steps.codes.shape[1]
+    found = []
+    for begin in range(0, len(candidates), max(1, _BLOCK // pairs)):
+        nodes = candidates[begin : begin + max(1, _BLOCK // pairs)]
+        slabs, local = np.unique(nodes // inner, return_inverse=True)
+        paths = _paths(problem, layout, steps, slabs, plane, spacings)
+        outcomes = np.empty((len(nodes), pairs), np.float32)
+        given = nodes, local, paths, grid, table.long, boundary, rate, outcomes
+        share(partial(_follow, given), 2 if len(nodes) > 1 else 1)
+        matters = (outcomes != INTERPOLATE).any(axis=1)
+        flags[nodes[~matters]] = FREE
+        found.append(outcomes[matters])
+    outcomes = np.concatenate(found) if found else np.empty((0, pairs), np.float32)
+    last = int(grid["counts"][grid["n"] - 1])
+    per_row = np.count_nonzero((flags == NEAR).reshape(-1, last), axis=1)
+    return NearNodes(values, flags, outcomes, np.concatenate(([0], np.cumsum(per_row))))
+
+
+def _follow(given: tuple[Any, ...], part: int, parts: int) -> None:
+    """Fill in one part of the outcomes of some nodes."""
+    nodes, local, *rest, outcomes = given
+    some = slice(part * len(nodes) // parts, (part + 1) * len(nodes) // parts)
+    kernels().find_outcomes(nodes[some], local[some], *rest, outcomes[some])
+
+
+def near_share(problem: TimeToReachProblem, cells: float) -> float:
+    """Return the fraction of nodes, about, from which a step of so many cells may meet target or obstacle."""
+    conditions = _near_conditions(problem, np.full(len(problem.axes), cells + 1.0))
+    share_ = math.prod(float(condition.mean()) for condition in conditions)
+    if problem.clearance is not None:
+        far = cells * math.hypot(*(problem.axes[k].spacing for k in problem.clearance.axes))
+        share_ += float(np.mean(problem.clearance.values <= far))
+    return min(share_, 1.0)
+
+
+def flat(shaped: NDArray[Any], layout: Layout) -> NDArray[Any]:
+    """Values at the nodes (grid shape), flat in the layout's order."""
+    return np.ascontiguousarray(shaped.transpose(layout.order)).ravel()
+
+
+def _paths(
+    problem: TimeToReachProblem,
+    layout: Layout,
+    steps: Steps,
+    slabs: NDArray[np.int64],
+    plane: list[int],
+    spacings: NDArray[np.float64],
+) -> Paths:
+    """Return the ways of the steps from some slabs: tables hold only their ends."""
+    durations = steps.durations[steps.codes[slabs]]
+    all_spacings = np.array([axis.spacing for axis in problem.axes])
+    states = slab_states(problem, layout, slabs)[:, None]
+    motion = move_for(problem.system, states, steps.held, all_spacings, durations)
+    there = (durations > 0.0)[..., None]
+    moves = np.where(there[..., None], motion.path(PARTS), 0.0)[..., layout.order].astype(np.float32)
+    ahead, more = _go_on(problem, steps, states + motion.moves * all_spacings, np.abs(motion.last).max(axis=-1))
+    forward = np.ascontiguousarray(ahead[..., layout.order], dtype=np.float32)
+    reach = np.linalg.norm(moves[..., plane] * spacings, axis=-1).max(axis=-1).astype(np.float64)
+    return Paths(durations, np.ascontiguousarray(moves), forward, more, reach)
+
+
+def _go_on(
+    problem: TimeToReachProblem, steps: Steps, ends: NDArray[np.float64], fastest: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return displacements (k, p, 2, n) [cells] after each half of a little more of the same, and durations (k, p) [s].
+
+    `ends` (k, p, n) is where the steps end, and `fastest` (k, p) their rate along the fastest axis there [cells/s].
+    """
+    spacings = np.array([axis.spacing for axis in problem.axes])
+    moving = np.isfinite(fastest) & (fastest > 0.0)
+    more = np.where(moving, _FURTHER / np.where(moving, fastest, 1.0), 0.0)
+    with np.errstate(all="ignore"):
+        half = problem.system.step(ends, *steps.held, dt=0.5 * more[..., None])
+        whole = problem.system.step(half, *steps.held, dt=0.5 * more[..., None])
+        ahead = np.stack((half - ends, whole - ends), axis=-2) / spacings
+    # Where the motion comes to rest, or turns, within that time, two straight pieces do not follow it.
+    smooth = np.isfinite(ahead).all(axis=(-2, -1)) & (np.abs(ahead).max(axis=(-2, -1)) <= 2.0 * _FURTHER)
+    more = np.where(smooth, more, 0.0)
+    return np.where(smooth[..., None, None], ahead, 0.0), more
+
+
+def _plane(problem: TimeToReachProblem) -> tuple[int, ...]:
+    """Axes that the clearance spans."""
+    return () if problem.clearance is None else problem.clearance.axes
+
+
+def _boundary_conditions(problem: TimeToReachProblem, layout: Layout) -> BoundaryConditions:
+    """Return target and obstacles for compiled code."""
+    box = np.tile((-np.inf, np.inf), (len(layout.order), 1))
+    for k, axis in enumerate(problem.axes):
+        if axis.name in problem.target.intervals:
+            low, high = problem.target.intervals[axis.name]
+            box[layout.order.index(k)] = (low - axis.lower) / axis.spacing, (high - axis.lower) / axis.spacing
+    disc, disc_axes = np.zeros(5), np.array([-1, -1])
+    if problem.target.disc is not None:
+        i, j = position_indices(problem.system.state_names)
+        a, b, target = problem.axes[i], problem.axes[j], problem.target.disc
+        disc[:] = target.centre[0] - a.lower, target.centre[1] - b.lower, target.radius, a.spacing, b.spacing
+        disc_axes[:] = layout.order.index(i), layout.order.index(j)
+    clearance, clearance_axes = np.zeros((1, 1), np.float32), np.array([-1, -1])
+    if problem.clearance is not None:
+        clearance = problem.clearance.values.reshape(problem.clearance.values.shape[0], -1)
+        clearance_axes[:] = [layout.order.index(problem.clearance.axes[i]) for i in (0, -1)]
+    cell = max((problem.axes[k].spacing for k in _plane(problem)), default=0.0)
+    return BoundaryConditions(
+        box, disc, disc_axes, np.ascontiguousarray(clearance, dtype=np.float32), clearance_axes, cell
+    )
+
+
+def _flags(problem: TimeToReachProblem, layout: Layout, steps: Steps, failed: NDArray[np.bool_]) -> NDArray[np.uint8]:
+    """Flag the nodes (grid shape): within a step, and a cell, of the target, or within a step of an obstacle: near."""
+    order = list(layout.order)
+    reach = np.full(len(order), float(steps.lengths.max()))
+    far = float(steps.lengths.max()) * math.hypot(*(problem.axes[k].spacing for k in _plane(problem)))
+    flags = np.where(_near_target(problem, reach + 1.0), np.uint8(NEAR), np.uint8(0))
+    flags = np.array(np.broadcast_to(flags, problem.counts))
+    if problem.clearance is not None:
+        near = problem.clearance.values <= far
+        flags[np.broadcast_to(problem.spread(near), problem.counts)] = NEAR
+    flags[failed | problem.in_target()] = FIXED
+    return flags
+
+
+def _beyond_limits(problem: TimeToReachProblem, layout: Layout) -> NDArray[np.bool_]:
+    """Whether nodes (grid shape) lie beyond the state's limits, where everything has failed.
+
+    Steps are cut short at a limit of an outer axis, which may lie between two nodes: the outer of the two is kept, so
+    that there is a value on both sides to interpolate between.
+    """
+    beyond = np.zeros((1,) * len(problem.axes), dtype=bool)
+    for k, axis in enumerate(problem.axes):
+        low, high = problem.limits[:, k]
+        slack = (1.0 - _ROUNDING if k in layout.outer else _ROUNDING) * axis.spacing
+        beyond = beyond | problem.along(k, (axis.nodes < low - slack) | (axis.nodes > high + slack))
+    return np.broadcast_to(beyond, problem.counts)
+
+
+def _near_target(problem: TimeToReachProblem, cells: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Whether nodes lie within so many cells (n,) of the target along every axis; broadcasts to the grid."""
+    near = np.ones((1,) * len(problem.axes), dtype=bool)
+    for condition in _near_conditions(problem, cells):
+        near = near & condition
+    return near
+
+
+def _near_conditions(problem: TimeToReachProblem, cells: NDArray[np.float64]) -> Iterator[NDArray[np.bool_]]:
+    """Yield what `_near_target` consists of: one condition an axis, and the disc's; each broadcasts to the grid."""
+    for k, axis in enumerate(problem.axes):
+        if axis.name in problem.target.intervals:
+            low, high = problem.target.intervals[axis.name]
+            offset = axis.nodes - 0.5 * (low + high)
+            if axis.periodic:
+                offset -= np.round(offset / (axis.upper - axis.lower)) * (axis.upper - axis.lower)
+            yield problem.along(k, np.abs(offset) <= 0.5 * (high - low) + cells[k] * axis.spacing)
+    if problem.target.disc is not None:
+        i, j = position_indices(problem.system.state_names)
+        points = np.stack(np.broadcast_arrays(*(problem.along(k, problem.axes[k].nodes) for k in (i, j))), axis=-1)
+        far = math.hypot(*(cells[k] * problem.axes[k].spacing for k in (i, j)))
+        yield problem.target.disc.signed_distance(points) <= far

@@ -1,0 +1,99 @@
+"""Sweeps over the nodes in parts, by the kernel that suits the layout: rows of nodes alike, or each node by itself."""
+
+from __future__ import annotations
+
+import math
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ttr_reward_node.kernels.boundary_conditions import LOST
+from ttr_reward_node.kernels.entry_points import kernels
+from ttr_reward_node.kernels.stencil import Grid, StepTable
+from ttr_reward_node.kernels.sweep import Nodes, RowHistory, SweepSettings
+from ttr_reward_node.solvers.near_nodes import NearNodes
+from ttr_reward_node.solvers.steps import Layout
+from ttr_reward_node.solvers.threads import share
+
+_LARGE = 1_000_000  # nodes from which on a sweep is worth two threads
+_THICK = 8  # nodes along the first axis in each of two parts: what is at their border is one sweep old
+_FULL_EVERY = 3  # of the sweeps over single nodes, one in so many tries all steps
+
+
+class Sweeper(Protocol):
+    """Values of the nodes, and sweeps that bring them nearer to the solution."""
+
+    values: NDArray[np.float32]
+
+    def sweep(self, settings: SweepSettings, in_phase: int) -> float:
+        """Do sweep number `in_phase` of a phase; return the largest change [s], NaN if nothing shows by it."""
+
+    def restart(self, lost: NDArray[np.bool_] | None = None) -> None:
+        """Forget what has settled, because the next sweeps have other settings; leave `lost` nodes as they are."""
+
+
+def make_sweeper(layout: Layout, grid: Grid, table: StepTable, near: NearNodes) -> Sweeper:
+    """Return the sweeper for a layout: where no axis is an inner one, no two nodes share their steps."""
+    thick = len(layout.order) > 1 and bool(layout.outer) and int(layout.counts[0]) >= 2 * _THICK
+    parts = 2 if near.flags.size >= _LARGE and thick else 1
+    return (_RowSweeper if layout.inner else _NodeSweeper)(grid, table, near, parts)
+
+
+class _RowSweeper:
+    def __init__(self, grid: Grid, table: StepTable, near: NearNodes, parts: int) -> None:
+        self._grid, self._table, self._parts, self._size = grid, table, parts, near.values.size
+        self._nodes = Nodes(np.tile(near.values, parts), near.flags, near.outcomes, near.before_row)
+        rows = len(near.before_row) - 1
+        self._history = RowHistory(
+            np.zeros(rows, np.int64),
+            np.zeros(rows, np.int64),
+            np.zeros(parts, np.int64),
+            np.zeros(parts * rows, np.int64),
+        )
+        self._rows = rows
+        self.values = self._nodes.values[: self._size]
+
+    def sweep(self, settings: SweepSettings, in_phase: int) -> float:
+        del in_phase
+        if self._parts > 1:  # each part reads the other as it is now, however fast that one's thread is
+            self._nodes.values[self._size :] = self.values
+            self._history.changed_in[self._rows :] = self._history.changed_in[: self._rows]
+        changes = share(
+            lambda part, parts: kernels().sweep(
+                self._nodes, self._grid, self._table, self._history, settings, part, parts
+            )[0],
+            self._parts,
+        )
+        return float(max(changes))
+
+    def restart(self, lost: NDArray[np.bool_] | None = None) -> None:
+        self._history.seen[:] = 0
+        if lost is not None:
+            self._nodes.flags[lost] |= LOST
+
+
+class _NodeSweeper:
+    def __init__(self, grid: Grid, table: StepTable, near: NearNodes, parts: int) -> None:
+        self._grid, self._table, self._parts, self._size = grid, table, parts, near.values.size
+        self._nodes = Nodes(np.tile(near.values, parts), near.flags, near.outcomes, near.before_row)
+        self._best = np.zeros(near.values.size, np.uint16)
+        # With a disturbance, the best step is another one for each of its values.
+        self._every = _FULL_EVERY if table.codes.shape[1] == table.controls else 1
+        self.values = self._nodes.values[: self._size]
+
+    def sweep(self, settings: SweepSettings, in_phase: int) -> float:
+        full = in_phase % self._every == 0
+        if self._parts > 1:
+            self._nodes.values[self._size :] = self.values
+        changes = share(
+            lambda part, parts: kernels().sweep_nodes(
+                self._nodes, self._grid, self._table, self._best, settings, full, part, parts
+            ),
+            self._parts,
+        )
+        return float(max(changes)) if full else math.nan
+
+    def restart(self, lost: NDArray[np.bool_] | None = None) -> None:
+        if lost is not None:
+            self._nodes.flags[lost] |= LOST
