@@ -13,6 +13,7 @@ COMPILED = {
     "safety filter": [answer],
     "flight guard": [best_escape, nearest_safe, record],
     "time to reach": [kernels().find_outcomes, kernels().sweep],
+    "time to reach, node by node": [kernels().find_outcomes, kernels().sweep_nodes],
     "navigator": [choose, march],
     "values of cars": [value_at, values_at, gradient_at],
     "values of quadrotors": [value_at, values_at, gradient_at],

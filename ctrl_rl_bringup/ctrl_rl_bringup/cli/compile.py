@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from math import pi
 
 import numpy as np
 from ctrl_rl_core.command import parse_options, run_command
 from ctrl_rl_core.processes.workers import map_in_processes
 
-from ctrl_rl_core import Axis, ValueGrid
+from ctrl_rl_core import Axis, Interval, Quantity, Region, System, ValueGrid
 
 
 @dataclass(frozen=True)
@@ -60,6 +61,23 @@ def _solver() -> None:
     solve(problem_from_task("car_ttr", counts=(11, 11, 8), inflation=0.5), max_sweeps=2, certify=False)
 
 
+def _solver_of_nodes() -> None:
+    """Compile the sweep of systems whose f depends on every state."""
+    from ttr_reward_node import TimeToReachProblem, solve
+
+    pendulum = System(
+        name="pendulum",
+        states=(Quantity("angle", "rad", -pi, pi, periodic=True), Quantity("rate", "rad/s")),
+        controls=(Quantity("push", "1", -1.0, 1.0),),
+        disturbances=(Quantity("d_angle", "rad/s", 0.0, 0.0), Quantity("d_rate", "rad/s^2", 0.0, 0.0)),
+        parameters={},
+        equations=lambda m, _p: lambda x, u, d: (x[1] + d[0], m.sin(x[0]) + u[0] + d[1]),
+    )
+    axes = (Axis("angle", "rad", -pi, pi, 16, periodic=True), Axis("rate", "rad/s", -3.0, 3.0, 15))
+    target = Region({"angle": Interval(-0.8, 0.8), "rate": Interval(-0.8, 0.8)})
+    solve(TimeToReachProblem(pendulum, axes, target), max_sweeps=2, certify=False)
+
+
 def _navigator() -> None:
     from ctrl_rl_navigation.driving.navigator import warm_up
     from ctrl_rl_navigation.robot import DriveLimits
@@ -82,6 +100,7 @@ KERNELS: dict[str, Callable[[], None]] = {
     "safety filter": _filter,
     "flight guard": _flight_guard,
     "time to reach": _solver,
+    "time to reach, node by node": _solver_of_nodes,
     "navigator": _navigator,
     "values of cars": partial(_values, 3),
     "values of quadrotors": partial(_values, 4),
