@@ -31,7 +31,7 @@ _STIFF = (
     0.2  # of the time in which the slowest axis moves as far at its top speed: in less nothing but the fastest moves
 )
 _PATIENCE = 1.5  # in a game: durations of the fastest pair at a node for which the others hold on at most
-_GRAZE = 0.02  # cells: a path that comes this far beyond a node has not left it
+_GRAZE = 0.25  # cells: a path that comes this far beyond a node has not left it
 _MOST_CODES = 1 << 16  # durations that 16 bits can tell apart
 PARTS = 8
 """Straight pieces that stand for the path of a step."""
