@@ -26,7 +26,7 @@ from ttr_reward_node import TimeToReachProblem
 COUNT = 2 * len(FAMILIES)
 ALL = 200
 PLAIN_LIMIT = 0.06
-"""Median error of plain value iteration on cells half as wide as the grid's."""
+"""Median error of plain value iteration on finer cells."""
 
 
 @pytest.mark.parametrize("family", FAMILIES)
@@ -76,7 +76,7 @@ def test_closed_forms_of_one_state_are_those_of_plain_value_iteration(family: st
 def test_times_are_those_of_plain_value_iteration(family: str) -> None:
     seed = next(s for s in seeds_of(family, 0) if len(draw(s).problem.axes) == 2 or family == "dubins")
     case = draw(seed)
-    finer = 1 if family == "dubins" else 2
+    finer = {"dubins": 1, "bent": 5, "pendulum": 5}.get(family, 2)  # swings take long, and errors add up
     verdict = judge_many(case, plain_times(case.problem, finer, 24 if family == "zermelo" else 3), seed)
     assert verdict.median <= PLAIN_LIMIT, describe(verdict)
     assert verdict.lost + verdict.gained <= 0.01 * verdict.states, describe(verdict)
