@@ -83,7 +83,10 @@ def test_independent_parts_lose_nothing():
     assert np.abs(gap.differences).max() < 1.1 * crossing_time(whole)
 
 
-def test_gap_of_the_quadrotor(quadrotor, tmp_path):
+@pytest.mark.slow
+def test_gap_of_the_quadrotor(tmp_path):
+    """On axes of five nodes the whole is too coarse to be told from its bound."""
+    quadrotor = problem_from_task("quad_ttr", counts={"x": 13, "v_x": 9, "z": 13, "v_z": 9, "psi": 13, "omega": 7})
     told = []
     gaps = measure_decomposition_errors(
         quadrotor, DECOMPOSITIONS["planar_quadrotor"].values(), progress=lambda *args: told.append(args)
