@@ -1,11 +1,11 @@
 """The semi-Lagrangian solver: from each node to where the controls take it in a few cells, until nothing changes.
 
 It sweeps in three phases. First without any judgement of what is unreachable: w only grows, towards the one solution of
-a monotone scheme, so no node can come to lean on others that lean on it. Time costs little of w there: it is the share of
-all ways that arrive. Nodes below _LOST are unreachable for good. Those below _CUT have to be reached anew in the second
-phase, by steps of which most of the weight is reachable, which makes the edge of what can be reached sharp. Then the
-curvature of `kernels.row_interpolation` is added; w only grows again, because a scheme with curvature is not monotone and
-would go to and fro. Nodes above _FOUND that steps of so much weight have missed, along an edge, get their times at last.
+a monotone scheme, so no node can come to lean on others that lean on it. Time costs little of w there: it is the share
+of all ways that arrive. Nodes below _LOST are unreachable for good. Those below _CUT have to be reached anew in the
+second phase, by steps of which most of the weight is reachable, which makes the edge of what can be reached sharp. Then
+the curvature of `kernels.row_interpolation` is added; w only grows again, because a scheme with curvature is not
+monotone and would go to and fro. Nodes above _FOUND that such steps have missed, along an edge, get their times last.
 
 Finite jumps stay as wide as linear interpolation makes them, a few cells, on the side of longer times: sharpened ones
 are nearer the truth on average, but who steers by them drives over the edge.
