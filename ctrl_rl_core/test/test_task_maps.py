@@ -99,6 +99,8 @@ def test_a_task_without_newer_parts_keeps_its_digest():
         left_out = dict.fromkeys(("about", "source", "differences", *unused), True)
         if isinstance(task, NavigationTask):
             left_out["robot"] = {"footprint"}
+            if not task.system.states:
+                left_out["system"] = {"states"}
         before = task.model_dump_json(exclude=left_out)
         assert task_digest(task) == sha256(before.encode()).hexdigest()
         if isinstance(task, NavigationTask):
