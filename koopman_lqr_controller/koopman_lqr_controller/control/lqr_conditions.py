@@ -18,7 +18,7 @@ _DEFINITE = 1e-12
 """Eigenvalue of a cost, its diagonal made 1, that counts as 0."""
 _UNDAMPED = 1.0 - 1e-10
 """Modulus from which a mode does not fade by itself."""
-_UNREACHED = 1e-12
+_UNREACHED = 1e-15
 """Distance of [p I - A, B] from losing rank, relative to its size, that is rounding."""
 
 
