@@ -27,9 +27,7 @@ from ttr_reward_node.solvers.held_motion import HeldPairs, Room, move_cells
 _BLOCK = 1 << 13  # steps that are computed at once: their arrays stay in the cache
 _SOME = 4096  # nodes whose rates tell which controls are worth trying
 _FEW_AXES, _MANY_AXES = 2, 4
-_STIFF = (
-    0.2  # of the time in which the slowest axis moves as far at its top speed: in less nothing but the fastest moves
-)
+_STIFF = 0.2  # of the time in which the slowest axis crosses a cell at its top speed: in less only the fastest moves
 _PATIENCE = 1.5  # in a game: durations of the fastest pair at a node for which the others hold on at most
 _GRAZE = 0.25  # cells: a path that comes this far beyond a node has not left it
 _MOST_CODES = 1 << 16  # durations that 16 bits can tell apart
