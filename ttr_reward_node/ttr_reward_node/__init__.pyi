@@ -7,6 +7,7 @@ from .problems.from_task import with_disturbances as with_disturbances
 from .problems.problem import Clearance as Clearance
 from .problems.problem import TimeToReachProblem as TimeToReachProblem
 from .problems.safety import SafetyGame as SafetyGame
+from .rewards.progress import TimeToReach as TimeToReach
 from .rewards.relabel import relabel as relabel
 from .rewards.rewards import REWARDS as REWARDS
 from .rewards.rewards import EvaluatedReward as EvaluatedReward
@@ -27,6 +28,9 @@ from .solvers.solver import METHODS as METHODS
 from .solvers.solver import memory_needed as memory_needed
 from .solvers.solver import solve as solve
 from .solvers.solver import solve_task as solve_task
+from .solving import solve_value as solve_value
+from .training.time_to_reach_reward import TimeToReachReward as TimeToReachReward
+from .training.time_to_reach_reward import TimeToReachVectorReward as TimeToReachVectorReward
 from .values.decomposed_value import DecomposedValue as DecomposedValue
 from .values.value_file import load_value as load_value
 from .verification.check import check_task as check_task

@@ -17,15 +17,15 @@ from ctrl_rl_training.sb3.fleet import FleetEnvironments, FleetReward, evaluate_
 from ctrl_rl_training.sb3.training import SimulatedRun, Tester
 from oc_baseline_node.training.baselines.policy_gradient import BaselinePolicy, CorrectedPolicy
 from stable_baselines3.common.base_class import BaseAlgorithm
-from ttr_reward_node.rewards.progress import TimeToReach
+from ttr_reward_node.rewards.progress import PAYS, PER_SECOND, Potential, PotentialReward, TimeToReach
 
 from ctrl_rl_benchmarks.errors import BenchmarkError
 from ctrl_rl_benchmarks.ladder.task_list import load_ladder_task
 from ctrl_rl_benchmarks.ways.baseline import TimeToReachBaseline, fit_critic
 from ctrl_rl_benchmarks.ways.demonstrations import demonstrate, teach
 from ctrl_rl_benchmarks.ways.methods import GAMMA, MAIN, WAYS, Way
-from ctrl_rl_benchmarks.ways.pay import PAYS, PotentialReward, StateReward
-from ctrl_rl_benchmarks.ways.potential import DistanceInSeconds, Potential
+from ctrl_rl_benchmarks.ways.pay import StateReward
+from ctrl_rl_benchmarks.ways.potential import DistanceInSeconds
 from ctrl_rl_benchmarks.ways.starts import GrowingStarts, levels
 from ctrl_rl_benchmarks.ways.time_to_go import TimeToGo
 from ctrl_rl_core import NavigationTask
@@ -111,8 +111,8 @@ class LadderRun(SimulatedRun):
             return StateReward(
                 make_reward(names[way.reward], task, load_value(self.value) if way.reward == "ttr" else None)
             )
-        potential, make = self._potential(), PAYS[way.reward]
-        return PotentialReward(potential, lambda: make(potential.longest, GAMMA), robots)
+        potential = self._potential()
+        return PotentialReward(potential, PAYS[way.reward](potential.longest, PER_SECOND, GAMMA), robots)
 
     def _potential(self) -> Potential:
         if self.way.of == "distance":

@@ -20,7 +20,8 @@ class Way:
     Attributes:
         label: Name in tables and pictures.
         reward: Reward beside the task's sparse one: "none"; "distance", minus the distance to the goal; "ttr", minus
-            the time to reach (thesis Eq. 3.9); or a kind of `ways.pay.PAYS`.
+            the time to reach (thesis Eq. 3.9); or a kind of
+            `ttr_reward_node.rewards.progress.PAYS`.
         of: Potential in which progress is measured: the time to reach, MPC's time to go, or the distance in seconds.
         baseline: Use of V = 1000 gamma^(phi/dt) by the policy gradient: "frozen" baseline, baseline with a learnt
             "corrected" part, or critic that "begins" as V.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,19 +12,6 @@ from ctrl_rl_core import NavigationTask, position_indices
 Array = NDArray[np.float64]
 _FLIGHT = 2.0
 """Speed that a distance is divided by where no command is a speed [m/s]."""
-
-
-class Potential(Protocol):
-    """Seconds to the goal.
-
-    Attributes:
-        longest: Largest finite value [s].
-    """
-
-    longest: float
-
-    def times(self, states: Array) -> Array:
-        """Return the times (N,) from states (N, n) to the goal [s]; +inf where there is no way."""
 
 
 class DistanceInSeconds:

@@ -18,8 +18,9 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 
 from ctrl_rl_core import NavigationTask, Outcome, ValueFunction, load_navigation_task
 from ttr_reward_node.errors import TimeToReachError
-from ttr_reward_node.rewards.progress import BestProgress, Pay, TimeToReach
+from ttr_reward_node.rewards.progress import PER_SECOND
 from ttr_reward_node.rewards.rewards import PROGRESS, TRAINING_REWARDS, Reward, make_reward
+from ttr_reward_node.training.time_to_reach_reward import TimeToReachReward
 from ttr_reward_node.values.value_file import load_value
 
 
@@ -44,39 +45,11 @@ class RewardWrapper(gymnasium.Wrapper[Vector, Vector, Vector, Vector]):
         return observation, float(paid), terminated, truncated, info
 
 
-class ProgressWrapper(gymnasium.Wrapper[Vector, Vector, Vector, Vector]):
-    """Pays progress beside the task's own reward.
-
-    Args:
-        environment: Environment of a task of the suite.
-        potential: Time to reach of the task.
-        pay: Kind of the pay.
-    """
-
-    def __init__(self, environment: Environment, potential: TimeToReach, pay: Pay) -> None:
-        super().__init__(environment)
-        self._potential, self._pay = potential, pay
-
-    def reset(self, **options: Any) -> tuple[Vector, dict[str, Any]]:
-        """Start an episode."""
-        observation, info = self.env.reset(**options)
-        self._pay.begin(float(self._potential.times(info["state"][None])[0]))
-        return observation, info
-
-    def step(self, action: Vector) -> tuple[Vector, float, bool, bool, dict[str, Any]]:
-        """Hold an action for the task's time step."""
-        observation, paid, terminated, truncated, info = self.env.step(action)
-        arrived = info["outcome"] == Outcome.GOAL.name
-        seconds = 0.0 if arrived else float(self._potential.times(info["state"][None])[0])
-        return observation, float(paid) + self._pay.step(seconds, terminated), terminated, truncated, info
-
-
 def make_progress(task: NavigationTask, value: ValueFunction, rate: int | None = None) -> Environment:
     """Return the environment of a task that pays the best progress of its time to reach, see `rewards.progress`."""
     make_reward("ttr", task, value)  # refuses a value that does not belong to the task
-    potential = TimeToReach(value)
     return make_environment(
-        task, rate, lambda environment: ProgressWrapper(environment, potential, BestProgress(potential.longest))
+        task, rate, lambda environment: TimeToReachReward(environment, value, per_second=PER_SECOND)
     )
 
 
