@@ -17,3 +17,4 @@ from .sets.distance_field import Obstacles as Obstacles
 from .sets.distance_field import obstacles_around as obstacles_around
 from .sets.recoverable_set import RecoverableSet as RecoverableSet
 from .sets.recoverable_set import solve_set as solve_set
+from .training.safety_shield import SafetyShield as SafetyShield

@@ -1,3 +1,4 @@
+from .safety_shield import SafetyShield as SafetyShield
 from .shield import Shield as Shield
 from .shield import ShieldOptions as ShieldOptions
 from .shield import shielded_environment as shielded_environment
