@@ -12,7 +12,7 @@ from ctrl_rl_bringup.preflight.mover import PATTERN, Part, mover_parameters
 from ctrl_rl_bringup.preflight.recording import OdometrySample, Recording, ScanSample, Times
 from ctrl_rl_bringup.preflight.report import as_text
 from ctrl_rl_bringup.preflight.scan_match import shift_mismatches, turn_mismatches
-from ctrl_rl_core.driving.scan import ScanGeometry
+from ctrl_rl_core.sensing.scan import ScanGeometry
 
 LIMITS = Limits(lidar_x=0.0)
 BEAMS = 360
@@ -70,10 +70,10 @@ def drive(robot: Robot, stop_after: int = len(PATTERN), reason: str = "") -> Mot
             now, count = now + STEP, count + 1
             times = Times(now, 0.01, 100.0 + now)
             pose = (float(robot.pose * moved[0]), float(robot.pose * moved[1]), float(moved[2]))
-            heard.odometry.append(OdometrySample(times, "odom", "base_footprint", pose, twist, 1.0))
+            heard.odometry.append(OdometrySample(times, "odom", "base_footprint", pose, twist))
             if count % 6 == 0:
                 geometry = ScanGeometry(BEAMS, 0.0, 2.0 * math.pi / BEAMS, 0.12, 3.5)
-                heard.scans.append(ScanSample(times, "base_scan", room(robot, *state, random), geometry, 6.27))
+                heard.scans.append(ScanSample(times, "base_scan", room(robot, *state, random), geometry))
         parts.append(Part(phase, begin, now))
     if reason:
         parts[-1] = replace(parts[-1], stopped=reason)

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 import pytest
-from ctrl_rl_core.driving.scan import DIRECTIONS, MOST_BEAMS, view_scan
-from ctrl_rl_core.driving.scan_health import MIXED
+from ctrl_rl_core.sensing.scan import DIRECTIONS, MOST_BEAMS, view_scan
+from ctrl_rl_core.sensing.scan_health import MIXED
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 

@@ -7,16 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from ctrl_rl_core.driving.scan import ScanGeometry
 from ctrl_rl_core.policies.observation import ObservationBuilder
 from ctrl_rl_core.policies.policy import shipped_policies
+from ctrl_rl_core.sensing.scan import ScanGeometry
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from nav_msgs.msg import Odometry
 from policy_files import DRIVE, FLY, actor, manifest, write
 from pydantic import ValidationError
 
-from ctrl_rl_core import Actor, PolicyError, PolicyManifest, Sensors, find_policy, load_policy
+from ctrl_rl_core import Actor, PolicyError, PolicyManifest, Sensors, find_policy, load_policy, make_odometry
 
 TURN = 2.0 * math.pi
 LIDAR = ScanGeometry(360, 0.0, TURN / 360, 0.12, 3.5)
@@ -24,8 +23,7 @@ LIDAR = ScanGeometry(360, 0.0, TURN / 360, 0.12, 3.5)
 
 def sensors(ranges=None, scan=LIDAR, pose=None, goal=None, command=(0.0, 0.0)) -> Sensors:
     ranges = np.ones(scan.beams, np.float32) if ranges is None else np.asarray(ranges, np.float32)
-    odometry = Odometry()
-    odometry.twist.twist.linear.x, odometry.twist.twist.angular.z = 0.3, -0.5
+    odometry = make_odometry(np.zeros(3), np.array((0.3, 0.0, -0.5)))
     return Sensors(ranges, scan, odometry, pose, goal, np.array(command))
 
 
@@ -74,7 +72,7 @@ def test_beams_without_a_range_read_what_they_mean() -> None:
     ranges = np.ones(4)
     scan = ScanGeometry(4, 0.0, 0.25 * TURN, 0.12, 3.5)
     part = {"source": "scan", "count": 4, "step": 0.25 * TURN, "low": 0.1, "high": 3.0}
-    for value, wanted in ((np.inf, 3.0), (-np.inf, 0.1), (np.nan, 3.0), (0.0, 3.0), (0.05, 0.1), (9.0, 3.0)):
+    for value, wanted in ((np.inf, 3.0), (-np.inf, 0.12), (np.nan, 1.0), (0.0, 3.0), (0.05, 1.0), (9.0, 3.0)):
         ranges[1] = value
         assert observe(part, ranges=ranges, scan=scan) == pytest.approx([1.0, wanted, 1.0, 1.0])
 

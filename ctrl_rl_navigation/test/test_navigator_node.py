@@ -83,8 +83,8 @@ def test_it_drives_by_the_pose_of_a_localiser_and_refuses_goals_that_are_none(
     navigator = run_node("ctrl_rl_navigation", "navigator", *words)
     operator.wait_for(NavigatorStatus.WAITING, "waiting for a goal")
     operator.click(float("nan"), 0.5)
-    navigator.wait_for("the goal is refused: the goal (nan, 0.5) is not finite")
+    navigator.wait_for("the goal is refused: a translation of [nan, 0.5")
     operator.click(1e300, 0.5)
-    navigator.wait_for("the goal is refused: the goal (1e+300, 0.5) is more than 1e+06 m away")
+    navigator.wait_for("the goal is refused: a translation of [1e+300, 0.5")
     operator.click(1.0, 0.5)
     assert operator.wait_for(NavigatorStatus.REACHED).goal.position.x == 1.0

@@ -30,6 +30,5 @@ from .policies.policy_file import shipped_policies as shipped_policies
 from .safety.guards import Guard as Guard
 from .safety.latent_distribution import LatentDistribution as LatentDistribution
 from .safety.latent_distribution import fit_distribution as fit_distribution
-from .sensing.lidar import Sectors as Sectors
 from .sensing.lidar_observation import LidarObservation as LidarObservation
 from .sensing.observables import CorridorObservables as CorridorObservables

@@ -75,9 +75,12 @@ class Bag:
 
     def put_step(self, k: int, ranges, odometry, command, frame: str = "") -> None:
         time = k * STEP
-        self.put("/odom", time, twist={"twist": twist(*odometry)})
+        upright = {"pose": {"orientation": {"w": 1.0}}}
+        self.put("/odom", time, pose=upright, twist={"twist": twist(*odometry)})
         header = {**stamp(time), "frame_id": frame}
-        fields = {"angle_increment": 2 * np.pi / len(ranges), "range_max": 1000.0, "ranges": ranges}
+        step = 2 * np.pi / len(ranges)
+        angles = {"angle_increment": step, "angle_max": step * (len(ranges) - 1)}
+        fields = {**angles, "range_max": 1000.0, "ranges": ranges}
         self.put("/scan", time, 1, **fields, header=header)
         if command is None:
             return

@@ -63,7 +63,8 @@ class Robot:
     def send(self, ranges: np.ndarray, nanoseconds: int, odometry: bool = True) -> None:
         if odometry:
             self.odom.publish(Odometry())
-        scan = LaserScan(angle_increment=2 * np.pi / len(ranges), range_min=0.12, range_max=3.5)
+        step = 2 * np.pi / len(ranges)
+        scan = LaserScan(angle_max=step * (len(ranges) - 1), angle_increment=step, range_min=0.12, range_max=3.5)
         scan.header.stamp = to_stamp(nanoseconds)
         scan.ranges = array("f", ranges.tolist())
         self.scan.publish(scan)

@@ -118,7 +118,9 @@ def test_a_second_lidar_on_the_topic_stops_it(robot: Robot) -> None:
     else:
         raise AssertionError("it stands though one lidar is left")
     last = next(STAMPS)
-    scan = LaserScan(angle_increment=2 * math.pi / 360, range_min=0.12, range_max=3.5)
+    scan = LaserScan(
+        angle_max=2 * math.pi * 359 / 360, angle_increment=2 * math.pi / 360, range_min=0.12, range_max=3.5
+    )
     scan.header.frame_id, scan.header.stamp = "another", to_stamp(last)
     scan.ranges = corridor(0.0).tolist()
     robot.scan.publish(scan)

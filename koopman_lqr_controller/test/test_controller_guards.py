@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from koopman_lqr_controller.sensing.lidar import ScanGeometry
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.parameter import Parameter
 from robot_side import PATIENCE_S, Robot, a_policy, ask, corridor
 from safetensors.numpy import save_file
 
+from ctrl_rl_core import ScanGeometry
 from koopman_lqr_controller import (
     DEFAULT_POLICY,
     LatentDistribution,

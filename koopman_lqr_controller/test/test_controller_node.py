@@ -135,6 +135,7 @@ def test_every_scan_of_a_real_drive_gets_a_finite_command_within_limits(
         scans += 1
         scan = LaserScan(
             angle_min=data.angle_min,
+            angle_max=data.angle_max,
             angle_increment=data.angle_increment,
             range_min=data.range_min,
             range_max=data.range_max,

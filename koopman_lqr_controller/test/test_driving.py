@@ -2,11 +2,9 @@
 
 import numpy as np
 import pytest
-from koopman_lqr_controller.sensing.lidar import ScanGeometry
-from nav_msgs.msg import Odometry
 
 import koopman_lqr_controller as koopman
-from ctrl_rl_core import Sensors, find_policy, load_policy
+from ctrl_rl_core import ScanGeometry, Sensors, find_policy, load_policy, make_odometry
 
 LIDAR = ScanGeometry(360, 0.0, 2.0 * np.pi / 360, 0.12, 3.5)
 
@@ -22,13 +20,12 @@ def corridor(offset: float) -> np.ndarray:
 @pytest.mark.parametrize("name", ["curved_corridor", "curved_corridor_edmd"])
 def test_the_policy_node_gets_the_commands_of_the_controller(name: str) -> None:
     policy, driving = koopman.load_policy(koopman.find_policy(name)), load_policy(find_policy(name))
-    odometry = Odometry()
-    odometry.twist.twist.linear.x, odometry.twist.twist.angular.z = 0.15, 0.1
+    odometry = make_odometry(np.zeros(3), np.array((0.15, 0.0, 0.1)))
     for offset in (-0.05, 0.0, 0.04):
         ranges = corridor(offset)
         sensors = Sensors(ranges, LIDAR, odometry, None, None, np.zeros(2))
         assert driving.command(sensors) == pytest.approx(policy.decide(ranges, LIDAR, 0.15, 0.1).command)
     assert (driving.limits[0] == policy.limits[0]).all()
-    odometry.twist.twist.linear.x, odometry.twist.twist.angular.z = 3.0, 20.0
+    odometry = make_odometry(np.zeros(3), np.array((3.0, 0.0, 20.0)))
     with pytest.raises(koopman.KoopmanError, match="has left the region seen in training"):
         driving.command(Sensors(corridor(0.0), LIDAR, odometry, None, None, np.zeros(2)))

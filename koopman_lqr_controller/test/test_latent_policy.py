@@ -11,10 +11,10 @@ from ctrl_rl_core.io.checked_tensors import encode_tensors, read_tensors
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from koopman_lqr_controller.models.encoder import Dense, LayerNorm
-from koopman_lqr_controller.sensing.lidar import ScanGeometry
 from safetensors import safe_open
 from scipy.linalg import solve_discrete_are
 
+from ctrl_rl_core import ScanGeometry
 from koopman_lqr_controller import (
     Encoder,
     KoopmanError,

@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from koopman_lqr_controller.sensing.lidar import ScanGeometry
 from numpy.typing import NDArray
 from safetensors.numpy import load_file, save_file
 
-from ctrl_rl_core import Interval
+from ctrl_rl_core import Interval, ScanGeometry
 from koopman_lqr_controller import (
     DEFAULT_POLICY,
     CorridorObservables,

@@ -12,6 +12,7 @@ from option_coordinator.policies.policy_query import PolicyQuery
 from option_coordinator.scripted.policy_queries import spread_policy, uniform_policy
 from option_coordinator.teams.team_file import FOLDER
 
+from ctrl_rl_core import ScanGeometry
 from option_coordinator import OptionError, load_team, team_file
 
 TEAM = load_team("delivery_team")
@@ -108,9 +109,10 @@ def test_a_robot_drives_straight_where_nothing_is_and_passes_on_the_right():
 
 def test_points_of_a_scan_leave_out_what_was_not_seen():
     ranges = np.array((1.0, math.inf, math.nan, 2.0, 0.0), np.float32)
-    points = scan_points(np.zeros(3), ranges, 0.0, math.pi / 2, -0.5)
+    lidar = ScanGeometry(5, 0.0, math.pi / 2, 0.1, 3.5)
+    points = scan_points(np.zeros(3), ranges, lidar, -0.5)
     np.testing.assert_allclose(points, [(0.5, 0.0), (-0.5, -2.0)], atol=1e-9)
-    points = scan_points(np.array((1.0, 2.0, math.pi / 2)), ranges, 0.0, math.pi / 2, -0.5)
+    points = scan_points(np.array((1.0, 2.0, math.pi / 2)), ranges, lidar, -0.5)
     np.testing.assert_allclose(points, [(1.0, 2.5), (3.0, 1.5)], atol=1e-9)
 
 

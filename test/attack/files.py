@@ -141,7 +141,8 @@ def _koopman(name: str) -> Callable[[Path], list[Path]]:
 
 def _load_koopman(path: Path) -> None:
     from koopman_lqr_controller.policies.policy_file import load_policy
-    from koopman_lqr_controller.sensing.lidar import ScanGeometry
+
+    from ctrl_rl_core import ScanGeometry
 
     policy = load_policy(path)
     scan = ScanGeometry(360, 0.0, np.pi / 180, 0.12, 3.5)

@@ -47,6 +47,7 @@ class Prober:
         """Return the time to the answer of one scan [s], None after half a second."""
         self._sent += 1
         scan = LaserScan(
+            angle_max=2 * np.pi * 359 / 360,
             angle_increment=2 * np.pi / 360,
             range_min=0.12,
             range_max=3.5,

@@ -14,8 +14,8 @@ from dataclasses import replace
 import numpy as np
 from _common import Row, row
 from koopman_lqr_controller.models.encoder import Dense
-from koopman_lqr_controller.sensing.lidar import ScanGeometry
 
+from ctrl_rl_core import ScanGeometry
 from koopman_lqr_controller import DEFAULT_POLICY, EdmdPolicy, KoopmanPolicy, LatentPolicy, find_policy, load_policy
 
 STRETCH = 1000

@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 import rclpy
-from ctrl_rl_core.geometry.odometry import yaw_of
 from ctrl_rl_core.navigation.occupancy_map import OCCUPIED, OccupancyMap
 from ctrl_rl_core.ros.node import COMMAND, LATCHED, ODOM_PUBLISHER, SCAN_PUBLISHER, float32_array
+from ctrl_rl_core.sensing.pose import read_planar_pose
 from geometry_msgs.msg import TransformStamped, TwistStamped
 from nav_msgs.msg import OccupancyGrid, Odometry
 from rclpy.executors import ExternalShutdownException
@@ -241,10 +241,10 @@ def draw_map(scan: LaserScan, odometry: Odometry) -> OccupancyGrid:
     ranges = np.frombuffer(scan.ranges, np.float32)
     bearings = scan.angle_min + scan.angle_increment * np.arange(len(ranges))
     echo = np.isfinite(ranges) & (ranges > scan.range_min)
-    position, yaw = odometry.pose.pose.position, yaw_of(odometry.pose.pose.orientation)
+    x, y, yaw = read_planar_pose(odometry.pose.pose).tolist()
     angles = (bearings + yaw)[echo]
     points = np.stack((np.cos(angles), np.sin(angles)), axis=1) * ranges[echo, None]
-    points += (position.x - 0.032 * np.cos(yaw), position.y - 0.032 * np.sin(yaw))
+    points += (x - 0.032 * np.cos(yaw), y - 0.032 * np.sin(yaw))
     low = points.min(axis=0) - 1.0
     columns, rows = np.ceil((points.max(axis=0) + 1.0 - low) / _CELL).astype(int)
     empty = OccupancyMap(np.zeros((rows, columns), np.int8), _CELL, (float(low[0]), float(low[1]), 0.0))

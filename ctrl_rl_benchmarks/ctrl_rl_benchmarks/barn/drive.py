@@ -157,10 +157,9 @@ def _ended(scenario: Scenario, world: SimulatedWorld, begin: float) -> BarnDrive
 
 def _sense(world: SimulatedWorld) -> Sensed:
     scan, reading = world.laser_scan(), world.odometry()
-    geometry = ScanGeometry(len(scan.ranges), scan.angle_min, scan.angle_increment, scan.range_min, scan.range_max)
     bearings = scan.angle_min + scan.angle_increment * np.arange(len(scan.ranges))
     ranges = np.nan_to_num(scan.ranges.astype(float), nan=0.0, posinf=scan.range_max, neginf=scan.range_min)
     ends = np.column_stack((LIDAR_X + ranges * np.cos(bearings), ranges * np.sin(bearings)))
     echoes = np.isfinite(scan.ranges) | np.isneginf(scan.ranges)
     motion = reading.velocity[[0, 2]]
-    return Sensed(world.elapsed, reading.pose, motion, scan.ranges, geometry, ends, echoes)
+    return Sensed(world.elapsed, reading.pose, motion, scan.ranges, scan.geometry, ends, echoes)

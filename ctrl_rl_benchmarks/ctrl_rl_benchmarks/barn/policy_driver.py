@@ -5,16 +5,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from ctrl_rl_core.geometry.odometry import OdometryReader
+from ctrl_rl_core.sensing.pose import planar
 from ctrl_rl_navigation.robot import DriveLimits
-from nav_msgs.msg import Odometry
 from numpy.typing import NDArray
-from sim_bridge.ros.publishers import fill_odometry
 
 from ctrl_rl_benchmarks.barn.drive import Sensed
 from ctrl_rl_benchmarks.barn.scenarios import Scenario
-from ctrl_rl_core import CtrlRlError, Sensors, find_policy, load_navigation_task, load_policy
-from sim_bridge import OdometryReading
+from ctrl_rl_core import CtrlRlError, Sensors, find_policy, load_navigation_task, load_policy, make_odometry
 
 Array = NDArray[np.float64]
 
@@ -28,8 +25,7 @@ class PolicyDriver:
     def __init__(self, name: str, scenario: Scenario, _: DriveLimits) -> None:
         self._policy = load_policy(find_policy(name))
         task = load_navigation_task(name)
-        self._odometry, self._command, self._decided_at = Odometry(), self._policy.rest, -math.inf
-        self._read_pose = OdometryReader(("x", "y", "theta"))
+        self._command, self._decided_at = self._policy.rest, -math.inf
         self._goal: Array | None = None
         self._turn, self._shift = 0.0, np.zeros(2)
         if "pose" in self._policy.needs or "goal" in self._policy.needs:
@@ -46,12 +42,11 @@ class PolicyDriver:
         self._decided_at = sensed.now
         place = _turned(sensed.pose[:2], self._turn) + self._shift
         pose = np.array((*place, sensed.pose[2] + self._turn))
-        reading = OdometryReading(pose, np.array((sensed.motion[0], 0.0, sensed.motion[1])))
-        fill_odometry(self._odometry, "xy", round(1e9 * sensed.now), reading)
-        known = self._read_pose(self._odometry) if "pose" in self._policy.needs else None
+        odometry = make_odometry(pose, np.array((sensed.motion[0], 0.0, sensed.motion[1])))
         goal = self._goal if "goal" in self._policy.needs else None
         try:
-            given = Sensors(sensed.ranges, sensed.geometry, self._odometry, known, goal, self._command)
+            here = planar(odometry[:7].tolist())
+            given = Sensors(sensed.ranges, sensed.geometry, odometry, here, goal, self._command)
             self._command = np.clip(self._policy.command(given), *self._policy.limits)
         except CtrlRlError:
             return self._policy.rest

@@ -8,9 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 from ctrl_rl_core.policies.observation import ObservationBuilder
-from nav_msgs.msg import Odometry
 from numpy.typing import NDArray
-from sim_bridge.ros.publishers import fill_odometry
 
 from ctrl_rl_benchmarks.teaching.teacher import LIMITS, Teacher
 from ctrl_rl_core import (
@@ -20,9 +18,7 @@ from ctrl_rl_core import (
     ObstacleStop,
     Outcome,
     PolicyManifest,
-    ScanGeometry,
     ScanHealth,
-    Sensors,
 )
 from sim_bridge import SimulatedWorld, SimulationOptions
 
@@ -86,7 +82,6 @@ class Lesson:
         self._teacher = Teacher(task, self._world.geometry)
         self._observe = ObservationBuilder(interface)
         self._safety = DriveSafety(ScanHealth(0.0, 6.3, 0), _STOP, _LIDAR_X, 1.0)
-        self._odometry = Odometry()
         self.outcome = Outcome.RUNNING
 
     def drive(self, pupil: Pupil | None) -> Iterator[Moment]:
@@ -108,14 +103,12 @@ class Lesson:
     def _decide(self, pupil: Pupil | None) -> tuple[Moment, Array]:
         world = self._world
         scan, reading = world.laser_scan(), world.odometry()
-        geometry = ScanGeometry(len(scan.ranges), scan.angle_min, scan.angle_increment, scan.range_min, scan.range_max)
         stamp = round(1e9 * world.elapsed)
-        fill_odometry(self._odometry, world.plane, stamp, reading)
         v, _, omega = reading.velocity.tolist()
         none = np.zeros(2)
-        seen = self._observe(Sensors(scan.ranges, geometry, self._odometry, None, None, none))
+        seen = self._observe(world.sensors(scan=scan))
         moment = Moment(seen, self._teacher.command(world.pose(), np.array((v, omega))))
-        self._safety.update(world.elapsed, stamp, "base_scan", scan.ranges, geometry, (v, omega))
+        self._safety.update(world.elapsed, stamp, "base_scan", scan.ranges, scan.geometry, (v, omega))
         try:
             return moment, self._safety.limit(moment.wanted if pupil is None else pupil(seen), v, 0.0)[0]
         except CtrlRlError:

@@ -7,11 +7,12 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.driving.scan import ScanGeometry
 from ctrl_rl_core.errors import CtrlRlError
-from ctrl_rl_core.geometry.odometry import yaw_of
 from ctrl_rl_core.navigation.occupancy_map import OccupancyMap
 from ctrl_rl_core.ros.node import LATCHED, seconds
+from ctrl_rl_core.sensing.odometry import ODOMETRY_NAMES, OdometryError, OdometryReader, read_odometry
+from ctrl_rl_core.sensing.pose import PoseError, read_planar_pose
+from ctrl_rl_core.sensing.scan import read_scan
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid, Odometry
 from rclpy.executors import Executor
@@ -40,6 +41,7 @@ _ANY = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
 """Hears every publisher, and keeps what comes in bunches."""
 _STATIC = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _STEP_S = 0.1
+_PLANAR = OdometryReader(("x", "y", "theta", "v", "omega"))
 _ANOTHER_TIME_S = 3600.0
 """Stamps so far from this computer's clock are taken for a simulation's, whose /clock may be heard of last."""
 
@@ -133,25 +135,19 @@ class Listener(Node):
         self._clock_offset = seconds(message.clock) - time.monotonic()
 
     def _on_scan(self, message: LaserScan) -> None:
-        ranges = np.frombuffer(message.ranges, np.float32).copy()
-        geometry = ScanGeometry(
-            len(ranges), message.angle_min, message.angle_increment, message.range_min, message.range_max
-        )
-        frame = message.header.frame_id
-        self.heard.scans.append(ScanSample(self._times(message.header), frame, ranges, geometry, message.angle_max))
+        ranges, geometry = read_scan(message)
+        times, frame = self._times(message.header), message.header.frame_id
+        self.heard.scans.append(ScanSample(times, frame, ranges.copy(), geometry))
 
     def _on_odometry(self, message: Odometry) -> None:
-        pose, twist, q = message.pose.pose, message.twist.twist, message.pose.pose.orientation
-        self.heard.odometry.append(
-            OdometrySample(
-                self._times(message.header),
-                message.header.frame_id,
-                message.child_frame_id,
-                (pose.position.x, pose.position.y, yaw_of(q)),
-                (twist.linear.x, twist.angular.z),
-                float(np.linalg.norm((q.x, q.y, q.z, q.w))),
-            )
-        )
+        fault = ""
+        try:
+            odometry = read_odometry(message)
+        except OdometryError as error:
+            odometry, fault = np.full(len(ODOMETRY_NAMES), np.nan), str(error)
+        x, y, yaw, v, omega = _PLANAR(odometry).tolist()
+        frames = message.header.frame_id, message.child_frame_id
+        self.heard.odometry.append(OdometrySample(self._times(message.header), *frames, (x, y, yaw), (v, omega), fault))
 
     def _on_battery(self, message: BatteryState) -> None:
         percentage = float(message.percentage)  # 0 to 1 by its definition, 0 to 100 by some drivers
@@ -165,11 +161,11 @@ class Listener(Node):
             self.heard.map, self.heard.map_fault = None, str(error)
 
     def _on_pose(self, message: PoseWithCovarianceStamped) -> None:
-        pose = message.pose.pose
-        self.heard.map_pose = (
-            message.header.frame_id,
-            (pose.position.x, pose.position.y, yaw_of(pose.orientation)),
-        )
+        try:
+            x, y, yaw = read_planar_pose(message.pose.pose).tolist()
+        except PoseError:
+            return  # `check_map` then says that there is no pose
+        self.heard.map_pose = message.header.frame_id, (x, y, yaw)
 
     def _on_frames(self, message: Any, static: bool) -> None:
         tree = self.heard.frames

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
-from ctrl_rl_core.driving.scan import ScanGeometry
 from ctrl_rl_core.navigation.occupancy_map import OccupancyMap
+from ctrl_rl_core.sensing.scan import ScanGeometry, echoes
 from numpy.typing import NDArray
 
 from ctrl_rl_bringup.preflight.frames import FrameTree
@@ -42,24 +43,16 @@ class ScanSample:
         frame: Frame of the lidar.
         ranges: Ranges (beams,) [m].
         geometry: Bearings and limits of its beams in the lidar's frame.
-        angle_max: Bearing of the last beam, as the message claims it [rad].
     """
 
     times: Times
     frame: str
     ranges: NDArray[np.float32]
     geometry: ScanGeometry
-    angle_max: float
 
     def points(self, lidar_x: float, lidar_yaw: float) -> Points:
         """Return its echoes in the robot's frame (n, 2) [m], for a lidar of this position [m] and direction [rad]."""
-        scan = self.geometry
-        echo = np.flatnonzero(
-            (self.ranges >= max(scan.range_min, 1e-6)) & (self.ranges <= scan.range_max) & np.isfinite(self.ranges)
-        )
-        bearings = lidar_yaw + scan.angle_min + scan.angle_increment * echo
-        ranges = self.ranges[echo].astype(np.float64)
-        return np.stack((lidar_x + ranges * np.cos(bearings), ranges * np.sin(bearings)), axis=1)
+        return echoes(self.ranges, self.geometry.turned(lidar_yaw), math.inf, lidar_x)
 
 
 @dataclass(frozen=True)
@@ -72,7 +65,7 @@ class OdometrySample:
         child: Frame that it places.
         pose: x, y, yaw [m, m, rad].
         twist: Speed [m/s] and turn rate [rad/s].
-        norm: Length of the pose's quaternion, which must be 1.
+        fault: Reason why nobody may use it, whose numbers are then NaN; empty where it is usable.
     """
 
     times: Times
@@ -80,7 +73,7 @@ class OdometrySample:
     child: str
     pose: tuple[float, float, float]
     twist: tuple[float, float]
-    norm: float
+    fault: str = ""
 
 
 class Battery(NamedTuple):

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
-from ctrl_rl_core.driving.scan import DIRECTIONS, ScanError, view_scan
+from ctrl_rl_core.sensing.scan import DIRECTIONS, ScanError, view_scan
 
-from ctrl_rl_bringup.preflight.finding import Finding, Limits, no_go, note, ok
-from ctrl_rl_bringup.preflight.recording import Recording, ScanSample
+from ctrl_rl_bringup.preflight.finding import Finding, Limits, no_go, ok
+from ctrl_rl_bringup.preflight.recording import Recording
 
 _AHEAD = np.arange(-30, 31) * DIRECTIONS // 360
 """Directions of the cone ahead of the robot that must hold an echo."""
@@ -34,11 +33,8 @@ def check_beams(heard: Recording, limits: Limits) -> Iterator[Finding]:
     count = f"{min(counts)}" if min(counts) == max(counts) else f"{min(counts)} to {max(counts)}"
     first = math.degrees(last.angle_min)
     words = f"{count} beams over {field:.0f} deg from {first:.0f} deg, {last.range_min:g} to {last.range_max:g} m"
-    wrong = max(abs(_claimed_beams(scan) - scan.geometry.beams) for scan in heard.scans)
     if field < limits.field:
         yield no_go(check, f"{words}: at least {limits.field:g} deg are needed", "use another lidar, or --field")
-    elif wrong > max(2.0, 0.05 * max(counts)):
-        yield note(check, f"{words}; angle_min, angle_max and angle_increment fit {wrong:.0f} beams more or less")
     else:
         yield ok(check, words)
 
@@ -47,7 +43,7 @@ def check_echoes(heard: Recording, limits: Limits) -> Iterator[Finding]:
     """Find scans without echoes: a lidar that is dead or covered, or that stands in the open."""
     views, ranges = [], []
     for scan in heard.scans:
-        turned = replace(scan.geometry, angle_min=scan.geometry.angle_min + limits.lidar_yaw)
+        turned = scan.geometry.turned(limits.lidar_yaw)
         try:
             views.append(view_scan(scan.ranges, turned, math.inf, limits.lidar_x))
         except ScanError:
@@ -85,8 +81,3 @@ def check_frozen(heard: Recording, _limits: Limits) -> Iterator[Finding]:
         yield no_go("scan changes", f"{repeated} of {len(contents)} scans are the same as the one before", advice)
     else:
         yield ok("scan changes", f"{len(contents) - repeated} different scans")
-
-
-def _claimed_beams(scan: ScanSample) -> float:
-    """Return the count of beams that the angles of a scan claim."""
-    return 1.0 + (scan.angle_max - scan.geometry.angle_min) / scan.geometry.angle_increment

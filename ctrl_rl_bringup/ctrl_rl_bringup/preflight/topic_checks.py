@@ -6,8 +6,8 @@ import os
 from collections import Counter
 from collections.abc import Iterator, Sequence
 
-from ctrl_rl_core.driving.scan_health import lidar_identity
 from ctrl_rl_core.ros.node import COMMAND, LATCHED, SENSOR
+from ctrl_rl_core.sensing.scan_health import lidar_identity
 from rclpy.duration import Duration
 from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
 

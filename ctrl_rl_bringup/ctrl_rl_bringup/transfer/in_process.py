@@ -5,9 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from ctrl_rl_core.geometry.odometry import OdometryReader
-from nav_msgs.msg import Odometry
-from sim_bridge.ros.publishers import fill_odometry
 
 from ctrl_rl_bringup.runner.stack import THROUGH_DOORWAYS
 from ctrl_rl_core import (
@@ -18,16 +15,13 @@ from ctrl_rl_core import (
     ObstacleStop,
     Outcome,
     Policy,
-    ScanGeometry,
     ScanHealth,
-    Sensors,
 )
 from sim_bridge import EpisodeState, SimulatedWorld, SimulationOptions
 
 _DEFAULTS = {parameter.name: parameter.default for parameter in LIDAR_PARAMETERS}
 _FASTEST = 1.0
 _STANDS = 60.0
-_READ_POSE = OdometryReader(("x", "y", "theta"))
 
 
 def play_episode(policy: Policy, task: NavigationTask, seed: int, options: SimulationOptions) -> EpisodeState:
@@ -52,7 +46,6 @@ class _Driver:
 
     def __init__(self, policy: Policy, world: SimulatedWorld) -> None:
         self._policy, self._world = policy, world
-        self._odometry = Odometry()
         self._command, self._decided_at = policy.rest, -math.inf
         self._safety = _make_safety(world.task) if policy.period is None else None
         turns = 1.0 / world.lidar.spec.rate if policy.period is None else policy.period
@@ -71,18 +64,15 @@ class _Driver:
         """Return the next command (2,); that of a robot at rest where the policy or the checks give none."""
         world, policy = self._world, self._policy
         scan, reading = world.laser_scan(), world.odometry()
-        geometry = ScanGeometry(len(scan.ranges), scan.angle_min, scan.angle_increment, scan.range_min, scan.range_max)
-        fill_odometry(self._odometry, world.plane, round(1e9 * world.elapsed), reading)
         forward, _, turn = reading.velocity.tolist()
-        pose = _READ_POSE(self._odometry) if "pose" in policy.needs else None
         goal = _middle(world.task) if "goal" in policy.needs else None
         try:
             if self._safety is not None:
                 now = world.elapsed
-                self._safety.update(now, round(1e9 * now), "base_scan", scan.ranges, geometry, (forward, turn))
+                self._safety.update(now, round(1e9 * now), "base_scan", scan.ranges, scan.geometry, (forward, turn))
                 if self._safety.fault:
                     return policy.rest
-            sensors = Sensors(scan.ranges, geometry, self._odometry, pose, goal, self._command)
+            sensors = world.sensors(0, goal, self._command, scan)
             self._command = np.clip(policy.command(sensors), *policy.limits)
             if self._safety is not None:
                 self._command, _ = self._safety.limit(self._command, forward, 0.0)

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrl_rl_core.driving.obstacle_stop import ObstacleStop
-from ctrl_rl_core.driving.scan import ScanError, ScanGeometry, ScanView, view_scan
-from ctrl_rl_core.driving.scan_health import ScanHealth, lidar_identity
+from ctrl_rl_core.sensing.scan import ScanError, ScanGeometry, ScanView, view_scan
+from ctrl_rl_core.sensing.scan_health import ScanHealth, lidar_identity
 
 Array = NDArray[np.float64]
 

@@ -13,11 +13,11 @@ from sensor_msgs.msg import LaserScan
 from std_msgs.msg import Header
 
 from ctrl_rl_core.driving.lidar_velocity_node import LIDAR_PARAMETERS, LidarVelocityNode
-from ctrl_rl_core.driving.scan import ScanGeometry
 from ctrl_rl_core.driving.velocity_node import VelocityError
 from ctrl_rl_core.errors import CtrlRlError
 from ctrl_rl_core.ros.node import Status
 from ctrl_rl_core.ros.parameters import Parameter
+from ctrl_rl_core.sensing.scan import ScanGeometry
 
 DRIVER_PARAMETERS = (
     *LIDAR_PARAMETERS,

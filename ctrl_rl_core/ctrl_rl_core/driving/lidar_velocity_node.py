@@ -5,7 +5,6 @@ Whatever a policy commands, `drive` sends only the part that is safe by the last
 
 from __future__ import annotations
 
-import math
 from typing import ClassVar
 
 import numpy as np
@@ -16,11 +15,13 @@ from sensor_msgs.msg import LaserScan
 
 from ctrl_rl_core.driving.drive_safety import DriveSafety
 from ctrl_rl_core.driving.obstacle_stop import ObstacleStop
-from ctrl_rl_core.driving.scan import ScanError, ScanGeometry
-from ctrl_rl_core.driving.scan_health import ScanHealth
 from ctrl_rl_core.driving.velocity_node import VELOCITY_PARAMETERS, VelocityError, VelocityNode
-from ctrl_rl_core.ros.node import SENSOR, Status
+from ctrl_rl_core.ros.node import SENSOR, Status, nanoseconds
 from ctrl_rl_core.ros.parameters import Parameter
+from ctrl_rl_core.sensing.odometry import OdometryError, read_odometry
+from ctrl_rl_core.sensing.odometry_health import OdometryHealth
+from ctrl_rl_core.sensing.scan import ScanError, ScanGeometry, read_scan
+from ctrl_rl_core.sensing.scan_health import ScanHealth
 
 _SCAN_CHECKS = (
     Parameter(
@@ -94,7 +95,7 @@ class LidarVelocityNode(VelocityNode):
     def __init__(self, name: str) -> None:
         super().__init__(name, needs=("scan", "odometry"))
         self.motion = (0.0, 0.0)
-        self._odometry_fault = ""
+        self._odometry_fault, self._odometry_health = "", OdometryHealth()
         self._received = 0
         self._crowd = ""
         self._safety = DriveSafety(
@@ -105,8 +106,8 @@ class LidarVelocityNode(VelocityNode):
         self._scans = self.create_subscription(LaserScan, "scan", self._on_scan, SENSOR)
         self.create_timer(_LOOK_AROUND_S, self._look_around, clock=self._steady)
 
-    def on_odometry(self, message: Odometry) -> None:
-        """Act on odometry, whose twist is finite; override it where it matters."""
+    def on_odometry(self, message: Odometry, odometry: NDArray[np.float64]) -> None:
+        """Act on odometry, also as numbers (13,), see `ODOMETRY_NAMES`; override it where it matters."""
 
     def on_scan(self, message: LaserScan, ranges: NDArray[np.float32], scan: ScanGeometry) -> None:
         """Act on a scan, usable or not; `drive` refuses to move by an unusable one. Override it where it matters.
@@ -173,25 +174,25 @@ class LidarVelocityNode(VelocityNode):
         return ScanHealth(value["min_echo_share"], value["largest_gap"], value["frozen_scans"])
 
     def _on_odometry(self, message: Odometry) -> None:
-        twist = message.twist.twist
-        motion = (twist.linear.x, twist.angular.z)
         self.use_frame(message.child_frame_id)
         self.note_input("odometry")
-        if not (math.isfinite(motion[0]) and math.isfinite(motion[1])):
-            self._odometry_fault = f"odometry with speed {motion[0]} and turn rate {motion[1]}"
+        try:
+            odometry = read_odometry(message)
+            contradiction = self._odometry_health.update(nanoseconds(message.header.stamp), odometry)
+            if contradiction:
+                raise OdometryError(contradiction)
+        except OdometryError as error:
+            self._odometry_fault = str(error)
             self.halt(self._odometry_fault, message.header.stamp)
             return
-        self.motion, self._odometry_fault = motion, ""
-        self.on_odometry(message)
+        self.motion, self._odometry_fault = (float(odometry[7]), float(odometry[12])), ""
+        self.on_odometry(message, odometry)
 
     def _on_scan(self, message: LaserScan) -> None:
         self._received += 1
         self.note_input("scan")
-        ranges = np.frombuffer(message.ranges, np.float32)
-        bearing = message.angle_min + self.settings["lidar_yaw"]
-        scan = ScanGeometry(len(ranges), bearing, message.angle_increment, message.range_min, message.range_max)
-        stamp = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
-        now = self._steady.now().nanoseconds * 1e-9
+        ranges, scan = read_scan(message, self.settings["lidar_yaw"])
+        stamp, now = nanoseconds(message.header.stamp), self._steady.now().nanoseconds * 1e-9
         self._safety.update(now, stamp, message.header.frame_id, ranges, scan, self.motion)
         self.on_scan(message, ranges, scan)
 

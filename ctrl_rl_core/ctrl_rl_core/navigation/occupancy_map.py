@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ctrl_rl_core.errors import CtrlRlError
-from ctrl_rl_core.geometry.odometry import yaw_of
 from ctrl_rl_core.geometry.shapes import Box
 from ctrl_rl_core.navigation.map_file import MapFileError, read_map, write_map
+from ctrl_rl_core.sensing.pose import PoseError, planar, read_pose
 
 if TYPE_CHECKING:
     from nav_msgs.msg import OccupancyGrid
@@ -118,16 +118,17 @@ class OccupancyMap:
         """
         info, pose = message.info, message.info.origin
         rows, columns = int(info.height), int(info.width)
-        q = pose.orientation
-        norm = q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w
-        if not abs(norm - 1.0) < 0.1:
-            raise MapError(f"the map's origin has a quaternion of squared length {norm:.3g}: must be 1")
-        if math.hypot(q.x, q.y) > _LARGEST_TILT:
+        try:
+            origin = read_pose(pose.position, pose.orientation).tolist()
+        except PoseError as error:
+            raise MapError(f"the map's origin has {error}") from None
+        if math.hypot(*origin[3:5]) > _LARGEST_TILT:
             raise MapError("the map's origin is tilted: it must lie in the x-y plane")
         if rows * columns != len(message.data):
             raise MapError(f"a map of {rows} x {columns} cells with {len(message.data)} values")
         percent = np.array(message.data, np.int8).reshape(rows, columns)
-        return cls.from_percent(percent, float(info.resolution), (pose.position.x, pose.position.y, yaw_of(q)))
+        x, y, yaw = planar(origin).tolist()
+        return cls.from_percent(percent, float(info.resolution), (x, y, yaw))
 
     def to_message(self, stamp: Any, frame: str) -> OccupancyGrid:
         """Return the map as a message.

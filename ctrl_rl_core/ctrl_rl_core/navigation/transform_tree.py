@@ -11,17 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrl_rl_core.errors import CtrlRlError
+from ctrl_rl_core.sensing.pose import PoseError, read_pose, yaw_of
 
 Array = NDArray[np.float64]
 
 MOST_FRAMES = 1000
 """Largest number of frames; a robot has a few dozen."""
 _MOST_SAMPLES = 1000
-_FARTHEST = 1e7
 _LONGEST_NAME = 200
 _SLACK_NS = 500_000_000
 """A transform holds this long before its first and after its last stamp [ns]."""
-_NORM_ERROR = 0.01
 
 
 class TransformError(CtrlRlError):
@@ -53,14 +52,11 @@ class Transform:
         Raises:
             TransformError: A number is not finite or far too large, or the quaternion is no rotation.
         """
-        place = np.array((translation.x, translation.y, translation.z), np.float64)
-        turn = np.array((rotation.x, rotation.y, rotation.z, rotation.w), np.float64)
-        norm = float(np.linalg.norm(turn))
-        if not (np.abs(place) <= _FARTHEST).all():
-            raise TransformError(f"a translation of {place.tolist()} m")
-        if not abs(norm - 1.0) <= _NORM_ERROR:
-            raise TransformError(f"a quaternion of length {norm:.3g}: must be 1")
-        return cls(place, turn / norm)
+        try:
+            pose = read_pose(translation, rotation)
+        except PoseError as error:
+            raise TransformError(str(error)) from None
+        return cls(pose[:3], pose[3:])
 
     def __matmul__(self, other: Transform) -> Transform:
         """Return this transform after another one."""
@@ -76,9 +72,7 @@ class Transform:
     @property
     def pose(self) -> Array:
         """Position and heading in the x-y plane (3,) [m, m, rad]."""
-        x, y, z, w = self.rotation
-        yaw = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
-        return np.array((self.translation[0], self.translation[1], yaw))
+        return np.array((self.translation[0], self.translation[1], yaw_of(*self.rotation.tolist())))
 
     def between(self, other: Transform, share: float) -> Transform:
         """Return the transform at a share of the way to another one, 0 to 1, at constant speed and turn rate."""

@@ -121,7 +121,7 @@ class ScanPart(_Part):
         half_width: Half the opening in which beams count for a bearing [rad]; 0 for the nearest beam alone.
         reduce: Which of several beams counts: the least range, or the median.
         low: Least range; what is too close reads it [m].
-        high: Largest range; what is farther, or was not measured, reads it [m].
+        high: Largest range; what is farther, and nothing there, reads it [m].
     """
 
     source: Literal["scan"]

@@ -4,38 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrl_rl_core.driving.scan import ScanGeometry, nearest_beams
-from ctrl_rl_core.geometry.odometry import OdometryReader
 from ctrl_rl_core.policies.errors import PolicyError
 from ctrl_rl_core.policies.manifest import COMMAND_NAMES, NamedPart, Part, PolicyManifest, ScanPart
+from ctrl_rl_core.sensing.odometry import OdometryReader
+from ctrl_rl_core.sensing.resampling import Sectors
+from ctrl_rl_core.sensing.sensors import Sensors
 from ctrl_rl_core.tasks.regions import wrap
 
 Array = NDArray[np.float64]
-
-
-class Sensors(NamedTuple):
-    """What a robot senses at the time of a scan.
-
-    Attributes:
-        ranges: Ranges of the scan's beams (beams,) [m].
-        scan: Bearings and limits of the beams in the robot's frame.
-        odometry: The last nav_msgs/Odometry, from rclpy or a bag.
-        pose: Pose x, y, theta (3,) [m, m, rad]; None where it is unknown.
-        goal: Goal x, y, theta in the frame of the pose (3,) [m, m, rad]; None where there is none.
-        command: Last command (2,).
-    """
-
-    ranges: NDArray[np.float32]
-    scan: ScanGeometry
-    odometry: Any
-    pose: Array | None
-    goal: Array | None
-    command: Array
+_HEADINGS = {"theta", "turn"}
 
 
 class ObservationBuilder:
@@ -95,6 +76,8 @@ def _goal(part: NamedPart, sensors: Sensors) -> Array:
     cos, sin = math.cos(theta), math.sin(theta)
     ahead, left = cos * east + sin * north, cos * north - sin * east
     bearing = math.atan2(left, ahead)
+    if math.isnan(goal_theta) and not _HEADINGS.isdisjoint(part.names):
+        raise PolicyError("the goal has no heading")
     known = {
         "x": goal_x,
         "y": goal_y,
@@ -115,35 +98,19 @@ class _ScanReader:
 
     def __init__(self, part: ScanPart) -> None:
         self._part = part
-        self._geometry: ScanGeometry | None = None
-        self._beams: NDArray[np.intp] = np.empty((0, 0), np.intp)
+        bearings = tuple(part.bearings.tolist())
+        self._sectors = Sectors(bearings, part.half_width, part.high, part.reduce)
 
     def __call__(self, sensors: Sensors) -> Array:
         """Return the ranges (count,) [m].
 
         Raises:
             PolicyError: The lidar does not look in one of the directions.
+            ScanError: The scan is unusable, or holds no measurement.
         """
-        part, scan, ranges = self._part, sensors.scan, sensors.ranges
-        if scan != self._geometry:  # an LDS-02 never turns twice at the same speed
-            self._beams, self._geometry = self._find(scan), scan
-        values = ranges[self._beams].astype(np.float64)
-        values[(values == 0.0) | np.isnan(values)] = math.inf  # an LDS-01 writes 0 for a miss
-        values[values > scan.range_max] = math.inf
-        near = values.min(axis=1) if part.reduce == "least" else np.median(values, axis=1)
-        return np.asarray(np.clip(near, part.low, part.high), dtype=np.float64)
-
-    def _find(self, scan: ScanGeometry) -> NDArray[np.intp]:
-        """Return the beams of each bearing (count, most in one); rows are filled up with the nearest beam."""
-        part = self._part
-        field, nearest = nearest_beams(scan, part.bearings)
-        if not field.all():
-            degrees = math.degrees(float(part.bearings[~field][0]))
+        distances = self._sectors.distances(sensors.ranges, sensors.scan)
+        unseen = self._sectors.unseen(sensors.scan)
+        if len(unseen):
+            degrees = math.degrees(float(unseen[0]))
             raise PolicyError(f"the lidar does not look to {degrees:.0f} deg, where the policy does")
-        if part.half_width == 0.0:
-            return nearest[:, None]
-        bearings = scan.angle_min + scan.angle_increment * np.arange(scan.beams)
-        within = np.abs(wrap(bearings - part.bearings[:, None])) <= part.half_width
-        most = max(1, int(within.sum(axis=1).max()))
-        order = np.argsort(~within, axis=1, kind="stable")[:, :most]
-        return np.where(np.take_along_axis(within, order, axis=1), order, nearest[:, None])
+        return np.maximum(distances, self._part.low)

@@ -18,13 +18,15 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrl_rl_core.driving.scan import ScanGeometry
 from ctrl_rl_core.io.checked_tensors import kind_of
 from ctrl_rl_core.io.file_checks import one_line, raise_as, short_path
 from ctrl_rl_core.plugins import find_plugins, load_plugin
 from ctrl_rl_core.policies.errors import PolicyError
 from ctrl_rl_core.policies.manifest import PolicyManifest
-from ctrl_rl_core.policies.observation import ObservationBuilder, Sensors
+from ctrl_rl_core.policies.observation import ObservationBuilder
+from ctrl_rl_core.sensing.odometry import make_odometry
+from ctrl_rl_core.sensing.scan import ScanGeometry
+from ctrl_rl_core.sensing.sensors import Sensors
 
 Array = NDArray[np.float64]
 GROUP = "ctrl_rl.policies"
@@ -147,10 +149,8 @@ def load_policy(path: Path) -> Policy:
 
 def _try(policy: Policy) -> None:
     """Refuse a policy whose command is not a pair of finite numbers in a plain situation."""
-    from nav_msgs.msg import Odometry
-
     wall = np.ones(_SOME_SCAN.beams, np.float32)
-    sensors = Sensors(wall, _SOME_SCAN, Odometry(), np.zeros(3), np.ones(3), policy.rest)
+    sensors = Sensors(wall, _SOME_SCAN, make_odometry(np.zeros(3), np.zeros(3)), np.zeros(3), np.ones(3), policy.rest)
     command = policy.command(sensors)
     if command.shape != (2,) or not np.isfinite(command).all():
         raise PolicyError(f"its command in front of a wall at 1 m is {one_line(command.tolist(), 60)}: not two numbers")

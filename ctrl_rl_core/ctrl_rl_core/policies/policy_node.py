@@ -17,19 +17,18 @@ from ctrl_rl_core.driving.command_output import CommandOutput, ThrustOutput
 from ctrl_rl_core.driving.episode_driver import MAX_DISTANCE, EpisodeDriver
 from ctrl_rl_core.driving.lidar_driver import DRIVER_PARAMETERS, PendingDecision, SensorReading
 from ctrl_rl_core.driving.velocity_node import VelocityError
-from ctrl_rl_core.geometry.odometry import yaw_of
 from ctrl_rl_core.io.file_checks import raise_as, read_bytes
 from ctrl_rl_core.policies.errors import PolicyError
-from ctrl_rl_core.policies.observation import Sensors
 from ctrl_rl_core.policies.policy import Policy, find_policy, load_policy
 from ctrl_rl_core.policies.pose_input import POSE_PARAMETERS, PoseInput
 from ctrl_rl_core.ros.node import COMMAND, Status, seconds
 from ctrl_rl_core.ros.parameters import Parameter
 from ctrl_rl_core.ros.running import run_node
+from ctrl_rl_core.sensing.pose import PoseError, planar, read_goal
+from ctrl_rl_core.sensing.sensors import Sensors
 from ctrl_rl_msgs.msg import EpisodeStatus
 
 Array = NDArray[np.float64]
-_LARGEST = 1e9
 
 
 class PolicyNode(EpisodeDriver):
@@ -68,7 +67,7 @@ class PolicyNode(EpisodeDriver):
         self._scanned_at = self._decided_at = math.nan
         super().__init__("policy")
         self.set_limits(*self._policy.limits)
-        self._odometry: Odometry | None = None
+        self._odometry: Array | None = None
         self._goal: Array | None = None
         self._goal_frame = ""
         self._episode: int | None = None
@@ -93,9 +92,9 @@ class PolicyNode(EpisodeDriver):
         self._take(policy, file)
         self.set_limits(*policy.limits)
 
-    def on_odometry(self, message: Odometry) -> None:
+    def on_odometry(self, message: Odometry, odometry: Array) -> None:
         """Keep it for the next decision."""
-        self._odometry = message
+        self._odometry = odometry
         self._poses.on_odometry(message, self.frame)
 
     def on_episode(self, message: EpisodeStatus) -> None:
@@ -158,10 +157,10 @@ class PolicyNode(EpisodeDriver):
         return elapsed >= period - 0.5 * min(max(gap, 0.0), period)
 
     def _on_goal(self, message: PoseStamped) -> None:
-        position = message.pose.position
-        goal = np.array((position.x, position.y, yaw_of(message.pose.orientation)))
-        if not (np.abs(goal) < _LARGEST).all():  # NaN, too
-            self.get_logger().warning(f"goal_pose refused: x {position.x}, y {position.y} or its heading is no place")
+        try:
+            goal = planar(read_goal(message.pose).tolist())
+        except PoseError as error:
+            self.get_logger().warning(f"goal_pose refused: {error}")
             return
         self._goal, self._goal_frame = goal, message.header.frame_id.lstrip("/")
         self._decided_at = math.nan

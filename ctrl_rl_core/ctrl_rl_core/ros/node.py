@@ -110,6 +110,9 @@ class SuiteNode(Node):
     def stop(self) -> None:
         """Finish the work (send zero velocity, close a file) while publishers still work; called once, override it."""
 
+    def on_suspend(self) -> None:
+        """Leave things safe before Ctrl-Z suspends the process; override it in a node that drives."""
+
     def on_callback_error(self, error: Exception) -> None:
         """React to a callback that raised; it is counted and logged already. Override it in a node that drives.
 
@@ -228,6 +231,11 @@ def warn(message: str, **values: object) -> Status:
 def seconds(stamp: TimeMsg) -> float:
     """Return a time stamp in seconds."""
     return stamp.sec + 1e-9 * stamp.nanosec
+
+
+def nanoseconds(stamp: TimeMsg) -> int:
+    """Return a time stamp in whole nanoseconds."""
+    return int(stamp.sec * 10**9 + stamp.nanosec)
 
 
 def to_stamp(nanoseconds: int) -> TimeMsg:

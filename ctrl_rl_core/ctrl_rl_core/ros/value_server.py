@@ -20,11 +20,12 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_srvs.srv import Trigger
 
 from ctrl_rl_core.errors import CtrlRlError
-from ctrl_rl_core.geometry.odometry import OdometryReader
-from ctrl_rl_core.ros.node import LATCHED, RESULT, Status, SuiteNode, ok, warn
+from ctrl_rl_core.ros.node import LATCHED, RESULT, Status, SuiteNode, nanoseconds, ok, warn
 from ctrl_rl_core.ros.parameters import Parameter, ParameterError
 from ctrl_rl_core.ros.running import interruptible
 from ctrl_rl_core.ros.value_messages import answer, grid_message, slice_message
+from ctrl_rl_core.sensing.odometry import OdometryError, OdometryReader, read_odometry
+from ctrl_rl_core.sensing.odometry_health import OdometryHealth
 from ctrl_rl_core.values.value_function import ValueFunction
 from ctrl_rl_msgs.msg import StateValue
 from ctrl_rl_msgs.msg import ValueGrid as ValueGridMsg
@@ -57,7 +58,8 @@ class ValueServer(SuiteNode):
 
     def __init__(self, name: str) -> None:
         super().__init__(name)
-        self._counts = {"odometry": 0, "outside": 0, "unreachable": 0}
+        self._counts = {"odometry": 0, "outside": 0, "unreachable": 0, "refused": 0}
+        self._fault, self._odometry_health = "", OdometryHealth()
         self._outside, self._foreign, self._heard = False, False, 0.0
         self._grids: dict[str, Publisher] = {}
         self._slice = self.create_publisher(OccupancyGrid, "~/slice", LATCHED)
@@ -91,6 +93,8 @@ class ValueServer(SuiteNode):
             return warn("waiting for odometry", **figures)
         if time.monotonic() - self._heard > _STALE_S:
             return warn("no odometry any more", **figures)
+        if self._fault:
+            return warn(f"no value: {self._fault}", **figures)
         if self._outside:
             return warn("the robot is outside the grid", **figures)
         return ok("serving", **figures)
@@ -150,7 +154,17 @@ class ValueServer(SuiteNode):
     def _on_odometry(self, message: Odometry) -> None:
         self._counts["odometry"] += 1
         self._heard = time.monotonic()
-        state = self._reader(message)
+        try:
+            odometry = read_odometry(message)
+            contradiction = self._odometry_health.update(nanoseconds(message.header.stamp), odometry)
+            if contradiction and self._reader.uses_twist:
+                raise OdometryError(contradiction)
+        except OdometryError as error:
+            self._counts["refused"] += 1
+            self._fault = str(error)
+            self.get_logger().warning(f"no value: {error}", throttle_duration_sec=5.0)
+            return
+        self._fault, state = "", self._reader(odometry)
         value, gradient = self._function.value_and_gradient_at(state)
         outside = bool(np.isnan(value))
         if outside and not self._outside:

@@ -15,12 +15,12 @@ import numpy as np
 import rclpy
 import yaml
 from ament_index_python.packages import get_package_prefix
-from ctrl_rl_core.geometry.odometry import yaw_of
+from ctrl_rl_core.processes.children import start_child
 from ctrl_rl_core.ros.node import LATCHED, RESULT, SENSOR, seconds
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
 
-from ctrl_rl_core import OccupancyMap
+from ctrl_rl_core import OccupancyMap, read_planar_pose
 from ctrl_rl_msgs.msg import EpisodeStatus, NavigatorStatus
 from ctrl_rl_navigation.cli.goals import GoalMaker, Trial
 from ctrl_rl_navigation.cli.outcome import Options, Outcome
@@ -71,8 +71,7 @@ class _Operator:
         self.status = message
 
     def _on_truth(self, message: Odometry) -> None:
-        place = message.pose.pose.position
-        self.pose = np.array((place.x, place.y, yaw_of(message.pose.pose.orientation)))
+        self.pose = read_planar_pose(message.pose.pose)
         self.now = seconds(message.header.stamp)
 
     def _on_episode(self, message: EpisodeStatus) -> None:
@@ -83,7 +82,7 @@ def _start(package: str, executable: str, log: Path, parameters: dict[str, Any])
     path = Path(get_package_prefix(package)) / "lib" / package / executable
     words = [word for name, value in parameters.items() for word in ("-p", f"{name}:={value}")]
     with log.open("wb") as stream:
-        return subprocess.Popen([path, "--ros-args", *words], stdout=stream, stderr=subprocess.STDOUT)
+        return start_child([path, "--ros-args", *words], stdout=stream, stderr=subprocess.STDOUT)
 
 
 @contextmanager

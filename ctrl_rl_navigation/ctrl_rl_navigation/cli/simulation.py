@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.driving.scan import ScanError, view_scan
+from ctrl_rl_core.sensing.scan import ScanError, view_scan
 from numpy.typing import ArrayLike, NDArray
 from sim_bridge.simulation.localisation import Localiser, correction
 
-from ctrl_rl_core import DriveSafety, NavigationTask, ObstacleStop, OccupancyMap, ScanGeometry, ScanHealth
+from ctrl_rl_core import DriveSafety, NavigationTask, ObstacleStop, OccupancyMap, ScanHealth
 from ctrl_rl_navigation.driving.decision import Decision, Goal, NavigatorOptions, NavigatorState
 from ctrl_rl_navigation.driving.navigator import Navigator
 from ctrl_rl_navigation.robot import DriveLimits
@@ -184,11 +184,10 @@ class DriveSimulation:
     def _look(self, pose: Array) -> None:
         """Take a scan."""
         scan = self.world.laser_scan()
-        geometry = ScanGeometry(len(scan.ranges), scan.angle_min, scan.angle_increment, scan.range_min, scan.range_max)
         now = self.world.elapsed
         forward, _, turn = self.world.odometry().velocity
-        self._safety.update(now, round(1e9 * now), "scan", scan.ranges, geometry, (forward, turn))
-        self._echoes = view_scan(scan.ranges, geometry, math.inf, LIDAR_X).points
+        self._safety.update(now, round(1e9 * now), "scan", scan.ranges, scan.geometry, (forward, turn))
+        self._echoes = view_scan(scan.ranges, scan.geometry, math.inf, LIDAR_X).points
         self._scan_pose, self._scan_at = self.localiser.odometry(), now
         self.navigator.see(now, pose, self._echoes)
 

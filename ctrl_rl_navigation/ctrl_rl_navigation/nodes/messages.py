@@ -14,6 +14,7 @@ from nav_msgs.msg import OccupancyGrid, Path
 from numpy.typing import NDArray
 from std_msgs.msg import Header
 
+from ctrl_rl_core import PoseError, read_goal
 from ctrl_rl_msgs.msg import NavigatorStatus
 from ctrl_rl_navigation.driving.decision import Decision, Goal
 from ctrl_rl_navigation.driving.navigator import Navigator
@@ -22,8 +23,6 @@ from ctrl_rl_navigation.values.map_value import MapValue
 
 _PATH_STEP = 5
 """Places of a path from one pose of its message to the next."""
-_NO_TURN = 1e-6
-_FARTHEST = 1e6
 
 
 def goal_from(message: PoseStamped, frame: Transform, with_heading: bool) -> Goal:
@@ -35,17 +34,15 @@ def goal_from(message: PoseStamped, frame: Transform, with_heading: bool) -> Goa
         with_heading: Whether the heading counts; a message without an orientation has none.
 
     Raises:
-        NavigationError: A coordinate is not finite, or is far too large.
+        NavigationError: It is no pose.
     """
-    place, q = message.pose.position, message.pose.orientation
-    if not all(map(math.isfinite, (place.x, place.y, q.x, q.y, q.z, q.w))):
-        raise NavigationError(f"the goal ({place.x}, {place.y}) is not finite")
-    if max(abs(place.x), abs(place.y)) > _FARTHEST:
-        raise NavigationError(f"the goal ({place.x:g}, {place.y:g}) is more than {_FARTHEST:g} m away")
-    norm = math.sqrt(q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w)
-    turned = norm > _NO_TURN
-    rotation = np.array((q.x, q.y, q.z, q.w)) / norm if turned else np.array((0.0, 0.0, 0.0, 1.0))
-    x, y, heading = (frame @ Transform(np.array((place.x, place.y, 0.0)), rotation)).pose.tolist()
+    try:
+        goal = read_goal(message.pose)
+    except PoseError as error:
+        raise NavigationError(str(error)) from None
+    turned = bool(goal[3:].any())
+    rotation = goal[3:] if turned else np.array((0.0, 0.0, 0.0, 1.0))
+    x, y, heading = (frame @ Transform(np.array((*goal[:2], 0.0)), rotation)).pose.tolist()
     return Goal((x, y), heading if turned and with_heading else None)
 
 

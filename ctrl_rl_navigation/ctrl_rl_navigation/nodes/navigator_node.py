@@ -88,7 +88,7 @@ class NavigatorNode(LidarVelocityNode):
         self.create_timer(_STATUS_PERIOD, self._report, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.create_subscription(PoseStamped, "goal_pose", self._on_goal, 10)  # last: now goals are heard
 
-    def on_odometry(self, message: Odometry) -> None:
+    def on_odometry(self, message: Odometry, odometry: NDArray[np.float64]) -> None:  # noqa: ARG002
         """Keep the pose by odometry."""
         self._input.on_odometry(message, self.frame)
 

@@ -6,9 +6,9 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from ctrl_rl_core.driving.scan import ScanError, view_scan
 from ctrl_rl_core.navigation.transform_tree import Transform, TransformError
 from ctrl_rl_core.policies.pose_input import PoseInput
+from ctrl_rl_core.sensing.scan import ScanError, view_scan
 from numpy.typing import NDArray
 
 from ctrl_rl_core import LidarVelocityNode, ScanGeometry

@@ -6,11 +6,10 @@ import math
 from typing import Protocol
 
 import numpy as np
-from ctrl_rl_core.policies.observation import Sensors
 from ctrl_rl_core.tasks.regions import wrap
 from numpy.typing import NDArray
 
-from ctrl_rl_core import NavigationTask, Policy
+from ctrl_rl_core import NavigationTask, Policy, Sensors
 
 Array = NDArray[np.float64]
 _LOOK = 1.3

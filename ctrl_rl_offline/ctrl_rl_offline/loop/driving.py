@@ -15,13 +15,11 @@ from ctrl_rl_bags.datasets.episodes import EpisodeFrames, Step
 from ctrl_rl_bags.datasets.frames import Frames, Layout, ScanLayout
 from ctrl_rl_bags.datasets.readings import no_goal
 from ctrl_rl_bags.datasets.rebuilding import DriveWriter
-from ctrl_rl_core.driving.scan import ScanGeometry
-from ctrl_rl_core.policies.observation import Sensors
+from ctrl_rl_core.sensing.pose import planar
 from ctrl_rl_training.sb3.environment import usual_rate
 from numpy.typing import NDArray
 
-from ctrl_rl_core import NavigationTask, Outcome, task_digest, terminal_reward
-from ctrl_rl_offline.data.transitions import message_of, planar
+from ctrl_rl_core import NavigationTask, Outcome, Sensors, make_odometry, task_digest, terminal_reward
 from ctrl_rl_offline.errors import OfflineError
 from ctrl_rl_offline.loop.drivers import Driver
 from sim_bridge import SimulatedWorld, SimulationOptions
@@ -134,7 +132,6 @@ def _episode(
     """Drive one episode; return its frames, its outcome and its number of commands."""
     layout = layout_of(task)
     scan, current, pieces = layout.scan, EpisodeFrames(layout), list[Frames]()
-    geometry = ScanGeometry(scan.beams, scan.angle_min, scan.angle_increment, scan.range_min, scan.range_max)
     step, counts = round(task.episode.time_step * 1e9), round(task.episode.time_step * rate)
     disc = task.goal.region.disc
     goal = no_goal() if disc is None else np.array((*disc.centre, 0.0, 0.0, 0.0, 0.0, 1.0))
@@ -143,15 +140,15 @@ def _episode(
     outcome, steps = 0, 0
     while True:
         reading, ranges = world.odometry(0), world.scan(0)
-        numbers = _odometry(reading.pose, reading.velocity)
+        numbers = make_odometry(reading.pose, reading.velocity)
         now = time + steps * step
         pieces += current.add(Step(now, now, ranges, numbers, goal, None, command, np.nan, outcome))
         if outcome:
             return [*pieces, *current.end()], outcome, steps
         sensors = Sensors(
             ranges,
-            geometry,
-            message_of(numbers.tolist()),
+            scan.geometry,
+            numbers,
             planar(numbers[:7].tolist()),
             target,
             np.zeros(2) if command is None else command,
@@ -161,16 +158,3 @@ def _episode(
         world.step(counts)
         steps += 1
         outcome = int(world.episode(0).outcome)
-
-
-def _odometry(pose: Array, velocity: Array) -> Array:
-    """Return pose and twist (13,) of x, y, theta and velocities ahead, to the left and around."""
-    x, y, theta = pose
-    return np.array(
-        (
-            *(x, y, 0.0),
-            *(0.0, 0.0, np.sin(0.5 * theta), np.cos(0.5 * theta)),
-            *(velocity[0], velocity[1], 0.0),
-            *(0.0, 0.0, velocity[2]),
-        )
-    )

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from ctrl_rl_core.policies.observation import Sensors
 from numpy.typing import NDArray
 from ttr_reward_node.rewards.progress import Progress, TimeToReach
 
-from ctrl_rl_core import NavigationTask, OdometryReader, Outcome, terminal_reward
+from ctrl_rl_core import NavigationTask, OdometryReader, Outcome, Sensors, terminal_reward
 from ctrl_rl_robot.errors import RobotError
 
 Array = NDArray[np.float64]

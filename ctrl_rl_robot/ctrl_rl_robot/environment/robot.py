@@ -5,10 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple, Protocol
 
 import numpy as np
-from ctrl_rl_core.policies.observation import Sensors
 from numpy.typing import NDArray
 
-from ctrl_rl_core import Outcome
+from ctrl_rl_core import Outcome, Sensors
 
 Array = NDArray[np.float64]
 

@@ -7,10 +7,9 @@ from typing import ClassVar
 
 import numpy as np
 from ctrl_rl_core.driving.lidar_velocity_node import SCAN_PARAMETERS
-from ctrl_rl_core.geometry.odometry import yaw_of
-from ctrl_rl_core.policies.observation import Sensors
 from ctrl_rl_core.policies.pose_input import POSE_PARAMETERS, PoseInput
 from ctrl_rl_core.ros.node import Status, seconds
+from ctrl_rl_core.sensing.pose import planar
 from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
 from nav_msgs.msg import Odometry
 from numpy.typing import NDArray
@@ -27,7 +26,10 @@ from ctrl_rl_core import (
     Outcome,
     Parameter,
     PolicyManifest,
+    PoseError,
     ScanGeometry,
+    Sensors,
+    read_goal,
 )
 from ctrl_rl_msgs.msg import EpisodeStatus, SafetyStatus
 from ctrl_rl_robot.environment.operator import JoyMapping, Operator
@@ -72,7 +74,8 @@ class RobotNode(LidarVelocityNode):
         self._wanted, self._last = np.zeros(2), np.zeros(2)
         self._driving = False
         self._tally = Tally(self.now(), self._last)
-        self._odometry: Odometry | None = None
+        self._odometry: Array | None = None
+        self._odometry_stamp = -math.inf
         self._scan: tuple[NDArray[np.float32], ScanGeometry, float] | None = None
         self._goal: tuple[Array, str] | None = None
         self._poses = PoseInput(self, self.timeout, self.now)
@@ -170,7 +173,7 @@ class RobotNode(LidarVelocityNode):
     @property
     def odometry_stamp(self) -> float:
         """Time stamp of the last odometry [s]; -inf before the first one."""
-        return -math.inf if self._odometry is None else seconds(self._odometry.header.stamp)
+        return self._odometry_stamp
 
     @property
     def stamp(self) -> float:
@@ -181,9 +184,9 @@ class RobotNode(LidarVelocityNode):
         """Return no stop: the safety filter keeps clear of obstacles."""
         return ObstacleStop(0.0, 0.0, 1.0, 0.0)
 
-    def on_odometry(self, message: Odometry) -> None:
+    def on_odometry(self, message: Odometry, odometry: Array) -> None:
         """Keep it for the next reading."""
-        self._odometry = message
+        self._odometry, self._odometry_stamp = odometry, seconds(message.header.stamp)
         self._poses.on_odometry(message, self.frame)
 
     def on_scan(self, message: LaserScan, ranges: NDArray[np.float32], scan: ScanGeometry) -> None:
@@ -220,10 +223,10 @@ class RobotNode(LidarVelocityNode):
             self.outcome = Outcome(message.outcome.value)
 
     def _on_goal(self, message: PoseStamped) -> None:
-        place = message.pose.position
-        goal = np.array((place.x, place.y, yaw_of(message.pose.orientation)))
-        if (np.abs(goal) < _LARGEST).all():  # not NaN, either
-            self._goal = goal, message.header.frame_id.lstrip("/")
+        try:
+            self._goal = planar(read_goal(message.pose).tolist()), message.header.frame_id.lstrip("/")
+        except PoseError as error:
+            self.get_logger().warning(f"goal_pose refused: {error}")
 
     def _on_ready(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self.ready = response.success = True

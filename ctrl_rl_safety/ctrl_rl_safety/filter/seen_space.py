@@ -10,7 +10,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from ctrl_rl_core.driving.scan import DIRECTIONS, ScanGeometry, nearest_beams
+from ctrl_rl_core.sensing.scan import DIRECTIONS, ScanGeometry, nearest_beams
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from ctrl_rl_core.sensing.odometry_health import contradiction
 from numpy.typing import NDArray
 
 from ctrl_rl_bags import BagError, align, open_bag
@@ -18,6 +19,8 @@ STEP = 0.01
 LATEST = 0.5
 """Largest step of the odometry, and age of a command after which the robot may have stopped by itself [s]."""
 _SHORTEST = 1.0
+_EVERY = 5
+"""Rows of which one is looked at where pose and twist are compared."""
 _TYPES = {
     "cmd_vel": ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"),
     "odom": ("nav_msgs/msg/Odometry",),
@@ -63,6 +66,8 @@ def read_drives(bag: Path, command_topic: str = "", odometry_topic: str = "") ->
     for each in found:
         values, told = each.values[odometry], each.values[commands]
         whole = np.isfinite(values).all(axis=1) & np.isfinite(told).all(axis=1)
+        if fault := contradiction(each.times[whole][::_EVERY], *np.split(values[whole][::_EVERY], [3], axis=1)):
+            raise SafetyError(f"{bag}: {fault}")
         if whole.all() and len(each) * STEP >= _SHORTEST:
             drives.append(Drive(told, values[:, :3], values[:, 3:]))
     if not drives:

@@ -11,8 +11,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 from ctrl_rl_core.driving.command_output import ThrustOutput
-from ctrl_rl_core.geometry.odometry import OdometryReader
 from ctrl_rl_core.ros.node import COMMAND, RESULT, SENSOR, Status, ok, to_stamp, warn
+from ctrl_rl_core.sensing.odometry import OdometryError, OdometryReader, read_odometry
 from nav_msgs.msg import Odometry
 from numpy.typing import NDArray
 from rclpy.clock import Clock, ClockType
@@ -109,8 +109,8 @@ class FlightGuardNode(SuiteNode):
         clock = self.get_clock().now().nanoseconds
         try:
             age = age_of("odometry", stamp, clock, self.settings["odometry_timeout"], self._ahead)
-            state = self._checked(message)
-        except SafetyError as error:
+            state = self._read(read_odometry(message))
+        except (SafetyError, OdometryError) as error:
             self._odometry_fault = str(error)
             self._counts["refused"] += 1
             return
@@ -124,20 +124,6 @@ class FlightGuardNode(SuiteNode):
         since, period = 1e-9 * (stamp - self._answered), self.settings["period"]
         if since >= period - 0.5 * min(self._gap, period) or since < 0.0:  # or the clock was set back
             self._answer()
-
-    def _checked(self, message: Odometry) -> Array:
-        """Return the state (6,) that odometry tells.
-
-        Raises:
-            SafetyError: It is not finite, or its orientation is none.
-        """
-        q = message.pose.pose.orientation
-        if not abs(q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w - 1.0) <= _NO_TURN:
-            raise SafetyError(f"odometry with the orientation ({q.x:g}, {q.y:g}, {q.z:g}, {q.w:g}), which is none")
-        state = self._read(message)
-        if not np.isfinite(state).all():
-            raise SafetyError("odometry that is not finite")
-        return state
 
     def _on_raw(self, message: RotorThrusts) -> None:
         raw = np.array((message.t1, message.t2))

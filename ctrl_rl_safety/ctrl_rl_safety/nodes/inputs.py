@@ -17,8 +17,6 @@ Array = NDArray[np.float64]
 
 AHEAD = 0.1
 """Time by which a stamp may lie ahead of this computer's clock [s]; clocks of two computers differ a bit."""
-_FEW, _SOME = 2, 0.02
-"""Beams by which a scan's count may differ from that of its angles, and that part of them."""
 _FARTHEST_JUMP = 0.3
 """Way beyond that of the largest speed that means another origin of the odometry [m]."""
 
@@ -42,21 +40,6 @@ def age_of(what: str, stamp: int, clock: int, timeout: float, ahead: float = AHE
     if age > timeout:
         raise SafetyError(f"{what} is {age:.2f} s old on arrival: set the clocks of both computers, or use_sim_time")
     return max(age, 0.0)
-
-
-def check_count(angle: float, scan: ScanGeometry) -> None:
-    """Check that a scan has about as many ranges as its angles say.
-
-    Args:
-        angle: Angle from its first beam to its last one [rad].
-        scan: Bearings of its beams.
-
-    Raises:
-        SafetyError: It has not: the bearings of its echoes are wrong then.
-    """
-    wanted = 1.0 + angle / scan.angle_increment
-    if not abs(scan.beams - wanted) <= _FEW + _SOME * scan.beams:
-        raise SafetyError(f"the scan has {scan.beams} ranges, and {wanted:.0f} by its angle_min, _max and _increment")
 
 
 def beam_times(points: Array, scan: ScanGeometry, increment: float, forward: float, longest: float) -> Array:

@@ -28,7 +28,7 @@ from ctrl_rl_safety.filter.seen_space import sight_of
 from ctrl_rl_safety.filter.verdict import FilterOptions, Mode, Verdict
 from ctrl_rl_safety.filter.warming import warm_up
 from ctrl_rl_safety.models.robot_model import find_model
-from ctrl_rl_safety.nodes.inputs import AHEAD, OdometryInput, age_of, beam_times, check_count
+from ctrl_rl_safety.nodes.inputs import AHEAD, OdometryInput, age_of, beam_times
 from ctrl_rl_safety.nodes.map_input import MapInput
 from ctrl_rl_safety.nodes.messages import WHY, escape_marker, slice_message
 from ctrl_rl_safety.nodes.parameters import FILTER_PARAMETERS
@@ -130,7 +130,7 @@ class SafetyFilterNode(LidarVelocityNode):
             self._counts["waiting"] += 1
             self._tell(command, SafetyStatus.WAITING, problem)
 
-    def on_odometry(self, message: Odometry) -> None:
+    def on_odometry(self, message: Odometry, odometry: NDArray[np.float64]) -> None:  # noqa: ARG002
         """Keep pose and speeds; after a jump of the frame nothing is known."""
         if self._filter is None:
             return
@@ -154,7 +154,6 @@ class SafetyFilterNode(LidarVelocityNode):
         now, clock = self.now(), self.get_clock().now().nanoseconds
         stamp = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
         try:
-            check_count(message.angle_max - message.angle_min, scan)
             age = age_of("scan", stamp, clock, self.timeout, self._ahead)
             fixed = None if self._map is None else self._map.fixed(self._odometry.reading(now).pose)
             lidar_x = self.settings["lidar_x"]

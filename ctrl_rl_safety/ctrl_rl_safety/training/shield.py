@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 import gymnasium
 import numpy as np
-from ctrl_rl_core.driving.scan import nearest_beams
+from ctrl_rl_core.sensing.scan import nearest_beams
 from ctrl_rl_training.sb3.environment import Environment, ScaledObservation, Vector
 from gymnasium import spaces
 

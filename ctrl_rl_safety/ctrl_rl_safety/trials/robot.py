@@ -10,11 +10,11 @@ import math
 from collections import deque
 
 import numpy as np
-from ctrl_rl_core.driving.scan import view_scan
+from ctrl_rl_core.sensing.scan import view_scan
 from numpy.typing import NDArray
 from sim_bridge.simulation.bodies import DRIVES
 
-from ctrl_rl_core import Outcome, ScanGeometry
+from ctrl_rl_core import Outcome
 from ctrl_rl_safety.filter.map_walls import MapWalls
 from ctrl_rl_safety.filter.safety_filter import SafetyFilter
 from ctrl_rl_safety.filter.verdict import Mode, Reading
@@ -158,8 +158,7 @@ class TrialRobot:
         odometry = world.odometry()
         if world.steps % self._turn < self._steps:  # the first tick after the lidar's turn is complete
             scan = world.laser_scan()
-            ranges = (len(scan.ranges), scan.angle_min, scan.angle_increment, scan.range_min, scan.range_max)
-            points = view_scan(scan.ranges, ScanGeometry(*ranges), safety.reach, self._forward).points
+            points = view_scan(scan.ranges, scan.geometry, safety.reach, self._forward).points
             fixed = None if self._walls is None else self._walls.fixed(world.pose(), odometry.pose)
             safety.see(now, odometry.pose, points, fixed=fixed)
             if self._with_set:

@@ -7,17 +7,14 @@ from typing import Protocol
 
 import numpy as np
 from ctrl_rl_core.policies.policy import Policy
-from nav_msgs.msg import Odometry
 from numpy.typing import NDArray
-from sim_bridge.ros.publishers import fill_odometry
 
-from ctrl_rl_core import CtrlRlError, NavigationTask, OdometryReader, ScanGeometry, Sensors
+from ctrl_rl_core import CtrlRlError, NavigationTask
 from ctrl_rl_safety.models.robot_model import RobotModel
 from sim_bridge import SimulatedWorld
 
 Array = NDArray[np.float64]
 
-_READ_POSE = OdometryReader(("x", "y", "theta"))
 _HELD_S = (0.3, 2.0)
 
 
@@ -56,19 +53,15 @@ class Driver:
     """A policy as its node drives it: it decides at each scan, or at its own period."""
 
     def __init__(self, policy: Policy, task: NavigationTask) -> None:
-        self._policy, self._odometry, self._last = policy, Odometry(), policy.rest
+        self._policy, self._last = policy, policy.rest
         self._goal = _middle(task) if "goal" in policy.needs else None
         period = 1.0 / task.lidar.rate if policy.period is None else policy.period
         self._period = round(20.0 * period) / 20.0
 
     def command(self, world: SimulatedWorld) -> tuple[Array, float]:  # noqa: D102
-        scan, policy = world.laser_scan(), self._policy
-        geometry = ScanGeometry(len(scan.ranges), scan.angle_min, scan.angle_increment, scan.range_min, scan.range_max)
-        fill_odometry(self._odometry, world.plane, round(1e9 * world.elapsed), world.odometry())
-        pose = _READ_POSE(self._odometry) if "pose" in policy.needs else None
+        policy = self._policy
         try:
-            sensors = Sensors(scan.ranges, geometry, self._odometry, pose, self._goal, self._last)
-            self._last = np.clip(policy.command(sensors), *policy.limits)
+            self._last = np.clip(policy.command(world.sensors(0, self._goal, self._last)), *policy.limits)
         except CtrlRlError:  # it gives none, so that its node would send rest
             return policy.rest, self._period
         return self._last, self._period

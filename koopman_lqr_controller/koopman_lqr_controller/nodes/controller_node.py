@@ -13,12 +13,12 @@ from ctrl_rl_core.ros.node import Status, seconds
 from numpy.typing import NDArray
 from std_msgs.msg import Header
 
-from ctrl_rl_core import RESULT, Parameter, run_node
+from ctrl_rl_core import RESULT, Parameter, ScanGeometry, run_node
 from ctrl_rl_msgs.msg import LatentState
 from koopman_lqr_controller.policies.koopman_policy import Decision
 from koopman_lqr_controller.policies.policy_file import DEFAULT_POLICY, KoopmanPolicy, digest, find_policy, load_policy
 from koopman_lqr_controller.safety.guards import Guard
-from koopman_lqr_controller.sensing.lidar import STEP_TOLERANCE, ScanGeometry
+from koopman_lqr_controller.sensing.lidar import STEP_TOLERANCE
 
 _OUT_OF_STEP = 20
 """Scans in a row that were not predicted, after which it is said."""

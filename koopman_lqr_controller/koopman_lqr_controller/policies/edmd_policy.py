@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ctrl_rl_core import ScanGeometry, Sectors
 from koopman_lqr_controller.arrays import Array, check_arrays
 from koopman_lqr_controller.control.linear_analysis import costs_of
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.models.edmd import LinearModel
 from koopman_lqr_controller.policies.koopman_policy import TWO_STAGES, ClosedLoopModel, Decision, ObservationFn
 from koopman_lqr_controller.safety.latent_distribution import LatentDistribution, check_distribution
-from koopman_lqr_controller.sensing.lidar import ScanGeometry, Sectors
 from koopman_lqr_controller.sensing.observables import CorridorObservables
 
 

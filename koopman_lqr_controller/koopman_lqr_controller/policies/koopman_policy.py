@@ -9,9 +9,9 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from ctrl_rl_core import ScanGeometry
 from koopman_lqr_controller.arrays import Array
 from koopman_lqr_controller.models.edmd import LinearModel
-from koopman_lqr_controller.sensing.lidar import ScanGeometry
 
 
 class ObservationFn(Protocol):

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ctrl_rl_core import ScanGeometry, Sectors
 from koopman_lqr_controller.arrays import Array
 from koopman_lqr_controller.control.latent_controller import LatentController
 from koopman_lqr_controller.errors import KoopmanError
@@ -22,7 +23,6 @@ from koopman_lqr_controller.policies.koopman_policy import (
     ObservationFn,
 )
 from koopman_lqr_controller.safety.latent_distribution import LatentDistribution, check_distribution
-from koopman_lqr_controller.sensing.lidar import ScanGeometry, Sectors
 from koopman_lqr_controller.sensing.lidar_observation import LidarObservation
 
 

@@ -8,9 +8,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from ctrl_rl_core import ScanGeometry, Sectors
 from koopman_lqr_controller.arrays import Array
 from koopman_lqr_controller.errors import KoopmanError
-from koopman_lqr_controller.sensing.lidar import ScanGeometry, Sectors, check_speeds
+from koopman_lqr_controller.sensing.lidar import check_speeds
 
 
 @dataclass(frozen=True)
@@ -64,7 +65,8 @@ class LidarObservation:
         """Return x (count + 2,) for one scan and the odometry's speed [m/s] and turn rate [rad/s].
 
         Raises:
-            KoopmanError: nothing can be seen in the scan, or speed or turn rate are not finite.
+            ScanError: nothing can be seen in the scan.
+            KoopmanError: speed or turn rate are not finite.
         """
         check_speeds(v, omega)
         x = np.empty(self.count + 2)

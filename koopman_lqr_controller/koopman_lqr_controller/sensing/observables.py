@@ -15,8 +15,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from ctrl_rl_core import ScanGeometry, Sectors
 from koopman_lqr_controller.arrays import Array
-from koopman_lqr_controller.sensing.lidar import ScanGeometry, Sectors, check_speeds
+from koopman_lqr_controller.sensing.lidar import check_speeds
 
 
 @dataclass(frozen=True)
@@ -59,7 +60,8 @@ class CorridorObservables:
         It is dimensionless but for the last two components, which are these.
 
         Raises:
-            KoopmanError: nothing can be seen in the scan, or speed or turn rate are not finite.
+            ScanError: nothing can be seen in the scan.
+            KoopmanError: speed or turn rate are not finite.
         """
         check_speeds(v, omega)
         half = len(self.bearings_deg)

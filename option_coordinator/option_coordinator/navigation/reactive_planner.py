@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from ctrl_rl_core.sensing.scan import ScanGeometry, echoes
 from ctrl_rl_core.tasks.regions import wrap
 from numpy.typing import NDArray
 
@@ -79,21 +80,16 @@ class ReactivePlanner:
         return float(inside.min()) if len(inside) else math.inf
 
 
-def scan_points(
-    pose: Array, ranges: NDArray[np.float32], angle_min: float, angle_increment: float, forward: float
-) -> Array:
+def scan_points(pose: Array, ranges: NDArray[np.float32], scan: ScanGeometry, forward: float) -> Array:
     """Return what a scan saw as points (n, 2) [m] in the frame of the pose: there they stay while the robot turns.
 
     Args:
         pose: Pose x, y [m], theta [rad] (3,) of the robot at the time of the scan.
         ranges: Ranges as in REP-117 (beams,) [m].
-        angle_min: Bearing of the first beam [rad].
-        angle_increment: Angle between two beams [rad].
+        scan: Bearings and limits of the beams.
         forward: Position of the lidar ahead of the robot's centre [m].
     """
-    seen = np.flatnonzero(np.isfinite(ranges) & (ranges > 0.0))
-    bearings, near = angle_min + angle_increment * seen, ranges[seen].astype(float)
-    points = np.column_stack((forward + near * np.cos(bearings), near * np.sin(bearings)))
+    points = echoes(ranges, scan, math.inf, forward)
     c, s = math.cos(pose[2]), math.sin(pose[2])
     return np.asarray(pose[:2] + points @ np.array(((c, s), (-s, c))))
 

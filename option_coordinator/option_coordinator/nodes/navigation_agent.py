@@ -90,22 +90,17 @@ class NavigationAgent(LidarVelocityNode):
         figures |= {"carries": str(delivery.carries).lower(), "epoch": client.epoch, **client.counts, **sent}
         return (level, message, figures) if self.problem else ok(f"option '{option}'", **figures)
 
-    def on_odometry(self, message: Odometry) -> None:
+    def on_odometry(self, message: Odometry, odometry: NDArray[np.float64]) -> None:  # noqa: ARG002
         """Go on with the option from the robot's new pose."""
-        pose, first = self._read(message), self._pose is None
-        if not np.isfinite(pose).all():
-            self.halt("odometry with a pose that is not finite", message.header.stamp)
-            return
-        self._pose = pose
+        first, self._pose = self._pose is None, self._read(odometry)
         if first:
             self._agent.start()
         self._drive()
 
     def on_scan(self, _message: LaserScan, ranges: NDArray[np.float32], scan: ScanGeometry) -> None:
         """Keep the scan's points in the frame of the odometry."""
-        if self._pose is not None:
-            bearing, forward = scan.angle_min, self.settings["lidar_x"]
-            self._points = scan_points(self._pose, ranges, bearing, scan.angle_increment, forward)
+        if self._pose is not None and self._safety.view is not None:
+            self._points = scan_points(self._pose, ranges, scan, self.settings["lidar_x"])
 
     def _drive(self) -> None:
         """Go on with the option."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from ctrl_rl_core.sensing.scan import ScanGeometry
 from ctrl_rl_core.tasks.schema.robot import LidarSpec
 from numpy.typing import NDArray
 
@@ -54,6 +55,11 @@ class LidarScan:
     angle_increment: float
     range_min: float
     range_max: float
+
+    @property
+    def geometry(self) -> ScanGeometry:
+        """Bearings and limits of the beams."""
+        return ScanGeometry(len(self.ranges), self.angle_min, self.angle_increment, self.range_min, self.range_max)
 
 
 class Lidar:

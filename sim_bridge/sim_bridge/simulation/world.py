@@ -14,10 +14,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from ctrl_rl_core.sensing.odometry import make_odometry
+from ctrl_rl_core.sensing.pose import planar
 from ctrl_rl_core.tasks.schema.robot import MODEL
 from numpy.typing import ArrayLike, NDArray
 
-from ctrl_rl_core import NavigationTask, Outcome, System
+from ctrl_rl_core import NavigationTask, Outcome, Sensors, System
 from sim_bridge.engines.choice import make_engine
 from sim_bridge.simulation.bodies import Body, make_body
 from sim_bridge.simulation.commands import CommandChannel
@@ -238,6 +240,22 @@ class SimulatedWorld:
             place = frame.origin[[0, 1] if self.plane == "xy" else [0, 2]]
             buried = bool(self.geometry.signed_distance(place) < 0.0) or self._movers.hold(place)
         return self.lidar.scan(self._engine, frame, robot, entry.scan_random, buried)
+
+    def sensors(
+        self, robot: int = 0, goal: Array | None = None, command: Array | None = None, scan: LidarScan | None = None
+    ) -> Sensors:
+        """Return what a robot senses now, its pose by odometry.
+
+        Args:
+            robot: Number of the robot.
+            goal: Goal x, y, theta (3,) [m, m, rad]; None where there is none.
+            command: Last command (2,); zeros unless given.
+            scan: Scan that was taken now; a new one unless given.
+        """
+        scan, reading = scan or self.laser_scan(robot), self.odometry(robot)
+        odometry = make_odometry(reading.pose, reading.velocity, self.plane)
+        last = np.zeros(2) if command is None else command
+        return Sensors(scan.ranges, scan.geometry, odometry, planar(odometry[:7].tolist()), goal, last)
 
     def clearance(self, robot: int = 0) -> float:
         """Return the distance of the body to the nearest wall, obstacle, mover or robot [m]; at most 0 in touch."""

@@ -22,7 +22,7 @@ from ctrl_rl_bags import (
     open_bag,
     to_bag_qos,
 )
-from ctrl_rl_core import RESULT, OdometryReader, ValueFunction
+from ctrl_rl_core import RESULT, OdometryError, OdometryHealth, OdometryReader, ValueFunction, read_odometry
 from ttr_reward_node.errors import TimeToReachError
 from ttr_reward_node.rewards.rewards import RewardEvaluator
 
@@ -101,7 +101,7 @@ class _MessageRelabeller:
         self._known, self._what = known, what
         self._store, self._odom, self._prefix, self._frame = store, odom, prefix, frame
         self._function, self._evaluate = function, evaluator
-        self._read = OdometryReader(function.state_names)
+        self._read, self._health = OdometryReader(function.state_names), OdometryHealth()
         register(store, REWARD, VALUE)
 
     def __call__(self, message: SerializedMessage) -> Iterator[tuple[str, bytes]]:
@@ -112,7 +112,14 @@ class _MessageRelabeller:
         except DamagedError as error:
             raise BagError(f"{self._what} cannot be decoded: {error}") from None
         with fields_of(self._what):
-            state = self._read(odometry)
+            try:
+                numbers, stamp = read_odometry(odometry), odometry.header.stamp
+                fault = self._health.update(stamp.sec * 10**9 + stamp.nanosec, numbers)
+                if fault and self._read.uses_twist:
+                    raise OdometryError(fault)
+                state = self._read(numbers)
+            except OdometryError as error:
+                raise BagError(f"{self._what}: {error}") from None
             header = dataclasses.replace(odometry.header, frame_id=self._frame)
         value, gradient = self._function.value_and_gradient_at(state)
         outcome, reward = self._evaluate(state, value)

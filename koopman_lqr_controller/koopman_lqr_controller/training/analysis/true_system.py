@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ctrl_rl_core import ScanGeometry
 from koopman_lqr_controller.arrays import Array
 from koopman_lqr_controller.control.linear_analysis import Poles, jacobian, linearise, poles
 from koopman_lqr_controller.policies.latent_policy import LatentPolicy
 from koopman_lqr_controller.policies.policy_file import KoopmanPolicy
-from koopman_lqr_controller.sensing.lidar import ScanGeometry
 from koopman_lqr_controller.training.environments.control_suite import ControlSuite
 
 _BEAMS = 360

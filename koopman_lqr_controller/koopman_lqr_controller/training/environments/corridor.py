@@ -21,10 +21,9 @@ from ctrl_rl_core.tasks.task_sets import PathCoordinates
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from ctrl_rl_core import Interval, NavigationTask, Outcome, load_navigation_task
+from ctrl_rl_core import Interval, NavigationTask, Outcome, ScanGeometry, load_navigation_task
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.policies.latent_policy import RobotInterface
-from koopman_lqr_controller.sensing.lidar import ScanGeometry
 from koopman_lqr_controller.sensing.lidar_observation import LidarObservation
 from koopman_lqr_controller.training.replay import Mirror
 from sim_bridge import SimulatedWorld, SimulationOptions
@@ -179,8 +178,7 @@ class Corridor(gymnasium.Env[Vector, Vector]):
     def scan(self) -> tuple[NDArray[np.float32], ScanGeometry]:
         """Return the lidar's ranges (beams,) [m] and their geometry."""
         scan = self._world.laser_scan(0)
-        geometry = ScanGeometry(len(scan.ranges), scan.angle_min, scan.angle_increment, scan.range_min, scan.range_max)
-        return scan.ranges, geometry
+        return scan.ranges, scan.geometry
 
     def speeds(self) -> tuple[float, float]:
         """Return the odometry's speed [m/s] and turn rate [rad/s]."""

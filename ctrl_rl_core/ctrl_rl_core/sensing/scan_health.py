@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrl_rl_core.driving.scan import DIRECTIONS, ScanGeometry, ScanView
+from ctrl_rl_core.sensing.scan import DIRECTIONS, ScanGeometry, ScanView
 
 MIXED = 2.0
 """Time that a robot stands after scans of two lidars came in turn [s]; a lidar may be exchanged once."""

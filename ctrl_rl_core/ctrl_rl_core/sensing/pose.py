@@ -1,0 +1,83 @@
+"""Poses of messages: positions that are places, and quaternions that are rotations."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrl_rl_core.errors import CtrlRlError
+
+Array = NDArray[np.float64]
+
+_FARTHEST = 1e7
+"""No robot is farther from its origin [m]."""
+_NORM_ERROR = 0.01
+"""Difference from 1 up to which the length of a quaternion is rounding; a zero one is a driver that fills none in."""
+
+_ROUNDING = 1e-9
+_UPRIGHT = SimpleNamespace(x=0.0, y=0.0, z=0.0, w=1.0)
+_WITHOUT_HEADING = np.array((1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0))
+
+
+class PoseError(CtrlRlError):
+    """A pose that is none; the message is the reason."""
+
+
+def read_pose(position: Any, orientation: Any) -> Array:
+    """Return position and unit quaternion x, y, z, w (7,) of a message's fields.
+
+    Raises:
+        PoseError: A number is not finite or far too large, or the quaternion is no rotation, such as all zeros.
+    """
+    numbers = (position.x, position.y, position.z, orientation.x, orientation.y, orientation.z, orientation.w)
+    out = np.array(numbers, np.float64)
+    if not (np.abs(out[:3]) <= _FARTHEST).all():
+        raise PoseError(f"a translation of {out[:3].tolist()} m")
+    norm = math.sqrt(out[3:].dot(out[3:]))
+    if not abs(norm - 1.0) <= _NORM_ERROR:
+        raise PoseError(f"a quaternion of length {norm:.3g}: must be 1")
+    if abs(norm - 1.0) > _ROUNDING:  # others stay as they are, bit by bit
+        out[3:] /= norm
+    return out
+
+
+def read_goal(pose: Any) -> Array:
+    """Return position and quaternion (7,) of a goal's geometry_msgs/Pose; four zeros for one without a heading.
+
+    Raises:
+        PoseError: It is no pose, see `read_pose`.
+    """
+    turn = pose.orientation
+    if turn.x == turn.y == turn.z == turn.w == 0.0:
+        return read_pose(pose.position, _UPRIGHT) * _WITHOUT_HEADING
+    return read_pose(pose.position, turn)
+
+
+def read_planar_pose(pose: Any) -> Array:
+    """Return x, y, yaw (3,) [m, m, rad] of a geometry_msgs/Pose.
+
+    Raises:
+        PoseError: It is none, see `read_pose`.
+    """
+    return planar(read_pose(pose.position, pose.orientation).tolist())
+
+
+def planar(pose: Sequence[float]) -> Array:
+    """Return x, y, yaw (3,) of position and quaternion (7,); yaw is NaN for a goal without a heading."""
+    turn = pose[3:7]
+    return np.array((pose[0], pose[1], yaw_of(*turn) if any(turn) else math.nan))
+
+
+def yaw_of(x: float, y: float, z: float, w: float) -> float:
+    """Return the heading of a quaternion, in (-pi, pi]."""
+    return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+
+
+def pitch_of(x: float, y: float, z: float, w: float) -> float:
+    """Return the turn about +y of a quaternion, in (-pi, pi]."""
+    return math.atan2(2.0 * (w * y - z * x), 1.0 - 2.0 * (x * x + y * y))

@@ -1,0 +1,218 @@
+"""Laser scans: what each beam means, whether the geometry can be true, and the directions that have an echo.
+
+This is the one place that says so, for live nodes, the pre-flight, and everything that reads bags. By REP-117 a range
+within range_min .. range_max is an echo, +inf nothing there, -inf something too close, NaN no measurement; `measured`
+has the rest. The table for users is in docs/sensing.md.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrl_rl_core.errors import CtrlRlError
+
+Array = NDArray[np.float64]
+
+MOST_BEAMS = 20_000
+"""No lidar of one plane has more; a scan of a million would stop the node that looks at it for seconds."""
+DIRECTIONS = 360
+"""Directions around the robot in which a scan is asked for echoes."""
+_TURN = 2.0 * math.pi
+_BEARINGS = np.arange(DIRECTIONS, dtype=np.float64) * (_TURN / DIRECTIONS)
+_WIDEST = 1.1 * _TURN
+"""Largest angle that the beams of one turn cover [rad]; angles in degrees make it 57 times too large."""
+_FEW, _SOME = 2, 0.02
+"""Beams by which a scan's count may differ from that of its angles, and that share of them: motors' speeds vary."""
+_SMALLEST = 1e-6
+"""Ranges up to this are zero, whatever range_min claims [m]."""
+
+
+class ScanError(CtrlRlError):
+    """An unusable scan; the message is the reason."""
+
+
+@dataclass(frozen=True)
+class ScanGeometry:
+    """Bearings and limits of a scan's beams, as in sensor_msgs/LaserScan.
+
+    Attributes:
+        beams: Number of ranges.
+        angle_min: Bearing of the first beam in the robot's frame, counter-clockwise from ahead [rad].
+        angle_increment: Angle from beam to beam [rad].
+        range_min: Least distance measured [m].
+        range_max: Largest distance measured [m].
+        angle_max: Bearing of the last beam as a message claims it [rad]; None where nothing was claimed.
+    """
+
+    beams: int
+    angle_min: float
+    angle_increment: float
+    range_min: float
+    range_max: float
+    angle_max: float | None = None
+
+    @classmethod
+    def of(cls, message: Any) -> ScanGeometry:
+        """Return the geometry of a sensor_msgs/LaserScan, from rclpy or a bag, unchecked."""
+        return cls(
+            len(message.ranges),
+            float(message.angle_min),
+            float(message.angle_increment),
+            float(message.range_min),
+            float(message.range_max),
+            float(message.angle_max),
+        )
+
+    def turned(self, yaw: float) -> ScanGeometry:
+        """Return the geometry in a frame in which this one's zero bearing lies at `yaw` [rad]."""
+        if yaw == 0.0:
+            return self
+        claimed = None if self.angle_max is None else self.angle_max + yaw
+        return replace(self, angle_min=self.angle_min + yaw, angle_max=claimed)
+
+    def check(self) -> None:
+        """Refuse a geometry that no lidar has.
+
+        Raises:
+            ScanError: No beams, too many, or numbers that are not finite or contradict each other: the echoes would
+                be taken for ones in other directions, as in a mirror.
+        """
+        if not 0 < self.beams <= MOST_BEAMS:
+            raise ScanError(f"scan with {self.beams} ranges: must be 1 to {MOST_BEAMS}")
+        if not (0.0 <= self.range_min < self.range_max and math.isfinite(self.range_min)):
+            raise ScanError(f"scan with {self.beams} ranges in {self.range_min} .. {self.range_max} m")
+        if not (abs(self.angle_min) <= 4.0 * _TURN and 1e-6 < abs(self.angle_increment) <= _TURN):
+            raise ScanError(f"scan with angle_increment {self.angle_increment} and angle_min {self.angle_min}")
+        field = abs(self.angle_increment) * (self.beams - 1)
+        if field > _WIDEST:
+            raise ScanError(
+                f"scan with {self.beams} ranges over {math.degrees(field):.0f} deg: its angle_increment of "
+                f"{self.angle_increment:.4g} rad is wrong; is it in degrees, or that of another count of beams?"
+            )
+        if self.angle_max is None:
+            return
+        wanted = 1.0 + (self.angle_max - self.angle_min) / self.angle_increment
+        if not abs(self.beams - wanted) <= _FEW + _SOME * self.beams:
+            raise ScanError(
+                f"the scan has {self.beams} ranges, and {wanted:.0f} by its angle_min, _max and _increment: "
+                "its echoes would be taken for ones in other directions"
+            )
+
+
+class Scan(NamedTuple):
+    """One scan.
+
+    Attributes:
+        ranges: Ranges of the beams (beams,) [m].
+        geometry: Bearings and limits of the beams.
+    """
+
+    ranges: NDArray[np.float32]
+    geometry: ScanGeometry
+
+
+def read_scan(message: Any, yaw: float = 0.0) -> Scan:
+    """Return ranges and geometry of a sensor_msgs/LaserScan, from rclpy or a bag; `ScanGeometry.check` judges it.
+
+    Args:
+        message: The scan.
+        yaw: Direction of the scan's zero bearing in the robot's frame [rad].
+    """
+    return Scan(np.asarray(message.ranges, dtype=np.float32), ScanGeometry.of(message).turned(yaw))
+
+
+def measured(ranges: NDArray[np.float32], scan: ScanGeometry, out: Array | None = None) -> Array:
+    """Return what each beam means (beams,) [m]: a distance, +inf for nothing there, NaN for no measurement.
+
+    +inf, 0 (an LDS-01's miss) and beyond range_max mean nothing there; -inf something too close, at range_min; NaN,
+    below range_min and negative are no measurement.
+
+    Args:
+        ranges: Ranges of the beams (beams,) [m].
+        scan: Bearings and limits of the beams.
+        out: Array for the result (beams,).
+    """
+    if out is None:
+        out = np.empty(len(ranges))
+    out[...] = ranges
+    np.putmask(out, ranges < max(scan.range_min, _SMALLEST), np.nan)
+    np.putmask(out, ranges > scan.range_max, np.inf)
+    np.putmask(out, ranges == 0.0, np.inf)
+    np.putmask(out, ranges == -np.inf, scan.range_min)
+    return out
+
+
+def echoes(ranges: NDArray[np.float32], scan: ScanGeometry, reach: float, forward: float = 0.0) -> Array:
+    """Return the places of the echoes in the robot's frame (n, 2) [m].
+
+    Args:
+        ranges: Ranges of the beams (beams,) [m].
+        scan: Bearings and limits of the beams in the robot's frame.
+        reach: Distance from the lidar beyond which echoes are left out [m].
+        forward: Position of the lidar ahead of the robot's middle [m].
+    """
+    return _points(measured(ranges, scan), scan, reach, forward)
+
+
+def _points(distances: Array, scan: ScanGeometry, reach: float, forward: float) -> Array:
+    near = np.flatnonzero((distances < reach) & (distances < np.inf))
+    bearings, far = scan.angle_min + scan.angle_increment * near, distances[near]
+    points = np.empty((len(near), 2))
+    points[:, 0], points[:, 1] = forward + far * np.cos(bearings), far * np.sin(bearings)
+    return points
+
+
+class ScanView(NamedTuple):
+    """Echoes of one scan, as the checks of a drive need them.
+
+    Attributes:
+        share: Part of the beams that have an echo, 0 to 1.
+        points: Places of the echoes within reach in the robot's frame (n, 2) [m].
+        seen: Whether the beam nearest to each direction has an echo, counter-clockwise from ahead (DIRECTIONS,).
+        field: Whether there is a beam in each direction at all (DIRECTIONS,).
+    """
+
+    share: float
+    points: NDArray[np.float64]
+    seen: NDArray[np.bool_]
+    field: NDArray[np.bool_]
+
+
+def view_scan(ranges: NDArray[np.float32], scan: ScanGeometry, reach: float, forward: float = 0.0) -> ScanView:
+    """Return the echoes of a scan.
+
+    Args:
+        ranges: Ranges (scan.beams,) [m].
+        scan: Bearings and limits of the beams.
+        reach: Distance from the lidar beyond which echoes are left out [m].
+        forward: Position of the lidar ahead of the robot's middle [m].
+
+    Raises:
+        ScanError: The geometry is impossible, or there is another number of ranges.
+    """
+    scan.check()
+    if len(ranges) != scan.beams:
+        raise ScanError(f"scan with {len(ranges)} ranges of {scan.beams}")
+    distances = measured(ranges, scan)
+    echo = np.isfinite(distances)
+    points = _points(distances, scan, reach, forward)
+    field, nearest = nearest_beams(scan, _BEARINGS)
+    return ScanView(float(np.count_nonzero(echo)) / scan.beams, points, field & echo[nearest], field)
+
+
+def nearest_beams(scan: ScanGeometry, bearings: NDArray[np.float64]) -> tuple[NDArray[np.bool_], NDArray[np.intp]]:
+    """Return whether each of some bearings (n,) [rad] has a beam (n,), and the one that is nearest to it (n,)."""
+    step = abs(scan.angle_increment)
+    first = scan.angle_min if scan.angle_increment > 0.0 else scan.angle_min + scan.angle_increment * (scan.beams - 1)
+    half = max(0.5 * step, math.pi / DIRECTIONS)
+    offset = (bearings - first + 0.5 * step) % _TURN - 0.5 * step
+    after_last, before_first = offset - step * (scan.beams - 1), _TURN - offset
+    field = np.minimum(after_last, before_first) <= half
+    beam = np.minimum(np.rint(offset / step).astype(np.intp), scan.beams - 1)
+    beam[before_first < after_last] = 0
+    return field, beam if scan.angle_increment > 0.0 else scan.beams - 1 - beam

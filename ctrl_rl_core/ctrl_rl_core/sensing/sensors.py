@@ -1,0 +1,32 @@
+"""What a robot senses at the time of a scan: arrays alone, from a live node, a simulator or a bag."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrl_rl_core.sensing.scan import ScanGeometry
+
+Array = NDArray[np.float64]
+
+
+class Sensors(NamedTuple):
+    """What a robot senses at the time of a scan.
+
+    Attributes:
+        ranges: Ranges of the scan's beams (beams,) [m].
+        scan: Bearings and limits of the beams in the robot's frame.
+        odometry: The last odometry (13,), see `ODOMETRY_NAMES`.
+        pose: Pose x, y, theta (3,) [m, m, rad]; None where it is unknown.
+        goal: Goal x, y, theta in the frame of the pose (3,) [m, m, rad]; None where there is none.
+        command: Last command (2,).
+    """
+
+    ranges: NDArray[np.float32]
+    scan: ScanGeometry
+    odometry: Array
+    pose: Array | None
+    goal: Array | None
+    command: Array
