@@ -45,7 +45,8 @@ train: build ## record drives of the scripted driver and learn the corridor's po
 ttr: build ## learn TASK=car_ttr (or quad_ttr) with every reward and algorithm; hours, may be cut off
 	@$(RUN) mkdir -p runs; task=$${TASK:-car_ttr}; how="--robot-size"; [[ $$task != quad_ttr ]] || how="--decomposition 4d+4d"; \
 	[[ -e runs/$$task.safetensors ]] || ros2 run ttr_reward_node solve --task $$task $$how --output runs/$$task.safetensors; \
-	ros2 run ttr_reward_node train --task $$task --grid runs/$$task.safetensors --results docs/results/ttr_training_$$task.json $(ARGS); \
+	ros2 run ttr_reward_node train --task $$task --grid runs/$$task.safetensors --results docs/results/ttr_training_$$task.json \
+	--rewards ttr_progress sparse distance_0 distance_0.1 distance_1 distance_10 ttr $(ARGS); \
 	ros2 run ttr_reward_node plot docs/results/ttr_training_$$task.json
 
 oc: build ## learn with every baseline of thesis 3.3 and analyse; hours, may be cut off

@@ -15,6 +15,7 @@ from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from rclpy.node import Node
 from std_srvs.srv import Trigger
+from ttr_reward_node.rewards.progress import PER_SECOND
 from ttr_reward_node.rewards.rewards import longest_time
 from ttr_reward_node.solvers.decomposition import PLANAR_QUADROTOR_FIVE
 
@@ -47,6 +48,16 @@ def quad(tmp_path_factory: pytest.TempPathFactory) -> Path:
     counts = {"x": 21, "z": 21, "v_x": 11, "v_z": 11, "psi": 12, "omega": 7}
     solve_decomposed("quad_ttr", PLANAR_QUADROTOR_FIVE, counts=counts).save(path)
     return path
+
+
+def odometry(state: tuple[float, float, float], stamp: int) -> Odometry:
+    message = Odometry()
+    message.header.stamp = to_stamp(stamp)
+    message.header.frame_id = "odom"
+    x, y, theta = state
+    message.pose.pose.position.x, message.pose.pose.position.y = x, y
+    message.pose.pose.orientation.z, message.pose.pose.orientation.w = math.sin(theta / 2), math.cos(theta / 2)
+    return message
 
 
 class Peer:
@@ -83,12 +94,7 @@ class Peer:
         return self.call(SetParameters, "set_parameters", parameters=[Parameter(name=name, value=value)]).results[0]
 
     def ask(self, state: tuple[float, float, float], stamp: int) -> tuple[TaskReward, StateValue]:
-        message = Odometry()
-        message.header.stamp = to_stamp(stamp)
-        message.header.frame_id = "odom"
-        x, y, theta = state
-        message.pose.pose.position.x, message.pose.pose.position.y = x, y
-        message.pose.pose.orientation.z, message.pose.pose.orientation.w = math.sin(theta / 2), math.cos(theta / 2)
+        message = odometry(state, stamp)
         answers = [self.heard[topic] for topic in ("reward", "time_to_reach")]
         before = [len(answer) for answer in answers]
         deadline = time.monotonic() + 120.0
@@ -124,6 +130,27 @@ def test_each_state_is_valued_and_paid_as_the_task_says(peer: Peer, grid: Path) 
     assert (reward.outcome.value, reward.reward, value.value) == (TaskOutcome.GOAL, 1000.0, 0.0)
     reward, _ = peer.ask(CUBE, 9)
     assert (reward.outcome.value, reward.reward) == (TaskOutcome.COLLISION, -400.0)
+
+
+def test_best_progress_is_paid_once_an_episode(peer: Peer, run_node: Callable, grid: Path) -> None:
+    renamed = ("__node:=progress_node", "reward:=progress", "time_to_reach:=other_time")
+    node = run_node(NODE, "reward", f"grid:={grid}", "reward:=ttr_progress", remap=renamed)
+    node.wait_for("points")
+    peer.asked, paid = "progress_node", peer.listen(TaskReward, "progress", RESULT)
+    near, far = FREE, (-4.0, -4.0, 1.0)
+    times = ValueGrid.load(grid).value([far, near])
+
+    def total(state: tuple[float, float, float], stamp: int) -> float:
+        """Return what has been paid until a state was answered; it may be sent more than once."""
+        while not any(each.header.stamp == to_stamp(stamp) for each in paid):
+            peer.odom.publish(odometry(state, stamp))
+            rclpy.spin_once(peer.node, timeout_sec=0.1)
+        return sum(each.reward for each in paid)
+
+    gained = PER_SECOND * (times[0] - times[1])
+    assert [total(far, 1), total(near, 2), total(far, 3), total(near, 4)] == pytest.approx([0.0, *[gained] * 3])
+    assert peer.call(Trigger, "begin_episode").success
+    assert [total(far, 5), total(near, 6)] == pytest.approx([gained, 2.0 * gained])
 
 
 def test_outside_the_grid_it_says_so(peer: Peer, car_node: Any, grid: Path) -> None:

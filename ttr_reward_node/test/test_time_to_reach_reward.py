@@ -9,9 +9,25 @@ import pytest
 from gymnasium import spaces
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
+from ttr_reward_node.rewards.progress import PER_SECOND, ProgressEvaluator
 
-from ctrl_rl_core import SYSTEM_MODELS, Box, CtrlRlError, Quantity, SystemModel, make_system
-from ttr_reward_node import TimeToReachError, TimeToReachReward, TimeToReachVectorReward, solve_value
+from ctrl_rl_core import (
+    SYSTEM_MODELS,
+    Box,
+    CtrlRlError,
+    Quantity,
+    SystemModel,
+    load_navigation_task,
+    make_system,
+)
+from ttr_reward_node import (
+    RewardEvaluator,
+    TimeToReach,
+    TimeToReachError,
+    TimeToReachReward,
+    TimeToReachVectorReward,
+    solve_value,
+)
 
 HALF, SPEED, STEP, LONGEST = 2.0, 1.0, 0.2, 40
 WALL = Box((0.0, -0.7), (0.3, 2.6))
@@ -150,6 +166,23 @@ def test_where_info_says_that_the_goal_is_reached_no_time_is_left(value):
 
     (reward,), infos = drive(TimeToReachReward(Sure(), value, "place"), [UP])
     assert reward == pytest.approx(infos[0]["time_to_reach"])
+
+
+def test_an_evaluator_pays_progress_at_the_end_too_and_begins_anew_after_it():
+    task, value = load_navigation_task("car_ttr"), solve_value("car_ttr", counts=(41, 41, 24), inflation=0.0)
+    evaluate = ProgressEvaluator(RewardEvaluator(task, value), TimeToReach(value))
+    far, near, goal, outside = (-4.0, -4.0, 1.0), (0.0, -3.0, 1.0), (4.0, 4.0, 0.75), (7.0, 0.0, 0.0)
+    times = value.value([far, near])
+    gained = PER_SECOND * (times[0] - times[1])
+
+    def paid(*states):
+        return [evaluate(np.array(state), float(value.value([state])[0])).reward for state in states]
+
+    assert paid(far, near, far, near) == pytest.approx([0.0, gained, 0.0, 0.0])
+    assert paid(goal, far, near) == pytest.approx([1000.0 + PER_SECOND * times[1], 0.0, gained])
+    evaluate.begin()
+    assert paid(far, near) == pytest.approx([0.0, gained])
+    assert not math.isnan(paid(outside)[0])
 
 
 @pytest.mark.parametrize("mode", list(AutoresetMode))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import ClassVar
 
@@ -9,6 +10,7 @@ import numpy as np
 from ctrl_rl_core.ros.value_server import Valued
 from nav_msgs.msg import Odometry
 from numpy.typing import NDArray
+from std_srvs.srv import Trigger
 
 from ctrl_rl_core import (
     RESULT,
@@ -19,8 +21,9 @@ from ctrl_rl_core import (
     load_navigation_task,
     run_node,
 )
-from ctrl_rl_msgs.msg import TaskOutcome, TaskReward
-from ttr_reward_node.rewards.rewards import RewardEvaluator
+from ctrl_rl_msgs.msg import EpisodeStatus, TaskOutcome, TaskReward
+from ttr_reward_node.rewards.progress import ProgressEvaluator, TimeToReach
+from ttr_reward_node.rewards.rewards import PROGRESS, EvaluatedReward, RewardEvaluator
 from ttr_reward_node.values.value_file import load_value
 
 
@@ -29,6 +32,9 @@ class RewardNode(ValueServer):
 
     Subscribes to odom; publishes reward and time_to_reach, one message of each for each odometry message, and ~/grid
     and ~/slice latched. Answers ~/query for many states. Outside the grid it says NaN, never an extrapolation.
+
+    With `reward:=ttr_progress` an episode begins with the first odometry, after a goal, collision or trap, with a new
+    number on the simulator's topic `episode`, and by the service ~/begin_episode.
     """
 
     TOPIC = "time_to_reach"
@@ -38,12 +44,25 @@ class RewardNode(ValueServer):
         Parameter(
             "task", "", "Name or .yaml file of the task; empty for the one that the grid was made for.", kind="path"
         ),
+        Parameter(
+            "reward",
+            "ttr",
+            "Reward that is published: ttr, minus the time to reach of each state; or ttr_progress, the best progress "
+            "since the last message, whose sum over any time is what a robot is paid for it.",
+            choices=("ttr", PROGRESS),
+        ),
         Parameter("corridor_width", 0.0, "Width of the task's corridor [m]; 0.0 for the task's own.", 0.0, 100.0),
     )
+
+    _progress: ProgressEvaluator | None = None
 
     def __init__(self) -> None:
         super().__init__("ttr_reward_node")
         self._rewards = self.create_publisher(TaskReward, "reward", RESULT)
+        self._episode: int | None = None
+        if self.settings["reward"] == PROGRESS:
+            self.create_subscription(EpisodeStatus, "episode", self._on_episode, RESULT)
+            self.create_service(Trigger, "~/begin_episode", self._on_begin)
 
     def read(self, path: Path) -> ValueFunction:
         """Read a time-to-reach file."""
@@ -58,14 +77,31 @@ class RewardNode(ValueServer):
                 f"the grid was made for another version of task '{task.name}': solve the task again"
             )
 
+        self._progress = None
+        evaluate: Callable[[NDArray[np.float64], float], EvaluatedReward] = evaluator
+        if self.settings["reward"] == PROGRESS:
+            evaluate = self._progress = ProgressEvaluator(evaluator, TimeToReach(function))
+
         def publish(message: Odometry, state: NDArray[np.float64], value: float) -> None:
-            outcome, reward = evaluator(state, value)
+            outcome, reward = evaluate(state, value)
             out = TaskReward(
                 header=message.header, outcome=TaskOutcome(value=int(outcome)), reward=reward, time_to_reach=value
             )
             self._rewards.publish(out)
 
         return publish
+
+    def _on_episode(self, message: EpisodeStatus) -> None:
+        """Begin an episode where the simulator has begun one."""
+        if self._progress is not None and self._episode not in (None, message.episode):
+            self._progress.begin()
+        self._episode = message.episode
+
+    def _on_begin(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        if self._progress is not None:
+            self._progress.begin()
+        response.success, response.message = True, "the next odometry begins an episode"
+        return response
 
 
 def main() -> int:

@@ -19,7 +19,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from ctrl_rl_core import Outcome, ValueFunction, ValueFunctionError
 from ttr_reward_node.errors import TimeToReachError
-from ttr_reward_node.rewards.rewards import KIND, check_informative, longest_time, value_domain
+from ttr_reward_node.rewards.rewards import (
+    KIND,
+    EvaluatedReward,
+    RewardEvaluator,
+    check_informative,
+    longest_time,
+    value_domain,
+)
 
 Array = NDArray[np.float64]
 
@@ -210,3 +217,34 @@ class PotentialReward:
         seconds = np.where(outcomes == Outcome.GOAL, 0.0, self._potential.times(states))
         ended = (outcomes != Outcome.RUNNING) & (outcomes != Outcome.TIMEOUT)
         return np.asarray(rewards + self._pay.step(seconds, ended))
+
+
+class ProgressEvaluator:
+    """Pays one robot's best progress from state to state, beside what the task pays for the end of an episode.
+
+    What a robot is paid in any span of time is the sum of the rewards in it, however many states there are. An episode
+    begins with the first state, with the first one that is back to RUNNING, and with `begin`.
+
+    Args:
+        evaluate: Evaluator of the task's states.
+        reward: Time to reach of the task, of the kind that is paid.
+    """
+
+    def __init__(self, evaluate: RewardEvaluator, reward: TimeToReach) -> None:
+        self._evaluate, self._reward, self._pay = evaluate, reward, reward.pay()
+        self._last: Outcome | None = None
+
+    def begin(self) -> None:
+        """Let an episode begin with the next state."""
+        self._last = None
+
+    def __call__(self, state: Array, phi: float) -> EvaluatedReward:
+        """Return outcome and reward of a state (n,) whose time to reach is phi [s], +inf or NaN."""
+        outcome, at_end = self._evaluate(state, phi)
+        last, self._last = self._last, outcome
+        arrived = outcome is Outcome.GOAL
+        seconds = 0.0 if arrived else float(self._reward.times(state[None])[0])
+        if last is None or (last is not Outcome.RUNNING and outcome is Outcome.RUNNING):
+            self._pay.begin(seconds)
+        gained = float(self._pay.step(seconds, outcome is not Outcome.RUNNING))
+        return EvaluatedReward(outcome, gained if outcome is Outcome.RUNNING else gained + at_end)

@@ -34,8 +34,8 @@ class Train(SimulatedOptions):
     """Time-to-reach function of the task (.safetensors), for the rewards ttr_progress and ttr."""
     algorithms: Annotated[tuple[str, ...], some_of(ALGORITHMS)] = THESIS_ALGORITHMS
     """Algorithms to learn with."""
-    rewards: Annotated[tuple[str, ...], some_of(TRAINING_REWARDS)] = TRAINING_REWARDS
-    """Rewards to learn with."""
+    rewards: Annotated[tuple[str, ...], some_of(TRAINING_REWARDS)] = (PROGRESS,)
+    """Rewards to learn with; best progress of the time to reach unless given."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,7 +49,7 @@ class Plot(TaskPlotOptions):
 def _train(options: Train) -> int:
     if options.iterations:
         note_old_name("train", "--iterations", "--samples")
-    rewards = options.rewards or TRAINING_REWARDS
+    rewards = options.rewards or (PROGRESS,)
     needing = [reward for reward in (PROGRESS, "ttr") if reward in rewards]
     if needing and options.grid is None:
         raise TimeToReachError(f"the reward {needing[0]} needs --grid: make it with `solve --task {options.task}`")
